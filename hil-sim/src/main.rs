@@ -1,0 +1,2 @@
+//! `hil-sim`: runs the firmware's ELF on a simulated board.
+fn main() {}

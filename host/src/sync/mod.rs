@@ -1,0 +1,1 @@
+//! The sync math: the relation of two clocks from two rigidly attached gyroscopes.

@@ -1,0 +1,2 @@
+//! `cargo xtask`: the one entry point, the same locally and in CI.
+fn main() {}
