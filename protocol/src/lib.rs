@@ -1,3 +1,29 @@
 //! The messages between the SmartDepthSync board and its host.
+//!
+//! One crate owns the wire format; firmware and host both import it and nobody
+//! declares it again. `no_std`, no allocation, no unsafe code.
+//!
+//! - [`units`]: board time ([`Ticks`], [`TickDelta`], [`Period`]).
+//! - [`messages`]: what is said ([`DeviceToHost`], [`HostToDevice`]).
+//! - [`framing`]: how it is put on the wire (postcard, CRC-32, COBS, a zero
+//!   byte behind each frame) and taken off again.
+//!
+//! The order of an enum's variants and of a struct's fields *is* the format.
+//! `tests/golden.rs` pins the bytes of every message; any change there needs a
+//! new [`PROTOCOL_VERSION`].
+
 #![no_std]
 #![forbid(unsafe_code)]
+
+pub mod framing;
+pub mod messages;
+pub mod units;
+
+pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode};
+pub use messages::*;
+pub use units::{Period, TICK_HZ, TickDelta, Ticks};
+
+/// Version of the wire format. Host and board must agree on it exactly; it is
+/// the first field of [`Hello`], whose position never changes, so that a host
+/// can read the version of any board.
+pub const PROTOCOL_VERSION: u16 = 1;

@@ -1,0 +1,250 @@
+//! Frames on the byte stream.
+//!
+//! A frame is `COBS(postcard(message) ‖ CRC-32(le)) ‖ 0x00`. COBS keeps zero
+//! bytes out of the frame, so a zero is always a boundary: whatever happens to
+//! the bytes of one frame, the reader is back in step at the next zero.
+//!
+//! The CRC is CRC-32/ISO-HDLC (the one of Ethernet and zip) over the postcard
+//! bytes. Empty frames (two zeros in a row) are allowed and ignored: a sender
+//! may put a zero first to end whatever garbage is on the line.
+
+use core::marker::PhantomData;
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use postcard::ser_flavors::{Cobs, Slice, crc::CrcModifier};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+/// CRC-32/ISO-HDLC with a 1 KiB table.
+const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Bytes of the CRC behind the message.
+const CRC_LEN: usize = 4;
+
+/// The longest message in postcard form, in bytes.
+pub const MAX_MESSAGE: usize = 320;
+
+/// The longest frame on the wire, with CRC, COBS overhead (one byte in each
+/// 254, and one) and the delimiter.
+pub const MAX_FRAME: usize = MAX_MESSAGE + CRC_LEN + (MAX_MESSAGE + CRC_LEN) / 254 + 2;
+
+/// Why a frame was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameError {
+    /// More than [`MAX_FRAME`] bytes without a delimiter; the rest of that
+    /// frame is skipped up to its delimiter.
+    Oversize,
+    /// The bytes between two delimiters are not COBS.
+    Cobs,
+    /// The checksum does not match, or the frame is too short to have one.
+    Checksum,
+    /// The checksum matches, but the bytes are no known message (most likely
+    /// another protocol version).
+    Message,
+}
+
+impl core::fmt::Display for FrameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Oversize => "frame longer than the protocol allows",
+            Self::Cobs => "frame is not valid COBS",
+            Self::Checksum => "checksum of a frame does not match",
+            Self::Message => "frame holds no message of this protocol version",
+        })
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// What a [`Decoder`] has seen so far. Counters saturate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkCounters {
+    /// Frames that became messages.
+    pub frames: u32,
+    /// Frames longer than [`MAX_FRAME`].
+    pub oversize: u32,
+    /// Frames that were not COBS.
+    pub cobs: u32,
+    /// Frames whose checksum did not match.
+    pub checksum: u32,
+    /// Frames with a good checksum and no known message in them.
+    pub message: u32,
+    /// Bytes of all frames that were not taken.
+    pub lost_bytes: u32,
+}
+
+impl LinkCounters {
+    /// Frames that were lost, for whatever reason.
+    #[must_use]
+    pub const fn lost_frames(&self) -> u32 {
+        self.oversize
+            .saturating_add(self.cobs)
+            .saturating_add(self.checksum)
+            .saturating_add(self.message)
+    }
+
+    fn lose(&mut self, error: FrameError, bytes: usize) {
+        let counter = match error {
+            FrameError::Oversize => &mut self.oversize,
+            FrameError::Cobs => &mut self.cobs,
+            FrameError::Checksum => &mut self.checksum,
+            FrameError::Message => &mut self.message,
+        };
+        *counter = counter.saturating_add(1);
+        let bytes = u32::try_from(bytes).unwrap_or(u32::MAX);
+        self.lost_bytes = self.lost_bytes.saturating_add(bytes);
+    }
+}
+
+/// Encodes one message as a frame, delimiter included, and returns the frame.
+///
+/// # Errors
+///
+/// `buffer` is too short; [`MAX_FRAME`] bytes always suffice for the messages
+/// of this crate.
+pub fn encode<'b, M: Serialize>(message: &M, buffer: &'b mut [u8]) -> postcard::Result<&'b [u8]> {
+    let cobs = Cobs::try_new(Slice::new(buffer))?;
+    let frame = postcard::serialize_with_flavor(message, CrcModifier::new(cobs, CRC32.digest()))?;
+    Ok(frame)
+}
+
+/// A push parser: bytes go in, in any split; messages come out.
+///
+/// It never allocates and never panics. After any damage it is back in step at
+/// the next zero byte and has counted what it lost.
+///
+/// ```
+/// use protocol::{Command, Decoder, HostToDevice, MAX_FRAME, encode};
+///
+/// let sent = HostToDevice { id: 7, command: Command::Hello };
+/// let mut buffer = [0; MAX_FRAME];
+/// let frame = encode(&sent, &mut buffer).unwrap();
+///
+/// let mut decoder = Decoder::<HostToDevice>::new();
+/// let (mut head, mut tail) = frame.split_at(3);
+/// assert_eq!(decoder.next(&mut head), None);
+/// assert_eq!(decoder.next(&mut tail), Some(Ok(sent)));
+/// ```
+pub struct Decoder<M> {
+    buffer: [u8; MAX_FRAME],
+    len: usize,
+    skipping: bool,
+    skipped: usize,
+    counters: LinkCounters,
+    message: PhantomData<fn() -> M>,
+}
+
+impl<M: DeserializeOwned> Decoder<M> {
+    /// An empty decoder, in step from the first byte on.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            buffer: [0; MAX_FRAME],
+            len: 0,
+            skipping: false,
+            skipped: 0,
+            counters: LinkCounters {
+                frames: 0,
+                oversize: 0,
+                cobs: 0,
+                checksum: 0,
+                message: 0,
+                lost_bytes: 0,
+            },
+            message: PhantomData,
+        }
+    }
+
+    /// What was taken and lost so far.
+    #[must_use]
+    pub const fn counters(&self) -> LinkCounters {
+        self.counters
+    }
+
+    /// Forgets a half-received frame (after the line was cut, for instance).
+    /// The counters stay.
+    pub const fn reset(&mut self) {
+        self.len = 0;
+        self.skipping = false;
+        self.skipped = 0;
+    }
+
+    /// Consumes bytes from the front of `input` up to the end of one frame.
+    ///
+    /// Returns `None` once `input` is used up; call it until then.
+    pub fn next(&mut self, input: &mut &[u8]) -> Option<Result<M, FrameError>> {
+        loop {
+            let (chunk, ended) = match input.iter().position(|&byte| byte == 0) {
+                Some(end) => {
+                    let chunk = input.get(..end).unwrap_or_default();
+                    *input = input.get(end + 1..).unwrap_or_default();
+                    (chunk, true)
+                }
+                None => (core::mem::take(input), false),
+            };
+            self.take(chunk);
+            if !ended {
+                return None;
+            }
+            if let Some(result) = self.finish() {
+                return Some(result);
+            }
+        }
+    }
+
+    fn take(&mut self, chunk: &[u8]) {
+        if self.skipping {
+            self.skipped = self.skipped.saturating_add(chunk.len());
+            return;
+        }
+        match self.buffer.get_mut(self.len..self.len + chunk.len()) {
+            Some(space) => {
+                space.copy_from_slice(chunk);
+                self.len += chunk.len();
+            }
+            None => {
+                self.skipping = true;
+                self.skipped = self.len.saturating_add(chunk.len());
+            }
+        }
+    }
+
+    /// Ends the frame; `None` for an empty one.
+    fn finish(&mut self) -> Option<Result<M, FrameError>> {
+        let len = core::mem::take(&mut self.len);
+        let skipped = core::mem::take(&mut self.skipped);
+        if core::mem::take(&mut self.skipping) {
+            self.counters.lose(FrameError::Oversize, skipped);
+            return Some(Err(FrameError::Oversize));
+        }
+        if len == 0 {
+            return None;
+        }
+        let result = decode(self.buffer.get_mut(..len).unwrap_or_default());
+        match result {
+            Ok(_) => self.counters.frames = self.counters.frames.saturating_add(1),
+            Err(error) => self.counters.lose(error, len),
+        }
+        Some(result)
+    }
+}
+
+impl<M: DeserializeOwned> Default for Decoder<M> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
+    let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Cobs)?;
+    let decoded = frame.get(..len).ok_or(FrameError::Cobs)?;
+    let (body, crc) = decoded
+        .split_last_chunk::<CRC_LEN>()
+        .ok_or(FrameError::Checksum)?;
+    if CRC32.checksum(body) != u32::from_le_bytes(*crc) {
+        return Err(FrameError::Checksum);
+    }
+    match postcard::take_from_bytes(body) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(FrameError::Message),
+    }
+}
