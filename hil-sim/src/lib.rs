@@ -1,1 +1,11 @@
-//! The simulated rig.
+//! The simulated rig: an STM32F407 that runs the firmware's ELF, and what is wired to it.
+//!
+//! What another part of the rig needs to be attached to the board is
+//! [`model::RigModel`] (pins) and [`i2c::I2cTarget`] (the I2C bus), both on
+//! the board's virtual time, [`time::SimTime`].
+
+pub mod clock;
+pub mod i2c;
+pub mod model;
+pub mod pin;
+pub mod time;
