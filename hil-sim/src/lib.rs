@@ -8,4 +8,6 @@ pub mod clock;
 pub mod i2c;
 pub mod model;
 pub mod pin;
+pub mod rolling_shutter;
 pub mod time;
+pub mod video_writer;

@@ -1,0 +1,270 @@
+//! Writes grey frames to an H.264 MP4 through an `ffmpeg` child process.
+//!
+//! The real encoder, so that tests and the simulated phone meet real compression:
+//! blocks, rate control and frames that repeat their predecessor. Settings follow
+//! phones: no B-frames, a key frame a second, limited-range 4:2:0.
+
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, Stdio};
+use std::thread::JoinHandle;
+
+use crate::rolling_shutter::GreyImage;
+
+/// What went wrong while writing a video.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// There is no `ffmpeg` to run.
+    #[error(
+        "ffmpeg was not found: videos are encoded by the `ffmpeg` program; install it (Debian, Ubuntu: `apt install ffmpeg`) and see that it is on the PATH"
+    )]
+    NoFfmpeg,
+    /// `ffmpeg` could not be started.
+    #[error("ffmpeg could not be started: {0}")]
+    Start(#[source] std::io::Error),
+    /// The frame does not have the video's size.
+    #[error("frame of {got_width}x{got_height} pixels for a video of {width}x{height}")]
+    FrameSize {
+        /// Width of the frame.
+        got_width: usize,
+        /// Height of the frame.
+        got_height: usize,
+        /// Width of the video.
+        width: usize,
+        /// Height of the video.
+        height: usize,
+    },
+    /// H.264 with 4:2:0 colour needs even sizes.
+    #[error("H.264 needs an even width and height, not {width}x{height}")]
+    OddSize {
+        /// Width asked for.
+        width: usize,
+        /// Height asked for.
+        height: usize,
+    },
+    /// `ffmpeg` ended with an error.
+    #[error("ffmpeg failed to write {path}: {message}")]
+    Encoder {
+        /// The video.
+        path: PathBuf,
+        /// What `ffmpeg` printed.
+        message: String,
+    },
+}
+
+/// How strongly the video is compressed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Quality {
+    /// Constant rate factor of x264: 0 is lossless, 23 its default.
+    RateFactor(u8),
+    /// Average bit rate in bits per second; phones use about 17 Mbit/s for 1080p30.
+    BitRate(u64),
+}
+
+/// Settings of a video.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VideoSettings {
+    /// Pixels in an image row.
+    pub width: usize,
+    /// Image rows.
+    pub height: usize,
+    /// Frames per second written to the file.
+    pub frame_rate: f64,
+    /// How strongly to compress.
+    pub quality: Quality,
+}
+
+/// A video that is being written. Call [`finish`](Self::finish); a writer that
+/// is dropped unfinished ends its encoder and leaves an incomplete file.
+#[derive(Debug)]
+pub struct Mp4Writer {
+    settings: VideoSettings,
+    path: PathBuf,
+    child: Child,
+    messages: Option<JoinHandle<String>>,
+}
+
+impl Mp4Writer {
+    /// Starts the encoder; an existing file is replaced.
+    pub fn create(path: &Path, settings: VideoSettings) -> Result<Self, VideoError> {
+        let VideoSettings { width, height, .. } = settings;
+        if width % 2 != 0 || height % 2 != 0 || width == 0 || height == 0 {
+            return Err(VideoError::OddSize { width, height });
+        }
+        let mut command = Command::new("ffmpeg");
+        command
+            .args(["-v", "error", "-nostdin", "-y"])
+            .args(["-f", "rawvideo", "-pix_fmt", "gray"])
+            .args(["-s", &format!("{width}x{height}")])
+            .args(["-r", &settings.frame_rate.to_string(), "-i", "pipe:0"])
+            .args(["-c:v", "libx264", "-preset", "veryfast", "-bf", "0"])
+            .args(["-g", &format!("{:.0}", settings.frame_rate.max(1.0))])
+            .args(["-pix_fmt", "yuv420p"]);
+        match settings.quality {
+            Quality::RateFactor(crf) => command.args(["-crf", &crf.to_string()]),
+            Quality::BitRate(rate) => command
+                .args(["-b:v", &rate.to_string()])
+                .args(["-maxrate", &rate.to_string()])
+                .args(["-bufsize", &rate.to_string()]),
+        };
+        let mut child = command
+            .arg(path)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|e| match e.kind() {
+                std::io::ErrorKind::NotFound => VideoError::NoFfmpeg,
+                _ => VideoError::Start(e),
+            })?;
+        let messages = child.stderr.take().map(collect);
+        Ok(Self {
+            settings,
+            path: path.to_owned(),
+            child,
+            messages,
+        })
+    }
+
+    /// Appends one frame.
+    pub fn write(&mut self, frame: &GreyImage) -> Result<(), VideoError> {
+        let VideoSettings { width, height, .. } = self.settings;
+        if (frame.width, frame.height) != (width, height) || frame.pixels.len() != width * height {
+            return Err(VideoError::FrameSize {
+                got_width: frame.width,
+                got_height: frame.height,
+                width,
+                height,
+            });
+        }
+        let written = match self.child.stdin.as_mut() {
+            Some(pipe) => pipe.write_all(&frame.pixels),
+            None => Err(std::io::ErrorKind::BrokenPipe.into()),
+        };
+        match written {
+            Ok(()) => Ok(()),
+            // The encoder's own words say more than "broken pipe".
+            Err(e) => Err(self.encoder_error(&e.to_string())),
+        }
+    }
+
+    /// Ends the video and waits for the encoder.
+    pub fn finish(mut self) -> Result<(), VideoError> {
+        drop(self.child.stdin.take());
+        match self.child.wait() {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(self.encoder_error(&status.to_string())),
+            Err(e) => Err(self.encoder_error(&e.to_string())),
+        }
+    }
+
+    fn encoder_error(&mut self, fallback: &str) -> VideoError {
+        drop(self.child.stdin.take());
+        let said = self
+            .messages
+            .take()
+            .and_then(|m| m.join().ok())
+            .unwrap_or_default();
+        let said = said.trim();
+        VideoError::Encoder {
+            path: self.path.clone(),
+            message: if said.is_empty() { fallback } else { said }.to_owned(),
+        }
+    }
+}
+
+impl Drop for Mp4Writer {
+    fn drop(&mut self) {
+        if self.child.stdin.take().is_some() {
+            // Unfinished: the caller gave up, so the encoder does too.
+            let _ = self.child.kill();
+        }
+        let _ = self.child.wait();
+    }
+}
+
+/// Reads the encoder's messages so that it never blocks on them; keeps the first 4 KiB.
+fn collect(mut pipe: ChildStderr) -> JoinHandle<String> {
+    std::thread::spawn(move || {
+        let mut kept = Vec::new();
+        let mut buffer = [0u8; 1024];
+        while let Ok(n) = pipe.read(&mut buffer) {
+            if n == 0 {
+                break;
+            }
+            let room = 4096usize.saturating_sub(kept.len()).min(n);
+            kept.extend_from_slice(buffer.get(..room).unwrap_or_default());
+        }
+        String::from_utf8_lossy(&kept).into_owned()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: VideoSettings = VideoSettings {
+        width: 64,
+        height: 48,
+        frame_rate: 30.0,
+        quality: Quality::RateFactor(20),
+    };
+
+    fn grey(width: usize, height: usize) -> GreyImage {
+        GreyImage {
+            width,
+            height,
+            pixels: vec![90; width * height],
+        }
+    }
+
+    #[test]
+    fn writes_a_video_that_ffprobe_counts() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("video.mp4");
+        let mut writer = Mp4Writer::create(&path, SETTINGS).unwrap();
+        for _ in 0..7 {
+            writer.write(&grey(64, 48)).unwrap();
+        }
+        writer.finish().unwrap();
+        let out = Command::new("ffprobe")
+            .args(["-v", "error", "-count_frames", "-of", "csv=p=0"])
+            .args([
+                "-show_entries",
+                "stream=codec_name,width,height,nb_read_frames",
+            ])
+            .arg(&path)
+            .output()
+            .unwrap();
+        let said = String::from_utf8(out.stdout).unwrap();
+        assert_eq!(said.trim(), "h264,64,48,7");
+    }
+
+    #[test]
+    fn refuses_what_cannot_be_encoded() {
+        let dir = tempfile::tempdir().unwrap();
+        let odd = VideoSettings {
+            width: 63,
+            ..SETTINGS
+        };
+        let e = Mp4Writer::create(&dir.path().join("odd.mp4"), odd).unwrap_err();
+        assert!(e.to_string().contains("63x48"), "{e}");
+
+        let mut writer = Mp4Writer::create(&dir.path().join("size.mp4"), SETTINGS).unwrap();
+        let e = writer.write(&grey(32, 48)).unwrap_err();
+        assert!(e.to_string().contains("32x48"), "{e}");
+    }
+
+    #[test]
+    fn the_encoder_s_words_reach_the_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("no such folder").join("video.mp4");
+        let mut writer = Mp4Writer::create(&path, SETTINGS).unwrap();
+        let failed = loop {
+            if let Err(e) = writer.write(&grey(64, 48)) {
+                break e;
+            }
+        };
+        assert!(failed.to_string().contains("No such file"), "{failed}");
+    }
+}
