@@ -8,6 +8,8 @@
 //! - [`framing`]: how it is put on the wire (postcard, CRC-32, COBS, a zero
 //!   byte behind each frame) and taken off again.
 //!
+//! - [`usb`]: how the board shows itself on USB.
+//!
 //! The order of an enum's variants and of a struct's fields *is* the format.
 //! `tests/golden.rs` pins the bytes of every message; any change there needs a
 //! new [`PROTOCOL_VERSION`].
@@ -18,6 +20,7 @@
 pub mod framing;
 pub mod messages;
 pub mod units;
+pub mod usb;
 
 pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode};
 pub use messages::*;

@@ -14,13 +14,30 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 use crate::framing::LinkCounters;
-use crate::units::{Period, TickDelta, Ticks};
+use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 
 /// The longest text of a last panic, in bytes; longer ones are cut.
 pub const MAX_PANIC: usize = 128;
 
 /// Payload bytes of one [`Filler`].
 pub const MAX_FILLER: usize = 240;
+
+/// The shortest pulse, in ticks: 5 µs.
+///
+/// The handler of the rising edge arms the falling one, so a pulse must be
+/// longer than the handler's worst-case latency (`docs/timing.md`). The camera
+/// needs more than 8 µs.
+pub const MIN_PULSE_WIDTH: u32 = 5 * (TICK_HZ / 1_000_000);
+
+/// The shortest time from a falling edge to the next rising edge, in ticks:
+/// 5 µs, for the same reason as [`MIN_PULSE_WIDTH`].
+pub const MIN_PULSE_GAP: u32 = MIN_PULSE_WIDTH;
+
+/// How far ahead a first edge must lie, in ticks: 100 µs.
+pub const MIN_START_LEAD: u32 = 100 * (TICK_HZ / 1_000_000);
+
+/// How far from now a first edge or an anchor may lie, in ticks: an hour.
+pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
 
 /// A command and the id under which it is answered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,13 +58,15 @@ pub enum Command {
         /// Any number of the host's, returned as it is.
         host_time: u64,
     },
-    /// Start the trigger train. Where a train runs with the same parameters,
-    /// nothing changes.
+    /// Start the trigger train. Where a train runs that was started with the
+    /// same parameters, nothing changes. Answered with [`Reply::Trigger`].
     TriggerStart(TriggerStart),
-    /// Move the running train onto an absolute grid.
+    /// Move the running train onto an absolute grid. Answered with
+    /// [`Reply::Align`]; an [`Arrived`] follows. An align replaces one that is
+    /// still on its way, whose [`Arrived`] then never comes.
     TriggerAlign(TriggerAlign),
     /// Set another period, from the next edge that is not armed yet on. The
-    /// phase continues from that edge.
+    /// phase continues from that edge. Refused while an align is on its way.
     TriggerPeriod(Period),
     /// Stop the train after the pulse that is being made, if any.
     TriggerStop,
@@ -82,7 +101,7 @@ pub enum Failure {
     Panic,
     /// A task that never yields; the watchdog must reset the board.
     Hang,
-    /// An access that ends in a HardFault.
+    /// An undefined instruction, which ends in a HardFault.
     HardFault,
     /// One task that stops being alive while all others go on; the watchdog
     /// must reset the board.
@@ -94,9 +113,11 @@ pub enum Failure {
 pub struct TriggerStart {
     /// Distance of the pulses, [`Period::MIN`] to [`Period::MAX`].
     pub period: Period,
-    /// Length of a pulse in ticks, at least 1 µs (48) and shorter than the period.
+    /// Length of a pulse in ticks: [`MIN_PULSE_WIDTH`] up to the period less
+    /// [`MIN_PULSE_GAP`].
     pub width: u32,
-    /// The first rising edge; `None`: as soon as possible.
+    /// The first rising edge, [`MIN_START_LEAD`] to [`MAX_TIME_AWAY`] from now;
+    /// `None`: as soon as possible.
     pub first_edge: Option<Ticks>,
 }
 
@@ -109,7 +130,9 @@ pub struct TriggerAlign {
     /// The period from now on.
     pub period: Period,
     /// The most ticks that the distance of two pulses may differ from `period`
-    /// on the way there; 0: jump at once. At most half a period.
+    /// on the way there, beyond the one tick by which whole edges jitter around
+    /// a fractional period; 0: jump at once. At most half a period, and at most
+    /// what the pulse leaves free ([`Refusal::SlewOutOfRange`]).
     pub slew: u32,
 }
 
@@ -249,7 +272,7 @@ pub enum Refusal {
         /// The board's time when it refused.
         now: Ticks,
     },
-    /// The slew is above half a period.
+    /// The slew is above half a period, or pulses would touch.
     SlewOutOfRange {
         /// Most ticks a frame, for this period.
         max: u32,
@@ -258,6 +281,9 @@ pub enum Refusal {
     TriggerStopped,
     /// A train with other parameters runs; stop it first.
     TriggerRunning,
+    /// An align is on its way; wait for its [`Arrived`], or align with another
+    /// period.
+    AlignInProgress,
     /// A setting of the IMU that the sensor does not have.
     ImuSettingOutOfRange,
     /// The key of a self test was wrong.
@@ -311,7 +337,9 @@ pub struct Readback {
     pub missing: u32,
     /// Captures that fit no pulse.
     pub stray: u32,
-    /// From the compare to the capture of the last seen pulse, in ticks.
+    /// From the compare to the capture of the last seen pulse, in ticks. A
+    /// capture belongs to a pulse if it comes before the falling edge, so a
+    /// delay longer than the pulse counts as missing and stray.
     pub delay: Option<i32>,
 }
 
@@ -393,7 +421,7 @@ pub struct ImuSample {
     pub accel: [i16; 3],
     /// Die temperature, in counts: `raw / 340 + 35` °C (MPU-9150 register map, 4.18).
     pub temperature: i16,
-    /// Angular rate x, y, z, in counts of [`ImuSetup::gyro_lsb_per_dps`].
+    /// Angular rate x, y, z, in counts of [`ImuSetup::gyro_lsb_per_dps_times_10`].
     pub gyro: [i16; 3],
 }
 
@@ -428,8 +456,8 @@ impl ImuFlags {
 /// Settings of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuConfig {
-    /// SMPLRT_DIV: the rate is 1 kHz / (1 + divider); 0 to 255
-    /// (MPU-9150 register map, 4.2), with the low-pass on.
+    /// SMPLRT_DIV: the rate is 1 kHz / (1 + divider), with the low-pass on
+    /// (MPU-9150 register map, 4.2); 0 to [`ImuConfig::MAX_DIVIDER`].
     pub divider: u8,
     /// DLPF_CFG, the digital low-pass.
     pub low_pass: LowPass,
@@ -437,6 +465,12 @@ pub struct ImuConfig {
     pub gyro_range: GyroRange,
     /// Full scale of the accelerometer.
     pub accel_range: AccelRange,
+}
+
+impl ImuConfig {
+    /// The largest divider that the board takes: 5 Hz. Slower, and a sensor
+    /// that fell silent could not be told from a slow one within a second.
+    pub const MAX_DIVIDER: u8 = 199;
 }
 
 /// DLPF_CFG: bandwidth of the gyroscope (MPU-9150 register map, 4.3).
@@ -667,16 +701,25 @@ pub struct Status {
     pub connects: u32,
     /// Time not spent asleep over the last second, in 1/1000.
     pub cpu_permille: u16,
-    /// Most stack ever used, in bytes.
+    /// Most stack ever used, in bytes (measured by paint: exact to a frame that
+    /// leaves a kilobyte of itself unwritten).
     pub stack_used: u32,
     /// Stack there is, in bytes.
     pub stack_size: u32,
     /// The train.
     pub trigger: TriggerStatus,
-    /// Longest time from a trigger edge to the end of its handler, in ticks.
+    /// Longest time from a trigger edge to the end of its handler since reset,
+    /// in ticks.
     pub trigger_latency: u32,
-    /// Edges on the strobe input that were lost (over-captures of TIM2 channel 3).
+    /// Time spent in the handler of trigger and captures over the last second,
+    /// in ticks.
+    pub trigger_busy: u32,
+    /// How often edges on the strobe input were lost (over-captures of TIM2
+    /// channel 3).
     pub strobe_overcaptures: u32,
+    /// How often the strobe input was switched off for a while because its
+    /// edges came faster than the board takes them.
+    pub strobe_floods: u32,
     /// The IMU.
     pub imu: ImuStatus,
 }
