@@ -1,2 +1,123 @@
 //! `cargo xtask`: the one entry point, the same locally and in CI.
-fn main() {}
+//!
+//! Every command sets up what it needs by itself (the firmware's target, the
+//! Python environment, ffmpeg) or stops with the one line that says what to
+//! run. It calls cargo and other programs as processes and depends on no other
+//! crate of this workspace, so it builds in seconds.
+
+mod docs;
+mod firmware;
+mod process;
+mod tools;
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+/// Build, test, demo and bench of SmartDepthSync.
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Build the firmware for the board, the host tool and the simulator.
+    Build,
+    /// Run every test, on the host and in the simulator.
+    Test {
+        /// Passed on to cargo test, for example `-p hil-sim trigger`.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        cargo_args: Vec<String>,
+    },
+    /// Formatting, lints and the book.
+    Check,
+    /// Boot the firmware on the simulated board and let the host tool talk to it.
+    Demo {
+        /// Passed on to the demo.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        args: Vec<String>,
+    },
+    /// Measure; figures are ratios within one run.
+    Bench,
+    /// Build the book into target/book and check its links.
+    Docs,
+}
+
+fn run(command: Command) -> Result<()> {
+    match command {
+        Command::Build => build(),
+        Command::Test { cargo_args } => test(&cargo_args),
+        Command::Check => check(),
+        Command::Demo { args } => demo(&args),
+        Command::Bench => bench(),
+        Command::Docs => docs::build_and_check(),
+    }
+}
+
+fn build() -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo(["build", "--release", "--workspace"])?;
+    println!("firmware: {}", elf.display());
+    Ok(())
+}
+
+fn test(cargo_args: &[String]) -> Result<()> {
+    tools::ensure_for_tests()?;
+    let elf = firmware::build()?;
+    let mut args = vec!["test".to_owned(), "--release".to_owned()];
+    if cargo_args.is_empty() {
+        args.push("--workspace".to_owned());
+    }
+    args.extend_from_slice(cargo_args);
+    process::cargo_with_elf(&args, &elf)
+}
+
+fn check() -> Result<()> {
+    process::cargo(["fmt", "--all", "--check"])?;
+    process::cargo([
+        "clippy",
+        "--release",
+        "--workspace",
+        "--all-targets",
+        "--",
+        "-D",
+        "warnings",
+    ])?;
+    firmware::clippy()?;
+    docs::build_and_check()
+}
+
+fn demo(args: &[String]) -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
+    let mut demo = vec!["demo".to_owned()];
+    demo.extend_from_slice(args);
+    process::run_hil_sim(&demo, &elf)
+}
+
+fn bench() -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo(["build", "--release", "-p", "hil-sim"])?;
+    process::run_hil_sim(&["bench".to_owned()], &elf)
+}
+
+fn main() -> ExitCode {
+    match run(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

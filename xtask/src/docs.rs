@@ -1,0 +1,204 @@
+//! The book in `docs/`: built by mdBook, and every local link checked.
+//!
+//! mdBook itself does not fail on a broken link, so the links are walked here:
+//! a relative target must exist, a fragment must be the slug of a heading of
+//! its page, every page must be listed in `SUMMARY.md`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use pulldown_cmark::{Event, Options, Parser, Tag, TagEnd};
+
+use crate::{process, tools};
+
+const MDBOOK_VERSION: &str = "0.5.4";
+
+/// Builds the book into `target/book` and fails on any broken local link.
+pub(crate) fn build_and_check() -> Result<()> {
+    check_links(&process::root().join("docs"))?;
+    let mdbook = tools::ensure_cargo_tool(
+        "mdbook",
+        MDBOOK_VERSION,
+        &["--no-default-features", "--features", "search"],
+    )?;
+    let book = process::target_dir().join("book");
+    process::run(
+        process::command(mdbook)
+            .args(["build", "docs", "--dest-dir"])
+            .arg(&book),
+    )?;
+    println!("the book: {}", book.join("index.html").display());
+    Ok(())
+}
+
+/// A page's links and the anchors that it offers.
+#[derive(Default)]
+struct Page {
+    links: Vec<String>,
+    anchors: BTreeSet<String>,
+}
+
+fn check_links(docs: &Path) -> Result<()> {
+    let mut pages = BTreeMap::new();
+    for path in markdown_files(docs)? {
+        let text =
+            fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        pages.insert(path, parse(&text));
+    }
+    let summary = docs.join("SUMMARY.md");
+    let listed: BTreeSet<PathBuf> = pages
+        .get(&summary)
+        .with_context(|| format!("{} is missing", summary.display()))?
+        .links
+        .iter()
+        .map(|link| docs.join(link))
+        .collect();
+
+    let mut broken = Vec::new();
+    for (path, page) in &pages {
+        if *path != summary && !listed.contains(path) {
+            broken.push(format!("{} is not listed in SUMMARY.md", path.display()));
+        }
+        for link in &page.links {
+            if let Some(reason) = broken_link(path, link, &pages) {
+                broken.push(format!("{}: {link}: {reason}", path.display()));
+            }
+        }
+    }
+    if !broken.is_empty() {
+        bail!("broken links in the book:\n  {}", broken.join("\n  "));
+    }
+    Ok(())
+}
+
+fn broken_link(page: &Path, link: &str, pages: &BTreeMap<PathBuf, Page>) -> Option<String> {
+    if link.contains("://") || link.starts_with("mailto:") {
+        return None;
+    }
+    let (file, fragment) = link.split_once('#').unwrap_or((link, ""));
+    let target = if file.is_empty() {
+        page.to_path_buf()
+    } else {
+        normalise(&page.parent()?.join(file))
+    };
+    if !target.exists() {
+        return Some("no such file".to_owned());
+    }
+    if fragment.is_empty() {
+        return None;
+    }
+    match pages.get(&target) {
+        Some(target) if !target.anchors.contains(fragment) => Some("no such heading".to_owned()),
+        _ => None,
+    }
+}
+
+/// `a/b/../c` as `a/c`, without looking at the disk.
+fn normalise(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match part {
+            std::path::Component::ParentDir => {
+                out.pop();
+            }
+            std::path::Component::CurDir => {}
+            other => out.push(other),
+        }
+    }
+    out
+}
+
+fn markdown_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in
+        fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?
+    {
+        let path = entry?.path();
+        if path.is_dir() {
+            files.append(&mut markdown_files(&path)?);
+        } else if path.extension().is_some_and(|extension| extension == "md") {
+            files.push(path);
+        }
+    }
+    Ok(files)
+}
+
+fn parse(text: &str) -> Page {
+    let mut page = Page::default();
+    let mut heading: Option<String> = None;
+    for event in Parser::new_ext(text, Options::ENABLE_TABLES | Options::ENABLE_FOOTNOTES) {
+        match event {
+            Event::Start(Tag::Link { dest_url, .. } | Tag::Image { dest_url, .. }) => {
+                page.links.push(dest_url.into_string());
+            }
+            Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
+            Event::End(TagEnd::Heading(_)) => {
+                if let Some(title) = heading.take() {
+                    let slug = slug(&title);
+                    let mut anchor = slug.clone();
+                    let mut count = 0;
+                    while !page.anchors.insert(anchor.clone()) {
+                        count += 1;
+                        anchor = format!("{slug}-{count}");
+                    }
+                }
+            }
+            Event::Text(text) | Event::Code(text) => {
+                if let Some(title) = &mut heading {
+                    title.push_str(&text);
+                }
+            }
+            _ => {}
+        }
+    }
+    page
+}
+
+/// The id that mdBook gives a heading.
+fn slug(title: &str) -> String {
+    title
+        .trim()
+        .chars()
+        .filter_map(|c| {
+            if c.is_alphanumeric() || c == '-' || c == '_' {
+                Some(c.to_ascii_lowercase())
+            } else if c.is_whitespace() {
+                Some('-')
+            } else {
+                None
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn headings_become_mdbook_slugs() {
+        let page = parse("# Clock & time\n\n## `Ticks`, 48 MHz\n\n## Same\n\n## Same\n");
+        let anchors: Vec<&str> = page.anchors.iter().map(String::as_str).collect();
+        assert_eq!(anchors, ["clock--time", "same", "same-1", "ticks-48-mhz"]);
+    }
+
+    #[test]
+    fn a_missing_file_and_a_missing_heading_are_found() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+        write("SUMMARY.md", "[A](a.md)\n[B](b.md)");
+        write("a.md", "# A\n[b](b.md#b) [web](https://example.org/x)");
+        write("b.md", "# B\n[a](a.md)");
+        check_links(folder.path()).unwrap();
+        write("b.md", "# B\n[a](a.md#nowhere) [c](c.md)");
+        let error = check_links(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("a.md#nowhere: no such heading"), "{error}");
+        assert!(error.contains("c.md: no such file"), "{error}");
+        write("b.md", "# B");
+        write("d.md", "# D");
+        let error = check_links(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("d.md is not listed"), "{error}");
+    }
+}

@@ -1,0 +1,169 @@
+//! The firmware's ELF, and a compiler for its target.
+//!
+//! Three routes to `core` for `thumbv7em-none-eabihf`, tried in this order:
+//!
+//! 1. the active toolchain has the target;
+//! 2. `rustup target add` fetches it;
+//! 3. Debian's `rustc-web` with its library source (`rust-web-src`): cargo
+//!    stays rustup's, `core` is built from source with Debian's compiler.
+//!    Installed through apt when we are root.
+//!
+//! `SMARTDEPTHSYNC_TARGET_ROUTE=debian` forces the third, to try it out.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::{process, tools};
+
+const TARGET: &str = "thumbv7em-none-eabihf";
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_SOURCE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
+const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
+const ROUTE_VARIABLE: &str = "SMARTDEPTHSYNC_TARGET_ROUTE";
+
+/// The oldest minor version of Rust 1.x that builds this workspace.
+const OLDEST_MINOR: u32 = 91;
+
+/// How the firmware is compiled.
+enum Route {
+    /// The active toolchain has the target.
+    Toolchain,
+    /// Debian's compiler builds `core` from its source.
+    Debian { linker: PathBuf },
+}
+
+/// Builds the firmware in the release profile and returns its ELF.
+pub(crate) fn build() -> Result<PathBuf> {
+    cargo_for_target(&["build", "--release"])?;
+    let elf = process::target_dir()
+        .join(TARGET)
+        .join("release")
+        .join("smartdepthsync-firmware");
+    if !elf.is_file() {
+        bail!(
+            "cargo built the firmware, but there is no {}",
+            elf.display()
+        );
+    }
+    Ok(elf)
+}
+
+/// Lints the firmware for its own target, where the register code is compiled.
+/// Debian's compiler brings no clippy: there a build without warnings has to do.
+pub(crate) fn clippy() -> Result<()> {
+    match route()? {
+        Route::Toolchain => cargo_for_target(&["clippy", "--release", "--", "-D", "warnings"]),
+        Route::Debian { .. } => cargo_for_target(&["build", "--release"]),
+    }
+}
+
+fn cargo_for_target(args: &[&str]) -> Result<()> {
+    let mut cargo = process::command(process::cargo_program());
+    // The folder's own .cargo/config.toml sets target and profile, so that this
+    // is the very build of `cargo run --release` there.
+    cargo
+        .current_dir(process::root().join("firmware"))
+        .env("CARGO_TARGET_DIR", process::target_dir());
+    let (before, after) = match args.iter().position(|&arg| arg == "--") {
+        Some(at) => args.split_at(at),
+        None => (args, &[][..]),
+    };
+    cargo.args(before);
+    if let Route::Debian { linker } = route()? {
+        cargo
+            .arg("-Zbuild-std=core")
+            .env("RUSTC", DEBIAN_RUSTC)
+            .env("RUSTC_BOOTSTRAP", "1")
+            .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+    }
+    process::run(cargo.args(after))
+}
+
+fn route() -> Result<Route> {
+    let forced = env::var(ROUTE_VARIABLE).unwrap_or_default();
+    match forced.as_str() {
+        "" => {}
+        "debian" => return debian(),
+        other => bail!("{ROUTE_VARIABLE} is {other:?}; it can be unset or \"debian\""),
+    }
+    let sysroot = sysroot()?;
+    if has_target(&sysroot) {
+        return Ok(Route::Toolchain);
+    }
+    println!("the Rust target {TARGET} is missing: trying rustup target add");
+    let added = Command::new("rustup")
+        .current_dir(process::root())
+        .args(["target", "add", TARGET])
+        .status()
+        .is_ok_and(|status| status.success());
+    if added && has_target(&sysroot) {
+        return Ok(Route::Toolchain);
+    }
+    debian()
+}
+
+fn debian() -> Result<Route> {
+    if !debian_ready() {
+        tools::apt_install(&DEBIAN_PACKAGES).with_context(|| {
+            format!(
+                "there is no Rust library for {TARGET}; run `rustup target add {TARGET}`, \
+                 or on Debian `sudo apt-get install {}`",
+                DEBIAN_PACKAGES.join(" ")
+            )
+        })?;
+    }
+    if !debian_ready() {
+        bail!(
+            "{DEBIAN_RUSTC} is older than Rust 1.{OLDEST_MINOR} or its library source is missing; \
+             run `rustup target add {TARGET}`, or on Debian 12 with its security archive \
+             `sudo apt-get install {}`",
+            DEBIAN_PACKAGES.join(" ")
+        );
+    }
+    let linker = sysroot()?.join("lib/rustlib/x86_64-unknown-linux-gnu/bin/rust-lld");
+    if linker.is_file() {
+        return Ok(Route::Debian { linker });
+    }
+    for candidate in ["rust-lld", "ld.lld"] {
+        if process::answers(candidate, &["-flavor", "gnu", "--version"])
+            || process::answers(candidate, &["--version"])
+        {
+            let linker = PathBuf::from(candidate);
+            return Ok(Route::Debian { linker });
+        }
+    }
+    bail!("no linker for {TARGET}: run `sudo apt-get install lld`")
+}
+
+fn debian_ready() -> bool {
+    Path::new(DEBIAN_SOURCE).is_file()
+        && minor_version(DEBIAN_RUSTC).is_some_and(|minor| minor >= OLDEST_MINOR)
+}
+
+/// The `x` of `rustc 1.x.y`.
+fn minor_version(rustc: &str) -> Option<u32> {
+    let output = Command::new(rustc).arg("--version").output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    let version = text.split_whitespace().nth(1)?;
+    version.split('.').nth(1)?.parse().ok()
+}
+
+fn sysroot() -> Result<PathBuf> {
+    let output = process::command("rustc")
+        .args(["--print", "sysroot"])
+        .output()
+        .context("cannot start rustc; install Rust through rustup")?;
+    let text = String::from_utf8(output.stdout).context("rustc's sysroot is not UTF-8")?;
+    Ok(PathBuf::from(text.trim()))
+}
+
+fn has_target(sysroot: &Path) -> bool {
+    sysroot
+        .join("lib/rustlib")
+        .join(TARGET)
+        .join("lib")
+        .is_dir()
+}

@@ -1,0 +1,94 @@
+//! Child processes: cargo and the programs that it built.
+
+use std::env;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+
+/// Tells tests and tools which firmware to run.
+pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
+
+/// The root of the workspace.
+pub(crate) fn root() -> PathBuf {
+    let manifest = Path::new(env!("CARGO_MANIFEST_DIR"));
+    manifest.parent().unwrap_or(manifest).to_path_buf()
+}
+
+/// Cargo's target folder, with `CARGO_TARGET_DIR` respected.
+pub(crate) fn target_dir() -> PathBuf {
+    env::var_os("CARGO_TARGET_DIR").map_or_else(
+        || root().join("target"),
+        |dir| {
+            let dir = PathBuf::from(dir);
+            if dir.is_absolute() {
+                dir
+            } else {
+                root().join(dir)
+            }
+        },
+    )
+}
+
+/// A command at the root of the workspace, without the variables that the
+/// cargo that started us has set for us alone.
+pub(crate) fn command(program: impl AsRef<OsStr>) -> Command {
+    let mut command = Command::new(program);
+    command.current_dir(root());
+    for (name, _) in env::vars_os() {
+        let ours = name
+            .to_str()
+            .is_some_and(|name| name.starts_with("CARGO_PKG_") || name == "CARGO_MANIFEST_DIR");
+        if ours {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+/// The cargo that started us, or the one on the path.
+pub(crate) fn cargo_program() -> PathBuf {
+    env::var_os("CARGO").map_or_else(|| PathBuf::from("cargo"), PathBuf::from)
+}
+
+/// Runs to the end and fails with the command line if the child does.
+pub(crate) fn run(command: &mut Command) -> Result<()> {
+    let line = format!("{command:?}");
+    let status = command
+        .status()
+        .with_context(|| format!("cannot start {line}"))?;
+    if !status.success() {
+        bail!("{status} from {line}");
+    }
+    Ok(())
+}
+
+/// Whether a program runs and answers with success.
+pub(crate) fn answers(program: impl AsRef<OsStr>, args: &[&str]) -> bool {
+    Command::new(program)
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
+}
+
+/// Runs cargo at the root.
+pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Result<()> {
+    run(command(cargo_program()).args(args))
+}
+
+/// Runs cargo with the firmware's ELF named in the environment.
+pub(crate) fn cargo_with_elf(args: &[String], elf: &Path) -> Result<()> {
+    run(command(cargo_program()).args(args).env(ELF_VARIABLE, elf))
+}
+
+/// Runs the simulator that cargo has built in the release profile.
+pub(crate) fn run_hil_sim(args: &[String], elf: &Path) -> Result<()> {
+    let program = target_dir()
+        .join("release")
+        .join(format!("hil-sim{}", env::consts::EXE_SUFFIX));
+    run(command(program).args(args).env(ELF_VARIABLE, elf))
+}

@@ -1,0 +1,132 @@
+//! Programs that are not Rust crates: Debian packages, a Python environment,
+//! and cargo tools in `target/tools`.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::{env, fs};
+
+use anyhow::{Context, Result, bail};
+
+use crate::process;
+
+/// What the tests need beyond Rust: ffmpeg, and Python with public readers of
+/// the formats that we write.
+pub(crate) fn ensure_for_tests() -> Result<()> {
+    ensure_program("ffmpeg", "ffmpeg")?;
+    ensure_python()?;
+    Ok(())
+}
+
+/// Makes sure that `program` is on the path, from a Debian package if need be.
+pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
+    let version = if program == "ffmpeg" {
+        "-version"
+    } else {
+        "--version"
+    };
+    if process::answers(program, &[version]) {
+        return Ok(());
+    }
+    apt_install(&[package]).with_context(|| {
+        format!("{program} is missing; on Debian run `sudo apt-get install {package}`")
+    })
+}
+
+/// Installs Debian packages, if we are root and there is apt.
+pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
+    let root = Command::new("id")
+        .arg("-u")
+        .output()
+        .is_ok_and(|output| output.stdout.trim_ascii() == b"0");
+    if !root || !process::answers("apt-get", &["--version"]) {
+        bail!("not root on a Debian system, so nothing was installed");
+    }
+    println!("installing Debian packages: {}", packages.join(" "));
+    let apt = |args: &[&str]| {
+        let mut command = Command::new("apt-get");
+        command
+            .args(["-q", "-y"])
+            .args(args)
+            .env("DEBIAN_FRONTEND", "noninteractive")
+            .stdout(Stdio::null());
+        process::run(&mut command)
+    };
+    apt(&["update"])?;
+    let mut install = vec!["install", "--no-install-recommends"];
+    install.extend_from_slice(packages);
+    apt(&install)
+}
+
+/// The Python environment in `target/venv` with the packages of
+/// `xtask/python-requirements.txt`; made anew when that file changes.
+pub(crate) fn ensure_python() -> Result<PathBuf> {
+    let venv = process::target_dir().join("venv");
+    let python = venv.join("bin/python3");
+    let requirements = process::root().join("xtask/python-requirements.txt");
+    let wanted = fs::read_to_string(&requirements)
+        .with_context(|| format!("cannot read {}", requirements.display()))?;
+    let stamp = venv.join("requirements.txt");
+    if fs::read_to_string(&stamp).is_ok_and(|have| have == wanted) && python.is_file() {
+        return Ok(python);
+    }
+    println!("making the Python environment {}", venv.display());
+    if !make_venv(&venv) {
+        apt_install(&["python3", "python3-venv"]).context(
+            "Python with venv is missing; on Debian run `sudo apt-get install python3 python3-venv`",
+        )?;
+        if !make_venv(&venv) {
+            bail!("python3 -m venv {} fails", venv.display());
+        }
+    }
+    process::run(
+        process::command(&python)
+            .args([
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+                "-r",
+            ])
+            .arg(&requirements),
+    )?;
+    fs::write(&stamp, wanted).with_context(|| format!("cannot write {}", stamp.display()))?;
+    Ok(python)
+}
+
+fn make_venv(venv: &Path) -> bool {
+    Command::new("python3")
+        .args(["-m", "venv", "--clear"])
+        .arg(venv)
+        .stdout(Stdio::null())
+        .status()
+        .is_ok_and(|status| status.success())
+}
+
+/// A cargo tool of exactly this version in `target/tools`, built if need be.
+pub(crate) fn ensure_cargo_tool(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
+    let folder = process::target_dir()
+        .join("tools")
+        .join(format!("{name}-{version}"));
+    let program = folder
+        .join("bin")
+        .join(format!("{name}{}", env::consts::EXE_SUFFIX));
+    if !program.is_file() {
+        println!("building {name} {version} into {}", folder.display());
+        process::run(
+            process::command(process::cargo_program())
+                .args([
+                    "install",
+                    "--quiet",
+                    "--locked",
+                    "--version",
+                    version,
+                    "--root",
+                ])
+                .arg(&folder)
+                .args(options)
+                .arg(name),
+        )?;
+    }
+    Ok(program)
+}
