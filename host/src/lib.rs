@@ -1,4 +1,13 @@
 //! The host side of SmartDepthSync as a library; the command-line tool is thin.
+//!
+//! - [`transport`]: bytes to and from the board, nothing else.
+//! - [`session`]: bytes in, events out; command ids, deadlines, losses. No I/O.
+//! - [`board`]: a session on a transport, with calls that wait for the answer.
+//! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
+//! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
+pub mod cli;
+pub mod commands;
+pub mod outcome;
 pub mod sync;

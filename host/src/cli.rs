@@ -1,0 +1,223 @@
+//! The command line: one subcommand a file in `commands/`.
+//!
+//! A new subcommand is a module in `commands/` with a documented
+//! `#[derive(clap::Args)] pub struct Args` and
+//! `pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome>`,
+//! a variant of [`Command`] and an arm in [`Command::run`].
+//!
+//! Results go to standard output (text, or one JSON document with `--json`);
+//! logs, progress and errors go to standard error.
+
+use std::ffi::OsString;
+use std::io::{self, IsTerminal, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use clap::{Parser, Subcommand, ValueEnum};
+use serde::Serialize;
+use serde_json::json;
+use tracing_subscriber::filter::LevelFilter;
+
+use crate::outcome::{ExitStatus, Outcome, Report};
+
+/// Hardware sync of a phone's video with a depth camera, from a microcontroller.
+#[derive(Debug, Parser)]
+#[command(name = "smartdepthsync", version, max_term_width = 100)]
+#[command(
+    after_help = "Exit codes: 0 good, 3 refused, 4 finished with loss, 5 to 14 errors \
+    with a reason, 130 interrupted. All of them: docs/exit-codes.md."
+)]
+pub struct Cli {
+    /// Options of every subcommand.
+    #[command(flatten)]
+    pub global: Global,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Options of every subcommand.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Global {
+    /// Print the result as JSON
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Log more on standard error: -v info, -vv debug, -vvv trace
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Form of the log
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
+}
+
+/// Form of the log on standard error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {}
+
+impl Command {
+    fn run(&self, _context: &Context) -> anyhow::Result<Outcome> {
+        match *self {}
+    }
+}
+
+/// What every subcommand is given.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// Options of every subcommand.
+    pub global: Global,
+    /// Set by Ctrl-C and by termination signals.
+    pub interrupt: Interrupt,
+}
+
+impl Context {
+    /// Prints a result: `json` as one document with `--json`, else `text`.
+    /// Returns whether JSON was printed. A reader that has gone away (`| head`)
+    /// is no error.
+    ///
+    /// # Errors
+    ///
+    /// Standard output cannot be written, or the value has no JSON form.
+    pub fn print<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
+        let mut text = if self.global.json {
+            serde_json::to_string_pretty(value)?
+        } else {
+            text()
+        };
+        if !text.ends_with('\n') {
+            text.push('\n');
+        }
+        write_stdout(text.as_bytes())?;
+        Ok(())
+    }
+
+    /// Says something to the person who waits, on standard error; silent with
+    /// `--json`.
+    pub fn say(&self, text: impl AsRef<str>) {
+        if !self.global.json {
+            // Nobody to tell it to if standard error is gone.
+            let _ = writeln!(io::stderr().lock(), "{}", text.as_ref());
+        }
+    }
+
+    /// Whether a progress bar would be seen.
+    #[must_use]
+    pub fn shows_progress(&self) -> bool {
+        !self.global.json && io::stderr().is_terminal()
+    }
+}
+
+/// Whether and how often the user wanted to stop.
+///
+/// The first Ctrl-C (or SIGTERM, SIGHUP) asks the command to stop cleanly; the
+/// third ends the process at once.
+#[derive(Clone, Debug, Default)]
+pub struct Interrupt(Arc<AtomicU32>);
+
+impl Interrupt {
+    /// Whether to stop.
+    #[must_use]
+    pub fn requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed) > 0
+    }
+
+    /// Asks to stop, as Ctrl-C does.
+    pub fn request(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn install(&self) -> Result<(), ctrlc::Error> {
+        let interrupt = self.clone();
+        ctrlc::set_handler(move || {
+            if interrupt.0.fetch_add(1, Ordering::Relaxed) >= 2 {
+                std::process::exit(ExitStatus::Interrupted.code().into());
+            }
+        })
+    }
+}
+
+/// Runs the program and says how it ended.
+pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
+    let cli = match Cli::try_parse_from(args) {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version are asked for and go to standard output.
+            let _ = error.print();
+            return if error.use_stderr() {
+                ExitStatus::Usage
+            } else {
+                ExitStatus::Good
+            };
+        }
+    };
+    start_log(&cli.global);
+    let interrupt = Interrupt::default();
+    if let Err(error) = interrupt.install() {
+        tracing::warn!("Ctrl-C ends the program at once: {error}");
+    }
+    let context = Context {
+        global: cli.global,
+        interrupt,
+    };
+    match cli.command.run(&context) {
+        Ok(outcome) => outcome.into(),
+        Err(error) => report(&context, &error),
+    }
+}
+
+fn report(context: &Context, error: &anyhow::Error) -> ExitStatus {
+    let report = Report::of(error);
+    if context.global.json {
+        let document = json!({ "error": {
+            "exit_code": report.status.code(),
+            "name": format!("{:?}", report.status),
+            "message": report.message,
+            "next_step": report.next_step,
+        }});
+        let _ = write_stdout(format!("{document:#}\n").as_bytes());
+    } else {
+        let mut text = format!("error: {}\n", report.message);
+        if let Some(step) = report.next_step {
+            text.push_str(&format!("  what to do: {step}\n"));
+        }
+        let _ = io::stderr().lock().write_all(text.as_bytes());
+    }
+    report.status
+}
+
+fn start_log(global: &Global) {
+    let level = match global.verbose {
+        0 => LevelFilter::WARN,
+        1 => LevelFilter::INFO,
+        2 => LevelFilter::DEBUG,
+        _ => LevelFilter::TRACE,
+    };
+    let builder = tracing_subscriber::fmt()
+        .with_max_level(level)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal());
+    match global.log_format {
+        LogFormat::Text => builder.without_time().with_target(false).init(),
+        LogFormat::Json => builder.json().init(),
+    }
+}
+
+fn write_stdout(bytes: &[u8]) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        result => result,
+    }
+}
