@@ -18,6 +18,7 @@ use serde::Serialize;
 use serde_json::json;
 use tracing_subscriber::filter::LevelFilter;
 
+use crate::commands;
 use crate::outcome::{ExitStatus, Outcome, Report};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
@@ -61,11 +62,19 @@ pub enum LogFormat {
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
-pub enum Command {}
+pub enum Command {
+    /// Who the board is
+    Info(commands::info::Args),
+    /// Which serial ports there are, and which look like the board
+    Ports(commands::ports::Args),
+}
 
 impl Command {
-    fn run(&self, _context: &Context) -> anyhow::Result<Outcome> {
-        match *self {}
+    fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
+        match self {
+            Self::Info(args) => commands::info::run(args, context),
+            Self::Ports(args) => commands::ports::run(args, context),
+        }
     }
 }
 

@@ -7,7 +7,10 @@
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
+pub mod board;
 pub mod cli;
 pub mod commands;
 pub mod outcome;
+pub mod session;
 pub mod sync;
+pub mod transport;

@@ -235,6 +235,33 @@ impl<M: DeserializeOwned> Default for Decoder<M> {
 }
 
 fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
+    match postcard::take_from_bytes(body(frame)?) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(FrameError::Message),
+    }
+}
+
+/// The protocol version of a board whose messages are not understood.
+///
+/// `frame` is what stands between two delimiters. `None` if it is damaged or
+/// no [`Hello`](crate::Hello): the version stays the first field of the first
+/// variant in every version of the protocol.
+#[must_use]
+pub fn hello_version(frame: &[u8]) -> Option<u16> {
+    let mut buffer = [0; MAX_FRAME];
+    let copy = buffer.get_mut(..frame.len())?;
+    copy.copy_from_slice(frame);
+    let (&variant, fields) = body(copy).ok()?.split_first()?;
+    if variant != 0 {
+        return None;
+    }
+    postcard::take_from_bytes(fields)
+        .ok()
+        .map(|(version, _)| version)
+}
+
+/// Undoes COBS and checks the CRC.
+fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
     let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Cobs)?;
     let decoded = frame.get(..len).ok_or(FrameError::Cobs)?;
     let (body, crc) = decoded
@@ -243,8 +270,24 @@ fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
     if CRC32.checksum(body) != u32::from_le_bytes(*crc) {
         return Err(FrameError::Checksum);
     }
-    match postcard::take_from_bytes(body) {
-        Ok((message, [])) => Ok(message),
-        _ => Err(FrameError::Message),
+    Ok(body)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_version_of_an_unknown_hello_is_read_and_nothing_else() {
+        let mut buffer = [0; MAX_FRAME];
+        let hello = encode(&(0_u8, 700_u16, [1_u8; 9]), &mut buffer).unwrap();
+        let hello = hello.strip_suffix(&[0]).unwrap();
+        assert_eq!(hello_version(hello), Some(700));
+        assert_eq!(hello_version(hello.split_last().unwrap().1), None);
+        assert_eq!(hello_version(&[]), None);
+        assert_eq!(hello_version(&[1; MAX_FRAME + 1]), None);
+
+        let answer = encode(&(1_u8, 700_u16), &mut buffer).unwrap();
+        assert_eq!(hello_version(answer.strip_suffix(&[0]).unwrap()), None);
     }
 }

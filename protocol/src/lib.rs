@@ -22,7 +22,7 @@ pub mod messages;
 pub mod units;
 pub mod usb;
 
-pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode};
+pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode, hello_version};
 pub use messages::*;
 pub use units::{Period, TICK_HZ, TickDelta, Ticks};
 

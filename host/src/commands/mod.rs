@@ -1,1 +1,27 @@
 //! The subcommands of `smartdepthsync`, one a file.
+
+pub mod info;
+pub mod ports;
+
+use crate::board::Board;
+use crate::outcome::Failure;
+
+/// The option of every command that talks to the board.
+#[derive(Clone, Debug, clap::Args)]
+pub struct PortArg {
+    /// The board's serial port; may be left out if exactly one board is plugged in
+    #[arg(long, value_name = "PATH")]
+    pub port: Option<String>,
+}
+
+impl PortArg {
+    /// Opens the board.
+    ///
+    /// # Errors
+    ///
+    /// No such port, no permission, busy, not this board, another version, no
+    /// answer.
+    pub fn open(&self) -> Result<Board, Failure> {
+        Board::open(self.port.as_deref()).map_err(Failure::from)
+    }
+}

@@ -1,0 +1,494 @@
+//! A board on a link: calls that wait for their answer, and the events between.
+//!
+//! Everything that arrives while a call waits is kept in order and given out by
+//! [`Board::next_event`]. Commands are idempotent, so a call whose answer does
+//! not come sends the command again, under a new id, before it gives up.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use protocol::{
+    AlignPlan, Command, DeviceToHost, Hello, ImuConfig, ImuSetup, PROTOCOL_VERSION, Period,
+    Refusal, Reply, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
+};
+
+use crate::outcome::{ExitStatus, Failure};
+use crate::session::{Event, Session};
+use crate::transport::serial::{OpenError, SerialLink};
+use crate::transport::{Link, LinkError, ports};
+
+/// How long one try of a command waits for its answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How often a command is sent before it is given up.
+const TRIES: u32 = 3;
+
+/// How to put the firmware of this version on the board.
+const HOW_TO_FLASH: &str = "flash the firmware that belongs to this program: connect a debug \
+                            probe and run `cargo run --release` in `firmware/`";
+
+/// What can go wrong with a board.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// The port cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The system does not list its ports.
+    #[error("cannot list the serial ports: {0}")]
+    Ports(String),
+    /// No port given, and none looks like the board.
+    #[error("no board found on any serial port")]
+    NoBoard,
+    /// No port given, and more than one looks like the board.
+    #[error("more than one board found: {}", ports.join(", "))]
+    ManyBoards {
+        /// Their ports.
+        ports: Vec<String>,
+    },
+    /// The link broke.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// Not one byte came from the port.
+    #[error("nothing answers on the port")]
+    Silent,
+    /// Bytes come, but not of this protocol.
+    #[error(
+        "what answers on the port is not a SmartDepthSync board ({bytes} bytes, none of them understood)"
+    )]
+    NotThisBoard {
+        /// Bytes received.
+        bytes: u64,
+    },
+    /// The board speaks another version of the protocol.
+    #[error("the board speaks protocol version {found}, this program version {PROTOCOL_VERSION}")]
+    OtherVersion {
+        /// The board's.
+        found: u16,
+    },
+    /// No answer came, though the board was connected.
+    #[error("the board did not answer `{command}` in time")]
+    NoAnswer {
+        /// Short name of the command.
+        command: &'static str,
+    },
+    /// The board refused.
+    #[error("the board refused `{command}`: {}", explain(refusal))]
+    Refused {
+        /// Short name of the command.
+        command: &'static str,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// The board gave the answer of another command.
+    #[error("the board answered `{command}` with something else")]
+    OddReply {
+        /// Short name of the command.
+        command: &'static str,
+    },
+}
+
+impl From<BoardError> for Failure {
+    fn from(error: BoardError) -> Self {
+        let message = error.to_string();
+        let (status, next) = match error {
+            BoardError::Open(error) => return error.into(),
+            BoardError::Ports(_) => (ExitStatus::Error, "give the board's port with --port"),
+            BoardError::NoBoard => (
+                ExitStatus::NoPort,
+                "plug the board in, or give its port with --port (a pseudo-terminal of a simulated \
+                 board must be given)",
+            ),
+            BoardError::ManyBoards { .. } => (ExitStatus::NoPort, "choose one with --port"),
+            BoardError::Link(_) => (
+                ExitStatus::LinkLost,
+                "check the USB cable and plug the board in again",
+            ),
+            BoardError::Silent => (
+                ExitStatus::NoAnswer,
+                "press the board's reset button; if it stays silent, flash the firmware: connect a \
+                 debug probe and run `cargo run --release` in `firmware/`",
+            ),
+            BoardError::NotThisBoard { .. } => (
+                ExitStatus::NotThisBoard,
+                "choose another port (`smartdepthsync ports` marks boards), or flash the firmware: \
+                 connect a debug probe and run `cargo run --release` in `firmware/`",
+            ),
+            BoardError::OtherVersion { .. } => (ExitStatus::OtherVersion, HOW_TO_FLASH),
+            BoardError::NoAnswer { .. } | BoardError::OddReply { .. } => (
+                ExitStatus::NoAnswer,
+                "press the board's reset button and try again",
+            ),
+            BoardError::Refused { .. } => (
+                ExitStatus::Refused,
+                "nothing was changed; choose a value within the bounds",
+            ),
+        };
+        Self::new(status, message).next_step(next)
+    }
+}
+
+/// A refusal in words.
+#[must_use]
+pub fn explain(refusal: &Refusal) -> String {
+    let micros = |ticks: u32| f64::from(ticks) * 1e6 / f64::from(protocol::TICK_HZ);
+    match *refusal {
+        Refusal::PeriodOutOfRange => String::from("the period must be within 1 ms and 1 s"),
+        Refusal::WidthOutOfRange { min, max } => format!(
+            "the pulse must be {:.3} µs to {:.3} µs wide at this period",
+            micros(min),
+            micros(max)
+        ),
+        Refusal::TimeOutOfRange { now } => format!(
+            "the first edge or the anchor is past, too close, or more than an hour away (board \
+             time is {:.6} s)",
+            now.as_secs_f64()
+        ),
+        Refusal::SlewOutOfRange { max } => format!(
+            "the slew must be at most {:.3} µs a frame at this period",
+            micros(max)
+        ),
+        Refusal::TriggerStopped => String::from("the trigger does not run; start it first"),
+        Refusal::TriggerRunning => {
+            String::from("a trigger with other parameters runs; stop it first")
+        }
+        Refusal::AlignInProgress => {
+            String::from("an align is on its way; wait until it has arrived")
+        }
+        Refusal::ImuSettingOutOfRange => String::from("the IMU has no such setting"),
+        Refusal::WrongKey => String::from("the key of the self test is wrong"),
+    }
+}
+
+/// Result of a call to the board.
+pub type Result<T> = std::result::Result<T, BoardError>;
+
+/// A board that has said hello.
+pub struct Board {
+    wire: Wire,
+    hello: Hello,
+}
+
+/// The port to use: the one given, or the only one that looks like the board.
+///
+/// # Errors
+///
+/// No port is given and there is not exactly one board.
+pub fn choose_port(given: Option<&str>) -> Result<String> {
+    if let Some(path) = given {
+        return Ok(path.to_owned());
+    }
+    let mut boards = ports::list()
+        .map_err(|error| BoardError::Ports(error.to_string()))?
+        .into_iter()
+        .filter(|port| port.board)
+        .map(|port| port.path);
+    match (boards.next(), boards.next()) {
+        (None, _) => Err(BoardError::NoBoard),
+        (Some(only), None) => Ok(only),
+        (Some(first), Some(second)) => Err(BoardError::ManyBoards {
+            ports: [first, second].into_iter().chain(boards).collect(),
+        }),
+    }
+}
+
+impl Board {
+    /// Opens the port (or the only board there is) and says hello.
+    ///
+    /// # Errors
+    ///
+    /// The port cannot be opened, or what is behind it is not this board.
+    pub fn open(port: Option<&str>) -> Result<Self> {
+        let path = choose_port(port)?;
+        Self::connect(Box::new(SerialLink::open(&path)?))
+    }
+
+    /// Says hello on a link and checks who answers.
+    ///
+    /// # Errors
+    ///
+    /// See [`BoardError`].
+    pub fn connect(link: Box<dyn Link>) -> Result<Self> {
+        let mut wire = Wire {
+            link,
+            session: Session::new(std::process::id() << 12),
+            events: VecDeque::new(),
+            buffer: Vec::new(),
+        };
+        let hello = wire.say_hello()?;
+        // What came before lay in some buffer and is nobody's business.
+        wire.events.clear();
+        wire.session.start_counting();
+        Ok(Self { wire, hello })
+    }
+
+    /// Goes on with the same session on a new link, after the old one broke.
+    /// What the board dropped meanwhile shows as [`Event::Lost`]; a reset
+    /// meanwhile as [`Event::Restarted`].
+    ///
+    /// # Errors
+    ///
+    /// The board does not answer on the new link either; try again later.
+    pub fn reconnect(&mut self, link: Box<dyn Link>) -> Result<()> {
+        self.wire.session.cut();
+        self.wire.link = link;
+        self.hello = self.wire.say_hello()?;
+        Ok(())
+    }
+
+    /// Who the board is.
+    #[must_use]
+    pub const fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Counters of the conversation.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.wire.session
+    }
+
+    /// Whether raw frames are given out as [`Event::Frame`].
+    pub const fn keep_frames(&mut self, keep: bool) {
+        self.wire.session.keep_frames(keep);
+    }
+
+    /// Counts the streams anew from their next message on.
+    pub fn start_counting(&mut self) {
+        self.wire.session.start_counting();
+    }
+
+    /// The link's clock.
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.wire.link.now()
+    }
+
+    /// The next event; waits for it at most for `wait`.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone. All events that came before are given out first.
+    pub fn next_event(&mut self, wait: Duration) -> Result<Option<Event>> {
+        if let Some(event) = self
+            .wire
+            .events
+            .pop_front()
+            .or_else(|| self.wire.session.next_event())
+        {
+            return Ok(Some(event));
+        }
+        self.wire.pump(wait)?;
+        Ok(self.wire.session.next_event())
+    }
+
+    /// Sends a command and waits for its answer. Up to three tries.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone, no answer came, or the board refused.
+    pub fn call(&mut self, command: &Command) -> Result<Reply> {
+        self.wire.call(command)
+    }
+
+    /// State of the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn trigger(&mut self) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerQuery)
+    }
+
+    /// Starts the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn start_trigger(&mut self, start: TriggerStart) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerStart(start))
+    }
+
+    /// Stops the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn stop_trigger(&mut self) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerStop)
+    }
+
+    /// Changes the period from the next edge on.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn set_period(&mut self, period: Period) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerPeriod(period))
+    }
+
+    /// Moves the train onto a grid.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn align(&mut self, align: TriggerAlign) -> Result<AlignPlan> {
+        match self.call(&Command::TriggerAlign(align))? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(BoardError::OddReply { command: "align" }),
+        }
+    }
+
+    /// The IMU's setup and state.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn imu(&mut self) -> Result<ImuSetup> {
+        self.call_imu(&Command::ImuQuery)
+    }
+
+    /// Sets the IMU up.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn configure_imu(&mut self, config: ImuConfig) -> Result<ImuSetup> {
+        self.call_imu(&Command::ImuConfigure(config))
+    }
+
+    /// One round trip: the board's time when it took the ping, and how long the
+    /// round trip took on the link's clock.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn ping(&mut self) -> Result<(Ticks, Duration)> {
+        let before = self.wire.link.now();
+        let host_time = u64::try_from(before.as_nanos()).unwrap_or(u64::MAX);
+        match self.call(&Command::Ping { host_time })? {
+            Reply::Pong {
+                host_time: echoed,
+                received,
+                ..
+            } if echoed == host_time => Ok((received, self.wire.link.now().saturating_sub(before))),
+            _ => Err(BoardError::OddReply { command: "ping" }),
+        }
+    }
+
+    fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
+        match self.call(command)? {
+            Reply::Trigger(status) => Ok(status),
+            _ => Err(BoardError::OddReply {
+                command: command_name(command),
+            }),
+        }
+    }
+
+    fn call_imu(&mut self, command: &Command) -> Result<ImuSetup> {
+        match self.call(command)? {
+            Reply::Imu(setup) => Ok(setup),
+            _ => Err(BoardError::OddReply {
+                command: command_name(command),
+            }),
+        }
+    }
+}
+
+/// A session on its link.
+struct Wire {
+    link: Box<dyn Link>,
+    session: Session,
+    /// What came while a call waited.
+    events: VecDeque<Event>,
+    buffer: Vec<u8>,
+}
+
+impl Wire {
+    fn call(&mut self, command: &Command) -> Result<Reply> {
+        let name = command_name(command);
+        for _ in 0..TRIES {
+            let id = self
+                .session
+                .send(self.link.now(), command.clone(), ANSWER_TIMEOUT);
+            if let Some(result) = self.wait_for(id)? {
+                return result.map_err(|refusal| BoardError::Refused {
+                    command: name,
+                    refusal,
+                });
+            }
+            tracing::debug!(command = name, "no answer, sending it again");
+        }
+        Err(BoardError::NoAnswer { command: name })
+    }
+
+    /// Sends what is to be sent, takes what has come, lets commands expire.
+    fn pump(&mut self, wait: Duration) -> Result<()> {
+        let outgoing = self.session.take_outgoing();
+        if !outgoing.is_empty() {
+            self.link.send(&outgoing)?;
+        }
+        self.buffer.clear();
+        let result = self.link.receive(&mut self.buffer, wait);
+        self.session.receive(&self.buffer);
+        self.session.tick(self.link.now());
+        Ok(result?)
+    }
+
+    /// Waits for one answer; `None` if it expired.
+    fn wait_for(&mut self, id: u32) -> Result<Option<std::result::Result<Reply, Refusal>>> {
+        loop {
+            while let Some(event) = self.session.next_event() {
+                match event {
+                    Event::Answer(answer) if answer.id == id => return Ok(Some(answer.result)),
+                    Event::Expired { id: expired } if expired == id => return Ok(None),
+                    Event::OtherVersion { found } => {
+                        return Err(BoardError::OtherVersion { found });
+                    }
+                    other => self.events.push_back(other),
+                }
+            }
+            self.pump(Duration::from_millis(100))?;
+        }
+    }
+
+    /// The hello that is answered last before the answer is the current one:
+    /// what lay in the system's buffers from before comes earlier.
+    fn say_hello(&mut self) -> Result<Hello> {
+        let before = self.session.bytes();
+        match self.call(&Command::Hello) {
+            Ok(_) => {}
+            Err(BoardError::NoAnswer { .. }) => {
+                let bytes = self.session.bytes() - before;
+                return Err(if bytes == 0 {
+                    BoardError::Silent
+                } else if self.session.frames() == 0 {
+                    BoardError::NotThisBoard { bytes }
+                } else {
+                    BoardError::NoAnswer { command: "hello" }
+                });
+            }
+            Err(error) => return Err(error),
+        }
+        let hello = self.events.iter().rev().find_map(|event| match event {
+            Event::Message(DeviceToHost::Hello(hello)) => Some(hello.clone()),
+            _ => None,
+        });
+        hello.ok_or(BoardError::OddReply { command: "hello" })
+    }
+}
+
+const fn command_name(command: &Command) -> &'static str {
+    match command {
+        Command::Hello => "hello",
+        Command::Ping { .. } => "ping",
+        Command::TriggerStart(_) => "trigger start",
+        Command::TriggerAlign(_) => "trigger align",
+        Command::TriggerPeriod(_) => "trigger period",
+        Command::TriggerStop => "trigger stop",
+        Command::TriggerQuery => "trigger status",
+        Command::ImuConfigure(_) => "imu configure",
+        Command::ImuQuery => "imu status",
+        Command::Filler { .. } => "filler",
+        Command::SelfTest { .. } => "self test",
+    }
+}

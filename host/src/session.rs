@@ -1,0 +1,423 @@
+//! The conversation with a board, without I/O: bytes in, events out; commands
+//! in, bytes out.
+//!
+//! A session numbers commands, remembers until when each must be answered,
+//! checks the protocol version, follows the sequence number of every stream and
+//! says what was lost. It survives its link: after a reconnect the same session
+//! goes on, so messages that the board dropped meanwhile show as loss, and a
+//! board that was reset meanwhile shows by its epoch.
+//!
+//! Time is whatever the caller says it is ([`Link::now`](crate::transport::Link::now)).
+//! Damage before the first good frame is not counted: a stream that is joined in
+//! its middle begins with half a frame.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use protocol::{
+    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
+    MAX_FRAME, PROTOCOL_VERSION, Ticks, encode, hello_version,
+};
+use serde::Serialize;
+
+/// The numbered streams of the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stream {
+    /// [`DeviceToHost::Status`].
+    Status,
+    /// [`DeviceToHost::Pulse`].
+    Pulses,
+    /// [`DeviceToHost::Capture`].
+    Captures,
+    /// [`DeviceToHost::Imu`].
+    Imu,
+    /// [`DeviceToHost::Filler`].
+    Filler,
+}
+
+impl Stream {
+    /// All streams.
+    pub const ALL: [Self; 5] = [
+        Self::Status,
+        Self::Pulses,
+        Self::Captures,
+        Self::Imu,
+        Self::Filler,
+    ];
+}
+
+impl std::fmt::Display for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Status => "status messages",
+            Self::Pulses => "pulses",
+            Self::Captures => "captures",
+            Self::Imu => "IMU samples",
+            Self::Filler => "filler messages",
+        })
+    }
+}
+
+/// What a session has to tell.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "events live in one queue and are taken one by one"
+)]
+pub enum Event {
+    /// A frame as it came, without its delimiter; before the events that come of
+    /// it. Only if [`Session::keep_frames`] is on.
+    Frame(Vec<u8>),
+    /// A message other than an answer.
+    Message(DeviceToHost),
+    /// The answer to a command of this session.
+    Answer(Answer),
+    /// No answer came in time.
+    Expired {
+        /// The command.
+        id: u32,
+    },
+    /// Messages of a stream are missing, directly before the next message.
+    Lost {
+        /// Which stream.
+        stream: Stream,
+        /// How many.
+        count: u32,
+    },
+    /// A frame that could not be taken; what it carried shows as
+    /// [`Event::Lost`] once the next message of its stream comes.
+    Damaged(FrameError),
+    /// The board has been reset since the last message: its time starts anew.
+    Restarted {
+        /// Its last known time before.
+        last: Ticks,
+    },
+    /// The board speaks another protocol version; nothing else it says is
+    /// understood.
+    OtherVersion {
+        /// The board's.
+        found: u16,
+    },
+}
+
+/// What came and what was lost on one stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct StreamCount {
+    /// Messages received.
+    pub received: u64,
+    /// Messages missing, by their numbers.
+    pub lost: u64,
+}
+
+/// Counts of all streams.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct StreamCounts {
+    /// Status.
+    pub status: StreamCount,
+    /// Pulses.
+    pub pulses: StreamCount,
+    /// Captures.
+    pub captures: StreamCount,
+    /// IMU samples.
+    pub imu: StreamCount,
+    /// Filler.
+    pub filler: StreamCount,
+}
+
+impl StreamCounts {
+    /// The count of one stream.
+    #[must_use]
+    pub const fn of(&self, stream: Stream) -> StreamCount {
+        match stream {
+            Stream::Status => self.status,
+            Stream::Pulses => self.pulses,
+            Stream::Captures => self.captures,
+            Stream::Imu => self.imu,
+            Stream::Filler => self.filler,
+        }
+    }
+
+    /// Messages missing on all streams.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        Stream::ALL.iter().map(|&stream| self.of(stream).lost).sum()
+    }
+
+    const fn get_mut(&mut self, stream: Stream) -> &mut StreamCount {
+        match stream {
+            Stream::Status => &mut self.status,
+            Stream::Pulses => &mut self.pulses,
+            Stream::Captures => &mut self.captures,
+            Stream::Imu => &mut self.imu,
+            Stream::Filler => &mut self.filler,
+        }
+    }
+}
+
+/// The state of a conversation. See the module.
+#[derive(Default)]
+pub struct Session {
+    decoder: Decoder<DeviceToHost>,
+    /// Bytes of the frame that is being received; at most one frame.
+    raw: Vec<u8>,
+    keep_frames: bool,
+    /// A good frame has been seen.
+    in_step: bool,
+    /// Damage before the first good frame, to be left out of the counters.
+    before_step: LinkCounters,
+    bytes: u64,
+    next_id: u32,
+    waiting: Vec<(u32, Duration)>,
+    expected: [Option<u32>; Stream::ALL.len()],
+    counts: StreamCounts,
+    epoch: Option<u32>,
+    latest: Ticks,
+    events: VecDeque<Event>,
+    outgoing: Vec<u8>,
+}
+
+impl Session {
+    /// A conversation that has not begun. `first_id` is the id of the first
+    /// command; let it differ between runs of a program, so that a late answer
+    /// to an earlier run is not mistaken.
+    #[must_use]
+    pub fn new(first_id: u32) -> Self {
+        Self {
+            next_id: first_id,
+            ..Self::default()
+        }
+    }
+
+    /// Whether raw frames are given out as [`Event::Frame`].
+    pub const fn keep_frames(&mut self, keep: bool) {
+        self.keep_frames = keep;
+    }
+
+    /// Numbers a command, queues its frame, and expects its answer until
+    /// `now + within`. Returns its id.
+    pub fn send(&mut self, now: Duration, command: Command, within: Duration) -> u32 {
+        let id = self.next_id;
+        self.next_id = self.next_id.wrapping_add(1);
+        let mut buffer = [0; MAX_FRAME];
+        // A delimiter first ends whatever garbage the board may hold.
+        self.outgoing.push(0);
+        match encode(&HostToDevice { id, command }, &mut buffer) {
+            Ok(frame) => self.outgoing.extend_from_slice(frame),
+            // Cannot happen: MAX_FRAME holds every command. It would expire.
+            Err(error) => tracing::error!("a command cannot be encoded: {error}"),
+        }
+        self.waiting.push((id, now.saturating_add(within)));
+        id
+    }
+
+    /// The bytes to be sent, at once.
+    #[must_use]
+    pub fn take_outgoing(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.outgoing)
+    }
+
+    /// Takes bytes off the link, in any split.
+    pub fn receive(&mut self, mut bytes: &[u8]) {
+        self.bytes = self.bytes.saturating_add(bytes.len() as u64);
+        while !bytes.is_empty() {
+            let end = bytes.iter().position(|&byte| byte == 0);
+            let (mut part, rest) = bytes.split_at(end.map_or(bytes.len(), |end| end + 1));
+            bytes = rest;
+            let body = part.get(..end.unwrap_or(part.len())).unwrap_or_default();
+            // The decoder knows when a frame is too long; keep no more of it.
+            let room = MAX_FRAME.saturating_sub(self.raw.len()).min(body.len());
+            self.raw
+                .extend_from_slice(body.get(..room).unwrap_or_default());
+            let result = self.decoder.next(&mut part);
+            if end.is_some() {
+                let raw = std::mem::take(&mut self.raw);
+                if let Some(result) = result {
+                    self.frame(raw, result);
+                }
+            }
+        }
+    }
+
+    /// Lets commands expire whose answer did not come by `now`.
+    pub fn tick(&mut self, now: Duration) {
+        let events = &mut self.events;
+        self.waiting.retain(|&(id, deadline)| {
+            let waits = now < deadline;
+            if !waits {
+                events.push_back(Event::Expired { id });
+            }
+            waits
+        });
+    }
+
+    /// The next thing to tell.
+    pub fn next_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// The line was cut: forgets half a frame and the commands that wait. What
+    /// the streams had counted stays, so that the loss shows.
+    pub fn cut(&mut self) {
+        self.decoder.reset();
+        self.raw.clear();
+        self.outgoing.clear();
+        for (id, _) in self.waiting.drain(..) {
+            self.events.push_back(Event::Expired { id });
+        }
+    }
+
+    /// Counts the streams anew from their next message on, and damage from
+    /// zero.
+    pub fn start_counting(&mut self) {
+        self.expected = Default::default();
+        self.counts = StreamCounts::default();
+        self.before_step = self.decoder.counters();
+    }
+
+    /// What came and what was lost on each stream.
+    #[must_use]
+    pub const fn counts(&self) -> StreamCounts {
+        self.counts
+    }
+
+    /// Frames that were damaged on the line, since it was in step.
+    #[must_use]
+    pub const fn damaged_frames(&self) -> u32 {
+        self.decoder
+            .counters()
+            .lost_frames()
+            .saturating_sub(self.before_step.lost_frames())
+    }
+
+    /// Bytes received in all.
+    #[must_use]
+    pub const fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// Frames received in all that were whole.
+    #[must_use]
+    pub const fn frames(&self) -> u32 {
+        self.decoder.counters().frames
+    }
+
+    /// The latest time that any message carried: the board's time, at least.
+    #[must_use]
+    pub const fn latest(&self) -> Ticks {
+        self.latest
+    }
+
+    fn frame(&mut self, raw: Vec<u8>, result: Result<DeviceToHost, FrameError>) {
+        let error = result.as_ref().err().copied();
+        let other_version = match error {
+            Some(FrameError::Message) => hello_version(&raw),
+            _ => None,
+        };
+        if self.keep_frames {
+            self.events.push_back(Event::Frame(raw));
+        }
+        match result {
+            Ok(message) => {
+                self.in_step = true;
+                self.message(message);
+            }
+            Err(error) => {
+                if let Some(found) = other_version {
+                    self.events.push_back(Event::OtherVersion { found });
+                } else if self.in_step {
+                    self.events.push_back(Event::Damaged(error));
+                } else {
+                    self.before_step = self.decoder.counters();
+                }
+            }
+        }
+    }
+
+    fn message(&mut self, message: DeviceToHost) {
+        match message {
+            DeviceToHost::Hello(ref hello) => {
+                if hello.protocol_version != PROTOCOL_VERSION {
+                    let found = hello.protocol_version;
+                    self.events.push_back(Event::OtherVersion { found });
+                    return;
+                }
+                self.hello(hello);
+            }
+            DeviceToHost::Answer(answer) => {
+                match self.waiting.iter().position(|&(id, _)| id == answer.id) {
+                    Some(index) => {
+                        self.waiting.swap_remove(index);
+                        self.events.push_back(Event::Answer(answer));
+                    }
+                    None => tracing::debug!(id = answer.id, "an answer that nobody waits for"),
+                }
+                return;
+            }
+            DeviceToHost::Status(ref status) => {
+                self.run(status.epoch);
+                self.number(Stream::Status, status.seq);
+                self.time(status.at);
+            }
+            DeviceToHost::Pulse(ref pulse) => {
+                self.number(Stream::Pulses, pulse.seq);
+                self.time(pulse.at);
+            }
+            DeviceToHost::Arrived(ref arrived) => self.time(arrived.at),
+            DeviceToHost::Capture(ref capture) => {
+                self.number(Stream::Captures, capture.seq);
+                self.time(capture.at);
+            }
+            DeviceToHost::Imu(ref sample) => {
+                self.number(Stream::Imu, sample.seq);
+                self.time(sample.at);
+            }
+            DeviceToHost::Filler(ref filler) => self.number(Stream::Filler, filler.seq),
+        }
+        self.events.push_back(Event::Message(message));
+    }
+
+    fn hello(&mut self, hello: &Hello) {
+        self.run(hello.epoch);
+        self.time(hello.now);
+    }
+
+    /// Notices that this is another run of the board.
+    fn run(&mut self, epoch: u32) {
+        if self.epoch.is_some_and(|known| known != epoch) {
+            self.events
+                .push_back(Event::Restarted { last: self.latest });
+            self.latest = Ticks::ZERO;
+            self.expected = Default::default();
+        }
+        self.epoch = Some(epoch);
+    }
+
+    /// Compares a message's number with the one expected.
+    fn number(&mut self, stream: Stream, seq: u32) {
+        let Some(expected) = self.expected.get_mut(stream as usize) else {
+            return;
+        };
+        // Numbers wrap. More than half of them missing is no gap, but a stream
+        // that began anew without the board's epoch telling so yet.
+        let gap = match *expected {
+            Some(expected) => seq.wrapping_sub(expected),
+            None => 0,
+        };
+        let gap = if gap > u32::MAX / 2 { 0 } else { gap };
+        *expected = Some(seq.wrapping_add(1));
+        let count = self.counts.get_mut(stream);
+        count.received += 1;
+        count.lost += u64::from(gap);
+        if gap > 0 {
+            self.events.push_back(Event::Lost { stream, count: gap });
+        }
+    }
+
+    fn time(&mut self, at: Ticks) {
+        self.latest = self.latest.max(at);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,47 @@
+//! Bytes to and from the board, and nothing else: no frames, no messages.
+//!
+//! [`Link`] is what a [`Session`](crate::session::Session) is driven through.
+//! [`serial::SerialLink`] is the one for boards: a USB serial port, or any other
+//! terminal device such as the pseudo-terminal of a simulated board. A link
+//! also keeps the time by which deadlines are counted, so that a rig in the same
+//! process can run on a clock of its own.
+
+use std::time::Duration;
+
+pub mod ports;
+pub mod serial;
+
+/// A byte stream to a board, with the clock of its deadlines.
+pub trait Link: Send {
+    /// Time since any fixed moment, for deadlines.
+    fn now(&self) -> Duration;
+
+    /// Sends all bytes.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone, or took no bytes for a second.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
+
+    /// Appends what has arrived to `into`. Waits for the first byte at most for
+    /// `wait`; nothing appended means that nothing came.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone. What had arrived before was given out before.
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError>;
+}
+
+/// The link broke.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The port has gone (unplugged, or the simulated board has ended).
+    #[error("the link to the board is gone ({reason})")]
+    Gone {
+        /// What the system said.
+        reason: String,
+    },
+    /// The board takes no bytes.
+    #[error("the board takes no bytes")]
+    Stuck,
+}

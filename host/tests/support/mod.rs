@@ -1,0 +1,156 @@
+//! A stand-in for the board on a pseudo-terminal, for tests of the program's
+//! ways to fail. The real firmware is tested in `hil-sim`.
+#![allow(dead_code, reason = "each test program uses a part of it")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::process::{Command, Output};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use protocol::{
+    Answer, Decoder, DeviceToHost, Hello, HostToDevice, MAX_FRAME, PROTOCOL_VERSION, Reply,
+    ResetCause, TICK_HZ, Ticks, encode,
+};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+/// What the stand-in does with a command, and with every 10 ms that pass.
+pub(crate) trait Behaviour: Send + 'static {
+    fn command(&mut self, command: HostToDevice) -> Vec<u8>;
+    fn tick(&mut self) -> Vec<u8> {
+        Vec::new()
+    }
+}
+
+impl<F: FnMut(HostToDevice) -> Vec<u8> + Send + 'static> Behaviour for F {
+    fn command(&mut self, command: HostToDevice) -> Vec<u8> {
+        self(command)
+    }
+}
+
+pub(crate) struct StandIn {
+    pub(crate) path: String,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl StandIn {
+    pub(crate) fn new(mut behaviour: impl Behaviour) -> Self {
+        // Not inherited by the programs under test: the port must go with us.
+        let master =
+            openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        // Without any open end the master reads errors.
+        let keep = File::options().read(true).write(true).open(&path).unwrap();
+        let mut master = File::from(master);
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let _keep = keep;
+            let mut decoder = Decoder::<HostToDevice>::new();
+            let mut buffer = [0; 1024];
+            while !stopped.load(Ordering::Relaxed) {
+                let wait = Timespec {
+                    tv_sec: 0,
+                    tv_nsec: 10_000_000,
+                };
+                let mut ready = [PollFd::new(&master, PollFlags::IN)];
+                let readable = poll(&mut ready, Some(&wait)).unwrap() > 0;
+                let mut input: &[u8] = match readable.then(|| master.read(&mut buffer)) {
+                    Some(Ok(count)) => &buffer[..count],
+                    _ => &[],
+                };
+                while let Some(result) = decoder.next(&mut input) {
+                    if let Ok(command) = result {
+                        master.write_all(&behaviour.command(command)).unwrap();
+                    }
+                }
+                master.write_all(&behaviour.tick()).unwrap();
+            }
+        });
+        Self {
+            path,
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for StandIn {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+pub(crate) fn frame(message: &DeviceToHost) -> Vec<u8> {
+    let mut buffer = [0; MAX_FRAME];
+    encode(message, &mut buffer).unwrap().to_vec()
+}
+
+pub(crate) fn hello() -> Hello {
+    Hello {
+        protocol_version: PROTOCOL_VERSION,
+        firmware_version: (1, 2, 3),
+        git_revision: "0123456789ab".try_into().unwrap(),
+        git_dirty: true,
+        board_id: [0xAB, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11],
+        tick_hz: TICK_HZ,
+        now: Ticks(48_000_000 * 90),
+        epoch: 77,
+        reset_cause: ResetCause::Watchdog,
+        last_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
+    }
+}
+
+/// Answers hello and ping as a board does.
+pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
+    let id = command.id;
+    let answer = |reply| {
+        frame(&DeviceToHost::Answer(Answer {
+            id,
+            result: Ok(reply),
+        }))
+    };
+    match command.command {
+        protocol::Command::Hello => {
+            let mut bytes = frame(&DeviceToHost::Hello(hello()));
+            bytes.extend(answer(Reply::Done));
+            bytes
+        }
+        protocol::Command::Ping { host_time } => answer(Reply::Pong {
+            host_time,
+            received: Ticks(48_000_000 * 91),
+            sent: Ticks(48_000_000 * 91 + 900),
+        }),
+        _ => Vec::new(),
+    }
+}
+
+/// Runs the program to its end.
+pub(crate) fn run(args: &[&str]) -> Output {
+    program(args).output().unwrap()
+}
+
+pub(crate) fn program(args: &[&str]) -> Command {
+    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("smartdepthsync"));
+    command.args(args);
+    command
+}
+
+pub(crate) fn code(output: &Output) -> i32 {
+    output.status.code().unwrap_or_else(|| {
+        panic!("ended by a signal: {output:?}");
+    })
+}
+
+pub(crate) fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
