@@ -1,2 +1,31 @@
 //! Portable logic of the SmartDepthSync firmware, tested on the host.
+//!
+//! Nothing in here touches a register. The binary (`src/main.rs`) adds the
+//! board (`src/board/`) and the tasks (`src/tasks/`).
+//!
+//! - [`config`]: every tuning number with its derivation.
+//! - [`timebase`]: 32-bit counter values to 64-bit board time.
+//! - [`trigger`]: where the edges of the train fall.
+//! - [`pulser`]: how each edge is made by a compare channel.
+//! - [`capture`]: directions of captured edges, and the limit on their rate.
+//! - [`imu`]: the MPU-9150.
+//! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
+//! - [`filler`]: load for tests of the link.
+//! - [`alive`]: which tasks have checked in.
+//! - [`keep`]: what survives a reset.
+//! - [`load`]: time awake, and the deepest stack.
+
 #![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod alive;
+pub mod capture;
+pub mod config;
+pub mod filler;
+pub mod imu;
+pub mod keep;
+pub mod load;
+pub mod outbox;
+pub mod pulser;
+pub mod timebase;
+pub mod trigger;

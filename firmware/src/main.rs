@@ -1,5 +1,21 @@
-//! The firmware binary.
+//! The firmware binary: starts the board and spawns the tasks.
+//!
+//! Everything that can be tested without a board lives in the library.
+
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
+#[cfg(target_os = "none")]
+mod board;
+#[cfg(target_os = "none")]
+mod start;
+#[cfg(target_os = "none")]
+mod state;
+#[cfg(target_os = "none")]
+mod tasks;
+
+/// There is no board here.
 #[cfg(not(target_os = "none"))]
-fn main() {}
+fn main() {
+    eprintln!("This program runs on the board: build it in the folder `firmware`.");
+    std::process::exit(2);
+}

@@ -1,0 +1,49 @@
+//! Puts the memory layout where the linker finds it, and the git revision into
+//! the environment of the compiler.
+
+use std::env;
+use std::path::Path;
+use std::process::Command;
+
+fn main() {
+    let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+
+    let memory = root.join("memory.x");
+    println!("cargo:rerun-if-changed={}", memory.display());
+    if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        std::fs::copy(&memory, Path::new(&out).join("memory.x")).expect("memory.x can be copied");
+        println!("cargo:rustc-link-search={out}");
+        println!("cargo:rustc-link-arg-bins=--nmagic");
+        println!("cargo:rustc-link-arg-bins=-Tlink.x");
+        println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    }
+
+    // The dirty flag is that of the moment when this script last ran: after a
+    // commit, after staging, and after any change of the firmware's sources.
+    for path in ["firmware", "protocol/src", "Cargo.lock"] {
+        println!("cargo:rerun-if-changed={}", root.join(path).display());
+    }
+    for name in ["HEAD", "index"] {
+        if let Some(path) = git(&root, &["rev-parse", "--git-path", name]) {
+            println!("cargo:rerun-if-changed={}", root.join(path).display());
+        }
+    }
+    let revision = git(&root, &["rev-parse", "--short=12", "HEAD"]).unwrap_or_default();
+    let dirty = git(&root, &["status", "--porcelain", "--untracked-files=no"])
+        .is_some_and(|status| !status.is_empty());
+    println!("cargo:rustc-env=GIT_REVISION={revision}");
+    println!("cargo:rustc-env=GIT_DIRTY={}", u8::from(dirty));
+}
+
+/// Output of a git command, or nothing where there is no git or no repository.
+fn git(root: &Path, args: &[&str]) -> Option<String> {
+    let output = Command::new("git")
+        .arg("-C")
+        .arg(root)
+        .args(args)
+        .output()
+        .ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then(|| text.trim().to_owned())
+}

@@ -1,0 +1,96 @@
+//! What happens when the firmware fails: the message is logged, kept over the
+//! reset for the next [`protocol::Hello`], and the board resets.
+
+#![allow(
+    unsafe_code,
+    reason = "memory that start-up does not touch, and exceptions"
+)]
+
+use core::fmt;
+use core::mem::MaybeUninit;
+use core::panic::PanicInfo;
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use cortex_m::peripheral::{DCB, SCB};
+use cortex_m_rt::{ExceptionFrame, exception};
+use firmware::keep::Kept;
+use heapless::String;
+use protocol::MAX_PANIC;
+
+#[unsafe(link_section = ".uninit.KEPT")]
+static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
+
+static FAILED: AtomicBool = AtomicBool::new(false);
+
+fn load() -> Kept {
+    // SAFETY: every bit pattern is a value of `Kept`. The access is volatile,
+    // so that what a former run left is really read. Nothing runs in parallel:
+    // this is called once at start and once with interrupts off.
+    unsafe { (&raw const KEPT).cast::<Kept>().read_volatile() }
+}
+
+fn store(kept: Kept) {
+    // SAFETY: as above.
+    unsafe { (&raw mut KEPT).cast::<Kept>().write_volatile(kept) };
+}
+
+/// The message of the panic that ended the last run, and the number of this
+/// one. To be called once.
+pub(crate) fn begin_run() -> (Option<String<MAX_PANIC>>, u32) {
+    let (panic, next) = load().next();
+    store(next);
+    (panic, next.run())
+}
+
+/// Keeps and logs the message, and resets. A failure on the way resets at once.
+fn fail(message: fmt::Arguments<'_>) -> ! {
+    cortex_m::interrupt::disable();
+    if !FAILED.swap(true, Ordering::Relaxed) {
+        let kept = load().panicked(message);
+        store(kept);
+        if let (Some(text), _) = kept.next() {
+            defmt::error!("{=str}", text.as_str());
+        }
+        if DCB::is_debugger_attached() {
+            // Time for the debugger to fetch the message: 0.1 s.
+            cortex_m::asm::delay(firmware::config::SYSCLK_HZ / 10);
+        }
+    }
+    SCB::sys_reset()
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo<'_>) -> ! {
+    match info.location() {
+        Some(at) => fail(format_args!(
+            "{}:{}: {}",
+            at.file(),
+            at.line(),
+            info.message()
+        )),
+        None => fail(format_args!("{}", info.message())),
+    }
+}
+
+#[exception(trampoline = true)]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    // SAFETY: reading the fault status registers has no effect.
+    let (cfsr, hfsr) = unsafe { ((*SCB::PTR).cfsr.read(), (*SCB::PTR).hfsr.read()) };
+    fail(format_args!(
+        "HardFault at pc {:#010x}, lr {:#010x}, cfsr {:#010x}, hfsr {:#010x}",
+        frame.pc(),
+        frame.lr(),
+        cfsr,
+        hfsr
+    ))
+}
+
+#[exception]
+unsafe fn DefaultHandler(irqn: i16) -> ! {
+    fail(format_args!("interrupt {irqn} has no handler"))
+}
+
+/// Fails with an undefined instruction, to try out the HardFault handler.
+pub(crate) fn undefined_instruction() -> ! {
+    cortex_m::asm::udf()
+}

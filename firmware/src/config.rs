@@ -1,0 +1,145 @@
+//! Every tuning number of the firmware, with its derivation.
+
+use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, TICK_HZ};
+
+/// Ticks in a microsecond: 48.
+pub const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
+
+/// Crystal of the STM32F4DISCOVERY, in Hz.
+pub const HSE_HZ: u32 = 8_000_000;
+
+/// Core clock in Hz: 8 MHz / 4 · 96 / 2. Of the settings that give USB its
+/// 48 MHz (8 / 4 · 96 / 4) it is the one whose PLL output also divides to the
+/// IMU's 19.2 MHz (96 / 5, MCO1). `docs/decisions/0002-clock-tree.md`.
+pub const SYSCLK_HZ: u32 = 96_000_000;
+
+/// Timer clock of APB1 in Hz: 96 MHz / 4, doubled by the hardware for timers
+/// (RM0090 7.2). One tick of board time.
+pub const TIM2_HZ: u32 = TICK_HZ;
+
+/// Clock of the IMU on PA8, in Hz: 96 MHz / 5. What the MPU-9150 asks for at
+/// CLKSEL = 5.
+pub const IMU_CLOCK_HZ: u32 = SYSCLK_HZ / 5;
+
+/// Farthest that a compare is armed ahead, in ticks: 22.4 s. Compares only see
+/// the low 32 bits; half of their range keeps "ahead" and "behind" apart, and
+/// half of that again is the margin of [`crate::timebase`]. Edges farther away
+/// are reached by waypoints.
+pub const MAX_ARM_AHEAD: u32 = 1 << 30;
+
+/// An edge that was missed is made this much later than the moment at which
+/// that was seen, in ticks: 4 µs, the time in which the handler surely arms it.
+pub const LATE_EDGE_DELAY: u32 = 4 * TICKS_PER_US;
+
+/// A rising edge nearer than this is not taken back by a stop, in ticks: 5 µs.
+/// The stop waits until the pulse is over instead, and so never races the
+/// compare.
+pub const STOP_MARGIN: u32 = 5 * TICKS_PER_US;
+
+/// From a start without a first edge to that edge, in ticks: 1 ms, ten times
+/// the least lead that a host may ask for.
+pub const START_LEAD: u32 = 1_000 * TICKS_PER_US;
+
+/// Bucket of the strobe input: this many edges in a burst. The camera makes 18
+/// (9 pulses) a frame; three frames of it may come at once.
+pub const STROBE_BURST: u32 = 64;
+
+/// Ticks in which the strobe bucket regains one edge: 0.5 ms, so 2,000 edges a
+/// second for ever. The camera makes 540 (18 at 30 fps). At some 150 cycles
+/// for the handler of one edge and 1,500 for its message, a flood costs 3 % of
+/// the core.
+pub const STROBE_REFILL: u32 = 500 * TICKS_PER_US;
+
+/// Bucket of data-ready: this many edges in a burst.
+pub const DATA_READY_BURST: u32 = 16;
+
+/// Ticks in which the data-ready bucket regains one edge: 0.5 ms, twice the
+/// sensor's highest rate.
+pub const DATA_READY_REFILL: u32 = 500 * TICKS_PER_US;
+
+/// How long an input is off after a flood, in ms: long enough to regain 40
+/// edges, short enough to lose no more than one frame of the camera's pulses.
+pub const MUTE_MS: u64 = 20;
+
+/// Events of TIM2's handler that wait for the handler below it. That one runs
+/// within some tens of µs (the longest handler of its priority is USB's), in
+/// which no more than a burst of 20 edges at the handler's own pace can come.
+pub const EVENTS: usize = 32;
+
+/// Answers that wait to be sent. Commands are taken from the link only while
+/// there is room for theirs, so this bounds how many are answered in one go.
+pub const ANSWERS: usize = 12;
+
+/// Room in the answers that a command needs: its answer and a hello, and one
+/// for an arrival that comes between.
+pub const ANSWERS_PER_COMMAND: usize = 3;
+
+/// Pulses that wait to be sent: two seconds at 30 fps.
+pub const PULSES: usize = 64;
+
+/// Captures that wait to be sent: five frames of the camera's pulses.
+pub const CAPTURES: usize = 96;
+
+/// IMU samples that wait to be sent: 128 ms at 500 Hz. A USB host that is busy
+/// elsewhere for that long loses nothing.
+pub const IMU_SAMPLES: usize = 64;
+
+/// Status messages that wait to be sent.
+pub const STATUSES: usize = 2;
+
+/// Bytes that are gathered before they are written to USB: the longest frame
+/// and then some, 16 packets.
+pub const TRANSMIT_BUFFER: usize = 1024;
+
+/// Packet of full-speed bulk endpoints, in bytes (USB 2.0, 5.8.3).
+pub const USB_PACKET: usize = 64;
+
+/// How often a task that waits wakes up to check in, in ms: twice in each
+/// watchdog round.
+pub const CHECK_IN_MS: u64 = 500;
+
+/// The watchdog's timeout in µs. It runs from the LSI, 17 to 47 kHz for a
+/// nominal 32 (data sheet, table 36), so 2.7 to 7.5 s; it is fed once a second.
+pub const WATCHDOG_US: u32 = 4_000_000;
+
+/// From the answer to a self test to the failure, in ms: the answer has left.
+pub const SELF_TEST_DELAY_MS: u64 = 50;
+
+/// I2C clock in Hz: the sensor's fastest.
+pub const I2C_HZ: u32 = 400_000;
+
+/// Longest I2C transfer in ms. Reading a sample is 17 bytes of 9 bits at
+/// 400 kHz: 0.4 ms; the sensor does not stretch the clock.
+pub const I2C_TIMEOUT_MS: u64 = 5;
+
+/// How long the first data-ready may take after setting up, in ms, before the
+/// clock is taken to be missing. Twice the sensor's start-up time of the
+/// gyroscope (30 ms, data sheet 6.1) and the slowest interval that counts.
+pub const FIRST_DATA_READY_MS: u64 = 100;
+
+/// Pause between two attempts to set up a sensor that does not answer, in ms.
+/// With the attempt itself (some 110 ms) five come in the second within which a
+/// sensor must be recovered.
+pub const IMU_RETRY_MS: u64 = 100;
+
+/// The IMU as it is set up at reset: 500 Hz, the widest low-pass below half of
+/// that, ±500 °/s (a twist by hand reaches more than ±250), ±4 g.
+pub const IMU_DEFAULT: ImuConfig = ImuConfig {
+    divider: 1,
+    low_pass: LowPass::Hz188,
+    gyro_range: GyroRange::Dps500,
+    accel_range: AccelRange::G4,
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn clocks_follow_from_the_crystal() {
+        assert_eq!(HSE_HZ / 4 * 96 / 2, SYSCLK_HZ);
+        assert_eq!(HSE_HZ / 4 * 96 / 4, 48_000_000);
+        assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
+        assert_eq!(IMU_CLOCK_HZ, 19_200_000);
+    }
+}

@@ -1,0 +1,309 @@
+//! What waits to be sent to the host.
+//!
+//! Producers never wait: each stream has a queue of its own, and what finds no
+//! place there is dropped and counted. The sender takes answers first, then
+//! pulses, captures, IMU samples and status, so that a flood of one stream never
+//! delays what matters more.
+//!
+//! While no host is linked everything is dropped and counted, so that a host
+//! that comes gets nothing stale. Sequence numbers are given by the producers:
+//! every drop shows as a gap too.
+
+use heapless::Deque;
+use protocol::{Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, Pulse, Status};
+
+use crate::config;
+
+/// The queues.
+#[derive(Debug, Default)]
+pub struct Outbox {
+    linked: bool,
+    answers: Deque<DeviceToHost, { config::ANSWERS }>,
+    pulses: Deque<Pulse, { config::PULSES }>,
+    captures: Deque<Capture, { config::CAPTURES }>,
+    imu: Deque<ImuSample, { config::IMU_SAMPLES }>,
+    status: Deque<Status, { config::STATUSES }>,
+    dropped: Dropped,
+}
+
+/// Queues `item`, or counts it.
+fn push<T, const N: usize>(queue: &mut Deque<T, N>, linked: bool, item: T, dropped: &mut u32) {
+    if !linked || queue.push_back(item).is_err() {
+        *dropped = dropped.saturating_add(1);
+    }
+}
+
+/// Empties `queue` and counts what was in it.
+fn clear<T, const N: usize>(queue: &mut Deque<T, N>, dropped: &mut u32) {
+    *dropped = dropped.saturating_add(queue.len() as u32);
+    queue.clear();
+}
+
+impl Outbox {
+    /// Empty, with no host.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            linked: false,
+            answers: Deque::new(),
+            pulses: Deque::new(),
+            captures: Deque::new(),
+            imu: Deque::new(),
+            status: Deque::new(),
+            dropped: Dropped {
+                answers: 0,
+                pulses: 0,
+                captures: 0,
+                imu: 0,
+                status: 0,
+            },
+        }
+    }
+
+    /// A host has come or gone. What was waiting is dropped and counted.
+    pub fn set_linked(&mut self, linked: bool) {
+        self.linked = linked;
+        clear(&mut self.answers, &mut self.dropped.answers);
+        clear(&mut self.pulses, &mut self.dropped.pulses);
+        clear(&mut self.captures, &mut self.dropped.captures);
+        clear(&mut self.imu, &mut self.dropped.imu);
+        clear(&mut self.status, &mut self.dropped.status);
+    }
+
+    /// Whether there is a host.
+    #[must_use]
+    pub const fn is_linked(&self) -> bool {
+        self.linked
+    }
+
+    /// Whether the answers of one more command surely find a place. Without a
+    /// host they are dropped, which is no reason to wait.
+    #[must_use]
+    pub fn has_room_for_command(&self) -> bool {
+        !self.linked || self.answers.capacity() - self.answers.len() >= config::ANSWERS_PER_COMMAND
+    }
+
+    /// Queues a hello.
+    pub fn hello(&mut self, hello: Hello) {
+        let hello = DeviceToHost::Hello(hello);
+        push(
+            &mut self.answers,
+            self.linked,
+            hello,
+            &mut self.dropped.answers,
+        );
+    }
+
+    /// Queues an answer.
+    pub fn answer(&mut self, answer: Answer) {
+        let answer = DeviceToHost::Answer(answer);
+        push(
+            &mut self.answers,
+            self.linked,
+            answer,
+            &mut self.dropped.answers,
+        );
+    }
+
+    /// Queues an arrival, with the answers.
+    pub fn arrived(&mut self, arrived: Arrived) {
+        let arrived = DeviceToHost::Arrived(arrived);
+        push(
+            &mut self.answers,
+            self.linked,
+            arrived,
+            &mut self.dropped.answers,
+        );
+    }
+
+    /// Queues a pulse.
+    pub fn pulse(&mut self, pulse: Pulse) {
+        push(
+            &mut self.pulses,
+            self.linked,
+            pulse,
+            &mut self.dropped.pulses,
+        );
+    }
+
+    /// Queues a capture.
+    pub fn capture(&mut self, capture: Capture) {
+        push(
+            &mut self.captures,
+            self.linked,
+            capture,
+            &mut self.dropped.captures,
+        );
+    }
+
+    /// Queues a sample.
+    pub fn imu(&mut self, sample: ImuSample) {
+        push(&mut self.imu, self.linked, sample, &mut self.dropped.imu);
+    }
+
+    /// Queues a status.
+    pub fn status(&mut self, status: Status) {
+        push(
+            &mut self.status,
+            self.linked,
+            status,
+            &mut self.dropped.status,
+        );
+    }
+
+    /// What was dropped since reset.
+    #[must_use]
+    pub const fn dropped(&self) -> Dropped {
+        self.dropped
+    }
+
+    /// Whether nothing waits.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.answers.is_empty()
+            && self.pulses.is_empty()
+            && self.captures.is_empty()
+            && self.imu.is_empty()
+            && self.status.is_empty()
+    }
+
+    /// The message that is to be sent next.
+    pub fn pop(&mut self) -> Option<DeviceToHost> {
+        if let Some(message) = self.answers.pop_front() {
+            return Some(message);
+        }
+        if let Some(pulse) = self.pulses.pop_front() {
+            return Some(DeviceToHost::Pulse(pulse));
+        }
+        if let Some(capture) = self.captures.pop_front() {
+            return Some(DeviceToHost::Capture(capture));
+        }
+        if let Some(sample) = self.imu.pop_front() {
+            return Some(DeviceToHost::Imu(sample));
+        }
+        self.status.pop_front().map(DeviceToHost::Status)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::{CaptureChannel, Edge, ImuFlags, Reply, Ticks};
+
+    fn answer(id: u32) -> Answer {
+        Answer {
+            id,
+            result: Ok(Reply::Done),
+        }
+    }
+
+    fn sample(seq: u32) -> ImuSample {
+        ImuSample {
+            seq,
+            at: Ticks(u64::from(seq)),
+            flags: ImuFlags::default(),
+            accel: [0; 3],
+            temperature: 0,
+            gyro: [0; 3],
+        }
+    }
+
+    fn pulse(seq: u32) -> Pulse {
+        Pulse {
+            seq,
+            train: 1,
+            number: u64::from(seq),
+            at: Ticks(u64::from(seq)),
+            aligned: true,
+            readback: None,
+        }
+    }
+
+    fn capture(seq: u32) -> Capture {
+        Capture {
+            seq,
+            channel: CaptureChannel::Strobe,
+            edge: Edge::Rising,
+            at: Ticks(0),
+            after_loss: false,
+        }
+    }
+
+    fn linked() -> Outbox {
+        let mut outbox = Outbox::new();
+        outbox.set_linked(true);
+        outbox
+    }
+
+    #[test]
+    fn answers_go_first_then_pulses_captures_samples() {
+        let mut outbox = linked();
+        outbox.imu(sample(0));
+        outbox.capture(capture(0));
+        outbox.pulse(pulse(0));
+        outbox.pulse(pulse(1));
+        outbox.answer(answer(7));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Answer(answer(7))));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(0))));
+        outbox.answer(answer(8));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Answer(answer(8))));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(1))));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Capture(capture(0))));
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Imu(sample(0))));
+        assert_eq!(outbox.pop(), None);
+        assert!(outbox.is_empty());
+    }
+
+    #[test]
+    fn a_full_queue_drops_the_newest_and_counts_it_for_that_stream_alone() {
+        let mut outbox = linked();
+        for seq in 0..100 {
+            outbox.imu(sample(seq));
+        }
+        outbox.pulse(pulse(0));
+        let lost = 100 - config::IMU_SAMPLES as u32;
+        let expected = Dropped {
+            imu: lost,
+            ..Dropped::default()
+        };
+        assert_eq!(outbox.dropped(), expected);
+        assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(pulse(0))));
+        for seq in 0..config::IMU_SAMPLES as u32 {
+            assert_eq!(outbox.pop(), Some(DeviceToHost::Imu(sample(seq))));
+        }
+        assert_eq!(outbox.pop(), None);
+    }
+
+    #[test]
+    fn without_a_host_everything_is_dropped_and_a_new_host_gets_nothing_old() {
+        let mut outbox = Outbox::new();
+        outbox.pulse(pulse(0));
+        outbox.answer(answer(1));
+        assert!(outbox.is_empty());
+        assert!(outbox.has_room_for_command());
+        outbox.set_linked(true);
+        outbox.pulse(pulse(1));
+        outbox.pulse(pulse(2));
+        outbox.set_linked(true);
+        assert!(outbox.is_empty());
+        assert_eq!(outbox.dropped().pulses, 3);
+        assert_eq!(outbox.dropped().answers, 1);
+    }
+
+    #[test]
+    fn commands_wait_while_their_answers_have_no_room() {
+        let mut outbox = linked();
+        let mut taken = 0;
+        while outbox.has_room_for_command() {
+            outbox.answer(answer(taken));
+            taken += 1;
+        }
+        assert_eq!(
+            taken as usize,
+            config::ANSWERS - config::ANSWERS_PER_COMMAND + 1
+        );
+        outbox.pop();
+        assert!(outbox.has_room_for_command());
+        assert_eq!(outbox.dropped(), Dropped::default());
+    }
+}

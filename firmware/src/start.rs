@@ -1,0 +1,75 @@
+//! From reset to the first task.
+
+use defmt_rtt as _;
+use embassy_executor::{SpawnError, SpawnToken, Spawner};
+use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{pac, uid};
+use firmware::config;
+use protocol::ResetCause;
+
+use crate::board::{clocks, faults, idle, leds, stack, tim2};
+use crate::state::{self, BoardInfo};
+use crate::tasks;
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    clocks::set_priorities();
+    let reset_cause = clocks::take_reset_cause();
+    let (last_panic, epoch) = faults::begin_run();
+
+    let p = embassy_stm32::init(clocks::config());
+    clocks::enable_flash_accelerator();
+    stack::paint();
+    // A halted core does not feed the watchdog.
+    pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
+    tim2::init();
+    leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
+
+    let mut clock_out = McoConfig::default();
+    clock_out.prescaler = McoPrescaler::DIV5;
+    let _imu_clock = Mco::new(p.MCO1, p.PA8, Mco1Source::PLL, clock_out);
+
+    let failed = last_panic.is_some() || reset_cause == ResetCause::Watchdog;
+    leds::set(leds::Led::Fault, failed);
+    let info = BoardInfo {
+        board_id: uid::uid(),
+        epoch,
+        reset_cause,
+        last_panic,
+    };
+    defmt::info!(
+        "SmartDepthSync {=str} ({=str}), epoch {=u32:08x}, reset by {}",
+        env!("CARGO_PKG_VERSION"),
+        env!("GIT_REVISION"),
+        epoch,
+        defmt::Debug2Format(&reset_cause),
+    );
+    if let Some(panic) = &info.last_panic {
+        defmt::warn!("the last run ended with: {=str}", panic.as_str());
+    }
+    let board_id = info.board_id;
+    if state::INFO.init(info).is_err() {
+        defmt::unreachable!();
+    }
+
+    let watchdog = IndependentWatchdog::new(p.IWDG, config::WATCHDOG_US);
+    let usb = tasks::usb::build(p.USB_OTG_FS, p.PA12, p.PA11, &board_id);
+
+    idle::run(move |spawner| {
+        spawn(spawner, tasks::usb::run(usb.device));
+        spawn(spawner, tasks::usb::watch_terminal(usb.control));
+        spawn(spawner, tasks::receive::run(usb.receiver));
+        spawn(spawner, tasks::transmit::run(usb.sender));
+        spawn(spawner, tasks::self_test::run());
+        spawn(spawner, tasks::status::run(watchdog));
+    })
+}
+
+/// Spawns a task. Each is spawned once, so its one place is free.
+fn spawn<S>(spawner: Spawner, task: Result<SpawnToken<S>, SpawnError>) {
+    match task {
+        Ok(token) => spawner.spawn(token),
+        Err(_) => defmt::unreachable!(),
+    }
+}

@@ -1,0 +1,44 @@
+//! Fails on purpose, a moment after the command was answered.
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
+use embassy_time::Timer;
+use firmware::config::SELF_TEST_DELAY_MS;
+use protocol::Failure;
+
+use crate::board::faults;
+
+static WANTED: Signal<CriticalSectionRawMutex, Failure> = Signal::new();
+
+/// The IMU's task shall stop being alive.
+static STALLED: AtomicBool = AtomicBool::new(false);
+
+/// Asks for a failure.
+pub(crate) fn request(failure: Failure) {
+    WANTED.signal(failure);
+}
+
+/// Whether the IMU's task shall stop being alive.
+pub(crate) fn is_stalled() -> bool {
+    STALLED.load(Ordering::Relaxed)
+}
+
+/// Waits for a request.
+#[embassy_executor::task]
+#[allow(clippy::panic, reason = "that is its purpose")]
+pub(crate) async fn run() {
+    loop {
+        let failure = WANTED.wait().await;
+        Timer::after_millis(SELF_TEST_DELAY_MS).await;
+        match failure {
+            Failure::Panic => panic!("self test: panic on request"),
+            Failure::HardFault => faults::undefined_instruction(),
+            Failure::Stall => STALLED.store(true, Ordering::Relaxed),
+            Failure::Hang => loop {
+                core::hint::spin_loop();
+            },
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Writes messages: gathers frames into a buffer and writes that in packets.
+//!
+//! One task alone waits for the host; everyone else only leaves messages in the
+//! outbox. Frames are encoded while the last packet is on the wire.
+
+use core::future::poll_fn;
+use core::sync::atomic::Ordering;
+use core::task::Poll;
+
+use embassy_time::{Duration, Timer, with_timeout};
+use embassy_usb::class::cdc_acm::Sender;
+use firmware::alive::Task;
+use firmware::config::{CHECK_IN_MS, TRANSMIT_BUFFER, USB_PACKET};
+use firmware::filler::Pacer;
+use heapless::Vec;
+use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
+
+use crate::board::tim2;
+use crate::state::{ALIVE, CONNECTS, FILLER_RATE, ROOM, TO_SEND, with_outbox};
+use crate::tasks::usb::UsbDriver;
+
+const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
+
+/// Writes for ever.
+#[embassy_executor::task]
+pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
+    let mut transmit = Transmit {
+        buffer: Vec::new(),
+        filler: Pacer::new(),
+        filler_seq: 0,
+        connect: 0,
+    };
+    loop {
+        ALIVE.check_in(Task::Transmit);
+        let pause = transmit.fill();
+        if transmit.buffer.is_empty() {
+            wait(pause).await;
+            continue;
+        }
+        transmit.write(&mut sender).await;
+    }
+}
+
+struct Transmit {
+    buffer: Vec<u8, TRANSMIT_BUFFER>,
+    filler: Pacer,
+    filler_seq: u32,
+    /// The connection that the buffer belongs to.
+    connect: u32,
+}
+
+impl Transmit {
+    /// Takes what waits, as far as the buffer holds it. Returns how long to
+    /// wait at most if that is nothing.
+    fn fill(&mut self) -> Duration {
+        self.buffer.clear();
+        if !with_outbox(|outbox| outbox.is_linked()) {
+            return CHECK_IN;
+        }
+        let connect = CONNECTS.load(Ordering::Relaxed);
+        if connect != self.connect {
+            // Ends what a former connection left half sent.
+            self.connect = connect;
+            let _ = self.buffer.push(0);
+            self.filler = Pacer::new();
+        }
+        let mut taken = false;
+        while self.has_room() {
+            let Some(message) = with_outbox(|outbox| outbox.pop()) else {
+                break;
+            };
+            self.put(&message);
+            taken = true;
+        }
+        if taken {
+            ROOM.wake();
+        }
+        self.fill_up()
+    }
+
+    fn has_room(&self) -> bool {
+        self.buffer.capacity() - self.buffer.len() >= MAX_FRAME
+    }
+
+    fn put(&mut self, message: &DeviceToHost) {
+        let mut frame = [0; MAX_FRAME];
+        match encode(message, &mut frame) {
+            // It fits: `has_room`.
+            Ok(frame) => drop(self.buffer.extend_from_slice(frame)),
+            Err(_) => defmt::error!("a message does not fit into a frame"),
+        }
+    }
+
+    /// Adds the filler that is due.
+    fn fill_up(&mut self) -> Duration {
+        let rate = FILLER_RATE.load(Ordering::Relaxed);
+        if rate == 0 {
+            return CHECK_IN;
+        }
+        self.filler.advance(tim2::now(), rate);
+        while self.has_room() && self.filler.take(MAX_FILLER as u32) {
+            let first = self.filler_seq as u8;
+            let message = DeviceToHost::Filler(Filler {
+                seq: self.filler_seq,
+                payload: (0..MAX_FILLER)
+                    .map(|i| first.wrapping_add(i as u8))
+                    .collect(),
+            });
+            self.filler_seq = self.filler_seq.wrapping_add(1);
+            self.put(&message);
+        }
+        let wait = self.filler.ticks_until(MAX_FILLER as u32, rate);
+        Duration::from_micros(wait / 48 + 1).min(CHECK_IN)
+    }
+
+    /// Writes the buffer. A host that does not read is waited for, one that
+    /// goes away is not.
+    async fn write(&self, sender: &mut Sender<'static, UsbDriver>) {
+        for packet in self.buffer.chunks(USB_PACKET) {
+            if !self.write_packet(sender, packet).await {
+                return;
+            }
+        }
+        // A transfer ends with a short packet, without which the host's
+        // driver waits for more.
+        let nothing_more = with_outbox(|outbox| outbox.is_empty());
+        if self.buffer.len().is_multiple_of(USB_PACKET) && nothing_more {
+            self.write_packet(sender, &[]).await;
+        }
+    }
+
+    async fn write_packet(&self, sender: &mut Sender<'static, UsbDriver>, packet: &[u8]) -> bool {
+        loop {
+            ALIVE.check_in(Task::Transmit);
+            let same_host = with_outbox(|outbox| outbox.is_linked())
+                && CONNECTS.load(Ordering::Relaxed) == self.connect;
+            if !same_host {
+                return false;
+            }
+            match with_timeout(CHECK_IN, sender.write_packet(packet)).await {
+                Ok(Ok(())) => return true,
+                Ok(Err(_)) => {
+                    // The bus was reset or lost; the link follows.
+                    Timer::after_millis(1).await;
+                    return false;
+                }
+                // The host does not read. Nothing of the packet is written yet.
+                Err(_) => {}
+            }
+        }
+    }
+}
+
+/// Until there is something to send, but not longer than `pause`.
+async fn wait(pause: Duration) {
+    let _ = with_timeout(
+        pause,
+        poll_fn(|context| {
+            TO_SEND.register(context.waker());
+            if with_outbox(|outbox| outbox.is_empty()) {
+                Poll::Pending
+            } else {
+                Poll::Ready(())
+            }
+        }),
+    )
+    .await;
+}

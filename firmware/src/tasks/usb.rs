@@ -1,0 +1,155 @@
+//! The USB device: a CDC-ACM serial port under the project's own name.
+//!
+//! A host counts as linked while the device is configured, not suspended, and
+//! the host has its terminal ready (DTR, which opening the port sets). VBUS is
+//! sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
+//! and so survives an unplugged cable, which it must notice (RM0090 34.3.3).
+
+use core::sync::atomic::{AtomicU8, Ordering};
+
+use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
+use embassy_stm32::usb::{Config, Driver, InterruptHandler};
+use embassy_stm32::{Peri, bind_interrupts};
+use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
+use embassy_usb::{Builder, Handler, UsbDevice};
+use firmware::config::USB_PACKET;
+use heapless::String;
+use static_cell::StaticCell;
+
+use crate::board::leds::{self, Led};
+use crate::state;
+
+bind_interrupts!(struct Irqs {
+    OTG_FS => InterruptHandler<USB_OTG_FS>;
+});
+
+pub(crate) type UsbDriver = Driver<'static, USB_OTG_FS>;
+
+/// The parts of the device, for their tasks.
+pub(crate) struct Usb {
+    pub(crate) device: UsbDevice<'static, UsbDriver>,
+    pub(crate) sender: Sender<'static, UsbDriver>,
+    pub(crate) receiver: Receiver<'static, UsbDriver>,
+    pub(crate) control: ControlChanged<'static>,
+}
+
+/// Buffers that live as long as the device.
+struct Buffers {
+    out: [u8; 256],
+    configuration: [u8; 128],
+    bos: [u8; 16],
+    control: [u8; 64],
+    class: State<'static>,
+    link: LinkHandler,
+    serial: String<24>,
+}
+
+/// Sets up the device; it appears on the bus once [`run`] runs.
+pub(crate) fn build(
+    usb: Peri<'static, USB_OTG_FS>,
+    dp: Peri<'static, PA12>,
+    dm: Peri<'static, PA11>,
+    board_id: &[u8; 12],
+) -> Usb {
+    static BUFFERS: StaticCell<Buffers> = StaticCell::new();
+    let buffers = BUFFERS.init(Buffers {
+        out: [0; 256],
+        configuration: [0; 128],
+        bos: [0; 16],
+        control: [0; 64],
+        class: State::new(),
+        link: LinkHandler,
+        serial: protocol::usb::serial_number(board_id),
+    });
+
+    let mut otg = Config::default();
+    otg.vbus_detection = true;
+    let driver = Driver::new_fs(usb, Irqs, dp, dm, &mut buffers.out, otg);
+
+    let mut config = embassy_usb::Config::new(protocol::usb::VENDOR_ID, protocol::usb::PRODUCT_ID);
+    config.manufacturer = Some(protocol::usb::MANUFACTURER);
+    config.product = Some(protocol::usb::PRODUCT);
+    config.serial_number = Some(buffers.serial.as_str());
+    config.self_powered = true;
+
+    let mut builder = Builder::new(
+        driver,
+        config,
+        &mut buffers.configuration,
+        &mut buffers.bos,
+        &mut [],
+        &mut buffers.control,
+    );
+    builder.handler(&mut buffers.link);
+    let class = CdcAcmClass::new(&mut builder, &mut buffers.class, USB_PACKET as u16);
+    let (sender, receiver, control) = class.split_with_control();
+    Usb {
+        device: builder.build(),
+        sender,
+        receiver,
+        control,
+    }
+}
+
+/// Runs the device.
+#[embassy_executor::task]
+pub(crate) async fn run(mut device: UsbDevice<'static, UsbDriver>) {
+    device.run().await;
+}
+
+/// Follows DTR.
+#[embassy_executor::task]
+pub(crate) async fn watch_terminal(control: ControlChanged<'static>) {
+    loop {
+        control.control_changed().await;
+        update(TERMINAL_READY, control.dtr());
+    }
+}
+
+const CONFIGURED: u8 = 1;
+const AWAKE: u8 = 2;
+const TERMINAL_READY: u8 = 4;
+const LINKED: u8 = CONFIGURED | AWAKE | TERMINAL_READY;
+
+/// All of [`LINKED`] while a host is linked. Changed by tasks only.
+static LINK: AtomicU8 = AtomicU8::new(AWAKE);
+
+/// Sets or clears a condition, and acts if the link comes or goes by it.
+fn update(condition: u8, on: bool) {
+    let before = LINK.load(Ordering::Relaxed);
+    let after = if on {
+        before | condition
+    } else {
+        before & !condition
+    };
+    LINK.store(after, Ordering::Relaxed);
+    let linked = after == LINKED;
+    if linked != (before == LINKED) {
+        defmt::info!("host {=str}", if linked { "linked" } else { "gone" });
+        leds::set(Led::Link, linked);
+        state::set_linked(linked);
+    }
+}
+
+/// Follows the state of the bus.
+struct LinkHandler;
+
+impl Handler for LinkHandler {
+    fn enabled(&mut self, enabled: bool) {
+        defmt::debug!("usb enabled: {=bool}", enabled);
+        update(CONFIGURED, false);
+    }
+
+    fn reset(&mut self) {
+        update(CONFIGURED, false);
+        update(AWAKE, true);
+    }
+
+    fn configured(&mut self, configured: bool) {
+        update(CONFIGURED, configured);
+    }
+
+    fn suspended(&mut self, suspended: bool) {
+        update(AWAKE, !suspended);
+    }
+}
