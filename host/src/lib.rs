@@ -3,6 +3,7 @@
 //! - [`transport`]: bytes to and from the board, nothing else.
 //! - [`session`]: bytes in, events out; command ids, deadlines, losses. No I/O.
 //! - [`board`]: a session on a transport, with calls that wait for the answer.
+//! - [`phone`]: the phone's remote control over TCP.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
@@ -11,6 +12,8 @@ pub mod board;
 pub mod cli;
 pub mod commands;
 pub mod outcome;
+pub mod phone;
 pub mod session;
 pub mod sync;
+pub mod time;
 pub mod transport;
