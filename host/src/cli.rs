@@ -67,6 +67,8 @@ pub enum Command {
     Info(commands::info::Args),
     /// Which serial ports there are, and which look like the board
     Ports(commands::ports::Args),
+    /// Talk to the phone's app
+    Phone(commands::phone::Args),
 }
 
 impl Command {
@@ -74,6 +76,7 @@ impl Command {
         match self {
             Self::Info(args) => commands::info::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
+            Self::Phone(args) => commands::phone::run(args, context),
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
 pub mod info;
+pub mod phone;
 pub mod ports;
 
 use crate::board::Board;

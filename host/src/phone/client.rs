@@ -1,7 +1,7 @@
 //! The blocking client.
 
+use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use super::DEFAULT_PORT;
@@ -31,9 +31,39 @@ pub struct Settings {
     pub video_ready: Duration,
     /// Largest video that is accepted, in bytes.
     pub max_video: u64,
-    /// Set by another thread to end a request under way, with
-    /// [`PhoneError::Cancelled`], within about 100 ms.
-    pub stop: Arc<AtomicBool>,
+    /// Ends a request under way, with [`PhoneError::Cancelled`], within about
+    /// 100 ms of turning true.
+    pub stop: StopSignal,
+}
+
+/// A question that is asked while waiting: is it time to stop?
+#[derive(Clone)]
+pub struct StopSignal(Arc<dyn Fn() -> bool + Send + Sync>);
+
+impl StopSignal {
+    /// Stops when `question` answers true.
+    pub fn new(question: impl Fn() -> bool + Send + Sync + 'static) -> Self {
+        Self(Arc::new(question))
+    }
+
+    /// Whether to stop.
+    #[must_use]
+    pub fn is_set(&self) -> bool {
+        (self.0)()
+    }
+}
+
+impl Default for StopSignal {
+    /// Never stops.
+    fn default() -> Self {
+        Self::new(|| false)
+    }
+}
+
+impl fmt::Debug for StopSignal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("StopSignal").field(&self.is_set()).finish()
+    }
 }
 
 impl Default for Settings {
@@ -43,7 +73,7 @@ impl Default for Settings {
             margin: Duration::from_secs(15),
             video_ready: Duration::from_secs(120),
             max_video: 64 << 30,
-            stop: Arc::default(),
+            stop: StopSignal::default(),
         }
     }
 }
@@ -61,7 +91,7 @@ impl PhoneClient {
     /// Connects to the app at `address`, `<host>` or `<host>:<port>`.
     pub fn connect(address: &str, settings: Settings) -> Result<Self, PhoneError> {
         let address = with_port(address)?;
-        let connection = Connection::open(&address, settings.connect, Arc::clone(&settings.stop))?;
+        let connection = Connection::open(&address, settings.connect, settings.stop.clone())?;
         Ok(Self {
             address,
             settings,
@@ -96,7 +126,7 @@ impl PhoneClient {
         self.connection = Some(Connection::open(
             &self.address,
             self.settings.connect,
-            Arc::clone(&self.settings.stop),
+            self.settings.stop.clone(),
         )?);
         Ok(())
     }
@@ -181,7 +211,7 @@ impl PhoneClient {
             video_ready,
             max_video,
             ..
-        } = self.settings;
+        } = self.settings.clone();
         let (version, saved) = self.in_step(|connection| {
             connection.send(REQUEST, "get_video\n", margin)?;
             let mut body = VideoHeaderBody::default();
@@ -231,9 +261,9 @@ impl PhoneClient {
 
 /// `address` with the app's port unless it names one. IPv6 goes into brackets.
 fn with_port(address: &str) -> Result<String, PhoneError> {
-    let wrong = |reason: &str| PhoneError::Address {
+    let wrong = |reason| PhoneError::Address {
         address: address.to_owned(),
-        reason: reason.to_owned(),
+        reason,
     };
     if let Ok(ip) = address.parse::<std::net::Ipv6Addr>() {
         return Ok(format!("[{ip}]:{DEFAULT_PORT}"));
@@ -278,8 +308,8 @@ mod tests {
             "a b",
             "http://x",
         ] {
-            let e = with_port(bad).unwrap_err().to_string();
-            assert!(e.contains("<host>:<port>"), "{bad:?}: {e}");
+            let e = with_port(bad).unwrap_err();
+            assert!(e.next_step().unwrap().contains("<host>:<port>"), "{bad:?}");
         }
     }
 }

@@ -2,11 +2,10 @@
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use super::answer::{AnswerDecoder, AnswerEvent, MalformedAnswer, ServerVersion};
+use super::client::StopSignal;
 use super::error::PhoneError;
 
 /// Bytes read at once.
@@ -22,7 +21,7 @@ pub(super) struct Connection {
     buffer: Vec<u8>,
     start: usize,
     end: usize,
-    stop: Arc<AtomicBool>,
+    stop: StopSignal,
 }
 
 impl Connection {
@@ -30,14 +29,14 @@ impl Connection {
     pub(super) fn open(
         address: &str,
         timeout: Duration,
-        stop: Arc<AtomicBool>,
+        stop: StopSignal,
     ) -> Result<Self, PhoneError> {
         let deadline = Instant::now() + timeout;
         let targets: Vec<SocketAddr> = address
             .to_socket_addrs()
-            .map_err(|e| PhoneError::Address {
+            .map_err(|source| PhoneError::Connect {
                 address: address.to_owned(),
-                reason: e.to_string(),
+                source,
             })?
             .collect();
         let mut last = std::io::Error::from(ErrorKind::AddrNotAvailable);
@@ -192,7 +191,7 @@ impl Connection {
         patience: Duration,
     ) -> Result<usize, PhoneError> {
         loop {
-            if self.stop.load(Ordering::Relaxed) {
+            if self.stop.is_set() {
                 return Err(PhoneError::Cancelled { request });
             }
             let left = deadline.saturating_duration_since(Instant::now());

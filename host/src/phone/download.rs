@@ -8,6 +8,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use tempfile::NamedTempFile;
+
 use super::connection::Connection;
 use super::error::PhoneError;
 use super::file_name::safe_file_name;
@@ -90,17 +92,7 @@ pub(super) fn receive(
         path: path.to_owned(),
         source,
     };
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".phone-video-").suffix(".part");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // Like any new file: what the user's mask leaves of it.
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    let mut file = builder
-        .tempfile_in(folder)
-        .map_err(|e| failed("create a file in", folder, e))?;
+    let mut file = new_file_in(folder).map_err(|e| failed("create a file in", folder, e))?;
 
     let mut received = 0u64;
     let mut window_start = Instant::now();
@@ -109,9 +101,9 @@ pub(super) fn receive(
     while received < header.size {
         let bytes = connection.bytes(REQUEST, pace.idle)?;
         if bytes.is_empty() {
-            return Err(PhoneError::Closed {
-                request: REQUEST,
+            return Err(PhoneError::VideoTooShort {
                 received,
+                size: header.size,
             });
         }
         let left = usize::try_from(header.size - received).unwrap_or(usize::MAX);
@@ -139,21 +131,51 @@ pub(super) fn receive(
     if connection.more_comes(GRACE) {
         return Err(PhoneError::VideoTooLong { size: header.size });
     }
-    file.as_file()
-        .sync_all()
-        .map_err(|e| failed("write to", &path, e))?;
-    if overwrite {
-        file.persist(&path)
-    } else {
-        file.persist_noclobber(&path)
-    }
-    .map_err(|e| match e.error.kind() {
-        std::io::ErrorKind::AlreadyExists => PhoneError::TargetExists { path: path.clone() },
-        _ => failed("rename the download to", &path, e.error),
-    })?;
+    put_in_place(file, &path, overwrite)?;
     Ok(SavedVideo {
         path,
         size: header.size,
         phone_name: header.file_name,
+    })
+}
+
+/// A temporary file in `folder` that is gone unless it is put in place, with
+/// the rights of any new file.
+pub(crate) fn new_file_in(folder: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".phone-").suffix(".part");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // What the user's mask leaves of it.
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Syncs `file` to disk and gives it its name.
+pub(crate) fn put_in_place(
+    file: NamedTempFile,
+    path: &Path,
+    overwrite: bool,
+) -> Result<(), PhoneError> {
+    let failed = |action, source| PhoneError::File {
+        action,
+        path: path.to_owned(),
+        source,
+    };
+    file.as_file()
+        .sync_all()
+        .map_err(|e| failed("write to", e))?;
+    let placed = if overwrite {
+        file.persist(path)
+    } else {
+        file.persist_noclobber(path)
+    };
+    placed.map(drop).map_err(|e| match e.error.kind() {
+        std::io::ErrorKind::AlreadyExists => PhoneError::TargetExists {
+            path: path.to_owned(),
+        },
+        _ => failed("rename a finished file to", e.error),
     })
 }

@@ -4,25 +4,23 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::answer::MalformedAnswer;
+use crate::outcome::{ExitStatus, Failure};
 
-/// An error of the phone client. The text says what was expected and what to do.
+/// An error of the phone client: what was expected and what came.
+/// [`PhoneError::next_step`] says what to do.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PhoneError {
-    /// The address cannot be understood or resolved.
-    #[error(
-        "{address:?} is not an address of a phone: {reason}. Give <host> or <host>:<port>, as the app's dialog shows it at its start"
-    )]
+    /// The address cannot be understood.
+    #[error("{address:?} is not the address of a phone: {reason}")]
     Address {
         /// What was given.
         address: String,
         /// Why it was refused.
-        reason: String,
+        reason: &'static str,
     },
     /// Nothing answers at the address.
-    #[error(
-        "no connection to the phone at {address}: {source}. Is OpenCamera Sensors open with remote control switched on, and are both on the same network?"
-    )]
+    #[error("no connection to the phone at {address}: {source}")]
     Connect {
         /// Where the connection was tried.
         address: String,
@@ -30,9 +28,7 @@ pub enum PhoneError {
         source: std::io::Error,
     },
     /// The phone did not answer in time.
-    #[error(
-        "the phone did not finish its answer to {request} within {waited:?}. Is the app in the foreground, with no other client connected? A slow network needs a longer --timeout"
-    )]
+    #[error("the phone did not finish its answer to {request} within {waited:?}")]
     Timeout {
         /// The request that was under way.
         request: &'static str,
@@ -61,15 +57,35 @@ pub enum PhoneError {
         /// Length of the window.
         window: Duration,
     },
-    /// The phone closed the connection within an answer.
-    #[error(
-        "the phone closed the connection in the middle of its answer to {request} (after {received} bytes of it)"
-    )]
+    /// The phone closed the connection before or within an answer.
+    #[error("the phone closed the connection during {request}, after {received} bytes of answer")]
     Closed {
         /// The request that was under way.
         request: &'static str,
         /// Bytes of the answer that had come by then.
         received: u64,
+    },
+    /// The phone closed the connection within a video.
+    #[error("the phone closed the connection after {received} of the video's {size} bytes")]
+    VideoTooShort {
+        /// Bytes received.
+        received: u64,
+        /// Bytes announced.
+        size: u64,
+    },
+    /// More bytes came than the phone had announced.
+    #[error("the phone sent more than the {size} bytes that it had announced for its video")]
+    VideoTooLong {
+        /// Bytes announced.
+        size: u64,
+    },
+    /// The announced video is larger than the limit.
+    #[error("the phone announces a video of {size} bytes, more than the limit of {limit} bytes")]
+    VideoTooLarge {
+        /// Bytes announced.
+        size: u64,
+        /// The limit.
+        limit: u64,
     },
     /// The connection broke.
     #[error("the connection to the phone broke during {request}: {source}")]
@@ -81,14 +97,14 @@ pub enum PhoneError {
     },
     /// The app is of a version that this program does not know.
     #[error(
-        "the phone's app says it is version {found:?}; this program knows v.0.1 and v.0.1.1. Install one of these versions of OpenCamera Sensors"
+        "the phone's app says it is of version {found:?}; this program knows v.0.1 and v.0.1.1"
     )]
     UnsupportedVersion {
-        /// The version line as it came, escaped and shortened.
+        /// The version line as it came, shortened.
         found: String,
     },
     /// The phone answered with an error.
-    #[error("the phone refused {request}: {text:?}{}", hint(request, text))]
+    #[error("the phone refused {request}: {text:?}")]
     Refused {
         /// The refused request.
         request: &'static str,
@@ -104,28 +120,10 @@ pub enum PhoneError {
         source: MalformedAnswer,
     },
     /// Bytes came that belong to no request.
-    #[error(
-        "the phone sent {count} byte(s) that belong to no request: connect again, and see that nothing else talks to the app"
-    )]
+    #[error("the phone sent {count} byte(s) that belong to no request")]
     Unrequested {
         /// How many bytes were seen.
         count: usize,
-    },
-    /// More bytes came than the phone had announced.
-    #[error(
-        "the phone sent more than the {size} bytes that it had announced for its video: the download is not trusted. Try again when the app has finished the file"
-    )]
-    VideoTooLong {
-        /// Bytes announced.
-        size: u64,
-    },
-    /// The announced video is larger than the limit.
-    #[error("the phone announces a video of {size} bytes, more than the limit of {limit} bytes")]
-    VideoTooLarge {
-        /// Bytes announced.
-        size: u64,
-        /// The limit.
-        limit: u64,
     },
     /// The request's own values are out of range.
     #[error("{0}")]
@@ -153,21 +151,92 @@ pub enum PhoneError {
         request: &'static str,
     },
     /// An earlier error left the connection out of step.
-    #[error("the connection was given up after an earlier error: connect again")]
+    #[error("the connection to the phone was given up after an earlier error")]
     NotConnected,
 }
 
+impl PhoneError {
+    /// What the user can do about it.
+    #[must_use]
+    pub fn next_step(&self) -> Option<&'static str> {
+        Some(match self {
+            Self::Address { .. } => {
+                "give <host> or <host>:<port>, as the app's dialog shows it at its start"
+            }
+            Self::Connect { .. } => {
+                "open OpenCamera Sensors with its remote control switched on, and see that both are on the same network"
+            }
+            Self::Timeout { request, .. } if *request == "get_video" => {
+                "stop the video first: the app does not answer while it records. A slow network needs a longer --timeout"
+            }
+            Self::Timeout { .. } | Self::SendTimeout { .. } => {
+                "bring the app to the foreground and close other clients: it serves one at a time. A slow network needs a longer --timeout"
+            }
+            Self::TooSlow { .. } => "bring the phone nearer to the access point, or use a cable",
+            Self::Closed { .. } | Self::Connection { .. } => {
+                "see that the app is open and in the foreground, then try again"
+            }
+            Self::VideoTooShort { .. } | Self::VideoTooLong { .. } => {
+                "nothing was saved; try again once the app has finished the file"
+            }
+            Self::VideoTooLarge { .. } => "raise --max-bytes if the video is really that long",
+            Self::UnsupportedVersion { .. } => {
+                "install one of these versions of OpenCamera Sensors"
+            }
+            Self::Refused { request, text } => return refusal_hint(request, text),
+            Self::Malformed { .. } => {
+                "see that it is OpenCamera Sensors that listens on this port, then try again"
+            }
+            Self::Unrequested { .. } => "connect again, and see that nothing else talks to the app",
+            Self::TargetExists { .. } => "choose another place with --out, or give --overwrite",
+            Self::File { source, .. } => {
+                return match source.kind() {
+                    std::io::ErrorKind::StorageFull => Some("free some space on this disk"),
+                    _ => None,
+                };
+            }
+            Self::NotConnected => "connect again",
+            Self::Argument(_) | Self::Cancelled { .. } => return None,
+        })
+    }
+
+    /// The exit code that a command ends with after this error.
+    #[must_use]
+    pub fn exit_status(&self) -> ExitStatus {
+        match self {
+            Self::Address { .. } | Self::Argument(_) => ExitStatus::Usage,
+            Self::TargetExists { .. } | Self::File { .. } => ExitStatus::Storage,
+            Self::Cancelled { .. } => ExitStatus::Interrupted,
+            _ => ExitStatus::Phone,
+        }
+    }
+}
+
+impl From<PhoneError> for Failure {
+    fn from(error: PhoneError) -> Self {
+        let failure = Self::new(error.exit_status(), error.to_string());
+        match error.next_step() {
+            Some(step) => failure.next_step(step),
+            None => failure,
+        }
+    }
+}
+
 /// What to do about the refusals that the app is known to give.
-fn hint(request: &str, text: &str) -> &'static str {
+fn refusal_hint(request: &str, text: &str) -> Option<&'static str> {
     if text.starts_with("Error in IMU recording") {
-        ". It records its sensors already: stop the video first"
+        Some("stop the video first: the app records its sensors already")
     } else if request == "video_start" && text.contains("phase info") {
-        ". No frame timestamps came within 10 s: a video that was already running has been stopped by this request; else switch on sync recording of video and IMU in the app (it needs Camera2)"
+        Some(
+            "if a video was running, this request has stopped it: try again. Otherwise switch on sync recording of video and IMU in the app, which needs its Camera2 setting",
+        )
     } else if text.starts_with("Couldn't get last video") {
-        ". It has no recorded video since the app was started"
+        Some("record a video first: the app has none since it was started")
     } else if text.starts_with("Requested sensor") {
-        ". This phone does not have one of the requested sensors"
+        Some("ask for other sensors: this phone lacks one of them")
+    } else if text == "Invalid request" && request == "imu" {
+        Some("the app does not know this form of the request: install v.0.1 or v.0.1.1")
     } else {
-        ""
+        None
     }
 }

@@ -27,8 +27,9 @@ pub mod requests;
 pub mod samples;
 
 pub use answer::ServerVersion;
-pub use client::{PhoneClient, Settings};
+pub use client::{PhoneClient, Settings, StopSignal};
 pub use download::{SavedVideo, VideoTarget};
+pub(crate) use download::{new_file_in, put_in_place};
 pub use error::PhoneError;
 pub use requests::{ImuRecording, ImuRequest, SensorRecording, VideoStart};
 pub use samples::{PhoneSample, Sensor};

@@ -58,7 +58,11 @@ impl ImuRequest {
     }
 
     /// The request's line with its one line end.
-    pub(super) fn line(&self) -> Result<String, PhoneError> {
+    ///
+    /// # Errors
+    ///
+    /// The duration is out of range, or no sensor is asked for.
+    pub fn line(&self) -> Result<String, PhoneError> {
         let ms = self.duration.as_millis();
         if ms == 0 || self.duration > MAX_IMU_DURATION {
             return Err(PhoneError::Argument(format!(
