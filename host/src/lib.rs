@@ -5,6 +5,7 @@
 //! - [`board`]: a session on a transport, with calls that wait for the answer.
 //! - [`phone`]: the phone's remote control over TCP.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
+//! - [`time`]: phone time and board time as types that do not mix.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 

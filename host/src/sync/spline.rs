@@ -50,7 +50,8 @@ impl Spline {
         if !matches!(degree, 1 | 3 | 5 | 7)
             || n != y.len()
             || n < degree + 1
-            || t.windows(2).any(|w| w[1].partial_cmp(&w[0]) != Some(std::cmp::Ordering::Greater))
+            || t.windows(2)
+                .any(|w| w[1].partial_cmp(&w[0]) != Some(std::cmp::Ordering::Greater))
         {
             return None;
         }

@@ -1,0 +1,458 @@
+//! The continuous-time fit of one gyroscope to the other.
+//!
+//! The model: `y(t) = C·x(τ(t)) + b + noise`, where `x` is the smooth rate of
+//! the first stream, `y` that of the second, `C` a free 3×3 matrix (rotation,
+//! scale and cross-axis errors of both sensors), `b` the difference of their
+//! biases and `τ(t)` the second clock's time carried to the first ([`Link`]).
+//! Gauss–Newton over 14 parameters: shift `η`, rate `ρ`, `C`, `b`. With
+//! `s = C·x′(τ)` and `u = t − t₀` the derivatives of the prediction are
+//! `s` (η), `u·s` (ρ), `xₚ` (Cᵢₚ) and 1 (bᵢ).
+//!
+//! The residual's 3×3 covariance weights the axes. Two weak priors keep the
+//! problem solvable where the motion does not: the rate (crystals: 300 ppm) and
+//! `C` (near the best rotation, so that axes without motion are not fitted to
+//! noise). Neither is felt where there is motion.
+//!
+//! The shift's sigma comes from the residual itself: each node's influence on
+//! (η, ρ) is formed and its long-run covariance taken (Newey–West with a Parzen
+//! kernel), so that coloured noise and unmodelled parts count as what they are.
+
+use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
+
+use super::signal::Signal;
+use super::spline::Vec3;
+
+const PARAMETERS: usize = 14;
+const SHIFT: usize = 12;
+const RATE: usize = 13;
+
+/// Time of the second clock carried to the first: `at_a + (t − at_b)·rate`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Link {
+    /// Time of the first clock that belongs to `at_b`.
+    pub at_a: f64,
+    /// The reference, in the second clock's time.
+    pub at_b: f64,
+    /// Seconds of the first clock in one of the second.
+    pub rate: f64,
+}
+
+impl Link {
+    /// The first clock's time at the second clock's `t`.
+    #[must_use]
+    pub fn a_time(&self, t: f64) -> f64 {
+        self.at_a + (t - self.at_b) * self.rate
+    }
+
+    /// The second clock's time at the first clock's `t`.
+    #[must_use]
+    pub fn b_time(&self, t: f64) -> f64 {
+        self.at_b + (t - self.at_a) / self.rate
+    }
+
+    /// The same relation with another reference.
+    #[must_use]
+    pub fn moved_to(&self, at_b: f64) -> Self {
+        Self {
+            at_a: self.a_time(at_b),
+            at_b,
+            rate: self.rate,
+        }
+    }
+}
+
+/// Linear relation of the two sensors: `y = C·x + b`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Calibration {
+    /// Rotation, scale and cross-axis errors.
+    pub matrix: Matrix3<f64>,
+    /// Bias, rad/s.
+    pub bias: Vector3<f64>,
+}
+
+/// What the fit is told.
+#[derive(Debug, Clone, Copy)]
+pub struct FitOptions {
+    /// Iterations at most.
+    pub iterations: usize,
+    /// How many nodes one independent noise value spans (oversampling).
+    pub oversampling: f64,
+    /// 1-sigma of the prior of the rate.
+    pub rate_sigma: f64,
+    /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
+    pub noise_variance: f64,
+    /// Bandwidth of the long-run covariance, seconds.
+    pub memory_s: f64,
+}
+
+/// One node of the data after the fit.
+#[derive(Debug, Clone, Copy)]
+pub struct Node {
+    /// Second clock's time.
+    pub t: f64,
+    /// Data.
+    pub y: Vector3<f64>,
+    /// Smooth rate of the first stream at that time.
+    pub x: Vector3<f64>,
+    /// Residual `y − C·x − b`.
+    pub residual: Vector3<f64>,
+    /// Derivative of the prediction with respect to the shift, rad/s².
+    pub slope: Vector3<f64>,
+}
+
+/// The result of a fit.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// The relation of the clocks.
+    pub link: Link,
+    /// The relation of the sensors.
+    pub calibration: Calibration,
+    /// All nodes on which both signals exist.
+    pub nodes: Vec<Node>,
+    /// Weights: inverse covariance of the residual.
+    pub weights: Matrix3<f64>,
+    /// Covariance of (η, ρ) from the residual's long-run covariance.
+    pub covariance: [[f64; 2]; 2],
+    /// Covariance of (η, ρ) if the noise were as the fit assumes it.
+    pub ideal_covariance: [[f64; 2]; 2],
+    /// Whether the iteration settled.
+    pub settled: bool,
+}
+
+impl Fit {
+    /// Mean square of the residual over nodes and axes, (rad/s)².
+    #[must_use]
+    pub fn residual_variance(&self) -> f64 {
+        mean_square(self.nodes.iter().map(|n| n.residual))
+    }
+
+    /// Mean square of the data about their mean, (rad/s)².
+    #[must_use]
+    pub fn motion_variance(&self) -> f64 {
+        let n = self.nodes.len().max(1) as f64;
+        let mean = self.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+        mean_square(self.nodes.iter().map(|n| n.y - mean))
+    }
+}
+
+fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for v in values {
+        sum += v.norm_squared();
+        count += 3;
+    }
+    sum / f64::from(count.max(1))
+}
+
+/// Nodes of the data on which the model exists, with zero residual yet.
+fn nodes(a: &Signal, data: &[(f64, Vec3)], link: &Link, calibration: &Calibration) -> Vec<Node> {
+    data.iter()
+        .filter_map(|&(t, y)| {
+            let (x, dx) = a.at(link.a_time(t))?;
+            let (x, y) = (Vector3::from(x), Vector3::from(y));
+            Some(Node {
+                t,
+                y,
+                x,
+                residual: y - calibration.matrix * x - calibration.bias,
+                slope: calibration.matrix * Vector3::from(dx),
+            })
+        })
+        .collect()
+}
+
+/// Best orthogonal `C` and bias at a given relation of the clocks.
+fn rotation(nodes: &[Node]) -> Calibration {
+    let n = nodes.len().max(1) as f64;
+    let mean_x = nodes.iter().map(|n| n.x).sum::<Vector3<f64>>() / n;
+    let mean_y = nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+    let mut m = Matrix3::zeros();
+    for node in nodes {
+        m += (node.y - mean_y) * (node.x - mean_x).transpose();
+    }
+    let svd = m.svd(true, true);
+    let matrix = match (svd.u, svd.v_t) {
+        (Some(u), Some(v_t)) => {
+            let mut fix = Matrix3::identity();
+            // Without motion about three axes the sign of the last is not seen:
+            // sensors are right-handed.
+            let weak = svd.singular_values[2] < 0.01 * svd.singular_values[0];
+            if weak && (u * v_t).determinant() < 0.0 {
+                fix[(2, 2)] = -1.0;
+            }
+            u * fix * v_t
+        }
+        _ => Matrix3::identity(),
+    };
+    Calibration {
+        matrix,
+        bias: mean_y - matrix * mean_x,
+    }
+}
+
+/// `Σ x xᵀ`-style regression of `y` on `x` with the prior of [`FitOptions`].
+///
+/// Used for the calibration that is reported, at the final relation.
+#[must_use]
+pub fn regress(nodes: &[Node], noise_variance: f64) -> Calibration {
+    let prior = rotation(nodes);
+    let mut m = Matrix4::zeros();
+    let mut right = SMatrix::<f64, 4, 3>::zeros();
+    for node in nodes {
+        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+        m += z * z.transpose();
+        right += z * (node.y - prior.matrix * node.x - prior.bias).transpose();
+    }
+    let ridge = prior_strength(nodes.len(), noise_variance, &m);
+    for axis in 0..3 {
+        m[(axis, axis)] += ridge;
+    }
+    match m.cholesky() {
+        Some(c) => {
+            let solution = c.solve(&right);
+            Calibration {
+                matrix: prior.matrix + solution.fixed_rows::<3>(0).transpose(),
+                bias: prior.bias + solution.row(3).transpose(),
+            }
+        }
+        None => prior,
+    }
+}
+
+fn prior_strength(n: usize, noise_variance: f64, m: &Matrix4<f64>) -> f64 {
+    let motion = m[(0, 0)] + m[(1, 1)] + m[(2, 2)];
+    30.0 * n as f64 * noise_variance + 1e-10 * motion
+}
+
+/// Fits the relation. `None` if the two signals share too little time, or the
+/// equations cannot be solved.
+#[must_use]
+pub fn fit(
+    a: &Signal,
+    data: &[(f64, Vec3)],
+    start: Link,
+    weights: Option<Matrix3<f64>>,
+    options: &FitOptions,
+) -> Option<Fit> {
+    let mut link = start;
+    let identity = Calibration {
+        matrix: Matrix3::identity(),
+        bias: Vector3::zeros(),
+    };
+    let first = nodes(a, data, &link, &identity);
+    if first.len() < 4 * PARAMETERS {
+        return None;
+    }
+    // Put the reference amid the data, or rate and shift trade.
+    let middle = first.iter().map(|n| n.t).sum::<f64>() / first.len() as f64;
+    link = link.moved_to(middle);
+    let prior = rotation(&first);
+    let mut calibration = regress(&first, options.noise_variance);
+    let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
+    let mut settled = false;
+    let start_shift = link.at_a;
+    for iteration in 0..options.iterations {
+        let nodes = nodes(a, data, &link, &calibration);
+        if nodes.len() < 4 * PARAMETERS {
+            return None;
+        }
+        if weights.is_none() && iteration > 1 {
+            weights_now = inverse_covariance(&nodes);
+        }
+        let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
+        let step = normal.cholesky()?.solve(&right);
+        link.at_a += step[SHIFT].clamp(-0.05, 0.05);
+        link.rate += step[RATE].clamp(-2e-3, 2e-3);
+        if (link.at_a - start_shift).abs() > 0.5 || (link.rate - 1.0).abs() > 0.01 {
+            return None;
+        }
+        for row in 0..3 {
+            for column in 0..3 {
+                calibration.matrix[(row, column)] += step[row * 4 + column];
+            }
+            calibration.bias[row] += step[row * 4 + 3];
+        }
+        if iteration > 2 && step[SHIFT].abs() < 2e-10 && step[RATE].abs() < 1e-9 {
+            settled = true;
+            break;
+        }
+    }
+    let nodes = nodes(a, data, &link, &calibration);
+    if nodes.len() < 4 * PARAMETERS {
+        return None;
+    }
+    let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
+    let inverse = normal.cholesky()?.inverse();
+    let covariance = long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
+    let ideal = |r: usize, c: usize| inverse[(r, c)] * options.oversampling;
+    Some(Fit {
+        link,
+        calibration,
+        nodes,
+        weights: weights_now,
+        covariance,
+        ideal_covariance: [
+            [ideal(SHIFT, SHIFT), ideal(SHIFT, RATE)],
+            [ideal(RATE, SHIFT), ideal(RATE, RATE)],
+        ],
+        settled,
+    })
+}
+
+/// Inverse of the residual's covariance, bounded so that no axis is trusted blindly.
+fn inverse_covariance(nodes: &[Node]) -> Matrix3<f64> {
+    let mut s = Matrix3::zeros();
+    for node in nodes {
+        s += node.residual * node.residual.transpose();
+    }
+    s /= nodes.len().max(1) as f64;
+    let floor = 0.01 * s.trace() / 3.0 + 1e-20;
+    (s + Matrix3::identity() * floor)
+        .try_inverse()
+        .unwrap_or_else(Matrix3::identity)
+}
+
+type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
+type Parameters = SVector<f64, PARAMETERS>;
+
+fn equations(
+    nodes: &[Node],
+    link: &Link,
+    calibration: &Calibration,
+    prior: &Calibration,
+    weights: &Matrix3<f64>,
+    options: &FitOptions,
+) -> (Normal, Parameters) {
+    let mut zz = Matrix4::zeros();
+    let mut zs = SMatrix::<f64, 3, 4>::zeros(); // Σ (W s) zᵀ
+    let mut zus = SMatrix::<f64, 3, 4>::zeros();
+    let mut zr = SMatrix::<f64, 3, 4>::zeros(); // Σ (W r) zᵀ
+    let mut ss = [0.0; 3]; // Σ sᵀWs · (1, u, u²)
+    let mut sr = [0.0; 2]; // Σ sᵀWr · (1, u)
+    for node in nodes {
+        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+        let u = node.t - link.at_b;
+        let ws = weights * node.slope;
+        let wr = weights * node.residual;
+        zz += z * z.transpose();
+        let outer = ws * z.transpose();
+        zs += outer;
+        zus += outer * u;
+        zr += wr * z.transpose();
+        let information = node.slope.dot(&ws);
+        ss[0] += information;
+        ss[1] += information * u;
+        ss[2] += information * u * u;
+        let score = node.slope.dot(&wr);
+        sr[0] += score;
+        sr[1] += score * u;
+    }
+    let mut normal = Normal::zeros();
+    let mut right = Parameters::zeros();
+    for i in 0..3 {
+        for p in 0..4 {
+            let at = i * 4 + p;
+            right[at] = zr[(i, p)];
+            normal[(at, SHIFT)] = zs[(i, p)];
+            normal[(SHIFT, at)] = zs[(i, p)];
+            normal[(at, RATE)] = zus[(i, p)];
+            normal[(RATE, at)] = zus[(i, p)];
+            for j in 0..3 {
+                for q in 0..4 {
+                    normal[(at, j * 4 + q)] = weights[(i, j)] * zz[(p, q)];
+                }
+            }
+        }
+    }
+    normal[(SHIFT, SHIFT)] = ss[0];
+    normal[(SHIFT, RATE)] = ss[1];
+    normal[(RATE, SHIFT)] = ss[1];
+    normal[(RATE, RATE)] = ss[2];
+    right[SHIFT] = sr[0];
+    right[RATE] = sr[1];
+
+    let ridge = prior_strength(nodes.len(), options.noise_variance, &zz) * weights.trace() / 3.0;
+    for row in 0..3 {
+        for column in 0..3 {
+            let at = row * 4 + column;
+            normal[(at, at)] += ridge;
+            right[at] += ridge * (prior.matrix[(row, column)] - calibration.matrix[(row, column)]);
+        }
+    }
+    let rate_prior = options.oversampling / (options.rate_sigma * options.rate_sigma);
+    normal[(RATE, RATE)] += rate_prior;
+    right[RATE] += rate_prior * (1.0 - link.rate);
+    (normal, right)
+}
+
+/// Covariance of (η, ρ) from the nodes' influences, correlated in time.
+fn long_run_covariance(
+    nodes: &[Node],
+    link: &Link,
+    inverse: &Normal,
+    weights: &Matrix3<f64>,
+    memory_s: f64,
+) -> [[f64; 2]; 2] {
+    let Some(first) = nodes.first() else {
+        return [[f64::INFINITY, 0.0], [0.0, f64::INFINITY]];
+    };
+    let step = nodes
+        .windows(2)
+        .map(|p| p[1].t - p[0].t)
+        .fold(f64::INFINITY, f64::min);
+    let slots = nodes
+        .last()
+        .map_or(0, |last| ((last.t - first.t) / step).round() as usize)
+        + 1;
+    let mut influence = vec![[0.0; 2]; slots];
+    for node in nodes {
+        let wr = weights * node.residual;
+        let score = node.slope.dot(&wr);
+        let u = node.t - link.at_b;
+        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+        let slot = ((node.t - first.t) / step).round() as usize;
+        for (k, row) in [SHIFT, RATE].into_iter().enumerate() {
+            let mut value = inverse[(row, SHIFT)] * score + inverse[(row, RATE)] * score * u;
+            for i in 0..3 {
+                for p in 0..4 {
+                    value += inverse[(row, i * 4 + p)] * wr[i] * z[p];
+                }
+            }
+            influence[slot.min(slots - 1)][k] += value;
+        }
+    }
+    let memory = ((memory_s / step).ceil() as usize).clamp(1, slots);
+    let mut out = [[0.0; 2]; 2];
+    for lag in 0..memory {
+        let weight = parzen(lag as f64 / memory as f64) * if lag == 0 { 1.0 } else { 2.0 };
+        let mut sum = [[0.0; 2]; 2];
+        for (now, later) in influence.iter().zip(&influence[lag..]) {
+            for r in 0..2 {
+                for c in 0..2 {
+                    sum[r][c] += now[r] * later[c];
+                }
+            }
+        }
+        for r in 0..2 {
+            for c in 0..2 {
+                out[r][c] += weight * 0.5 * (sum[r][c] + sum[c][r]);
+            }
+        }
+    }
+    let independent = 3.0 * nodes.len() as f64 * step / (memory_s * 0.5).max(step);
+    let small_sample = 1.0 + PARAMETERS as f64 / independent.max(PARAMETERS as f64);
+    for row in &mut out {
+        for value in row {
+            *value *= small_sample;
+        }
+    }
+    out
+}
+
+fn parzen(x: f64) -> f64 {
+    if x < 0.5 {
+        1.0 - 6.0 * x * x * (1.0 - x)
+    } else {
+        2.0 * (1.0 - x).powi(3)
+    }
+}

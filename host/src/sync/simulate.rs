@@ -1,0 +1,601 @@
+//! A seeded generator of simulated twists, for tests, bench and study.
+//!
+//! **Everything made here is simulated.** One motion (a sum of random sines per
+//! axis under an envelope, at rest before and after) is seen by two gyroscopes,
+//! each through its own rotation, scale, bias, low-pass filter, noise,
+//! quantisation and clock. The truth is returned beside the recordings, and the
+//! same [`TwistSpec`] and seed give the same recordings on every machine.
+//!
+//! Noise and quantisation are those of the recordings at rest in
+//! `tests/data/twist`: 1.4 mrad/s (board, MPU-9150) and 1.15 mrad/s (phone).
+
+use nalgebra::{Rotation3, Unit, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use super::spline::{Spline, Vec3};
+use super::track::GyroTrack;
+
+/// How the rig is moved.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Motion {
+    /// A twist by hand about changing axes; peak rate in this range, rad/s.
+    Twist(f64, f64),
+    /// The same about one fixed axis.
+    SingleAxis(f64, f64),
+    /// Carried around and panned slowly; peak rate in this range, rad/s.
+    Natural(f64, f64),
+    /// Lying on the table.
+    Still,
+}
+
+/// One gyroscope.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensor {
+    /// Samples per second of its own clock.
+    pub rate_hz: f64,
+    /// Rms of the white noise of a sample, rad/s.
+    pub noise: f64,
+    /// Least significant bit, rad/s; 0: none.
+    pub lsb: f64,
+    /// Two-pole low-pass: −3 dB frequency in Hz.
+    pub filter_hz: Option<f64>,
+    /// End of the range, rad/s.
+    pub range: Option<f64>,
+    /// Rms of the deviation of the sampling instants from the regular grid,
+    /// truly stamped, seconds.
+    pub jitter_s: f64,
+    /// Height and period of a zero-mean sawtooth error of the stamps, seconds.
+    pub sawtooth_s: Option<(f64, f64)>,
+    /// Share of the samples that are lost, in bursts of 1 to 20.
+    pub lost: f64,
+    /// Copies and displaced samples as phones show them.
+    pub faulty: bool,
+}
+
+/// A pair of recordings to be made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TwistSpec {
+    /// The motion.
+    pub motion: Motion,
+    /// Length of each recording, seconds.
+    pub duration_s: f64,
+    /// The phone's recording starts this much later, seconds.
+    pub phone_starts_s: f64,
+    /// The phone sees another motion altogether.
+    pub unrelated: bool,
+    /// Skew of the clocks in ppm, drawn between minus this and this.
+    pub skew_ppm: f64,
+    /// The board's gyroscope.
+    pub mcu: Sensor,
+    /// The phone's gyroscope.
+    pub phone: Sensor,
+}
+
+/// MPU-9150 at 500 Hz.
+pub const MCU: Sensor = Sensor {
+    rate_hz: 500.0,
+    noise: 1.4e-3,
+    lsb: 1.332e-4,
+    filter_hz: None,
+    range: None,
+    jitter_s: 0.0,
+    sawtooth_s: None,
+    lost: 0.0,
+    faulty: false,
+};
+
+/// The phone's gyroscope at about 500 Hz.
+pub const PHONE: Sensor = Sensor {
+    rate_hz: 500.06,
+    noise: 1.15e-3,
+    lsb: 3.787e-5,
+    ..MCU
+};
+
+impl Default for TwistSpec {
+    /// The base scenario: 9 s, 2 to 4 rad/s about changing axes.
+    fn default() -> Self {
+        Self {
+            motion: Motion::Twist(2.0, 4.0),
+            duration_s: 9.0,
+            phone_starts_s: 0.3,
+            unrelated: false,
+            skew_ppm: 20.0,
+            mcu: MCU,
+            phone: PHONE,
+        }
+    }
+}
+
+/// Delay of the two-pole filter at low frequency, seconds.
+#[must_use]
+pub fn filter_delay_s(sensor: &Sensor) -> f64 {
+    sensor.filter_hz.map_or(0.0, |hz| 2.0 * pole_time(hz))
+}
+
+/// Time constant of each of two equal poles with −3 dB at `hz` together.
+fn pole_time(hz: f64) -> f64 {
+    (std::f64::consts::SQRT_2 - 1.0).sqrt() / (std::f64::consts::TAU * hz)
+}
+
+/// A simulated pair of recordings with its truth.
+#[derive(Debug, Clone)]
+pub struct Twist {
+    /// The board's recording.
+    pub mcu: GyroTrack,
+    /// The phone's recording.
+    pub phone: GyroTrack,
+    /// True skew.
+    pub skew: f64,
+    /// Board time at which `offset_s` holds.
+    pub reference_s: f64,
+    /// True phone − board at the reference.
+    pub offset_s: f64,
+}
+
+impl Twist {
+    /// True offset at a board time.
+    #[must_use]
+    pub fn offset_at(&self, mcu_s: f64) -> f64 {
+        self.offset_s + self.skew * (mcu_s - self.reference_s)
+    }
+}
+
+/// Sum of sines under an envelope.
+struct Rates {
+    /// Per axis: amplitude, angular frequency, phase.
+    parts: [Vec<(f64, f64, f64)>; 3],
+    rest_s: f64,
+    end_s: f64,
+    scale: f64,
+    axis: Option<Vector3<f64>>,
+}
+
+impl Rates {
+    fn new(rng: &mut Pcg64, motion: Motion, end_s: f64) -> Self {
+        let (low, high, slowest, fastest, rest_s) = match motion {
+            Motion::Twist(low, high) | Motion::SingleAxis(low, high) => (low, high, 0.5, 3.5, 1.0),
+            Motion::Natural(low, high) => (low, high, 0.05, 1.5, 0.0),
+            Motion::Still => (0.0, 0.0, 0.5, 3.5, 0.0),
+        };
+        let parts = std::array::from_fn(|_| {
+            (0..6)
+                .map(|_| {
+                    let frequency = rng.random_range(slowest..fastest);
+                    (
+                        rng.random_range(0.3..1.0) / (0.5 + frequency),
+                        std::f64::consts::TAU * frequency,
+                        rng.random_range(0.0..std::f64::consts::TAU),
+                    )
+                })
+                .collect()
+        });
+        let axis = matches!(motion, Motion::SingleAxis(..)).then(|| direction(rng));
+        let mut out = Self {
+            parts,
+            rest_s,
+            end_s,
+            scale: 1.0,
+            axis,
+        };
+        let highest = (0..2000)
+            .map(|k| out.at(end_s * f64::from(k) / 2000.0).norm())
+            .fold(1e-9, f64::max);
+        let peak = if high > low {
+            rng.random_range(low..high)
+        } else {
+            low
+        };
+        out.scale = peak / highest;
+        out
+    }
+
+    fn at(&self, t: f64) -> Vector3<f64> {
+        let rise = |x: f64| {
+            let x = x.clamp(0.0, 1.0);
+            x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
+        };
+        let envelope = if self.rest_s > 0.0 {
+            rise((t - self.rest_s) / 0.5) * rise((self.end_s - self.rest_s - t) / 0.5)
+        } else {
+            1.0
+        };
+        let sum = |axis: usize| {
+            self.parts[axis]
+                .iter()
+                .map(|(a, w, p)| a * (w * t + p).sin())
+                .sum::<f64>()
+        };
+        let v = match self.axis {
+            Some(axis) => axis * sum(0),
+            None => Vector3::new(sum(0), sum(1), sum(2)),
+        };
+        v * (self.scale * envelope)
+    }
+}
+
+fn direction(rng: &mut Pcg64) -> Vector3<f64> {
+    let v: Vector3<f64> = Vector3::from_fn(|_, _| StandardNormal.sample(rng));
+    Unit::new_normalize(v).into_inner()
+}
+
+/// What a sensor's filter lets through, as a function of true time.
+struct Seen<'a> {
+    rates: &'a Rates,
+    filtered: Option<Spline>,
+}
+
+impl<'a> Seen<'a> {
+    fn new(rates: &'a Rates, sensor: &Sensor, from: f64, to: f64) -> Self {
+        let filtered = sensor.filter_hz.and_then(|hz| {
+            // Exact response of each pole to a piecewise linear input, on a grid
+            // so fine that the input is linear to 10⁻⁹.
+            let step = 1e-4;
+            let tau = pole_time(hz);
+            let decay = (-step / tau).exp();
+            let n = ((to - from + 0.2) / step) as usize;
+            let mut state = [rates.at(from - 0.1); 2];
+            let mut input = [rates.at(from - 0.1); 2];
+            let mut nodes: Vec<Vec3> = Vec::with_capacity(n / 5 + 1);
+            for k in 0..n {
+                let mut value = rates.at(from - 0.1 + k as f64 * step);
+                for pole in 0..2 {
+                    let slope = (value - input[pole]) / step;
+                    let settled = value - slope * tau;
+                    let before = input[pole] - slope * tau;
+                    state[pole] = settled + (state[pole] - before) * decay;
+                    input[pole] = value;
+                    value = state[pole];
+                }
+                if k % 5 == 0 {
+                    nodes.push(value.into());
+                }
+            }
+            Spline::interpolate_uniform(from - 0.1, 5.0 * step, &nodes, 5)
+        });
+        Self { rates, filtered }
+    }
+
+    fn at(&self, t: f64) -> Vector3<f64> {
+        self.filtered
+            .as_ref()
+            .map_or_else(|| self.rates.at(t), |s| s.value(t).into())
+    }
+}
+
+/// Samples of one sensor: true content times and stamps in true time, and rates.
+fn record(
+    rng: &mut Pcg64,
+    sensor: &Sensor,
+    seen: &Seen,
+    rotation: &Rotation3<f64>,
+    start_s: f64,
+    duration_s: f64,
+) -> (Vec<f64>, Vec<Vec3>) {
+    let step = 1.0 / sensor.rate_hz;
+    let first = start_s + rng.random_range(0.0..step);
+    let bias = direction(rng) * 0.01;
+    let scale = Vector3::from_fn(|_, _| 1.0 + rng.random_range(-0.005..0.005));
+    let class = rng.random_range(0..10_usize);
+    let phase = rng.random_range(0.0..1.0);
+    let quantise = |x: f64| {
+        if sensor.lsb > 0.0 {
+            (x / sensor.lsb).round() * sensor.lsb
+        } else {
+            x
+        }
+    };
+    let mut times = Vec::new();
+    let mut rates: Vec<Vec3> = Vec::new();
+    let mut lost = 0_usize;
+    let samples = (duration_s * sensor.rate_hz) as usize;
+    for k in 0..samples {
+        let jitter: f64 = StandardNormal.sample(rng);
+        let sampled = first + k as f64 * step + sensor.jitter_s * jitter;
+        let mut content = sampled;
+        let mut stamp = sampled;
+        let mut copied = false;
+        if sensor.faulty {
+            if k % 10 == class {
+                copied = rng.random_bool(0.55);
+                content -= 1e-3 + rng.random_range(-1e-4..1e-4);
+            }
+            if rng.random_bool(0.001) {
+                stamp += 0.7e-3;
+            }
+        }
+        if let Some((height, period)) = sensor.sawtooth_s {
+            let x: f64 = (k as f64 * step / period + phase).fract();
+            stamp += height * (0.5 - x);
+        }
+        let noise: Vector3<f64> = Vector3::from_fn(|_, _| StandardNormal.sample(rng));
+        let clean = (rotation * seen.at(content)).component_mul(&scale) + bias;
+        let mut value: Vec3 = (clean + noise * sensor.noise).into();
+        for x in &mut value {
+            if let Some(range) = sensor.range {
+                *x = x.clamp(-range, range);
+            }
+            *x = quantise(*x);
+        }
+        if copied && let Some(&before) = rates.last() {
+            value = before;
+        }
+        if lost > 0 {
+            lost -= 1;
+            continue;
+        }
+        if sensor.lost > 0.0 && rng.random_bool((sensor.lost / 10.0).min(1.0)) {
+            lost = rng.random_range(0..20);
+            continue;
+        }
+        times.push(stamp);
+        rates.push(value);
+    }
+    (times, rates)
+}
+
+/// Makes the pair of recordings of one seed.
+#[must_use]
+pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
+    let mut rng = Pcg64::seed_from_u64(seed);
+    let end = spec.duration_s + spec.phone_starts_s.max(0.0);
+    // The envelope ends with the recording that ends first, unless the overlap
+    // is partial on purpose.
+    let moving_until = if spec.phone_starts_s > 1.0 {
+        end
+    } else {
+        spec.duration_s
+    };
+    let rates = Rates::new(&mut rng, spec.motion, moving_until);
+    let other = Rates::new(&mut rng, spec.motion, moving_until);
+    let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
+    // Hours since boot, different for the two.
+    let mcu_boot: f64 = rng.random_range(10.0..5000.0);
+    let offset_s: f64 = rng.random_range(-4000.0..1e6);
+    let turn = Rotation3::from_axis_angle(
+        &Unit::new_normalize(direction(&mut rng)),
+        rng.random_range(0.0..std::f64::consts::PI),
+    );
+    let identity = Rotation3::identity();
+
+    let seen = Seen::new(&rates, &spec.mcu, 0.0, end);
+    let (mcu_t, mcu_w) = record(&mut rng, &spec.mcu, &seen, &identity, 0.0, spec.duration_s);
+    let source = if spec.unrelated { &other } else { &rates };
+    let seen = Seen::new(source, &spec.phone, 0.0, end);
+    let (phone_t, phone_w) = record(
+        &mut rng,
+        &spec.phone,
+        &seen,
+        &turn,
+        spec.phone_starts_s,
+        spec.duration_s,
+    );
+
+    // The board's clock is true time plus its boot; the phone's has the skew.
+    let middle = 0.5 * end;
+    let mcu_s: Vec<f64> = mcu_t.iter().map(|t| t + mcu_boot).collect();
+    let phone_first = phone_t.first().copied().unwrap_or(0.0);
+    let phone_at = |t: f64| t + skew * (t - middle);
+    Twist {
+        mcu: GyroTrack::from_seconds(&mcu_s, mcu_w),
+        phone: GyroTrack {
+            epoch_s: mcu_boot + offset_s + phone_at(phone_first),
+            t: phone_t
+                .iter()
+                .map(|&t| phone_at(t) - phone_at(phone_first))
+                .collect(),
+            w: phone_w,
+        },
+        skew,
+        reference_s: mcu_boot + middle,
+        offset_s,
+    }
+}
+
+/// A scenario with the error that is demanded of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scenario {
+    /// Name.
+    pub name: &'static str,
+    /// The recordings.
+    pub spec: TwistSpec,
+    /// Largest rms error of the offset, µs; `None`: a refusal is demanded.
+    pub rmse_us: Option<f64>,
+    /// Whether error over sigma must be near one: the model of the noise holds.
+    pub honest: bool,
+}
+
+/// All scenarios of the tests and the bench.
+#[must_use]
+pub fn scenarios() -> Vec<Scenario> {
+    let base = TwistSpec::default();
+    let scenario = |name, spec, rmse_us: f64| Scenario {
+        name,
+        spec,
+        rmse_us: Some(rmse_us),
+        honest: true,
+    };
+    let phone = |phone: Sensor| TwistSpec { phone, ..base };
+    let both = |rate: f64| TwistSpec {
+        mcu: Sensor {
+            rate_hz: rate,
+            ..MCU
+        },
+        phone: Sensor {
+            rate_hz: rate * 1.0001,
+            ..PHONE
+        },
+        ..base
+    };
+    let refused = |name, spec| Scenario {
+        name,
+        spec,
+        rmse_us: None,
+        honest: false,
+    };
+    let silent = |s: Sensor| Sensor {
+        noise: 0.0,
+        lsb: 0.0,
+        ..s
+    };
+    let jittered = |s: Sensor| Sensor {
+        jitter_s: 20e-6,
+        ..s
+    };
+    vec![
+        scenario("base", base, 4.0),
+        scenario(
+            "jitter 20 µs",
+            TwistSpec {
+                mcu: jittered(MCU),
+                phone: jittered(PHONE),
+                ..base
+            },
+            4.0,
+        ),
+        scenario(
+            "single axis",
+            TwistSpec {
+                motion: Motion::SingleAxis(2.0, 4.0),
+                ..base
+            },
+            4.0,
+        ),
+        scenario(
+            "sawtooth 57 µs",
+            phone(Sensor {
+                sawtooth_s: Some((57e-6, 0.9)),
+                ..PHONE
+            }),
+            6.0,
+        ),
+        scenario(
+            "filters 188 and 60 Hz",
+            TwistSpec {
+                mcu: Sensor {
+                    filter_hz: Some(188.0),
+                    ..MCU
+                },
+                phone: Sensor {
+                    filter_hz: Some(60.0),
+                    ..PHONE
+                },
+                ..base
+            },
+            6.0,
+        ),
+        scenario(
+            "weak, 1.1 rad/s",
+            TwistSpec {
+                motion: Motion::Twist(1.1, 1.1),
+                ..base
+            },
+            13.0,
+        ),
+        scenario(
+            "clipped at 250 deg/s",
+            TwistSpec {
+                motion: Motion::Twist(5.0, 7.0),
+                mcu: Sensor {
+                    range: Some(250.0_f64.to_radians()),
+                    ..MCU
+                },
+                ..base
+            },
+            4.0,
+        ),
+        scenario(
+            "skew up to 115 ppm",
+            TwistSpec {
+                skew_ppm: 115.0,
+                ..base
+            },
+            4.0,
+        ),
+        scenario("1 kHz", both(1000.0), 4.0),
+        scenario("208 Hz", both(208.0), 6.0),
+        scenario(
+            "1 kHz board, 208 Hz phone",
+            TwistSpec {
+                mcu: Sensor {
+                    rate_hz: 1000.0,
+                    ..MCU
+                },
+                phone: Sensor {
+                    rate_hz: 208.0,
+                    ..PHONE
+                },
+                ..base
+            },
+            5.0,
+        ),
+        scenario(
+            "gaps, 5 % lost",
+            TwistSpec {
+                mcu: Sensor { lost: 0.05, ..MCU },
+                phone: Sensor {
+                    lost: 0.05,
+                    ..PHONE
+                },
+                ..base
+            },
+            6.0,
+        ),
+        scenario(
+            "half overlap",
+            TwistSpec {
+                phone_starts_s: 4.5,
+                ..base
+            },
+            6.0,
+        ),
+        Scenario {
+            honest: false,
+            ..scenario(
+                "faulty phone stream",
+                phone(Sensor {
+                    faulty: true,
+                    sawtooth_s: Some((57e-6, 1.3)),
+                    ..PHONE
+                }),
+                30.0,
+            )
+        },
+        Scenario {
+            honest: false,
+            ..scenario(
+                "noiseless",
+                TwistSpec {
+                    mcu: silent(MCU),
+                    phone: silent(PHONE),
+                    ..base
+                },
+                0.05,
+            )
+        },
+        refused(
+            "still",
+            TwistSpec {
+                motion: Motion::Still,
+                ..base
+            },
+        ),
+        refused(
+            "unrelated",
+            TwistSpec {
+                unrelated: true,
+                ..base
+            },
+        ),
+        refused(
+            "unrelated, single axis",
+            TwistSpec {
+                motion: Motion::SingleAxis(2.0, 4.0),
+                unrelated: true,
+                ..base
+            },
+        ),
+    ]
+}

@@ -1,0 +1,297 @@
+//! Faults of a stream that its timestamps alone show.
+//!
+//! * **Order**: the fewest timestamps whose removal leaves an increasing
+//!   sequence are left out (longest increasing subsequence), so one wild value
+//!   costs one sample, not the rest of the recording.
+//! * **Outliers**: one timestamp late or early between regular neighbours.
+//! * **Sawtooth**: a device whose sensor clock is steered in steps shows small
+//!   jumps of one size and sign with a slow drift in between. Jumps and drift
+//!   together average out, so the correction removes the jumps *and* the
+//!   straight line through them: the mean and the rate of the timestamps stay
+//!   what they were. With fewer than [`FEW_RESETS`] jumps the phase of the
+//!   sawtooth is not known, and half its height remains as an uncertainty
+//!   ([`Timestamps::unresolved_s`]).
+//! * **Gaps** are noted; whether they are bridged is decided by the signal.
+
+use super::faults::{Action, Fault, FaultKind, Stream};
+use super::robust;
+
+/// Below this number of jumps a sawtooth's mean is uncertain.
+pub const FEW_RESETS: usize = 3;
+
+/// Timestamps after the checks.
+#[derive(Debug, Clone)]
+pub struct Timestamps {
+    /// Corrected times, relative seconds; as many as were given.
+    pub t: Vec<f64>,
+    /// Which of them can be used.
+    pub usable: Vec<bool>,
+    /// Median distance of neighbours in seconds.
+    pub step_s: f64,
+    /// 1-sigma of the mean of the timestamps that the faults leave open, seconds.
+    pub unresolved_s: f64,
+    /// What was found.
+    pub faults: Vec<Fault>,
+}
+
+/// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is
+/// finite. `None` if fewer than eight usable samples remain.
+#[must_use]
+pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
+    let mut out = Timestamps {
+        t: t.to_vec(),
+        usable: t
+            .iter()
+            .zip(finite)
+            .map(|(t, &ok)| ok && t.is_finite())
+            .collect(),
+        step_s: 0.0,
+        unresolved_s: 0.0,
+        faults: Vec::new(),
+    };
+    let fault = |kind, samples: Vec<usize>, action| Fault {
+        stream,
+        kind,
+        count: samples.len(),
+        period: None,
+        displacement_s: None,
+        action,
+        samples,
+    };
+
+    let bad: Vec<usize> = (0..t.len()).filter(|&k| !out.usable[k]).collect();
+    if !bad.is_empty() {
+        out.faults
+            .push(fault(FaultKind::NotFinite, bad, Action::LeftOut));
+    }
+
+    let disordered = out_of_order(&out.t, &out.usable);
+    for &k in &disordered {
+        out.usable[k] = false;
+    }
+    if !disordered.is_empty() {
+        let found = fault(FaultKind::TimestampOrder, disordered, Action::LeftOut);
+        out.faults.push(found);
+    }
+
+    let mut kept: Vec<usize> = (0..t.len()).filter(|&k| out.usable[k]).collect();
+    if kept.len() < 8 {
+        return None;
+    }
+    let steps =
+        |kept: &[usize]| -> Vec<f64> { kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect() };
+    let step = robust::median(&steps(&kept));
+    if step.is_nan() || step <= 0.0 {
+        return None;
+    }
+    out.step_s = step;
+
+    let outliers = isolated(&kept, &steps(&kept), step);
+    if !outliers.is_empty() {
+        for &k in &outliers {
+            out.usable[k] = false;
+        }
+        kept.retain(|&k| out.usable[k]);
+        let mut found = fault(FaultKind::TimestampOutlier, outliers, Action::LeftOut);
+        found.period = recurrence_period(&found.samples);
+        out.faults.push(found);
+    }
+
+    correct_sawtooth(stream, &kept, &mut out);
+
+    let gaps: Vec<usize> = kept
+        .windows(2)
+        .filter(|p| p[1] - p[0] == 1 && t[p[1]] - t[p[0]] > 1.5 * step)
+        .map(|p| p[1])
+        .collect();
+    if !gaps.is_empty() {
+        out.faults.push(fault(FaultKind::Gap, gaps, Action::Noted));
+    }
+    Some(out)
+}
+
+fn recurrence_period(samples: &[usize]) -> Option<f64> {
+    super::faults::recurrence(samples).map(|(period, _)| period as f64)
+}
+
+/// The fewest samples to remove so that the rest increases strictly.
+fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
+    let kept: Vec<usize> = (0..t.len()).filter(|&k| usable[k]).collect();
+    if kept.windows(2).all(|p| t[p[1]] > t[p[0]]) {
+        return Vec::new();
+    }
+    // Patience sorting: tails[l] ends the best increasing run of length l + 1.
+    let mut tails: Vec<usize> = Vec::new();
+    let mut before: Vec<Option<usize>> = vec![None; t.len()];
+    for &k in &kept {
+        let at = tails.partition_point(|&tail| t[tail] < t[k]);
+        before[k] = at.checked_sub(1).map(|i| tails[i]);
+        if at == tails.len() {
+            tails.push(k);
+        } else {
+            tails[at] = k;
+        }
+    }
+    let mut in_order = vec![false; t.len()];
+    let mut next = tails.last().copied();
+    while let Some(k) = next {
+        in_order[k] = true;
+        next = before[k];
+    }
+    kept.into_iter().filter(|&k| !in_order[k]).collect()
+}
+
+/// Samples whose timestamp alone stands off: late and then early, or the reverse.
+fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
+    let deviation: Vec<f64> = steps.iter().map(|d| d - step).collect();
+    let scatter = robust::mad_sigma(&deviation);
+    let threshold = (12.0 * scatter).max(0.12 * step);
+    let mut out = Vec::new();
+    for i in 1..deviation.len() {
+        let (before, after) = (deviation[i - 1], deviation[i]);
+        if before.abs() > threshold
+            && after.abs() > threshold
+            && (before + after).abs() < 0.3 * before.abs().max(after.abs())
+            && out.last() != Some(&kept[i - 1])
+        {
+            out.push(kept[i]);
+        }
+    }
+    // So many that they are the rule: jitter, not faults.
+    if out.len() * 4 > kept.len() {
+        out.clear();
+    }
+    out
+}
+
+fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
+    let step = out.step_s;
+    let adjacent: Vec<(usize, f64)> = kept
+        .windows(2)
+        .filter(|p| p[1] - p[0] == 1)
+        .map(|p| (p[1], out.t[p[1]] - out.t[p[0]] - step))
+        .filter(|(_, d)| d.abs() < 0.45 * step)
+        .collect();
+    let deviation: Vec<f64> = adjacent.iter().map(|&(_, d)| d).collect();
+    if deviation.len() < 16 {
+        return;
+    }
+    let scatter = robust::mad_sigma(&deviation).max(0.2e-6);
+    let threshold = (8.0 * scatter).max(8e-6);
+    let jumps: Vec<(usize, f64)> = adjacent
+        .into_iter()
+        .filter(|(_, d)| d.abs() > threshold)
+        .collect();
+    if jumps.is_empty() || jumps.len() * 4 > deviation.len() {
+        return;
+    }
+    let sizes: Vec<f64> = jumps.iter().map(|&(_, d)| d).collect();
+    let size = robust::median(&sizes);
+    let alike = sizes
+        .iter()
+        .filter(|s| (*s / size - 1.0).abs() < 0.4)
+        .count();
+    if alike * 5 < sizes.len() * 4 {
+        return;
+    }
+    // Accumulated jumps, without the straight line through them.
+    let mut stairs = Vec::with_capacity(kept.len());
+    let mut sum = 0.0;
+    let mut next = jumps.iter().peekable();
+    for &k in kept {
+        while let Some(&&(at, jump)) = next.peek() {
+            if at > k {
+                break;
+            }
+            sum += jump;
+            next.next();
+        }
+        stairs.push(sum);
+    }
+    let times: Vec<f64> = kept.iter().map(|&k| out.t[k]).collect();
+    let (mean, slope, centre) = robust::line(&times, &stairs);
+    for ((&k, &x), &s) in kept.iter().zip(&times).zip(&stairs) {
+        out.t[k] = x - (s - mean - slope * (x - centre));
+    }
+    if jumps.len() < FEW_RESETS {
+        out.unresolved_s = size.abs() / 12.0_f64.sqrt();
+    }
+    let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+    out.faults.push(Fault {
+        stream,
+        kind: FaultKind::TimestampSawtooth,
+        count: jumps.len(),
+        period: (!spacing.is_empty()).then(|| robust::median(&spacing)),
+        displacement_s: Some(size),
+        action: Action::Corrected,
+        samples: jumps.into_iter().map(|(k, _)| k).collect(),
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn regular(n: usize) -> Vec<f64> {
+        (0..n).map(|k| 0.002 * k as f64).collect()
+    }
+
+    #[test]
+    fn a_clean_stream_has_no_faults() {
+        let t: Vec<f64> = regular(1000)
+            .iter()
+            .enumerate()
+            .map(|(k, t)| t + 20e-6 * (k as f64 * 1.3).sin())
+            .collect();
+        let checked = check(Stream::Phone, &t, &vec![true; 1000]).unwrap();
+        assert!(checked.faults.is_empty(), "{:?}", checked.faults);
+        assert_eq!(checked.t, t);
+    }
+
+    #[test]
+    fn a_wild_timestamp_costs_one_sample() {
+        let mut t = regular(1000);
+        t[300] += 5.0;
+        t[500] -= 0.7;
+        t[700] = f64::NAN;
+        t[900] += 0.0007;
+        let checked = check(Stream::Mcu, &t, &vec![true; 1000]).unwrap();
+        let lost: Vec<usize> = (0..1000).filter(|&k| !checked.usable[k]).collect();
+        assert_eq!(lost, [300, 500, 700, 900]);
+    }
+
+    #[test]
+    fn a_sawtooth_is_undone_without_moving_the_mean() {
+        // Zero-mean sawtooth of 57 µs, period 250 samples.
+        let t: Vec<f64> = regular(4500)
+            .iter()
+            .enumerate()
+            .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
+            .collect();
+        let checked = check(Stream::Phone, &t, &vec![true; 4500]).unwrap();
+        assert_eq!(checked.faults.len(), 1);
+        let fault = &checked.faults[0];
+        assert_eq!(fault.kind, FaultKind::TimestampSawtooth);
+        assert_eq!((fault.count, fault.period), (17, Some(250.0)));
+        let worst = checked
+            .t
+            .iter()
+            .zip(regular(4500))
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(worst < 3e-6, "{worst}");
+        assert_eq!(checked.unresolved_s, 0.0);
+    }
+
+    #[test]
+    fn gaps_are_noted_and_nothing_else() {
+        let mut t = regular(1000);
+        for x in &mut t[400..] {
+            *x += 0.05;
+        }
+        let checked = check(Stream::Mcu, &t, &vec![true; 1000]).unwrap();
+        assert_eq!(checked.faults.len(), 1);
+        assert_eq!(checked.faults[0].kind, FaultKind::Gap);
+        assert_eq!(checked.t, t);
+    }
+}
