@@ -40,6 +40,11 @@ pub const STOP_MARGIN: u32 = 5 * TICKS_PER_US;
 /// the least lead that a host may ask for.
 pub const START_LEAD: u32 = 1_000 * TICKS_PER_US;
 
+/// How long an edge of the trigger may be overdue before its handler is taken to
+/// be dead and the watchdog is no longer fed, in ticks: 10 ms, a thousand times
+/// the handler's latency.
+pub const TRIGGER_OVERDUE: u64 = 10_000 * TICKS_PER_US as u64;
+
 /// Bucket of the strobe input: this many edges in a burst. The camera makes 18
 /// (9 pulses) a frame; three frames of it may come at once.
 pub const STROBE_BURST: u32 = 64;

@@ -1,1 +1,369 @@
-//! p
+//! How the edges of a train are made by one compare channel.
+//!
+//! The channel makes every edge by itself when the counter reaches the compare
+//! value; after each edge a handler arms the next one. Rising edges are armed
+//! nearly a period ahead, so how late a handler comes does not matter to them.
+//! A falling edge is armed by the handler of its rising edge, so the pulse must
+//! be longer than that handler can be late ([`protocol::MIN_PULSE_WIDTH`]).
+//!
+//! If an edge is armed too late all the same (a debugger stopped the core, say),
+//! the compare would only match 89 s later. That is seen at once: a pulse that
+//! should be over is ended by force, a rising edge is made a few µs later and
+//! reported at the time at which it really came, and both are counted.
+//!
+//! The logic runs against [`CompareOutput`], on the board and in tests.
+
+use protocol::{
+    MIN_START_LEAD, Period, Readback, Refusal, Ticks, TrainState, TriggerStart, TriggerStatus,
+};
+
+use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN};
+use crate::timebase::Timebase;
+use crate::trigger::{Alignment, Edge, Position, Train};
+
+/// What the output does when the counter reaches the compare value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Nothing; only the handler is called.
+    Wake,
+    /// The output goes high.
+    Rise,
+    /// The output goes low.
+    Fall,
+}
+
+/// A captured edge of the read-back input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Captured {
+    /// The counter's value at the edge.
+    pub at: u32,
+    /// There was more than one since the last look; this is the last.
+    pub more: bool,
+}
+
+/// An output compare channel, and the capture channel that reads it back.
+pub trait CompareOutput {
+    /// The counter.
+    fn counter(&self) -> u32;
+
+    /// Forgets a former match and arms the next one, at the counter value `at`.
+    fn arm(&mut self, at: u32, action: Action);
+
+    /// Whether the armed match has come.
+    fn has_matched(&self) -> bool;
+
+    /// Makes the output low, now, and arms nothing.
+    fn force_low(&mut self);
+
+    /// The read-back edge captured since the last call.
+    fn take_readback(&mut self) -> Option<Captured>;
+}
+
+/// A pulse that was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pulsed {
+    /// Its train.
+    pub train: u32,
+    /// Its number in the train.
+    pub number: u64,
+    /// Its rising edge: the compare value that made it.
+    pub at: Ticks,
+    /// It is on the grid.
+    pub aligned: bool,
+    /// The id of the align that it completed.
+    pub arrived: Option<u32>,
+    /// Delay of the read-back, in ticks.
+    pub readback: Option<i32>,
+}
+
+/// What the channel waits for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Stage {
+    /// No train.
+    #[default]
+    Idle,
+    /// The rising edge is too far ahead for the compare: a point on the way.
+    Waypoint(Edge),
+    /// The rising edge, at this time.
+    Rise(Edge, Ticks),
+    /// The falling edge of the pulse that rose at this time.
+    Fall(Edge, Ticks),
+}
+
+/// The trigger: at most one train, and the channel that makes it.
+#[derive(Clone, Copy, Debug)]
+pub struct Pulser {
+    stage: Stage,
+    train: Option<Train>,
+    /// The train ends with the pulse that is being made.
+    stopping: bool,
+    trains: u32,
+    pulses: u64,
+    late: u32,
+    readback: Readback,
+}
+
+impl Default for Pulser {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Pulser {
+    /// Without a train.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            stage: Stage::Idle,
+            train: None,
+            stopping: false,
+            trains: 0,
+            pulses: 0,
+            late: 0,
+            readback: Readback {
+                seen: 0,
+                missing: 0,
+                stray: 0,
+                delay: None,
+            },
+        }
+    }
+
+    /// The train, while it runs.
+    #[must_use]
+    pub fn running(&self) -> Option<&Train> {
+        self.train
+            .as_ref()
+            .filter(|_| self.stage != Stage::Idle && !self.stopping)
+    }
+
+    /// Starts a train. Nothing changes if the one that runs was started by the
+    /// same command.
+    ///
+    /// # Errors
+    ///
+    /// Values out of bounds; another train runs.
+    pub fn start<O: CompareOutput>(
+        &mut self,
+        output: &mut O,
+        time: &Timebase,
+        start: TriggerStart,
+    ) -> Result<(), Refusal> {
+        if self.running().is_some_and(|train| *train.start() == start) {
+            return Ok(());
+        }
+        let now = time.extend(output.counter());
+        let earliest = Ticks(now.0 + u64::from(MIN_START_LEAD));
+        let soonest = Ticks(now.0 + u64::from(START_LEAD));
+        let train = Train::new(start, now, earliest, soonest)?;
+        if self.stage != Stage::Idle {
+            return Err(Refusal::TriggerRunning);
+        }
+        self.train = Some(train);
+        self.trains = self.trains.wrapping_add(1);
+        self.pulses = 0;
+        // What came while there was no train is not of this one.
+        let _ = output.take_readback();
+        self.arm_rise(output, time, train.edge());
+        Ok(())
+    }
+
+    /// Puts an align into force. False if it must be planned anew.
+    ///
+    /// # Errors
+    ///
+    /// No train runs.
+    pub fn adopt(&mut self, alignment: &Alignment) -> Result<bool, Refusal> {
+        self.running().ok_or(Refusal::TriggerStopped)?;
+        Ok(self
+            .train
+            .as_mut()
+            .is_some_and(|train| train.adopt(alignment)))
+    }
+
+    /// Sets another period.
+    ///
+    /// # Errors
+    ///
+    /// No train runs; out of bounds; an align is on its way.
+    pub fn set_period(&mut self, period: Period) -> Result<(), Refusal> {
+        self.running().ok_or(Refusal::TriggerStopped)?;
+        let train = self.train.as_mut().ok_or(Refusal::TriggerStopped)?;
+        train.set_period(period)
+    }
+
+    /// Stops the train, after the pulse that is being made or about to be.
+    pub fn stop<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) {
+        match self.stage {
+            Stage::Idle => {}
+            Stage::Waypoint(_) => {
+                output.force_low();
+                self.stage = Stage::Idle;
+            }
+            Stage::Rise(_, at) => {
+                let now = time.extend(output.counter());
+                if at.0 > now.0 + u64::from(STOP_MARGIN) {
+                    output.force_low();
+                    self.stage = Stage::Idle;
+                } else {
+                    self.stopping = true;
+                }
+            }
+            Stage::Fall(..) => self.stopping = true,
+        }
+    }
+
+    /// The armed match has come. Returns the pulse that is over with it.
+    pub fn on_match<O: CompareOutput>(
+        &mut self,
+        output: &mut O,
+        time: &Timebase,
+    ) -> Option<Pulsed> {
+        match self.stage {
+            Stage::Idle => None,
+            Stage::Waypoint(edge) => {
+                self.arm_rise(output, time, edge);
+                None
+            }
+            Stage::Rise(edge, at) => {
+                self.pulses = self.pulses.wrapping_add(1);
+                self.stage = Stage::Fall(edge, at);
+                let width = self.train.map_or(0, |train| train.width());
+                let fall = (at.0 as u32).wrapping_add(width);
+                output.arm(fall, Action::Fall);
+                if is_past(fall, output.counter()) && !output.has_matched() {
+                    self.late = self.late.saturating_add(1);
+                    output.force_low();
+                    return self.end_pulse(output, time, edge, at);
+                }
+                None
+            }
+            Stage::Fall(edge, at) => self.end_pulse(output, time, edge, at),
+        }
+    }
+
+    fn end_pulse<O: CompareOutput>(
+        &mut self,
+        output: &mut O,
+        time: &Timebase,
+        edge: Edge,
+        at: Ticks,
+    ) -> Option<Pulsed> {
+        let readback = self.match_readback(output.take_readback(), at, output.counter());
+        let next = match &mut self.train {
+            Some(train) if !self.stopping => Some(train.advance()),
+            _ => None,
+        };
+        match next {
+            Some(next) => self.arm_rise(output, time, next),
+            None => {
+                output.force_low();
+                self.stage = Stage::Idle;
+                self.stopping = false;
+            }
+        }
+        Some(Pulsed {
+            train: self.trains,
+            number: edge.number,
+            at,
+            aligned: edge.aligned,
+            arrived: edge.arrived,
+            readback,
+        })
+    }
+
+    /// Arms the rising edge, or a point on the way to it.
+    fn arm_rise<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase, edge: Edge) {
+        let now = time.extend(output.counter());
+        let mut at = edge.position.ticks();
+        if at.0 > now.0 + u64::from(MAX_ARM_AHEAD) {
+            output.arm((now.0 as u32).wrapping_add(MAX_ARM_AHEAD), Action::Wake);
+            self.stage = Stage::Waypoint(edge);
+            return;
+        }
+        loop {
+            output.arm(at.0 as u32, Action::Rise);
+            let counter = output.counter();
+            if !is_past(at.0 as u32, counter) || output.has_matched() {
+                break;
+            }
+            self.late = self.late.saturating_add(1);
+            at = Ticks(time.extend(counter).0 + u64::from(LATE_EDGE_DELAY));
+        }
+        self.stage = Stage::Rise(edge, at);
+    }
+
+    /// Books what the read-back saw of the pulse that rose at `rise`.
+    fn match_readback(&mut self, seen: Option<Captured>, rise: Ticks, now: u32) -> Option<i32> {
+        let rise = rise.0 as u32;
+        let readback = &mut self.readback;
+        let delay = seen.and_then(|captured| {
+            let delay = captured.at.wrapping_sub(rise);
+            let fits = !captured.more && delay <= now.wrapping_sub(rise);
+            if !fits {
+                readback.stray = readback.stray.saturating_add(1);
+            }
+            fits.then_some(delay as i32)
+        });
+        if delay.is_some() {
+            readback.seen = readback.seen.saturating_add(1);
+            readback.delay = delay;
+        } else if readback.seen > 0 {
+            readback.missing = readback.missing.saturating_add(1);
+        }
+        delay
+    }
+
+    /// Whether the next edge is overdue by more than `ticks`: its handler does
+    /// not run.
+    #[must_use]
+    pub fn is_overdue(&self, now: Ticks, ticks: u64) -> bool {
+        match self.stage {
+            Stage::Rise(_, at) => now.0 > at.0 + ticks,
+            Stage::Fall(_, at) => {
+                let width = self.train.map_or(0, |train| train.width());
+                now.0 > at.0 + u64::from(width) + ticks
+            }
+            Stage::Idle | Stage::Waypoint(_) => false,
+        }
+    }
+
+    /// What the host is told.
+    #[must_use]
+    pub fn status(&self) -> TriggerStatus {
+        let slewing = self.train.is_some_and(|train| train.is_slewing());
+        let state = match self.stage {
+            Stage::Idle => TrainState::Stopped,
+            Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
+            _ if slewing => TrainState::Slewing,
+            _ => TrainState::Running,
+        };
+        let next = match self.stage {
+            Stage::Idle => Position::default(),
+            Stage::Waypoint(edge) | Stage::Rise(edge, _) => edge.position,
+            Stage::Fall(..) => {
+                let train = self.train;
+                train.map_or(Position::default(), |mut train| train.advance().position)
+            }
+        };
+        TriggerStatus {
+            state,
+            train: self.trains,
+            period: self.train.map_or(Period(0), |train| train.period()),
+            width: self.train.map_or(0, |train| train.width()),
+            pulses: self.pulses,
+            next_edge: next.ticks(),
+            next_fraction: next.fraction(),
+            late: self.late,
+            readback: self.readback,
+        }
+    }
+}
+
+/// Whether the counter value `at` is now or behind, not ahead.
+const fn is_past(at: u32, counter: u32) -> bool {
+    counter.wrapping_sub(at) < 1 << 31
+}
+
+#[cfg(test)]
+mod tests;

@@ -8,7 +8,7 @@ use embassy_stm32::{pac, uid};
 use firmware::config;
 use protocol::ResetCause;
 
-use crate::board::{clocks, faults, idle, leds, stack, tim2};
+use crate::board::{clocks, events, faults, idle, leds, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
@@ -23,7 +23,7 @@ fn main() -> ! {
     stack::paint();
     // A halted core does not feed the watchdog.
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    tim2::init();
+    tim2::init(events::init());
     leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
 
     let mut clock_out = McoConfig::default();
@@ -62,6 +62,7 @@ fn main() -> ! {
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
         spawn(spawner, tasks::self_test::run());
+        spawn(spawner, tasks::unmute::run());
         spawn(spawner, tasks::status::run(watchdog));
     })
 }

@@ -1,1 +1,296 @@
-//! t
+//! Where the edges of the trigger train fall.
+//!
+//! A train is a position in Q64.32 ticks that goes on by one period for each
+//! pulse; an edge is its floor. The sum is exact, so edge `k` is
+//! `floor(start + k · period)`: at most one tick of jitter, no drift, for any
+//! fraction of a tick.
+//!
+//! An align moves the position onto the grid `anchor + j · period` the short way
+//! round, at most `slew` a pulse. The move is planned in the same exact numbers,
+//! so the train arrives on the grid itself and not near it, and is planned from
+//! where the train *is*: the same command again finds less (or nothing) left to
+//! move and ends at the same pulse.
+//!
+//! Planning divides 128-bit numbers and runs in a task; [`Train::advance`],
+//! which the interrupt calls, only adds.
+
+use protocol::{
+    AlignPlan, MAX_TIME_AWAY, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Period, Refusal, TickDelta, Ticks,
+    TriggerAlign, TriggerStart,
+};
+
+/// Fraction bits of positions and periods.
+const FRACTION_BITS: u32 = 32;
+
+/// An instant in Q64.32 ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Position(pub u128);
+
+impl Position {
+    /// The start of tick `ticks`.
+    #[must_use]
+    pub const fn from_ticks(ticks: Ticks) -> Self {
+        Self((ticks.0 as u128) << FRACTION_BITS)
+    }
+
+    /// The tick of an edge here: the floor.
+    #[must_use]
+    pub const fn ticks(self) -> Ticks {
+        Ticks((self.0 >> FRACTION_BITS) as u64)
+    }
+
+    /// The fraction of a tick, in 2⁻³² ticks.
+    #[must_use]
+    pub const fn fraction(self) -> u32 {
+        self.0 as u32
+    }
+}
+
+/// A rising edge that is to be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Edge {
+    /// Number in the train, from 0.
+    pub number: u64,
+    /// Where exactly it belongs.
+    pub position: Position,
+    /// On the grid (false on the way to another).
+    pub aligned: bool,
+    /// The id of the align that this edge completes.
+    pub arrived: Option<u32>,
+}
+
+/// The way to another grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Slew {
+    /// The id of the align.
+    command: u32,
+    /// What is left to move, in Q31.32 ticks; late is positive.
+    left: i64,
+    /// Most that one pulse may be moved earlier, in Q31.32 ticks.
+    most_earlier: i64,
+    /// Most that one pulse may be moved later, in Q31.32 ticks.
+    most_later: i64,
+}
+
+/// A plan that [`Train::align`] made and [`Train::adopt`] puts into force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Alignment {
+    /// What the host is told.
+    pub plan: AlignPlan,
+    period: Period,
+    slew: Slew,
+    /// The edge from which it was planned.
+    from: u64,
+}
+
+/// A running train: the edge that was armed last and how it goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Train {
+    /// The command that started it.
+    start: TriggerStart,
+    period: Period,
+    number: u64,
+    position: Position,
+    aligned: bool,
+    slew: Option<Slew>,
+}
+
+/// The widest pulse at `period`, in ticks.
+fn max_width(period: Period) -> u32 {
+    period.ticks().saturating_sub(MIN_PULSE_GAP)
+}
+
+/// The largest slew at `period` for pulses of `width`, in ticks: half a period,
+/// and never so much that two pulses touch.
+fn max_slew(period: Period, width: u32) -> u32 {
+    (period.ticks() / 2).min(max_width(period).saturating_sub(width))
+}
+
+/// Refuses a period that is out of bounds or leaves `width` no room.
+fn check_period(period: Period, width: u32) -> Result<(), Refusal> {
+    if !period.in_bounds() {
+        return Err(Refusal::PeriodOutOfRange);
+    }
+    let max = max_width(period);
+    if !(MIN_PULSE_WIDTH..=max).contains(&width) {
+        return Err(Refusal::WidthOutOfRange {
+            min: MIN_PULSE_WIDTH,
+            max,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses what is farther than [`MAX_TIME_AWAY`].
+fn check_near(at: Ticks, now: Ticks) -> Result<(), Refusal> {
+    if (at - now).unsigned_abs() > MAX_TIME_AWAY {
+        return Err(Refusal::TimeOutOfRange { now });
+    }
+    Ok(())
+}
+
+impl Train {
+    /// A train whose first edge, number 0, is to be armed now: at
+    /// `start.first_edge`, or `soonest` if that is none.
+    ///
+    /// # Errors
+    ///
+    /// Values out of bounds; a first edge before `earliest`.
+    pub fn new(
+        start: TriggerStart,
+        now: Ticks,
+        earliest: Ticks,
+        soonest: Ticks,
+    ) -> Result<Self, Refusal> {
+        check_period(start.period, start.width)?;
+        let first = start.first_edge.unwrap_or(soonest);
+        check_near(first, now)?;
+        if first < earliest {
+            return Err(Refusal::TimeOutOfRange { now });
+        }
+        Ok(Self {
+            start,
+            period: start.period,
+            number: 0,
+            position: Position::from_ticks(first),
+            aligned: true,
+            slew: None,
+        })
+    }
+
+    /// The command that started it.
+    #[must_use]
+    pub const fn start(&self) -> &TriggerStart {
+        &self.start
+    }
+
+    /// The period that is set.
+    #[must_use]
+    pub const fn period(&self) -> Period {
+        self.period
+    }
+
+    /// Length of a pulse, in ticks.
+    #[must_use]
+    pub const fn width(&self) -> u32 {
+        self.start.width
+    }
+
+    /// Whether it is on the way to another grid.
+    #[must_use]
+    pub const fn is_slewing(&self) -> bool {
+        self.slew.is_some()
+    }
+
+    /// The edge that was armed last.
+    #[must_use]
+    pub const fn edge(&self) -> Edge {
+        Edge {
+            number: self.number,
+            position: self.position,
+            aligned: self.aligned,
+            arrived: None,
+        }
+    }
+
+    /// Goes on to the next edge, which is to be armed now.
+    pub fn advance(&mut self) -> Edge {
+        self.number = self.number.wrapping_add(1);
+        let mut position = self.position.0.wrapping_add(u128::from(self.period.0));
+        let mut arrived = None;
+        if let Some(slew) = &mut self.slew {
+            let step = slew.left.clamp(-slew.most_earlier, slew.most_later);
+            slew.left -= step;
+            position = position.wrapping_add_signed(i128::from(step));
+            self.aligned = slew.left == 0;
+            if self.aligned {
+                arrived = Some(slew.command);
+                self.slew = None;
+            }
+        }
+        self.position = Position(position);
+        Edge {
+            arrived,
+            ..self.edge()
+        }
+    }
+
+    /// Plans the way to another grid.
+    ///
+    /// # Errors
+    ///
+    /// Values out of bounds for this train.
+    pub fn align(&self, command: u32, to: &TriggerAlign, now: Ticks) -> Result<Alignment, Refusal> {
+        check_period(to.period, self.width())?;
+        check_near(to.anchor, now)?;
+        let max = max_slew(to.period, self.width());
+        if to.slew > max {
+            return Err(Refusal::SlewOutOfRange { max });
+        }
+
+        // Both below 2⁹⁶: the difference fits easily.
+        let period = i128::from(to.period.0);
+        let anchor = Position::from_ticks(to.anchor).0 as i128;
+        let beyond = (self.position.0 as i128 - anchor).rem_euclid(period);
+        let shift = if beyond * 2 <= period {
+            -beyond
+        } else {
+            period - beyond
+        };
+
+        let fixed = |ticks: u32| i64::from(ticks) << FRACTION_BITS;
+        let (most_earlier, most_later) = match to.slew {
+            0 => (fixed(max), i64::MAX),
+            slew => (fixed(slew), fixed(slew)),
+        };
+        let most = if shift < 0 { most_earlier } else { most_later };
+        let frames = shift.unsigned_abs().div_ceil(most.unsigned_abs().into());
+        let pulses = frames.max(1);
+        // At least 0 even so: the train is at least half a period past zero.
+        let arrival = self.position.0 as i128 + shift + pulses as i128 * period;
+        Ok(Alignment {
+            plan: AlignPlan {
+                shift: TickDelta((shift >> FRACTION_BITS) as i64),
+                frames: u32::try_from(frames).unwrap_or(u32::MAX),
+                arrival_pulse: self.number.wrapping_add(pulses as u64),
+                arrival: Position(arrival.unsigned_abs()).ticks(),
+            },
+            period: to.period,
+            slew: Slew {
+                command,
+                left: shift as i64,
+                most_earlier,
+                most_later,
+            },
+            from: self.number,
+        })
+    }
+
+    /// Puts a plan into force. False if an edge was armed since it was made: it
+    /// must be made anew.
+    pub fn adopt(&mut self, alignment: &Alignment) -> bool {
+        if alignment.from != self.number {
+            return false;
+        }
+        self.period = alignment.period;
+        self.slew = Some(alignment.slew);
+        true
+    }
+
+    /// Sets another period from the next edge on.
+    ///
+    /// # Errors
+    ///
+    /// Out of bounds, or an align is on its way.
+    pub fn set_period(&mut self, period: Period) -> Result<(), Refusal> {
+        check_period(period, self.width())?;
+        if self.is_slewing() {
+            return Err(Refusal::AlignInProgress);
+        }
+        self.period = period;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

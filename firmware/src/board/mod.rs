@@ -13,6 +13,7 @@
 
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
+pub(crate) mod events;
 pub(crate) mod faults;
 pub(crate) mod idle;
 pub(crate) mod leds;

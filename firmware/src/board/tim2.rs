@@ -1,29 +1,435 @@
-//! TIM2, the one timebase.
+//! TIM2: the timebase, the trigger and the captures.
+//!
+//! The handler runs at the highest priority and is never masked by a critical
+//! section ([`super::critical_section`]). Tasks that change the train mask all
+//! interrupts (PRIMASK) for the microsecond that this takes; everything that
+//! needs division is worked out before, on a copy.
+//!
+//! | channel | pin | direction |
+//! |---|---|---|
+//! | 1 | PA5 | trigger: output compare, active or inactive on match, by turns |
+//! | 2 | PA1 | data-ready of the IMU: capture of rising edges |
+//! | 3 | PA2 | strobe: capture of both edges |
+//! | 4 | PA3 | read-back of the trigger: capture of rising edges, no interrupt |
+//!
+//! Inputs have no filter, which would delay them, and are pulled down, so that
+//! one with nothing wired to it is silent.
 
+use core::cell::RefCell;
+use core::sync::atomic::{AtomicU8, Ordering};
+
+use cortex_m::interrupt::{Mutex, free as with_all_masked};
+use cortex_m::peripheral::NVIC;
+use embassy_stm32::interrupt;
 use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
+use embassy_stm32::pac::timer::regs::SrGp16;
+use embassy_stm32::pac::timer::vals::{CcmrInputCcs, Ocm};
+use firmware::capture::{Bucket, direction};
+use firmware::config;
+use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
 use firmware::timebase::Timebase;
-use protocol::Ticks;
+use heapless::spsc::Producer;
+use protocol::{AlignPlan, Capture, CaptureChannel, Refusal, Ticks, TriggerAlign};
+
+use crate::board::events::{Event, Input};
+
+const TIM: pac::timer::TimGp32 = pac::TIM2;
+
+/// Index of the channels in the registers, from 0.
+const TRIGGER: usize = 0;
+const DATA_READY: usize = 1;
+const STROBE: usize = 2;
+const READBACK: usize = 3;
+
+/// Pins on port A; all on alternate function 1 (data sheet, table 9).
+const TRIGGER_PIN: usize = 5;
+const DATA_READY_PIN: usize = 1;
+const STROBE_PIN: usize = 2;
+const READBACK_PIN: usize = 3;
+const ALTERNATE_FUNCTION: u8 = 1;
 
 static TIMEBASE: Timebase = Timebase::new();
+static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 
-/// Starts the counter: 32 bit, 48 MHz, free running.
-pub(crate) fn init() {
+/// Inputs that are to be switched on again, as bits of [`Input`].
+static UNMUTE: AtomicU8 = AtomicU8::new(0);
+
+/// Counters of the handler since reset.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Counters {
+    /// Longest time from a trigger edge to the end of its handling, in ticks.
+    pub(crate) latency: u32,
+    /// Time spent in the handler, in ticks; wraps.
+    pub(crate) busy: u32,
+    pub(crate) strobe_overcaptures: u32,
+    pub(crate) strobe_floods: u32,
+    pub(crate) data_ready_overcaptures: u32,
+    /// Pulses that found no place in the queue to the handler below.
+    pub(crate) lost_pulses: u32,
+    /// The same of captures.
+    pub(crate) lost_captures: u32,
+    /// The same of data-ready edges.
+    pub(crate) lost_data_ready: u32,
+}
+
+/// State of a capture input.
+struct InputState {
+    bucket: Bucket,
+    after_loss: bool,
+    overcaptures: u32,
+    floods: u32,
+}
+
+impl InputState {
+    const fn new(bucket: Bucket) -> Self {
+        Self {
+            bucket,
+            after_loss: false,
+            overcaptures: 0,
+            floods: 0,
+        }
+    }
+}
+
+/// What handler and tasks share.
+struct Shared {
+    pulser: Pulser,
+    events: Option<Producer<'static, Event>>,
+    pulse_seq: u32,
+    capture_seq: u32,
+    data_ready: InputState,
+    strobe: InputState,
+    counters: Counters,
+}
+
+/// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events`
+/// takes what the handler has to say.
+pub(crate) fn init(events: Producer<'static, Event>) {
     pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
-    let tim = pac::TIM2;
-    tim.psc().write_value(0);
-    tim.arr().write_value(u32::MAX);
-    tim.egr().write(|w| w.set_ug(true));
-    tim.sr().write(|w| w.0 = 0);
-    tim.cr1().write(|w| w.set_cen(true));
+    TIM.psc().write_value(0);
+    TIM.arr().write_value(u32::MAX);
+    TIM.egr().write(|w| w.set_ug(true));
+
+    TIM.ccmr_output(0)
+        .modify(|w| w.set_ocm(0, Ocm::FORCE_INACTIVE));
+    // IC2 on TI2, IC3 on TI3, IC4 on TI4: value 1 in each field.
+    TIM.ccmr_input(0)
+        .modify(|w| w.set_ccs(1, CcmrInputCcs::TI4));
+    TIM.ccmr_input(1).modify(|w| {
+        w.set_ccs(0, CcmrInputCcs::TI4);
+        w.set_ccs(1, CcmrInputCcs::TI4);
+    });
+    TIM.ccer().modify(|w| {
+        // Both edges of the strobe.
+        w.set_ccp(STROBE, true);
+        w.set_ccnp(STROBE, true);
+        for channel in [TRIGGER, DATA_READY, STROBE, READBACK] {
+            w.set_cce(channel, true);
+        }
+    });
+
+    for pin in [DATA_READY_PIN, STROBE_PIN, READBACK_PIN, TRIGGER_PIN] {
+        pac::GPIOA
+            .afr(0)
+            .modify(|w| w.set_afr(pin, ALTERNATE_FUNCTION));
+        let pull = if pin == TRIGGER_PIN {
+            Pupdr::FLOATING
+        } else {
+            Pupdr::PULL_DOWN
+        };
+        pac::GPIOA.pupdr().modify(|w| w.set_pupdr(pin, pull));
+        pac::GPIOA
+            .ospeedr()
+            .modify(|w| w.set_ospeedr(pin, Ospeedr::HIGH_SPEED));
+        pac::GPIOA
+            .moder()
+            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+    }
+
+    TIM.sr().write_value(SrGp16(0));
+    TIM.dier().modify(|w| {
+        w.set_ccie(DATA_READY, true);
+        w.set_ccie(STROBE, true);
+    });
+    with_all_masked(|token| SHARED.borrow(token).borrow_mut().events = Some(events));
+    TIM.cr1().write(|w| w.set_cen(true));
+    enable_handler();
+}
+
+#[allow(unsafe_code, reason = "unmasks the interrupt")]
+fn enable_handler() {
+    // SAFETY: what the handler touches is set up.
+    unsafe { NVIC::unmask(pac::Interrupt::TIM2) };
 }
 
 /// The counter.
 #[inline]
 pub(crate) fn counter() -> u32 {
-    pac::TIM2.cnt().read()
+    TIM.cnt().read()
 }
 
 /// Board time.
 pub(crate) fn now() -> Ticks {
     TIMEBASE.refresh(counter())
+}
+
+/// Works on the trigger with all interrupts masked: to be kept short.
+pub(crate) fn with_pulser<R>(work: impl FnOnce(&mut Pulser, &mut Channel, &Timebase) -> R) -> R {
+    with_all_masked(|token| {
+        let mut shared = SHARED.borrow(token).borrow_mut();
+        work(&mut shared.pulser, &mut Channel, &TIMEBASE)
+    })
+}
+
+/// Plans an align and puts it into force.
+///
+/// # Errors
+///
+/// As [`firmware::trigger::Train::align`]; no train runs.
+pub(crate) fn align(command: u32, to: &TriggerAlign) -> Result<AlignPlan, Refusal> {
+    loop {
+        let train = with_pulser(|pulser, _, _| pulser.running().copied());
+        let train = train.ok_or(Refusal::TriggerStopped)?;
+        let alignment = train.align(command, to, now())?;
+        // Planned from an edge that has gone by meanwhile? Once more; edges are
+        // a millisecond apart at least.
+        if with_pulser(|pulser, _, _| pulser.adopt(&alignment))? {
+            return Ok(alignment.plan);
+        }
+    }
+}
+
+/// Counters since reset.
+pub(crate) fn counters() -> Counters {
+    with_all_masked(|token| {
+        let shared = SHARED.borrow(token).borrow();
+        Counters {
+            strobe_overcaptures: shared.strobe.overcaptures,
+            strobe_floods: shared.strobe.floods,
+            data_ready_overcaptures: shared.data_ready.overcaptures,
+            ..shared.counters
+        }
+    })
+}
+
+/// Switches an input on again that was switched off by a flood.
+pub(crate) fn unmute(input: Input) {
+    UNMUTE.fetch_or(input as u8, Ordering::Relaxed);
+    NVIC::pend(pac::Interrupt::TIM2);
+}
+
+#[interrupt]
+fn TIM2() {
+    let begin = counter();
+    with_all_masked(|token| SHARED.borrow(token).borrow_mut().handle(begin));
+}
+
+/// Clears flags of the status register: those bits are cleared by writing 0,
+/// and writing 1 leaves the others alone.
+fn clear(bits: u32) {
+    TIM.sr().write_value(SrGp16(!bits));
+}
+
+/// Bit of a channel's capture or compare flag.
+const fn flag(channel: usize) -> u32 {
+    1 << (channel + 1)
+}
+
+/// Bit of a channel's over-capture flag.
+const fn over_flag(channel: usize) -> u32 {
+    1 << (channel + 9)
+}
+
+impl Shared {
+    const fn new() -> Self {
+        Self {
+            pulser: Pulser::new(),
+            events: None,
+            pulse_seq: 0,
+            capture_seq: 0,
+            data_ready: InputState::new(Bucket::new(
+                config::DATA_READY_BURST,
+                config::DATA_READY_REFILL,
+            )),
+            strobe: InputState::new(Bucket::new(config::STROBE_BURST, config::STROBE_REFILL)),
+            counters: Counters {
+                latency: 0,
+                busy: 0,
+                strobe_overcaptures: 0,
+                strobe_floods: 0,
+                data_ready_overcaptures: 0,
+                lost_pulses: 0,
+                lost_captures: 0,
+                lost_data_ready: 0,
+            },
+        }
+    }
+
+    fn handle(&mut self, begin: u32) {
+        TIMEBASE.refresh(begin);
+        loop {
+            // Only what has its interrupt on. The trigger always goes first.
+            let pending = TIM.sr().read().0 & TIM.dier().read().0;
+            if pending & flag(TRIGGER) != 0 {
+                self.trigger();
+            } else if pending & flag(DATA_READY) != 0 {
+                self.data_ready();
+            } else if pending & flag(STROBE) != 0 {
+                self.strobe();
+            } else {
+                break;
+            }
+        }
+        let unmute = UNMUTE.swap(0, Ordering::Relaxed);
+        if unmute & Input::DataReady as u8 != 0 {
+            self.data_ready.listen(DATA_READY);
+        }
+        if unmute & Input::Strobe as u8 != 0 {
+            self.strobe.listen(STROBE);
+        }
+        let busy = counter().wrapping_sub(begin);
+        self.counters.busy = self.counters.busy.wrapping_add(busy);
+    }
+
+    fn trigger(&mut self) {
+        let edge = TIM.ccr(TRIGGER).read();
+        // Idle, there is nothing to match.
+        clear(flag(TRIGGER));
+        let pulsed = self.pulser.on_match(&mut Channel, &TIMEBASE);
+        if let Some(pulsed) = pulsed {
+            let seq = self.pulse_seq;
+            self.pulse_seq = seq.wrapping_add(1);
+            if !self.tell(Event::Pulse(seq, pulsed)) {
+                self.counters.lost_pulses = self.counters.lost_pulses.saturating_add(1);
+            }
+        }
+        let latency = counter().wrapping_sub(edge);
+        self.counters.latency = self.counters.latency.max(latency);
+    }
+
+    fn data_ready(&mut self) {
+        let (captured, after_loss, flood) = self.data_ready.take(DATA_READY);
+        let at = TIMEBASE.extend(captured);
+        if !self.tell(Event::DataReady { at, after_loss }) {
+            self.counters.lost_data_ready = self.counters.lost_data_ready.saturating_add(1);
+        }
+        if flood {
+            self.tell(Event::Flooded(Input::DataReady));
+        }
+    }
+
+    fn strobe(&mut self) {
+        let (captured, after_loss, flood) = self.strobe.take(STROBE);
+        // Level and flag as they were at one moment: an edge between two looks
+        // at the flag makes a third necessary, and there can be no fourth.
+        let mut more = TIM.sr().read().ccif(STROBE);
+        let level = loop {
+            let level = pac::GPIOA.idr().read().idr(STROBE_PIN);
+            let before = core::mem::replace(&mut more, TIM.sr().read().ccif(STROBE));
+            if before == more {
+                break level.to_bits() != 0;
+            }
+        };
+        let capture = Capture {
+            seq: self.capture_seq,
+            channel: CaptureChannel::Strobe,
+            edge: direction(level, more),
+            at: TIMEBASE.extend(captured),
+            after_loss,
+        };
+        self.capture_seq = self.capture_seq.wrapping_add(1);
+        if !self.tell(Event::Capture(capture)) {
+            self.counters.lost_captures = self.counters.lost_captures.saturating_add(1);
+        }
+        if flood {
+            self.tell(Event::Flooded(Input::Strobe));
+        }
+    }
+
+    /// Hands over to the handler below. False if there is no place.
+    fn tell(&mut self, event: Event) -> bool {
+        NVIC::pend(crate::board::events::INTERRUPT);
+        match &mut self.events {
+            Some(events) => events.enqueue(event).is_ok(),
+            None => false,
+        }
+    }
+}
+
+impl InputState {
+    /// Takes the captured edge of `channel`: its counter value, whether one was
+    /// lost before it, and whether the input was now switched off.
+    fn take(&mut self, channel: usize) -> (u32, bool, bool) {
+        // Reading the value clears its flag.
+        let captured = TIM.ccr(channel).read();
+        let over = TIM.sr().read().ccof(channel);
+        if over {
+            clear(over_flag(channel));
+            self.overcaptures = self.overcaptures.saturating_add(1);
+        }
+        // The lost edge may lie before this value or after it: mark both.
+        let after_loss = core::mem::replace(&mut self.after_loss, over) || over;
+        let flood = !self.bucket.take(captured);
+        if flood {
+            self.floods = self.floods.saturating_add(1);
+            TIM.dier().modify(|w| w.set_ccie(channel, false));
+        }
+        (captured, after_loss, flood)
+    }
+
+    /// Switches the input on again. What came meanwhile is lost.
+    fn listen(&mut self, channel: usize) {
+        let _ = TIM.ccr(channel).read();
+        clear(over_flag(channel));
+        self.after_loss = true;
+        TIM.dier().modify(|w| w.set_ccie(channel, true));
+    }
+}
+
+/// Channel 1, and channel 4 that reads it back.
+pub(crate) struct Channel;
+
+impl CompareOutput for Channel {
+    fn counter(&self) -> u32 {
+        counter()
+    }
+
+    fn arm(&mut self, at: u32, action: Action) {
+        let mode = match action {
+            Action::Wake => Ocm::FROZEN,
+            Action::Rise => Ocm::ACTIVE_ON_MATCH,
+            Action::Fall => Ocm::INACTIVE_ON_MATCH,
+        };
+        // The mode first: the old compare value lies behind and matches
+        // nothing. The flag before the new value, so that its match is kept.
+        TIM.ccmr_output(0).modify(|w| w.set_ocm(TRIGGER, mode));
+        clear(flag(TRIGGER));
+        TIM.ccr(TRIGGER).write_value(at);
+        TIM.dier().modify(|w| w.set_ccie(TRIGGER, true));
+    }
+
+    fn has_matched(&self) -> bool {
+        TIM.sr().read().ccif(TRIGGER)
+    }
+
+    fn force_low(&mut self) {
+        TIM.dier().modify(|w| w.set_ccie(TRIGGER, false));
+        TIM.ccmr_output(0)
+            .modify(|w| w.set_ocm(TRIGGER, Ocm::FORCE_INACTIVE));
+        clear(flag(TRIGGER));
+    }
+
+    fn take_readback(&mut self) -> Option<Captured> {
+        let status = TIM.sr().read();
+        if !status.ccif(READBACK) {
+            return None;
+        }
+        let at = TIM.ccr(READBACK).read();
+        clear(over_flag(READBACK));
+        Some(Captured {
+            at,
+            more: status.ccof(READBACK),
+        })
+    }
 }

@@ -2,7 +2,9 @@
 
 use core::sync::atomic::Ordering;
 
-use protocol::{Answer, Command, HostToDevice, Refusal, Reply, SELF_TEST_KEY, Ticks};
+use protocol::{
+    Answer, Command, HostToDevice, Refusal, Reply, SELF_TEST_KEY, Ticks, TriggerStatus,
+};
 
 use crate::board::tim2;
 use crate::state::{self, FILLER_RATE};
@@ -33,7 +35,19 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
                 Err(Refusal::WrongKey)
             }
         }
-        _ => Err(Refusal::TriggerStopped),
+        Command::TriggerStart(start) => trigger(tim2::with_pulser(|pulser, output, time| {
+            pulser.start(output, time, start)
+        })),
+        Command::TriggerAlign(to) => tim2::align(message.id, &to).map(Reply::Align),
+        Command::TriggerPeriod(period) => {
+            trigger(tim2::with_pulser(|pulser, _, _| pulser.set_period(period)))
+        }
+        Command::TriggerStop => {
+            tim2::with_pulser(|pulser, output, time| pulser.stop(output, time));
+            trigger(Ok(()))
+        }
+        Command::TriggerQuery => trigger(Ok(())),
+        _ => Err(Refusal::ImuSettingOutOfRange),
     };
     let answer = Answer {
         id: message.id,
@@ -42,24 +56,18 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     state::send(|outbox| outbox.answer(answer));
 }
 
-pub(crate) fn tmp_trigger() -> protocol::TriggerStatus {
-    protocol::TriggerStatus {
-        state: protocol::TrainState::Stopped,
-        train: 0,
-        period: protocol::Period::MIN,
-        width: 0,
-        pulses: 0,
-        next_edge: Ticks(0),
-        next_fraction: 0,
-        late: 0,
-        readback: protocol::Readback {
-            seen: 0,
-            missing: 0,
-            stray: 0,
-            delay: None,
-        },
-    }
+/// The state of the train behind what came of a command.
+fn trigger(outcome: Result<(), Refusal>) -> Result<Reply, Refusal> {
+    outcome.map(|()| Reply::Trigger(trigger_status()))
 }
+
+/// The state of the train.
+pub(crate) fn trigger_status() -> TriggerStatus {
+    // On a copy: the status of the train as it was at one moment, worked out
+    // with interrupts on.
+    tim2::with_pulser(|pulser, _, _| *pulser).status()
+}
+
 pub(crate) fn tmp_imu() -> protocol::ImuStatus {
     protocol::ImuStatus {
         state: protocol::ImuState::Starting,

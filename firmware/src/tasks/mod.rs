@@ -5,4 +5,5 @@ pub(crate) mod receive;
 pub(crate) mod self_test;
 pub(crate) mod status;
 pub(crate) mod transmit;
+pub(crate) mod unmute;
 pub(crate) mod usb;

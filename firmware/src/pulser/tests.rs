@@ -1,0 +1,384 @@
+//! Tests of the pulser on a mock of the timer whose handler comes late.
+
+use std::cell::Cell;
+
+use protocol::{MAX_TIME_AWAY, MIN_PULSE_WIDTH, TriggerAlign};
+
+use super::*;
+
+/// A timer channel. Every look at the counter costs time; while time goes on,
+/// an armed match makes its edge.
+struct Mock {
+    now: Cell<u64>,
+    /// Absolute time of the armed match, and what it does.
+    armed: Cell<Option<(u64, Action)>>,
+    matched: Cell<bool>,
+    high: Cell<bool>,
+    edges: std::cell::RefCell<Vec<(u64, bool)>>,
+    /// Delay of the wire, and whether it is there.
+    wire: Option<u32>,
+    captured: Cell<Option<u64>>,
+    cost: u64,
+}
+
+impl Mock {
+    fn new(now: u64) -> Self {
+        Self {
+            now: Cell::new(now),
+            armed: Cell::new(None),
+            matched: Cell::new(false),
+            high: Cell::new(false),
+            edges: std::cell::RefCell::default(),
+            wire: None,
+            captured: Cell::new(None),
+            cost: 4,
+        }
+    }
+
+    fn set_pin(&self, at: u64, high: bool) {
+        if self.high.replace(high) != high {
+            self.edges.borrow_mut().push((at, high));
+            if high && let Some(delay) = self.wire {
+                self.captured.set(Some(at + u64::from(delay)));
+            }
+        }
+    }
+
+    fn advance_to(&self, to: u64) {
+        if let Some((at, action)) = self.armed.get()
+            && at <= to
+        {
+            // The compare goes on to match at every wrap.
+            self.armed.set(Some((at + (1 << 32), action)));
+            self.matched.set(true);
+            match action {
+                Action::Wake => {}
+                Action::Rise => self.set_pin(at, true),
+                Action::Fall => self.set_pin(at, false),
+            }
+        }
+        self.now.set(to);
+    }
+}
+
+impl CompareOutput for Mock {
+    fn counter(&self) -> u32 {
+        self.advance_to(self.now.get() + self.cost);
+        self.now.get() as u32
+    }
+
+    fn arm(&mut self, at: u32, action: Action) {
+        self.matched.set(false);
+        // The match comes when the counter next reaches the value.
+        let ahead = at.wrapping_sub(self.now.get() as u32).wrapping_sub(1);
+        self.armed
+            .set(Some((self.now.get() + 1 + u64::from(ahead), action)));
+    }
+
+    fn has_matched(&self) -> bool {
+        self.matched.get()
+    }
+
+    fn force_low(&mut self) {
+        self.armed.set(None);
+        self.matched.set(false);
+        self.set_pin(self.now.get(), false);
+    }
+
+    fn take_readback(&mut self) -> Option<Captured> {
+        let at = self.captured.get().filter(|&at| at <= self.now.get())?;
+        self.captured.set(None);
+        Some(Captured {
+            at: at as u32,
+            more: false,
+        })
+    }
+}
+
+struct Rig {
+    mock: Mock,
+    time: Timebase,
+    pulser: Pulser,
+}
+
+impl Rig {
+    fn new(now: u64) -> Self {
+        let time = Timebase::new();
+        let mut at = 0;
+        while at < now {
+            time.refresh(at as u32);
+            at += 1 << 29;
+        }
+        time.refresh(now as u32);
+        Self {
+            mock: Mock::new(now),
+            time,
+            pulser: Pulser::new(),
+        }
+    }
+
+    fn start(&mut self, start: TriggerStart) -> Result<(), Refusal> {
+        self.pulser.start(&mut self.mock, &self.time, start)
+    }
+
+    /// Runs to the next match and calls the handler `latency` ticks later.
+    fn handle(&mut self, latency: u64) -> Option<Pulsed> {
+        let (at, _) = self.mock.armed.get()?;
+        // The status task keeps time fresh.
+        while self.mock.now.get() + (1 << 30) < at {
+            self.mock.advance_to(self.mock.now.get() + (1 << 30));
+            self.time.refresh(self.mock.now.get() as u32);
+        }
+        self.mock.advance_to(at.max(self.mock.now.get()));
+        self.mock.advance_to(self.mock.now.get() + latency);
+        self.time.refresh(self.mock.now.get() as u32);
+        self.pulser.on_match(&mut self.mock, &self.time)
+    }
+
+    fn next_pulse(&mut self, latency: u64) -> Pulsed {
+        loop {
+            if let Some(pulse) = self.handle(latency) {
+                return pulse;
+            }
+        }
+    }
+}
+
+fn start(picos: u64, width: u32, first: u64) -> TriggerStart {
+    TriggerStart {
+        period: Period::from_picos(picos).unwrap(),
+        width,
+        first_edge: Some(Ticks(first)),
+    }
+}
+
+#[test]
+fn every_edge_at_the_pin_is_exact_and_reported_over_wraps() {
+    for (picos, width) in [
+        (33_330_652_540, 576),
+        (1_000_000_000, MIN_PULSE_WIDTH),
+        (1_000_000_001, 47_000),
+        (200_000_000_000, 576),
+    ] {
+        let first = (1 << 32) - 1_000_000;
+        let mut rig = Rig::new(first - 5_000);
+        let start = start(picos, width, first);
+        rig.start(start).unwrap();
+        let pulses = 20_000_u64.min(6 * (1 << 32) * 125 / 6 * 1000 / picos);
+        for k in 0..pulses {
+            let pulse = rig.next_pulse(100);
+            let at = start.period.edge(Ticks(first), k as i64);
+            assert_eq!((pulse.number, pulse.at), (k, at));
+            assert!(pulse.aligned);
+        }
+        let edges = rig.mock.edges.borrow();
+        for (k, pair) in edges.chunks(2).take(pulses as usize).enumerate() {
+            let at = start.period.edge(Ticks(first), k as i64).0;
+            assert_eq!(pair, [(at, true), (at + u64::from(width), false)]);
+        }
+        assert_eq!(rig.pulser.status().late, 0);
+        assert_eq!(rig.pulser.status().pulses, pulses);
+    }
+}
+
+#[test]
+fn a_first_edge_an_hour_ahead_is_reached_over_forty_wraps() {
+    let mut rig = Rig::new(1_000);
+    let first = 1_000 + MAX_TIME_AWAY;
+    rig.start(start(33_330_652_540, 576, first)).unwrap();
+    assert_eq!(rig.pulser.status().state, TrainState::Waiting);
+    assert_eq!(rig.next_pulse(50).at, Ticks(first));
+    let edges = [(first, true), (first + 576, false)];
+    assert_eq!(*rig.mock.edges.borrow(), edges);
+    assert_eq!(rig.pulser.status().state, TrainState::Running);
+}
+
+#[test]
+fn the_same_start_again_changes_nothing_and_another_is_refused() {
+    let mut rig = Rig::new(0);
+    let first = start(33_330_652_540, 576, 1_000_000);
+    rig.start(first).unwrap();
+    for _ in 0..3 {
+        rig.next_pulse(50);
+        let before = rig.pulser.status();
+        rig.start(first).unwrap();
+        assert_eq!(rig.pulser.status(), before);
+        let other = start(33_330_652_540, 577, 1_000_000_000);
+        assert_eq!(rig.start(other), Err(Refusal::TriggerRunning));
+        assert_eq!(rig.pulser.status(), before);
+    }
+}
+
+#[test]
+fn an_edge_too_near_is_refused() {
+    let mut rig = Rig::new(1_000_000);
+    let near = start(
+        1_000_000_000,
+        576,
+        1_000_000 + u64::from(MIN_START_LEAD) - 1,
+    );
+    let refused = rig.start(near);
+    assert!(matches!(refused, Err(Refusal::TimeOutOfRange { .. })));
+    let soon = TriggerStart {
+        first_edge: None,
+        ..near
+    };
+    rig.start(soon).unwrap();
+    let at = rig.next_pulse(50).at.0 - 1_000_000;
+    assert!((48_000..48_100).contains(&at), "{at}");
+}
+
+#[test]
+fn a_stop_ends_after_the_pulse_that_is_being_made() {
+    // Before the edge, well ahead: no pulse comes.
+    let mut rig = Rig::new(0);
+    rig.start(start(33_330_652_540, 576, 1_000_000)).unwrap();
+    rig.next_pulse(50);
+    rig.pulser.stop(&mut rig.mock, &rig.time);
+    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.handle(50), None);
+    assert_eq!(rig.mock.edges.borrow().len(), 2);
+
+    // Within a pulse: it keeps its width.
+    rig.start(start(33_330_652_540, 576, 1_200_000)).unwrap();
+    assert_eq!(rig.handle(50), None);
+    rig.pulser.stop(&mut rig.mock, &rig.time);
+    assert_ne!(rig.pulser.status().state, TrainState::Stopped);
+    let refused = rig.start(start(33_330_652_540, 576, 9_000_000));
+    assert_eq!(refused, Err(Refusal::TriggerRunning));
+    assert_eq!(rig.next_pulse(50).number, 0);
+    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    let edges = [(1_200_000, true), (1_200_576, false)];
+    assert_eq!(rig.mock.edges.borrow()[2..], edges);
+
+    // So near that it might race the edge: the pulse still comes, whole.
+    rig.start(start(33_330_652_540, 576, 2_000_000)).unwrap();
+    rig.mock.advance_to(2_000_000 - 100);
+    rig.pulser.stop(&mut rig.mock, &rig.time);
+    assert_eq!(rig.next_pulse(50).at, Ticks(2_000_000));
+    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.mock.edges.borrow().len(), 6);
+    assert_eq!(rig.pulser.status().train, 3);
+    // Once more changes nothing.
+    rig.pulser.stop(&mut rig.mock, &rig.time);
+    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+}
+
+#[test]
+fn a_handler_that_comes_too_late_is_counted_and_the_grid_is_kept() {
+    let mut rig = Rig::new(0);
+    rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
+    rig.next_pulse(50);
+    // The falling edge is armed too late: the pulse is ended by force.
+    let pulse = rig.handle(1_000).unwrap();
+    assert_eq!(pulse.at, Ticks(1_048_000));
+    assert_eq!(rig.pulser.status().late, 1);
+    let ended = *rig.mock.edges.borrow().last().unwrap();
+    assert!((1_049_000..1_049_100).contains(&ended.0) && !ended.1);
+    // The next is on the grid again.
+    assert_eq!(rig.next_pulse(50).at, Ticks(1_096_000));
+    // The rising edge is armed too late: it comes late, and its time is true.
+    assert_eq!(rig.handle(50), None);
+    let pulse = rig.handle(60_000).unwrap();
+    assert_eq!(pulse.at, Ticks(1_144_000));
+    let late = rig.next_pulse(50);
+    assert_eq!(rig.pulser.status().late, 2);
+    assert!(late.at.0 > 1_192_000);
+    let rises: Vec<u64> = rig
+        .mock
+        .edges
+        .borrow()
+        .iter()
+        .filter(|e| e.1)
+        .map(|e| e.0)
+        .collect();
+    assert_eq!(*rises.last().unwrap(), late.at.0);
+    let next = rig.next_pulse(50);
+    assert_eq!(next.number, late.number + 1);
+    assert_eq!(next.at, Ticks(1_240_000));
+}
+
+#[test]
+fn an_align_is_adopted_and_its_arrival_reported_once() {
+    let mut rig = Rig::new(0);
+    let begin = start(33_330_652_540, 576, 1_000_000);
+    rig.start(begin).unwrap();
+    rig.next_pulse(50);
+    let to = TriggerAlign {
+        anchor: Ticks(1_000_777),
+        period: begin.period,
+        slew: 100,
+    };
+    let alignment = rig
+        .pulser
+        .running()
+        .unwrap()
+        .align(77, &to, Ticks(0))
+        .unwrap();
+    assert_eq!(rig.pulser.adopt(&alignment), Ok(true));
+    assert_eq!(rig.pulser.status().state, TrainState::Slewing);
+    let mut arrivals = Vec::new();
+    for _ in 0..20 {
+        let pulse = rig.next_pulse(50);
+        if pulse.arrived.is_some() {
+            arrivals.push((pulse.number, pulse.at, pulse.arrived));
+        }
+        assert_eq!(pulse.aligned, pulse.number < 2 || !arrivals.is_empty());
+    }
+    let plan = alignment.plan;
+    assert_eq!(plan.shift.0, 777);
+    assert_eq!(arrivals, [(plan.arrival_pulse, plan.arrival, Some(77))]);
+    rig.pulser.stop(&mut rig.mock, &rig.time);
+    assert_eq!(rig.pulser.adopt(&alignment), Err(Refusal::TriggerStopped));
+    let refused = rig.pulser.set_period(begin.period);
+    assert_eq!(refused, Err(Refusal::TriggerStopped));
+}
+
+#[test]
+fn the_read_back_is_matched_to_its_pulse() {
+    let mut rig = Rig::new(0);
+    rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
+    assert_eq!(rig.next_pulse(50).readback, None);
+    let unwired = rig.pulser.status().readback;
+    assert_eq!((unwired.seen, unwired.missing), (0, 0));
+    rig.mock.wire = Some(3);
+    for _ in 0..5 {
+        assert_eq!(rig.next_pulse(50).readback, Some(3));
+    }
+    rig.mock.wire = None;
+    for _ in 0..2 {
+        assert_eq!(rig.next_pulse(50).readback, None);
+    }
+    // An edge that is not a pulse.
+    rig.mock.captured.set(Some(rig.mock.now.get() - 1));
+    assert_eq!(rig.next_pulse(50).readback, None);
+    let expected = Readback {
+        seen: 5,
+        missing: 3,
+        stray: 1,
+        delay: Some(3),
+    };
+    assert_eq!(rig.pulser.status().readback, expected);
+}
+
+#[test]
+fn the_status_tells_the_next_edge_exactly() {
+    let mut rig = Rig::new(0);
+    let begin = start(33_330_652_540, 576, 1_000_000);
+    rig.start(begin).unwrap();
+    for k in 1..50_u64 {
+        rig.next_pulse(50);
+        let status = rig.pulser.status();
+        let exact = (1_000_000_u128 << 32) + u128::from(k) * u128::from(begin.period.0);
+        let told = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
+        assert_eq!(told, exact);
+    }
+}
+
+#[test]
+fn an_overdue_edge_is_noticed() {
+    let mut rig = Rig::new(0);
+    rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
+    assert!(!rig.pulser.is_overdue(Ticks(1_000_000), 480_000));
+    assert!(rig.pulser.is_overdue(Ticks(1_480_001), 480_000));
+}

@@ -1,0 +1,17 @@
+//! Switches inputs on again that a flood has switched off.
+
+use embassy_time::Timer;
+use firmware::config::MUTE_MS;
+
+use crate::board::events::FLOODED;
+use crate::board::tim2;
+
+/// Runs for ever.
+#[embassy_executor::task]
+pub(crate) async fn run() {
+    loop {
+        let input = FLOODED.receive().await;
+        Timer::after_millis(MUTE_MS).await;
+        tim2::unmute(input);
+    }
+}
