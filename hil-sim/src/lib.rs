@@ -6,8 +6,12 @@
 
 pub mod clock;
 pub mod i2c;
+pub mod inertial_channel;
 pub mod model;
+pub mod motion;
+pub mod oscillator;
 pub mod pin;
 pub mod rolling_shutter;
+pub mod random;
 pub mod time;
 pub mod video_writer;
