@@ -9,9 +9,13 @@ pub mod i2c;
 pub mod inertial_channel;
 pub mod model;
 pub mod motion;
+pub mod mpu9150;
 pub mod oscillator;
 pub mod pin;
-pub mod rolling_shutter;
 pub mod random;
+pub mod rolling_shutter;
 pub mod time;
 pub mod video_writer;
+
+#[cfg(test)]
+mod test_bench;

@@ -52,6 +52,8 @@ pub enum Stream {
     Rig = 14,
     /// Inputs that a test makes up.
     Test = 15,
+    /// Tolerances of one specimen of the IMU.
+    ImuConfig = 16,
 }
 
 /// The seed of a run.

@@ -24,11 +24,15 @@ pub const UNITS_PER_SECOND: u64 = 66_528_000_000_000;
 pub const UNITS_PER_NANO: u64 = UNITS_PER_SECOND / 1_000_000_000;
 
 /// A point in the board's virtual time, counted from power-on of the rig.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[derive(
+    Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, serde::Serialize, serde::Deserialize,
+)]
 pub struct SimTime(u64);
 
 /// A length of the board's virtual time.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+#[derive(
+    Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, serde::Serialize, serde::Deserialize,
+)]
 pub struct SimDuration(u64);
 
 impl SimTime {
