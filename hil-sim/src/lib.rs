@@ -5,6 +5,7 @@
 //! the board's virtual time, [`time::SimTime`].
 
 pub mod clock;
+pub mod depth_camera;
 pub mod i2c;
 pub mod inertial_channel;
 pub mod model;
@@ -15,6 +16,8 @@ pub mod pin;
 pub mod random;
 pub mod rolling_shutter;
 pub mod time;
+pub mod truth;
+pub mod vcd_trace;
 pub mod video_writer;
 
 #[cfg(test)]
