@@ -2,17 +2,18 @@
 //! the environment of the compiler.
 
 use std::env;
+use std::error::Error;
 use std::path::Path;
 use std::process::Command;
 
-fn main() {
-    let out = env::var("OUT_DIR").expect("cargo sets OUT_DIR");
+fn main() -> Result<(), Box<dyn Error>> {
+    let out = env::var("OUT_DIR")?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
 
     let memory = root.join("memory.x");
     println!("cargo:rerun-if-changed={}", memory.display());
     if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
-        std::fs::copy(&memory, Path::new(&out).join("memory.x")).expect("memory.x can be copied");
+        std::fs::copy(&memory, Path::new(&out).join("memory.x"))?;
         println!("cargo:rustc-link-search={out}");
         println!("cargo:rustc-link-arg-bins=--nmagic");
         println!("cargo:rustc-link-arg-bins=-Tlink.x");
@@ -34,6 +35,7 @@ fn main() {
         .is_some_and(|status| !status.is_empty());
     println!("cargo:rustc-env=GIT_REVISION={revision}");
     println!("cargo:rustc-env=GIT_DIRTY={}", u8::from(dirty));
+    Ok(())
 }
 
 /// Output of a git command, or nothing where there is no git or no repository.

@@ -20,7 +20,7 @@ pub enum Task {
 }
 
 /// All of [`Task`].
-const ALL: u32 = (1 << Task::Receive as u8) | (1 << Task::Transmit as u8);
+const ALL: u32 = (1 << Task::Receive as u8) | (1 << Task::Transmit as u8) | (1 << Task::Imu as u8);
 
 /// The bits.
 #[derive(Debug, Default)]

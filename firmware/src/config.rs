@@ -118,13 +118,22 @@ pub const I2C_HZ: u32 = 400_000;
 pub const I2C_TIMEOUT_MS: u64 = 5;
 
 /// How long the first data-ready may take after setting up, in ms, before the
-/// clock is taken to be missing. Twice the sensor's start-up time of the
-/// gyroscope (30 ms, data sheet 6.1) and the slowest interval that counts.
+/// clock is taken to be missing, beyond one interval: three times the start-up
+/// time of the gyroscope (30 ms, data sheet 6.1).
 pub const FIRST_DATA_READY_MS: u64 = 100;
 
+/// Longest time for setting the sensor up, in ms: 50 ms for its reset, 17
+/// transfers of at most 0.1 ms, and as much again for a bus with a hiccup.
+pub const SET_UP_MS: u64 = 100;
+
+/// How long data-ready may stay away beyond two intervals, in ms: ten intervals
+/// at 500 Hz. Silence is noticed after 24 ms there and after 420 ms at 5 Hz.
+pub const DATA_READY_SLACK_MS: u64 = 20;
+
 /// Pause between two attempts to set up a sensor that does not answer, in ms.
-/// With the attempt itself (some 110 ms) five come in the second within which a
-/// sensor must be recovered.
+/// An attempt without answer is over at once, and one that succeeds takes some
+/// 60 ms to the first data-ready (160 ms more without the external clock): well
+/// within the second in which a sensor must be recovered.
 pub const IMU_RETRY_MS: u64 = 100;
 
 /// The IMU as it is set up at reset: 500 Hz, the widest low-pass below half of

@@ -48,7 +48,8 @@ pub const STACK_GAP_WORDS: usize = 256;
 pub fn stack_used(words: usize, read: impl Fn(usize) -> u32, paint: u32, known: usize) -> usize {
     let mut used = known.min(words);
     let mut gap = 0;
-    for depth in used..words {
+    let first = used;
+    for depth in first..words {
         if read(words - 1 - depth) == paint {
             gap += 1;
             if gap == STACK_GAP_WORDS {

@@ -8,6 +8,7 @@ use embassy_stm32::{pac, uid};
 use firmware::config;
 use protocol::ResetCause;
 
+use crate::board::imu_bus::ImuBus;
 use crate::board::{clocks, events, faults, idle, leds, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
@@ -56,11 +57,20 @@ fn main() -> ! {
     let watchdog = IndependentWatchdog::new(p.IWDG, config::WATCHDOG_US);
     let usb = tasks::usb::build(p.USB_OTG_FS, p.PA12, p.PA11, &board_id);
 
+    let imu_bus = ImuBus {
+        i2c: p.I2C1,
+        scl: p.PB6,
+        sda: p.PB7,
+        tx: p.DMA1_CH6,
+        rx: p.DMA1_CH0,
+    };
+
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
         spawn(spawner, tasks::usb::watch_terminal(usb.control));
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
+        spawn(spawner, tasks::imu::run(imu_bus));
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());
         spawn(spawner, tasks::status::run(watchdog));

@@ -8,6 +8,7 @@
 //! - [`framing`]: how it is put on the wire (postcard, CRC-32, COBS, a zero
 //!   byte behind each frame) and taken off again.
 //!
+//! - [`mpu9150`]: names of the IMU's registers, which [`ImuFault`] gives as numbers.
 //! - [`usb`]: how the board shows itself on USB.
 //!
 //! The order of an enum's variants and of a struct's fields *is* the format.
@@ -19,6 +20,7 @@
 
 pub mod framing;
 pub mod messages;
+pub mod mpu9150;
 pub mod units;
 pub mod usb;
 

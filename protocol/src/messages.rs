@@ -631,7 +631,8 @@ pub enum ImuClock {
     Unknown,
 }
 
-/// A fault of the IMU; `register` is the number in the register map.
+/// A fault of the IMU; `register` is the number in the register map
+/// ([`crate::mpu9150::register_name`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ImuFault {
     /// No acknowledge.

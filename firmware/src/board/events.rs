@@ -23,6 +23,7 @@ use static_cell::StaticCell;
 
 use crate::board::leds::{self, Led};
 use crate::state;
+use crate::tasks;
 
 /// The interrupt that this handler takes.
 pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::DCMI;
@@ -92,9 +93,9 @@ fn DCMI() {
             Event::Pulse(seq, pulsed) => send_pulse(seq, pulsed),
             Event::Capture(capture) => state::send(|outbox| outbox.capture(capture)),
             Event::DataReady { at, after_loss } => {
-                // A full channel: the task is four samples late, finds the
-                // edges out of step and counts them.
-                let _ = DATA_READY.try_send(DataReady { at, after_loss });
+                if DATA_READY.try_send(DataReady { at, after_loss }).is_err() {
+                    tasks::imu::lost_data_ready();
+                }
             }
             Event::Flooded(input) => {
                 let _ = FLOODED.try_send(input);

@@ -16,6 +16,7 @@ pub(crate) mod critical_section;
 pub(crate) mod events;
 pub(crate) mod faults;
 pub(crate) mod idle;
+pub(crate) mod imu_bus;
 pub(crate) mod leds;
 pub(crate) mod stack;
 pub(crate) mod tim2;

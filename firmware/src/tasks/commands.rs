@@ -8,7 +8,7 @@ use protocol::{
 
 use crate::board::tim2;
 use crate::state::{self, FILLER_RATE};
-use crate::tasks::self_test;
+use crate::tasks::{imu, self_test};
 
 /// Carries out one command, which came in at `received`, and answers it.
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
@@ -47,7 +47,8 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
             trigger(Ok(()))
         }
         Command::TriggerQuery => trigger(Ok(())),
-        _ => Err(Refusal::ImuSettingOutOfRange),
+        Command::ImuConfigure(config) => imu::configure(config).map(Reply::Imu),
+        Command::ImuQuery => Ok(Reply::Imu(imu::setup())),
     };
     let answer = Answer {
         id: message.id,
@@ -66,16 +67,4 @@ pub(crate) fn trigger_status() -> TriggerStatus {
     // On a copy: the status of the train as it was at one moment, worked out
     // with interrupts on.
     tim2::with_pulser(|pulser, _, _| *pulser).status()
-}
-
-pub(crate) fn tmp_imu() -> protocol::ImuStatus {
-    protocol::ImuStatus {
-        state: protocol::ImuState::Starting,
-        clock: protocol::ImuClock::Unknown,
-        samples: 0,
-        late: 0,
-        overcaptures: 0,
-        recoveries: 0,
-        last_fault: None,
-    }
 }

@@ -11,7 +11,7 @@ use protocol::Status;
 use crate::board::tim2::{self, Counters};
 use crate::board::{idle, stack};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
-use crate::tasks::commands;
+use crate::tasks::{commands, imu};
 
 /// Runs for ever.
 #[embassy_executor::task]
@@ -54,6 +54,6 @@ fn status(seq: u32, counters: &Counters, trigger_busy: u32) -> Status {
         trigger_busy,
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
-        imu: crate::tasks::commands::tmp_imu(),
+        imu: imu::status(),
     }
 }

@@ -298,7 +298,8 @@ proptest! {
         let start = TriggerStart { period: Period(old), width: WIDTH, first_edge: Some(now) };
         let mut train = Train::new(start, now, now, now).unwrap();
         train.advance();
-        let slew = if parts == 0 { 0 } else { (new.ticks() / 2 / parts).min(max_slew(new, WIDTH)) };
+        let step = (new.ticks() / 2).checked_div(parts).unwrap_or(0);
+        let slew = step.min(max_slew(new, WIDTH));
         let to = align(first.saturating_add_signed(away), new, slew);
         let alignment = train.align(9, &to, now).unwrap();
         let plan = alignment.plan;

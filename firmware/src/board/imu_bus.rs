@@ -1,0 +1,90 @@
+//! I2C1 on PB6 and PB7, and how it is freed.
+
+use embassy_stm32::gpio::{Input, Level, OutputOpenDrain, Pull, Speed};
+use embassy_stm32::i2c::{Config, ErrorInterruptHandler, EventInterruptHandler, I2c, Master};
+use embassy_stm32::mode::Async;
+use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH6, I2C1, PB6, PB7};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::{Peri, bind_interrupts, dma};
+use embassy_time::Timer;
+use firmware::config::I2C_HZ;
+
+bind_interrupts!(struct Irqs {
+    I2C1_EV => EventInterruptHandler<I2C1>;
+    I2C1_ER => ErrorInterruptHandler<I2C1>;
+    DMA1_STREAM0 => dma::InterruptHandler<DMA1_CH0>;
+    DMA1_STREAM6 => dma::InterruptHandler<DMA1_CH6>;
+});
+
+/// Clocks after which any device has shifted out the byte that it hangs in,
+/// with its acknowledge (I2C specification UM10204, 3.1.16).
+const FREEING_CLOCKS: u32 = 9;
+
+/// Half a clock while freeing the bus, in µs. The time driver makes 32 of it.
+const HALF_CLOCK_US: u64 = 5;
+
+/// The peripheral, its pins and its DMA streams.
+pub(crate) struct ImuBus {
+    pub(crate) i2c: Peri<'static, I2C1>,
+    pub(crate) scl: Peri<'static, PB6>,
+    pub(crate) sda: Peri<'static, PB7>,
+    pub(crate) tx: Peri<'static, DMA1_CH6>,
+    pub(crate) rx: Peri<'static, DMA1_CH0>,
+}
+
+impl ImuBus {
+    /// The bus, freshly reset.
+    pub(crate) fn open(&mut self) -> I2c<'_, Async, Master> {
+        let mut config = Config::default();
+        config.frequency = Hertz(I2C_HZ);
+        I2c::new(
+            self.i2c.reborrow(),
+            self.scl.reborrow(),
+            self.sda.reborrow(),
+            self.tx.reborrow(),
+            self.rx.reborrow(),
+            Irqs,
+            config,
+        )
+    }
+
+    /// Frees the bus of a device that hangs in a transfer: up to nine clocks
+    /// until it lets go of SDA, then a stop. Returns whether both lines are
+    /// free now.
+    pub(crate) async fn free(&mut self) -> bool {
+        if self.is_idle() {
+            return true;
+        }
+        let mut scl = OutputOpenDrain::new(self.scl.reborrow(), Level::High, Speed::Medium);
+        let mut sda = OutputOpenDrain::new(self.sda.reborrow(), Level::High, Speed::Medium);
+        for _ in 0..FREEING_CLOCKS {
+            Timer::after_micros(HALF_CLOCK_US).await;
+            if sda.is_high() {
+                break;
+            }
+            scl.set_low();
+            Timer::after_micros(HALF_CLOCK_US).await;
+            scl.set_high();
+        }
+        // A stop: SDA rises while SCL is high.
+        scl.set_low();
+        Timer::after_micros(HALF_CLOCK_US).await;
+        sda.set_low();
+        Timer::after_micros(HALF_CLOCK_US).await;
+        scl.set_high();
+        Timer::after_micros(HALF_CLOCK_US).await;
+        sda.set_high();
+        Timer::after_micros(HALF_CLOCK_US).await;
+        scl.is_high() && sda.is_high()
+    }
+
+    /// Whether both lines are high. Without a sensor, whose board has the
+    /// pull-ups, the pins' own make them so.
+    fn is_idle(&mut self) -> bool {
+        let scl = Input::new(self.scl.reborrow(), Pull::Up);
+        let sda = Input::new(self.sda.reborrow(), Pull::Up);
+        // Some µs for the weak pull-ups.
+        cortex_m::asm::delay(firmware::config::SYSCLK_HZ / 1_000_000 * 5);
+        scl.is_high() && sda.is_high()
+    }
+}

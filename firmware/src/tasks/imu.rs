@@ -1,0 +1,303 @@
+//! Samples the IMU: sets it up, reads it on each data-ready, and sets it up
+//! again when it fails.
+//!
+//! A fault of one transfer costs that sample: the bus is freed and opened anew,
+//! and the next data-ready tries again. A second fault in a row, or silence,
+//! starts from the sensor's reset. Nothing here holds up anything else.
+
+use core::cell::Cell;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_futures::select::{Either, select};
+use embassy_stm32::i2c::{I2c, Master};
+use embassy_stm32::mode::Async;
+use embassy_sync::blocking_mutex::CriticalSectionMutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
+use embassy_time::{Delay, Duration, Timer, with_timeout};
+use firmware::alive::Task;
+use firmware::config::{
+    DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_DEFAULT, IMU_RETRY_MS, SET_UP_MS,
+};
+use firmware::imu::{self, Mpu9150, RawSample};
+use protocol::{
+    ImuClock, ImuConfig, ImuFault, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, Refusal,
+};
+
+use crate::board::events::{DATA_READY, DataReady};
+use crate::board::imu_bus::ImuBus;
+use crate::board::leds::{self, Led};
+use crate::board::tim2;
+use crate::state::{self, ALIVE};
+use crate::tasks::self_test;
+
+type Sensor<'a> = Mpu9150<I2c<'a, Async, Master>>;
+
+static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
+    CriticalSectionMutex::new(Cell::new(ImuStatus {
+        state: ImuState::Starting,
+        clock: ImuClock::Unknown,
+        samples: 0,
+        late: 0,
+        overcaptures: 0,
+        recoveries: 0,
+        last_fault: None,
+    }));
+
+static CONFIG: CriticalSectionMutex<Cell<ImuConfig>> =
+    CriticalSectionMutex::new(Cell::new(IMU_DEFAULT));
+
+/// Another configuration was set.
+static RECONFIGURED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// Data-ready edges that found no place in their queue.
+static LOST: AtomicU32 = AtomicU32::new(0);
+
+/// How the IMU fares.
+pub(crate) fn status() -> ImuStatus {
+    let counters = tim2::counters();
+    let lost = LOST.load(Ordering::Relaxed);
+    let mut status = STATUS.lock(Cell::get);
+    status.overcaptures = counters
+        .data_ready_overcaptures
+        .saturating_add(counters.lost_data_ready)
+        .saturating_add(lost);
+    status
+}
+
+/// The IMU as it is set up.
+pub(crate) fn setup() -> ImuSetup {
+    imu::describe(CONFIG.lock(Cell::get), status())
+}
+
+/// Sets the IMU up anew.
+///
+/// # Errors
+///
+/// A setting that the board does not take.
+pub(crate) fn configure(config: ImuConfig) -> Result<ImuSetup, Refusal> {
+    imu::check(&config)?;
+    CONFIG.lock(|cell| cell.set(config));
+    update(|status| status.state = ImuState::Starting);
+    RECONFIGURED.signal(());
+    Ok(setup())
+}
+
+/// An edge of data-ready was lost for want of a place.
+pub(crate) fn lost_data_ready() {
+    LOST.fetch_add(1, Ordering::Relaxed);
+}
+
+fn update(change: impl FnOnce(&mut ImuStatus)) {
+    STATUS.lock(|cell| {
+        let mut status = cell.get();
+        change(&mut status);
+        cell.set(status);
+    });
+}
+
+fn book(fault: ImuFault) {
+    let before = STATUS.lock(Cell::get).last_fault;
+    if before != Some(fault) {
+        defmt::warn!("imu: {}", defmt::Debug2Format(&fault));
+    }
+    update(|status| status.last_fault = Some(fault));
+}
+
+fn show(state: ImuState) {
+    leds::set(Led::Imu, state == ImuState::Running);
+    leds::set(Led::Fault, state == ImuState::Failed);
+    update(|status| status.state = state);
+}
+
+/// Samples for ever.
+#[embassy_executor::task]
+pub(crate) async fn run(mut bus: ImuBus) {
+    let mut sampler = Sampler {
+        config: IMU_DEFAULT,
+        seq: 0,
+        flags: ImuFlags::FIRST,
+        failed: false,
+    };
+    loop {
+        sampler.config = CONFIG.lock(Cell::get);
+        RECONFIGURED.reset();
+        show(ImuState::Starting);
+        let ended = sampler.session(&mut bus).await;
+        if let Err(fault) = ended {
+            book(fault);
+            show(ImuState::Failed);
+            // A sensor that had been running is tried again at once.
+            if sampler.failed {
+                alive().await;
+                Timer::after_millis(IMU_RETRY_MS).await;
+            }
+        }
+        sampler.failed = ended.is_err();
+    }
+}
+
+/// Checks in; does not return during the self test.
+async fn alive() {
+    if self_test::is_stalled() {
+        core::future::pending::<()>().await;
+    }
+    ALIVE.check_in(Task::Imu);
+}
+
+/// What ends a wait for data-ready.
+enum Next {
+    Edge(DataReady),
+    Silence,
+    Reconfigured,
+}
+
+struct Sampler {
+    config: ImuConfig,
+    seq: u32,
+    /// Flags that the next sample carries.
+    flags: ImuFlags,
+    /// The last session ended in a fault.
+    failed: bool,
+}
+
+impl Sampler {
+    /// From setting up to the next fault (an error) or configuration.
+    async fn session(&mut self, bus: &mut ImuBus) -> Result<(), ImuFault> {
+        alive().await;
+        let (clock, mut edge) = match self.start(bus).await? {
+            Some(started) => started,
+            None => return Ok(()),
+        };
+        if self.failed {
+            update(|status| status.recoveries = status.recoveries.saturating_add(1));
+            self.failed = false;
+        }
+        self.flags = ImuFlags::FIRST;
+        update(|status| status.clock = clock);
+        show(ImuState::Running);
+        defmt::info!("imu runs, clock {}", defmt::Debug2Format(&clock));
+
+        let patience = self.patience();
+        let mut one_failed = false;
+        loop {
+            let mut sensor = Mpu9150::new(bus.open());
+            // Until a transfer fails.
+            let fault = loop {
+                alive().await;
+                match read(&mut sensor).await {
+                    Ok(raw) => self.send(edge, &raw),
+                    Err(fault) => break fault,
+                }
+                one_failed = false;
+                edge = match next_edge(patience).await {
+                    Next::Edge(edge) => edge,
+                    Next::Silence => return Err(ImuFault::NoDataReady),
+                    Next::Reconfigured => return Ok(()),
+                };
+            };
+            // This edge's sample is lost: a gap in the stream.
+            self.seq = self.seq.wrapping_add(1);
+            self.flags = self.flags.with(ImuFlags::AFTER_LOSS);
+            book(fault);
+            drop(sensor);
+            if one_failed {
+                return Err(fault);
+            }
+            one_failed = true;
+            if !bus.free().await {
+                return Err(ImuFault::BusHeld);
+            }
+            edge = match next_edge(patience).await {
+                Next::Edge(edge) => edge,
+                Next::Silence => return Err(ImuFault::NoDataReady),
+                Next::Reconfigured => return Ok(()),
+            };
+        }
+    }
+
+    /// Sets the sensor up, on the external clock or else its own, and waits for
+    /// the first data-ready. `None` if another configuration came.
+    async fn start(&self, bus: &mut ImuBus) -> Result<Option<(ImuClock, DataReady)>, ImuFault> {
+        if !bus.free().await {
+            return Err(ImuFault::BusHeld);
+        }
+        let mut sensor = Mpu9150::new(bus.open());
+        for clock in [ImuClock::External, ImuClock::Internal] {
+            let mut delay = Delay;
+            let setting_up = sensor.set_up(&self.config, clock, &mut delay);
+            match with_timeout(Duration::from_millis(SET_UP_MS), setting_up).await {
+                Ok(result) => result?,
+                Err(_) => {
+                    return Err(ImuFault::Timeout {
+                        register: sensor.register(),
+                    });
+                }
+            }
+            alive().await;
+            // Edges from before the reset.
+            DATA_READY.clear();
+            let first = FIRST_DATA_READY_MS + u64::from(imu::interval_ms(&self.config));
+            match next_edge(Duration::from_millis(first)).await {
+                Next::Edge(edge) => return Ok(Some((clock, edge))),
+                Next::Silence => {}
+                Next::Reconfigured => return Ok(None),
+            }
+        }
+        Err(ImuFault::NoDataReady)
+    }
+
+    /// How long data-ready may stay away.
+    fn patience(&self) -> Duration {
+        let interval = u64::from(imu::interval_ms(&self.config));
+        Duration::from_millis(2 * interval + DATA_READY_SLACK_MS)
+    }
+
+    fn send(&mut self, edge: DataReady, raw: &RawSample) {
+        let mut flags = core::mem::take(&mut self.flags);
+        if edge.after_loss {
+            flags = flags.with(ImuFlags::AFTER_LOSS);
+        }
+        if raw.is_saturated() {
+            flags = flags.with(ImuFlags::SATURATED);
+        }
+        // The next edge came before the registers were read.
+        let late = !DATA_READY.is_empty();
+        if late {
+            flags = flags.with(ImuFlags::LATE);
+        }
+        update(|status| {
+            status.samples = status.samples.saturating_add(1);
+            status.late = status.late.saturating_add(u32::from(late));
+        });
+        let sample = ImuSample {
+            seq: self.seq,
+            at: edge.at,
+            flags,
+            accel: raw.accel,
+            temperature: raw.temperature,
+            gyro: raw.gyro,
+        };
+        self.seq = self.seq.wrapping_add(1);
+        state::send(|outbox| outbox.imu(sample));
+    }
+}
+
+async fn next_edge(patience: Duration) -> Next {
+    let event = select(DATA_READY.receive(), RECONFIGURED.wait());
+    match with_timeout(patience, event).await {
+        Ok(Either::First(edge)) => Next::Edge(edge),
+        Ok(Either::Second(())) => Next::Reconfigured,
+        Err(_) => Next::Silence,
+    }
+}
+
+async fn read(sensor: &mut Sensor<'_>) -> Result<RawSample, ImuFault> {
+    let limit = Duration::from_millis(I2C_TIMEOUT_MS);
+    match with_timeout(limit, sensor.read_sample()).await {
+        Ok(result) => result,
+        Err(_) => Err(ImuFault::Timeout {
+            register: sensor.register(),
+        }),
+    }
+}
