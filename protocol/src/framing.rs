@@ -11,7 +11,6 @@
 use core::marker::PhantomData;
 
 use crc::{CRC_32_ISO_HDLC, Crc};
-use postcard::ser_flavors::{Cobs, Slice, crc::CrcModifier};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// CRC-32/ISO-HDLC with a 1 KiB table.
@@ -102,9 +101,19 @@ impl LinkCounters {
 /// `buffer` is too short; [`MAX_FRAME`] bytes always suffice for the messages
 /// of this crate.
 pub fn encode<'b, M: Serialize>(message: &M, buffer: &'b mut [u8]) -> postcard::Result<&'b [u8]> {
-    let cobs = Cobs::try_new(Slice::new(buffer))?;
-    let frame = postcard::serialize_with_flavor(message, CrcModifier::new(cobs, CRC32.digest()))?;
-    Ok(frame)
+    const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
+    let mut plain = [0; MAX_MESSAGE + CRC_LEN];
+    let body = plain.get_mut(..MAX_MESSAGE).ok_or(FULL)?;
+    let body = postcard::to_slice(message, body)?;
+    let (len, crc) = (body.len(), CRC32.checksum(body));
+    let with_crc = len + CRC_LEN;
+    let space = plain.get_mut(len..with_crc).ok_or(FULL)?;
+    space.copy_from_slice(&crc.to_le_bytes());
+
+    let plain = plain.get(..with_crc).ok_or(FULL)?;
+    let coded = cobs::try_encode(plain, buffer).map_err(|_| FULL)?;
+    *buffer.get_mut(coded).ok_or(FULL)? = 0;
+    buffer.get(..=coded).ok_or(FULL)
 }
 
 /// A push parser: bytes go in, in any split; messages come out.

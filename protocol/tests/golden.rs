@@ -1,0 +1,600 @@
+//! The bytes of every message, pinned.
+//!
+//! `tests/golden.txt` holds one frame a line: a name, and the frame in hex, with
+//! its delimiter. A change there is a change of the wire format and needs a new
+//! `PROTOCOL_VERSION`. After such a change, `BLESS=1 cargo test -p
+//! smartdepthsync-protocol --test golden` writes the file anew, and
+//! `docs/protocol.md` has to be brought up to date with it: that page names the
+//! checksum of the file.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use heapless::{String, Vec};
+use protocol::*;
+
+fn trigger_status() -> TriggerStatus {
+    TriggerStatus {
+        state: TrainState::Slewing,
+        train: 3,
+        period: Period::from_picos(33_330_652_540).unwrap(),
+        width: 576,
+        pulses: 123_456,
+        next_edge: Ticks(0x0123_4567_89AB),
+        next_fraction: 0xFEDC_BA98,
+        late: 0,
+        readback: Readback {
+            seen: 99,
+            missing: 1,
+            stray: 2,
+            delay: Some(-3),
+        },
+    }
+}
+
+fn imu_status(last_fault: Option<ImuFault>) -> ImuStatus {
+    ImuStatus {
+        state: ImuState::Running,
+        clock: ImuClock::External,
+        samples: 300_000,
+        late: 1,
+        overcaptures: 2,
+        recoveries: 3,
+        last_fault,
+    }
+}
+
+fn imu_config() -> ImuConfig {
+    ImuConfig {
+        divider: 1,
+        low_pass: LowPass::Hz188,
+        gyro_range: GyroRange::Dps500,
+        accel_range: AccelRange::G4,
+    }
+}
+
+fn imu_setup(config: ImuConfig, status: ImuStatus) -> ImuSetup {
+    ImuSetup {
+        config,
+        interval: 96_000,
+        gyro_lsb_per_dps_times_10: config.gyro_range.lsb_per_dps_times_10(),
+        accel_lsb_per_g: config.accel_range.lsb_per_g(),
+        gyro_delay_us: config.low_pass.gyro_delay_us(),
+        accel_delay_us: config.low_pass.accel_delay_us(),
+        status,
+    }
+}
+
+fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello {
+    Hello {
+        protocol_version: PROTOCOL_VERSION,
+        firmware_version: (1, 2, 3),
+        git_revision: String::try_from("0123456789ab").unwrap(),
+        git_dirty: true,
+        board_id: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12],
+        tick_hz: TICK_HZ,
+        now: Ticks(48_000_001),
+        epoch: 0xDEAD_BEEF,
+        reset_cause,
+        last_panic: last_panic.map(|text| String::try_from(text).unwrap()),
+    }
+}
+
+fn status() -> Status {
+    Status {
+        seq: 60,
+        at: Ticks(2_880_000_000),
+        epoch: 7,
+        dropped: Dropped {
+            answers: 1,
+            pulses: 2,
+            captures: 3,
+            imu: 4,
+            status: 5,
+        },
+        link: LinkCounters {
+            frames: 6,
+            oversize: 7,
+            cobs: 8,
+            checksum: 9,
+            message: 10,
+            lost_bytes: 11,
+        },
+        connects: 12,
+        cpu_permille: 55,
+        stack_used: 4_096,
+        stack_size: 110_000,
+        trigger: trigger_status(),
+        trigger_latency: 120,
+        trigger_busy: 13_000,
+        strobe_overcaptures: 13,
+        strobe_floods: 14,
+        imu: imu_status(None),
+    }
+}
+
+/// Every command, and every value of every enum in them.
+fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
+    let period = Period::from_picos(33_333_333_330).unwrap();
+    let mut commands = vec![
+        ("hello".to_owned(), Command::Hello),
+        (
+            "ping".to_owned(),
+            Command::Ping {
+                host_time: 0x8877_6655_4433_2211,
+            },
+        ),
+        (
+            "trigger-start-at".to_owned(),
+            Command::TriggerStart(TriggerStart {
+                period,
+                width: 576,
+                first_edge: Some(Ticks(96_000_000)),
+            }),
+        ),
+        (
+            "trigger-start-soon".to_owned(),
+            Command::TriggerStart(TriggerStart {
+                period: Period::MIN,
+                width: MIN_PULSE_WIDTH,
+                first_edge: None,
+            }),
+        ),
+        (
+            "trigger-align".to_owned(),
+            Command::TriggerAlign(TriggerAlign {
+                anchor: Ticks(1_234_567_890_123),
+                period,
+                slew: 1_600,
+            }),
+        ),
+        (
+            "trigger-period".to_owned(),
+            Command::TriggerPeriod(Period::MAX),
+        ),
+        ("trigger-stop".to_owned(), Command::TriggerStop),
+        ("trigger-query".to_owned(), Command::TriggerQuery),
+        ("imu-query".to_owned(), Command::ImuQuery),
+        (
+            "filler".to_owned(),
+            Command::Filler {
+                bytes_per_second: u32::MAX,
+            },
+        ),
+    ];
+    for low_pass in [
+        LowPass::Hz188,
+        LowPass::Hz98,
+        LowPass::Hz42,
+        LowPass::Hz20,
+        LowPass::Hz10,
+        LowPass::Hz5,
+    ] {
+        let config = ImuConfig {
+            low_pass,
+            ..imu_config()
+        };
+        commands.push((
+            format!("imu-configure-{low_pass:?}"),
+            Command::ImuConfigure(config),
+        ));
+    }
+    for gyro_range in [
+        GyroRange::Dps250,
+        GyroRange::Dps500,
+        GyroRange::Dps1000,
+        GyroRange::Dps2000,
+    ] {
+        let config = ImuConfig {
+            gyro_range,
+            ..imu_config()
+        };
+        commands.push((
+            format!("imu-configure-{gyro_range:?}"),
+            Command::ImuConfigure(config),
+        ));
+    }
+    for accel_range in [
+        AccelRange::G2,
+        AccelRange::G4,
+        AccelRange::G8,
+        AccelRange::G16,
+    ] {
+        let config = ImuConfig {
+            accel_range,
+            ..imu_config()
+        };
+        commands.push((
+            format!("imu-configure-{accel_range:?}"),
+            Command::ImuConfigure(config),
+        ));
+    }
+    for failure in [
+        Failure::Panic,
+        Failure::Hang,
+        Failure::HardFault,
+        Failure::Stall,
+    ] {
+        let key = SELF_TEST_KEY;
+        commands.push((
+            format!("self-test-{failure:?}"),
+            Command::SelfTest { key, failure },
+        ));
+    }
+    // A new command does not compile here until it has its golden bytes above.
+    let known = |command: &Command| match command {
+        Command::Hello
+        | Command::Ping { .. }
+        | Command::TriggerStart(_)
+        | Command::TriggerAlign(_)
+        | Command::TriggerPeriod(_)
+        | Command::TriggerStop
+        | Command::TriggerQuery
+        | Command::ImuConfigure(_)
+        | Command::ImuQuery
+        | Command::Filler { .. }
+        | Command::SelfTest { .. } => true,
+    };
+    commands
+        .into_iter()
+        .inspect(|(_, command)| assert!(known(command)))
+        .map(|(name, command)| (name, HostToDevice { id: 300, command }))
+        .collect()
+}
+
+/// Every message of the board, and every value of every enum in them.
+fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
+    let mut messages = Vec::<(std::string::String, DeviceToHost), 100>::new();
+    let mut add = |name: std::string::String, message| messages.push((name, message)).unwrap();
+    for cause in [
+        ResetCause::PowerOn,
+        ResetCause::BrownOut,
+        ResetCause::Pin,
+        ResetCause::Software,
+        ResetCause::Watchdog,
+        ResetCause::WindowWatchdog,
+        ResetCause::LowPower,
+        ResetCause::Unknown,
+    ] {
+        add(
+            format!("hello-{cause:?}"),
+            DeviceToHost::Hello(hello(cause, None)),
+        );
+    }
+    let panic = Some("src/main.rs:1: it fell");
+    add(
+        "hello-panic".to_owned(),
+        DeviceToHost::Hello(hello(ResetCause::Software, panic)),
+    );
+
+    let replies = [
+        ("done", Reply::Done),
+        (
+            "pong",
+            Reply::Pong {
+                host_time: 5,
+                received: Ticks(1_000),
+                sent: Ticks(1_100),
+            },
+        ),
+        ("trigger", Reply::Trigger(trigger_status())),
+        (
+            "align",
+            Reply::Align(AlignPlan {
+                shift: TickDelta(-777),
+                frames: 8,
+                arrival_pulse: 1_008,
+                arrival: Ticks(9_999_999_999),
+            }),
+        ),
+        ("imu", Reply::Imu(imu_setup(imu_config(), imu_status(None)))),
+    ];
+    for (name, reply) in replies {
+        let result = Ok(reply);
+        add(
+            format!("answer-{name}"),
+            DeviceToHost::Answer(Answer { id: 1, result }),
+        );
+    }
+    let refusals = [
+        Refusal::PeriodOutOfRange,
+        Refusal::WidthOutOfRange {
+            min: MIN_PULSE_WIDTH,
+            max: 47_760,
+        },
+        Refusal::TimeOutOfRange { now: Ticks(42) },
+        Refusal::SlewOutOfRange { max: 800_000 },
+        Refusal::TriggerStopped,
+        Refusal::TriggerRunning,
+        Refusal::AlignInProgress,
+        Refusal::ImuSettingOutOfRange,
+        Refusal::WrongKey,
+    ];
+    for (number, refusal) in refusals.into_iter().enumerate() {
+        let result = Err(refusal);
+        add(
+            format!("refusal-{number}"),
+            DeviceToHost::Answer(Answer {
+                id: u32::MAX,
+                result,
+            }),
+        );
+    }
+    for (number, state) in [
+        TrainState::Stopped,
+        TrainState::Waiting,
+        TrainState::Running,
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let reply = Reply::Trigger(TriggerStatus {
+            state,
+            ..trigger_status()
+        });
+        let result = Ok(reply);
+        add(
+            format!("train-{number}"),
+            DeviceToHost::Answer(Answer { id: 2, result }),
+        );
+    }
+
+    add("status".to_owned(), DeviceToHost::Status(status()));
+    for (number, fault) in [
+        ImuFault::NoAcknowledge { register: 0x3B },
+        ImuFault::BusHeld,
+        ImuFault::Timeout { register: 0x6B },
+        ImuFault::Bus { register: 0x75 },
+        ImuFault::WrongIdentity { found: 0x71 },
+        ImuFault::Readback {
+            register: 0x1B,
+            wrote: 8,
+            read: 0,
+        },
+        ImuFault::NoDataReady,
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let imu = imu_status(Some(fault));
+        add(
+            format!("status-imu-fault-{number}"),
+            DeviceToHost::Status(Status { imu, ..status() }),
+        );
+    }
+    for (state, clock) in [
+        (ImuState::Starting, ImuClock::Unknown),
+        (ImuState::Failed, ImuClock::Internal),
+    ] {
+        let imu = ImuStatus {
+            state,
+            clock,
+            ..imu_status(None)
+        };
+        add(
+            format!("status-imu-{state:?}"),
+            DeviceToHost::Status(Status { imu, ..status() }),
+        );
+    }
+
+    for readback in [None, Some(2)] {
+        add(
+            format!("pulse-{}", readback.map_or("alone", |_| "read-back")),
+            DeviceToHost::Pulse(Pulse {
+                seq: 5,
+                train: 1,
+                number: 1_000_000,
+                at: Ticks(1_599_871_321_920),
+                aligned: readback.is_some(),
+                readback,
+            }),
+        );
+    }
+    add(
+        "arrived".to_owned(),
+        DeviceToHost::Arrived(Arrived {
+            command: 17,
+            train: 1,
+            pulse: 1_008,
+            at: Ticks(9_999_999_999),
+            remaining: TickDelta::ZERO,
+        }),
+    );
+    for edge in [Edge::Rising, Edge::Falling] {
+        add(
+            format!("capture-{edge:?}"),
+            DeviceToHost::Capture(Capture {
+                seq: 8,
+                channel: CaptureChannel::Strobe,
+                edge,
+                at: Ticks(123_456_789),
+                after_loss: edge == Edge::Rising,
+            }),
+        );
+    }
+    add(
+        "imu".to_owned(),
+        DeviceToHost::Imu(ImuSample {
+            seq: 1_000,
+            at: Ticks(96_000_000),
+            flags: ImuFlags::LATE.with(ImuFlags::SATURATED),
+            accel: [i16::MIN, -1, 8_192],
+            temperature: -521,
+            gyro: [i16::MAX, 0, 655],
+        }),
+    );
+    add(
+        "filler".to_owned(),
+        DeviceToHost::Filler(Filler {
+            seq: 2,
+            payload: (2..10).collect(),
+        }),
+    );
+    // A new message does not compile here until it has its golden bytes above.
+    for (_, message) in &messages {
+        match message {
+            DeviceToHost::Hello(_)
+            | DeviceToHost::Answer(_)
+            | DeviceToHost::Status(_)
+            | DeviceToHost::Pulse(_)
+            | DeviceToHost::Arrived(_)
+            | DeviceToHost::Capture(_)
+            | DeviceToHost::Imu(_)
+            | DeviceToHost::Filler(_) => {}
+        }
+    }
+    messages.into_iter().collect()
+}
+
+fn hex(bytes: &[u8]) -> std::string::String {
+    bytes
+        .iter()
+        .fold(std::string::String::new(), |mut text, byte| {
+            write!(text, "{byte:02x}").unwrap();
+            text
+        })
+}
+
+fn golden() -> std::string::String {
+    let mut text = format!("protocol-version {PROTOCOL_VERSION}\n");
+    let mut buffer = [0; MAX_FRAME];
+    for (name, command) in commands() {
+        let frame = encode(&command, &mut buffer).unwrap();
+        writeln!(text, "to-device/{name} {}", hex(frame)).unwrap();
+    }
+    for (name, message) in messages() {
+        let frame = encode(&message, &mut buffer).unwrap();
+        writeln!(text, "to-host/{name} {}", hex(frame)).unwrap();
+    }
+    text
+}
+
+fn path(relative: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(relative)
+}
+
+#[test]
+fn every_message_has_its_golden_bytes() {
+    let path = path("tests/golden.txt");
+    let now = golden();
+    if std::env::var_os("BLESS").is_some() {
+        std::fs::write(&path, &now).unwrap();
+    }
+    let pinned = std::fs::read_to_string(&path).unwrap();
+    for (line, (now, pinned)) in now.lines().zip(pinned.lines()).enumerate() {
+        assert_eq!(
+            now,
+            pinned,
+            "line {}: the wire format has changed",
+            line + 1
+        );
+    }
+    assert_eq!(now.lines().count(), pinned.lines().count());
+}
+
+#[test]
+fn the_golden_bytes_are_read_back_as_the_same_messages() {
+    let mut host = Decoder::<DeviceToHost>::new();
+    let mut board = Decoder::<HostToDevice>::new();
+    let mut buffer = [0; MAX_FRAME];
+    for (name, message) in messages() {
+        let mut frame = encode(&message, &mut buffer).unwrap();
+        assert_eq!(host.next(&mut frame), Some(Ok(message)), "{name}");
+        assert!(frame.is_empty());
+    }
+    for (name, command) in commands() {
+        let mut frame = encode(&command, &mut buffer).unwrap();
+        assert_eq!(board.next(&mut frame), Some(Ok(command)), "{name}");
+    }
+}
+
+/// The page that describes the format names the checksum of the golden bytes:
+/// whoever changes one has to look at the other.
+#[test]
+fn the_page_about_the_protocol_was_looked_at() {
+    let pinned = std::fs::read(path("tests/golden.txt")).unwrap();
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&pinned);
+    let page = std::fs::read_to_string(path("../docs/protocol.md")).unwrap();
+    let mark = format!("`{crc:08x}`");
+    assert!(
+        page.contains(&mark),
+        "docs/protocol.md does not name the checksum {mark} of tests/golden.txt: \
+         bring the page up to date with the format, then its checksum"
+    );
+}
+
+/// The longest messages fit into a frame.
+#[test]
+fn no_message_is_longer_than_a_frame() {
+    let mut longest = [0; MAX_FRAME];
+    let text = "x".repeat(MAX_PANIC);
+    let mut hello = hello(ResetCause::Software, Some(&text));
+    hello.now = Ticks(u64::MAX);
+    hello.epoch = u32::MAX;
+    hello.tick_hz = u32::MAX;
+    encode(&DeviceToHost::Hello(hello), &mut longest).unwrap();
+    let filler = Filler {
+        seq: u32::MAX,
+        payload: (0..MAX_FILLER).map(|_| 0).collect(),
+    };
+    encode(&DeviceToHost::Filler(filler), &mut longest).unwrap();
+
+    let all = u32::MAX;
+    let mut status = status();
+    status.seq = all;
+    status.at = Ticks(u64::MAX);
+    status.epoch = all;
+    status.dropped = Dropped {
+        answers: all,
+        pulses: all,
+        captures: all,
+        imu: all,
+        status: all,
+    };
+    status.link = LinkCounters {
+        frames: all,
+        oversize: all,
+        cobs: all,
+        checksum: all,
+        message: all,
+        lost_bytes: all,
+    };
+    status.connects = all;
+    status.cpu_permille = u16::MAX;
+    status.stack_used = all;
+    status.stack_size = all;
+    status.trigger = TriggerStatus {
+        state: TrainState::Slewing,
+        train: all,
+        period: Period(u64::MAX),
+        width: all,
+        pulses: u64::MAX,
+        next_edge: Ticks(u64::MAX),
+        next_fraction: all,
+        late: all,
+        readback: Readback {
+            seen: all,
+            missing: all,
+            stray: all,
+            delay: Some(i32::MIN),
+        },
+    };
+    status.trigger_latency = all;
+    status.trigger_busy = all;
+    status.strobe_overcaptures = all;
+    status.strobe_floods = all;
+    status.imu = ImuStatus {
+        samples: all,
+        late: all,
+        overcaptures: all,
+        recoveries: all,
+        ..imu_status(Some(ImuFault::Readback {
+            register: 0xFF,
+            wrote: 0xFF,
+            read: 0xFF,
+        }))
+    };
+    encode(&DeviceToHost::Status(status), &mut longest).unwrap();
+}
