@@ -69,6 +69,10 @@ pub enum Command {
     Ports(commands::ports::Args),
     /// Talk to the phone's app
     Phone(commands::phone::Args),
+    /// The camera trigger by hand: start, align, period, stop, status
+    Trigger(commands::trigger::Args),
+    /// Stream the board's IMU: rate, jitter, noise; to a CSV file
+    Imu(commands::imu::Args),
 }
 
 impl Command {
@@ -77,6 +81,8 @@ impl Command {
             Self::Info(args) => commands::info::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),
+            Self::Trigger(args) => commands::trigger::run(args, context),
+            Self::Imu(args) => commands::imu::run(args, context),
         }
     }
 }

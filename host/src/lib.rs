@@ -4,6 +4,7 @@
 //! - [`session`]: bytes in, events out; command ids, deadlines, losses. No I/O.
 //! - [`board`]: a session on a transport, with calls that wait for the answer.
 //! - [`phone`]: the phone's remote control over TCP.
+//! - [`imu`]: the board's IMU samples in SI units.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
@@ -12,6 +13,8 @@
 pub mod board;
 pub mod cli;
 pub mod commands;
+pub mod decimal;
+pub mod imu;
 pub mod outcome;
 pub mod phone;
 pub mod session;

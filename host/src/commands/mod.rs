@@ -1,8 +1,10 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
+pub mod imu;
 pub mod info;
 pub mod phone;
 pub mod ports;
+pub mod trigger;
 
 use crate::board::Board;
 use crate::outcome::Failure;

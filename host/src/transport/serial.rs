@@ -269,7 +269,7 @@ fn is_plain_file(path: &str) -> bool {
     std::fs::metadata(path).is_ok() && !name.starts_with("tty") && !path.starts_with("/dev/pts/")
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
 mod tests {
     use std::time::Duration;
 

@@ -1,0 +1,421 @@
+//! `smartdepthsync trigger`: the camera trigger by hand.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use clap::Subcommand;
+use protocol::{
+    AlignPlan, Arrived, DeviceToHost, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign,
+    TriggerStart, TriggerStatus,
+};
+use serde::Serialize;
+
+use super::PortArg;
+use crate::board::{Board, BoardError};
+use crate::cli::Context;
+use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
+use crate::outcome::{Failure, Outcome};
+use crate::session::Event;
+
+/// Options of `trigger`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Start the train of pulses; 30 fps unless told otherwise
+    Start {
+        #[command(flatten)]
+        period: PeriodArg,
+        /// Length of a pulse in µs (the camera needs more than 8)
+        #[arg(long, value_name = "US", default_value = "12", value_parser = parse_us_ticks)]
+        width_us: u32,
+        /// Board time of the first rising edge, in ticks of 48 MHz [default: at once]
+        #[arg(long, value_name = "TICK")]
+        first_edge: Option<u64>,
+    },
+    /// Move the running train so that an edge falls exactly on a tick
+    Align {
+        /// A tick of 48 MHz that the train shall pass through; at most an hour away
+        #[arg(long, value_name = "TICK")]
+        anchor: u64,
+        #[command(flatten)]
+        period: PeriodArg,
+        /// Move at most this many µs a frame; 0 jumps at once
+        #[arg(long, value_name = "US", default_value = "100", value_parser = parse_us_ticks)]
+        slew_us: u32,
+        /// Do not wait for the train to arrive
+        #[arg(long)]
+        no_wait: bool,
+    },
+    /// Change the period from the next edge on
+    Period {
+        #[command(flatten)]
+        period: PeriodArg,
+    },
+    /// Stop the train
+    Stop,
+    /// What the train does
+    Status,
+}
+
+/// A period in human units.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[group(multiple = false)]
+struct PeriodArg {
+    /// Frames a second, such as 30 or 29.97; exact
+    #[arg(long, value_name = "FPS", value_parser = parse_fps)]
+    fps: Option<Period>,
+    /// Period in µs, such as 33330.652; exact to 2⁻³² ticks
+    #[arg(long, value_name = "US", value_parser = parse_period_us)]
+    period_us: Option<Period>,
+}
+
+impl PeriodArg {
+    fn given(self) -> Option<Period> {
+        self.fps.or(self.period_us)
+    }
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct TriggerReport {
+    state: TrainState,
+    train: u32,
+    period_ns: String,
+    period_ticks: u32,
+    period_fraction: u32,
+    fps: f64,
+    phase_step_ns: f64,
+    width_us: f64,
+    pulses: u64,
+    next_edge_ticks: u64,
+    next_edge_fraction: u32,
+    late: u32,
+    readback: ReadbackReport,
+}
+
+#[derive(Debug, Serialize)]
+struct ReadbackReport {
+    /// "not wired", "ok", "missing n", or "stray n".
+    state: String,
+    seen: u32,
+    missing: u32,
+    stray: u32,
+    delay_ticks: Option<i32>,
+    delay_ns: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct AlignReport {
+    shift_ticks: i64,
+    shift_us: f64,
+    frames: u32,
+    arrival_pulse: u64,
+    arrival_ticks: u64,
+    arrived: Option<ArrivedReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct ArrivedReport {
+    pulse: u64,
+    at_ticks: u64,
+    remaining_ticks: i64,
+}
+
+/// Runs `trigger`.
+///
+/// # Errors
+///
+/// The board cannot be reached or refuses.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    // Wrong options are told before the port is opened.
+    if let Action::Period { period } = &args.action
+        && period.given().is_none()
+    {
+        return Err(Failure::new(
+            crate::outcome::ExitStatus::Usage,
+            "trigger period needs --fps or --period-us",
+        )
+        .into());
+    }
+    let mut board = args.port.open()?;
+    act(&args.action, &mut board, context)
+}
+
+fn act(action: &Action, board: &mut Board, context: &Context) -> anyhow::Result<Outcome> {
+    let status = match *action {
+        Action::Start {
+            period,
+            width_us,
+            first_edge,
+        } => board.start_trigger(TriggerStart {
+            period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
+            width: width_us,
+            first_edge: first_edge.map(Ticks),
+        }),
+        Action::Align {
+            anchor,
+            period,
+            slew_us,
+            no_wait,
+        } => {
+            let align = Align {
+                anchor: Ticks(anchor),
+                period: period.given(),
+                slew: slew_us,
+                wait: !no_wait,
+            };
+            return align.run(board, context);
+        }
+        Action::Period { period } => match period.given() {
+            Some(period) => board.set_period(period),
+            None => board.trigger(),
+        },
+        Action::Stop => board.stop_trigger(),
+        Action::Status => board.trigger(),
+    };
+    let status = status.map_err(Failure::from)?;
+    let report = TriggerReport::from(&status);
+    context.print(&report, || report.text(&status))?;
+    Ok(if status.late > 0 || status.readback.missing > 0 {
+        Outcome::Loss
+    } else {
+        Outcome::Good
+    })
+}
+
+struct Align {
+    anchor: Ticks,
+    period: Option<Period>,
+    slew: u32,
+    wait: bool,
+}
+
+impl Align {
+    fn run(&self, board: &mut Board, context: &Context) -> anyhow::Result<Outcome> {
+        let period = match self.period {
+            Some(period) => period,
+            None => board.trigger().map_err(Failure::from)?.period,
+        };
+        let plan = board
+            .align(TriggerAlign {
+                anchor: self.anchor,
+                period,
+                slew: self.slew,
+            })
+            .map_err(Failure::from)?;
+        let mut report = AlignReport::from(&plan);
+        if !context.global.json {
+            context.print(&report, || report.text())?;
+        }
+        let mut outcome = Outcome::Good;
+        if self.wait {
+            outcome = match wait_for_arrival(board, context, &plan)? {
+                Wait::Arrived(arrived) => {
+                    report.arrived = Some(ArrivedReport::from(&arrived));
+                    Outcome::Good
+                }
+                Wait::Unconfirmed => {
+                    tracing::warn!("the train runs on its grid, but its arrival was not reported");
+                    Outcome::Loss
+                }
+                Wait::Interrupted => Outcome::Interrupted,
+            };
+        }
+        match &report.arrived {
+            Some(arrived) if !context.global.json => context.print(&report, || arrived.text())?,
+            _ if context.global.json => context.print(&report, String::new)?,
+            _ => {}
+        }
+        Ok(outcome)
+    }
+}
+
+/// How waiting for an arrival ended.
+enum Wait {
+    Arrived(Arrived),
+    /// The message was lost; the state of the train says that it has arrived.
+    Unconfirmed,
+    Interrupted,
+}
+
+/// Waits for the arrival of the last align.
+fn wait_for_arrival(
+    board: &mut Board,
+    context: &Context,
+    plan: &AlignPlan,
+) -> Result<Wait, Failure> {
+    // In board time, with a margin for the message; a rig that has no time
+    // passing at all is given up by the clock on the wall.
+    let latest = plan.arrival.0 + u64::from(TICK_HZ) * 3;
+    let mut quiet_since = board.now();
+    loop {
+        if context.interrupt.requested() {
+            return Ok(Wait::Interrupted);
+        }
+        match board.next_event(Duration::from_millis(100))? {
+            Some(Event::Message(DeviceToHost::Arrived(arrived)))
+                if arrived.pulse == plan.arrival_pulse && arrived.at == plan.arrival =>
+            {
+                return Ok(Wait::Arrived(arrived));
+            }
+            Some(_) => quiet_since = board.now(),
+            None => {}
+        }
+        let quiet = board.now().saturating_sub(quiet_since) > Duration::from_secs(20);
+        if quiet || board.session().latest().0 > latest {
+            let status = board.trigger()?;
+            if status.state == TrainState::Running && status.pulses > plan.arrival_pulse {
+                return Ok(Wait::Unconfirmed);
+            }
+            return Err(BoardError::NoAnswer {
+                command: "arrival of the align",
+            }
+            .into());
+        }
+    }
+}
+
+fn micros(ticks: f64) -> f64 {
+    ticks * 1e6 / f64::from(TICK_HZ)
+}
+
+impl From<&TriggerStatus> for TriggerReport {
+    fn from(status: &TriggerStatus) -> Self {
+        let period = status.period;
+        let seconds = period.as_secs_f64();
+        Self {
+            state: status.state,
+            train: status.train,
+            period_ns: period.to_string().trim_end_matches(" ns").to_owned(),
+            period_ticks: period.ticks(),
+            period_fraction: period.fraction(),
+            fps: if seconds > 0.0 { 1.0 / seconds } else { 0.0 },
+            phase_step_ns: 1e9 / f64::from(TICK_HZ),
+            width_us: micros(f64::from(status.width)),
+            pulses: status.pulses,
+            next_edge_ticks: status.next_edge.0,
+            next_edge_fraction: status.next_fraction,
+            late: status.late,
+            readback: ReadbackReport::from(&status.readback),
+        }
+    }
+}
+
+impl TriggerReport {
+    fn text(&self, status: &TriggerStatus) -> String {
+        let mut text = String::new();
+        let state = match self.state {
+            TrainState::Stopped => "stopped",
+            TrainState::Waiting => "waiting for its first edge",
+            TrainState::Running => "running",
+            TrainState::Slewing => "slewing to another phase",
+        };
+        let _ = writeln!(text, "state       {state}");
+        if self.train > 0 {
+            let _ = writeln!(text, "train       {}, {} pulses", self.train, self.pulses);
+            let _ = writeln!(
+                text,
+                "period      {} ns ({} + {}/2^32 ticks, {:.6} fps)",
+                self.period_ns, self.period_ticks, self.period_fraction, self.fps
+            );
+            let _ = writeln!(text, "pulse       {:.3} µs wide", self.width_us);
+        }
+        if matches!(
+            self.state,
+            TrainState::Running | TrainState::Slewing | TrainState::Waiting
+        ) {
+            let _ = writeln!(
+                text,
+                "next edge   {} ({:.6} s)",
+                status.next_edge,
+                status.next_edge.as_secs_f64()
+            );
+        }
+        let _ = writeln!(text, "phase step  {:.2} ns", self.phase_step_ns);
+        if self.late > 0 {
+            let _ = writeln!(
+                text,
+                "late edges  {}: they came later than asked for",
+                self.late
+            );
+        }
+        let _ = write!(text, "read-back   {}", self.readback.state);
+        if let Some(delay) = self.readback.delay_ticks {
+            let _ = write!(
+                text,
+                ", delay {delay} ticks ({:.0} ns)",
+                self.readback.delay_ns.unwrap_or_default()
+            );
+        }
+        text
+    }
+}
+
+impl From<&Readback> for ReadbackReport {
+    fn from(readback: &Readback) -> Self {
+        let state = match (readback.seen, readback.missing, readback.stray) {
+            (0, 0, 0) => String::from("not wired"),
+            (_, 0, 0) => String::from("ok"),
+            (_, 0, stray) => format!("stray {stray}"),
+            (_, missing, _) => format!("missing {missing}"),
+        };
+        Self {
+            state,
+            seen: readback.seen,
+            missing: readback.missing,
+            stray: readback.stray,
+            delay_ticks: readback.delay,
+            delay_ns: readback
+                .delay
+                .map(|ticks| f64::from(ticks) * 1e9 / f64::from(TICK_HZ)),
+        }
+    }
+}
+
+impl From<&AlignPlan> for AlignReport {
+    fn from(plan: &AlignPlan) -> Self {
+        Self {
+            shift_ticks: plan.shift.0,
+            shift_us: micros(plan.shift.0 as f64),
+            frames: plan.frames,
+            arrival_pulse: plan.arrival_pulse,
+            arrival_ticks: plan.arrival.0,
+            arrived: None,
+        }
+    }
+}
+
+impl AlignReport {
+    fn text(&self) -> String {
+        format!(
+            "moving by {:+} ticks ({:+.3} µs) over {} frames; on the grid from pulse {} on",
+            self.shift_ticks, self.shift_us, self.frames, self.arrival_pulse
+        )
+    }
+}
+
+impl From<&Arrived> for ArrivedReport {
+    fn from(arrived: &Arrived) -> Self {
+        Self {
+            pulse: arrived.pulse,
+            at_ticks: arrived.at.0,
+            remaining_ticks: arrived.remaining.0,
+        }
+    }
+}
+
+impl ArrivedReport {
+    fn text(&self) -> String {
+        format!(
+            "arrived at pulse {} ({} ticks), {} ticks from the grid",
+            self.pulse, self.at_ticks, self.remaining_ticks
+        )
+    }
+}

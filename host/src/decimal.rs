@@ -1,0 +1,216 @@
+//! Decimal numbers of the command line as exact times of the board.
+//!
+//! `33330.652` µs is 1,599,871.296 ticks, and a period must be exactly that: no
+//! number here ever becomes a float.
+
+use protocol::{Period, TICK_HZ};
+
+/// The most digits of a number, before and behind the point together.
+const MAX_DIGITS: usize = 18;
+
+/// A non-negative decimal number, exact: `digits · 10^-places`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Decimal {
+    digits: u64,
+    places: u32,
+}
+
+/// Why a text is no number for this use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DecimalError {
+    /// Not digits with at most one point.
+    #[error("expected a decimal number such as 33330.652")]
+    NotANumber,
+    /// More digits than are taken.
+    #[error("expected at most {MAX_DIGITS} digits")]
+    TooLong,
+    /// Zero frames a second.
+    #[error("expected a number above 0")]
+    Zero,
+    /// Outside of what the board can do.
+    #[error("expected a period within 1 ms and 1 s (1 to 1000 fps)")]
+    PeriodOutOfRange,
+    /// More than 2³² − 1 ticks.
+    #[error("expected less than 89 s")]
+    TooLarge,
+}
+
+impl std::str::FromStr for Decimal {
+    type Err = DecimalError;
+
+    fn from_str(text: &str) -> Result<Self, DecimalError> {
+        let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
+        let digits = || whole.bytes().chain(fraction.bytes());
+        if digits().next().is_none() || !digits().all(|byte| byte.is_ascii_digit()) {
+            return Err(DecimalError::NotANumber);
+        }
+        if digits().count() > MAX_DIGITS {
+            return Err(DecimalError::TooLong);
+        }
+        Ok(Self {
+            // 18 digits fit into 64 bits.
+            digits: digits().fold(0, |sum, byte| sum * 10 + u64::from(byte - b'0')),
+            places: u32::try_from(fraction.len()).map_err(|_| DecimalError::TooLong)?,
+        })
+    }
+}
+
+impl Decimal {
+    fn scale(self) -> u128 {
+        10_u128.pow(self.places)
+    }
+
+    /// The number as microseconds, in 2⁻³² ticks, rounded to nearest.
+    fn micros_in_raw_ticks(self) -> u128 {
+        // 10^18 · 48 · 2^32 < 2^98.
+        let raw = (u128::from(self.digits) * u128::from(TICK_HZ / 1_000_000)) << 32;
+        (raw + self.scale() / 2) / self.scale()
+    }
+
+    /// This many microseconds as a period.
+    ///
+    /// # Errors
+    ///
+    /// Not within 1 ms and 1 s.
+    pub fn micros_period(self) -> Result<Period, DecimalError> {
+        let raw = self.micros_in_raw_ticks();
+        u64::try_from(raw)
+            .ok()
+            .map(Period)
+            .filter(|period| period.in_bounds())
+            .ok_or(DecimalError::PeriodOutOfRange)
+    }
+
+    /// The period of this many frames a second: `48·10⁶ · 2³² / fps`.
+    ///
+    /// # Errors
+    ///
+    /// Not within 1 and 1000.
+    pub fn fps_period(self) -> Result<Period, DecimalError> {
+        let digits = u128::from(self.digits);
+        if digits == 0 {
+            return Err(DecimalError::Zero);
+        }
+        // 48·10^6 · 2^32 · 10^18 < 2^118.
+        let raw = ((u128::from(TICK_HZ) << 32) * self.scale() + digits / 2) / digits;
+        u64::try_from(raw)
+            .ok()
+            .map(Period)
+            .filter(|period| period.in_bounds())
+            .ok_or(DecimalError::PeriodOutOfRange)
+    }
+
+    /// This many microseconds in whole ticks, rounded to nearest.
+    ///
+    /// # Errors
+    ///
+    /// More than 32 bits of ticks.
+    pub fn micros_ticks(self) -> Result<u32, DecimalError> {
+        let ticks = (self.micros_in_raw_ticks() + (1 << 31)) >> 32;
+        u32::try_from(ticks).map_err(|_| DecimalError::TooLarge)
+    }
+}
+
+/// For clap: a period in microseconds.
+///
+/// # Errors
+///
+/// Not a number, or no period that the board takes.
+pub fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
+    text.parse::<Decimal>()?.micros_period()
+}
+
+/// For clap: a period as frames a second.
+///
+/// # Errors
+///
+/// Not a number, or no period that the board takes.
+pub fn parse_fps(text: &str) -> Result<Period, DecimalError> {
+    text.parse::<Decimal>()?.fps_period()
+}
+
+/// For clap: microseconds as whole ticks.
+///
+/// # Errors
+///
+/// Not a number, or too many ticks.
+pub fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
+    text.parse::<Decimal>()?.micros_ticks()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn a_period_in_microseconds_is_exact() {
+        assert_eq!(
+            parse_period_us("33330.652"),
+            Ok(Period::from_picos(33_330_652_000).unwrap())
+        );
+        assert_eq!(
+            parse_period_us("33330.652540"),
+            Ok(Period::from_picos(33_330_652_540).unwrap())
+        );
+        assert_eq!(parse_period_us("1000"), Ok(Period::MIN));
+        assert_eq!(parse_period_us("1000000."), Ok(Period::MAX));
+        assert_eq!(
+            parse_period_us("0200000.0"),
+            Ok(Period::from_ticks(9_600_000))
+        );
+    }
+
+    #[test]
+    fn frames_a_second_are_exact() {
+        assert_eq!(parse_fps("30"), Ok(Period::from_ticks(1_600_000)));
+        assert_eq!(parse_fps("15.0"), Ok(Period::from_ticks(3_200_000)));
+        assert_eq!(parse_fps("5"), Ok(Period::from_ticks(9_600_000)));
+        // 48·10⁶ / 29.97 = 1,601,601 + 601,599/1,000,999 … ticks, to 2⁻³³.
+        let ntsc = parse_fps("29.97").unwrap();
+        let exact = 48e6 / 29.97 * 4_294_967_296.0;
+        assert!((ntsc.0 as f64 - exact).abs() < 2.0, "{}", ntsc.0);
+    }
+
+    #[test]
+    fn what_is_no_number_is_told() {
+        for text in ["", ".", "-1", "1e3", "1,5", "1.2.3", " 1", "١"] {
+            assert_eq!(
+                parse_period_us(text),
+                Err(DecimalError::NotANumber),
+                "{text}"
+            );
+        }
+        assert_eq!(
+            parse_period_us("1000.0000000000000000001"),
+            Err(DecimalError::TooLong)
+        );
+        assert_eq!(parse_fps("0.000"), Err(DecimalError::Zero));
+        for text in ["999.999", "1000000.001", "999999999999999999"] {
+            assert_eq!(parse_period_us(text), Err(DecimalError::PeriodOutOfRange));
+        }
+        for text in ["0.99", "1000.01"] {
+            assert_eq!(parse_fps(text), Err(DecimalError::PeriodOutOfRange));
+        }
+        assert_eq!(parse_us_ticks("99999999"), Err(DecimalError::TooLarge));
+        assert_eq!(parse_us_ticks("12"), Ok(576));
+        assert_eq!(parse_us_ticks("0.0104"), Ok(0));
+        assert_eq!(parse_us_ticks("0.0105"), Ok(1));
+    }
+
+    proptest! {
+        #[test]
+        fn six_places_agree_with_picoseconds(picos in 1_000_000_000_u64..=1_000_000_000_000) {
+            let text = format!("{}.{:06}", picos / 1_000_000, picos % 1_000_000);
+            prop_assert_eq!(parse_period_us(&text).ok(), Period::from_picos(picos));
+        }
+
+        #[test]
+        fn no_text_makes_it_panic(text in "[0-9.]{0,24}") {
+            let _ = parse_period_us(&text);
+            let _ = parse_fps(&text);
+            let _ = parse_us_ticks(&text);
+        }
+    }
+}

@@ -1,0 +1,294 @@
+//! `trigger` and `imu` as a process against a stand-in: exact units on the way
+//! to the board, losses on the way back, files in SI units.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(unix)]
+
+mod support;
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use protocol::{
+    AccelRange, AlignPlan, Answer, Arrived, Command, DeviceToHost, GyroRange, HostToDevice,
+    ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, LowPass, Period,
+    Readback, Refusal, Reply, TickDelta, Ticks, TrainState, TriggerStatus,
+};
+use serde_json::Value;
+use support::{Behaviour, StandIn, code, frame, polite, run, text};
+
+fn answer(id: u32, result: Result<Reply, Refusal>) -> Vec<u8> {
+    frame(&DeviceToHost::Answer(Answer { id, result }))
+}
+
+fn status(period: Period, width: u32) -> TriggerStatus {
+    TriggerStatus {
+        state: TrainState::Running,
+        train: 1,
+        period,
+        width,
+        pulses: 10,
+        next_edge: Ticks(100),
+        next_fraction: 1 << 31,
+        late: 0,
+        readback: Readback {
+            seen: 10,
+            missing: 0,
+            stray: 0,
+            delay: Some(2),
+        },
+    }
+}
+
+/// Answers the trigger's commands and tells the test what it was sent.
+struct TriggerStandIn {
+    commands: Sender<Command>,
+    result: fn(&Command) -> Result<Reply, Refusal>,
+}
+
+impl Behaviour for TriggerStandIn {
+    fn command(&mut self, command: HostToDevice) -> Vec<u8> {
+        if matches!(command.command, Command::Hello) {
+            return polite(command);
+        }
+        self.commands.send(command.command.clone()).unwrap();
+        let mut bytes = answer(command.id, (self.result)(&command.command));
+        if matches!(command.command, Command::TriggerAlign(_)) {
+            bytes.extend(frame(&DeviceToHost::Arrived(Arrived {
+                command: command.id,
+                train: 1,
+                pulse: 44,
+                at: Ticks(48_000_000 * 92),
+                remaining: TickDelta(0),
+            })));
+        }
+        bytes
+    }
+}
+
+fn trigger(result: fn(&Command) -> Result<Reply, Refusal>) -> (StandIn, Receiver<Command>) {
+    let (commands, received) = channel();
+    (StandIn::new(TriggerStandIn { commands, result }), received)
+}
+
+#[test]
+fn a_period_in_microseconds_reaches_the_board_exactly() {
+    let (board, received) = trigger(|command| match command {
+        Command::TriggerStart(start) => Ok(Reply::Trigger(status(start.period, start.width))),
+        _ => Err(Refusal::TriggerStopped),
+    });
+    let output = run(&[
+        "trigger",
+        "--port",
+        &board.path,
+        "--json",
+        "start",
+        "--period-us",
+        "33330.65254",
+        "--width-us",
+        "12.5",
+        "--first-edge",
+        "4800000000",
+    ]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    let Command::TriggerStart(start) = received.recv().unwrap() else {
+        panic!("another command");
+    };
+    assert_eq!(start.period, Period::from_picos(33_330_652_540).unwrap());
+    assert_eq!(start.width, 600);
+    assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["period_ns"], "33330652.540");
+    assert_eq!(report["period_ticks"], 1_599_871);
+    assert_eq!(report["readback"]["state"], "ok");
+    assert_eq!(report["readback"]["delay_ticks"], 2);
+    assert!((report["phase_step_ns"].as_f64().unwrap() - 20.833).abs() < 0.001);
+}
+
+#[test]
+fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
+    let (board, received) = trigger(|command| match command {
+        Command::TriggerQuery => Ok(Reply::Trigger(status(
+            Period(0x1234_5678_9ABC_DEF0 >> 8),
+            576,
+        ))),
+        Command::TriggerAlign(_) => Ok(Reply::Align(AlignPlan {
+            shift: TickDelta(-480),
+            frames: 3,
+            arrival_pulse: 44,
+            arrival: Ticks(48_000_000 * 92),
+        })),
+        _ => Err(Refusal::TriggerStopped),
+    });
+    let output = run(&[
+        "trigger",
+        "--port",
+        &board.path,
+        "--json",
+        "align",
+        "--anchor",
+        "4416000000",
+        "--slew-us",
+        "10",
+    ]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    assert_eq!(received.recv().unwrap(), Command::TriggerQuery);
+    let Command::TriggerAlign(align) = received.recv().unwrap() else {
+        panic!("another command");
+    };
+    assert_eq!(align.anchor, Ticks(4_416_000_000));
+    assert_eq!(align.period, Period(0x1234_5678_9ABC_DEF0 >> 8));
+    assert_eq!(align.slew, 480);
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["shift_us"], -10.0);
+    assert_eq!(report["arrived"]["pulse"], 44);
+    assert_eq!(report["arrived"]["remaining_ticks"], 0);
+}
+
+#[test]
+fn a_refusal_has_its_code_and_names_the_bounds() {
+    let (board, _received) = trigger(|_| {
+        Err(Refusal::WidthOutOfRange {
+            min: 240,
+            max: 47_760,
+        })
+    });
+    let output = run(&[
+        "trigger",
+        "--port",
+        &board.path,
+        "start",
+        "--width-us",
+        "2000",
+        "--fps",
+        "1000",
+    ]);
+    assert_eq!(code(&output), 3);
+    let told = text(&output.stderr);
+    assert!(told.contains("5.000 µs to 995.000 µs"), "{told}");
+}
+
+#[test]
+fn wrong_units_are_usage_errors_before_any_port_is_opened() {
+    for args in [
+        &["trigger", "start", "--period-us", "999"][..],
+        &["trigger", "start", "--fps", "fast"],
+        &["trigger", "start", "--fps", "30", "--period-us", "33333"],
+        &["trigger", "period"],
+        &["imu", "--rate", "300"],
+        &["imu", "--seconds", "0"],
+    ] {
+        let output = run(args);
+        assert_eq!(code(&output), 2, "{args:?}: {output:?}");
+    }
+}
+
+/// Streams IMU samples at 500 Hz, a hundred at a time, with one missing.
+struct ImuStandIn {
+    next: u32,
+    missing: u32,
+}
+
+impl Behaviour for ImuStandIn {
+    fn command(&mut self, command: HostToDevice) -> Vec<u8> {
+        match command.command {
+            Command::ImuQuery | Command::ImuConfigure(_) => answer(
+                command.id,
+                Ok(Reply::Imu(ImuSetup {
+                    config: ImuConfig {
+                        divider: 1,
+                        low_pass: LowPass::Hz188,
+                        gyro_range: GyroRange::Dps500,
+                        accel_range: AccelRange::G4,
+                    },
+                    interval: 96_000,
+                    gyro_lsb_per_dps_times_10: 655,
+                    accel_lsb_per_g: 8_192,
+                    gyro_delay_us: 1_900,
+                    accel_delay_us: 2_000,
+                    status: ImuStatus {
+                        state: ImuState::Running,
+                        clock: ImuClock::External,
+                        samples: self.next,
+                        late: 0,
+                        overcaptures: 0,
+                        recoveries: 0,
+                        last_fault: None,
+                    },
+                })),
+            ),
+            _ => polite(command),
+        }
+    }
+
+    fn tick(&mut self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for _ in 0..20 {
+            let seq = self.next;
+            self.next += 1;
+            if seq == self.missing {
+                continue;
+            }
+            bytes.extend(frame(&DeviceToHost::Imu(ImuSample {
+                seq,
+                at: Ticks(48_000_000 * 91 + u64::from(seq) * 96_000),
+                flags: ImuFlags(0),
+                accel: [0, 0, 8_192],
+                temperature: -3_400,
+                gyro: [655, if seq.is_multiple_of(2) { 1 } else { -1 }, 0],
+            })));
+        }
+        bytes
+    }
+}
+
+#[test]
+fn imu_reports_and_writes_si_units_and_tells_a_loss() {
+    let board = StandIn::new(ImuStandIn {
+        next: 0,
+        missing: u32::MAX,
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("imu.csv");
+    let output = run(&[
+        "imu",
+        "--port",
+        &board.path,
+        "--seconds",
+        "1",
+        "--json",
+        "--csv",
+        &file.to_string_lossy(),
+    ]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["samples"], 500);
+    assert_eq!(report["missed"], 0);
+    assert_eq!(report["rate_hz"], 500.0);
+    assert_eq!(report["interval_jitter_ticks"], 0.0);
+    assert_eq!(report["temperature_c"], 25.0);
+    let mut reader = csv::Reader::from_path(&file).unwrap();
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 500);
+    let ticks: Vec<u64> = rows.iter().map(|row| row[0].parse().unwrap()).collect();
+    assert!(ticks.windows(2).all(|pair| pair[1] - pair[0] == 96_000));
+    let gyro_x: f64 = rows[0][2].parse().unwrap();
+    assert!((gyro_x - 10_f64.to_radians()).abs() < 1e-9);
+    assert_eq!(&rows[0][7], "9.8066500");
+    let seconds: f64 = rows[0][1].parse().unwrap();
+    assert!((seconds - ticks[0] as f64 / 48e6).abs() < 1e-6);
+
+    let board = StandIn::new(ImuStandIn {
+        next: 0,
+        missing: 4_000,
+    });
+    let output = run(&["imu", "--port", &board.path, "--seconds", "9", "--json"]);
+    assert_eq!(code(&output), 4, "{output:?}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["missed"], 1);
+    assert_eq!(report["interval_max_ticks"], 96_000);
+}
+
+#[test]
+fn a_file_that_cannot_be_written_is_told_at_once() {
+    let output = run(&["imu", "--csv", "/no-such-folder/imu.csv"]);
+    assert_eq!(code(&output), 13);
+}
