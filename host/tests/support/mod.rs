@@ -50,27 +50,35 @@ impl StandIn {
         let mut master = File::from(master);
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = Arc::clone(&stop);
+        rustix::io::ioctl_fionbio(&master, true).unwrap();
         let thread = std::thread::spawn(move || {
             let _keep = keep;
             let mut decoder = Decoder::<HostToDevice>::new();
             let mut buffer = [0; 1024];
+            // What the host has not taken yet; a board would drop, this waits.
+            let mut pending = Vec::new();
             while !stopped.load(Ordering::Relaxed) {
                 let wait = Timespec {
                     tv_sec: 0,
                     tv_nsec: 10_000_000,
                 };
                 let mut ready = [PollFd::new(&master, PollFlags::IN)];
-                let readable = poll(&mut ready, Some(&wait)).unwrap() > 0;
-                let mut input: &[u8] = match readable.then(|| master.read(&mut buffer)) {
-                    Some(Ok(count)) => &buffer[..count],
-                    _ => &[],
+                poll(&mut ready, Some(&wait)).unwrap();
+                let mut input: &[u8] = match master.read(&mut buffer) {
+                    Ok(count) => &buffer[..count],
+                    Err(_) => &[],
                 };
                 while let Some(result) = decoder.next(&mut input) {
                     if let Ok(command) = result {
-                        master.write_all(&behaviour.command(command)).unwrap();
+                        pending.extend(behaviour.command(command));
                     }
                 }
-                master.write_all(&behaviour.tick()).unwrap();
+                if pending.is_empty() {
+                    pending = behaviour.tick();
+                }
+                if let Ok(count) = master.write(&pending) {
+                    pending.drain(..count);
+                }
             }
         });
         Self {
