@@ -65,6 +65,8 @@ pub enum LogFormat {
 pub enum Command {
     /// Who the board is
     Info(commands::info::Args),
+    /// The clock relation of two gyroscope recordings, with its uncertainty
+    Offset(commands::offset::Args),
     /// Which serial ports there are, and which look like the board
     Ports(commands::ports::Args),
     /// Talk to the phone's app
@@ -79,6 +81,7 @@ impl Command {
     fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
         match self {
             Self::Info(args) => commands::info::run(args, context),
+            Self::Offset(args) => commands::offset::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),

@@ -15,6 +15,7 @@ pub mod cli;
 pub mod commands;
 pub mod decimal;
 pub mod imu;
+pub mod gyro_csv;
 pub mod outcome;
 pub mod phone;
 pub mod session;

@@ -2,6 +2,7 @@
 
 pub mod imu;
 pub mod info;
+pub mod offset;
 pub mod phone;
 pub mod ports;
 pub mod trigger;

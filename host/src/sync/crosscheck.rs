@@ -2,9 +2,9 @@
 //!
 //! Once the streams are related, each sample of one can be compared with the
 //! smooth rate of the other. The comparison is between unlike things on
-//! purpose: the smooth signal dilutes a fault of *its* stream to a seventh,
-//! while the raw sample shows its own at full height, so a fault is attributed
-//! to the right stream.
+//! purpose: the smooth signal dilutes a fault of *its* stream to a quarter, while
+//! the raw sample shows its own at full height, so a fault is attributed to the
+//! right stream.
 //!
 //! Slow differences (filters, nonlinearity, flexing) are not faults of samples;
 //! the local median of the difference is taken away before judging.
@@ -23,11 +23,23 @@ const OUTLIER_SIGMA: f64 = 6.0;
 const LEAST_NOISE: f64 = 1e-4;
 /// Samples on each side for the local median.
 const AROUND: usize = 4;
+/// Samples of a block for the local scale.
+const SCALE_BLOCK: usize = 48;
+
+/// A sample that does not fit to the other stream.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Misfit {
+    /// Its index in the recording.
+    pub index: usize,
+    /// How far off it is, in standard deviations (length of the whitened vector).
+    pub sigmas: f64,
+}
 
 /// Samples of a stream that do not fit to the smooth rate of the other.
 ///
 /// `other_time` carries this stream's time to the other's, `calibration` the
-/// other's rate to this one's axes.
+/// other's rate to this one's axes. The scale is local: where the rig is knocked
+/// or vibrates, differences between the filters are no faults.
 #[must_use]
 pub fn outliers(
     t: &[f64],
@@ -36,7 +48,7 @@ pub fn outliers(
     other: &Signal,
     other_time: impl Fn(f64) -> f64,
     calibration: &Calibration,
-) -> Vec<usize> {
+) -> Vec<Misfit> {
     let mut index = Vec::new();
     let mut difference: Vec<Vec3> = Vec::new();
     for k in (0..t.len()).filter(|&k| usable[k]) {
@@ -46,7 +58,7 @@ pub fn outliers(
             difference.push((Vector3::from(w[k]) - predicted).into());
         }
     }
-    if index.len() < 50 {
+    if index.len() < 2 * SCALE_BLOCK {
         return Vec::new();
     }
     let mut contrast = vec![[0.0; 3]; index.len()];
@@ -57,21 +69,34 @@ pub fn outliers(
         for axis in 0..3 {
             window.clear();
             window.extend(difference[from..to].iter().map(|d| d[axis]));
-            contrast[i][axis] = difference[i][axis] - robust::median(&window);
+            contrast[i][axis] = difference[i][axis] - robust::median_in_place(&mut window);
         }
     }
-    let sigma: Vec3 = std::array::from_fn(|axis| {
-        let values: Vec<f64> = contrast.iter().map(|c| c[axis]).collect();
-        robust::mad_sigma(&values).max(LEAST_NOISE)
-    });
+    let scale_of = |part: &[Vec3]| -> Vec3 {
+        std::array::from_fn(|axis| {
+            let values: Vec<f64> = part.iter().map(|c| c[axis]).collect();
+            robust::mad_sigma(&values).max(LEAST_NOISE)
+        })
+    };
+    let overall = scale_of(&contrast);
+    let local: Vec<Vec3> = contrast.chunks(SCALE_BLOCK).map(scale_of).collect();
+    let scale_at = |i: usize, axis: usize| {
+        let block = i / SCALE_BLOCK;
+        let around = &local[block.saturating_sub(1)..(block + 2).min(local.len())];
+        around.iter().map(|s| s[axis]).fold(overall[axis], f64::max)
+    };
     index
         .iter()
         .zip(&contrast)
-        .filter(|(_, c)| {
-            let length: f64 = (0..3).map(|axis| (c[axis] / sigma[axis]).powi(2)).sum();
-            length.sqrt() > OUTLIER_SIGMA
+        .enumerate()
+        .map(|(i, (&k, c))| Misfit {
+            index: k,
+            sigmas: (0..3)
+                .map(|axis| (c[axis] / scale_at(i, axis)).powi(2))
+                .sum::<f64>()
+                .sqrt(),
         })
-        .map(|(&k, _)| k)
+        .filter(|m| m.sigmas > OUTLIER_SIGMA)
         .collect()
 }
 
@@ -92,6 +117,29 @@ pub struct Stretch {
 const LEAST_STEP_S: f64 = 100e-6;
 /// Its least significance.
 const STEP_Z: f64 = 8.0;
+/// The same against the scatter of the blocks.
+const STEP_Z_SCATTER: f64 = 6.0;
+
+/// Score and information about the shift in a block of time.
+struct Block {
+    from: f64,
+    to: f64,
+    score: f64,
+    information: f64,
+}
+
+/// Variance of the displacement of some blocks, from their own scatter.
+fn scatter(blocks: &[Block], shift: f64) -> f64 {
+    if blocks.len() < 3 {
+        return f64::INFINITY;
+    }
+    let (mut sum, mut information) = (0.0, 0.0);
+    for b in blocks {
+        sum += (b.score - shift * b.information).powi(2);
+        information += b.information;
+    }
+    sum / (information * information)
+}
 
 /// Cuts the overlap where the relation of the clocks jumps.
 ///
@@ -99,15 +147,9 @@ const STEP_Z: f64 = 8.0;
 /// means that there is no jump.
 #[must_use]
 pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
-    struct Block {
-        from: f64,
-        to: f64,
-        score: f64,
-        information: f64,
-    }
     let mut blocks: Vec<Block> = Vec::new();
     for node in &fit.nodes {
-        let ws = fit.weights * node.slope;
+        let ws = fit.weights * node.slope * node.weight;
         let (score, information) = (ws.dot(&node.residual), ws.dot(&node.slope));
         match blocks.last_mut() {
             Some(b) if node.t - b.from < block_s => {
@@ -161,10 +203,17 @@ pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
                 if information.min(rest) < 0.01 * total {
                     continue;
                 }
-                let step = score / information - (all_score - score) / rest;
+                let shifts = (score / information, (all_score - score) / rest);
+                let step = shifts.0 - shifts.1;
                 let z = step.abs() / (1.0 / information + 1.0 / rest).sqrt() / sigma.max(1e-12);
                 if step.abs() > LEAST_STEP_S && z > STEP_Z && z > best.0 {
-                    best = (z, from + i + 1);
+                    // The same against the scatter of the blocks on both sides.
+                    let cut = from + i + 1;
+                    let variance =
+                        scatter(&blocks[from..cut], shifts.0) + scatter(&blocks[cut..to], shifts.1);
+                    if step * step > STEP_Z_SCATTER * STEP_Z_SCATTER * variance {
+                        best = (z, cut);
+                    }
                 }
             }
             if best.0 > 0.0 {
@@ -194,14 +243,14 @@ pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
 /// (centre time, displacement in seconds, information).
 #[must_use]
 pub fn local_shifts(fit: &Fit, parts: usize) -> Vec<(f64, f64, f64)> {
-    let information = |n: &Node| (fit.weights * n.slope).dot(&n.slope);
+    let information = |n: &Node| (fit.weights * n.slope).dot(&n.slope) * n.weight;
     let total: f64 = fit.nodes.iter().map(information).sum();
     let mut out = Vec::new();
     let (mut sum, mut score, mut time) = (0.0, 0.0, 0.0);
     for node in &fit.nodes {
         let i = information(node);
         sum += i;
-        score += (fit.weights * node.slope).dot(&node.residual);
+        score += (fit.weights * node.slope).dot(&node.residual) * node.weight;
         time += i * node.t;
         if sum >= total / parts as f64 {
             out.push((time / sum, score / sum, sum));

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::clock::{ClockModel, Wander};
 use super::coarse;
-use super::crosscheck::{self, Stretch};
+use super::crosscheck::{self, Misfit, Stretch};
 use super::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use super::fit::{self, Calibration, Fit, FitOptions, Link, Node};
 use super::gates::Gate;
@@ -387,8 +387,7 @@ fn related(
     let mut largest_share = 1.0;
     if options.handle_faults {
         for _ in 0..4 {
-            let changed_outliers =
-                leave_out_outliers(a, b, &signal_a, &signal_b, &best, noise_variance);
+            let changed_outliers = leave_out_outliers(a, b, &smoothing, &best, noise_variance);
             if changed_outliers {
                 signal_a = a.signal(&smoothing);
                 signal_b = b.signal(&smoothing);
@@ -420,6 +419,10 @@ fn related(
         report,
     ))
 }
+
+/// Largest part of the motion's rms that the quick fit may leave unexplained,
+/// faults not yet removed. Unrelated twists leave more than half.
+const UNEXPLAINED_AT_FIRST: f64 = 0.2;
 
 /// Least rms of the in-band rate, rad/s: a hand at rest or a table stays below.
 const LEAST_MOTION: f64 = 0.05;
@@ -506,6 +509,16 @@ fn choose_lag(
         return None;
     }
     let (evidence, unexplained, chosen) = tried.first()?;
+    report.gates.push(Gate::at_most(
+        "explained",
+        100.0 * unexplained.sqrt(),
+        100.0 * UNEXPLAINED_AT_FIRST,
+        "% of the motion's rms",
+        "at no lag does one motion explain the other: not rigidly attached, or not recordings of the same twist",
+    ));
+    if *unexplained > UNEXPLAINED_AT_FIRST * UNEXPLAINED_AT_FIRST {
+        return None;
+    }
     // How much worse the best rival explains the motion. Rivals whose evidence
     // is far weaker (short overlaps, where anything fits) do not count.
     let rival = tried[1..]
@@ -520,24 +533,28 @@ fn choose_lag(
         "times the residual power",
         "several lags explain the motion about equally well: twist irregularly",
     ));
-    Some(chosen.link)
+    (rival >= 4.0).then_some(chosen.link)
 }
 
 /// Leaves out single samples of either stream; whether there were any.
 fn leave_out_outliers(
     a: &mut Prepared,
     b: &mut Prepared,
-    signal_a: &Signal,
-    signal_b: &Signal,
+    smoothing: &Smoothing,
     fit: &Fit,
     noise_variance: f64,
 ) -> bool {
+    // Wider than the fit's filter, so that knocks look alike in both streams.
+    let wide = Smoothing {
+        low_pass_hz: smoothing.low_pass_hz.max(45.0),
+        ..*smoothing
+    };
     let link = fit.link;
-    let of_b = crosscheck::outliers(
+    let mut of_b = crosscheck::outliers(
         &b.t,
         &b.w,
         &b.usable,
-        signal_a,
+        &a.signal(&wide),
         |t| link.a_time(t),
         &fit.calibration,
     );
@@ -551,10 +568,29 @@ fn leave_out_outliers(
         })
         .collect();
     let back = fit::regress(&reverse, noise_variance);
-    let of_a = crosscheck::outliers(&a.t, &a.w, &a.usable, signal_b, |t| link.b_time(t), &back);
+    let mut of_a = crosscheck::outliers(
+        &a.t,
+        &a.w,
+        &a.usable,
+        &b.signal(&wide),
+        |t| link.b_time(t),
+        &back,
+    );
+    // One fault may show in both: it belongs to the stream where it is larger.
+    let near_s = 1.5 * (a.step_s + b.step_s);
+    let larger_nearby =
+        |own: &Misfit, time: f64, others: &[Misfit], times: &dyn Fn(usize) -> f64| {
+            others
+                .iter()
+                .any(|o| (times(o.index) - time).abs() < near_s && o.sigmas > own.sigmas)
+        };
+    let (all_a, all_b) = (of_a.clone(), of_b.clone());
+    of_a.retain(|m| !larger_nearby(m, a.t[m.index], &all_b, &|k| link.a_time(b.t[k])));
+    of_b.retain(|m| !larger_nearby(m, link.a_time(b.t[m.index]), &all_a, &|k| a.t[k]));
     let found = !of_a.is_empty() || !of_b.is_empty();
-    a.leave_out(FaultKind::Outlier, of_a, None);
-    b.leave_out(FaultKind::Outlier, of_b, None);
+    let indices = |misfits: Vec<Misfit>| misfits.into_iter().map(|m| m.index).collect();
+    a.leave_out(FaultKind::Outlier, indices(of_a), None);
+    b.leave_out(FaultKind::Outlier, indices(of_b), None);
     found
 }
 

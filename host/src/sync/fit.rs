@@ -19,6 +19,7 @@
 
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
 
+use super::robust::median;
 use super::signal::Signal;
 use super::spline::Vec3;
 
@@ -98,6 +99,9 @@ pub struct Node {
     pub residual: Vector3<f64>,
     /// Derivative of the prediction with respect to the shift, rad/s².
     pub slope: Vector3<f64>,
+    /// Weight of the node, 1 where the residual is as everywhere, less where the
+    /// rig is knocked or vibrates.
+    pub weight: f64,
 }
 
 /// The result of a fit.
@@ -156,6 +160,7 @@ fn nodes(a: &Signal, data: &[(f64, Vec3)], link: &Link, calibration: &Calibratio
                 x,
                 residual: y - calibration.matrix * x - calibration.bias,
                 slope: calibration.matrix * Vector3::from(dx),
+                weight: 1.0,
             })
         })
         .collect()
@@ -249,16 +254,18 @@ pub fn fit(
     let prior = rotation(&first);
     let mut calibration = regress(&first, options.noise_variance);
     let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
+    let mut quiet = LocalWeights::default();
     let mut settled = false;
     let start_shift = link.at_a;
     for iteration in 0..options.iterations {
-        let nodes = nodes(a, data, &link, &calibration);
+        let mut nodes = nodes(a, data, &link, &calibration);
         if nodes.len() < 4 * PARAMETERS {
             return None;
         }
         if weights.is_none() && iteration > 1 {
-            weights_now = inverse_covariance(&nodes);
+            (weights_now, quiet) = residual_weights(&nodes, options.oversampling);
         }
+        quiet.apply(&mut nodes);
         let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
         let step = normal.cholesky()?.solve(&right);
         link.at_a += step[SHIFT].clamp(-0.05, 0.05);
@@ -277,14 +284,26 @@ pub fn fit(
             break;
         }
     }
-    let nodes = nodes(a, data, &link, &calibration);
+    let mut nodes = nodes(a, data, &link, &calibration);
     if nodes.len() < 4 * PARAMETERS {
         return None;
     }
+    quiet.apply(&mut nodes);
     let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
     let inverse = normal.cholesky()?.inverse();
-    let covariance = long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
+    let mut covariance =
+        long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
     let ideal = |r: usize, c: usize| inverse[(r, c)] * options.oversampling;
+    // The long-run covariance scatters when little time is in common; what white
+    // noise alone would give is the least that is believed.
+    let grown = [SHIFT, RATE]
+        .into_iter()
+        .enumerate()
+        .map(|(k, p)| ideal(p, p) / covariance[k][k].max(f64::MIN_POSITIVE))
+        .fold(1.0, f64::max);
+    for value in covariance.iter_mut().flatten() {
+        *value *= grown;
+    }
     Some(Fit {
         link,
         calibration,
@@ -299,13 +318,80 @@ pub fn fit(
     })
 }
 
+/// Weights over time: below 1 in stretches whose residual is well above the usual.
+#[derive(Debug, Clone, Default)]
+struct LocalWeights {
+    /// (end of the stretch, weight), in time order.
+    stretches: Vec<(f64, f64)>,
+}
+
+impl LocalWeights {
+    fn apply(&self, nodes: &mut [Node]) {
+        if let Some(&(_, last)) = self.stretches.last() {
+            for node in nodes {
+                let at = self.stretches.partition_point(|s| s.0 < node.t);
+                node.weight = self.stretches.get(at).map_or(last, |s| s.1);
+            }
+        }
+    }
+}
+
+/// Length of the stretches over which the residual's power is judged, seconds.
+const STRETCH_S: f64 = 0.25;
+/// Power of the residual, in multiples of the median, above which a stretch
+/// weighs less.
+const LOUD: f64 = 3.0;
+
+/// Inverse covariance of the residual where it is as usual, and the weights of
+/// the stretches where it is not.
+///
+/// A knock or a vibration makes residuals that are no noise (filters that differ,
+/// flexing); with even weights a quarter of a second of it can outweigh the rest.
+fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWeights) {
+    let mut power: Vec<(f64, f64, usize)> = Vec::new(); // end, Σ r², nodes
+    let mut from = f64::NEG_INFINITY;
+    for node in nodes {
+        let square = node.residual.norm_squared();
+        match power.last_mut() {
+            Some(last) if node.t < from + STRETCH_S => {
+                last.0 = node.t;
+                last.1 += square;
+                last.2 += 1;
+            }
+            _ => {
+                from = node.t;
+                power.push((node.t, square, 1));
+            }
+        }
+    }
+    let means: Vec<f64> = power.iter().map(|p| p.1 / p.2 as f64).collect();
+    let usual = median(&means);
+    let stretches: Vec<(f64, f64)> = power
+        .iter()
+        .zip(&means)
+        .map(|(p, &mean)| {
+            // A short stretch scatters more by itself.
+            let independent = (3.0 * p.2 as f64 / oversampling).max(1.0);
+            let limit = LOUD * (1.0 + 3.0 * (2.0 / independent).sqrt()) / 2.0;
+            let loud = mean > limit * usual && usual > 0.0;
+            (p.0, if loud { usual / mean } else { 1.0 })
+        })
+        .collect();
+    let weights = LocalWeights { stretches };
+    let mut weighted = nodes.to_vec();
+    weights.apply(&mut weighted);
+    (inverse_covariance(&weighted), weights)
+}
+
 /// Inverse of the residual's covariance, bounded so that no axis is trusted blindly.
 fn inverse_covariance(nodes: &[Node]) -> Matrix3<f64> {
     let mut s = Matrix3::zeros();
+    let mut sum = 0.0;
     for node in nodes {
-        s += node.residual * node.residual.transpose();
+        s += node.residual * node.residual.transpose() * node.weight;
+        sum += node.weight;
     }
-    s /= nodes.len().max(1) as f64;
+    s /= f64::max(sum, 1e-9);
     let floor = 0.01 * s.trace() / 3.0 + 1e-20;
     (s + Matrix3::identity() * floor)
         .try_inverse()
@@ -332,9 +418,9 @@ fn equations(
     for node in nodes {
         let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
         let u = node.t - link.at_b;
-        let ws = weights * node.slope;
-        let wr = weights * node.residual;
-        zz += z * z.transpose();
+        let ws = weights * node.slope * node.weight;
+        let wr = weights * node.residual * node.weight;
+        zz += z * z.transpose() * node.weight;
         let outer = ws * z.transpose();
         zs += outer;
         zus += outer * u;
@@ -406,7 +492,7 @@ fn long_run_covariance(
         + 1;
     let mut influence = vec![[0.0; 2]; slots];
     for node in nodes {
-        let wr = weights * node.residual;
+        let wr = weights * node.residual * node.weight;
         let score = node.slope.dot(&wr);
         let u = node.t - link.at_b;
         let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
@@ -437,13 +523,6 @@ fn long_run_covariance(
             for c in 0..2 {
                 out[r][c] += weight * 0.5 * (sum[r][c] + sum[c][r]);
             }
-        }
-    }
-    let independent = 3.0 * nodes.len() as f64 * step / (memory_s * 0.5).max(step);
-    let small_sample = 1.0 + PARAMETERS as f64 / independent.max(PARAMETERS as f64);
-    for row in &mut out {
-        for value in row {
-            *value *= small_sample;
         }
     }
     out

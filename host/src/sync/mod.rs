@@ -12,6 +12,7 @@
 
 pub mod clock;
 pub mod coarse;
+pub mod compare;
 pub mod crosscheck;
 pub mod estimate;
 pub mod faults;

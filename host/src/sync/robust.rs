@@ -3,7 +3,12 @@
 /// Median (mean of the middle two); not-a-number of an empty slice.
 #[must_use]
 pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
+    median_in_place(&mut values.to_vec())
+}
+
+/// [`median`] without a copy; the order of the values is lost.
+#[must_use]
+pub fn median_in_place(sorted: &mut [f64]) -> f64 {
     let n = sorted.len();
     if n == 0 {
         return f64::NAN;

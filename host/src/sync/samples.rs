@@ -25,6 +25,8 @@ use super::spline::Vec3;
 pub const LONGEST_PERIOD: usize = 64;
 /// Significance that a displaced class must have.
 const CLASS_Z: f64 = 8.0;
+/// The same against the scatter of its members.
+const CLASS_Z_SCATTER: f64 = 6.0;
 /// Least displacement of a class, as a part of the sampling step.
 const CLASS_STEP: f64 = 0.04;
 /// Neighbours on each side.
@@ -82,7 +84,7 @@ pub fn check(
     let against = predictions(t, w, usable, step_s, &[]);
     out.noise = noise_of(&against);
 
-    let pairs = copies(w, usable);
+    let pairs = copies(w, usable, &out.noise);
     if !pairs.is_empty() {
         let (left_out, displacement) = stale_copies(t, w, usable, step_s, &pairs, &out.noise);
         for &k in &left_out {
@@ -185,6 +187,7 @@ fn predictions(
     pairs: &[(usize, usize)],
 ) -> Vec<Against> {
     let kept: Vec<usize> = (0..t.len()).filter(|&k| usable[k]).collect();
+    let slopes = slow_slopes(t, w, &kept, step_s);
     let position = |index: usize| kept.binary_search(&index).ok();
     let mut out = Vec::with_capacity(kept.len());
     let mut predict = |at: usize, partner: Option<usize>| {
@@ -235,7 +238,6 @@ fn predictions(
             }
         }
         let scale = 1.0 / gain.sqrt();
-        let span = t[last] - t[left];
         let mut against = Against {
             index: k,
             error: [0.0; 3],
@@ -243,7 +245,7 @@ fn predictions(
         };
         for axis in 0..3 {
             against.error[axis] = scale * (w[k][axis] - predicted[axis]);
-            against.slope[axis] = scale * (w[last][axis] - w[left][axis]) / span;
+            against.slope[axis] = scale * slopes[at][axis];
         }
         out.push(against);
     };
@@ -261,6 +263,40 @@ fn predictions(
     out
 }
 
+/// Rate of change of the slow part of the motion at each kept sample: the
+/// least-squares line over 15 ms (at least four samples) on either side.
+///
+/// Slow on purpose: a vibration's own derivative would correlate with the
+/// prediction errors that the vibration makes, in step with every period that
+/// fits it.
+fn slow_slopes(t: &[f64], w: &[Vec3], kept: &[usize], step_s: f64) -> Vec<Vec3> {
+    let reach_s = f64::max(0.015, 4.2 * step_s);
+    let (mut from, mut to) = (0, 0);
+    kept.iter()
+        .map(|&k| {
+            while t[kept[from]] < t[k] - reach_s {
+                from += 1;
+            }
+            while to < kept.len() && t[kept[to]] <= t[k] + reach_s {
+                to += 1;
+            }
+            let near = &kept[from..to];
+            let n = near.len() as f64;
+            let centre = near.iter().map(|&i| t[i] - t[k]).sum::<f64>() / n;
+            let mut spread = 0.0;
+            let mut slope = [0.0; 3];
+            for &i in near {
+                let x = t[i] - t[k] - centre;
+                spread += x * x;
+                for axis in 0..3 {
+                    slope[axis] += x * (w[i][axis] - w[k][axis]);
+                }
+            }
+            slope.map(|s| if spread > 0.0 { s / spread } else { 0.0 })
+        })
+        .collect()
+}
+
 fn noise_of(against: &[Against]) -> Vec3 {
     let mut noise = [0.0; 3];
     for (axis, value) in noise.iter_mut().enumerate() {
@@ -274,31 +310,68 @@ fn noise_of(against: &[Against]) -> Vec3 {
 }
 
 /// Neighbours that are equal to the bit where they should not be: (first, second).
-fn copies(w: &[Vec3], usable: &[bool]) -> Vec<(usize, usize)> {
+///
+/// A coarse or silent sensor gives equal neighbours by chance. How often is
+/// estimated from how often single axes agree where the sample as a whole does
+/// not. Only if there are clearly more equal neighbours than that, all of them
+/// count; otherwise only those during motion that must have shown.
+fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
     let kept: Vec<usize> = (0..w.len()).filter(|&k| usable[k]).collect();
-    // How likely noise makes two neighbours equal: the product over the axes of
-    // the share of equal neighbours, which is near 1 for a silent or coarse stream.
-    let mut by_chance = 1.0;
-    for axis in 0..3 {
-        let equal = kept
-            .windows(2)
-            .filter(|p| w[p[0]][axis] == w[p[1]][axis])
-            .count();
-        by_chance *= equal as f64 / kept.len().max(1) as f64;
-    }
-    let silent = by_chance > 0.2;
-    kept.windows(2)
-        .filter(|p| p[1] - p[0] == 1 && w[p[0]] == w[p[1]])
-        .filter(|p| {
-            // In a silent stream only copies during motion count.
-            !silent || {
-                let before = w[p[0].saturating_sub(1)];
-                let after = w[(p[1] + 1).min(w.len() - 1)];
-                before != w[p[0]] && after != w[p[1]]
-            }
-        })
+    let pairs: Vec<(usize, usize)> = kept
+        .windows(2)
         .map(|p| (p[0], p[1]))
-        .collect()
+        .filter(|(a, b)| b - a == 1)
+        .collect();
+    let equal: Vec<(usize, usize)> = pairs
+        .iter()
+        .copied()
+        .filter(|&(a, b)| w[a] == w[b])
+        .collect();
+    if equal.is_empty() {
+        return equal;
+    }
+    let others = (pairs.len() - equal.len()).max(1) as f64;
+    let mut by_chance = 1.0;
+    let mut resolution = [0.0; 3];
+    for axis in 0..3 {
+        let same = pairs
+            .iter()
+            .filter(|&&(a, b)| w[a] != w[b] && w[a][axis] == w[b][axis])
+            .count();
+        by_chance *= same as f64 / others;
+        let least = pairs
+            .iter()
+            .map(|&(a, b)| (w[a][axis] - w[b][axis]).abs())
+            .filter(|&d| d > 0.0)
+            .fold(f64::INFINITY, f64::min);
+        resolution[axis] = f64::max(
+            4.0 * noise[axis],
+            if least.is_finite() { 2.0 * least } else { 0.0 },
+        );
+    }
+    let moving = |&(a, b): &(usize, usize)| {
+        let before = w[a.saturating_sub(1)];
+        let after = w[(b + 1).min(w.len() - 1)];
+        (0..3).any(|axis| (after[axis] - before[axis]).abs() / 3.0 > resolution[axis])
+    };
+    // Long runs at rest are a silent sensor, not copies.
+    let mut in_long_run = vec![false; w.len()];
+    let mut from = 0;
+    for k in 1..=equal.len() {
+        if k == equal.len() || equal[k].0 != equal[k - 1].1 {
+            if k - from > 12 {
+                for &(a, b) in &equal[from..k] {
+                    in_long_run[a] = true;
+                    in_long_run[b] = true;
+                }
+            }
+            from = k;
+        }
+    }
+    let (silent, short): (Vec<_>, Vec<_>) = equal.into_iter().partition(|p| in_long_run[p.0]);
+    let plausible = by_chance * pairs.len() as f64;
+    let all = silent.is_empty() && short.len() as f64 > 3.0 * plausible + 8.0;
+    short.into_iter().filter(|p| all || moving(p)).collect()
 }
 
 /// Which samples of the copied pairs to leave out, and how stale they are.
@@ -324,7 +397,9 @@ fn stale_copies(
     let (second, second_sigma) = displacement(&reversed);
     let known = first_sigma.max(second_sigma) < 0.1 * step_s;
     let is_displaced = |d: f64| d.abs() > 0.5 * step_s;
-    let chains = pairs.windows(2).any(|p| p[0].1 == p[1].0);
+    // Runs of equal samples: the sensor is slower than the stream, and only the
+    // first of each run is fresh.
+    let chains = pairs.windows(2).filter(|p| p[0].1 == p[1].0).count() * 3 > pairs.len();
     // (leave out the first, leave out the second, staleness)
     let (drop_first, drop_second, stale) = if chains {
         (false, true, None)
@@ -363,6 +438,17 @@ struct Class {
     displacement_s: f64,
 }
 
+/// Sums over a class.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sums {
+    score: f64,
+    information: f64,
+    score_squared: f64,
+    product: f64,
+    information_squared: f64,
+    members: usize,
+}
+
 fn displaced_class(against: &[Against], noise: &Vec3, step_s: f64) -> Option<Class> {
     let scored: Vec<(usize, f64, f64)> = against
         .iter()
@@ -372,22 +458,31 @@ fn displaced_class(against: &[Against], noise: &Vec3, step_s: f64) -> Option<Cla
         })
         .collect();
     let mut best: Option<(f64, Class)> = None;
-    let mut sums = [(0.0, 0.0, 0_usize); LONGEST_PERIOD];
+    let mut sums = [Sums::default(); LONGEST_PERIOD];
     for period in 2..=LONGEST_PERIOD {
-        sums[..period].fill((0.0, 0.0, 0));
+        sums[..period].fill(Sums::default());
         for &(index, score, information) in &scored {
             let sum = &mut sums[index % period];
-            sum.0 += score;
-            sum.1 += information;
-            sum.2 += 1;
+            sum.score += score;
+            sum.information += information;
+            sum.score_squared += score * score;
+            sum.product += score * information;
+            sum.information_squared += information * information;
+            sum.members += 1;
         }
-        for (phase, &(score, information, members)) in sums[..period].iter().enumerate() {
-            if members < 8 || information <= 0.0 {
+        for (phase, sum) in sums[..period].iter().enumerate() {
+            if sum.members < 8 || sum.information <= 0.0 {
                 continue;
             }
-            let displacement_s = score / information;
-            let z = score.abs() / information.sqrt();
+            let displacement_s = sum.score / sum.information;
+            let z = sum.score.abs() / sum.information.sqrt();
+            // Significance from the scatter of the scores themselves: a burst of
+            // vibration is not the even noise that `z` assumes.
+            let scatter = sum.score_squared - 2.0 * displacement_s * sum.product
+                + displacement_s * displacement_s * sum.information_squared;
+            let z_scatter = sum.score.abs() / scatter.max(f64::MIN_POSITIVE).sqrt();
             if z > CLASS_Z
+                && z_scatter > CLASS_Z_SCATTER
                 && displacement_s.abs() > CLASS_STEP * step_s
                 && best.is_none_or(|(top, _)| z > top)
             {
