@@ -108,12 +108,12 @@ fn text(error: impl std::fmt::Display) -> anyhow::Error {
 fn wrapped(words: &str, width: usize) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in words.split_whitespace() {
-        if let Some(line) = lines.last_mut() {
-            if line.len() + word.len() < width {
-                line.push_str(word);
-                line.push(' ');
-                continue;
-            }
+        if let Some(line) = lines.last_mut()
+            && line.len() + word.len() < width
+        {
+            line.push_str(word);
+            line.push(' ');
+            continue;
         }
         lines.push(format!("{word} "));
     }
