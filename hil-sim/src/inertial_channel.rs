@@ -177,7 +177,7 @@ impl Channel {
         at: f64,
         tick: u64,
         tick_s: f64,
-        signal: impl Fn(f64) -> [f64; 3],
+        mut signal: impl FnMut(f64) -> [f64; 3],
     ) -> [f64; 3] {
         let stretch = tick_s / self.tick_s;
         let step = TAP_DISTANCE * SIGMA_TIMES_BANDWIDTH / self.low_pass.bandwidth_hz * stretch;

@@ -18,6 +18,7 @@
 
 pub mod gesture;
 pub mod recorded;
+mod view;
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,6 +28,7 @@ use serde::{Deserialize, Serialize};
 use crate::random::Random;
 use gesture::{Gesture, Performance};
 use recorded::{Recording, RecordingError};
+pub use view::MotionView;
 
 /// Standard gravity, m/s².
 pub const STANDARD_GRAVITY: f64 = 9.806_65;

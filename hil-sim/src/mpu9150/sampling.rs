@@ -10,7 +10,7 @@ use super::registers::{
 };
 use crate::clock::{Clock, Rate};
 use crate::inertial_channel::{Channel, quantise};
-use crate::motion::{Motion, STANDARD_GRAVITY};
+use crate::motion::{Motion, MotionView, STANDARD_GRAVITY};
 use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig};
 use crate::random::{Random, Seed, Stream};
 use crate::time::{SimTime, UNITS_PER_SECOND};
@@ -43,7 +43,7 @@ struct Origin {
 /// The sensor's analogue part and its sample clock.
 #[derive(Debug)]
 pub(super) struct Sampling {
-    motion: Arc<Motion>,
+    motion: MotionView,
     board: BoardTime,
     gyro: Channel,
     accel: Channel,
@@ -77,7 +77,7 @@ impl Sampling {
         };
         let own = |config| Oscillator::new(config, seed.stream(Stream::ImuClock));
         Self {
-            motion,
+            motion: MotionView::new(motion),
             board,
             gyro: channel(config.gyro, path.gyro, path.gyro_hz, Stream::ImuGyro),
             accel: channel(config.accel, path.accel, ACCEL_HZ, Stream::ImuAccel),
