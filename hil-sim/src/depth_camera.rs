@@ -36,6 +36,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use crate::clock::Rate;
+use crate::flash_log::{FlashLog, TrueFlash};
 use crate::model::{RigIo, RigModel};
 use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use crate::pin::{Drive, Level, Pin};
@@ -229,6 +230,7 @@ pub struct DepthCamera {
     candidate: Option<Candidate>,
     /// When it gives up waiting for the next pulse.
     deadline: Option<SimTime>,
+    flash_log: Option<FlashLog>,
     /// Changes of the light still to come.
     light: VecDeque<(SimTime, Level)>,
     pulses: u64,
@@ -258,6 +260,7 @@ impl DepthCamera {
             state: State::Waiting(0),
             candidate: None,
             deadline: None,
+            flash_log: None,
             light: VecDeque::new(),
             pulses: 0,
             short_pulses: 0,
@@ -267,6 +270,14 @@ impl DepthCamera {
             frame_count: 0,
             random: seed.stream(Stream::DepthCamera),
         })
+    }
+
+    /// Writes every flash into `log` too, as it is planned (at least 9 µs before
+    /// it happens): for other cameras that see the light.
+    #[must_use]
+    pub fn with_flash_log(mut self, log: FlashLog) -> Self {
+        self.flash_log = Some(log);
+        self
     }
 
     /// Switches the stream off: light and frames under way are still finished.
@@ -421,6 +432,12 @@ impl DepthCamera {
         for flash in train.starting_at(0) {
             let on = first + units(flash.start_ns);
             let off = on + units(flash.duration_ns);
+            if let Some(log) = &self.flash_log {
+                log.push(TrueFlash {
+                    start: self.clock.when_elapsed(on),
+                    end: self.clock.when_elapsed(off),
+                });
+            }
             self.light.push_back((self.board_at(on), Level::High));
             self.light.push_back((self.board_at(off), Level::Low));
         }

@@ -6,16 +6,19 @@
 
 pub mod clock;
 pub mod depth_camera;
+pub mod flash_log;
 pub mod i2c;
 pub mod inertial_channel;
 pub mod model;
 pub mod motion;
 pub mod mpu9150;
 pub mod oscillator;
+pub mod phone;
 pub mod pin;
 pub mod random;
 pub mod rolling_shutter;
 pub mod time;
+pub mod true_clock;
 pub mod truth;
 pub mod vcd_trace;
 pub mod video_writer;

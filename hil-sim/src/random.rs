@@ -54,6 +54,10 @@ pub enum Stream {
     Test = 15,
     /// Tolerances of one specimen of the IMU.
     ImuConfig = 16,
+    /// What is drawn once for a phone: its clock, mounting, biases, frame period.
+    PhoneConfig = 17,
+    /// Noise of the phone's magnetometer.
+    PhoneMagnetometer = 18,
 }
 
 /// The seed of a run.

@@ -1,0 +1,244 @@
+//! The simulated phone: OpenCamera Sensors behind a TCP port.
+//!
+//! It behaves as the app does, line by line: the four requests, the error for
+//! anything else (an empty line included), the answer to `video_start` only
+//! after frame 60, the refusal of `imu?…` during a video, the record button
+//! that toggles, one client at a time, files saved by date. [`server`] speaks,
+//! [`app`](self) decides, [`sensors`](self) and the camera make the data.
+//!
+//! The phone lives on the rig's true time ([`TrueClock`]), however fast that
+//! passes. It has a clock of its own ([`Oscillator`]); all its timestamps are of
+//! that clock. What it answers is a function of its configuration, the rig's
+//! motion, the flashes, and the true times at which it was asked.
+//!
+//! Limits: the app's own latencies are constants; the sensors' low-pass is the
+//! one of [`crate::inertial_channel`]; the camera sees even light only; the
+//! phone never runs out of space or battery.
+
+mod app;
+mod camera;
+mod config;
+mod files;
+mod java;
+mod sensors;
+mod server;
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+
+use crate::flash_log::FlashSource;
+use crate::motion::Motion;
+use crate::oscillator::Oscillator;
+use crate::random::{Random, Seed, Stream};
+use crate::true_clock::TrueClock;
+
+use app::App;
+use sensors::Sensors;
+use server::Link;
+
+pub use app::VideoTruth;
+pub use camera::FrameTimes;
+pub use config::{CameraConfig, PhoneConfig, SensorConfig, StreamFaults, VideoMode};
+pub use server::LinkFault;
+
+/// TCP port of the app on a real phone.
+pub const APP_PORT: u16 = 6969;
+
+/// What a phone needs of the rig.
+#[derive(Clone)]
+pub struct Surroundings {
+    /// True time as it passes.
+    pub clock: TrueClock,
+    /// How the rig moves.
+    pub motion: Arc<Motion>,
+    /// When the depth camera flashes.
+    pub light: Arc<dyn FlashSource>,
+}
+
+/// Why a phone could not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum PhoneStartError {
+    /// The port cannot be had.
+    #[error("the simulated phone cannot listen on 127.0.0.1:{port}: {source}")]
+    Listen {
+        /// The port asked for.
+        port: u16,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// No folder for its files.
+    #[error("the simulated phone has no folder for its files at {}: {source}", path.display())]
+    Storage {
+        /// The folder.
+        path: PathBuf,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+}
+
+/// A running phone. It is switched off when dropped.
+pub struct SimPhone {
+    app: Arc<App>,
+    link: Arc<Link>,
+    address: SocketAddr,
+    oscillator: Oscillator,
+    storage: PathBuf,
+    thread: Option<JoinHandle<()>>,
+    /// Removed with the phone.
+    _folder: Option<tempfile::TempDir>,
+}
+
+impl SimPhone {
+    /// Switches a phone on. It listens on `port` of the loopback interface; 0
+    /// takes a free one.
+    ///
+    /// # Errors
+    ///
+    /// The port is taken, or there is no folder for the phone's files.
+    pub fn start(
+        config: PhoneConfig,
+        surroundings: Surroundings,
+        port: u16,
+    ) -> Result<Self, PhoneStartError> {
+        let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
+        let temporary = std::env::temp_dir();
+        let path = config.storage.clone().unwrap_or(temporary);
+        let no_folder = |source| PhoneStartError::Storage {
+            path: path.clone(),
+            source,
+        };
+        let folder = match config.storage {
+            Some(_) => {
+                std::fs::create_dir_all(&path).map_err(no_folder)?;
+                None
+            }
+            None => Some(
+                tempfile::Builder::new()
+                    .prefix("simulated-phone-")
+                    .tempdir()
+                    .map_err(no_folder)?,
+            ),
+        };
+        let storage = folder.as_ref().map_or(path, |f| f.path().to_owned());
+        let listener = server::open(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
+            .map_err(|source| PhoneStartError::Listen { port, source })?;
+        let address = listener
+            .local_addr()
+            .map_err(|source| PhoneStartError::Listen { port, source })?;
+        let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
+        let app = Arc::new(App::new(
+            config,
+            surroundings.clock,
+            oscillator.clone(),
+            sensors,
+            surroundings.light,
+            storage.clone(),
+        ));
+        let link = Arc::new(Link::default());
+        let thread = {
+            let (app, link) = (Arc::clone(&app), Arc::clone(&link));
+            std::thread::spawn(move || server::serve(listener, &app, &link))
+        };
+        Ok(Self {
+            app,
+            link,
+            address,
+            oscillator,
+            storage,
+            thread: Some(thread),
+            _folder: folder,
+        })
+    }
+
+    /// Where it listens.
+    #[must_use]
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// What it was made from.
+    #[must_use]
+    pub fn config(&self) -> &PhoneConfig {
+        &self.app.config
+    }
+
+    /// The truth about its clock.
+    #[must_use]
+    pub fn oscillator(&self) -> &Oscillator {
+        &self.oscillator
+    }
+
+    /// The truth about its videos so far, in order.
+    #[must_use]
+    pub fn videos(&self) -> Vec<VideoTruth> {
+        self.app.videos()
+    }
+
+    /// Whether it records a video.
+    #[must_use]
+    pub fn is_recording(&self) -> bool {
+        self.app.is_recording()
+    }
+
+    /// The folder of its files.
+    #[must_use]
+    pub fn storage(&self) -> &Path {
+        &self.storage
+    }
+
+    /// Waits until the files of stopped recordings are saved.
+    ///
+    /// # Errors
+    ///
+    /// What went wrong while saving.
+    pub fn wait_saved(&self) -> Result<(), String> {
+        self.app.wait_saved()
+    }
+
+    /// Presses the record button on the phone itself: starts a video, or stops
+    /// the one that runs.
+    pub fn press_record(&self) {
+        self.app.press_record();
+    }
+
+    /// Takes the phone off the network (connections end, new ones are refused),
+    /// or brings it back.
+    pub fn set_reachable(&self, reachable: bool) {
+        self.link.unreachable.store(!reachable, Ordering::SeqCst);
+        if !reachable {
+            self.link.cut();
+        }
+    }
+
+    /// Makes something go wrong with the answers from now on.
+    pub fn set_fault(&self, fault: Option<LinkFault>) {
+        self.link.set_fault(fault);
+    }
+}
+
+impl Drop for SimPhone {
+    fn drop(&mut self) {
+        self.app.close();
+        self.link.cut();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        // Files of the temporary folder may still be written: let them end
+        // before it goes.
+        let _ = self.app.wait_saved();
+    }
+}
+
+/// A stream of random numbers for part `k` of one use.
+fn substream(seed: Seed, stream: Stream, k: u64) -> Random {
+    // SplitMix64's finaliser: neighbouring `k` give unrelated seeds.
+    let mut z = seed
+        .0
+        .wrapping_add(k.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    Seed(z ^ (z >> 31)).stream(stream)
+}

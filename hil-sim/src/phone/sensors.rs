@@ -1,0 +1,421 @@
+//! The phone's motion sensors: streams that run from power-on, whoever listens.
+//!
+//! A stream is a pure function of the phone's seed, its clock and the rig's
+//! motion: sample `n` has the same value and timestamp whether it was asked for
+//! alone, in a short recording or in a long one. So what a run records depends
+//! on the times of its requests only. For that, noise and jitter are drawn in
+//! blocks of [`BLOCK`] samples, each from a stream of random numbers of its
+//! own; the blocks of a long recording are computed in parallel. The price:
+//! the filtered noise of two samples on either side of a block's border is not
+//! correlated, once in some seconds.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rayon::prelude::*;
+
+use super::config::{PhoneConfig, SensorConfig};
+use super::substream;
+use crate::inertial_channel::{Channel, ChannelConfig};
+use crate::motion::Motion;
+use crate::oscillator::Oscillator;
+use crate::random::{Random, Seed, Stream};
+
+/// Samples that share one stream of random numbers.
+const BLOCK: u64 = 2048;
+
+/// The Earth's magnetic field at mid latitudes in µT, world axes (x north, y
+/// west, z up).
+const EARTH_FIELD: [f64; 3] = [20.0, 0.0, -43.0];
+
+/// Which sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Accelerometer,
+    Gyroscope,
+    Magnetometer,
+}
+
+impl Kind {
+    /// In the order in which the app sends them.
+    pub(super) const ALL: [Self; 3] = [Self::Accelerometer, Self::Gyroscope, Self::Magnetometer];
+
+    /// How the app names the sensor in its files.
+    pub(super) const fn suffix(self) -> &'static str {
+        match self {
+            Self::Accelerometer => "accel",
+            Self::Gyroscope => "gyro",
+            Self::Magnetometer => "magnetic",
+        }
+    }
+
+    const fn stream(self) -> Stream {
+        match self {
+            Self::Accelerometer => Stream::PhoneAccel,
+            Self::Gyroscope => Stream::PhoneGyro,
+            Self::Magnetometer => Stream::PhoneMagnetometer,
+        }
+    }
+}
+
+/// One sample as the app gets it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Sample {
+    /// Timestamp, nanoseconds of the boot clock.
+    pub(super) time_ns: i64,
+    /// Values, single precision as in Android.
+    pub(super) values: [f32; 3],
+}
+
+/// All motion sensors of one phone.
+#[derive(Debug)]
+pub(super) struct Sensors {
+    seed: Seed,
+    accelerometer: SensorConfig,
+    gyroscope: SensorConfig,
+    magnetometer: Option<SensorConfig>,
+    oscillator: Oscillator,
+    motion: Arc<Motion>,
+    heading: Heading,
+}
+
+impl Sensors {
+    pub(super) fn new(config: &PhoneConfig, oscillator: Oscillator, motion: Arc<Motion>) -> Self {
+        Self {
+            seed: config.seed,
+            accelerometer: config.accelerometer.clone(),
+            gyroscope: config.gyroscope.clone(),
+            magnetometer: config.magnetometer.clone(),
+            oscillator,
+            heading: Heading::new(Arc::clone(&motion)),
+            motion,
+        }
+    }
+
+    fn config(&self, kind: Kind) -> Option<&SensorConfig> {
+        match kind {
+            Kind::Accelerometer => Some(&self.accelerometer),
+            Kind::Gyroscope => Some(&self.gyroscope),
+            Kind::Magnetometer => self.magnetometer.as_ref(),
+        }
+    }
+
+    /// Whether the phone has this sensor.
+    pub(super) fn has(&self, kind: Kind) -> bool {
+        self.config(kind).is_some()
+    }
+
+    /// The samples taken in `from_ns..to_ns` of the boot clock. (What a fault
+    /// does to a timestamp does not move a sample into or out of the range.)
+    pub(super) fn samples(&self, kind: Kind, from_ns: i64, to_ns: i64) -> Vec<Sample> {
+        let Some(config) = self.config(kind) else {
+            return Vec::new();
+        };
+        let period_ns = 1e9 / config.rate_hz;
+        let zero = self.oscillator.config().offset_ns;
+        let number = |ns: i64| {
+            let since = ns.saturating_sub(zero).max(0) as f64;
+            (since / period_ns).ceil() as u64
+        };
+        let (first, end) = (number(from_ns), number(to_ns));
+        if end <= first {
+            return Vec::new();
+        }
+        if kind == Kind::Magnetometer {
+            self.heading.reach(end as f64 * period_ns * 1.01e-9 + 1.0);
+        }
+        let walk = BiasWalk::new(config, substream(self.seed, kind.stream(), u64::MAX));
+        (first / BLOCK..=(end - 1) / BLOCK)
+            .into_par_iter()
+            .map(|block| {
+                let begin = (first.max(block * BLOCK) - block * BLOCK) as usize;
+                let stop = (end.min((block + 1) * BLOCK) - block * BLOCK) as usize;
+                let samples = self.block(kind, config, block, stop, &walk);
+                samples
+                    .into_iter()
+                    .skip(begin)
+                    .flatten()
+                    .collect::<Vec<_>>()
+            })
+            .collect::<Vec<_>>()
+            .concat()
+    }
+
+    /// The first `count` samples of a block; `None` is one that got lost.
+    fn block(
+        &self,
+        kind: Kind,
+        config: &SensorConfig,
+        block: u64,
+        count: usize,
+        walk: &BiasWalk,
+    ) -> Vec<Option<Sample>> {
+        let period_ns = 1e9 / config.rate_hz;
+        let period_s = 1.0 / config.rate_hz;
+        let zero = self.oscillator.config().offset_ns;
+        let mut stamps = substream(self.seed, Stream::PhoneTimestamps, 3 * block + kind as u64);
+        let still = ChannelConfig {
+            bias_walk: 0.0,
+            ..config.channel
+        };
+        let noise = substream(self.seed, kind.stream(), block);
+        let mut channel = Channel::new(still, config.low_pass, period_s, noise);
+        let (walk_from, walk_to) = walk.over(block);
+        let mut last = None;
+        let mut out = Vec::with_capacity(count);
+        for i in 0..count {
+            let n = block * BLOCK + i as u64;
+            let time_ns = zero.saturating_add((n as f64 * period_ns).round() as i64);
+            let at = match self.oscillator.when_nanos(time_ns) {
+                Some(at) => at.as_secs_f64(),
+                None => 0.0,
+            };
+            let measured = match kind {
+                Kind::Accelerometer => {
+                    channel.sample(at, i as u64, period_s, |t| self.motion.specific_force(t))
+                }
+                Kind::Gyroscope => {
+                    channel.sample(at, i as u64, period_s, |t| self.motion.angular_rate(t))
+                }
+                Kind::Magnetometer => {
+                    channel.sample(at, i as u64, period_s, |t| self.heading.field(t))
+                }
+            };
+            let part = i as f64 / BLOCK as f64;
+            let mut values = [0.0f32; 3];
+            for (axis, value) in values.iter_mut().enumerate() {
+                let walked = walk_from[axis] + part * (walk_to[axis] - walk_from[axis]);
+                let steps = ((measured[axis] + walked) / config.step).round();
+                *value = (steps * config.step) as f32;
+            }
+            let faults = &config.faults;
+            if is_turn(faults.copy_every, n) {
+                values = last.unwrap_or(values);
+            }
+            last = Some(values);
+            let jitter = config.timestamp_jitter_ns * stamps.normal();
+            let lost = stamps.chance(faults.drop);
+            let mut stamp = time_ns.saturating_add(jitter.round() as i64);
+            if is_turn(faults.late_every, n) {
+                stamp = stamp.saturating_add(faults.late_by_ns);
+            }
+            if let Some(every) = faults.sawtooth_every.filter(|&e| e > 0) {
+                let part = (n % u64::from(every)) as f64 / f64::from(every);
+                stamp = stamp.saturating_add((part * faults.sawtooth_ns as f64) as i64);
+            }
+            out.push((!lost).then_some(Sample {
+                time_ns: stamp,
+                values,
+            }));
+        }
+        out
+    }
+}
+
+/// Whether sample `n` is the last of every `every` samples.
+fn is_turn(every: Option<u32>, n: u64) -> bool {
+    every.is_some_and(|every| every > 0 && (n + 1).is_multiple_of(u64::from(every)))
+}
+
+/// The random walk of a bias, known at the borders of the blocks.
+struct BiasWalk {
+    step: f64,
+    random: Random,
+}
+
+impl BiasWalk {
+    fn new(config: &SensorConfig, random: Random) -> Self {
+        Self {
+            step: config.channel.bias_walk * (BLOCK as f64 / config.rate_hz).sqrt(),
+            random,
+        }
+    }
+
+    /// The walk at both borders of a block.
+    fn over(&self, block: u64) -> ([f64; 3], [f64; 3]) {
+        let mut at = [0.0; 3];
+        if self.step <= 0.0 {
+            return (at, at);
+        }
+        let mut random = self.random.clone();
+        let mut before = at;
+        for _ in 0..=block {
+            before = at;
+            for (at, step) in at.iter_mut().zip(random.normal3()) {
+                *at += self.step * step;
+            }
+        }
+        (before, at)
+    }
+}
+
+/// How the rig is turned against the world: the integral of its angular rate.
+#[derive(Debug)]
+struct Heading {
+    motion: Arc<Motion>,
+    /// Orientation every [`Heading::STEP`] seconds from power-on.
+    turned: Mutex<Vec<UnitQuaternion<f64>>>,
+}
+
+impl Heading {
+    const STEP: f64 = 0.005;
+
+    fn new(motion: Arc<Motion>) -> Self {
+        Self {
+            motion,
+            turned: Mutex::new(vec![UnitQuaternion::identity()]),
+        }
+    }
+
+    /// The turn from `t` over `step` seconds by the rate in the middle.
+    fn turn(&self, t: f64, step: f64) -> UnitQuaternion<f64> {
+        let rate = Vector3::from(self.motion.angular_rate(t + 0.5 * step));
+        UnitQuaternion::from_scaled_axis(rate * step)
+    }
+
+    /// Integrates as far as `until` seconds.
+    fn reach(&self, until: f64) {
+        let mut turned = self.turned.lock().unwrap_or_else(PoisonError::into_inner);
+        while (turned.len() as f64) * Self::STEP <= until {
+            let at = (turned.len() - 1) as f64 * Self::STEP;
+            let last = turned.last().copied().unwrap_or_default();
+            turned.push(last * self.turn(at, Self::STEP));
+        }
+    }
+
+    /// The Earth's field along the rig's axes at `t` seconds, µT.
+    fn field(&self, t: f64) -> [f64; 3] {
+        let (known, before) = {
+            let turned = self.turned.lock().unwrap_or_else(PoisonError::into_inner);
+            let known = ((t.max(0.0) / Self::STEP) as usize).min(turned.len() - 1);
+            (known, turned.get(known).copied().unwrap_or_default())
+        };
+        let at = known as f64 * Self::STEP;
+        let now = before * self.turn(at, t.max(0.0) - at);
+        now.inverse_transform_vector(&Vector3::from(EARTH_FIELD))
+            .into()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::MotionSpec;
+
+    fn sensors(edit: impl FnOnce(&mut PhoneConfig)) -> (Sensors, i64) {
+        let mut config = PhoneConfig::draw(Seed(3));
+        edit(&mut config);
+        let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
+        let spec: MotionSpec = "walk".parse().unwrap();
+        let motion = spec.build(config.seed.stream(Stream::Motion)).unwrap();
+        let zero = config.clock.offset_ns;
+        (Sensors::new(&config, oscillator, motion), zero)
+    }
+
+    #[test]
+    fn a_sample_does_not_depend_on_the_request() {
+        let (sensors, zero) = sensors(|_| ());
+        for kind in Kind::ALL {
+            let whole = sensors.samples(kind, zero, zero + 12_000_000_000);
+            let part = sensors.samples(kind, zero + 3_000_000_000, zero + 9_000_000_000);
+            let at = whole.iter().position(|s| *s == part[0]).unwrap();
+            assert_eq!(&whole[at..at + part.len()], part);
+            // Neither one sample lost nor doubled where two requests meet.
+            let mut two = sensors.samples(kind, zero, zero + 5_000_000_000);
+            two.extend(sensors.samples(kind, zero + 5_000_000_000, zero + 12_000_000_000));
+            assert_eq!(whole, two);
+        }
+    }
+
+    #[test]
+    fn timestamps_follow_the_rate_and_jitter() {
+        let (sensors, zero) = sensors(|c| c.gyroscope.rate_hz = 495.0);
+        let samples = sensors.samples(Kind::Gyroscope, zero, zero + 20_000_000_000);
+        assert_eq!(samples.len(), 9900);
+        let errors: Vec<f64> = samples
+            .iter()
+            .enumerate()
+            .map(|(n, s)| (s.time_ns - zero) as f64 - n as f64 * 1e9 / 495.0)
+            .collect();
+        let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
+        assert!((900.0..1100.0).contains(&rms), "{rms}");
+    }
+
+    #[test]
+    fn values_are_the_motion_turned_scaled_and_quantised() {
+        let (sensors, zero) = sensors(|c| {
+            c.gyroscope.channel.noise_density = 0.0;
+            c.gyroscope.channel.bias_walk = 0.0;
+        });
+        let config = &sensors.gyroscope;
+        let samples = sensors.samples(Kind::Gyroscope, zero + 4_000_000_000, zero + 4_500_000_000);
+        assert!(samples.len() > 240);
+        for sample in samples {
+            let at = sensors.oscillator.when_nanos(sample.time_ns).unwrap();
+            // Low-passed at 150 Hz, the motion (below 12 Hz) is only delayed.
+            let rate = sensors
+                .motion
+                .angular_rate(at.as_secs_f64() - config.low_pass.delay_s);
+            let turned = config.channel.rotation * Vector3::from(rate);
+            for axis in 0..3 {
+                let expected = turned[axis] * (1.0 + config.channel.scale_error[axis])
+                    + config.channel.bias[axis];
+                let got = f64::from(sample.values[axis]);
+                assert!((got - expected).abs() < 0.6 * config.step + 1e-3);
+                let steps = got / config.step;
+                assert!((steps - steps.round()).abs() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn faults_are_as_configured() {
+        let clean = {
+            let (sensors, zero) = sensors(|_| ());
+            sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000)
+        };
+        let faulty = {
+            let (sensors, zero) = sensors(|c| {
+                c.gyroscope.faults.copy_every = Some(100);
+                c.gyroscope.faults.late_every = Some(50);
+                c.gyroscope.faults.late_by_ns = 1_000_000;
+            });
+            sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000)
+        };
+        assert_eq!(clean.len(), faulty.len());
+        for (n, (a, b)) in clean.iter().zip(&faulty).enumerate() {
+            let late = if n % 50 == 49 { 1_000_000 } else { 0 };
+            assert_eq!(b.time_ns - a.time_ns, late, "{n}");
+            let values = if n % 100 == 99 {
+                clean[n - 1].values
+            } else {
+                a.values
+            };
+            assert_eq!(b.values, values, "{n}");
+        }
+        let (sensors, zero) = sensors(|c| c.gyroscope.faults.drop = 0.1);
+        let thin = sensors.samples(Kind::Gyroscope, zero, zero + 4_000_000_000);
+        let share = thin.len() as f64 / clean.len() as f64;
+        assert!((0.87..0.93).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn the_field_turns_with_the_rig_and_keeps_its_size() {
+        let (sensors, zero) = sensors(|c| {
+            if let Some(m) = &mut c.magnetometer {
+                m.channel.bias = [0.0; 3];
+                m.channel.scale_error = [0.0; 3];
+            }
+        });
+        let samples = sensors.samples(Kind::Magnetometer, zero, zero + 30_000_000_000);
+        let size = Vector3::from(EARTH_FIELD).norm();
+        let mut spread = 0.0f64;
+        for sample in &samples {
+            let field = Vector3::from(sample.values.map(f64::from));
+            assert!((field.norm() - size).abs() < 2.0, "{}", field.norm());
+            let first = Vector3::from(samples[0].values.map(f64::from));
+            spread = spread.max((field - first).norm());
+        }
+        assert!(spread > 5.0, "{spread}");
+    }
+}

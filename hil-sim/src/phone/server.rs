@@ -1,0 +1,340 @@
+//! The app's TCP server: one client at a time, one request after the other.
+//!
+//! Lines end as in the app's language: by `\n`, `\r` or `\r\n`. An empty line is
+//! a request like any other, and is answered with an error.
+//!
+//! # When answers leave
+//!
+//! The app writes an answer in pieces, the end of its last line apart, on a
+//! socket with Nagle's algorithm. So what is left of an answer when its last
+//! full segment has gone waits for the acknowledgement, and if the next request
+//! is there already (the published client sends an empty line behind each
+//! `imu?…`), its answer joins it. That client depends on it: it reads in
+//! blocks, takes the stray answer with the end of the one it wants, and throws
+//! it away. Here the same is made certain: while another request is waiting,
+//! the last [`TAIL`] bytes of an answer are held back for [`GATHER`], which
+//! gives the client time to take what came before, and leave in one piece with
+//! the next answer.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use super::app::{App, Reply};
+
+/// Bytes of an answer that wait for the next one: less than a segment.
+const TAIL: usize = 1_024;
+
+/// How long they wait at least.
+const GATHER: Duration = Duration::from_millis(50);
+
+/// How soon the server sees that it shall stop.
+const POLL: Duration = Duration::from_millis(20);
+
+/// Longest request that is kept, in bytes; a longer one ends the connection.
+const MAX_REQUEST: usize = 64 * 1024;
+
+/// Bytes of a file sent at once, as in the app.
+const FILE_BLOCK: usize = 1_024;
+
+/// What is made to go wrong on the way of the answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinkFault {
+    /// The connection is closed after so many bytes of an answer.
+    CutAfter(u64),
+    /// No more than so many bytes a second.
+    Slow(u32),
+    /// The answer's body never ends.
+    Endless,
+    /// Nothing is answered at all.
+    Silent,
+    /// So many bytes are missing at the end of a video, then the connection is closed.
+    ShortVideo(u64),
+    /// So many bytes too many come behind a video.
+    LongVideo(u64),
+}
+
+/// State that the phone's owner may change while the server runs.
+#[derive(Debug, Default)]
+pub(super) struct Link {
+    pub(super) unreachable: AtomicBool,
+    fault: Mutex<Option<LinkFault>>,
+    client: Mutex<Option<TcpStream>>,
+}
+
+impl Link {
+    pub(super) fn set_fault(&self, fault: Option<LinkFault>) {
+        *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = fault;
+    }
+
+    fn fault(&self) -> Option<LinkFault> {
+        *self.fault.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn client(&self) -> MutexGuard<'_, Option<TcpStream>> {
+        self.client.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the connection with the client, if there is one.
+    pub(super) fn cut(&self) {
+        if let Some(client) = self.client().take() {
+            let _ = client.shutdown(Shutdown::Both);
+        }
+    }
+}
+
+/// Serves clients until the app closes.
+pub(super) fn serve(listener: TcpListener, app: &Arc<App>, link: &Link) {
+    let Ok(address) = listener.local_addr() else {
+        return;
+    };
+    let mut listener = Some(listener);
+    while !app.closing.load(Ordering::SeqCst) {
+        if link.unreachable.load(Ordering::SeqCst) {
+            listener = None;
+        } else if listener.is_none() {
+            listener = open(address).ok();
+        }
+        let accepted = listener.as_ref().map(TcpListener::accept);
+        match accepted {
+            Some(Ok((stream, _))) => {
+                if stream.set_nonblocking(false).is_ok() {
+                    *link.client() = stream.try_clone().ok();
+                    Client::new(stream, app, link).serve();
+                    link.client().take();
+                }
+            }
+            _ => std::thread::sleep(POLL),
+        }
+    }
+}
+
+/// A listener that does not block.
+pub(super) fn open(address: SocketAddr) -> std::io::Result<TcpListener> {
+    let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+/// One client's connection.
+struct Client<'a> {
+    stream: TcpStream,
+    app: &'a Arc<App>,
+    link: &'a Link,
+    input: Vec<u8>,
+    /// The last request ended with `\r`: a `\n` that follows belongs to it.
+    after_return: bool,
+    held: Vec<u8>,
+    /// The client will send no more.
+    ended: bool,
+}
+
+/// The connection has ended, for whatever reason.
+struct Gone;
+
+impl From<std::io::Error> for Gone {
+    fn from(_: std::io::Error) -> Self {
+        Self
+    }
+}
+
+impl<'a> Client<'a> {
+    fn new(stream: TcpStream, app: &'a Arc<App>, link: &'a Link) -> Self {
+        Self {
+            stream,
+            app,
+            link,
+            input: Vec::new(),
+            after_return: false,
+            held: Vec::new(),
+            ended: false,
+        }
+    }
+
+    fn serve(mut self) {
+        while let Ok(line) = self.next_request() {
+            if self.answer(&line).is_err() {
+                break;
+            }
+        }
+    }
+
+    /// The next line of the client.
+    fn next_request(&mut self) -> Result<String, Gone> {
+        loop {
+            if let Some(line) = self.take_line() {
+                return Ok(line);
+            }
+            self.flush()?;
+            let too_long = self.input.len() > MAX_REQUEST;
+            if self.ended || too_long || self.app.closing.load(Ordering::SeqCst) {
+                return Err(Gone);
+            }
+            self.receive(POLL)?;
+        }
+    }
+
+    /// Reads what has come, waiting for at most `patience`.
+    fn receive(&mut self, patience: Duration) -> Result<(), Gone> {
+        self.stream.set_read_timeout(Some(patience))?;
+        let mut buffer = [0u8; 4096];
+        match self.stream.read(&mut buffer) {
+            Ok(0) => {
+                self.ended = true;
+                Ok(())
+            }
+            Ok(n) => {
+                self.input
+                    .extend_from_slice(buffer.get(..n).unwrap_or_default());
+                Ok(())
+            }
+            Err(e) => match e.kind() {
+                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => Ok(()),
+                _ => Err(Gone),
+            },
+        }
+    }
+
+    /// A whole line of the input, without its end.
+    fn take_line(&mut self) -> Option<String> {
+        if self.after_return && self.input.first() == Some(&b'\n') {
+            self.input.remove(0);
+            self.after_return = false;
+        }
+        let end = self.input.iter().position(|b| matches!(b, b'\n' | b'\r'))?;
+        self.after_return = self.input.get(end) == Some(&b'\r');
+        let rest = self.input.split_off(end + 1);
+        let mut line = std::mem::replace(&mut self.input, rest);
+        line.truncate(end);
+        Some(String::from_utf8_lossy(&line).into_owned())
+    }
+
+    /// Whether another request is waiting, one that is answered at once.
+    fn has_quick_request(&self) -> bool {
+        let skip = usize::from(self.after_return && self.input.first() == Some(&b'\n'));
+        let rest = self.input.get(skip..).unwrap_or_default();
+        let Some(end) = rest.iter().position(|b| matches!(b, b'\n' | b'\r')) else {
+            return false;
+        };
+        let line = rest.get(..end).unwrap_or_default();
+        !line.starts_with(b"imu?") && line != b"video_start" && line != b"get_video"
+    }
+
+    fn answer(&mut self, line: &str) -> Result<(), Gone> {
+        let reply = self.app.handle(line).map_err(|_| Gone)?;
+        let version = self.app.config.version.clone();
+        let fault = self.link.fault();
+        if fault == Some(LinkFault::Silent) {
+            return Ok(());
+        }
+        let (head, file) = match &reply {
+            Reply::Success(body) => (format!("SUCCESS\n{version}\n{body}end\n"), None),
+            Reply::Error(text) => (format!("ERROR\n{version}\n{text}\nend\n"), None),
+            Reply::File { path, name } => {
+                let size = std::fs::metadata(path)?.len();
+                let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
+                (head, Some((path, size)))
+            }
+        };
+        if fault == Some(LinkFault::Endless) {
+            let body = head.strip_suffix("end\n").unwrap_or(&head);
+            self.send(body.as_bytes())?;
+            loop {
+                self.send("1.0,2.0,3.0,4\n".repeat(64).as_bytes())?;
+            }
+        }
+        match file {
+            None => self.send_and_hold(head.as_bytes()),
+            Some((path, size)) => {
+                self.send(head.as_bytes())?;
+                self.send_file(path, size, fault)
+            }
+        }
+    }
+
+    fn send_file(&mut self, path: &Path, size: u64, fault: Option<LinkFault>) -> Result<(), Gone> {
+        let mut file = std::fs::File::open(path)?;
+        let mut left = match fault {
+            Some(LinkFault::ShortVideo(missing)) => size.saturating_sub(missing),
+            _ => size,
+        };
+        let mut block = [0u8; FILE_BLOCK];
+        while left > 0 {
+            let want = FILE_BLOCK.min(usize::try_from(left).unwrap_or(FILE_BLOCK));
+            let n = file.read(block.get_mut(..want).unwrap_or_default())?;
+            if n == 0 {
+                break;
+            }
+            self.send(block.get(..n).unwrap_or_default())?;
+            left -= n as u64;
+        }
+        match fault {
+            Some(LinkFault::ShortVideo(_)) => Err(Gone),
+            Some(LinkFault::LongVideo(extra)) => {
+                for _ in 0..extra {
+                    self.send(b"x")?;
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Sends an answer; holds its end back if another request is waiting.
+    fn send_and_hold(&mut self, bytes: &[u8]) -> Result<(), Gone> {
+        // The request behind may be on its way.
+        self.receive(Duration::from_millis(1))?;
+        if !self.has_quick_request() {
+            return self.send(bytes);
+        }
+        let (head, tail) = bytes.split_at(bytes.len().saturating_sub(TAIL));
+        if !head.is_empty() {
+            self.send(head)?;
+        }
+        std::thread::sleep(GATHER);
+        self.held.extend_from_slice(tail);
+        Ok(())
+    }
+
+    /// Sends what was held back.
+    fn flush(&mut self) -> Result<(), Gone> {
+        if self.held.is_empty() {
+            return Ok(());
+        }
+        self.send(&[])
+    }
+
+    /// Sends what was held back and `bytes`, in one piece.
+    fn send(&mut self, bytes: &[u8]) -> Result<(), Gone> {
+        let mut all = std::mem::take(&mut self.held);
+        all.extend_from_slice(bytes);
+        match self.link.fault() {
+            Some(LinkFault::CutAfter(most)) if (all.len() as u64) > most => {
+                let part = all.get(..most as usize).unwrap_or(&all);
+                self.stream.write_all(part)?;
+                Err(Gone)
+            }
+            Some(LinkFault::CutAfter(most)) => {
+                let left = most - all.len() as u64;
+                self.link.set_fault(Some(LinkFault::CutAfter(left)));
+                Ok(self.stream.write_all(&all)?)
+            }
+            Some(LinkFault::Slow(rate)) => {
+                // Ten pieces a second.
+                let piece = (rate as usize / 10).max(1);
+                for piece in all.chunks(piece) {
+                    self.stream.write_all(piece)?;
+                    std::thread::sleep(Duration::from_millis(100));
+                    if self.app.closing.load(Ordering::SeqCst) {
+                        return Err(Gone);
+                    }
+                }
+                Ok(())
+            }
+            _ => Ok(self.stream.write_all(&all)?),
+        }
+    }
+}
