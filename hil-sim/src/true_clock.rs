@@ -120,6 +120,12 @@ impl TrueClock {
         }
     }
 
+    /// How many wait for a time that has not come.
+    #[must_use]
+    pub fn waiters(&self) -> usize {
+        self.0.waiting().times.len()
+    }
+
     /// Makes everyone who waits look whether they were cancelled.
     pub fn wake(&self) {
         // Taken and given back, so that nobody is between looking and waiting.

@@ -23,10 +23,9 @@ mod java;
 mod sensors;
 mod server;
 
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
 use crate::flash_log::FlashSource;
@@ -83,7 +82,6 @@ pub enum PhoneStartError {
 pub struct SimPhone {
     app: Arc<App>,
     link: Arc<Link>,
-    address: SocketAddr,
     oscillator: Oscillator,
     storage: PathBuf,
     thread: Option<JoinHandle<()>>,
@@ -123,11 +121,8 @@ impl SimPhone {
             ),
         };
         let storage = folder.as_ref().map_or(path, |f| f.path().to_owned());
-        let listener = server::open(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
-            .map_err(|source| PhoneStartError::Listen { port, source })?;
-        let address = listener
-            .local_addr()
-            .map_err(|source| PhoneStartError::Listen { port, source })?;
+        let link = Link::open(port).map_err(|source| PhoneStartError::Listen { port, source })?;
+        let link = Arc::new(link);
         let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
         let app = Arc::new(App::new(
             config,
@@ -137,15 +132,13 @@ impl SimPhone {
             surroundings.light,
             storage.clone(),
         ));
-        let link = Arc::new(Link::default());
         let thread = {
             let (app, link) = (Arc::clone(&app), Arc::clone(&link));
-            std::thread::spawn(move || server::serve(listener, &app, &link))
+            std::thread::spawn(move || server::serve(&app, &link))
         };
         Ok(Self {
             app,
             link,
-            address,
             oscillator,
             storage,
             thread: Some(thread),
@@ -156,7 +149,7 @@ impl SimPhone {
     /// Where it listens.
     #[must_use]
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.link.address()
     }
 
     /// What it was made from.
@@ -204,13 +197,18 @@ impl SimPhone {
         self.app.press_record();
     }
 
-    /// Takes the phone off the network (connections end, new ones are refused),
-    /// or brings it back.
-    pub fn set_reachable(&self, reachable: bool) {
-        self.link.unreachable.store(!reachable, Ordering::SeqCst);
-        if !reachable {
-            self.link.cut();
-        }
+    /// Takes the phone off the network: connections end, new ones are refused.
+    pub fn leave_network(&self) {
+        self.link.leave();
+    }
+
+    /// Brings the phone back to the network, at the same address.
+    ///
+    /// # Errors
+    ///
+    /// Someone else has taken its port.
+    pub fn join_network(&self) -> std::io::Result<()> {
+        self.link.join()
     }
 
     /// Makes something go wrong with the answers from now on.

@@ -17,9 +17,9 @@
 //! the next answer.
 
 use std::io::{ErrorKind, Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -58,9 +58,11 @@ pub enum LinkFault {
 }
 
 /// State that the phone's owner may change while the server runs.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Link {
-    pub(super) unreachable: AtomicBool,
+    address: SocketAddr,
+    /// Nothing while the phone is off the network.
+    listener: Mutex<Option<TcpListener>>,
     fault: Mutex<Option<LinkFault>>,
     client: Mutex<Option<TcpStream>>,
 }
@@ -78,6 +80,41 @@ impl Link {
         self.client.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn listener(&self) -> MutexGuard<'_, Option<TcpListener>> {
+        self.listener.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Listens on `port` of the loopback interface; 0 takes a free one.
+    pub(super) fn open(port: u16) -> std::io::Result<Self> {
+        let listener = listen(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))?;
+        Ok(Self {
+            address: listener.local_addr()?,
+            listener: Mutex::new(Some(listener)),
+            fault: Mutex::default(),
+            client: Mutex::default(),
+        })
+    }
+
+    /// Where the phone is, when it is on the network.
+    pub(super) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Leaves the network: connections end, new ones are refused.
+    pub(super) fn leave(&self) {
+        self.listener().take();
+        self.cut();
+    }
+
+    /// Comes back to the network, under the same address.
+    pub(super) fn join(&self) -> std::io::Result<()> {
+        let mut listener = self.listener();
+        if listener.is_none() {
+            *listener = Some(listen(self.address)?);
+        }
+        Ok(())
+    }
+
     /// Ends the connection with the client, if there is one.
     pub(super) fn cut(&self) {
         if let Some(client) = self.client().take() {
@@ -86,19 +123,17 @@ impl Link {
     }
 }
 
+/// A listener that does not block.
+fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
+    let listener = TcpListener::bind(address)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
 /// Serves clients until the app closes.
-pub(super) fn serve(listener: TcpListener, app: &Arc<App>, link: &Link) {
-    let Ok(address) = listener.local_addr() else {
-        return;
-    };
-    let mut listener = Some(listener);
+pub(super) fn serve(app: &Arc<App>, link: &Link) {
     while !app.closing.load(Ordering::SeqCst) {
-        if link.unreachable.load(Ordering::SeqCst) {
-            listener = None;
-        } else if listener.is_none() {
-            listener = open(address).ok();
-        }
-        let accepted = listener.as_ref().map(TcpListener::accept);
+        let accepted = link.listener().as_ref().map(TcpListener::accept);
         match accepted {
             Some(Ok((stream, _))) => {
                 if stream.set_nonblocking(false).is_ok() {
@@ -110,13 +145,6 @@ pub(super) fn serve(listener: TcpListener, app: &Arc<App>, link: &Link) {
             _ => std::thread::sleep(POLL),
         }
     }
-}
-
-/// A listener that does not block.
-pub(super) fn open(address: SocketAddr) -> std::io::Result<TcpListener> {
-    let listener = TcpListener::bind(address)?;
-    listener.set_nonblocking(true)?;
-    Ok(listener)
 }
 
 /// One client's connection.
