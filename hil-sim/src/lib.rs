@@ -7,6 +7,7 @@
 pub mod clock;
 pub mod depth_camera;
 pub mod flash_log;
+pub mod frame_phase;
 pub mod i2c;
 pub mod inertial_channel;
 pub mod model;

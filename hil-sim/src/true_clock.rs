@@ -13,7 +13,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::oscillator::TrueTime;
+use crate::model::{RigIo, RigModel};
+use crate::oscillator::{BoardTime, TrueTime};
+use crate::pin::Pin;
+use crate::time::{SimDuration, SimTime};
 
 /// True time has ended: the rig was stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -160,6 +163,49 @@ impl TrueClock {
             }
         });
         clock
+    }
+}
+
+/// Publishes true time from within the board's run: a part that is wired to
+/// nothing and looks at the clock every [`BoardClockwork::STEP`].
+#[derive(Debug)]
+pub struct BoardClockwork {
+    board: BoardTime,
+    clock: TrueClock,
+    next: SimTime,
+}
+
+impl BoardClockwork {
+    /// How often true time is published, in board time.
+    pub const STEP: SimDuration = SimDuration::from_micros(500);
+
+    /// Publishes to `clock` how far the rig of `board` has come.
+    #[must_use]
+    pub fn new(board: BoardTime, clock: TrueClock) -> Self {
+        Self {
+            board,
+            clock,
+            next: SimTime::ZERO,
+        }
+    }
+}
+
+impl RigModel for BoardClockwork {
+    fn name(&self) -> String {
+        "true time".to_owned()
+    }
+
+    fn watched_pins(&self) -> Vec<Pin> {
+        Vec::new()
+    }
+
+    fn next_event(&self) -> Option<SimTime> {
+        Some(self.next)
+    }
+
+    fn advance(&mut self, io: &mut RigIo<'_>) {
+        self.clock.publish(self.board.true_at(io.now()));
+        self.next = io.now() + Self::STEP;
     }
 }
 

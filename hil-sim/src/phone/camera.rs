@@ -29,7 +29,8 @@ pub struct FrameTimes {
 impl FrameTimes {
     /// Frames of recording number `recording` of this phone, asked for at
     /// `request_ns` of the boot clock.
-    pub(super) fn new(config: &PhoneConfig, recording: u32, request_ns: i64) -> Self {
+    #[must_use]
+    pub fn new(config: &PhoneConfig, recording: u32, request_ns: i64) -> Self {
         let number = u64::from(recording);
         let mut random = substream(config.seed, Stream::PhoneCamera, number);
         let (least, most) = config.camera.first_frame_ms;
