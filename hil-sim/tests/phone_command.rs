@@ -158,3 +158,17 @@ fn a_phone_that_goes_away_is_noticed() {
     });
     fails(&bench.command(&["stop"], folder.path()), 12, "same network");
 }
+
+#[test]
+fn a_probe_changes_nothing() {
+    use smartdepthsync::phone::{PhoneClient, ServerVersion, Settings};
+    let bench = Bench::new(25, 20.0, |_| ());
+    let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
+    assert_eq!(client.version(), None);
+    for _ in 0..3 {
+        assert_eq!(client.probe().unwrap(), ServerVersion::V0_1_1);
+    }
+    assert!(!bench.phone.is_recording());
+    // The connection is still in step.
+    client.stop_video().unwrap();
+}

@@ -131,6 +131,23 @@ impl PhoneClient {
         Ok(())
     }
 
+    /// Asks whether the app is there and which version it is, without any
+    /// effect on it: an empty line, which the app answers with an error.
+    pub fn probe(&mut self) -> Result<ServerVersion, PhoneError> {
+        const REQUEST: &str = "an empty request";
+        let margin = self.settings.margin;
+        let answer = self.in_step(|connection| {
+            connection.send(REQUEST, "\n", margin)?;
+            connection.answer(REQUEST, small_answer_limit(), margin, |_, _| Ok(()))
+        });
+        let version = match answer {
+            Ok(version) | Err(PhoneError::Refused { version, .. }) => version,
+            Err(error) => return Err(error),
+        };
+        self.version = Some(version);
+        Ok(version)
+    }
+
     /// Records motion sensors for the duration of the request, which this call
     /// lasts as well. The app refuses it while it records a video.
     pub fn imu(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {

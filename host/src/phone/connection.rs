@@ -136,8 +136,12 @@ impl Connection {
                         }));
                         break;
                     }
-                    Some(AnswerEvent::Refused { text, .. }) => {
-                        finished = Some(Err(PhoneError::Refused { request, text }));
+                    Some(AnswerEvent::Refused { version, text }) => {
+                        finished = Some(Err(PhoneError::Refused {
+                            request,
+                            text,
+                            version,
+                        }));
                         break;
                     }
                 }

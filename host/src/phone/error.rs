@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::answer::MalformedAnswer;
+use super::answer::{MalformedAnswer, ServerVersion};
 use crate::outcome::{ExitStatus, Failure};
 
 /// An error of the phone client: what was expected and what came.
@@ -110,6 +110,8 @@ pub enum PhoneError {
         request: &'static str,
         /// The phone's own words, shortened.
         text: String,
+        /// Version of the app.
+        version: ServerVersion,
     },
     /// The answer is not one of the protocol.
     #[error("the phone's answer to {request} is damaged: {source}")]
@@ -183,7 +185,7 @@ impl PhoneError {
             Self::UnsupportedVersion { .. } => {
                 "install one of these versions of OpenCamera Sensors"
             }
-            Self::Refused { request, text } => return refusal_hint(request, text),
+            Self::Refused { request, text, .. } => return refusal_hint(request, text),
             Self::Malformed { .. } => {
                 "see that it is OpenCamera Sensors that listens on this port, then try again"
             }
