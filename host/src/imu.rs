@@ -5,13 +5,13 @@
 //! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
 
 use protocol::{ImuFlags, ImuSample, ImuSetup, TICK_HZ, Ticks};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Standard gravity, m/s².
 pub const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// From counts to SI units.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scale {
     /// rad/s of one count of the gyroscope.
     pub gyro_rad_s: f64,

@@ -5,6 +5,8 @@
 //! - [`board`]: a session on a transport, with calls that wait for the answer.
 //! - [`phone`]: the phone's remote control over TCP.
 //! - [`imu`]: the board's IMU samples in SI units.
+//! - [`profile`]: what is fixed about one rig.
+//! - [`recording`]: the folder of a session, written and read.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
@@ -18,6 +20,8 @@ pub mod gyro_csv;
 pub mod imu;
 pub mod outcome;
 pub mod phone;
+pub mod profile;
+pub mod recording;
 pub mod session;
 pub mod sync;
 pub mod time;

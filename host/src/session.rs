@@ -18,7 +18,7 @@ use protocol::{
     Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
     MAX_FRAME, PROTOCOL_VERSION, Ticks, encode, hello_version,
 };
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The numbered streams of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -102,7 +102,7 @@ pub enum Event {
 }
 
 /// What came and what was lost on one stream.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamCount {
     /// Messages received.
     pub received: u64,
@@ -111,7 +111,7 @@ pub struct StreamCount {
 }
 
 /// Counts of all streams.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct StreamCounts {
     /// Status.
     pub status: StreamCount,

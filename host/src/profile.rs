@@ -1,0 +1,541 @@
+//! The rig profile: what is fixed about one rig, as a commented TOML file.
+//!
+//! [`DEFAULT`] is the file that `smartdepthsync profile init` writes; the same
+//! text gives the defaults, so the two cannot differ. Unknown keys are errors:
+//! a misspelt constant must not silently be its default.
+
+use std::path::{Path, PathBuf};
+
+use jiff::civil::Date;
+use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, TICK_HZ};
+use serde::{Deserialize, Serialize};
+
+use crate::outcome::{ExitStatus, Failure};
+
+/// The commented default profile.
+pub const DEFAULT: &str = include_str!("profile_default.toml");
+
+/// A rig profile.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Profile {
+    /// What the rig is called.
+    pub name: String,
+    /// The phone.
+    pub phone: Phone,
+    /// The depth camera.
+    pub depth: Depth,
+    /// The board's IMU.
+    pub imu: Imu,
+    /// How the trigger is aligned.
+    pub align: Align,
+    /// The measured constant bias.
+    pub frame_sync: FrameSync,
+}
+
+/// The phone.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Phone {
+    /// Host and port of the app.
+    pub address: String,
+    /// Exposure of a row, µs, where the app does not report it.
+    pub exposure_us: f64,
+    /// From the start of exposure of the first row to that of the last, µs.
+    pub readout_us: f64,
+    /// Rows of the video.
+    pub rows: u32,
+    /// The row that is synchronised, from 0; the middle if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub middle_row: Option<f64>,
+    /// Delay of the gyroscope's filter, µs.
+    pub gyro_delay_us: f64,
+    /// 1-sigma of it, µs.
+    pub gyro_delay_sigma_us: f64,
+    /// Length of a twist, s.
+    pub twist_s: u32,
+    /// What was learnt about it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub learnt: Option<Learnt>,
+}
+
+/// What recordings have taught about the phone's clocks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Learnt {
+    /// Distance of frames in the phone's own time, ns.
+    pub frame_period_ns: f64,
+    /// 1-sigma of it, ns.
+    pub frame_period_sigma_ns: f64,
+    /// Rate of the phone's clock against the board's, minus one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skew: Option<f64>,
+    /// 1-sigma of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skew_sigma: Option<f64>,
+    /// When.
+    pub learnt: Date,
+    /// The board whose clock the skew is against.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board_id: Option<String>,
+}
+
+/// The depth camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Depth {
+    /// Depth mode, for the record.
+    pub mode: String,
+    /// Frames a second: 30, 15 or 5.
+    pub fps: u32,
+    /// From the trigger's edge to the middle of exposure, µs.
+    pub center_offset_us: f64,
+    /// 1-sigma of it, µs.
+    pub center_offset_sigma_us: f64,
+    /// Length of the trigger pulse, µs.
+    pub pulse_width_us: f64,
+    /// The program that records it.
+    pub recorder: Recorder,
+}
+
+/// The program that records the depth camera.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recorder {
+    /// Program and arguments; empty: none.
+    pub command: Vec<String>,
+    /// How it is asked to stop.
+    pub stop: StopSignal,
+    /// How long it may take to stop, s.
+    pub stop_timeout_s: u32,
+}
+
+/// How a program is asked to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum StopSignal {
+    /// SIGINT.
+    Interrupt,
+    /// SIGTERM.
+    Terminate,
+}
+
+/// The board's IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Imu {
+    /// Samples a second.
+    pub rate_hz: u32,
+    /// Low-pass, Hz.
+    pub low_pass_hz: u32,
+    /// Full scale of the gyroscope, °/s.
+    pub gyro_range_dps: u32,
+    /// Full scale of the accelerometer, g.
+    pub accel_range_g: u32,
+}
+
+/// How the trigger is aligned.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Align {
+    /// Most change of the distance of two pulses, µs; 0 jumps.
+    pub slew_us: f64,
+    /// Twists with a larger 1-sigma are refused, µs.
+    pub max_offset_sigma_us: f64,
+}
+
+/// The measured constant bias.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameSync {
+    /// Middle of exposure of depth minus that of the phone's middle row, µs.
+    pub bias_us: f64,
+    /// 1-sigma of it, µs.
+    pub bias_sigma_us: f64,
+    /// When it was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bias_measured: Option<Date>,
+}
+
+/// Why a profile cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ProfileError {
+    /// The file cannot be read.
+    #[error("cannot read the rig profile {path}: {reason}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        reason: String,
+    },
+    /// It is no profile.
+    #[error("the rig profile{} is not valid: {reason}", in_file(.path.as_deref()))]
+    Syntax {
+        /// The file, if it came from one.
+        path: Option<PathBuf>,
+        /// Line, key, and what was expected.
+        reason: String,
+    },
+    /// A value is out of its range.
+    #[error("in the rig profile, `{key}` is {found}, expected {expected}")]
+    Value {
+        /// The key with its tables.
+        key: &'static str,
+        /// The value.
+        found: String,
+        /// What is accepted.
+        expected: &'static str,
+    },
+}
+
+fn in_file(path: Option<&Path>) -> String {
+    path.map_or(String::new(), |path| format!(" {}", path.display()))
+}
+
+impl From<ProfileError> for Failure {
+    fn from(error: ProfileError) -> Self {
+        let status = match error {
+            ProfileError::Read { .. } => ExitStatus::Storage,
+            ProfileError::Syntax { .. } | ProfileError::Value { .. } => ExitStatus::Usage,
+        };
+        Self::new(status, error.to_string()).next_step(
+            "`smartdepthsync profile init rig.toml` writes a commented profile to start from",
+        )
+    }
+}
+
+impl Profile {
+    /// The profile of the published rig.
+    ///
+    /// # Errors
+    ///
+    /// Never: the text is part of the program, and a test parses it.
+    pub fn published() -> Result<Self, ProfileError> {
+        Self::parse(DEFAULT, None)
+    }
+
+    /// Reads a profile; what it leaves out has its default.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read, is no TOML, has a key that is not known, or a
+    /// value out of its range.
+    pub fn load(path: &Path) -> Result<Self, ProfileError> {
+        let text = std::fs::read_to_string(path).map_err(|error| ProfileError::Read {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        })?;
+        Self::parse(&text, Some(path))
+    }
+
+    /// Reads a profile from its text.
+    ///
+    /// # Errors
+    ///
+    /// As [`Profile::load`].
+    pub fn parse(text: &str, path: Option<&Path>) -> Result<Self, ProfileError> {
+        let syntax = |error: toml::de::Error| ProfileError::Syntax {
+            path: path.map(Path::to_owned),
+            reason: error.to_string(),
+        };
+        // Into a table first: a text that is no TOML at all is told with its line.
+        let given: toml::Table = text.parse().map_err(syntax)?;
+        let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;
+        merge(&mut whole, given);
+        let profile: Self = whole.try_into().map_err(syntax)?;
+        profile.check()?;
+        Ok(profile)
+    }
+
+    /// Settings of the board's IMU.
+    ///
+    /// # Errors
+    ///
+    /// The sensor has no such setting.
+    pub fn imu_config(&self) -> Result<ImuConfig, ProfileError> {
+        let imu = &self.imu;
+        let value = |key, found: u32, expected| ProfileError::Value {
+            key,
+            found: found.to_string(),
+            expected,
+        };
+        Ok(ImuConfig {
+            divider: Some(imu.rate_hz)
+                .filter(|&rate| rate > 0 && 1_000 % rate == 0)
+                .and_then(|rate| u8::try_from(1_000 / rate - 1).ok())
+                .ok_or_else(|| {
+                    value(
+                        "imu.rate_hz",
+                        imu.rate_hz,
+                        "1000 divided by a whole number up to 256",
+                    )
+                })?,
+            low_pass: match imu.low_pass_hz {
+                188 => LowPass::Hz188,
+                98 => LowPass::Hz98,
+                42 => LowPass::Hz42,
+                20 => LowPass::Hz20,
+                10 => LowPass::Hz10,
+                5 => LowPass::Hz5,
+                other => {
+                    return Err(value("imu.low_pass_hz", other, "188, 98, 42, 20, 10 or 5"));
+                }
+            },
+            gyro_range: match imu.gyro_range_dps {
+                250 => GyroRange::Dps250,
+                500 => GyroRange::Dps500,
+                1_000 => GyroRange::Dps1000,
+                2_000 => GyroRange::Dps2000,
+                other => {
+                    return Err(value("imu.gyro_range_dps", other, "250, 500, 1000 or 2000"));
+                }
+            },
+            accel_range: match imu.accel_range_g {
+                2 => AccelRange::G2,
+                4 => AccelRange::G4,
+                8 => AccelRange::G8,
+                16 => AccelRange::G16,
+                other => return Err(value("imu.accel_range_g", other, "2, 4, 8 or 16")),
+            },
+        })
+    }
+
+    /// Length of the trigger pulse, ticks.
+    #[must_use]
+    pub fn pulse_width(&self) -> u32 {
+        micros_to_ticks(self.depth.pulse_width_us)
+    }
+
+    /// The slew, ticks a frame.
+    #[must_use]
+    pub fn slew(&self) -> u32 {
+        micros_to_ticks(self.align.slew_us)
+    }
+
+    /// The phone's frames to one frame of the depth camera: 1, 2 or 6.
+    #[must_use]
+    pub const fn frame_ratio(&self) -> u32 {
+        30 / self.depth.fps
+    }
+
+    /// From the start of exposure of the first row to that of the row that is
+    /// synchronised, µs.
+    #[must_use]
+    pub fn middle_row_us(&self) -> f64 {
+        let last = f64::from(self.phone.rows.saturating_sub(1).max(1));
+        let middle = self.phone.middle_row.unwrap_or(0.5 * last);
+        self.phone.readout_us * middle / last
+    }
+
+    fn check(&self) -> Result<(), ProfileError> {
+        let range = |key, value: f64, least: f64, most: f64, expected| {
+            if value >= least && value <= most {
+                Ok(())
+            } else {
+                Err(ProfileError::Value {
+                    key,
+                    found: value.to_string(),
+                    expected,
+                })
+            }
+        };
+        let phone = &self.phone;
+        let depth = &self.depth;
+        let micros = "0 to 1000000 (µs)";
+        range("phone.exposure_us", phone.exposure_us, 0.0, 1e6, micros)?;
+        range("phone.readout_us", phone.readout_us, 0.0, 1e6, micros)?;
+        range("phone.rows", f64::from(phone.rows), 2.0, 1e5, "2 to 100000")?;
+        if let Some(row) = phone.middle_row {
+            let most = f64::from(phone.rows - 1);
+            range("phone.middle_row", row, 0.0, most, "0 to the last row")?;
+        }
+        range("phone.gyro_delay_us", phone.gyro_delay_us, 0.0, 1e6, micros)?;
+        range(
+            "phone.gyro_delay_sigma_us",
+            phone.gyro_delay_sigma_us,
+            0.0,
+            1e6,
+            micros,
+        )?;
+        range(
+            "phone.twist_s",
+            f64::from(phone.twist_s),
+            3.0,
+            60.0,
+            "3 to 60 (s)",
+        )?;
+        if let Some(learnt) = &phone.learnt {
+            let period = "1000000 to 1000000000 (ns)";
+            range(
+                "phone.learnt.frame_period_ns",
+                learnt.frame_period_ns,
+                1e6,
+                1e9,
+                period,
+            )?;
+            range(
+                "phone.learnt.frame_period_sigma_ns",
+                learnt.frame_period_sigma_ns,
+                0.0,
+                1e6,
+                "0 to 1000000 (ns)",
+            )?;
+            let skew = "-0.001 to 0.001";
+            range(
+                "phone.learnt.skew",
+                learnt.skew.unwrap_or(0.0),
+                -1e-3,
+                1e-3,
+                skew,
+            )?;
+            let sigma = learnt.skew_sigma.unwrap_or(0.0);
+            range("phone.learnt.skew_sigma", sigma, 0.0, 1e-3, "0 to 0.001")?;
+        }
+        if ![30, 15, 5].contains(&depth.fps) {
+            return Err(ProfileError::Value {
+                key: "depth.fps",
+                found: depth.fps.to_string(),
+                expected: "30, 15 or 5",
+            });
+        }
+        let signed = "-1000000 to 1000000 (µs)";
+        range(
+            "depth.center_offset_us",
+            depth.center_offset_us,
+            -1e6,
+            1e6,
+            signed,
+        )?;
+        range(
+            "depth.center_offset_sigma_us",
+            depth.center_offset_sigma_us,
+            0.0,
+            1e6,
+            micros,
+        )?;
+        range(
+            "depth.pulse_width_us",
+            depth.pulse_width_us,
+            8.0,
+            10_000.0,
+            "8 to 10000 (µs)",
+        )?;
+        range(
+            "align.slew_us",
+            self.align.slew_us,
+            0.0,
+            16_000.0,
+            "0 to 16000 (µs)",
+        )?;
+        range(
+            "align.max_offset_sigma_us",
+            self.align.max_offset_sigma_us,
+            1.0,
+            10_000.0,
+            "1 to 10000 (µs)",
+        )?;
+        range(
+            "frame_sync.bias_us",
+            self.frame_sync.bias_us,
+            -1e6,
+            1e6,
+            signed,
+        )?;
+        range(
+            "frame_sync.bias_sigma_us",
+            self.frame_sync.bias_sigma_us,
+            0.0,
+            1e6,
+            micros,
+        )?;
+        self.imu_config().map(|_| ())
+    }
+}
+
+/// Puts the values of `over` into `base`, table by table.
+fn merge(base: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(over)) => merge(inner, over),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+/// Nearest ticks; what is negative or too large saturates.
+fn micros_to_ticks(micros: f64) -> u32 {
+    (micros * f64::from(TICK_HZ / 1_000_000)).round() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_profile_is_valid_and_is_the_published_rig() {
+        let profile = Profile::published().unwrap();
+        assert_eq!(profile.pulse_width(), 576);
+        assert_eq!(profile.slew(), 4_800);
+        assert_eq!(profile.frame_ratio(), 1);
+        assert!((profile.middle_row_us() - 5_503.0).abs() < 1e-9);
+        assert_eq!(profile.imu_config().unwrap().divider, 1);
+        assert_eq!(profile.phone.learnt, None);
+    }
+
+    #[test]
+    fn the_commented_examples_are_valid_too() {
+        let mut text = String::new();
+        for line in DEFAULT.lines() {
+            // Examples are comments that look like TOML; prose has no '=' or '['.
+            let body = line.strip_prefix("# ").unwrap_or(line);
+            let example = body.starts_with('[')
+                || body
+                    .split_once(" = ")
+                    .is_some_and(|(key, _)| !key.contains(' '));
+            if line.starts_with("# ") && example {
+                if body.starts_with("command") {
+                    continue;
+                }
+                text.push_str(body);
+            } else {
+                text.push_str(line);
+            }
+            text.push('\n');
+        }
+        let profile = Profile::parse(&text, None).unwrap();
+        let learnt = profile.phone.learnt.unwrap();
+        assert_eq!(learnt.skew, Some(1.2e-5));
+        assert!(profile.frame_sync.bias_measured.is_some());
+    }
+
+    #[test]
+    fn what_is_left_out_has_its_default_and_what_is_unknown_is_an_error() {
+        let profile = Profile::parse("[phone]\naddress = \"10.0.0.7\"\n", None).unwrap();
+        assert_eq!(profile.phone.address, "10.0.0.7");
+        assert_eq!(profile.phone.rows, 1080);
+
+        let error = Profile::parse("[phone]\nadress = \"x\"\n", None).unwrap_err();
+        assert!(error.to_string().contains("adress"), "{error}");
+        let error = Profile::parse("[phone\n", None).unwrap_err();
+        assert!(error.to_string().contains("line 1"), "{error}");
+    }
+
+    #[test]
+    fn values_out_of_range_name_their_key_and_what_is_expected() {
+        for (text, key) in [
+            ("[depth]\nfps = 25\n", "depth.fps"),
+            ("[depth]\npulse_width_us = 5\n", "depth.pulse_width_us"),
+            ("[imu]\nrate_hz = 300\n", "imu.rate_hz"),
+            ("[imu]\nrate_hz = 0\n", "imu.rate_hz"),
+            ("[phone]\nreadout_us = nan\n", "phone.readout_us"),
+            ("[phone]\nmiddle_row = 1080\n", "phone.middle_row"),
+            ("[frame_sync]\nbias_us = inf\n", "frame_sync.bias_us"),
+        ] {
+            let error = Profile::parse(text, None).unwrap_err().to_string();
+            assert!(error.contains(key), "{text}: {error}");
+            assert!(error.contains("expected"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! The folder of a recording: a readable name that never overwrites.
+
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use super::RecordingError;
+
+/// How many names are tried.
+const TRIES: u32 = 1_000;
+
+/// Makes a new folder in `parent` (which is made too) and returns its path.
+///
+/// `name` is taken as it is, with `_2`, `_3`, … behind it where it exists
+/// already; making the folder is what claims the name, so two programs never get
+/// the same one.
+///
+/// # Errors
+///
+/// No folder can be made there.
+pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
+    let failed = |path: &Path, source| RecordingError::Io {
+        action: "make the folder",
+        path: path.to_owned(),
+        source,
+    };
+    std::fs::create_dir_all(parent).map_err(|error| failed(parent, error))?;
+    let mut path = parent.join(name);
+    for number in 2..=TRIES {
+        match std::fs::create_dir(&path) {
+            Ok(()) => return Ok(path),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+                path = parent.join(format!("{name}_{number}"));
+            }
+            Err(error) => return Err(failed(&path, error)),
+        }
+    }
+    Err(failed(&path, ErrorKind::AlreadyExists.into()))
+}
+
+/// The name for now: local date and time, `2026-01-31_14-03-27`.
+#[must_use]
+pub fn name_for_now() -> String {
+    jiff::Zoned::now().strftime("%Y-%m-%d_%H-%M-%S").to_string()
+}
+
+/// A name that a user gave, as a single path component.
+///
+/// # Errors
+///
+/// It is empty, begins with a dot, or has a character that does not belong into
+/// a file's name; the text says so.
+pub fn check_name(name: &str) -> Result<String, String> {
+    let bad = |c: char| c == '/' || c == '\\' || c.is_control();
+    if name.is_empty() || name.starts_with('.') || name.len() > 200 || name.contains(bad) {
+        return Err(String::from(
+            "expected a name for a folder: up to 200 characters, no slash, no dot first",
+        ));
+    }
+    Ok(name.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_is_taken_gets_a_number() {
+        let parent = tempfile::tempdir().unwrap();
+        let place = parent.path().join("deep/er");
+        let first = create(&place, "walk").unwrap();
+        let second = create(&place, "walk").unwrap();
+        let third = create(&place, "walk").unwrap();
+        assert_eq!(first, place.join("walk"));
+        assert_eq!(second, place.join("walk_2"));
+        assert_eq!(third, place.join("walk_3"));
+    }
+
+    #[test]
+    fn a_place_that_is_a_file_is_told() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let error = create(file.path(), "walk").unwrap_err();
+        assert!(error.to_string().contains("make the folder"), "{error}");
+    }
+
+    #[test]
+    fn names_stay_in_their_folder() {
+        for name in ["", ".", "..", "../x", "a/b", "a\\b", "a\nb"] {
+            assert!(check_name(name).is_err(), "{name:?}");
+        }
+        assert_eq!(
+            check_name("Stairs, 2nd floor"),
+            Ok(String::from("Stairs, 2nd floor"))
+        );
+        assert_eq!(name_for_now().len(), 19);
+    }
+}

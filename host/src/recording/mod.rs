@@ -1,0 +1,130 @@
+//! A recording: one folder with everything of one session.
+//!
+//! ```text
+//! 2026-01-31_14-03-27/
+//!   recording.mcap   streams of the board, what was decided, raw link frames
+//!   session.json     everything that was decided, with versions and profile
+//!   ...              twists, the phone's and the depth recorder's files
+//! ```
+//!
+//! - [`folder`]: a readable name that never overwrites.
+//! - [`messages`]: the ROS 2 types in the file.
+//! - [`writer`]: writes it, so that a kill loses at most a second.
+//! - [`reader`]: reads it, whole or broken off.
+//! - [`session_file`]: `session.json`.
+//!
+//! The format is described in `docs/formats.md`.
+
+pub mod folder;
+pub mod messages;
+pub mod reader;
+pub mod session_file;
+pub mod writer;
+
+use std::path::PathBuf;
+
+use crate::outcome::{ExitStatus, Failure};
+
+/// Name of the MCAP file in the folder.
+pub const MCAP_FILE: &str = "recording.mcap";
+
+/// Name of the session file in the folder.
+pub const SESSION_FILE: &str = "session.json";
+
+/// The topics of a recording.
+pub mod topic {
+    /// [`super::messages::Imu`].
+    pub const IMU: &str = "/board/imu";
+    /// [`super::messages::Temperature`].
+    pub const TEMPERATURE: &str = "/board/imu_temperature";
+    /// [`super::messages::TimeReference`]: trigger pulses.
+    pub const TRIGGER: &str = "/board/trigger";
+    /// [`super::messages::Pulse`]: the same pulses in full.
+    pub const PULSE: &str = "/board/trigger_pulse";
+    /// [`super::messages::TimeReference`]: edges on the strobe input.
+    pub const STROBE: &str = "/board/strobe";
+    /// [`super::messages::Capture`]: the same edges in full.
+    pub const CAPTURE: &str = "/board/strobe_capture";
+    /// [`super::messages::DiagnosticArray`]: once a second.
+    pub const STATUS: &str = "/board/status";
+    /// [`super::messages::LinkFrame`]: every frame of the link.
+    pub const LINK: &str = "/link/frames";
+    /// [`super::messages::ClockModel`].
+    pub const CLOCK: &str = "/session/clock_model";
+    /// [`super::messages::TimeReference`]: markers.
+    pub const MARKER: &str = "/session/markers";
+    /// [`super::messages::TimeReference`]: wall clock of the host.
+    pub const HOST_TIME: &str = "/session/host_time";
+    /// [`super::messages::Log`]: what was said and what went wrong.
+    pub const LOG: &str = "/session/log";
+}
+
+/// What can go wrong with a recording's files.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// A file or folder cannot be read or written.
+    #[error("cannot {action} {path}: {source}", path = .path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The MCAP file cannot be written or read.
+    #[error("{path}: {source}", path = .path.display())]
+    Mcap {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: mcap::McapError,
+    },
+    /// A message is not what its topic says.
+    #[error("{topic}: {source}")]
+    Message {
+        /// The topic.
+        topic: String,
+        /// What is wrong.
+        source: messages::CdrError,
+    },
+    /// `session.json` is not one.
+    #[error("{path} is not a session file of this program: {reason}", path = .path.display())]
+    Session {
+        /// The file.
+        path: PathBuf,
+        /// Line and what was expected.
+        reason: String,
+    },
+}
+
+impl RecordingError {
+    /// Whether the disk is full (or the quota, or the largest file).
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        use std::io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+        let error = match self {
+            Self::Io { source, .. } => source,
+            Self::Mcap {
+                source: mcap::McapError::Io(source),
+                ..
+            } => source,
+            _ => return false,
+        };
+        matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
+    }
+}
+
+impl From<RecordingError> for Failure {
+    fn from(error: RecordingError) -> Self {
+        let next = if error.is_disk_full() {
+            "free some space; what was recorded before is kept and can be read"
+        } else {
+            "check the folder and its rights"
+        };
+        Self::new(ExitStatus::Storage, error.to_string()).next_step(next)
+    }
+}
+
+#[cfg(test)]
+mod tests;

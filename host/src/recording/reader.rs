@@ -1,0 +1,247 @@
+//! Reads `recording.mcap`, whole or broken off.
+//!
+//! Records are read front to back with bounded memory (one chunk). A file whose
+//! writer was killed ends in the middle of a record: what stands before is given
+//! out, then [`Reader::broken_off`] says that the end is missing.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use mcap::McapError;
+use mcap::records::{self, Record};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use protocol::Ticks;
+
+use super::messages::{
+    Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference,
+    from_cdr,
+};
+use super::{MCAP_FILE, RecordingError, topic};
+
+/// The longest record that is taken: far above a chunk of this writer, far below
+/// what would exhaust memory.
+const MAX_RECORD: usize = 256 << 20;
+
+/// A message of a recording.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Item {
+    /// `/board/imu`.
+    Imu(Imu),
+    /// `/board/imu_temperature`.
+    Temperature(Temperature),
+    /// `/board/trigger`.
+    Trigger(TimeReference),
+    /// `/board/trigger_pulse`.
+    Pulse(Pulse),
+    /// `/board/strobe`.
+    Strobe(TimeReference),
+    /// `/board/strobe_capture`.
+    Capture(Capture),
+    /// `/board/status`.
+    Status(DiagnosticArray),
+    /// `/link/frames`.
+    Link(LinkFrame),
+    /// `/session/clock_model`.
+    Clock(ClockModel),
+    /// `/session/markers`.
+    Marker(TimeReference),
+    /// `/session/host_time`.
+    HostTime(TimeReference),
+    /// `/session/log`.
+    Log(Log),
+    /// A topic that this version does not know.
+    Other {
+        /// The topic.
+        topic: String,
+        /// The bytes.
+        data: Vec<u8>,
+    },
+}
+
+/// A message with its time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// Board time.
+    pub at: Ticks,
+    /// Running number on its topic.
+    pub sequence: u32,
+    /// The message.
+    pub item: Item,
+}
+
+/// A recording that is being read. It is an iterator of [`Entry`].
+pub struct Reader {
+    reader: LinearReader,
+    file: BufReader<File>,
+    path: PathBuf,
+    topics: BTreeMap<u16, String>,
+    broken_off: bool,
+    ended: bool,
+}
+
+/// Board time of a `log_time` or stamp, exactly.
+#[must_use]
+pub fn ticks_of_nanos(nanos: u64) -> Ticks {
+    // round(ns · 6 / 125); ticks are 20.83 ns apart, so rounding to nanoseconds
+    // and back is exact.
+    let ticks = (u128::from(nanos) * 6 + 62) / 125;
+    Ticks(u64::try_from(ticks).unwrap_or(u64::MAX))
+}
+
+impl Reader {
+    /// Opens the recording in a folder, or an MCAP file.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read.
+    pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
+        let path = if folder_or_file.is_dir() {
+            folder_or_file.join(MCAP_FILE)
+        } else {
+            folder_or_file.to_owned()
+        };
+        let file = File::open(&path).map_err(|source| RecordingError::Io {
+            action: "read",
+            path: path.clone(),
+            source,
+        })?;
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_validate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD);
+        Ok(Self {
+            reader: LinearReader::new_with_options(options),
+            file: BufReader::new(file),
+            path,
+            topics: BTreeMap::new(),
+            broken_off: false,
+            ended: false,
+        })
+    }
+
+    /// Whether the file ends in the middle: its writer did not come to its end.
+    /// Known once the last entry was given out.
+    #[must_use]
+    pub const fn broken_off(&self) -> bool {
+        self.broken_off
+    }
+
+    fn step(&mut self) -> Result<Option<Entry>, RecordingError> {
+        loop {
+            let event = match self.reader.next_event() {
+                None => {
+                    // Without the record that closes the data the writer was cut.
+                    self.ended = true;
+                    return Ok(None);
+                }
+                Some(Ok(event)) => event,
+                Some(Err(error)) => {
+                    self.ended = true;
+                    if is_end(&error) {
+                        self.broken_off = true;
+                        return Ok(None);
+                    }
+                    return Err(self.error(error));
+                }
+            };
+            match event {
+                LinearReadEvent::ReadRequest(need) => {
+                    let space = self.reader.insert(need);
+                    let count = self.file.read(space).map_err(|source| RecordingError::Io {
+                        action: "read",
+                        path: self.path.clone(),
+                        source,
+                    })?;
+                    self.reader.notify_read(count);
+                }
+                LinearReadEvent::Record { data, opcode } => {
+                    let record = mcap::parse_record(opcode, data);
+                    match record {
+                        Ok(Record::Channel(channel)) => {
+                            self.topics.insert(channel.id, channel.topic);
+                        }
+                        Ok(Record::Message { header, data }) => {
+                            let topic = self
+                                .topics
+                                .get(&header.channel_id)
+                                .map_or("", String::as_str);
+                            return entry(&header, topic, &data).map(Some);
+                        }
+                        Ok(_) => {}
+                        Err(error) => {
+                            self.ended = true;
+                            return Err(self.error(error));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn error(&self, source: McapError) -> RecordingError {
+        RecordingError::Mcap {
+            path: self.path.clone(),
+            source,
+        }
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Entry, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ended {
+            return None;
+        }
+        let result = self.step();
+        if result.is_err() {
+            self.ended = true;
+        }
+        result.transpose()
+    }
+}
+
+fn is_end(error: &McapError) -> bool {
+    match error {
+        McapError::UnexpectedEof | McapError::BadChunkCrc { .. } => true,
+        McapError::Io(error) => error.kind() == std::io::ErrorKind::UnexpectedEof,
+        _ => false,
+    }
+}
+
+fn entry(
+    header: &records::MessageHeader,
+    topic: &str,
+    data: &[u8],
+) -> Result<Entry, RecordingError> {
+    let failed = |source| RecordingError::Message {
+        topic: topic.to_owned(),
+        source,
+    };
+    let item = match topic {
+        topic::IMU => from_cdr(data).map(Item::Imu),
+        topic::TEMPERATURE => from_cdr(data).map(Item::Temperature),
+        topic::TRIGGER => from_cdr(data).map(Item::Trigger),
+        topic::PULSE => from_cdr(data).map(Item::Pulse),
+        topic::STROBE => from_cdr(data).map(Item::Strobe),
+        topic::CAPTURE => from_cdr(data).map(Item::Capture),
+        topic::STATUS => from_cdr(data).map(Item::Status),
+        topic::LINK => from_cdr(data).map(Item::Link),
+        topic::CLOCK => from_cdr(data).map(Item::Clock),
+        topic::MARKER => from_cdr(data).map(Item::Marker),
+        topic::HOST_TIME => from_cdr(data).map(Item::HostTime),
+        topic::LOG => from_cdr(data).map(Item::Log),
+        other => Ok(Item::Other {
+            topic: other.to_owned(),
+            data: data.to_vec(),
+        }),
+    };
+    Ok(Entry {
+        at: ticks_of_nanos(header.log_time),
+        sequence: header.sequence,
+        item: item.map_err(failed)?,
+    })
+}

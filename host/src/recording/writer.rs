@@ -1,0 +1,574 @@
+//! Writes `recording.mcap` so that a kill loses at most a second.
+//!
+//! A chunk is closed and handed to the system whenever half a second of board
+//! time or of the host's time has passed since the last one, whichever comes
+//! first (a simulated rig may run faster than time). Chunks are built in memory
+//! and written in one go, so what a kill leaves is whole chunks, and perhaps the
+//! beginning of one. Once a second the file is also pushed to the disk
+//! (`fdatasync`), against power loss; the link has a thread of its own, so a slow
+//! disk does not stall the board.
+//!
+//! `log_time` and `publish_time` are board time in nanoseconds. Ticks of 20.83 ns
+//! round to different nanoseconds, so `round(ns · 6 / 125)` gives them back
+//! exactly.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{Compression, WriteOptions};
+use protocol::{CaptureChannel, Edge, TICK_HZ, Ticks};
+
+use super::messages::{
+    Capture, ClockModel, DiagnosticArray, DiagnosticStatus, Header, Imu, KeyValue, LinkFrame, Log,
+    Pulse, RosMessage, Temperature, Time, TimeReference, to_cdr,
+};
+use super::{MCAP_FILE, RecordingError, topic};
+use crate::imu::Sample;
+use crate::sync::ClockModel as ClockRelation;
+use crate::time::PhoneNanos;
+
+/// The longest stretch of board time in one chunk, ticks.
+const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;
+
+/// The longest time on the host's clock before a chunk is closed.
+const CHUNK_TIME: Duration = Duration::from_millis(500);
+
+/// How often the file is pushed to the disk.
+const SYNC_TIME: Duration = Duration::from_secs(1);
+
+/// Where a message goes in the file: its channel and its running number.
+#[derive(Clone, Copy, Debug, Default)]
+struct Channel {
+    id: u16,
+    sequence: u32,
+}
+
+/// The kinds of messages, as indices of channels.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Imu,
+    Temperature,
+    Trigger,
+    Pulse,
+    Strobe,
+    Capture,
+    Status,
+    Link,
+    Clock,
+    Marker,
+    HostTime,
+    Log,
+}
+
+/// How bad something is that is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// As it should be.
+    Info,
+    /// Something may be missing.
+    Warning,
+    /// Something is missing or broken.
+    Error,
+}
+
+/// The file that is being written.
+pub struct Writer {
+    mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
+    file: File,
+    path: PathBuf,
+    channels: [Channel; 12],
+    chunk_from: Option<Ticks>,
+    chunk_since: Instant,
+    synced: Instant,
+    dirty: bool,
+}
+
+impl Writer {
+    /// Makes the file in a recording's folder.
+    ///
+    /// # Errors
+    ///
+    /// It is there already or cannot be written.
+    pub fn create(folder: &Path) -> Result<Self, RecordingError> {
+        let path = folder.join(MCAP_FILE);
+        let io = |source| RecordingError::Io {
+            action: "write",
+            path: path.clone(),
+            source,
+        };
+        let file = File::create_new(&path).map_err(io)?;
+        let copy = file.try_clone().map_err(io)?;
+        let options = WriteOptions::new()
+            .profile("ros2")
+            .library(concat!("smartdepthsync ", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Lz4))
+            // Chunks are closed by time, below.
+            .chunk_size(Some(16 << 20))
+            .disable_seeking(true);
+        let mut mcap = options
+            .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
+            .map_err(|source| mcap_error(&path, source))?;
+        let channels = make_channels(&mut mcap).map_err(|source| mcap_error(&path, source))?;
+        let now = Instant::now();
+        let mut writer = Self {
+            mcap,
+            file: copy,
+            path,
+            channels,
+            chunk_from: None,
+            chunk_since: now,
+            synced: now,
+            dirty: true,
+        };
+        writer.flush()?;
+        Ok(writer)
+    }
+
+    /// An IMU sample.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be written; so all of these.
+    pub fn imu(&mut self, sample: &Sample) -> Result<(), RecordingError> {
+        let header = header(sample.at, "board_imu");
+        self.put(
+            Kind::Imu,
+            sample.at,
+            &Imu {
+                header: header.clone(),
+                orientation: [0.0, 0.0, 0.0, 1.0],
+                orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                angular_velocity: sample.gyro.into(),
+                angular_velocity_covariance: [0.0; 9],
+                linear_acceleration: sample.accel.into(),
+                linear_acceleration_covariance: [0.0; 9],
+            },
+        )?;
+        self.put(
+            Kind::Temperature,
+            sample.at,
+            &Temperature {
+                header,
+                temperature: sample.temperature,
+                variance: 0.0,
+            },
+        )
+    }
+
+    /// A pulse of the trigger; `phone` is the same instant in the phone's time
+    /// as far as it is known.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn pulse(
+        &mut self,
+        pulse: &protocol::Pulse,
+        phone: Option<PhoneNanos>,
+    ) -> Result<(), RecordingError> {
+        self.time_reference(Kind::Trigger, pulse.at, phone, "phone")?;
+        self.put(
+            Kind::Pulse,
+            pulse.at,
+            &Pulse {
+                header: header(pulse.at, "trigger"),
+                ticks: pulse.at.0,
+                train: pulse.train,
+                number: pulse.number,
+                aligned: pulse.aligned,
+                readback: pulse.readback.is_some(),
+                readback_ticks: pulse.readback.unwrap_or(0),
+            },
+        )
+    }
+
+    /// An edge on a capture input.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn capture(
+        &mut self,
+        capture: &protocol::Capture,
+        phone: Option<PhoneNanos>,
+    ) -> Result<(), RecordingError> {
+        let rising = capture.edge == Edge::Rising;
+        self.time_reference(Kind::Strobe, capture.at, phone, "phone")?;
+        let channel = match capture.channel {
+            CaptureChannel::Strobe => "strobe",
+        };
+        self.put(
+            Kind::Capture,
+            capture.at,
+            &Capture {
+                header: header(capture.at, channel),
+                ticks: capture.at.0,
+                channel: channel.to_owned(),
+                rising,
+                after_loss: capture.after_loss,
+            },
+        )
+    }
+
+    /// The board's status; with it, the host's wall clock.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn status(
+        &mut self,
+        status: &protocol::Status,
+        board_id: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(Kind::Status, status.at, &diagnostics(status, board_id))?;
+        let wall = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .ok()
+            .and_then(|since| i64::try_from(since.as_nanos()).ok())
+            .unwrap_or_default();
+        self.put(
+            Kind::HostTime,
+            status.at,
+            &TimeReference {
+                header: header(status.at, "board"),
+                time_ref: Time::from_nanos(wall),
+                source: String::from("host"),
+            },
+        )
+    }
+
+    /// A marker of the user.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn marker(
+        &mut self,
+        at: Ticks,
+        phone: Option<PhoneNanos>,
+        label: &str,
+    ) -> Result<(), RecordingError> {
+        self.time_reference(Kind::Marker, at, phone, label)
+    }
+
+    /// A relation of the clocks that holds from now on.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn clock_model(
+        &mut self,
+        at: Ticks,
+        clock: &ClockRelation,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        let [[a, b], [c, d]] = clock.covariance;
+        self.put(
+            Kind::Clock,
+            at,
+            &ClockModel {
+                header: header(clock.reference.ticks(), "board"),
+                reference_s: clock.reference.0,
+                offset_s: clock.offset,
+                skew: clock.skew,
+                covariance: [a, b, c, d],
+                wander: clock.wander.0,
+                source: source.to_owned(),
+            },
+        )
+    }
+
+    /// Something that was said. `kind` is a stable word for it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn log(
+        &mut self,
+        at: Ticks,
+        severity: Severity,
+        kind: &str,
+        text: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            Kind::Log,
+            at,
+            &Log {
+                stamp: stamp(at),
+                level: match severity {
+                    Severity::Info => Log::INFO,
+                    Severity::Warning => Log::WARN,
+                    Severity::Error => Log::ERROR,
+                },
+                name: String::from("smartdepthsync"),
+                msg: text.to_owned(),
+                file: String::new(),
+                function: kind.to_owned(),
+                line: 0,
+            },
+        )
+    }
+
+    /// A frame of the link, as it came, without its delimiter. `at` is the
+    /// latest board time known.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
+        self.put(
+            Kind::Link,
+            at,
+            &LinkFrame {
+                header: header(at, "link"),
+                data: frame,
+            },
+        )
+    }
+
+    /// Closes the chunk if it has waited long enough. Call it when nothing comes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn tick(&mut self) -> Result<(), RecordingError> {
+        if self.dirty && self.chunk_since.elapsed() >= CHUNK_TIME {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Closes the chunk and hands it to the system.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.mcap
+            .flush()
+            .map_err(|source| mcap_error(&self.path, source))?;
+        self.chunk_from = None;
+        self.chunk_since = Instant::now();
+        self.dirty = false;
+        if self.synced.elapsed() >= SYNC_TIME {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    /// Writes index and end of the file and pushes it to the disk.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        self.mcap
+            .finish()
+            .map_err(|source| mcap_error(&self.path, source))?;
+        self.sync()
+    }
+
+    fn sync(&mut self) -> Result<(), RecordingError> {
+        self.synced = Instant::now();
+        self.file.sync_data().map_err(|source| RecordingError::Io {
+            action: "write",
+            path: self.path.clone(),
+            source,
+        })
+    }
+
+    fn time_reference(
+        &mut self,
+        kind: Kind,
+        at: Ticks,
+        phone: Option<PhoneNanos>,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            kind,
+            at,
+            &TimeReference {
+                header: header(at, "board"),
+                time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
+                source: source.to_owned(),
+            },
+        )
+    }
+
+    fn put<M: RosMessage>(
+        &mut self,
+        kind: Kind,
+        at: Ticks,
+        message: &M,
+    ) -> Result<(), RecordingError> {
+        let data = to_cdr(message).map_err(|source| RecordingError::Message {
+            topic: M::TYPE.to_owned(),
+            source,
+        })?;
+        let nanos = at.as_nanos();
+        if let Some(channel) = self.channels.get_mut(kind as usize) {
+            let header = MessageHeader {
+                channel_id: channel.id,
+                sequence: channel.sequence,
+                log_time: nanos,
+                publish_time: nanos,
+            };
+            channel.sequence = channel.sequence.wrapping_add(1);
+            self.mcap
+                .write_to_known_channel(&header, &data)
+                .map_err(|source| mcap_error(&self.path, source))?;
+        }
+        self.dirty = true;
+        let from = *self.chunk_from.get_or_insert(at);
+        if at.0.abs_diff(from.0) >= CHUNK_TICKS || self.chunk_since.elapsed() >= CHUNK_TIME {
+            self.flush()?;
+        }
+        Ok(())
+    }
+}
+
+fn mcap_error(path: &Path, source: mcap::McapError) -> RecordingError {
+    RecordingError::Mcap {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+fn make_channels(
+    mcap: &mut mcap::Writer<NoSeek<BufWriter<File>>>,
+) -> Result<[Channel; 12], mcap::McapError> {
+    fn channel<M: RosMessage>(
+        mcap: &mut mcap::Writer<NoSeek<BufWriter<File>>>,
+        topic: &str,
+    ) -> Result<Channel, mcap::McapError> {
+        let schema = mcap.add_schema(M::TYPE, "ros2msg", M::schema().as_bytes())?;
+        let id = mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())?;
+        Ok(Channel { id, sequence: 0 })
+    }
+    // In the order of `Kind`.
+    Ok([
+        channel::<Imu>(mcap, topic::IMU)?,
+        channel::<Temperature>(mcap, topic::TEMPERATURE)?,
+        channel::<TimeReference>(mcap, topic::TRIGGER)?,
+        channel::<Pulse>(mcap, topic::PULSE)?,
+        channel::<TimeReference>(mcap, topic::STROBE)?,
+        channel::<Capture>(mcap, topic::CAPTURE)?,
+        channel::<DiagnosticArray>(mcap, topic::STATUS)?,
+        channel::<LinkFrame>(mcap, topic::LINK)?,
+        channel::<ClockModel>(mcap, topic::CLOCK)?,
+        channel::<TimeReference>(mcap, topic::MARKER)?,
+        channel::<TimeReference>(mcap, topic::HOST_TIME)?,
+        channel::<Log>(mcap, topic::LOG)?,
+    ])
+}
+
+fn stamp(at: Ticks) -> Time {
+    Time::from_nanos(i64::try_from(at.as_nanos()).unwrap_or(i64::MAX))
+}
+
+fn header(at: Ticks, frame_id: &str) -> Header {
+    Header {
+        stamp: stamp(at),
+        frame_id: frame_id.to_owned(),
+    }
+}
+
+fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
+    let part =
+        |name: &str, level: u8, message: String, values: &[(&str, String)]| DiagnosticStatus {
+            level,
+            name: name.to_owned(),
+            message,
+            hardware_id: board_id.to_owned(),
+            values: values
+                .iter()
+                .map(|(key, value)| KeyValue {
+                    key: (*key).to_owned(),
+                    value: value.clone(),
+                })
+                .collect(),
+        };
+    let dropped = &status.dropped;
+    let any_dropped = dropped.answers
+        | dropped.pulses
+        | dropped.captures
+        | dropped.imu
+        | dropped.status
+        | status.link.lost_frames();
+    let trigger = &status.trigger;
+    let imu = &status.imu;
+    DiagnosticArray {
+        header: header(status.at, "board"),
+        status: vec![
+            part(
+                "board",
+                u8::from(any_dropped > 0),
+                String::from(if any_dropped > 0 {
+                    "messages were dropped"
+                } else {
+                    "ok"
+                }),
+                &[
+                    ("epoch", status.epoch.to_string()),
+                    ("cpu_permille", status.cpu_permille.to_string()),
+                    ("stack_used", status.stack_used.to_string()),
+                    ("stack_size", status.stack_size.to_string()),
+                    ("connects", status.connects.to_string()),
+                    ("dropped_answers", dropped.answers.to_string()),
+                    ("dropped_pulses", dropped.pulses.to_string()),
+                    ("dropped_captures", dropped.captures.to_string()),
+                    ("dropped_imu", dropped.imu.to_string()),
+                    ("dropped_status", dropped.status.to_string()),
+                    ("link_lost_frames", status.link.lost_frames().to_string()),
+                    (
+                        "strobe_overcaptures",
+                        status.strobe_overcaptures.to_string(),
+                    ),
+                    ("strobe_floods", status.strobe_floods.to_string()),
+                ],
+            ),
+            part(
+                "trigger",
+                u8::from(trigger.late > 0 || trigger.readback.missing > 0),
+                format!("{:?}", trigger.state),
+                &[
+                    ("train", trigger.train.to_string()),
+                    ("pulses", trigger.pulses.to_string()),
+                    ("period_q32", trigger.period.0.to_string()),
+                    ("late", trigger.late.to_string()),
+                    ("readback_seen", trigger.readback.seen.to_string()),
+                    ("readback_missing", trigger.readback.missing.to_string()),
+                    ("readback_stray", trigger.readback.stray.to_string()),
+                    ("latency_ticks", status.trigger_latency.to_string()),
+                    ("busy_ticks", status.trigger_busy.to_string()),
+                ],
+            ),
+            part(
+                "imu",
+                match imu.state {
+                    protocol::ImuState::Running => 0,
+                    protocol::ImuState::Starting => 1,
+                    protocol::ImuState::Failed => 2,
+                },
+                format!("{:?}", imu.state),
+                &[
+                    ("clock", format!("{:?}", imu.clock)),
+                    ("samples", imu.samples.to_string()),
+                    ("late", imu.late.to_string()),
+                    ("overcaptures", imu.overcaptures.to_string()),
+                    ("recoveries", imu.recoveries.to_string()),
+                    (
+                        "last_fault",
+                        imu.last_fault
+                            .map_or(String::new(), |fault| format!("{fault:?}")),
+                    ),
+                ],
+            ),
+        ],
+    }
+}
