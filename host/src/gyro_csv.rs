@@ -12,7 +12,7 @@
 
 use std::fmt;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use crate::sync::GyroTrack;
@@ -126,7 +126,7 @@ fn damaged(line: u64, expected: impl Into<String>, found: impl Into<String>) -> 
 ///
 /// It cannot be opened, or [`read`] refuses it.
 pub fn read_file(path: &Path) -> Result<GyroFile, CsvError> {
-    read(BufReader::new(File::open(path)?))
+    read(File::open(path)?)
 }
 
 /// Reads CSV.
@@ -135,57 +135,42 @@ pub fn read_file(path: &Path) -> Result<GyroFile, CsvError> {
 ///
 /// The first line that is not as expected, with its number.
 pub fn read(input: impl Read) -> Result<GyroFile, CsvError> {
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .flexible(true)
-        .trim(csv::Trim::All)
-        .from_reader(input);
-    let mut record = csv::ByteRecord::new();
+    let mut reader = BufReader::new(input);
+    let mut bytes = Vec::new();
     let mut layout: Option<Layout> = None;
     let mut rows = Rows::default();
-    loop {
-        let line = reader.position().line();
-        match reader.read_byte_record(&mut record) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(error) => match error.into_kind() {
-                csv::ErrorKind::Io(error) => return Err(error.into()),
-                other => return Err(damaged(line, "comma-separated text", format!("{other:?}"))),
-            },
+    for line in 1.. {
+        bytes.clear();
+        let mut limited = reader.by_ref().take(LONGEST_LINE);
+        if limited.read_until(b'\n', &mut bytes)? == 0 {
+            break;
         }
-        let line = record.position().map_or(line, csv::Position::line);
-        let text = |i: usize| -> Result<&str, CsvError> {
-            let bytes = record.get(i).unwrap_or_default();
-            std::str::from_utf8(bytes).map_err(|_| {
-                damaged(
-                    line,
-                    "text",
-                    format!("bytes that are no text in column {}", i + 1),
-                )
-            })
-        };
-        let fields: Vec<&str> = (0..record.len()).map(text).collect::<Result<_, _>>()?;
-        if fields.iter().all(|f| f.is_empty()) {
+        if bytes.len() as u64 == LONGEST_LINE {
+            return Err(damaged(line, "lines of text", "a line without end"));
+        }
+        let text = std::str::from_utf8(&bytes)
+            .map_err(|_| damaged(line, "text", "bytes that are no text"))?
+            .trim_start_matches('\u{feff}')
+            .trim();
+        if text.is_empty() {
             continue;
         }
+        // Numbers and names hold no commas, so quotes are decoration.
+        let fields: Vec<&str> = text
+            .split(',')
+            .map(|field| field.trim().trim_matches('"').trim())
+            .collect();
         match &layout {
-            None => {
-                let first = fields[0]
-                    .trim_start_matches('\u{feff}')
-                    .trim_start_matches('#')
-                    .trim();
-                if number(first).is_some() {
-                    let phone = Layout {
-                        columns: [3, 0, 1, 2],
-                        width: Some(4),
-                        form: Form::PhoneApp,
-                    };
-                    rows.add(&phone, &fields, line)?;
-                    layout = Some(phone);
-                } else {
-                    layout = Some(header(&fields, line)?);
-                }
+            None if number(fields[0]).is_some() => {
+                let phone = Layout {
+                    columns: [3, 0, 1, 2],
+                    width: 4,
+                    form: Form::PhoneApp,
+                };
+                rows.add(&phone, &fields, line)?;
+                layout = Some(phone);
             }
+            None => layout = Some(header(&fields, line)?),
             Some(layout) => rows.add(layout, &fields, line)?,
         }
     }
@@ -196,6 +181,9 @@ pub fn read(input: impl Read) -> Result<GyroFile, CsvError> {
     Ok(rows.finish(layout.form))
 }
 
+/// Longest line that is read; a sample has some 60 characters.
+const LONGEST_LINE: u64 = 65_536;
+
 /// A finite decimal number.
 fn number(text: &str) -> Option<f64> {
     text.parse::<f64>().ok().filter(|x| x.is_finite())
@@ -204,8 +192,8 @@ fn number(text: &str) -> Option<f64> {
 struct Layout {
     /// Columns of time, x, y, z.
     columns: [usize; 4],
-    /// Exact number of columns, if it is fixed.
-    width: Option<usize>,
+    /// Number of columns.
+    width: usize,
     form: Form,
 }
 
@@ -213,12 +201,7 @@ struct Layout {
 fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
     let names: Vec<String> = fields
         .iter()
-        .map(|f| {
-            f.trim_start_matches('\u{feff}')
-                .trim_start_matches('#')
-                .trim()
-                .to_lowercase()
-        })
+        .map(|f| f.trim_start_matches('#').trim().to_lowercase())
         .collect();
     let expected =
         "a header with a time column and columns x, y, z, or the phone app's x,y,z,nanoseconds";
@@ -286,7 +269,7 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
     };
     Ok(Layout {
         columns,
-        width: Some(names.len()),
+        width: names.len(),
         form: Form::Header {
             columns: columns.map(|c| names[c].clone()),
             unit,
@@ -303,12 +286,10 @@ struct Rows {
 
 impl Rows {
     fn add(&mut self, layout: &Layout, fields: &[&str], line: u64) -> Result<(), CsvError> {
-        if let Some(width) = layout.width
-            && fields.len() != width
-        {
+        if fields.len() != layout.width {
             return Err(damaged(
                 line,
-                format!("{width} columns ({})", layout.form),
+                format!("{} columns ({})", layout.width, layout.form),
                 format!("{}: {}", fields.len(), fields.join(",")),
             ));
         }

@@ -8,6 +8,7 @@
 mod docs;
 mod firmware;
 mod process;
+mod sync_bench;
 mod tools;
 
 use std::process::ExitCode;
@@ -42,7 +43,21 @@ enum Command {
         args: Vec<String>,
     },
     /// Measure; figures are ratios within one run.
-    Bench,
+    Bench {
+        /// The clock estimate instead of the simulator: error, honesty and time
+        /// on simulated twists, beside the published Python package.
+        #[arg(long)]
+        sync: bool,
+        /// With --sync: twists per scenario.
+        #[arg(long, default_value_t = 300, requires = "sync")]
+        trials: u32,
+    },
+    /// Drift after twists and natural motion, simulated (docs/sync-study.md).
+    Study {
+        /// Sessions per case.
+        #[arg(long, default_value_t = 60)]
+        trials: u32,
+    },
     /// Build the book into target/book and check its links.
     Docs,
 }
@@ -53,7 +68,9 @@ fn run(command: Command) -> Result<()> {
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Check => check(),
         Command::Demo { args } => demo(&args),
-        Command::Bench => bench(),
+        Command::Bench { sync: true, trials } => sync_bench::run(trials),
+        Command::Bench { sync: false, .. } => bench(),
+        Command::Study { trials } => sync_bench::study(trials),
         Command::Docs => docs::build_and_check(),
     }
 }

@@ -120,6 +120,62 @@ fn pole_time(hz: f64) -> f64 {
     (std::f64::consts::SQRT_2 - 1.0).sqrt() / (std::f64::consts::TAU * hz)
 }
 
+/// The true course of the phone's clock against the board's: a skew that walks
+/// at random.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClockPath {
+    /// Accumulated difference, phone − board, at whole seconds from `first_s`.
+    drift: Vec<f64>,
+    /// Skew at the same times.
+    skew: Vec<f64>,
+}
+
+impl ClockPath {
+    /// A skew of `skew` at the start that walks by `wander` rms in a minute
+    /// (dimensionless, see [`super::Wander`]), for `length_s`; the difference is
+    /// zero at `zero_s`.
+    #[must_use]
+    pub fn new(seed: u64, skew: f64, wander: f64, length_s: f64, zero_s: f64) -> Self {
+        let mut rng = Pcg64::seed_from_u64(seed ^ 0x5eed_c10c);
+        let seconds = length_s.max(1.0).ceil() as usize + 2;
+        let mut out = Self {
+            drift: vec![0.0],
+            skew: vec![skew],
+        };
+        for k in 1..seconds {
+            let step: f64 = StandardNormal.sample(&mut rng);
+            let before = out.skew[k - 1];
+            let now = before + wander * step / 60.0_f64.sqrt();
+            out.skew.push(now);
+            out.drift.push(out.drift[k - 1] + 0.5 * (before + now));
+        }
+        let at_zero = out.drift_at(zero_s);
+        for d in &mut out.drift {
+            *d -= at_zero;
+        }
+        out
+    }
+
+    /// Phone − board since the zero, seconds, at a time since the start.
+    #[must_use]
+    pub fn drift_at(&self, t: f64) -> f64 {
+        let last = self.drift.len() - 2;
+        let k = (t.max(0.0) as usize).min(last);
+        let x = t - k as f64;
+        // The skew is linear between whole seconds.
+        let slope = self.skew[k + 1] - self.skew[k];
+        self.drift[k] + self.skew[k] * x + 0.5 * slope * x * x
+    }
+
+    /// Skew at a time since the start.
+    #[must_use]
+    pub fn skew_at(&self, t: f64) -> f64 {
+        let last = self.skew.len() - 2;
+        let k = (t.max(0.0) as usize).min(last);
+        self.skew[k] + (self.skew[k + 1] - self.skew[k]) * (t - k as f64)
+    }
+}
+
 /// A simulated pair of recordings with its truth.
 #[derive(Debug, Clone)]
 pub struct Twist {
@@ -127,19 +183,21 @@ pub struct Twist {
     pub mcu: GyroTrack,
     /// The phone's recording.
     pub phone: GyroTrack,
-    /// True skew.
+    /// True skew in the middle.
     pub skew: f64,
-    /// Board time at which `offset_s` holds.
-    pub reference_s: f64,
-    /// True phone − board at the reference.
+    /// Board time at the start of the clocks' path.
+    pub boot_s: f64,
+    /// True phone − board where the path is zero.
     pub offset_s: f64,
+    /// The course of the clocks.
+    pub path: ClockPath,
 }
 
 impl Twist {
     /// True offset at a board time.
     #[must_use]
     pub fn offset_at(&self, mcu_s: f64) -> f64 {
-        self.offset_s + self.skew * (mcu_s - self.reference_s)
+        self.offset_s + self.path.drift_at(mcu_s - self.boot_s)
     }
 }
 
@@ -339,6 +397,23 @@ fn record(
 /// Makes the pair of recordings of one seed.
 #[must_use]
 pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
+    let mut rng = Pcg64::seed_from_u64(seed ^ 0x0a11_c10c);
+    let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
+    let length_s = spec.duration_s + spec.phone_starts_s.max(0.0);
+    let path = ClockPath::new(seed, skew, 0.0, length_s, 0.5 * length_s);
+    twist_on(spec, seed, &path, 0.0)
+}
+
+/// Makes a pair of recordings on given clocks, starting `start_s` into their path.
+///
+/// The clocks' boot times depend on `seed / 1000` only: seeds 1000·n to
+/// 1000·n + 999 on one path are recordings of one session.
+#[must_use]
+pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> Twist {
+    let mut session = Pcg64::seed_from_u64((seed / 1000) ^ 0xb007);
+    // Hours since boot, different for the two.
+    let mcu_boot: f64 = session.random_range(10.0..5000.0);
+    let offset_s: f64 = session.random_range(-4000.0..1e6);
     let mut rng = Pcg64::seed_from_u64(seed);
     let end = spec.duration_s + spec.phone_starts_s.max(0.0);
     // The envelope ends with the recording that ends first, unless the overlap
@@ -350,10 +425,6 @@ pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
     };
     let rates = Rates::new(&mut rng, spec.motion, moving_until);
     let other = Rates::new(&mut rng, spec.motion, moving_until);
-    let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
-    // Hours since boot, different for the two.
-    let mcu_boot: f64 = rng.random_range(10.0..5000.0);
-    let offset_s: f64 = rng.random_range(-4000.0..1e6);
     let turn = Rotation3::from_axis_angle(
         &Unit::new_normalize(direction(&mut rng)),
         rng.random_range(0.0..std::f64::consts::PI),
@@ -373,24 +444,24 @@ pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
         spec.duration_s,
     );
 
-    // The board's clock is true time plus its boot; the phone's has the skew.
-    let middle = 0.5 * end;
-    let mcu_s: Vec<f64> = mcu_t.iter().map(|t| t + mcu_boot).collect();
+    // The board's clock is true time plus its boot; the phone's takes the path.
+    let mcu_s: Vec<f64> = mcu_t.iter().map(|t| t + start_s + mcu_boot).collect();
     let phone_first = phone_t.first().copied().unwrap_or(0.0);
-    let phone_at = |t: f64| t + skew * (t - middle);
+    let phone_at = |t: f64| t + path.drift_at(start_s + t);
     Twist {
         mcu: GyroTrack::from_seconds(&mcu_s, mcu_w),
         phone: GyroTrack {
-            epoch_s: mcu_boot + offset_s + phone_at(phone_first),
+            epoch_s: mcu_boot + start_s + offset_s + phone_at(phone_first),
             t: phone_t
                 .iter()
                 .map(|&t| phone_at(t) - phone_at(phone_first))
                 .collect(),
             w: phone_w,
         },
-        skew,
-        reference_s: mcu_boot + middle,
+        skew: path.skew_at(start_s + 0.5 * end),
+        boot_s: mcu_boot,
         offset_s,
+        path: path.clone(),
     }
 }
 

@@ -1,0 +1,65 @@
+//! The clock estimate: measured on simulated twists, beside the published Python
+//! package, and the study of drift.
+
+use anyhow::Result;
+
+use crate::{process, tools};
+
+/// Trials that the Python package is given: it is measured, not studied.
+const MOST_FILES: u32 = 100;
+
+fn example(name: &str, args: &[&str]) -> Result<()> {
+    let mut all = vec![
+        "run",
+        "--release",
+        "-q",
+        "-p",
+        "smartdepthsync",
+        "--example",
+        name,
+        "--",
+    ];
+    all.extend_from_slice(args);
+    process::cargo(all)
+}
+
+/// `cargo xtask bench --sync`: all scenarios, then the package beside ours.
+pub(crate) fn run(trials: u32) -> Result<()> {
+    let trials_text = trials.to_string();
+    example("sync_bench", &["--trials", &trials_text])?;
+    let python = tools::ensure_python()?;
+    let files = trials.min(MOST_FILES).to_string();
+    for (scenario, label) in [
+        ("base", "Base scenario"),
+        ("faulty phone stream", "Faulty phone stream"),
+    ] {
+        let folder = process::target_dir()
+            .join("sync-bench")
+            .join(scenario.replace(' ', "-"));
+        let folder_text = folder.display().to_string();
+        println!("\n{label} (no skew: the package has none):");
+        example(
+            "sync_bench",
+            &[
+                "--trials",
+                &files,
+                "--scenario",
+                scenario,
+                "--no-skew",
+                "--export",
+                &folder_text,
+            ],
+        )?;
+        process::run(
+            process::command(&python)
+                .arg("xtask/sync_bench.py")
+                .arg(&folder),
+        )?;
+    }
+    Ok(())
+}
+
+/// `cargo xtask study`: drift after twists and natural motion, as Markdown.
+pub(crate) fn study(trials: u32) -> Result<()> {
+    example("sync_study", &["--trials", &trials.to_string()])
+}

@@ -1,0 +1,93 @@
+"""The published package twistnsync beside smartdepthsync, on the same files.
+
+usage: sync_bench.py FOLDER
+FOLDER holds N_mcu.csv, N_phone.csv (time, x, y, z) and ours.csv, as written by
+the example `sync_bench --export`.
+
+Two forms of the package: as published, and with the interval of the spline
+repaired. As published, the index of the correlation's peak has had a (negative)
+shift added in `obtain_delay`, is stepped back by one if the slope there is
+negative, and the root is taken in [0, 1) of that interval, or not, depending on
+the slope; the repaired form takes the maximum of the spline in the two intervals
+around the peak. Both see times from their own first sample, as its examples do.
+"""
+
+import csv
+import math
+import pathlib
+import sys
+import time
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from twistnsync.twistnsync import TimeSync
+
+
+def read(path):
+    data = np.loadtxt(path, delimiter=",", skiprows=1)
+    return data[:, 0], data[:, 1:]
+
+
+def peak(correlation):
+    """Place of the maximum of the spline around the largest value."""
+    top = int(np.argmax(correlation))
+    low, high = max(top - 1, 0), min(top + 1, len(correlation) - 1)
+    spline = CubicSpline(np.arange(len(correlation)), correlation, bc_type="natural")
+    roots = spline.derivative().roots(extrapolate=False)
+    near = [r for r in roots if low <= r <= high] + [float(top)]
+    return max(near, key=spline)
+
+
+def offsets(mcu, phone):
+    """Phone - mcu as published, and repaired; and the seconds it took."""
+    (t_mcu, w_mcu), (t_phone, w_phone) = mcu, phone
+    start = time.perf_counter()
+    sync = TimeSync(w_mcu, w_phone, t_mcu - t_mcu[0], t_phone - t_phone[0], True)
+    sync.resample(step=None)
+    sync.obtain_delay()
+    seconds = time.perf_counter() - start
+    between = t_phone[0] - t_mcu[0]
+    shift = -len(sync._xx1_new) + 1
+    repaired = (peak(sync.cor) + shift) * sync._dt
+    return between + sync.time_delay, between + repaired, seconds
+
+
+def rms(values):
+    return math.sqrt(sum(v * v for v in values) / len(values))
+
+
+def main():
+    folder = pathlib.Path(sys.argv[1])
+    errors = {"as published": [], "index repaired": [], "smartdepthsync": []}
+    seconds, ours_ms = [], []
+    with open(folder / "ours.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            mcu = read(folder / f"{row['trial']}_mcu.csv")
+            phone = read(folder / f"{row['trial']}_phone.csv")
+            published, repaired, took = offsets(mcu, phone)
+            truth = float(row["true_offset_s"])
+            errors["as published"].append(published - truth)
+            errors["index repaired"].append(repaired - truth)
+            if not math.isnan(float(row["offset_s"])):
+                errors["smartdepthsync"].append(float(row["offset_s"]) - truth)
+            seconds.append(took)
+            ours_ms.append(float(row["ms"]))
+    print(f"{len(seconds)} simulated twists, the same files for all\n")
+    print("| | RMSE µs | median µs | largest µs | ms each |")
+    print("|---|---|---|---|---|")
+    for name, values in errors.items():
+        if not values:
+            print(f"| {name} | all refused | | | |")
+            continue
+        ms = np.mean(ours_ms) if name == "smartdepthsync" else 1e3 * np.mean(seconds)
+        absolute = np.abs(values) * 1e6
+        print(
+            f"| {name} | {rms(values) * 1e6:.2f} | {np.median(absolute):.2f}"
+            f" | {absolute.max():.2f} | {ms:.1f} |"
+        )
+    if errors["smartdepthsync"]:
+        factor = rms(errors["index repaired"]) / rms(errors["smartdepthsync"])
+        print(f"\nerror of the repaired package / ours: {factor:.1f}")
+
+
+main()
