@@ -10,6 +10,8 @@ use super::track::GyroTrack;
 /// A sample of the phone beside the board's rate at the same instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
+    /// Index of the phone's sample.
+    pub index: usize,
     /// Board time, seconds.
     pub board_s: f64,
     /// The phone's sample, rad/s.
@@ -78,6 +80,7 @@ pub fn pairs(
             }
             let rate = matrix * Vector3::from(spline.value(at)) + Vector3::from(estimate.bias);
             Some(Pair {
+                index: k,
                 board_s: mcu.epoch_s + at,
                 phone: phone.w[k],
                 mcu: rate.into(),

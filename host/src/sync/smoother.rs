@@ -239,7 +239,7 @@ pub fn estimate_course(
         }
     }
     let Some(first) = first else {
-        return Err(refusal.unwrap_or_else(|| no_windows()));
+        return Err(refusal.unwrap_or_else(no_windows));
     };
     // All windows, each against what the first says.
     let mut estimates = Vec::new();
