@@ -1,0 +1,396 @@
+//! The Cortex-M4F: rsemu's core with a fast interpreter in front of it.
+//!
+//! rsemu's [`ArmV7m`] is the core: its decoder, its NVIC and system block, its
+//! exception model, its floating point. It locks, looks for interrupts,
+//! fetches and decodes on every instruction, which makes some 26 million
+//! instructions a second. Between two things that need it (an exception, a
+//! sleep, the system block, an instruction the fast interpreter does not
+//! know), the [`exec`] module runs the same instructions from predecoded code
+//! several times faster, with the same results and the same cycle counts; a
+//! test runs both over the same code and compares.
+//!
+//! The registers live in one of the two at a time and are handed over.
+//!
+//! Limits: while the core sleeps `DWT_CYCCNT` stands still, as on a chip
+//! without a debugger, and so does SysTick (the firmware does not use it);
+//! code that runs from RAM is left to rsemu. Flash wait states and bus
+//! contention are not modelled.
+
+pub(crate) mod exec;
+pub(crate) mod op;
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use rsemu::core::device::{Device, ResetKind};
+use rsemu::core::error::BusError;
+use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
+use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
+
+use crate::chip::Soc;
+use exec::{Bus, Code, Fast, Stop};
+
+/// Number of the HardFault exception.
+pub(crate) const HARD_FAULT: u16 = 3;
+
+/// What the core did when it was run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Event {
+    /// Nothing out of the ordinary.
+    None,
+    /// Reached a breakpoint; the instruction there has not been executed.
+    Breakpoint(u32),
+    /// Entered the HardFault handler.
+    HardFault,
+    /// Locked up: a fault that no handler can take.
+    LockUp,
+    /// The firmware asked for a system reset.
+    ResetRequest,
+}
+
+/// How long interrupts waited for their handler, and what handlers cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IrqStats {
+    /// Times the handler was entered.
+    pub entries: u64,
+    /// Longest wait from the request to the handler's first instruction, in core cycles.
+    pub max_latency: u64,
+    /// Sum of the waits, in core cycles.
+    pub sum_latency: u64,
+    /// Core cycles spent in the handler, without those of handlers that interrupted it.
+    pub cycles: u64,
+    /// Most core cycles of one run of the handler, counted the same way.
+    pub max_cycles: u64,
+}
+
+/// What the core did with its time.
+#[derive(Clone, Debug, Default)]
+pub struct CpuStats {
+    /// Core cycles awake.
+    pub awake: u64,
+    /// Core cycles asleep.
+    pub asleep: u64,
+    /// Instructions left to rsemu.
+    pub slow_steps: u64,
+    /// By exception number (16 is interrupt 0); 0 is thread mode.
+    pub exceptions: Vec<IrqStats>,
+}
+
+/// The address space that rsemu's core sees: everything is the [`Soc`]'s.
+#[derive(Debug)]
+struct SocPort(Arc<Mutex<Soc>>);
+
+pub(crate) fn lock(soc: &Mutex<Soc>) -> MutexGuard<'_, Soc> {
+    soc.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl MemOps for SocPort {
+    fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {
+        lock(&self.0)
+            .bus_read(offset as u32, dst, attrs.debug)
+            .then_some(())
+            .ok_or(BusError::Unassigned)
+    }
+
+    fn write(&self, offset: u64, src: &[u8], attrs: MemAttrs) -> MemResult {
+        lock(&self.0)
+            .bus_write(offset as u32, src, attrs.debug)
+            .then_some(())
+            .ok_or(BusError::Unassigned)
+    }
+}
+
+/// The core.
+pub(crate) struct Cpu {
+    arm: ArmV7m,
+    soc: Arc<Mutex<Soc>>,
+    fast: Fast,
+    code: Code,
+    regs: Regs,
+    /// The fast interpreter may run (no MPU, privileged, Thumb).
+    fast_ok: bool,
+    /// The next instruction is rsemu's whatever it is.
+    slow_next: bool,
+    pub(crate) asleep: bool,
+    locked_up: bool,
+    /// Core cycles since power-on, those asleep included.
+    pub(crate) cycles: u64,
+    /// Cycles that rsemu's counters have not been told of.
+    untold: u64,
+    /// Interrupt levels that rsemu knows.
+    known_irq: u128,
+    breakpoints: Vec<u32>,
+    /// A breakpoint to pass over once.
+    passing: Option<u32>,
+    stats: CpuStats,
+    /// Where cycles are being counted to, and since when.
+    running: usize,
+    running_since: u64,
+    /// Cycles of the handlers' present runs, by exception.
+    run_cycles: Vec<u64>,
+}
+
+impl core::fmt::Debug for Cpu {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Cpu(pc {:#010x}, {} cycles)", self.fast.r[15], self.cycles)
+    }
+}
+
+impl Cpu {
+    /// A core in reset on the given chip. `code_bytes` of flash are cached.
+    pub(crate) fn new(soc: Arc<Mutex<Soc>>, code_bytes: usize) -> Result<Self, String> {
+        let space = AddressSpace::new("core", 32);
+        let port: Arc<dyn MemOps> = Arc::new(SocPort(Arc::clone(&soc)));
+        space
+            .topology()
+            .map(Region::io("soc", 1 << 32, port), 0)
+            .map_err(|e| format!("address space: {e}"))?;
+        // The STM32F4 has four priority bits (PM0214 4.3.7).
+        let arm = ArmV7m::new(Config::CORTEX_M4F.with_priority_bits(4));
+        arm.attach_space(Arc::new(space));
+        let regs = arm.regs();
+        Ok(Self {
+            arm,
+            soc,
+            fast: Fast::new(),
+            code: Code::new(code_bytes),
+            regs,
+            fast_ok: false,
+            slow_next: true,
+            asleep: false,
+            locked_up: false,
+            cycles: 0,
+            untold: 0,
+            known_irq: 0,
+            breakpoints: Vec::new(),
+            passing: None,
+            stats: CpuStats {
+                exceptions: vec![IrqStats::default(); 112],
+                ..CpuStats::default()
+            },
+            running: 0,
+            running_since: 0,
+            run_cycles: vec![0; 112],
+        })
+    }
+
+    /// A reset of the core: everything but the cycle count and the statistics.
+    pub(crate) fn reset(&mut self) {
+        self.arm.reset(ResetKind::Cold);
+        self.regs = self.arm.regs();
+        self.fast = Fast::new();
+        self.fast_ok = false;
+        self.slow_next = true;
+        self.asleep = false;
+        self.locked_up = false;
+        self.known_irq = 0;
+        self.passing = None;
+        self.account(0);
+    }
+
+    /// Stops before the instruction at `addr` is executed.
+    pub(crate) fn add_breakpoint(&mut self, addr: u32) {
+        self.breakpoints.push(addr);
+        self.code.plant(addr);
+    }
+
+    /// R0 to R15 (R15 is the address of the next instruction) and xPSR.
+    pub(crate) fn registers(&self) -> ([u32; 16], u32) {
+        (self.fast.r, self.fast.xpsr())
+    }
+
+    /// Fault status: CFSR, HFSR, MMFAR, BFAR.
+    pub(crate) fn fault_status(&self) -> [u32; 4] {
+        self.arm.with_sys(|s| [s.cfsr, s.hfsr, s.mmfar, s.bfar])
+    }
+
+    /// Statistics up to now.
+    pub(crate) fn stats(&mut self) -> CpuStats {
+        let n = self.running;
+        self.account(n);
+        self.stats.awake = self.cycles - self.stats.asleep;
+        self.stats.clone()
+    }
+
+    /// Counts the cycles since the last call to what ran, and lets `next` run.
+    fn account(&mut self, next: usize) {
+        let used = self.cycles - self.running_since;
+        self.running_since = self.cycles;
+        let n = self.running;
+        if let Some(e) = self.stats.exceptions.get_mut(n) {
+            e.cycles += used;
+            if let Some(run) = self.run_cycles.get_mut(n) {
+                *run += used;
+                e.max_cycles = e.max_cycles.max(*run);
+            }
+        }
+        self.running = next;
+    }
+
+    /// Sleeps until `cycle`.
+    pub(crate) fn sleep_until(&mut self, cycle: u64) {
+        let idle = cycle.saturating_sub(self.cycles);
+        if idle > 0 {
+            self.account(self.running);
+            self.cycles += idle;
+            self.running_since = self.cycles;
+            self.stats.asleep += idle;
+        }
+    }
+
+    /// Runs until the chip's cycle limit or until something out of the
+    /// ordinary happens. The chip must not be locked by the caller.
+    pub(crate) fn run(&mut self) -> Event {
+        loop {
+            if self.fast_ok && !self.slow_next {
+                let soc = Arc::clone(&self.soc);
+                let mut guard = lock(&soc);
+                if !guard.attention {
+                    if self.cycles >= guard.limit() {
+                        return Event::None;
+                    }
+                    let before = self.cycles;
+                    let stop = exec::run(&mut self.fast, &mut self.code, &mut *guard, &mut self.cycles);
+                    self.untold += self.cycles - before;
+                    match stop {
+                        Stop::Limit if !guard.attention => return Event::None,
+                        Stop::Limit | Stop::Slow => {}
+                        // rsemu looks for the interrupt, unless time is up first.
+                        Stop::Unmasked => {
+                            self.slow_next = true;
+                            continue;
+                        }
+                    }
+                }
+            } else if self.cycles >= lock(&self.soc).limit() {
+                return Event::None;
+            }
+            let pc = self.fast.r[15];
+            if !self.breakpoints.is_empty() && self.breakpoints.contains(&pc) {
+                if self.passing == Some(pc) {
+                    self.passing = None;
+                } else {
+                    self.passing = Some(pc);
+                    return Event::Breakpoint(pc);
+                }
+            }
+            let event = self.slow_step();
+            if event != Event::None || self.asleep {
+                return event;
+            }
+        }
+    }
+
+    /// One step by rsemu: an exception entry or one instruction.
+    pub(crate) fn slow_step(&mut self) -> Event {
+        let now_irq;
+        {
+            let mut soc = lock(&self.soc);
+            soc.at_cycle(self.cycles);
+            now_irq = soc.irq;
+            soc.attention = false;
+        }
+        let mut changed = now_irq ^ self.known_irq;
+        while changed != 0 {
+            let n = changed.trailing_zeros();
+            changed &= changed - 1;
+            self.arm.set_irq(n as u16, now_irq & (1 << n) != 0);
+        }
+        self.known_irq = now_irq;
+
+        // Hand the registers over.
+        self.regs.r = self.fast.r;
+        self.regs.xpsr = self.fast.xpsr();
+        self.regs.primask = self.fast.primask;
+        self.regs.basepri = self.fast.basepri;
+        let uses_psp = !self.regs.in_handler() && self.regs.control & sys::control::SPSEL != 0;
+        if uses_psp {
+            self.regs.psp = self.regs.r[13];
+        } else {
+            self.regs.msp = self.regs.r[13];
+        }
+        self.arm.set_regs(self.regs);
+        let untold = std::mem::take(&mut self.untold);
+        if untold > 0 {
+            self.arm.with_sys(|s| {
+                s.tick_cyccnt(untold);
+                if s.tick_systick(untold) && s.syst_csr & 2 != 0 {
+                    s.set_pending(sys::Exception::SYSTICK, true);
+                }
+            });
+        }
+
+        let before = usize::from(self.regs.exception().0);
+        let pc = self.regs.r[15];
+        self.cycles += self.arm.step();
+        self.stats.slow_steps += 1;
+
+        self.regs = self.arm.regs();
+        self.fast.r = self.regs.r;
+        self.fast.set_xpsr(self.regs.xpsr);
+        self.fast.primask = self.regs.primask;
+        self.fast.basepri = self.regs.basepri;
+        self.fast.clear_exclusive();
+        self.asleep = self.arm.is_asleep();
+
+        let running = usize::from(self.regs.exception().0);
+        let mut event = Event::None;
+        if running != before {
+            self.account(running);
+            // Entered, not returned to: the handler is at its first instruction.
+            if running != 0 && self.is_entry(running) {
+                self.entered(running);
+                if running == usize::from(HARD_FAULT) {
+                    event = Event::HardFault;
+                }
+            }
+        }
+        if self.regs.r[15] == 0xffff_fffe && pc != 0xffff_fffe && self.arm.is_locked_up() {
+            self.locked_up = true;
+            event = Event::LockUp;
+        }
+
+        // Is there anything that rsemu has to look at before the next instruction?
+        let (pending, plain, reset) = self.arm.with_sys(|s| {
+            let plain = s.mpu_ctrl & 1 == 0 && s.ccr & sys::ccr::UNALIGN_TRP == 0;
+            (s.highest_pending(), plain, s.reset_requested)
+        });
+        if reset {
+            self.arm.clear_reset_request();
+            event = Event::ResetRequest;
+        }
+        let takeable = match pending {
+            Some((_, priority)) => priority < self.arm.execution_priority(),
+            None => false,
+        };
+        self.fast.pending_masked = pending.is_some();
+        let privileged = self.regs.in_handler() || self.regs.control & sys::control::NPRIV == 0;
+        self.fast_ok =
+            plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
+        self.slow_next = takeable || !self.fast_ok;
+        event
+    }
+
+    fn is_entry(&self, exception: usize) -> bool {
+        let vector = self.arm.vtor().wrapping_add(exception as u32 * 4);
+        let handler = lock(&self.soc).mem.read32(vector).unwrap_or(0) & !1;
+        handler == self.fast.r[15]
+    }
+
+    fn entered(&mut self, exception: usize) {
+        if let Some(run) = self.run_cycles.get_mut(exception) {
+            *run = 0;
+        }
+        let Some(e) = self.stats.exceptions.get_mut(exception) else {
+            return;
+        };
+        e.entries += 1;
+        if exception >= 16 {
+            let mut soc = lock(&self.soc);
+            if let Some(since) = soc.take_request_cycle(exception - 16) {
+                let latency = self.cycles.saturating_sub(since);
+                e.max_latency = e.max_latency.max(latency);
+                e.sum_latency += latency;
+            }
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The host at the other end of the USB cable.
+
+mod descriptors;
+mod host;
+
+pub use descriptors::{CdcAcm, DeviceInfo};
+pub use host::{UsbHost, UsbState, UsbTraffic};
