@@ -4,12 +4,18 @@
 //! [`model::RigModel`] (pins) and [`i2c::I2cTarget`] (the I2C bus), both on
 //! the board's virtual time, [`time::SimTime`].
 
+mod backtrace;
+mod chip;
 pub mod clock;
 pub mod depth_camera;
 pub mod flash_log;
 pub mod frame_phase;
 pub mod i2c;
 pub mod inertial_channel;
+mod cpu;
+pub mod firmware;
+pub mod i2c;
+pub mod i2c_bus;
 pub mod model;
 pub mod motion;
 pub mod mpu9150;
@@ -17,11 +23,14 @@ pub mod oscillator;
 pub mod phone;
 pub mod pin;
 pub mod random;
+pub mod rig;
 pub mod rolling_shutter;
+pub mod rtt;
 pub mod time;
 pub mod true_clock;
 pub mod truth;
 pub mod vcd_trace;
+pub mod usb;
 pub mod video_writer;
 
 #[cfg(test)]

@@ -555,6 +555,38 @@ impl Soc {
         self.schedule_models();
     }
 
+    // ---- the USB host -------------------------------------------------------------------
+
+    pub(crate) fn plug(&mut self) {
+        self.usb.plug(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn unplug(&mut self) {
+        self.usb.unplug(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn usb_write(&mut self, bytes: &[u8]) {
+        self.usb.write(bytes);
+        self.usb_configure(|_| {});
+    }
+
+    pub(crate) fn usb_read(&mut self) -> Vec<u8> {
+        let bytes = self.usb.take();
+        if !bytes.is_empty() {
+            self.usb_configure(|_| {});
+        }
+        bytes
+    }
+
+    /// Changes something at the host, which then looks at the bus again.
+    pub(crate) fn usb_configure(&mut self, f: impl FnOnce(&mut UsbHost)) {
+        f(&mut self.usb);
+        self.otg.changed = true;
+        self.after_usb();
+    }
+
     // ---- reset ------------------------------------------------------------------------
 
     /// Fills the RAM with noise, as it is at power-on.
