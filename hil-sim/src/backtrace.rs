@@ -3,7 +3,10 @@
 //! Interrupted code is followed through exception frames. Where there is no
 //! unwinding information the walk ends: no guesses.
 
-use gimli::{BaseAddresses, CfaRule, DebugFrame, EndianSlice, LittleEndian, RegisterRule, UnwindContext, UnwindSection};
+use gimli::{
+    BaseAddresses, CfaRule, DebugFrame, EndianSlice, LittleEndian, RegisterRule, UnwindContext,
+    UnwindSection,
+};
 use object::{Object, ObjectSection};
 
 use crate::firmware::Firmware;
@@ -15,7 +18,11 @@ const EXC_RETURN: u32 = 0xffff_ffe0;
 
 /// Return addresses from the innermost function outwards, beginning with the
 /// program counter in `regs`. `read` reads a word of memory.
-pub(crate) fn unwind(firmware: &Firmware, regs: [u32; 16], read: impl Fn(u32) -> Option<u32>) -> Vec<u32> {
+pub(crate) fn unwind(
+    firmware: &Firmware,
+    regs: [u32; 16],
+    read: impl Fn(u32) -> Option<u32>,
+) -> Vec<u32> {
     let mut out = vec![regs[15]];
     let Ok(file) = object::File::parse(firmware.bytes()) else {
         return out;
@@ -33,7 +40,11 @@ pub(crate) fn unwind(firmware: &Firmware, regs: [u32; 16], read: impl Fn(u32) ->
     let mut regs = regs;
     while out.len() < MAX_FRAMES {
         // A return address lies behind the call: look at the call itself.
-        let at = if out.len() == 1 { regs[15] } else { regs[15].wrapping_sub(2) };
+        let at = if out.len() == 1 {
+            regs[15]
+        } else {
+            regs[15].wrapping_sub(2)
+        };
         let Ok(row) = section.unwind_info_for_address(
             &bases,
             &mut context,
@@ -83,7 +94,10 @@ pub(crate) fn unwind(firmware: &Firmware, regs: [u32; 16], read: impl Fn(u32) ->
 /// Registers of the code that an exception interrupted. `regs` are those at
 /// the handler's first instruction: LR is the EXC_RETURN value, SP the frame
 /// (if it is on the main stack).
-pub(crate) fn exception_frame(regs: [u32; 16], read: &impl Fn(u32) -> Option<u32>) -> Option<[u32; 16]> {
+pub(crate) fn exception_frame(
+    regs: [u32; 16],
+    read: &impl Fn(u32) -> Option<u32>,
+) -> Option<[u32; 16]> {
     let sp = regs[13];
     let mut out = regs;
     for (n, slot) in [0usize, 1, 2, 3, 12, 14, 15].into_iter().enumerate() {
@@ -104,7 +118,11 @@ pub(crate) fn describe(firmware: &Firmware, addresses: &[u32]) -> Vec<String> {
     let mut lines = Vec::new();
     for (n, address) in addresses.iter().enumerate() {
         // All but the innermost are return addresses.
-        let at = if n == 0 { *address } else { address.wrapping_sub(2) };
+        let at = if n == 0 {
+            *address
+        } else {
+            address.wrapping_sub(2)
+        };
         for (k, text) in firmware.describe(at).into_iter().enumerate() {
             if k == 0 {
                 lines.push(format!("{n:3}: {address:#010x} {text}"));

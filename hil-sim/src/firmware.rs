@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use object::{Object, ObjectSegment, ObjectSymbol, SymbolKind};
+use object::{Object, ObjectSymbol, SymbolKind};
 
 /// Environment variable that names the ELF which tests and tools use.
 pub const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
@@ -130,7 +130,6 @@ impl Firmware {
             }
             symbols.insert(name.to_owned(), Symbol { address, size });
         }
-        let _ = file.segments().map(|s| s.address()).count();
         let lines = addr2line::Loader::new(path).ok();
         Ok(Self {
             path: path.to_path_buf(),

@@ -18,7 +18,12 @@ pub struct I2cBus {
 
 impl core::fmt::Debug for I2cBus {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "I2cBus({} targets, stuck: {})", self.targets.len(), self.is_stuck())
+        write!(
+            f,
+            "I2cBus({} targets, stuck: {})",
+            self.targets.len(),
+            self.is_stuck()
+        )
     }
 }
 
@@ -108,7 +113,11 @@ impl I2cBus {
                 self.selected = Some(n);
             }
         }
-        let ack = if self.selected.is_some() { Ack::Ack } else { Ack::Nack };
+        let ack = if self.selected.is_some() {
+            Ack::Ack
+        } else {
+            Ack::Nack
+        };
         self.filter_ack(ack)
     }
 

@@ -7,21 +7,21 @@
 mod backtrace;
 mod chip;
 pub mod clock;
+mod cpu;
 pub mod depth_camera;
+pub mod firmware;
 pub mod flash_log;
 pub mod frame_phase;
 pub mod i2c;
-pub mod inertial_channel;
-mod cpu;
-pub mod firmware;
-pub mod i2c;
 pub mod i2c_bus;
+pub mod inertial_channel;
 pub mod model;
 pub mod motion;
 pub mod mpu9150;
 pub mod oscillator;
 pub mod phone;
 pub mod pin;
+pub mod pty;
 pub mod random;
 pub mod rig;
 pub mod rolling_shutter;
@@ -29,8 +29,8 @@ pub mod rtt;
 pub mod time;
 pub mod true_clock;
 pub mod truth;
-pub mod vcd_trace;
 pub mod usb;
+pub mod vcd_trace;
 pub mod video_writer;
 
 #[cfg(test)]

@@ -58,6 +58,10 @@ pub enum Stream {
     PhoneConfig = 17,
     /// Noise of the phone's magnetometer.
     PhoneMagnetometer = 18,
+    /// What the RAM of the board holds at power-on.
+    BoardRam = 19,
+    /// Damage to bytes on the USB link.
+    UsbDamage = 20,
 }
 
 /// The seed of a run.
@@ -82,6 +86,11 @@ impl Random {
     /// The next 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0.next_u64()
+    }
+
+    /// Fills a slice with random bytes.
+    pub fn fill(&mut self, bytes: &mut [u8]) {
+        self.0.fill_bytes(bytes);
     }
 
     /// Uniform in `low..high`, with 53 random bits.

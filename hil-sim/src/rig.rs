@@ -9,8 +9,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use rsemu::core::rand::{Stream, derive_seed};
-
 use crate::backtrace;
 use crate::chip::Soc;
 pub use crate::chip::rcc::ResetCause;
@@ -20,6 +18,7 @@ use crate::firmware::{Firmware, FirmwareError, Symbol, default_elf};
 use crate::i2c::I2cTarget;
 use crate::model::RigModel;
 use crate::pin::{Drive, Level, Pin};
+use crate::random::{Random, Seed, Stream};
 use crate::rtt::{LogLevel, LogLine, Rtt, Words};
 use crate::time::{SimDuration, SimTime};
 use crate::usb::{DeviceInfo, UsbState, UsbTraffic};
@@ -109,7 +108,7 @@ type LogSink = Box<dyn FnMut(&LogLine) + Send>;
 /// Puts a [`Rig`] together.
 pub struct RigBuilder {
     elf: Option<PathBuf>,
-    seed: u64,
+    seed: Seed,
     plugged: bool,
     tolerate_failures: bool,
     lsi: Rate,
@@ -121,7 +120,7 @@ pub struct RigBuilder {
 
 impl core::fmt::Debug for RigBuilder {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "RigBuilder({:?}, seed {})", self.elf, self.seed)
+        write!(f, "RigBuilder({:?}, seed {:?})", self.elf, self.seed)
     }
 }
 
@@ -129,7 +128,7 @@ impl Default for RigBuilder {
     fn default() -> Self {
         Self {
             elf: None,
-            seed: 1,
+            seed: Seed(1),
             plugged: true,
             tolerate_failures: false,
             lsi: Rate::hz(LSI_HZ),
@@ -151,7 +150,7 @@ impl RigBuilder {
 
     /// The one seed of all randomness.
     #[must_use]
-    pub fn seed(mut self, seed: u64) -> Self {
+    pub fn seed(mut self, seed: Seed) -> Self {
         self.seed = seed;
         self
     }
@@ -215,7 +214,7 @@ impl RigBuilder {
         let path = self.elf.unwrap_or_else(default_elf);
         let firmware = Firmware::load(&path)?;
         let mut soc = Soc::new(self.seed, self.lsi, self.uid);
-        let mut random = Stream::new(derive_seed(self.seed, "ram at power-on"));
+        let mut random = self.seed.stream(Stream::BoardRam);
         soc.fill_ram(&mut random);
         for (at, data) in firmware.segments() {
             let offset = at.wrapping_sub(0x0800_0000) as usize;
@@ -283,7 +282,7 @@ pub struct Rig {
     /// A failure that the firmware may still log something about, and until when.
     failing: Option<(Failure, SimTime)>,
     panic_at: Option<u32>,
-    random: Stream,
+    random: Random,
 }
 
 impl core::fmt::Debug for Rig {
@@ -540,7 +539,9 @@ impl Rig {
 
     /// Lines of the log of at least this level.
     pub fn log_from(&self, level: LogLevel) -> impl Iterator<Item = &LogLine> {
-        self.log.iter().filter(move |l| l.level >= level && l.level != LogLevel::Print)
+        self.log
+            .iter()
+            .filter(move |l| l.level >= level && l.level != LogLevel::Print)
     }
 
     // ---- USB ------------------------------------------------------------------------

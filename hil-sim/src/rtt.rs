@@ -112,15 +112,22 @@ impl Rtt {
             return;
         }
         let get = |o: u32| mem.word(control + o).unwrap_or(0);
-        let (buffer, size, write, read) = (get(UP_BUFFER), get(UP_SIZE), get(UP_WRITE), get(UP_READ));
+        let (buffer, size, write, read) =
+            (get(UP_BUFFER), get(UP_SIZE), get(UP_WRITE), get(UP_READ));
         if write >= size || read >= size || write == read {
             return;
         }
         let mut taken = Vec::new();
         if write > read {
-            taken.extend_from_slice(mem.bytes(buffer + read, (write - read) as usize).unwrap_or(&[]));
+            taken.extend_from_slice(
+                mem.bytes(buffer + read, (write - read) as usize)
+                    .unwrap_or(&[]),
+            );
         } else {
-            taken.extend_from_slice(mem.bytes(buffer + read, (size - read) as usize).unwrap_or(&[]));
+            taken.extend_from_slice(
+                mem.bytes(buffer + read, (size - read) as usize)
+                    .unwrap_or(&[]),
+            );
             taken.extend_from_slice(mem.bytes(buffer, write as usize).unwrap_or(&[]));
         }
         mem.set_word(control + UP_READ, write);
@@ -138,7 +145,10 @@ impl Rtt {
         let broken = |why: &str| LogLine {
             at,
             level: LogLevel::Error,
-            message: format!("log frame of {} bytes cannot be decoded: {why}", bytes.len()),
+            message: format!(
+                "log frame of {} bytes cannot be decoded: {why}",
+                bytes.len()
+            ),
             location: None,
         };
         let Some(table) = &self.table else {

@@ -59,7 +59,11 @@ impl Dma {
     pub(crate) fn transfer(&self, s: usize) -> Transfer {
         let st = &self.streams[s];
         let width = 1 << ((st.cr >> 13) & 3).min(2);
-        let step = if st.cr & CR_MINC != 0 { st.done.wrapping_mul(width) } else { 0 };
+        let step = if st.cr & CR_MINC != 0 {
+            st.done.wrapping_mul(width)
+        } else {
+            0
+        };
         Transfer {
             memory: st.mar[((st.cr >> 19) & 1) as usize].wrapping_add(step),
             width,
@@ -103,8 +107,8 @@ impl Dma {
 
     fn clear(&mut self, high: bool, value: u32) {
         let first = if high { 4 } else { 0 };
-        for n in 0..4 {
-            self.streams[first + n].flags &= !((value >> FLAG_SHIFT[n]) & 0x3d);
+        for (n, shift) in FLAG_SHIFT.iter().enumerate() {
+            self.streams[first + n].flags &= !((value >> shift) & 0x3d);
         }
     }
 

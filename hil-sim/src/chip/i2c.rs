@@ -182,7 +182,11 @@ impl I2c {
                 self.wait(Phase::AwaitAddress);
             }
             Phase::Address(byte) => {
-                let direction = if byte & 1 != 0 { Direction::Read } else { Direction::Write };
+                let direction = if byte & 1 != 0 {
+                    Direction::Read
+                } else {
+                    Direction::Write
+                };
                 match bus.start(byte >> 1, direction, now) {
                     Ack::Ack => {
                         self.sr1 |= SR1_ADDR;
@@ -226,7 +230,11 @@ impl I2c {
                 if self.sr1 & SR1_RXNE != 0 {
                     self.shift = byte;
                     self.sr1 |= SR1_BTF;
-                    self.wait(if ack == Ack::Ack { Phase::RxFull } else { Phase::RxEnded });
+                    self.wait(if ack == Ack::Ack {
+                        Phase::RxFull
+                    } else {
+                        Phase::RxEnded
+                    });
                 } else {
                     self.dr = byte;
                     self.sr1 |= SR1_RXNE;
@@ -475,11 +483,21 @@ mod tests {
             i2c.set_clock(Rate::hz(24_000_000));
             i2c.write(0x1c, (1 << 15) | 20, SimTime::ZERO);
             i2c.write(0x00, CR1_PE, SimTime::ZERO);
-            Self { i2c, bus, now: SimTime::ZERO, target }
+            Self {
+                i2c,
+                bus,
+                now: SimTime::ZERO,
+                target,
+            }
         }
         /// Lets the wires do their next thing.
         fn go(&mut self) {
-            assert_ne!(self.i2c.next_event(), SimTime::NEVER, "{:?}", self.i2c.phase);
+            assert_ne!(
+                self.i2c.next_event(),
+                SimTime::NEVER,
+                "{:?}",
+                self.i2c.phase
+            );
             self.now = self.i2c.next_event();
             self.i2c.advance(self.now, &mut self.bus, 0);
         }
@@ -527,7 +545,14 @@ mod tests {
         assert_eq!(b.sr2(), 0);
         assert_eq!(
             crate::i2c::lock(&b.target).log,
-            ["start 68 Write", "write 3b", "start 68 Read", "Ack", "Nack", "stop"]
+            [
+                "start 68 Write",
+                "write 3b",
+                "start 68 Read",
+                "Ack",
+                "Nack",
+                "stop"
+            ]
         );
     }
 

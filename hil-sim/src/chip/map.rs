@@ -1,8 +1,6 @@
 //! The memory map: which register an address is (RM0090 2.3).
 
-use super::{
-    EV_CLOCK, EV_IWDG, Soc, TIM1, TIM2, TIM3, TIM4, TIM5,
-};
+use super::{EV_CLOCK, EV_IWDG, Soc, TIM1, TIM2, TIM3, TIM4, TIM5};
 use crate::pin::Pin;
 use crate::time::SimTime;
 

@@ -25,6 +25,7 @@ use crate::cpu::exec::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::model::{RigIo, RigModel};
 use crate::pin::{Drive, Level, Pin};
+use crate::random::{Random, Seed};
 use crate::time::SimTime;
 use crate::usb::UsbHost;
 
@@ -119,7 +120,7 @@ impl core::fmt::Debug for Soc {
 
 impl Soc {
     /// The chip at power-on.
-    pub(crate) fn new(seed: u64, lsi: Rate, uid: [u32; 3]) -> Self {
+    pub(crate) fn new(seed: Seed, lsi: Rate, uid: [u32; 3]) -> Self {
         let rcc = Rcc::new();
         let clocks = rcc.clocks(SimTime::ZERO);
         let mut soc = Self {
@@ -160,7 +161,7 @@ impl Soc {
             attention: false,
             request_cycle: [0; 128],
             slice_end: 0,
-            event_cycle: 0,
+            event_cycle: u64::MAX,
             cycle: 0,
             reset_request: None,
         };
@@ -246,16 +247,11 @@ impl Soc {
             return u64::MAX;
         }
         let edge = self.core_clock.edge_at(at);
-        if self.core_clock.time_of(edge) < at { edge + 1 } else { edge }
-    }
-
-    /// Time of a core cycle.
-    pub(crate) fn time_of_cycle(&self, cycle: u64) -> SimTime {
-        self.core_clock.time_of(cycle)
-    }
-
-    pub(crate) fn next_event(&self) -> SimTime {
-        self.next_event
+        if self.core_clock.time_of(edge) < at {
+            edge + 1
+        } else {
+            edge
+        }
     }
 
     /// Present rate of the core clock.
@@ -266,6 +262,15 @@ impl Soc {
     /// Lets the core run up to `cycle`, or the next event if that is earlier.
     pub(crate) fn set_slice_end(&mut self, cycle: u64) {
         self.slice_end = cycle;
+    }
+
+    /// Where the present slice ends, whatever wants the core's attention.
+    pub(crate) fn slice_limit(&self) -> u64 {
+        if self.reset_request.is_some() {
+            0
+        } else {
+            self.slice_end.min(self.event_cycle)
+        }
     }
 
     fn set_event(&mut self, source: usize, at: SimTime) {
@@ -285,7 +290,11 @@ impl Soc {
         while self.next_event <= now {
             let at = self.next_event;
             self.now = self.now.max(at);
-            let source = self.events.iter().position(|e| *e == at).unwrap_or(EV_MODELS);
+            let source = self
+                .events
+                .iter()
+                .position(|e| *e == at)
+                .unwrap_or(EV_MODELS);
             match source {
                 EV_I2C => self.step_i2c(at),
                 EV_UART => {
@@ -476,12 +485,17 @@ impl Soc {
         let clocks = self.rcc.clocks(self.now);
         if clocks.hclk != self.clocks.hclk {
             // The present cycle is the first of the new rate.
-            self.core_clock = Clock::new(clocks.hclk, self.core_clock.time_of(self.cycle), self.cycle);
+            self.core_clock =
+                Clock::new(clocks.hclk, self.core_clock.time_of(self.cycle), self.cycle);
             self.event_cycle = self.cycle_at(self.next_event);
         }
         self.clocks = clocks;
         for n in 0..TIMERS {
-            let rate = if n == TIM1 { clocks.timers2 } else { clocks.timers1 };
+            let rate = if n == TIM1 {
+                clocks.timers2
+            } else {
+                clocks.timers1
+            };
             self.tim[n].set_clock(rate, self.now);
             self.reschedule_tim(n);
         }
@@ -505,14 +519,21 @@ impl Soc {
         self.mco_told = rate;
         for index in 0..self.models.len() {
             if self.watchers[Pin::PA8.index()] & (1 << index) != 0 {
-                self.call_model(index, self.now, |model, io| model.on_clock(Pin::PA8, rate, io));
+                self.call_model(index, self.now, |model, io| {
+                    model.on_clock(Pin::PA8, rate, io)
+                });
             }
         }
     }
 
     // ---- models --------------------------------------------------------------------
 
-    fn call_model(&mut self, index: usize, at: SimTime, f: impl FnOnce(&mut dyn RigModel, &mut RigIo<'_>)) {
+    fn call_model(
+        &mut self,
+        index: usize,
+        at: SimTime,
+        f: impl FnOnce(&mut dyn RigModel, &mut RigIo<'_>),
+    ) {
         let mut drives = Vec::new();
         let levels = self.gpio.levels;
         if let Some(m) = self.models.get_mut(index) {
@@ -527,7 +548,12 @@ impl Soc {
     }
 
     fn schedule_models(&mut self) {
-        let at = self.models.iter().map(|m| m.next).min().unwrap_or(SimTime::NEVER);
+        let at = self
+            .models
+            .iter()
+            .map(|m| m.next)
+            .min()
+            .unwrap_or(SimTime::NEVER);
         self.set_event(EV_MODELS, at);
     }
 
@@ -590,7 +616,7 @@ impl Soc {
     // ---- reset ------------------------------------------------------------------------
 
     /// Fills the RAM with noise, as it is at power-on.
-    pub(crate) fn fill_ram(&mut self, random: &mut rsemu::core::rand::Stream) {
+    pub(crate) fn fill_ram(&mut self, random: &mut Random) {
         random.fill(&mut self.mem.sram);
         random.fill(&mut self.mem.ccm);
     }
@@ -621,10 +647,10 @@ impl Bus for Soc {
 
     #[inline]
     fn limit(&self) -> u64 {
-        if self.attention || self.reset_request.is_some() {
+        if self.attention {
             0
         } else {
-            self.slice_end.min(self.event_cycle)
+            self.slice_limit()
         }
     }
 }

@@ -10,7 +10,7 @@
 //! silicon rather than the letter of the manual: an active endpoint whose NAK
 //! bit is clear takes a packet if it fits the receive FIFO; `EPENA` is not
 //! asked for. Not modelled: host mode, DMA (this core has none), isochronous
-//! transfers, data toggles (the bus of the model loses no packets).
+//! transfers, resume from suspend (the host resets a device that was idle), data toggles (the bus of the model loses no packets).
 
 use std::collections::VecDeque;
 
@@ -29,7 +29,6 @@ const GINTSTS_ENUMDNE: u32 = 1 << 13;
 const GINTSTS_IEPINT: u32 = 1 << 18;
 const GINTSTS_OEPINT: u32 = 1 << 19;
 const GINTSTS_SRQINT: u32 = 1 << 30;
-const GINTSTS_WKUPINT: u32 = 1 << 31;
 /// The bits that are cleared by writing one.
 const GINTSTS_W1C: u32 = 0xf030_fc0a;
 const GOTGINT_SEDET: u32 = 1 << 2;
@@ -237,14 +236,6 @@ impl Otg {
         }
     }
 
-    /// Traffic again after a suspend without a reset.
-    pub(crate) fn resume(&mut self) {
-        if self.suspended {
-            self.suspended = false;
-            self.gintsts |= GINTSTS_WKUPINT;
-        }
-    }
-
     /// Start of frame.
     pub(crate) fn sof(&mut self, frame: u32) {
         self.frame = frame & 0x3fff;
@@ -279,7 +270,10 @@ impl Otg {
         }
         self.rx_words += words + 1;
         self.rx_status.push_back(RxEntry {
-            status: (ep as u32) | ((data.len() as u32) << 4) | (pktsts << 17) | ((self.frame & 0xf) << 21),
+            status: (ep as u32)
+                | ((data.len() as u32) << 4)
+                | (pktsts << 17)
+                | ((self.frame & 0xf) << 21),
             words,
         });
     }
@@ -324,12 +318,20 @@ impl Otg {
         }
         self.push_rx(ep, PKTSTS_OUT, data);
         let e = &mut self.outep[ep];
-        let max_packet = if ep == 0 { 64 >> (e.ctl & 3) } else { (e.ctl & 0x7ff) as usize };
+        let max_packet = if ep == 0 {
+            64 >> (e.ctl & 3)
+        } else {
+            (e.ctl & 0x7ff) as usize
+        };
         let packets = (e.siz >> 19) & if ep == 0 { 1 } else { 0x3ff };
         let size_mask = if ep == 0 { 0x7f } else { 0x7_ffff };
         let left = (e.siz & size_mask).saturating_sub(data.len() as u32);
         let packets = packets.saturating_sub(1);
-        let keep = if ep == 0 { e.siz & (3 << 29) } else { e.siz & !0x1fff_ffff };
+        let keep = if ep == 0 {
+            e.siz & (3 << 29)
+        } else {
+            e.siz & !0x1fff_ffff
+        };
         e.siz = keep | (packets << 19) | left;
         if packets == 0 || data.len() < max_packet {
             e.ctl = (e.ctl | EPCTL_NAKSTS) & !EPCTL_EPENA;
@@ -355,7 +357,11 @@ impl Otg {
     /// Bytes of the next packet of an IN endpoint.
     pub(crate) fn in_len(&self, ep: usize) -> usize {
         let e = &self.inep[ep];
-        let max_packet = if ep == 0 { 64 >> (e.ctl & 3) } else { e.ctl & 0x7ff };
+        let max_packet = if ep == 0 {
+            64 >> (e.ctl & 3)
+        } else {
+            e.ctl & 0x7ff
+        };
         let size = e.siz & if ep == 0 { 0x7f } else { 0x7_ffff };
         size.min(max_packet) as usize
     }

@@ -131,7 +131,8 @@ impl Soc {
         }
         // Timer inputs.
         if let Mode::Alternate(af) = self.gpio.mode(pin)
-            && let Some((_, _, tim, ti)) = TIMER_PINS.iter().find(|(p, f, _, _)| *p == pin && *f == af)
+            && let Some((_, _, tim, ti)) =
+                TIMER_PINS.iter().find(|(p, f, _, _)| *p == pin && *f == af)
         {
             let (tim, ti) = (*tim, *ti);
             self.tim[tim].input_edge(ti, high, at);

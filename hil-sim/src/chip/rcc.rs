@@ -103,7 +103,11 @@ impl Rcc {
     }
 
     fn pll_source(&self) -> u64 {
-        if self.pllcfgr & (1 << 22) != 0 { HSE_HZ } else { HSI_HZ }
+        if self.pllcfgr & (1 << 22) != 0 {
+            HSE_HZ
+        } else {
+            HSI_HZ
+        }
     }
 
     /// PLL output for a divider of its oscillator.

@@ -328,7 +328,7 @@ impl Tim {
                 wrap + u64::from(self.ccr[ch])
             };
             // A compare value above the reload value is never met.
-            if ahead < wrap || (ahead >= wrap && self.ccr[ch] <= self.arr_next) {
+            if ahead < wrap || self.ccr[ch] <= self.arr_next {
                 steps = steps.min(ahead);
             }
         }

@@ -162,7 +162,11 @@ impl Fast {
     /// ITAdvance() (DDI 0403 A7.3.2).
     #[inline(always)]
     fn it_next(it: u8) -> u8 {
-        if it & 7 == 0 { 0 } else { (it & 0xe0) | ((it << 1) & 0x1f) }
+        if it & 7 == 0 {
+            0
+        } else {
+            (it & 0xe0) | ((it << 1) & 0x1f)
+        }
     }
 }
 
@@ -192,7 +196,10 @@ fn shift(ty: ShiftType, value: u32, amount: u32, carry: bool) -> (u32, bool) {
                 let sign = value >> 31 != 0;
                 (if sign { u32::MAX } else { 0 }, sign)
             } else {
-                (((value as i32) >> amount) as u32, (value >> (amount - 1)) & 1 != 0)
+                (
+                    ((value as i32) >> amount) as u32,
+                    (value >> (amount - 1)) & 1 != 0,
+                )
             }
         }
         _ => {
@@ -235,7 +242,14 @@ fn load_io<B: Bus>(bus: &mut B, kind: Kind, addr: u32, cycle: u64, limit: &mut u
 }
 
 #[inline(always)]
-fn store<B: Bus>(bus: &mut B, kind: Kind, addr: u32, value: u32, cycle: u64, limit: &mut u64) -> bool {
+fn store<B: Bus>(
+    bus: &mut B,
+    kind: Kind,
+    addr: u32,
+    value: u32,
+    cycle: u64,
+    limit: &mut u64,
+) -> bool {
     let mem = bus.memory();
     let done = match kind {
         Kind::Word => mem.write32(addr, value),
@@ -304,7 +318,10 @@ impl Code {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         for table in [&mut self.plain, &mut self.in_it] {
             if let Some(slot) = table.get_mut(index) {
-                *slot = Slot { op: Op::Slow, len: 2 };
+                *slot = Slot {
+                    op: Op::Slow,
+                    len: 2,
+                };
             }
         }
     }
@@ -316,7 +333,10 @@ impl Code {
         match table.get(index) {
             Some(slot) if !matches!(slot.op, Op::Unknown) => *slot,
             Some(_) => self.fill(index, pc, in_it, mem),
-            None => Slot { op: Op::Slow, len: 2 },
+            None => Slot {
+                op: Op::Slow,
+                len: 2,
+            },
         }
     }
 
@@ -339,7 +359,11 @@ impl Code {
                 }
             },
         );
-        let table = if in_it { &mut self.in_it } else { &mut self.plain };
+        let table = if in_it {
+            &mut self.in_it
+        } else {
+            &mut self.plain
+        };
         if let Some(to) = table.get_mut(index) {
             *to = slot;
         }
@@ -458,12 +482,27 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.add_flags(st.reg(rn), !st.reg(rm), true);
                 now += 1;
             }
-            Op::DpImm { op, s, rd, rn, carry, imm } => {
+            Op::DpImm {
+                op,
+                s,
+                rd,
+                rn,
+                carry,
+                imm,
+            } => {
                 let carry = if carry == 2 { st.c } else { carry != 0 };
                 data_proc(st, op, s, rd, rn, imm, carry);
                 now += 1;
             }
-            Op::DpReg { op, s, rd, rn, rm, ty, amount } => {
+            Op::DpReg {
+                op,
+                s,
+                rd,
+                rn,
+                rm,
+                ty,
+                amount,
+            } => {
                 let (b, carry) = shift(ty, st.reg(rm), u32::from(amount), st.c);
                 data_proc(st, op, s, rd, rn, b, carry);
                 now += 1;
@@ -511,7 +550,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 next = target & !1;
                 now += 3;
             }
-            Op::Cbz { nonzero, rn, target } => {
+            Op::Cbz {
+                nonzero,
+                rn,
+                target,
+            } => {
                 if (st.reg(rn) != 0) == nonzero {
                     next = target;
                     now += 3;
@@ -550,18 +593,36 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 store!(kind, addr, st.reg(rt));
                 now += 2;
             }
-            Op::LoadReg { kind, rt, rn, rm, lsl } => {
+            Op::LoadReg {
+                kind,
+                rt,
+                rn,
+                rm,
+                lsl,
+            } => {
                 let addr = st.reg(rn).wrapping_add(st.reg(rm) << lsl);
                 let value = load!(kind, addr);
                 st.set(rt, value);
                 now += 2;
             }
-            Op::StoreReg { kind, rt, rn, rm, lsl } => {
+            Op::StoreReg {
+                kind,
+                rt,
+                rn,
+                rm,
+                lsl,
+            } => {
                 let addr = st.reg(rn).wrapping_add(st.reg(rm) << lsl);
                 store!(kind, addr, st.reg(rt));
                 now += 2;
             }
-            Op::LoadWb { kind, rt, rn, pre, imm } => {
+            Op::LoadWb {
+                kind,
+                rt,
+                rn,
+                pre,
+                imm,
+            } => {
                 let base = st.reg(rn);
                 let moved = base.wrapping_add(imm as u32);
                 let value = load!(kind, if pre { moved } else { base });
@@ -569,7 +630,13 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rt, value);
                 now += 2;
             }
-            Op::StoreWb { kind, rt, rn, pre, imm } => {
+            Op::StoreWb {
+                kind,
+                rt,
+                rn,
+                pre,
+                imm,
+            } => {
                 let base = st.reg(rn);
                 let moved = base.wrapping_add(imm as u32);
                 store!(kind, if pre { moved } else { base }, st.reg(rt));
@@ -580,7 +647,14 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rt, value);
                 now += 2;
             }
-            Op::LoadDual { rt, rt2, rn, imm, pre, wback } => {
+            Op::LoadDual {
+                rt,
+                rt2,
+                rn,
+                imm,
+                pre,
+                wback,
+            } => {
                 let base = st.reg(rn);
                 let moved = base.wrapping_add(imm as u32);
                 let addr = if pre { moved } else { base };
@@ -597,7 +671,14 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 }
                 now += 3;
             }
-            Op::StoreDual { rt, rt2, rn, imm, pre, wback } => {
+            Op::StoreDual {
+                rt,
+                rt2,
+                rn,
+                imm,
+                pre,
+                wback,
+            } => {
                 let base = st.reg(rn);
                 let moved = base.wrapping_add(imm as u32);
                 let addr = if pre { moved } else { base };
@@ -623,7 +704,13 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rt, value);
                 now += 2;
             }
-            Op::StoreEx { kind, rd, rt, rn, imm } => {
+            Op::StoreEx {
+                kind,
+                rd,
+                rt,
+                rn,
+                imm,
+            } => {
                 let addr = st.reg(rn).wrapping_add(u32::from(imm));
                 let bytes = bytes_of(kind);
                 if !addr.is_multiple_of(bytes) || !bus.memory().holds(addr, bytes, true) {
@@ -641,10 +728,19 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.exclusive = None;
                 now += 1;
             }
-            Op::LoadMulti { rn, list, wback, before } => {
+            Op::LoadMulti {
+                rn,
+                list,
+                wback,
+                before,
+            } => {
                 let base = st.reg(rn);
                 let count = list.count_ones();
-                let start = if before { base.wrapping_sub(count * 4) } else { base };
+                let start = if before {
+                    base.wrapping_sub(count * 4)
+                } else {
+                    base
+                };
                 let mem = bus.memory();
                 if start & 3 != 0 || !mem.holds(start, count * 4, false) {
                     slow!();
@@ -658,7 +754,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     }
                 }
                 if wback {
-                    let end = if before { start } else { base.wrapping_add(count * 4) };
+                    let end = if before {
+                        start
+                    } else {
+                        base.wrapping_add(count * 4)
+                    };
                     st.set(rn, end);
                 }
                 let mut addr = start;
@@ -675,10 +775,19 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     now += 2;
                 }
             }
-            Op::StoreMulti { rn, list, wback, before } => {
+            Op::StoreMulti {
+                rn,
+                list,
+                wback,
+                before,
+            } => {
                 let base = st.reg(rn);
                 let count = list.count_ones();
-                let start = if before { base.wrapping_sub(count * 4) } else { base };
+                let start = if before {
+                    base.wrapping_sub(count * 4)
+                } else {
+                    base
+                };
                 let mem = bus.memory();
                 if start & 3 != 0 || !mem.holds(start, count * 4, true) {
                     slow!();
@@ -692,7 +801,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     addr = addr.wrapping_add(4);
                 }
                 if wback {
-                    let end = if before { start } else { base.wrapping_add(count * 4) };
+                    let end = if before {
+                        start
+                    } else {
+                        base.wrapping_add(count * 4)
+                    };
                     st.set(rn, end);
                 }
                 now += 1 + u64::from(count);
@@ -705,7 +818,13 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 }
                 now += 1;
             }
-            Op::MulAdd { rd, rn, rm, ra, sub } => {
+            Op::MulAdd {
+                rd,
+                rn,
+                rm,
+                ra,
+                sub,
+            } => {
                 let product = st.reg(rn).wrapping_mul(st.reg(rm));
                 let value = if sub {
                     st.reg(ra).wrapping_sub(product)
@@ -715,7 +834,14 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rd, value);
                 now += 1;
             }
-            Op::MulLong { signed, accumulate, rdlo, rdhi, rn, rm } => {
+            Op::MulLong {
+                signed,
+                accumulate,
+                rdlo,
+                rdhi,
+                rn,
+                rm,
+            } => {
                 let (a, b) = (st.reg(rn), st.reg(rm));
                 let acc = if accumulate {
                     (u64::from(st.reg(rdhi)) << 32) | u64::from(st.reg(rdlo))
@@ -754,7 +880,13 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rd, value);
                 now += 3;
             }
-            Op::Extend { op, rd, rn, rm, rotate } => {
+            Op::Extend {
+                op,
+                rd,
+                rn,
+                rm,
+                rotate,
+            } => {
                 let value = st.reg(rm).rotate_right(u32::from(rotate));
                 let value = match op {
                     ExtendOp::Sxtb => i32::from(value as u8 as i8) as u32,
@@ -763,7 +895,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     ExtendOp::Uxth => value & 0xffff,
                     ExtendOp::Sxtb16 | ExtendOp::Uxtb16 => slow!(),
                 };
-                let value = if rn == 15 { value } else { value.wrapping_add(st.reg(rn)) };
+                let value = if rn == 15 {
+                    value
+                } else {
+                    value.wrapping_add(st.reg(rn))
+                };
                 st.set(rd, value);
                 now += 1;
             }
@@ -779,18 +915,26 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 st.set(rd, value);
                 now += 1;
             }
-            Op::Bitfield { op, rd, rn, lsb, width } => {
+            Op::Bitfield {
+                op,
+                rd,
+                rn,
+                lsb,
+                width,
+            } => {
                 let (lsb, width) = (u32::from(lsb), u32::from(width));
-                let mask = if width >= 32 { u32::MAX } else { (1 << width) - 1 };
+                let mask = if width >= 32 {
+                    u32::MAX
+                } else {
+                    (1 << width) - 1
+                };
                 let value = match op {
                     BitfieldOp::Ubfx => (st.reg(rn) >> lsb) & mask,
                     BitfieldOp::Sbfx => {
                         let up = 32 - width;
                         ((((st.reg(rn) >> lsb) & mask) << up) as i32 >> up) as u32
                     }
-                    BitfieldOp::Bfi => {
-                        (st.reg(rd) & !(mask << lsb)) | ((st.reg(rn) & mask) << lsb)
-                    }
+                    BitfieldOp::Bfi => (st.reg(rd) & !(mask << lsb)) | ((st.reg(rn) & mask) << lsb),
                     BitfieldOp::Bfc => st.reg(rd) & !(mask << lsb),
                 };
                 st.set(rd, value);

@@ -131,7 +131,11 @@ pub(crate) struct Cpu {
 
 impl core::fmt::Debug for Cpu {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "Cpu(pc {:#010x}, {} cycles)", self.fast.r[15], self.cycles)
+        write!(
+            f,
+            "Cpu(pc {:#010x}, {} cycles)",
+            self.fast.r[15], self.cycles
+        )
     }
 }
 
@@ -249,7 +253,12 @@ impl Cpu {
                         return Event::None;
                     }
                     let before = self.cycles;
-                    let stop = exec::run(&mut self.fast, &mut self.code, &mut *guard, &mut self.cycles);
+                    let stop = exec::run(
+                        &mut self.fast,
+                        &mut self.code,
+                        &mut *guard,
+                        &mut self.cycles,
+                    );
                     self.untold += self.cycles - before;
                     match stop {
                         Stop::Limit if !guard.attention => return Event::None,
@@ -261,7 +270,7 @@ impl Cpu {
                         }
                     }
                 }
-            } else if self.cycles >= lock(&self.soc).limit() {
+            } else if self.cycles >= lock(&self.soc).slice_limit() {
                 return Event::None;
             }
             let pc = self.fast.r[15];

@@ -29,67 +29,281 @@ pub(crate) enum Op {
     /// Left to rsemu.
     Slow,
     Nop,
-    MovImm { rd: u8, imm: u32 },
-    MovReg { rd: u8, rm: u8 },
-    MovTop { rd: u8, imm: u16 },
+    MovImm {
+        rd: u8,
+        imm: u32,
+    },
+    MovReg {
+        rd: u8,
+        rm: u8,
+    },
+    MovTop {
+        rd: u8,
+        imm: u16,
+    },
     /// `MOVS #imm`; the carry stays.
-    MovsImm { rd: u8, imm: u32 },
-    AddImm { rd: u8, rn: u8, imm: u32 },
-    AddReg { rd: u8, rn: u8, rm: u8 },
-    AddsImm { rd: u8, rn: u8, imm: u32 },
-    AddsReg { rd: u8, rn: u8, rm: u8 },
-    SubReg { rd: u8, rn: u8, rm: u8 },
-    SubsImm { rd: u8, rn: u8, imm: u32 },
-    SubsReg { rd: u8, rn: u8, rm: u8 },
-    CmpImm { rn: u8, imm: u32 },
-    CmpReg { rn: u8, rm: u8 },
+    MovsImm {
+        rd: u8,
+        imm: u32,
+    },
+    AddImm {
+        rd: u8,
+        rn: u8,
+        imm: u32,
+    },
+    AddReg {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
+    AddsImm {
+        rd: u8,
+        rn: u8,
+        imm: u32,
+    },
+    AddsReg {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
+    SubReg {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
+    SubsImm {
+        rd: u8,
+        rn: u8,
+        imm: u32,
+    },
+    SubsReg {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
+    CmpImm {
+        rn: u8,
+        imm: u32,
+    },
+    CmpReg {
+        rn: u8,
+        rm: u8,
+    },
     /// Any data-processing operation with an immediate; `carry` is 0, 1 or 2 for unchanged.
-    DpImm { op: DpOp, s: bool, rd: u8, rn: u8, carry: u8, imm: u32 },
+    DpImm {
+        op: DpOp,
+        s: bool,
+        rd: u8,
+        rn: u8,
+        carry: u8,
+        imm: u32,
+    },
     /// Any data-processing operation with a register shifted by a constant.
-    DpReg { op: DpOp, s: bool, rd: u8, rn: u8, rm: u8, ty: ShiftType, amount: u8 },
-    ShiftReg { ty: ShiftType, s: bool, rd: u8, rn: u8, rm: u8 },
-    Branch { target: u32 },
-    BranchCond { cond: u8, target: u32 },
-    BranchLink { target: u32 },
-    Bx { rm: u8 },
-    Blx { rm: u8 },
-    Cbz { nonzero: bool, rn: u8, target: u32 },
+    DpReg {
+        op: DpOp,
+        s: bool,
+        rd: u8,
+        rn: u8,
+        rm: u8,
+        ty: ShiftType,
+        amount: u8,
+    },
+    ShiftReg {
+        ty: ShiftType,
+        s: bool,
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
+    Branch {
+        target: u32,
+    },
+    BranchCond {
+        cond: u8,
+        target: u32,
+    },
+    BranchLink {
+        target: u32,
+    },
+    Bx {
+        rm: u8,
+    },
+    Blx {
+        rm: u8,
+    },
+    Cbz {
+        nonzero: bool,
+        rn: u8,
+        target: u32,
+    },
     /// `TBB`/`TBH`; `base` is the table if the base register is the PC, else 0.
-    Table { rn: u8, rm: u8, half: bool, base: u32 },
-    It { state: u8 },
+    Table {
+        rn: u8,
+        rm: u8,
+        half: bool,
+        base: u32,
+    },
+    It {
+        state: u8,
+    },
     /// `[rn + imm]`, no write-back.
-    LoadImm { kind: Kind, rt: u8, rn: u8, imm: i32 },
-    StoreImm { kind: Kind, rt: u8, rn: u8, imm: i32 },
+    LoadImm {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        imm: i32,
+    },
+    StoreImm {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        imm: i32,
+    },
     /// `[rn + (rm << lsl)]`.
-    LoadReg { kind: Kind, rt: u8, rn: u8, rm: u8, lsl: u8 },
-    StoreReg { kind: Kind, rt: u8, rn: u8, rm: u8, lsl: u8 },
+    LoadReg {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        rm: u8,
+        lsl: u8,
+    },
+    StoreReg {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        rm: u8,
+        lsl: u8,
+    },
     /// Write-back of `rn + imm`; the access is there (`pre`) or at `rn`.
-    LoadWb { kind: Kind, rt: u8, rn: u8, pre: bool, imm: i32 },
-    StoreWb { kind: Kind, rt: u8, rn: u8, pre: bool, imm: i32 },
+    LoadWb {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        pre: bool,
+        imm: i32,
+    },
+    StoreWb {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        pre: bool,
+        imm: i32,
+    },
     /// A PC-relative load from flash, which never changes.
-    LoadConst { rt: u8, value: u32 },
-    LoadDual { rt: u8, rt2: u8, rn: u8, imm: i32, pre: bool, wback: bool },
-    StoreDual { rt: u8, rt2: u8, rn: u8, imm: i32, pre: bool, wback: bool },
-    LoadEx { kind: Kind, rt: u8, rn: u8, imm: u16 },
-    StoreEx { kind: Kind, rd: u8, rt: u8, rn: u8, imm: u16 },
+    LoadConst {
+        rt: u8,
+        value: u32,
+    },
+    LoadDual {
+        rt: u8,
+        rt2: u8,
+        rn: u8,
+        imm: i32,
+        pre: bool,
+        wback: bool,
+    },
+    StoreDual {
+        rt: u8,
+        rt2: u8,
+        rn: u8,
+        imm: i32,
+        pre: bool,
+        wback: bool,
+    },
+    LoadEx {
+        kind: Kind,
+        rt: u8,
+        rn: u8,
+        imm: u16,
+    },
+    StoreEx {
+        kind: Kind,
+        rd: u8,
+        rt: u8,
+        rn: u8,
+        imm: u16,
+    },
     ClearEx,
-    LoadMulti { rn: u8, list: u16, wback: bool, before: bool },
-    StoreMulti { rn: u8, list: u16, wback: bool, before: bool },
-    Mul { rd: u8, rn: u8, rm: u8, s: bool },
-    MulAdd { rd: u8, rn: u8, rm: u8, ra: u8, sub: bool },
-    MulLong { signed: bool, accumulate: bool, rdlo: u8, rdhi: u8, rn: u8, rm: u8 },
-    Umaal { rdlo: u8, rdhi: u8, rn: u8, rm: u8 },
-    Div { signed: bool, rd: u8, rn: u8, rm: u8 },
+    LoadMulti {
+        rn: u8,
+        list: u16,
+        wback: bool,
+        before: bool,
+    },
+    StoreMulti {
+        rn: u8,
+        list: u16,
+        wback: bool,
+        before: bool,
+    },
+    Mul {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+        s: bool,
+    },
+    MulAdd {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+        ra: u8,
+        sub: bool,
+    },
+    MulLong {
+        signed: bool,
+        accumulate: bool,
+        rdlo: u8,
+        rdhi: u8,
+        rn: u8,
+        rm: u8,
+    },
+    Umaal {
+        rdlo: u8,
+        rdhi: u8,
+        rn: u8,
+        rm: u8,
+    },
+    Div {
+        signed: bool,
+        rd: u8,
+        rn: u8,
+        rm: u8,
+    },
     /// `rn` of 15 means no accumulator.
-    Extend { op: ExtendOp, rd: u8, rn: u8, rm: u8, rotate: u8 },
-    Misc { op: MiscOp, rd: u8, rm: u8 },
-    Bitfield { op: BitfieldOp, rd: u8, rn: u8, lsb: u8, width: u8 },
+    Extend {
+        op: ExtendOp,
+        rd: u8,
+        rn: u8,
+        rm: u8,
+        rotate: u8,
+    },
+    Misc {
+        op: MiscOp,
+        rd: u8,
+        rm: u8,
+    },
+    Bitfield {
+        op: BitfieldOp,
+        rd: u8,
+        rn: u8,
+        lsb: u8,
+        width: u8,
+    },
     /// `CPSIE i` / `CPSID i`.
-    Cps { enable: bool },
-    MrsPrimask { rd: u8 },
-    MrsBasepri { rd: u8 },
+    Cps {
+        enable: bool,
+    },
+    MrsPrimask {
+        rd: u8,
+    },
+    MrsBasepri {
+        rd: u8,
+    },
     /// `MSR BASEPRI`, or `BASEPRI_MAX` if it only raises.
-    MsrBasepri { rn: u8, raise_only: bool },
+    MsrBasepri {
+        rn: u8,
+        raise_only: bool,
+    },
 }
 
 /// An operation and its length in bytes.
@@ -100,7 +314,10 @@ pub(crate) struct Slot {
 }
 
 impl Slot {
-    pub(crate) const UNKNOWN: Slot = Slot { op: Op::Unknown, len: 0 };
+    pub(crate) const UNKNOWN: Slot = Slot {
+        op: Op::Unknown,
+        len: 0,
+    };
 }
 
 /// Decodes the instruction at `pc`. `half(addr)` and `word(addr)` read code
@@ -113,12 +330,22 @@ pub(crate) fn decode_at(
     word: impl Fn(u32, u32) -> Option<u32>,
 ) -> Slot {
     let Some(first) = half(pc) else {
-        return Slot { op: Op::Slow, len: 2 };
+        return Slot {
+            op: Op::Slow,
+            len: 2,
+        };
     };
     let wide = is_32bit(first);
-    let second = if wide { half(pc.wrapping_add(2)) } else { Some(0) };
+    let second = if wide {
+        half(pc.wrapping_add(2))
+    } else {
+        Some(0)
+    };
     let Some(second) = second else {
-        return Slot { op: Op::Slow, len: 4 };
+        return Slot {
+            op: Op::Slow,
+            len: 4,
+        };
     };
     let insn = decode(first, second);
     let keep_flags = in_it && !wide;
@@ -139,7 +366,11 @@ fn kind_of(size: Size, signed: bool) -> Kind {
 }
 
 fn signed_offset(imm: u32, add: bool) -> i32 {
-    if add { imm as i32 } else { (imm as i32).wrapping_neg() }
+    if add {
+        imm as i32
+    } else {
+        (imm as i32).wrapping_neg()
+    }
 }
 
 #[allow(clippy::too_many_lines)] // One arm per instruction shape.
@@ -147,18 +378,35 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
     // The PC reads as the instruction's address plus four (DDI 0403 A5.1.2).
     let here = pc.wrapping_add(4);
     match insn {
-        Insn::DataProc { op, s, rd, rn, operand } => {
+        Insn::DataProc {
+            op,
+            s,
+            rd,
+            rn,
+            operand,
+        } => {
             let s = s && (!keep_flags || op.is_test());
             data_proc(op, s, rd, rn, operand)
         }
-        Insn::ShiftReg { ty, s, rd, rn, rm } if rd != 15 && rn != 15 && rm != 15 => {
-            Op::ShiftReg { ty, s: s && !keep_flags, rd, rn, rm }
-        }
+        Insn::ShiftReg { ty, s, rd, rn, rm } if rd != 15 && rn != 15 && rm != 15 => Op::ShiftReg {
+            ty,
+            s: s && !keep_flags,
+            rd,
+            rn,
+            rm,
+        },
         Insn::Adr { rd, imm, add } if rd != 15 => Op::MovImm {
             rd,
             imm: (here & !3).wrapping_add(signed_offset(imm, add) as u32),
         },
-        Insn::MovImm16 { top: false, rd, imm } if rd != 15 => Op::MovImm { rd, imm: u32::from(imm) },
+        Insn::MovImm16 {
+            top: false,
+            rd,
+            imm,
+        } if rd != 15 => Op::MovImm {
+            rd,
+            imm: u32::from(imm),
+        },
         Insn::MovImm16 { top: true, rd, imm } if rd != 15 => Op::MovTop { rd, imm },
         Insn::Branch { cond, offset } => {
             let target = here.wrapping_add(offset as u32) & !1;
@@ -172,7 +420,11 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
         },
         Insn::Bx { rm } if rm != 15 => Op::Bx { rm },
         Insn::Blx { rm } if rm != 15 => Op::Blx { rm },
-        Insn::Cbz { nonzero, rn, offset } => Op::Cbz {
+        Insn::Cbz {
+            nonzero,
+            rn,
+            offset,
+        } => Op::Cbz {
             nonzero,
             rn,
             target: here.wrapping_add(offset) & !1,
@@ -183,88 +435,224 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
             half,
             base: if rn == 15 { here } else { 0 },
         },
-        Insn::It { cond, mask } => Op::It { state: (cond.0 << 4) | mask },
-        Insn::LoadStore { load, size, signed, rt, rn, offset, index, add, wback, unpriv: false } => {
-            load_store(load, kind_of(size, signed), rt, rn, offset, index, add, wback)
-        }
-        Insn::LoadLiteral { size, signed, rt, imm, add } if rt != 15 => {
+        Insn::It { cond, mask } => Op::It {
+            state: (cond.0 << 4) | mask,
+        },
+        Insn::LoadStore {
+            load,
+            size,
+            signed,
+            rt,
+            rn,
+            offset,
+            index,
+            add,
+            wback,
+            unpriv: false,
+        } => load_store(
+            load,
+            kind_of(size, signed),
+            rt,
+            rn,
+            offset,
+            index,
+            add,
+            wback,
+        ),
+        Insn::LoadLiteral {
+            size,
+            signed,
+            rt,
+            imm,
+            add,
+        } if rt != 15 => {
             let addr = (here & !3).wrapping_add(signed_offset(imm, add) as u32);
             let kind = kind_of(size, signed);
             match word(addr, size.bytes()) {
-                Some(raw) => Op::LoadConst { rt, value: extend_load(kind, raw) },
+                Some(raw) => Op::LoadConst {
+                    rt,
+                    value: extend_load(kind, raw),
+                },
                 None => Op::Slow,
             }
         }
-        Insn::LoadStoreDual { load, rt, rt2, rn, imm, index, add, wback }
-            if rn != 15 && rt != 15 && rt2 != 15 && (index || wback) =>
-        {
+        Insn::LoadStoreDual {
+            load,
+            rt,
+            rt2,
+            rn,
+            imm,
+            index,
+            add,
+            wback,
+        } if rn != 15 && rt != 15 && rt2 != 15 && (index || wback) => {
             let imm = signed_offset(imm, add);
             if load {
-                Op::LoadDual { rt, rt2, rn, imm, pre: index, wback }
+                Op::LoadDual {
+                    rt,
+                    rt2,
+                    rn,
+                    imm,
+                    pre: index,
+                    wback,
+                }
             } else {
-                Op::StoreDual { rt, rt2, rn, imm, pre: index, wback }
+                Op::StoreDual {
+                    rt,
+                    rt2,
+                    rn,
+                    imm,
+                    pre: index,
+                    wback,
+                }
             }
         }
-        Insn::LoadStoreExclusive { load, size, rd, rt, rn, imm }
-            if rn != 15 && rt != 15 && imm < 0x1_0000 =>
-        {
+        Insn::LoadStoreExclusive {
+            load,
+            size,
+            rd,
+            rt,
+            rn,
+            imm,
+        } if rn != 15 && rt != 15 && imm < 0x1_0000 => {
             let kind = kind_of(size, false);
             let imm = imm as u16;
             if load {
                 Op::LoadEx { kind, rt, rn, imm }
             } else if rd != 15 {
-                Op::StoreEx { kind, rd, rt, rn, imm }
+                Op::StoreEx {
+                    kind,
+                    rd,
+                    rt,
+                    rn,
+                    imm,
+                }
             } else {
                 Op::Slow
             }
         }
         Insn::ClearExclusive => Op::ClearEx,
-        Insn::LoadStoreMultiple { load, rn, list, wback, before } if rn != 15 && list != 0 => {
+        Insn::LoadStoreMultiple {
+            load,
+            rn,
+            list,
+            wback,
+            before,
+        } if rn != 15 && list != 0 => {
             if load {
-                Op::LoadMulti { rn, list, wback, before }
+                Op::LoadMulti {
+                    rn,
+                    list,
+                    wback,
+                    before,
+                }
             } else if list & (1 << 15) == 0 {
-                Op::StoreMulti { rn, list, wback, before }
+                Op::StoreMulti {
+                    rn,
+                    list,
+                    wback,
+                    before,
+                }
             } else {
                 Op::Slow
             }
         }
-        Insn::Mul { rd, rn, rm, ra, sub, s } if rd != 15 && rn != 15 && rm != 15 => match ra {
-            None => Op::Mul { rd, rn, rm, s: s && !keep_flags },
-            Some(ra) if ra != 15 && !s => Op::MulAdd { rd, rn, rm, ra, sub },
+        Insn::Mul {
+            rd,
+            rn,
+            rm,
+            ra,
+            sub,
+            s,
+        } if rd != 15 && rn != 15 && rm != 15 => match ra {
+            None => Op::Mul {
+                rd,
+                rn,
+                rm,
+                s: s && !keep_flags,
+            },
+            Some(ra) if ra != 15 && !s => Op::MulAdd {
+                rd,
+                rn,
+                rm,
+                ra,
+                sub,
+            },
             Some(_) => Op::Slow,
         },
-        Insn::MulLong { signed, accumulate, rdlo, rdhi, rn, rm, umaal }
-            if rdlo != 15 && rdhi != 15 && rn != 15 && rm != 15 =>
-        {
+        Insn::MulLong {
+            signed,
+            accumulate,
+            rdlo,
+            rdhi,
+            rn,
+            rm,
+            umaal,
+        } if rdlo != 15 && rdhi != 15 && rn != 15 && rm != 15 => {
             if umaal {
                 Op::Umaal { rdlo, rdhi, rn, rm }
             } else {
-                Op::MulLong { signed, accumulate, rdlo, rdhi, rn, rm }
+                Op::MulLong {
+                    signed,
+                    accumulate,
+                    rdlo,
+                    rdhi,
+                    rn,
+                    rm,
+                }
             }
         }
         Insn::Div { signed, rd, rn, rm } if rd != 15 && rn != 15 && rm != 15 => {
             Op::Div { signed, rd, rn, rm }
         }
-        Insn::Extend { op, rd, rn, rm, rotate }
-            if rd != 15 && rm != 15 && !matches!(op, ExtendOp::Sxtb16 | ExtendOp::Uxtb16) =>
-        {
-            Op::Extend { op, rd, rn, rm, rotate }
+        Insn::Extend {
+            op,
+            rd,
+            rn,
+            rm,
+            rotate,
+        } if rd != 15 && rm != 15 && !matches!(op, ExtendOp::Sxtb16 | ExtendOp::Uxtb16) => {
+            Op::Extend {
+                op,
+                rd,
+                rn,
+                rm,
+                rotate,
+            }
         }
         Insn::Misc { op, rd, rm } if rd != 15 && rm != 15 => Op::Misc { op, rd, rm },
-        Insn::Bitfield { op, rd, rn, lsb, width }
-            if rd != 15 && (rn != 15 || op == BitfieldOp::Bfc) =>
-        {
-            Op::Bitfield { op, rd, rn: rn & 15, lsb: lsb & 31, width: width.clamp(1, 32) }
-        }
-        Insn::Cps { enable, i: true, f: false } => Op::Cps { enable },
+        Insn::Bitfield {
+            op,
+            rd,
+            rn,
+            lsb,
+            width,
+        } if rd != 15 && (rn != 15 || op == BitfieldOp::Bfc) => Op::Bitfield {
+            op,
+            rd,
+            rn: rn & 15,
+            lsb: lsb & 31,
+            width: width.clamp(1, 32),
+        },
+        Insn::Cps {
+            enable,
+            i: true,
+            f: false,
+        } => Op::Cps { enable },
         Insn::Mrs { rd, sysm: 16 } if rd != 15 => Op::MrsPrimask { rd },
         Insn::Mrs { rd, sysm: 17 | 18 } if rd != 15 => Op::MrsBasepri { rd },
-        Insn::Msr { rn, sysm: sysm @ (17 | 18), .. } if rn != 15 => Op::MsrBasepri {
+        Insn::Msr {
+            rn,
+            sysm: sysm @ (17 | 18),
+            ..
+        } if rn != 15 => Op::MsrBasepri {
             rn,
             raise_only: sysm == 18,
         },
         Insn::Barrier { .. } => Op::Nop,
-        Insn::Hint { op: HintOp::Nop | HintOp::Yield | HintOp::Preload | HintOp::Dbg(_) } => Op::Nop,
+        Insn::Hint {
+            op: HintOp::Nop | HintOp::Yield | HintOp::Preload | HintOp::Dbg(_),
+        } => Op::Nop,
         _ => Op::Slow,
     }
 }
@@ -280,7 +668,11 @@ fn data_proc(op: DpOp, s: bool, rd: u8, rn: u8, operand: Operand) -> Op {
             (DpOp::Mvn, false, _) => Op::MovImm { rd, imm: !imm },
             (DpOp::Mov, true, None) => Op::MovsImm { rd, imm },
             (DpOp::Add, false, _) => Op::AddImm { rd, rn, imm },
-            (DpOp::Sub, false, _) => Op::AddImm { rd, rn, imm: imm.wrapping_neg() },
+            (DpOp::Sub, false, _) => Op::AddImm {
+                rd,
+                rn,
+                imm: imm.wrapping_neg(),
+            },
             (DpOp::Add, true, _) => Op::AddsImm { rd, rn, imm },
             (DpOp::Sub, true, _) => Op::SubsImm { rd, rn, imm },
             (DpOp::Cmp, _, _) => Op::CmpImm { rn, imm },
@@ -301,7 +693,15 @@ fn data_proc(op: DpOp, s: bool, rd: u8, rn: u8, operand: Operand) -> Op {
             (DpOp::Sub, false) => Op::SubReg { rd, rn, rm },
             (DpOp::Sub, true) => Op::SubsReg { rd, rn, rm },
             (DpOp::Cmp, _) => Op::CmpReg { rn, rm },
-            _ => Op::DpReg { op, s, rd, rn, rm, ty: ShiftType::Lsl, amount: 0 },
+            _ => Op::DpReg {
+                op,
+                s,
+                rd,
+                rn,
+                rm,
+                ty: ShiftType::Lsl,
+                amount: 0,
+            },
         },
         Operand::Reg { rm, shift } => Op::DpReg {
             op,
@@ -335,16 +735,40 @@ fn load_store(
             match (wback, index, load) {
                 (false, true, true) => Op::LoadImm { kind, rt, rn, imm },
                 (false, true, false) => Op::StoreImm { kind, rt, rn, imm },
-                (true, pre, true) => Op::LoadWb { kind, rt, rn, pre, imm },
-                (true, pre, false) => Op::StoreWb { kind, rt, rn, pre, imm },
+                (true, pre, true) => Op::LoadWb {
+                    kind,
+                    rt,
+                    rn,
+                    pre,
+                    imm,
+                },
+                (true, pre, false) => Op::StoreWb {
+                    kind,
+                    rt,
+                    rn,
+                    pre,
+                    imm,
+                },
                 (false, false, _) => Op::Slow,
             }
         }
         MemOffset::Reg { rm, lsl } if !wback && index && add && rm != 15 => {
             if load {
-                Op::LoadReg { kind, rt, rn, rm, lsl }
+                Op::LoadReg {
+                    kind,
+                    rt,
+                    rn,
+                    rm,
+                    lsl,
+                }
             } else {
-                Op::StoreReg { kind, rt, rn, rm, lsl }
+                Op::StoreReg {
+                    kind,
+                    rt,
+                    rn,
+                    rm,
+                    lsl,
+                }
             }
         }
         MemOffset::Reg { .. } => Op::Slow,

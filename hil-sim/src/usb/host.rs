@@ -14,10 +14,9 @@
 
 use std::collections::VecDeque;
 
-use rsemu::core::rand::{Stream, derive_seed};
-
 use super::descriptors::{self, CdcAcm, DeviceInfo};
 use crate::chip::otg::{Handshake, Otg};
+use crate::random::{Random, Seed, Stream};
 use crate::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// A bit at 12 Mbit/s.
@@ -94,9 +93,21 @@ enum Step {
 enum Phase {
     Unplugged,
     NoDevice,
-    Debounce { until: SimTime },
-    Reset { until: SimTime, then: Step },
-    Rest { until: SimTime, then: Step },
+    Debounce {
+        until: SimTime,
+    },
+    /// Time for the device before the second reset.
+    Settle {
+        until: SimTime,
+    },
+    Reset {
+        until: SimTime,
+        then: Step,
+    },
+    Rest {
+        until: SimTime,
+        then: Step,
+    },
     Control(Step),
     Ready,
     Failed,
@@ -153,15 +164,17 @@ pub struct UsbHost {
     buffer_limit: usize,
     corrupt_in_ppm: u32,
     corrupt_out_ppm: u32,
-    random: Stream,
+    random: Random,
     config_len: u16,
+    /// Bytes of a packet of endpoint 0.
+    ep0_packet: usize,
     traffic: UsbTraffic,
     log: Vec<(SimTime, String)>,
 }
 
 impl UsbHost {
     /// A host with no cable in it.
-    pub(crate) fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: Seed) -> Self {
         Self {
             phase: Phase::Unplugged,
             failure: String::new(),
@@ -183,8 +196,9 @@ impl UsbHost {
             buffer_limit: usize::MAX,
             corrupt_in_ppm: 0,
             corrupt_out_ppm: 0,
-            random: Stream::new(derive_seed(seed, "usb host")),
+            random: seed.stream(Stream::UsbDamage),
             config_len: 9,
+            ep0_packet: 64,
             traffic: UsbTraffic::default(),
             log: Vec::new(),
         }
@@ -352,7 +366,10 @@ impl UsbHost {
 
     /// Whether frames are sent.
     fn active(&self) -> bool {
-        matches!(self.phase, Phase::Rest { .. } | Phase::Control(_) | Phase::Ready)
+        matches!(
+            self.phase,
+            Phase::Settle { .. } | Phase::Rest { .. } | Phase::Control(_) | Phase::Ready
+        )
     }
 
     /// Attach, detach and suspend.
@@ -360,13 +377,14 @@ impl UsbHost {
         let attached = otg.attached();
         match self.phase {
             Phase::Unplugged => {}
-            Phase::NoDevice => {
-                if attached {
-                    self.phase = Phase::Debounce { until: now + DEBOUNCE };
-                    self.quiet_since = Some(now);
-                    self.note(now, "device attached");
-                }
+            Phase::NoDevice if attached => {
+                self.phase = Phase::Debounce {
+                    until: now + DEBOUNCE,
+                };
+                self.quiet_since = Some(now);
+                self.note(now, "device attached");
             }
+            Phase::NoDevice => {}
             _ if !attached => {
                 self.note(now, "device detached");
                 self.drop_device();
@@ -402,6 +420,14 @@ impl UsbHost {
                 self.reset(now, Step::Descriptor8, otg);
                 true
             }
+            Phase::Settle { until } => {
+                if now < until {
+                    self.next = self.next.min(until);
+                    return false;
+                }
+                self.reset(now, Step::SetAddress, otg);
+                true
+            }
             Phase::Reset { until, then } => {
                 if now < until {
                     self.next = self.next.min(until);
@@ -409,7 +435,10 @@ impl UsbHost {
                 }
                 otg.enumerated();
                 self.origin = now;
-                self.phase = Phase::Rest { until: now + RECOVERY, then };
+                self.phase = Phase::Rest {
+                    until: now + RECOVERY,
+                    then,
+                };
                 true
             }
             Phase::Rest { until, then } => {
@@ -426,11 +455,17 @@ impl UsbHost {
     }
 
     fn reset(&mut self, now: SimTime, then: Step, otg: &mut Otg) {
+        if then == Step::Descriptor8 {
+            self.ep0_packet = 64;
+        }
         self.quiet_since = None;
         self.inflight = None;
         self.control = None;
         otg.bus_reset();
-        self.phase = Phase::Reset { until: now + RESET, then };
+        self.phase = Phase::Reset {
+            until: now + RESET,
+            then,
+        };
     }
 
     /// Begins a step of the enumeration.
@@ -473,19 +508,34 @@ impl UsbHost {
     }
 
     /// Goes on after a control transfer that worked.
-    fn finished(&mut self, step: Step, data: &[u8], now: SimTime, otg: &mut Otg) -> Result<(), String> {
+    fn finished(
+        &mut self,
+        step: Step,
+        data: &[u8],
+        now: SimTime,
+        otg: &mut Otg,
+    ) -> Result<(), String> {
         match step {
             Step::Descriptor8 => {
                 if data.len() < 8 || data[1] != 1 {
                     return Err(format!("first bytes of the device descriptor: {data:02x?}"));
                 }
-                self.reset(now, Step::SetAddress, otg);
+                self.ep0_packet = usize::from(data[7]);
+                self.phase = Phase::Settle {
+                    until: now + RECOVERY,
+                };
             }
             Step::SetAddress => {
                 if otg.address() != ADDRESS {
-                    return Err(format!("device took address {} instead of {ADDRESS}", otg.address()));
+                    return Err(format!(
+                        "device took address {} instead of {ADDRESS}",
+                        otg.address()
+                    ));
                 }
-                self.phase = Phase::Rest { until: now + RECOVERY, then: Step::Descriptor };
+                self.phase = Phase::Rest {
+                    until: now + RECOVERY,
+                    then: Step::Descriptor,
+                };
             }
             Step::Descriptor => {
                 self.info = DeviceInfo::default();
@@ -591,11 +641,11 @@ impl UsbHost {
         if let Some(control) = &self.control {
             return match control.stage {
                 Stage::Setup => Some((Transaction::Setup, 8)),
-                Stage::DataIn | Stage::StatusIn => {
-                    otg.in_ready(0).map(|_| (Transaction::ControlIn, otg.in_len(0)))
-                }
+                Stage::DataIn | Stage::StatusIn => otg
+                    .in_ready(0)
+                    .map(|_| (Transaction::ControlIn, otg.in_len(0))),
                 Stage::DataOut => {
-                    let end = (control.sent + 64).min(control.data.len());
+                    let end = (control.sent + self.ep0_packet.max(8)).min(control.data.len());
                     let chunk = control.data[control.sent..end].to_vec();
                     otg.out_ready(0, chunk.len()).map(|_| {
                         let n = chunk.len();
@@ -616,9 +666,11 @@ impl UsbHost {
         // IN and OUT take turns when both have something.
         self.out_turn = !self.out_turn;
         if self.out_turn {
-            self.choose_out(otg, cdc).or_else(|| self.choose_in(otg, cdc))
+            self.choose_out(otg, cdc)
+                .or_else(|| self.choose_in(otg, cdc))
         } else {
-            self.choose_in(otg, cdc).or_else(|| self.choose_out(otg, cdc))
+            self.choose_in(otg, cdc)
+                .or_else(|| self.choose_out(otg, cdc))
         }
     }
 
@@ -719,14 +771,14 @@ impl UsbHost {
                 };
             }
             Stage::DataIn => {
-                let short = got.len() < 64;
+                let short = got.len() < self.ep0_packet;
                 control.data.extend_from_slice(&got);
                 if short || control.data.len() >= wanted {
                     control.stage = Stage::StatusOut;
                 }
             }
             Stage::DataOut => {
-                control.sent = (control.sent + 64).min(control.data.len());
+                control.sent = (control.sent + self.ep0_packet.max(8)).min(control.data.len());
                 if control.sent == control.data.len() {
                     control.stage = Stage::StatusIn;
                 }
@@ -745,9 +797,9 @@ impl UsbHost {
 }
 
 /// Damages a byte with a chance of `ppm` in a million.
-fn corrupt(random: &mut Stream, ppm: u32, byte: u8) -> u8 {
-    if ppm > 0 && random.next_u32() % 1_000_000 < ppm {
-        byte ^ (1 << (random.next_u32() % 8))
+fn corrupt(random: &mut Random, ppm: u32, byte: u8) -> u8 {
+    if ppm > 0 && random.bits() % 1_000_000 < u64::from(ppm) {
+        byte ^ (1 << (random.bits() % 8))
     } else {
         byte
     }
