@@ -71,6 +71,12 @@ pub enum Command {
     Ports(commands::ports::Args),
     /// Talk to the phone's app
     Phone(commands::phone::Args),
+    /// Record: twist, align the trigger to the phone's frames, record, stop
+    Record(commands::record::Args),
+    /// Is everything there for a recording, and if not, what to do
+    Doctor(commands::doctor::Args),
+    /// Make, check and teach a rig profile
+    Profile(commands::profile::Args),
     /// The camera trigger by hand: start, align, period, stop, status
     Trigger(commands::trigger::Args),
     /// Stream the board's IMU: rate, jitter, noise; to a CSV file
@@ -84,6 +90,9 @@ impl Command {
             Self::Offset(args) => commands::offset::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),
+            Self::Record(args) => commands::record::run(args, context),
+            Self::Doctor(args) => commands::doctor::run(args, context),
+            Self::Profile(args) => commands::profile::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),
             Self::Imu(args) => commands::imu::run(args, context),
         }

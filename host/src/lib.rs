@@ -6,6 +6,7 @@
 //! - [`phone`]: the phone's remote control over TCP.
 //! - [`imu`]: the board's IMU samples in SI units.
 //! - [`profile`]: what is fixed about one rig.
+//! - [`record`]: a session from the twist to the aligned recording.
 //! - [`recording`]: the folder of a session, written and read.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
@@ -21,6 +22,7 @@ pub mod imu;
 pub mod outcome;
 pub mod phone;
 pub mod profile;
+pub mod record;
 pub mod recording;
 pub mod session;
 pub mod sync;

@@ -95,6 +95,9 @@ pub enum Outcome {
     Refused,
     /// The user stopped it early; what there was is kept.
     Interrupted,
+    /// What is wrong is in the result that was printed; nothing more is to be
+    /// said.
+    Told(ExitStatus),
 }
 
 impl From<Outcome> for ExitStatus {
@@ -104,6 +107,7 @@ impl From<Outcome> for ExitStatus {
             Outcome::Loss => Self::Loss,
             Outcome::Refused => Self::Refused,
             Outcome::Interrupted => Self::Interrupted,
+            Outcome::Told(status) => status,
         }
     }
 }

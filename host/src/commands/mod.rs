@@ -1,10 +1,13 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
+pub mod doctor;
 pub mod imu;
 pub mod info;
 pub mod offset;
 pub mod phone;
 pub mod ports;
+pub mod profile;
+pub mod record;
 pub mod trigger;
 
 use crate::board::Board;

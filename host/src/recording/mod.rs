@@ -11,7 +11,7 @@
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - [`reader`]: reads it, whole or broken off.
-//! - [`session_file`]: `session.json`.
+//! - [`session_file`]: what `session.json` holds.
 //!
 //! The format is described in `docs/formats.md`.
 

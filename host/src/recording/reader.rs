@@ -29,7 +29,7 @@ const MAX_RECORD: usize = 256 << 20;
 #[non_exhaustive]
 pub enum Item {
     /// `/board/imu`.
-    Imu(Imu),
+    Imu(Box<Imu>),
     /// `/board/imu_temperature`.
     Temperature(Temperature),
     /// `/board/trigger`.
@@ -222,7 +222,7 @@ fn entry(
         source,
     };
     let item = match topic {
-        topic::IMU => from_cdr(data).map(Item::Imu),
+        topic::IMU => from_cdr(data).map(|imu| Item::Imu(Box::new(imu))),
         topic::TEMPERATURE => from_cdr(data).map(Item::Temperature),
         topic::TRIGGER => from_cdr(data).map(Item::Trigger),
         topic::PULSE => from_cdr(data).map(Item::Pulse),

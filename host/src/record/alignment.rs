@@ -1,0 +1,378 @@
+//! Where the trigger must be sent so that the depth camera is exposed in the
+//! middle of the phone's frames. Pure arithmetic.
+//!
+//! ```text
+//! phone time of the middle   m = phase + exposure/2 + start of the row − start of the first row
+//! board time of it           b = clock⁻¹(m)
+//! trigger edge               e = b − center_offset − bias
+//! period on the board        p = frame period / (1 + skew) · (phone frames to a depth frame)
+//! ```
+//!
+//! `phase` is the timestamp of one frame, the start of exposure of its first
+//! row. `center_offset` is from the trigger's edge to the middle of exposure of
+//! the depth image; `bias` is what `evaluate --calibrate` measured to be left
+//! over, depth minus phone.
+//!
+//! The phase depends on the offset of the clocks at the time of that frame,
+//! the drift on frame period and skew. A single twist gives the skew to about
+//! 1 ppm, and `video_start` the frame period to about 1 ppm: each 60 µs/min. So
+//! both are taken from the profile once they have been learnt.
+
+use protocol::{Period, TICK_HZ, Ticks};
+
+use crate::profile::{Learnt, Profile};
+use crate::recording::session_file::{Alignment, FramePeriodSource, Video};
+use crate::sync::ClockModel;
+use crate::time::{BoardSeconds, PhoneSeconds};
+
+/// How far a learnt value may be from the one measured now, in sigmas of both.
+const CONSISTENT_SIGMAS: f64 = 5.0;
+
+/// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean
+/// of 59 intervals whose ends have 2 µs of timestamp jitter, √2 · 2000 / 59.
+const VIDEO_START_SIGMA_NS: f64 = 48.0;
+
+/// The frame periods that can be followed: the board's own bounds.
+const SECONDS: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
+
+/// Why there is no alignment.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AlignmentError {
+    /// The phone's frame period is not one that the trigger can make.
+    #[error("the phone reports a frame period of {period_ns} ns, expected 1 ms to 1 s")]
+    FramePeriod {
+        /// As reported or learnt, times the frames to a depth frame.
+        period_ns: f64,
+    },
+    /// The result is before the board's reset or not a number.
+    #[error(
+        "the phone's frame lies at {board_s} s of board time: the clock relation is of another session"
+    )]
+    OutOfRange {
+        /// Where the arithmetic led.
+        board_s: f64,
+    },
+}
+
+/// An alignment and what to know about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Planned {
+    /// The alignment.
+    pub alignment: Alignment,
+    /// Remarks for the user.
+    pub remarks: Vec<String>,
+}
+
+/// What the profile has learnt about this phone and this board, where it can be
+/// used.
+#[must_use]
+pub fn skew_prior<'p>(profile: &'p Profile, board_id: &str) -> Option<(f64, f64, &'p Learnt)> {
+    let learnt = profile.phone.learnt.as_ref()?;
+    if learnt.board_id.as_deref().is_some_and(|id| id != board_id) {
+        return None;
+    }
+    Some((learnt.skew?, learnt.skew_sigma?, learnt))
+}
+
+/// Takes a skew known from before into a relation of the clocks.
+///
+/// The Kalman update with a measurement of the skew alone: the offset moves with
+/// it as their covariance says. `None` if the two contradict each other.
+#[must_use]
+pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<ClockModel> {
+    let p = clock.covariance;
+    let innovation = skew - clock.skew;
+    let variance = p[1][1] + sigma * sigma;
+    if !variance.is_normal() || innovation.abs() > CONSISTENT_SIGMAS * variance.sqrt() {
+        return None;
+    }
+    let gain = [p[0][1] / variance, p[1][1] / variance];
+    let cross = p[0][1] * (1.0 - gain[1]);
+    Some(ClockModel {
+        offset: clock.offset + gain[0] * innovation,
+        skew: clock.skew + gain[1] * innovation,
+        covariance: [
+            [p[0][0] - gain[0] * p[0][1], cross],
+            [cross, p[1][1] * (1.0 - gain[1])],
+        ],
+        ..*clock
+    })
+}
+
+/// Plans the alignment.
+///
+/// # Errors
+///
+/// The phone's figures lead nowhere.
+pub fn plan(
+    profile: &Profile,
+    clock: &ClockModel,
+    video: &Video,
+) -> Result<Planned, AlignmentError> {
+    let mut remarks = Vec::new();
+    let (frame_period_ns, frame_period_sigma_ns, source) =
+        frame_period(profile, video, &mut remarks);
+    let exposure_us = match video.exposure_ns {
+        Some(exposure) if exposure > 0 => exposure as f64 * 1e-3,
+        _ => {
+            remarks.push(format!(
+                "the app does not report the exposure; the profile's {} µs is used",
+                profile.phone.exposure_us
+            ));
+            profile.phone.exposure_us
+        }
+    };
+    let middle_row_us = profile.middle_row_us();
+    let center_offset_us = profile.depth.center_offset_us;
+    let bias_us = profile.frame_sync.bias_us;
+
+    let middle = PhoneSeconds(video.phase.seconds().0 + (exposure_us / 2.0 + middle_row_us) * 1e-6);
+    let edge = BoardSeconds(clock.to_board(middle).0 - (center_offset_us + bias_us) * 1e-6);
+    if !(edge.0 > 0.0 && edge.0 < 1e9) {
+        return Err(AlignmentError::OutOfRange { board_s: edge.0 });
+    }
+    let ratio = f64::from(profile.frame_ratio());
+    let period_s = frame_period_ns * 1e-9 * ratio / (1.0 + clock.skew);
+    if !SECONDS.contains(&period_s) {
+        return Err(AlignmentError::FramePeriod {
+            period_ns: frame_period_ns * ratio,
+        });
+    }
+    // At 30 fps 1.6·10⁶ · 2³² is below 2⁵³: exact to 2⁻³² ticks.
+    let period_q32 = (period_s * f64::from(TICK_HZ) * 4_294_967_296.0).round() as u64;
+
+    let skew_sigma = clock.skew_sigma_at(edge);
+    let period_sigma = frame_period_sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns;
+    Ok(Planned {
+        alignment: Alignment {
+            exposure_us,
+            middle_row_us,
+            center_offset_us,
+            bias_us,
+            frame_period_ns,
+            frame_period_sigma_ns,
+            frame_period_source: source,
+            clock: *clock,
+            anchor: edge.ticks(),
+            period_q32,
+            phase_sigma_us: clock.offset_at(edge).sigma * 1e6,
+            drift_sigma_us_per_min: (skew_sigma.powi(2) + period_sigma.powi(2)).sqrt() * 60e6,
+            arrival_pulse: None,
+            arrival: None,
+        },
+        remarks,
+    })
+}
+
+/// The learnt frame period where there is one that fits what the phone reports
+/// now; else the reported one.
+fn frame_period(
+    profile: &Profile,
+    video: &Video,
+    remarks: &mut Vec<String>,
+) -> (f64, Option<f64>, FramePeriodSource) {
+    let reported = video.frame_duration_ns;
+    let Some(learnt) = &profile.phone.learnt else {
+        remarks.push(String::from(
+            "no frame period learnt yet: the phase may drift by tens of µs a minute \
+             (`smartdepthsync profile learn`)",
+        ));
+        return (reported, None, FramePeriodSource::VideoStart);
+    };
+    let sigma = learnt.frame_period_sigma_ns.hypot(VIDEO_START_SIGMA_NS);
+    if (learnt.frame_period_ns - reported).abs() > CONSISTENT_SIGMAS * sigma {
+        remarks.push(format!(
+            "the learnt frame period of {} ns does not fit the {reported} ns that the phone \
+             reports now (another mode?); the reported one is used",
+            learnt.frame_period_ns
+        ));
+        return (reported, None, FramePeriodSource::VideoStart);
+    }
+    (
+        learnt.frame_period_ns,
+        Some(learnt.frame_period_sigma_ns),
+        FramePeriodSource::Learnt,
+    )
+}
+
+/// How far a tick is from the nearest edge of a grid, in ticks: 0 for a pulse
+/// that is where it was sent.
+#[must_use]
+pub fn off_grid(anchor: Ticks, period: Period, at: Ticks) -> i64 {
+    let distance = i128::from(at.0) - i128::from(anchor.0);
+    let raw = i128::from(period.0.max(1));
+    // The nearest edge, and its neighbours: floors may move it by one.
+    let near = (distance << 32).div_euclid(raw);
+    (-1..=1)
+        .filter_map(|step| i64::try_from(near + step).ok())
+        .map(|k| (at - period.edge(anchor, k)).0)
+        .min_by_key(|difference| difference.unsigned_abs())
+        .unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::civil::date;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::sync::Wander;
+    use crate::time::PhoneNanos;
+
+    fn clock() -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 36_000.000_25,
+            skew: 2e-5,
+            covariance: [[9e-12, 0.0], [0.0, 1e-12]],
+            wander: Wander(1e-8),
+        }
+    }
+
+    fn video() -> Video {
+        Video {
+            phase: PhoneNanos(36_110_000_000_000),
+            frame_duration_ns: 33_330_652.542,
+            exposure_ns: Some(4_000_000),
+        }
+    }
+
+    fn learnt() -> Learnt {
+        Learnt {
+            frame_period_ns: 33_330_650.0,
+            frame_period_sigma_ns: 0.02,
+            skew: Some(2.05e-5),
+            skew_sigma: Some(2e-8),
+            learnt: date(2026, 1, 31),
+            board_id: Some(String::from("AB")),
+        }
+    }
+
+    #[test]
+    fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
+        let mut profile = Profile::published().unwrap();
+        profile.frame_sync.bias_us = -120.0;
+        let planned = plan(&profile, &clock(), &video()).unwrap();
+        let alignment = planned.alignment;
+        // Back from the edge to the phone's time: the same instant.
+        let middle_board = BoardSeconds(alignment.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
+        let middle_phone = clock().to_phone(middle_board).0;
+        let wanted = 36_110.0 + (2_000.0 + 5_503.0) * 1e-6;
+        assert!(
+            (middle_phone - wanted).abs() < 12e-9,
+            "{middle_phone} {wanted}"
+        );
+
+        // The period in board ticks: the phone's seconds are shorter than the board's.
+        let ticks = alignment.period_q32 as f64 / 4_294_967_296.0;
+        let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
+        assert!((ticks - expected).abs() < 1e-8);
+        assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
+        // 1 ppm of skew, 1.4 ppm of frame period.
+        assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
+        assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0).sqrt()).abs() < 0.5);
+        assert!(planned.remarks[0].contains("no frame period learnt"));
+    }
+
+    #[test]
+    fn a_learnt_period_is_used_unless_it_does_not_fit() {
+        let mut profile = Profile::published().unwrap();
+        profile.phone.learnt = Some(learnt());
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
+        assert_eq!(alignment.frame_period_ns, 33_330_650.0);
+
+        let mut other = video();
+        other.frame_duration_ns = 33_333_333.0;
+        let planned = plan(&profile, &clock(), &other).unwrap();
+        assert_eq!(
+            planned.alignment.frame_period_source,
+            FramePeriodSource::VideoStart
+        );
+        assert!(planned.remarks[0].contains("does not fit"));
+    }
+
+    #[test]
+    fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
+        let mut profile = Profile::published().unwrap();
+        let fast = plan(&profile, &clock(), &video()).unwrap().alignment;
+        profile.depth.fps = 5;
+        let slow = plan(&profile, &clock(), &video()).unwrap().alignment;
+        assert_eq!(slow.anchor, fast.anchor);
+        assert!(slow.period_q32.abs_diff(6 * fast.period_q32) <= 4);
+    }
+
+    #[test]
+    fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
+        let profile = Profile::published().unwrap();
+        for exposure_ns in [None, Some(0)] {
+            let video = Video {
+                exposure_ns,
+                ..video()
+            };
+            let planned = plan(&profile, &clock(), &video).unwrap();
+            assert_eq!(planned.alignment.exposure_us, 10_000.0);
+            assert!(planned.remarks.iter().any(|text| text.contains("exposure")));
+        }
+    }
+
+    #[test]
+    fn nonsense_from_the_phone_is_told() {
+        let profile = Profile::published().unwrap();
+        for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9] {
+            let video = Video {
+                frame_duration_ns,
+                ..video()
+            };
+            assert!(matches!(
+                plan(&profile, &clock(), &video),
+                Err(AlignmentError::FramePeriod { .. })
+            ));
+        }
+        let early = Video {
+            phase: PhoneNanos(0),
+            ..video()
+        };
+        assert!(matches!(
+            plan(&profile, &clock(), &early),
+            Err(AlignmentError::OutOfRange { .. })
+        ));
+    }
+
+    #[test]
+    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
+        let mut wide = clock();
+        wide.covariance = [[9e-12, 1e-12], [1e-12, 1e-12]];
+        let sharp = with_known_skew(&wide, 2.05e-5, 2e-8).unwrap();
+        assert!((sharp.skew - 2.05e-5).abs() < 1e-9);
+        assert!(sharp.covariance[1][1].sqrt() < 2.1e-8);
+        // Correlation 1/3: the offset moves by cov/var of the skew's change.
+        assert!((sharp.offset - wide.offset - 0.5e-6).abs() < 1e-8);
+        assert!(sharp.covariance[0][0] < wide.covariance[0][0]);
+        assert_eq!(with_known_skew(&wide, 3e-5, 2e-8), None);
+    }
+
+    #[test]
+    fn a_skew_against_another_board_is_not_taken() {
+        let mut profile = Profile::published().unwrap();
+        profile.phone.learnt = Some(learnt());
+        assert!(skew_prior(&profile, "AB").is_some());
+        assert!(skew_prior(&profile, "CD").is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn every_edge_of_a_grid_is_on_it(
+            anchor in 1_u64 << 40..1 << 41,
+            raw in Period::MIN.0..Period::MAX.0,
+            k in -10_000_i64..1_000_000,
+            off in -200_i64..200,
+        ) {
+            let period = Period(raw);
+            let edge = period.edge(Ticks(anchor), k);
+            prop_assert_eq!(off_grid(Ticks(anchor), period, edge), 0);
+            let moved = Ticks(edge.0.saturating_add_signed(off));
+            prop_assert_eq!(off_grid(Ticks(anchor), period, moved), off);
+        }
+    }
+}

@@ -1,0 +1,558 @@
+//! Everything that is alive in a session: board, phone, files, watch; and the
+//! one place through which every message of the board goes ([`Rig::pump`]).
+//!
+//! Whatever a session waits for, it waits by pumping: messages are recorded and
+//! watched, the link is taken up again if it breaks, Ctrl-C is noticed.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use protocol::{Arrived, DeviceToHost, ImuSetup, TICK_HZ, Ticks};
+
+use super::operator::Operator;
+use super::phone_task::{Answer, PhoneTask, Request};
+use super::recorder::DepthRecorder;
+use super::watch::{Finding, Watch};
+use super::{Connector, Stop};
+use crate::board::{self, Board, BoardError};
+use crate::cli::Context;
+use crate::imu::Scale;
+use crate::outcome::{ExitStatus, Failure};
+use crate::phone::PhoneError;
+use crate::profile::Profile;
+use crate::recording::session_file::{Problem, SessionFile};
+use crate::recording::writer::{Severity, Writer};
+use crate::session::Event;
+use crate::sync::ClockModel;
+use crate::transport::LinkError;
+
+/// How long a lost link is waited for.
+const RELINK_TIME: Duration = Duration::from_secs(60);
+
+/// The same while a session is being closed.
+const RELINK_TIME_CLOSING: Duration = Duration::from_secs(3);
+
+/// Pause between tries to take up a link.
+const RELINK_PAUSE: Duration = Duration::from_millis(300);
+
+/// A link on which nothing at all comes for so long is as good as lost: a status
+/// comes every second.
+const SILENCE: Duration = Duration::from_secs(10);
+
+/// How often disk and depth recorder are looked at.
+const ROUND: Duration = Duration::from_secs(1);
+
+/// Below this much free space a warning is given, bytes. An hour of recording is
+/// about 150 MB, and videos go to the phone.
+const DISK_LOW: u64 = 1_000_000_000;
+
+/// Below this much free space the session is stopped while it still can be
+/// closed well, bytes.
+const DISK_FULL: u64 = 20_000_000;
+
+/// The most problems that are kept one by one.
+const MAX_PROBLEMS: usize = 1_000;
+
+/// All that is alive in a session.
+pub struct Rig<'a> {
+    /// Options of the program.
+    pub context: &'a Context,
+    /// The rig profile.
+    pub profile: &'a Profile,
+    /// Finds the board again.
+    pub connector: &'a mut dyn Connector,
+    /// The board.
+    pub board: Board,
+    /// Its ID in hex.
+    pub board_id: String,
+    /// The phone.
+    pub phone: PhoneTask,
+    /// The person.
+    pub operator: Operator,
+    /// The depth recorder, while it runs.
+    pub depth: Option<DepthRecorder>,
+    /// The MCAP file, until it is finished or has failed.
+    pub writer: Option<Writer>,
+    /// The recording's folder.
+    pub folder: PathBuf,
+    /// What is decided.
+    pub file: SessionFile,
+    /// Latest board time that was handled.
+    pub now: Ticks,
+    /// The relation of the clocks that is best known.
+    pub clock: Option<ClockModel>,
+    /// Set while recording.
+    pub watch: Option<Watch>,
+    /// Gyroscope samples, while a twist is taken.
+    pub gyro: Option<Vec<(Ticks, [f64; 3])>>,
+    /// The last arrival that was reported.
+    pub arrived: Option<Arrived>,
+    /// The phone may be recording a video.
+    pub video_may_run: bool,
+    /// The trigger was started by this session.
+    pub trigger_started: bool,
+    /// The session is being closed: interrupts are no reason to stop any more.
+    pub closing: bool,
+    scale: Scale,
+    problem_seen: bool,
+    last_sign: Duration,
+    last_round: Instant,
+    disk_warned: bool,
+    findings: Vec<Finding>,
+}
+
+/// What a new [`Rig`] is made of.
+pub struct Parts<'a> {
+    /// See [`Rig`].
+    pub context: &'a Context,
+    /// See [`Rig`].
+    pub profile: &'a Profile,
+    /// See [`Rig`].
+    pub connector: &'a mut dyn Connector,
+    /// See [`Rig`].
+    pub board: Board,
+    /// The IMU's setup.
+    pub imu: ImuSetup,
+    /// From counts to SI units.
+    pub scale: Scale,
+    /// See [`Rig`].
+    pub phone: PhoneTask,
+    /// See [`Rig`].
+    pub operator: Operator,
+    /// See [`Rig`].
+    pub writer: Writer,
+    /// See [`Rig`].
+    pub folder: PathBuf,
+    /// See [`Rig`].
+    pub file: SessionFile,
+}
+
+impl<'a> Rig<'a> {
+    /// Puts the parts together.
+    #[must_use]
+    pub fn new(parts: Parts<'a>) -> Self {
+        let mut board = parts.board;
+        board.keep_frames(true);
+        Self {
+            context: parts.context,
+            profile: parts.profile,
+            connector: parts.connector,
+            board_id: protocol::usb::serial_number(&board.hello().board_id).to_string(),
+            now: board.hello().now,
+            last_sign: board.now(),
+            board,
+            phone: parts.phone,
+            operator: parts.operator,
+            depth: None,
+            writer: Some(parts.writer),
+            folder: parts.folder,
+            file: parts.file,
+            clock: None,
+            watch: None,
+            gyro: None,
+            arrived: None,
+            video_may_run: false,
+            trigger_started: false,
+            closing: false,
+            scale: parts.scale,
+            problem_seen: false,
+            last_round: Instant::now(),
+            disk_warned: false,
+            findings: Vec::new(),
+        }
+    }
+
+    /// Takes what the board has sent; waits at most for `wait` if that is nothing.
+    ///
+    /// # Errors
+    ///
+    /// The user wants to stop, the link is lost for good, or the disk is full.
+    pub fn pump(&mut self, wait: Duration) -> Result<(), Stop> {
+        if self.context.interrupt.requested() && !self.closing {
+            return Err(Stop::Interrupted);
+        }
+        let mut wait = wait;
+        // Bounded, so that prompts stay alive even under full load.
+        for _ in 0..2_000 {
+            match self.board.next_event(wait) {
+                Ok(Some(event)) => {
+                    self.last_sign = self.board.now();
+                    self.take(event)?;
+                }
+                Ok(None) => {
+                    self.idle()?;
+                    break;
+                }
+                Err(BoardError::Link(error)) => {
+                    self.take_up_link(&error)?;
+                    break;
+                }
+                Err(other) => return Err(Failure::from(other).into()),
+            }
+            wait = Duration::ZERO;
+        }
+        self.tell_findings()?;
+        if let Some(writer) = &mut self.writer {
+            writer.tick().map_err(Failure::from)?;
+        }
+        if self.last_round.elapsed() >= ROUND {
+            self.last_round = Instant::now();
+            self.round()?;
+        }
+        Ok(())
+    }
+
+    /// Pumps until `done` says so.
+    ///
+    /// # Errors
+    ///
+    /// As [`Rig::pump`].
+    pub fn pump_until<T>(
+        &mut self,
+        mut done: impl FnMut(&mut Self) -> Option<T>,
+    ) -> Result<T, Stop> {
+        loop {
+            if let Some(result) = done(self) {
+                return Ok(result);
+            }
+            self.pump(Duration::from_millis(20))?;
+        }
+    }
+
+    /// Calls the board; takes up the link once if it breaks meanwhile.
+    ///
+    /// # Errors
+    ///
+    /// The board refuses or does not answer; or as [`Rig::pump`].
+    pub fn call<T>(
+        &mut self,
+        mut call: impl FnMut(&mut Board) -> board::Result<T>,
+    ) -> Result<T, Stop> {
+        match call(&mut self.board) {
+            Err(BoardError::Link(error)) => {
+                self.take_up_link(&error)?;
+                call(&mut self.board)
+            }
+            other => other,
+        }
+        .map_err(|error| Failure::from(error).into())
+    }
+
+    /// Asks the phone and pumps until it has answered.
+    ///
+    /// # Errors
+    ///
+    /// As [`Rig::pump`]. What the phone says is in the result.
+    pub fn ask_phone(&mut self, request: Request) -> Result<Result<Answer, PhoneError>, Stop> {
+        self.phone.ask(request);
+        let result = self.pump_until(|rig| rig.phone.answer());
+        if result.is_err() {
+            // Do not leave the request hanging: the next one needs the thread.
+            self.phone.cancel();
+            while self.phone.answer().is_none() {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+        }
+        result
+    }
+
+    /// Says something, and keeps it in the recording.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be written.
+    pub fn tell(&mut self, severity: Severity, kind: &str, text: &str) -> Result<(), Stop> {
+        match severity {
+            Severity::Info => self.context.say(text),
+            Severity::Warning => self.context.say(format!("warning: {text}")),
+            Severity::Error => self.context.say(format!("ERROR: {text}")),
+        }
+        match &mut self.writer {
+            Some(writer) => writer
+                .log(self.now, severity, kind, text)
+                .map_err(|error| Failure::from(error).into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Something went wrong: says it, and keeps it in the session file too. It
+    /// makes the outcome "with loss".
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be written.
+    pub fn problem(&mut self, finding: Finding) -> Result<(), Stop> {
+        self.problem_seen = true;
+        let count = self.file.problems.len();
+        if count < MAX_PROBLEMS {
+            self.file.problems.push(Problem {
+                at: self.now,
+                kind: finding.kind.to_owned(),
+                text: finding.text.clone(),
+            });
+        } else if count == MAX_PROBLEMS {
+            self.file.problems.push(Problem {
+                at: self.now,
+                kind: String::from("more"),
+                text: String::from("further problems are in /session/log only"),
+            });
+        }
+        self.tell(finding.severity, finding.kind, &finding.text)
+    }
+
+    /// Whether anything went wrong so far.
+    #[must_use]
+    pub const fn has_problems(&self) -> bool {
+        self.problem_seen
+    }
+
+    /// Writes the session file.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be written.
+    pub fn save(&mut self) -> Result<(), Stop> {
+        self.file
+            .save(&self.folder)
+            .map_err(|error| Failure::from(error).into())
+    }
+
+    /// A new relation of the clocks.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be written.
+    pub fn set_clock(&mut self, clock: ClockModel, source: &str) -> Result<(), Stop> {
+        self.clock = Some(clock);
+        self.file.clock = Some(clock);
+        match &mut self.writer {
+            Some(writer) => writer
+                .clock_model(self.now, &clock, source)
+                .map_err(|error| Failure::from(error).into()),
+            None => Ok(()),
+        }
+    }
+
+    fn take(&mut self, event: Event) -> Result<(), Stop> {
+        let now = self.now;
+        let Some(writer) = &mut self.writer else {
+            return Ok(());
+        };
+        let written = match event {
+            Event::Frame(frame) => writer.frame(now, frame),
+            Event::Message(message) => {
+                self.message(message)?;
+                return Ok(());
+            }
+            Event::Lost { stream, count } => {
+                if let Some(watch) = &mut self.watch {
+                    watch.lost(stream, count, &mut self.findings);
+                }
+                writer.log(
+                    now,
+                    Severity::Warning,
+                    "lost",
+                    &format!("{count} {stream} lost on the link"),
+                )
+            }
+            Event::Damaged(error) => {
+                writer.log(now, Severity::Warning, "damaged", &error.to_string())
+            }
+            Event::Restarted { last } => {
+                return Err(Failure::new(
+                    ExitStatus::LinkLost,
+                    format!(
+                        "the board was reset {:.3} s after its last one: its time began anew, so \
+                         the session ends here",
+                        last.as_secs_f64()
+                    ),
+                )
+                .next_step("`smartdepthsync info` says why it was reset")
+                .into());
+            }
+            Event::OtherVersion { found } => {
+                return Err(Failure::from(BoardError::OtherVersion { found }).into());
+            }
+            // Calls take their answers themselves.
+            Event::Answer(_) | Event::Expired { .. } => Ok(()),
+        };
+        written.map_err(|error| Failure::from(error).into())
+    }
+
+    fn message(&mut self, message: DeviceToHost) -> Result<(), Stop> {
+        let Some(writer) = &mut self.writer else {
+            return Ok(());
+        };
+        let phone_time =
+            |clock: Option<ClockModel>, at| clock.map(|clock| clock.ticks_to_phone(at));
+        let (at, written) = match message {
+            DeviceToHost::Imu(raw) => {
+                let sample = self.scale.apply(&raw);
+                if let Some(gyro) = &mut self.gyro {
+                    gyro.push((sample.at, sample.gyro));
+                }
+                if let Some(watch) = &mut self.watch {
+                    watch.imu(&raw, &mut self.findings);
+                }
+                (raw.at, writer.imu(&sample))
+            }
+            DeviceToHost::Pulse(pulse) => {
+                if let Some(watch) = &mut self.watch {
+                    watch.pulse(&pulse, &mut self.findings);
+                }
+                (
+                    pulse.at,
+                    writer.pulse(&pulse, phone_time(self.clock, pulse.at)),
+                )
+            }
+            DeviceToHost::Capture(capture) => (
+                capture.at,
+                writer.capture(&capture, phone_time(self.clock, capture.at)),
+            ),
+            DeviceToHost::Status(status) => {
+                if let Some(watch) = &mut self.watch {
+                    watch.status(&status, &mut self.findings);
+                }
+                (status.at, writer.status(&status, &self.board_id))
+            }
+            DeviceToHost::Arrived(arrived) => {
+                self.arrived = Some(arrived);
+                let text = format!(
+                    "the trigger arrived at pulse {}, {} ticks from its grid",
+                    arrived.pulse, arrived.remaining.0
+                );
+                (
+                    arrived.at,
+                    writer.log(arrived.at, Severity::Info, "arrived", &text),
+                )
+            }
+            DeviceToHost::Hello(hello) => (
+                hello.now,
+                writer.log(hello.now, Severity::Info, "hello", "the board said hello"),
+            ),
+            DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => (self.now, Ok(())),
+        };
+        self.now = self.now.max(at);
+        written.map_err(|error| Failure::from(error).into())
+    }
+
+    /// All that had come is taken.
+    fn idle(&mut self) -> Result<(), Stop> {
+        if let Some(watch) = &mut self.watch {
+            watch.time(self.now, &mut self.findings);
+        }
+        if self.board.now().saturating_sub(self.last_sign) > SILENCE {
+            let error = LinkError::Gone {
+                reason: String::from("nothing came for 10 s"),
+            };
+            self.take_up_link(&error)?;
+        }
+        Ok(())
+    }
+
+    fn tell_findings(&mut self) -> Result<(), Stop> {
+        for finding in std::mem::take(&mut self.findings) {
+            if finding.severity == Severity::Info {
+                self.tell(finding.severity, finding.kind, &finding.text)?;
+            } else {
+                self.problem(finding)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Once a second: depth recorder and disk.
+    fn round(&mut self) -> Result<(), Stop> {
+        if let Some(text) = self.depth.as_mut().and_then(DepthRecorder::gone) {
+            self.problem(Finding::error("depth_recorder_gone", text))?;
+        }
+        let Some(free) = free_space(&self.folder) else {
+            return Ok(());
+        };
+        if free < DISK_FULL && !self.closing {
+            return Err(Failure::new(
+                ExitStatus::Storage,
+                format!("the disk is full: {} MB are left", free / 1_000_000),
+            )
+            .next_step("free some space; what was recorded is kept")
+            .into());
+        }
+        if free < DISK_LOW && !self.disk_warned {
+            self.disk_warned = true;
+            let text = format!("the disk is nearly full: {} MB are left", free / 1_000_000);
+            self.tell(Severity::Warning, "disk_nearly_full", &text)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for a lost link and goes on with it.
+    fn take_up_link(&mut self, error: &LinkError) -> Result<(), Stop> {
+        let lost = Instant::now();
+        let lost_at = self.now;
+        self.problem(Finding::error("link_lost", error.to_string()))?;
+        let patience = if self.closing {
+            RELINK_TIME_CLOSING
+        } else {
+            RELINK_TIME
+        };
+        loop {
+            if self.context.interrupt.requested() && !self.closing {
+                return Err(Stop::Interrupted);
+            }
+            let again = self
+                .connector
+                .connect(Some(&self.board_id))
+                .and_then(|link| self.board.reconnect(link));
+            match again {
+                Ok(()) => break,
+                Err(BoardError::OtherVersion { found }) => {
+                    return Err(Failure::from(BoardError::OtherVersion { found }).into());
+                }
+                Err(error) => tracing::debug!("the link is still away: {error}"),
+            }
+            if lost.elapsed() > patience {
+                return Err(Failure::new(
+                    ExitStatus::LinkLost,
+                    format!(
+                        "the link to the board did not come back within {} s ({error})",
+                        patience.as_secs()
+                    ),
+                )
+                .next_step("check the USB cable; what was recorded before is kept")
+                .into());
+            }
+            if let Some(writer) = &mut self.writer {
+                writer.tick().map_err(Failure::from)?;
+            }
+            std::thread::sleep(RELINK_PAUSE);
+        }
+        self.last_sign = self.board.now();
+        self.file.reconnects += 1;
+        let now = self.board.hello().now;
+        if let Some(watch) = &mut self.watch {
+            watch.resume(now);
+        }
+        let away = now.0.saturating_sub(lost_at.0) as f64 / f64::from(TICK_HZ);
+        self.tell(
+            Severity::Info,
+            "link_back",
+            &format!("the link is back after {away:.3} s of board time"),
+        )
+    }
+}
+
+/// Free space for this user on the disk of a folder, bytes; `None` where it
+/// cannot be told.
+#[must_use]
+pub fn free_space(folder: &std::path::Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let stat = rustix::fs::statvfs(folder).ok()?;
+        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
+}
