@@ -17,7 +17,7 @@ use crate::outcome::Failure;
 #[derive(Clone, Debug, clap::Args)]
 pub struct PortArg {
     /// The board's serial port; may be left out if exactly one board is plugged in
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, value_name = "PATH", global = true)]
     pub port: Option<String>,
 }
 
