@@ -3,7 +3,9 @@
 //! Columns by position, with or without a header row: time in seconds (any
 //! origin; the first row is power-on of the rig), angular rate x, y, z in
 //! rad/s, and, if there are seven columns, specific force x, y, z in m/s².
-//! Without the last three the rig stays level: `[0, 0, 9.80665]`.
+//! Without the last three the rig stays level: `[0, 0, 9.80665]`. A file of
+//! `smartdepthsync imu --csv` is taken too, by the names of its columns
+//! ([`NAMES`]): a real motion, recorded once, can be replayed.
 //!
 //! Rows must be in order of time. The spline has continuous second
 //! derivatives, so the motion is as smooth as an IMU can tell. Before the first
@@ -15,6 +17,19 @@ use super::STANDARD_GRAVITY;
 
 /// Time in which the rates fade outside of the recording, in seconds.
 pub const FADE: f64 = 0.25;
+
+/// Names of columns that are looked for in a header row, in the order of this
+/// module's own columns. A header that has the first four decides where they
+/// are; any other header is skipped.
+pub const NAMES: [&str; 7] = [
+    "time_s",
+    "gyro_x_rad_s",
+    "gyro_y_rad_s",
+    "gyro_z_rad_s",
+    "accel_x_m_s2",
+    "accel_y_m_s2",
+    "accel_z_m_s2",
+];
 
 /// Why a file is not a motion.
 #[derive(Debug, thiserror::Error)]
@@ -93,21 +108,40 @@ impl Recording {
         let mut times: Vec<f64> = Vec::new();
         let mut columns: Vec<Vec<f64>> = Vec::new();
         let mut origin = 0.0;
+        let mut named: Option<Vec<usize>> = None;
+        let mut width = 0;
         for (i, row) in reader.records().enumerate() {
             let row = row.map_err(|e| {
                 let line = e.position().map_or(i as u64 + 1, csv::Position::line);
                 bad(line, format!("not CSV: {e}"))
             })?;
             let line = row.position().map_or(i as u64 + 1, csv::Position::line);
-            let parsed: Result<Vec<f64>, _> = row.iter().map(str::parse::<f64>).collect();
+            if i == 0 {
+                named = by_name(&row);
+                width = row.len();
+            }
+            if named.is_some() && row.len() != width {
+                return Err(bad(
+                    line,
+                    format!("{} columns where the header has {width}", row.len()),
+                ));
+            }
+            let cells: Vec<&str> = match &named {
+                Some(places) => places
+                    .iter()
+                    .map(|&place| row.get(place).unwrap_or_default())
+                    .collect(),
+                None => row.iter().collect(),
+            };
+            let parsed: Result<Vec<f64>, _> = cells.iter().map(|c| c.parse::<f64>()).collect();
             let numbers = match parsed {
                 Ok(numbers) => numbers,
                 Err(_) if i == 0 => continue, // the header
                 Err(_) => {
-                    let cell = row.iter().find(|c| c.parse::<f64>().is_err());
+                    let cell = cells.iter().find(|c| c.parse::<f64>().is_err());
                     return Err(bad(
                         line,
-                        format!("'{}' is not a number", cell.unwrap_or_default()),
+                        format!("'{}' is not a number", cell.unwrap_or(&"")),
                     ));
                 }
             };
@@ -219,6 +253,19 @@ impl Recording {
     }
 }
 
+/// Where the columns of [`NAMES`] are in a header row, if it has the first four.
+fn by_name(header: &csv::StringRecord) -> Option<Vec<usize>> {
+    let places: Vec<usize> = NAMES
+        .iter()
+        .map_while(|name| header.iter().position(|cell| cell == *name))
+        .collect();
+    match places.len() {
+        7 => Some(places),
+        4..7 => places.get(..4).map(<[usize]>::to_vec),
+        _ => None,
+    }
+}
+
 /// Second derivatives of the natural cubic spline through `(x, y)`, by the
 /// tridiagonal system of its continuity conditions.
 fn natural_spline(x: &[f64], y: &[f64]) -> Vec<f64> {
@@ -269,6 +316,23 @@ mod tests {
             let t = r.times[k];
             assert!((r.angular_rate(t)[0] - signal(f64::from(k as u32) * 0.01)).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn a_recording_of_the_host_tool_is_taken_by_its_columns_names() {
+        let header = "ticks,time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,\
+                      accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,temperature_c,flags\n";
+        let mut text = header.to_owned();
+        for k in 0..5 {
+            text += &format!("{},{k}.5,1,2,3,4,5,6,30,0\n", k * 96_000);
+        }
+        let r = read(&text).unwrap();
+        assert_eq!(r.duration(), 4.0);
+        assert_eq!(r.angular_rate(2.0), [1.0, 2.0, 3.0]);
+        assert_eq!(r.specific_force(2.0), [4.0, 5.0, 6.0]);
+        let cut = text.replace("2.5,1,2,3", "2.5,1,2");
+        let error = read(&cut).unwrap_err().to_string();
+        assert!(error.contains("line 4"), "{error}");
     }
 
     #[test]
