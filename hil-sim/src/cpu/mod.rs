@@ -339,7 +339,6 @@ impl Cpu {
         self.fast.primask = self.regs.primask;
         self.fast.basepri = self.regs.basepri;
         self.fast.clear_exclusive();
-        self.asleep = self.arm.is_asleep();
 
         let running = usize::from(self.regs.exception().0);
         let mut event = Event::None;
@@ -372,10 +371,15 @@ impl Cpu {
             None => false,
         };
         self.fast.pending_masked = pending.is_some();
+        // An interrupt that is pending already, masked or not, lets WFI fall
+        // through (ARM DDI 0403, B1.5.17). rsemu sleeps first and sees it in
+        // its next step, which a sleeping core would not get.
+        let falls_through = self.arm.is_asleep() && pending.is_some();
+        self.asleep = self.arm.is_asleep() && !falls_through;
         let privileged = self.regs.in_handler() || self.regs.control & sys::control::NPRIV == 0;
         self.fast_ok =
             plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
-        self.slow_next = takeable || !self.fast_ok;
+        self.slow_next = takeable || falls_through || !self.fast_ok;
         event
     }
 
