@@ -37,6 +37,10 @@ impl ImuBus {
     pub(crate) fn open(&mut self) -> I2c<'_, Async, Master> {
         let mut config = Config::default();
         config.frequency = Hertz(I2C_HZ);
+        // The sensor's board has its own; these keep the lines of an absent
+        // sensor from floating, so that it gives no acknowledge, and at once.
+        config.scl_pullup = true;
+        config.sda_pullup = true;
         I2c::new(
             self.i2c.reborrow(),
             self.scl.reborrow(),
