@@ -122,9 +122,9 @@ pub const I2C_TIMEOUT_MS: u64 = 5;
 /// time of the gyroscope (30 ms, data sheet 6.1).
 pub const FIRST_DATA_READY_MS: u64 = 100;
 
-/// Longest time for setting the sensor up, in ms: 50 ms for its reset, 17
-/// transfers of at most 0.1 ms, and as much again for a bus with a hiccup.
-pub const SET_UP_MS: u64 = 100;
+/// Longest time for setting the sensor up, in ms: 100 ms for its reset, 17
+/// transfers of at most 0.1 ms, and time for a bus with a hiccup.
+pub const SET_UP_MS: u64 = 150;
 
 /// How long data-ready may stay away beyond two intervals, in ms: ten intervals
 /// at 500 Hz. Silence is noticed after 24 ms there and after 420 ms at 5 Hz.
@@ -132,7 +132,7 @@ pub const DATA_READY_SLACK_MS: u64 = 20;
 
 /// Pause between two attempts to set up a sensor that does not answer, in ms.
 /// An attempt without answer is over at once, and one that succeeds takes some
-/// 60 ms to the first data-ready (160 ms more without the external clock): well
+/// 150 ms to the first data-ready (250 ms more without the external clock): well
 /// within the second in which a sensor must be recovered.
 pub const IMU_RETRY_MS: u64 = 100;
 

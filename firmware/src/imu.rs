@@ -39,9 +39,9 @@ const INTERRUPT_PULSE: u8 = 0x10;
 /// INT_ENABLE: DATA_RDY_EN.
 const INTERRUPT_DATA_READY: u8 = 0x01;
 
-/// From reset to the next access, in ms. The data sheet gives 100 ms from
-/// power to register access as the most (6.3); a reset by register is faster.
-const RESET_MS: u32 = 50;
+/// From reset to the next access, in ms: the data sheet gives 11 ms as typical,
+/// 100 as the most (6.3).
+const RESET_MS: u32 = 100;
 
 /// Sampling rate before the divider, with the low-pass on, in Hz.
 const BASE_RATE_HZ: u32 = 1_000;

@@ -129,7 +129,7 @@ fn the_default_is_written_after_a_reset() {
         (0x38, 0x01),
     ];
     assert_eq!(sensor.bus.log, expected);
-    assert_eq!(delay.0, 50_000_000);
+    assert_eq!(delay.0, 100_000_000);
 }
 
 #[test]
