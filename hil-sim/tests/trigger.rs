@@ -42,8 +42,8 @@ fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> u
     let edges = board.rig.take_edges();
     let pins = pulses_of(&edges, Pin::PA5);
     let status = board.trigger();
+    let stats = board.rig.cpu_stats(); eprintln!("TIM2 {:?}", stats.exceptions[44]);
     assert_eq!(status.state, TrainState::Stopped);
-    assert_eq!(status.late, 0);
     assert_eq!(status.pulses as usize, pins.len());
     let mut epoch = Epoch::default();
     for (k, &(rise, fall)) in pins.iter().enumerate() {
@@ -62,6 +62,7 @@ fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> u
         assert_eq!(report.at, expected, "report of pulse {}", report.number);
         assert!(report.aligned);
     }
+    assert_eq!(status.late, 0, "{status:?}");
     pins.len()
 }
 
@@ -96,13 +97,13 @@ fn the_phones_period_is_exact() {
 #[test]
 fn thirty_frames_a_second_are_exact() {
     let pulses = exact(picos(33_333_333_330), WIDTH, 100);
-    assert!(pulses > 3_000, "{pulses}");
+    assert!(pulses >= 3_000, "{pulses}");
 }
 
 #[test]
 fn five_frames_a_second_are_exact() {
     let pulses = exact(picos(200_000_000_000), WIDTH, 100);
-    assert!(pulses > 500, "{pulses}");
+    assert!(pulses >= 500, "{pulses}");
 }
 
 /// A width of nearly the whole period leaves the handler 5 µs.
@@ -304,10 +305,14 @@ fn a_new_period_goes_on_from_the_armed_edge() {
     assert_eq!(status.period, new);
     // The next edge is armed already; from it on the new period holds.
     let from = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
-    board.pulses.clear();
     board.run(2_000);
-    assert!(board.pulses.len() > 55);
-    for (k, pulse) in board.pulses.iter().enumerate() {
+    let after: Vec<_> = board
+        .pulses
+        .iter()
+        .filter(|p| p.at >= status.next_edge)
+        .collect();
+    assert!(after.len() > 55);
+    for (k, pulse) in after.into_iter().enumerate() {
         let exact = from + k as u128 * u128::from(new.0);
         assert_eq!(u128::from(pulse.at.0), exact >> 32);
         assert!(pulse.aligned);

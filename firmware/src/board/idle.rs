@@ -54,11 +54,10 @@ pub(crate) fn run(spawn: impl FnOnce(Spawner)) -> ! {
 
 /// Share of time awake since the last call, in 1/1000.
 pub(crate) fn load_permille() -> u16 {
-    interrupt::free(|token| {
-        let load = LOAD.borrow(token);
-        let mut meter = load.get();
-        let permille = meter.permille(tim2::counter());
-        load.set(meter);
-        permille
-    })
+    // The division takes longer than interrupts may be masked.
+    let (mut meter, now) = interrupt::free(|token| {
+        let now = tim2::counter();
+        (LOAD.borrow(token).replace(LoadMeter::new(now)), now)
+    });
+    meter.permille(now)
 }

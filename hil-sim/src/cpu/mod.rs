@@ -330,10 +330,19 @@ impl Cpu {
 
         let before = usize::from(self.regs.exception().0);
         let pc = self.regs.r[15];
+        let it_block = self.regs.xpsr & xpsr::IT_MASK;
         self.cycles += self.arm.step();
         self.stats.slow_steps += 1;
 
         self.regs = self.arm.regs();
+        if it_block != 0 && usize::from(self.regs.exception().0) != before {
+            let frame = if uses_psp {
+                self.regs.psp
+            } else {
+                self.regs.msp
+            };
+            self.stack_it_block(frame, pc, it_block);
+        }
         self.fast.r = self.regs.r;
         self.fast.set_xpsr(self.regs.xpsr);
         self.fast.primask = self.regs.primask;
@@ -381,6 +390,23 @@ impl Cpu {
             plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
         self.slow_next = takeable || falls_through || !self.fast_ok;
         event
+    }
+
+    /// An exception inside of an IT block stacks the block's state with xPSR,
+    /// and its return goes on with it (DDI 0403 B1.5.6). This rsemu leaves those
+    /// bits out of what it stacks: the rest of the block would run without its
+    /// condition. A frame that was not just made for `pc` (tail-chaining makes
+    /// none) is left alone.
+    fn stack_it_block(&self, frame: u32, pc: u32, it_block: u32) {
+        const RETURN_ADDRESS: u32 = 24;
+        const XPSR: u32 = 28;
+        let mut soc = lock(&self.soc);
+        let at = frame.wrapping_add(XPSR);
+        if soc.mem.read32(frame.wrapping_add(RETURN_ADDRESS)) == Some(pc)
+            && let Some(stacked) = soc.mem.read32(at)
+        {
+            soc.mem.write32(at, stacked | it_block);
+        }
     }
 
     fn is_entry(&self, exception: usize) -> bool {

@@ -9,27 +9,27 @@ use hil_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 use protocol::*;
 
 /// Virtual time in one tick of the board.
-pub const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
 
 /// The board, and the messages that have come from it, each stream in order.
-pub struct Board {
-    pub rig: Rig,
+pub(crate) struct Board {
+    pub(crate) rig: Rig,
     decoder: Decoder<DeviceToHost>,
     next_id: u32,
-    pub hellos: Vec<Hello>,
-    pub answers: Vec<Answer>,
-    pub pulses: Vec<Pulse>,
-    pub arrived: Vec<Arrived>,
-    pub captures: Vec<Capture>,
-    pub samples: Vec<ImuSample>,
-    pub statuses: Vec<Status>,
-    pub fillers: u64,
-    pub filler_bytes: u64,
+    pub(crate) hellos: Vec<Hello>,
+    pub(crate) answers: Vec<Answer>,
+    pub(crate) pulses: Vec<Pulse>,
+    pub(crate) arrived: Vec<Arrived>,
+    pub(crate) captures: Vec<Capture>,
+    pub(crate) samples: Vec<ImuSample>,
+    pub(crate) statuses: Vec<Status>,
+    pub(crate) fillers: u64,
+    pub(crate) filler_bytes: u64,
 }
 
 impl Board {
     /// Boots the firmware and opens its serial port.
-    pub fn boot(builder: RigBuilder) -> Self {
+    pub(crate) fn boot(builder: RigBuilder) -> Self {
         let mut rig = builder.build().unwrap();
         let ready = rig.run_until_usb_ready(SimDuration::from_secs(3)).unwrap();
         assert!(ready, "no USB: {:?}", rig.usb_log());
@@ -53,7 +53,7 @@ impl Board {
     }
 
     /// Takes what has come. Nothing may be damaged.
-    pub fn take(&mut self) {
+    pub(crate) fn take(&mut self) {
         let bytes = self.rig.usb_read();
         let mut rest = bytes.as_slice();
         while let Some(message) = self.decoder.next(&mut rest) {
@@ -74,7 +74,7 @@ impl Board {
     }
 
     /// Runs for so many virtual milliseconds and takes what comes.
-    pub fn run(&mut self, ms: u64) {
+    pub(crate) fn run(&mut self, ms: u64) {
         let mut left = ms;
         while left > 0 {
             let step = left.min(50);
@@ -85,7 +85,7 @@ impl Board {
     }
 
     /// Runs until `done`, for at most `ms`.
-    pub fn wait(&mut self, ms: u64, mut done: impl FnMut(&Self) -> bool) {
+    pub(crate) fn wait(&mut self, ms: u64, mut done: impl FnMut(&Self) -> bool) {
         for _ in 0..ms {
             self.rig.run_for(SimDuration::from_millis(1)).unwrap();
             self.take();
@@ -104,7 +104,7 @@ impl Board {
 
     /// Pulls the USB cable for so many virtual milliseconds, and opens the port
     /// again.
-    pub fn unplug_and_plug(&mut self, ms: u64) {
+    pub(crate) fn unplug_and_plug(&mut self, ms: u64) {
         self.rig.usb_unplug();
         self.take();
         self.run(ms);
@@ -122,7 +122,7 @@ impl Board {
     }
 
     /// Sends a command, without waiting. Returns its id.
-    pub fn send(&mut self, command: Command) -> u32 {
+    pub(crate) fn send(&mut self, command: Command) -> u32 {
         let id = self.next_id;
         self.next_id += 1;
         let mut buffer = [0; MAX_FRAME];
@@ -132,7 +132,7 @@ impl Board {
     }
 
     /// Sends a command and waits for its answer.
-    pub fn ask(&mut self, command: Command) -> Result<Reply, Refusal> {
+    pub(crate) fn ask(&mut self, command: Command) -> Result<Reply, Refusal> {
         let id = self.send(command);
         let find = |board: &Self| board.answers.iter().position(|answer| answer.id == id);
         self.wait(2_000, |board| find(board).is_some());
@@ -141,12 +141,12 @@ impl Board {
     }
 
     /// Asks for the state of the train.
-    pub fn trigger(&mut self) -> TriggerStatus {
+    pub(crate) fn trigger(&mut self) -> TriggerStatus {
         trigger_status(self.ask(Command::TriggerQuery))
     }
 
     /// Asks for the time.
-    pub fn now(&mut self) -> Ticks {
+    pub(crate) fn now(&mut self) -> Ticks {
         match self.ask(Command::Ping { host_time: 0 }) {
             Ok(Reply::Pong { sent, .. }) => sent,
             other => panic!("{other:?}"),
@@ -154,14 +154,14 @@ impl Board {
     }
 
     /// Waits for the next status and returns it.
-    pub fn next_status(&mut self) -> Status {
+    pub(crate) fn next_status(&mut self) -> Status {
         let seen = self.statuses.len();
         self.wait(1_100, |board| board.statuses.len() > seen);
         self.statuses.last().unwrap().clone()
     }
 }
 
-pub fn trigger_status(reply: Result<Reply, Refusal>) -> TriggerStatus {
+pub(crate) fn trigger_status(reply: Result<Reply, Refusal>) -> TriggerStatus {
     match reply {
         Ok(Reply::Trigger(status)) => status,
         other => panic!("{other:?}"),
@@ -170,12 +170,12 @@ pub fn trigger_status(reply: Result<Reply, Refusal>) -> TriggerStatus {
 
 /// Relates the pin's time to the board's: the time at which tick 0 was.
 #[derive(Debug, Default)]
-pub struct Epoch(Option<u64>);
+pub(crate) struct Epoch(Option<u64>);
 
 impl Epoch {
     /// The tick of an edge at the pin. The first call defines where tick 0 is,
     /// by the time that the board says; every later one is then exact or fails.
-    pub fn tick(&mut self, edge: SimTime, reported: Ticks) -> Ticks {
+    pub(crate) fn tick(&mut self, edge: SimTime, reported: Ticks) -> Ticks {
         let zero = *self
             .0
             .get_or_insert(edge.units() - reported.0 * UNITS_PER_TICK);
@@ -186,7 +186,7 @@ impl Epoch {
 }
 
 /// Rising and falling edges of `pin` in what [`Rig::take_edges`] gave.
-pub fn pulses_of(edges: &[(Pin, Level, SimTime)], pin: Pin) -> Vec<(SimTime, SimTime)> {
+pub(crate) fn pulses_of(edges: &[(Pin, Level, SimTime)], pin: Pin) -> Vec<(SimTime, SimTime)> {
     let mut of_pin = edges.iter().filter(|edge| edge.0 == pin);
     let mut pulses = Vec::new();
     while let Some(rise) = of_pin.next() {
