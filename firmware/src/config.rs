@@ -40,6 +40,11 @@ pub const STOP_MARGIN: u32 = 5 * TICKS_PER_US;
 /// the least lead that a host may ask for.
 pub const START_LEAD: u32 = 1_000 * TICKS_PER_US;
 
+/// A task masks TIM2's handler only while no edge is due for this long, in ticks:
+/// 15 µs, three times the longest section (a copy of the train's state, 5 µs).
+/// So masking never delays an edge's handler.
+pub const QUIET_MARGIN: u32 = 15 * TICKS_PER_US;
+
 /// How long an edge of the trigger may be overdue before its handler is taken to
 /// be dead and the watchdog is no longer fed, in ticks: 10 ms, a thousand times
 /// the handler's latency.
@@ -116,6 +121,10 @@ pub const I2C_HZ: u32 = 400_000;
 /// Longest I2C transfer in ms. Reading a sample is 17 bytes of 9 bits at
 /// 400 kHz: 0.4 ms; the sensor does not stretch the clock.
 pub const I2C_TIMEOUT_MS: u64 = 5;
+
+/// From reset to the first access of the sensor, in ms: it takes up to 100 ms
+/// after power-on until it answers (data sheet 6.3).
+pub const IMU_POWER_UP_MS: u64 = 100;
 
 /// How long the first data-ready may take after setting up, in ms, before the
 /// clock is taken to be missing, beyond one interval: three times the start-up

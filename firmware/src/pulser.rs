@@ -314,6 +314,21 @@ impl Pulser {
         delay
     }
 
+    /// Whether the handler is wanted within the next `margin` ticks, or already:
+    /// no time to mask it.
+    #[must_use]
+    pub fn is_busy(&self, now: Ticks, margin: u32) -> bool {
+        let next = match self.stage {
+            Stage::Idle | Stage::Waypoint(_) => return false,
+            Stage::Rise(_, at) => at.0,
+            Stage::Fall(_, at) => {
+                let width = self.train.map_or(0, |train| train.width());
+                at.0 + u64::from(width)
+            }
+        };
+        next < now.0 + u64::from(margin)
+    }
+
     /// Whether the next edge is overdue by more than `ticks`: its handler does
     /// not run.
     #[must_use]

@@ -22,16 +22,16 @@ pub const MAX_PANIC: usize = 128;
 /// Payload bytes of one [`Filler`].
 pub const MAX_FILLER: usize = 240;
 
-/// The shortest pulse, in ticks: 5 µs.
+/// The shortest pulse, in ticks: 10 µs.
 ///
 /// The handler of the rising edge arms the falling one, so a pulse must be
-/// longer than the handler's worst-case latency (`docs/timing.md`). The camera
+/// longer than that can take in the worst case (`docs/timing.md`). The camera
 /// needs more than 8 µs.
-pub const MIN_PULSE_WIDTH: u32 = 5 * (TICK_HZ / 1_000_000);
+pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge to the next rising edge, in ticks:
-/// 5 µs, for the same reason as [`MIN_PULSE_WIDTH`].
-pub const MIN_PULSE_GAP: u32 = MIN_PULSE_WIDTH;
+/// 20 µs, for the same reason as [`MIN_PULSE_WIDTH`]; this handler does more.
+pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
 
 /// How far ahead a first edge must lie, in ticks: 100 µs.
 pub const MIN_START_LEAD: u32 = 100 * (TICK_HZ / 1_000_000);

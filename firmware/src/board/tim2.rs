@@ -1,9 +1,9 @@
 //! TIM2: the timebase, the trigger and the captures.
 //!
 //! The handler runs at the highest priority and is never masked by a critical
-//! section ([`super::critical_section`]). Tasks that change the train mask all
-//! interrupts (PRIMASK) for the microsecond that this takes; everything that
-//! needs division is worked out before, on a copy.
+//! section ([`super::critical_section`]). Tasks that look at or change the train
+//! mask all interrupts (PRIMASK) for a few microseconds, and wait until no edge
+//! is due in that time; everything that needs division is worked out on a copy.
 //!
 //! | channel | pin | direction |
 //! |---|---|---|
@@ -174,12 +174,29 @@ pub(crate) fn now() -> Ticks {
     TIMEBASE.refresh(counter())
 }
 
-/// Works on the trigger with all interrupts masked: to be kept short.
+/// Works on what the handler shares, with all interrupts masked: to be kept
+/// short. Waits while an edge of the trigger is due soon or being made: for some
+/// 40 µs at most, as edges are apart.
+fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
+    let mut work = Some(work);
+    loop {
+        let result = with_all_masked(|token| {
+            let mut shared = SHARED.borrow(token).borrow_mut();
+            let now = TIMEBASE.extend(counter());
+            if shared.pulser.is_busy(now, config::QUIET_MARGIN) {
+                return None;
+            }
+            work.take().map(|work| work(&mut shared))
+        });
+        if let Some(result) = result {
+            return result;
+        }
+    }
+}
+
+/// Works on the trigger, as [`with_shared`].
 pub(crate) fn with_pulser<R>(work: impl FnOnce(&mut Pulser, &mut Channel, &Timebase) -> R) -> R {
-    with_all_masked(|token| {
-        let mut shared = SHARED.borrow(token).borrow_mut();
-        work(&mut shared.pulser, &mut Channel, &TIMEBASE)
-    })
+    with_shared(|shared| work(&mut shared.pulser, &mut Channel, &TIMEBASE))
 }
 
 /// Plans an align and puts it into force.
@@ -202,14 +219,11 @@ pub(crate) fn align(command: u32, to: &TriggerAlign) -> Result<AlignPlan, Refusa
 
 /// Counters since reset.
 pub(crate) fn counters() -> Counters {
-    with_all_masked(|token| {
-        let shared = SHARED.borrow(token).borrow();
-        Counters {
-            strobe_overcaptures: shared.strobe.overcaptures,
-            strobe_floods: shared.strobe.floods,
-            data_ready_overcaptures: shared.data_ready.overcaptures,
-            ..shared.counters
-        }
+    with_shared(|shared| Counters {
+        strobe_overcaptures: shared.strobe.overcaptures,
+        strobe_floods: shared.strobe.floods,
+        data_ready_overcaptures: shared.data_ready.overcaptures,
+        ..shared.counters
     })
 }
 

@@ -382,3 +382,19 @@ fn an_overdue_edge_is_noticed() {
     assert!(!rig.pulser.is_overdue(Ticks(1_000_000), 480_000));
     assert!(rig.pulser.is_overdue(Ticks(1_480_001), 480_000));
 }
+
+#[test]
+fn edges_near_and_past_keep_the_handler_free() {
+    let mut rig = Rig::new(0);
+    assert!(!rig.pulser.is_busy(Ticks(5), 720));
+    rig.start(start(33_330_652_540, 100_000, 1_000_000))
+        .unwrap();
+    assert!(!rig.pulser.is_busy(Ticks(999_000), 720));
+    assert!(rig.pulser.is_busy(Ticks(999_500), 720));
+    assert!(rig.pulser.is_busy(Ticks(1_000_050), 720));
+    assert_eq!(rig.handle(50), None);
+    assert!(!rig.pulser.is_busy(Ticks(1_000_100), 720));
+    assert!(rig.pulser.is_busy(Ticks(1_099_500), 720));
+    assert!(rig.handle(50).is_some());
+    assert!(!rig.pulser.is_busy(Ticks(1_100_100), 720));
+}

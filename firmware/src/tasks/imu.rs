@@ -17,7 +17,8 @@ use embassy_sync::signal::Signal;
 use embassy_time::{Delay, Duration, Timer, with_timeout};
 use firmware::alive::Task;
 use firmware::config::{
-    DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_DEFAULT, IMU_RETRY_MS, SET_UP_MS,
+    DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_DEFAULT, IMU_POWER_UP_MS,
+    IMU_RETRY_MS, SET_UP_MS,
 };
 use firmware::imu::{self, Mpu9150, RawSample};
 use protocol::{
@@ -119,6 +120,8 @@ pub(crate) async fn run(mut bus: ImuBus) {
         flags: ImuFlags::FIRST,
         failed: false,
     };
+    ALIVE.check_in(Task::Imu);
+    Timer::after_millis(IMU_POWER_UP_MS).await;
     loop {
         sampler.config = CONFIG.lock(Cell::get);
         RECONFIGURED.reset();
