@@ -5,9 +5,10 @@
 //! the board's virtual time, [`time::SimTime`].
 
 mod backtrace;
+pub mod board_link;
 mod chip;
 pub mod clock;
-mod cpu;
+pub mod cpu;
 pub mod depth_camera;
 pub mod firmware;
 pub mod flash_log;

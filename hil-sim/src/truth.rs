@@ -203,10 +203,15 @@ pub fn read(from: impl BufRead) -> Result<Vec<TruthRecord>, TruthError> {
     let mut records = Vec::new();
     for (i, line) in from.lines().enumerate() {
         let line = line?;
-        let record = serde_json::from_str(&line).map_err(|source| TruthError::Line {
-            line: i + 1,
-            source,
-        })?;
+        // By way of a value: a dependency (the firmware's log decoder) switches
+        // on serde_json's arbitrary precision, with which a tagged enum cannot
+        // take numbers straight from the text.
+        let record = serde_json::from_str::<serde_json::Value>(&line)
+            .and_then(serde_json::from_value)
+            .map_err(|source| TruthError::Line {
+                line: i + 1,
+                source,
+            })?;
         if let TruthRecord::Run(run) = &record
             && run.version != VERSION
         {

@@ -1,12 +1,23 @@
 //! `hil-sim bench`: figures of the simulator and of the firmware in it.
+//!
+//! Wall-clock figures are those of this machine and its load; all others are
+//! simulated and the same on every machine.
 
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
-use hil_sim::random::Seed;
-use hil_sim::rig::Rig;
+use anyhow::{Context, Result, bail};
+use hil_sim::board_link::BoardLink;
+use hil_sim::cpu::{CpuStats, IrqStats};
+use hil_sim::depth_camera::{DepthCamera, DepthCameraConfig};
+use hil_sim::motion::Motion;
+use hil_sim::mpu9150::{Mpu9150, Mpu9150Config};
+use hil_sim::oscillator::{BoardTime, OscillatorConfig};
+use hil_sim::random::{Seed, Stream};
+use hil_sim::rig::{Rig, RigBuilder};
 use hil_sim::time::SimDuration;
+use protocol::{Command, DeviceToHost, Period, TICK_HZ, TriggerStart};
+use serde::Serialize;
 
 /// Options of `bench`.
 #[derive(clap::Args)]
@@ -14,66 +25,199 @@ pub(crate) struct Args {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
+    /// Print the figures as JSON.
     #[arg(long)]
-    log: bool,
+    json: bool,
 }
 
+/// One load of the board.
+#[derive(Serialize)]
+struct Load {
+    name: &'static str,
+    virtual_seconds: f64,
+    /// Virtual seconds a wall second.
+    speed: f64,
+    /// Share of core cycles awake.
+    cpu: f64,
+    /// Bytes a second from the board.
+    bytes_per_second: f64,
+    /// Share of core cycles in TIM2's handler (trigger and captures).
+    trigger_cpu: f64,
+    /// Longest wait of TIM2's handler and longest run, in microseconds.
+    trigger_latency_us: f64,
+    trigger_run_us: f64,
+}
+
+#[derive(Serialize)]
+struct Figures {
+    flash_bytes: usize,
+    ram_bytes: usize,
+    /// Virtual milliseconds from power-on.
+    attach_ms: f64,
+    hello_ms: f64,
+    loads: Vec<Load>,
+}
+
+/// Exception number of TIM2's interrupt.
+const TIM2: usize = 16 + 28;
+const SEED: Seed = Seed(1);
+
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let mut builder = Rig::builder().seed(Seed(1));
-    if args.log {
-        builder = builder.on_log(|l| println!("{l}"));
-    }
-    if let Some(elf) = &args.elf {
-        builder = builder.elf(elf);
-    }
-    let mut rig = builder.build()?;
-    rig.log_pin(hil_sim::pin::Pin::PA5);
-    if !rig.run_until_usb_ready(SimDuration::from_secs(5))? {
-        println!("not ready: {:?} {:?}", rig.usb_state(), rig.usb_log());
-        bail!("USB");
+    let figures = measure(args)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&figures)?);
+        return Ok(());
     }
     println!(
-        "{:?} core {:?} mco {:?} {:?}",
-        rig.usb_device(),
-        rig.core_rate(),
-        rig.clock_output(),
-        rig.usb_log()
+        "firmware: {} bytes of flash, {} bytes of RAM (statics)",
+        figures.flash_bytes, figures.ram_bytes
     );
-    rig.usb_write(b"hello");
-    rig.run_for(SimDuration::from_millis(100))?;
-    println!("echo {:?}", String::from_utf8_lossy(&rig.usb_read()));
-    println!("now {} edges {:?}", rig.now(), rig.take_edges());
-    println!("{:#?}", rig.backtrace());
-    let t = Instant::now();
-    let s0 = rig.cpu_stats();
-    rig.run_for(SimDuration::from_secs(30))?;
-    let s = rig.cpu_stats();
     println!(
-        "30 s in {:?} awake {} slow {}",
-        t.elapsed(),
-        s.awake - s0.awake,
-        s.slow_steps - s0.slow_steps
+        "boot (simulated): USB attached {:.2} ms, Hello at the host {:.1} ms after power-on",
+        figures.attach_ms, figures.hello_ms
     );
-    for (n, e) in s.exceptions.iter().enumerate() {
-        if e.entries > 0 {
-            println!("exc {n}: {e:?}");
-        }
-    }
-    println!("edges {:?}", rig.take_edges().len());
-    let s0 = rig.cpu_stats();
-    rig.usb_write(b"*");
-    let t = Instant::now();
-    let mut n = 0;
-    for _ in 0..1000 {
-        rig.run_for(SimDuration::from_millis(1))?;
-        n += rig.usb_read().len();
-    }
-    let s = rig.cpu_stats();
     println!(
-        "stream 1 s: {n} bytes in {:?}; awake {} slow {}",
-        t.elapsed(),
-        s.awake - s0.awake,
-        s.slow_steps - s0.slow_steps
+        "{:<34} {:>12} {:>8} {:>11} {:>9} {:>10} {:>9}",
+        "load", "x real time", "CPU", "bytes/s", "TIM2 CPU", "TIM2 wait", "TIM2 run"
     );
+    for l in &figures.loads {
+        println!(
+            "{:<34} {:>12.1} {:>7.2}% {:>11.0} {:>8.3}% {:>7.2} us {:>6.2} us",
+            l.name,
+            l.speed,
+            l.cpu * 100.0,
+            l.bytes_per_second,
+            l.trigger_cpu * 100.0,
+            l.trigger_latency_us,
+            l.trigger_run_us,
+        );
+    }
+    println!("CPU, bytes/s and TIM2 figures are simulated; the speed is this machine's.");
     Ok(())
+}
+
+fn builder(args: &Args) -> RigBuilder {
+    let builder = Rig::builder().seed(SEED);
+    match &args.elf {
+        Some(elf) => builder.elf(elf),
+        None => builder,
+    }
+}
+
+fn measure(args: &Args) -> Result<Figures> {
+    let mut rig = builder(args).build()?;
+    let mut link = BoardLink::new();
+    link.hello(&mut rig, SimDuration::from_secs(5))?;
+    let hello_ms = rig.now().as_secs_f64() * 1e3;
+    let attach_ms = rig
+        .usb_log()
+        .iter()
+        .filter(|(_, what)| what == "device attached")
+        .next_back()
+        .map(|(at, _)| at.as_secs_f64() * 1e3)
+        .context("the device never attached")?;
+    let mut figures = Figures {
+        flash_bytes: rig.firmware().flash_size(),
+        ram_bytes: rig.firmware().ram_size(),
+        attach_ms,
+        hello_ms,
+        loads: Vec::new(),
+    };
+    figures.loads.push(load("idle", &mut rig, &mut link, 60)?);
+    filler(&mut rig, &mut link)?;
+    figures.loads.push(load(
+        "streaming as much as USB takes",
+        &mut rig,
+        &mut link,
+        10,
+    )?);
+
+    // The whole rig: IMU at 500 Hz, trigger and camera at 30 fps.
+    let board = BoardTime::new(OscillatorConfig::default(), SEED.stream(Stream::BoardClock));
+    let imu = Mpu9150::new(
+        Mpu9150Config::typical(SEED),
+        Motion::rest(),
+        board.clone(),
+        SEED,
+    )
+    .shared();
+    let camera = DepthCamera::new(DepthCameraConfig::default(), board, SEED)?;
+    let mut rig = builder(args)
+        .model(imu.clone())
+        .i2c_target(imu)
+        .model(camera)
+        .build()?;
+    let mut link = BoardLink::new();
+    link.hello(&mut rig, SimDuration::from_secs(5))?;
+    rig.run_for(SimDuration::from_secs(1))?;
+    figures
+        .loads
+        .push(load("IMU at 500 Hz", &mut rig, &mut link, 20)?);
+    link.request(
+        &mut rig,
+        Command::TriggerStart(TriggerStart {
+            period: Period::from_ticks(TICK_HZ / 30),
+            width: 12 * (TICK_HZ / 1_000_000),
+            first_edge: None,
+        }),
+    )?;
+    rig.run_for(SimDuration::from_secs(1))?;
+    figures.loads.push(load(
+        "IMU, trigger and strobe at 30 fps",
+        &mut rig,
+        &mut link,
+        20,
+    )?);
+    filler(&mut rig, &mut link)?;
+    figures
+        .loads
+        .push(load("all of it, and USB full", &mut rig, &mut link, 10)?);
+    Ok(figures)
+}
+
+/// Switches the filler on at full rate.
+fn filler(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
+    link.request(
+        rig,
+        Command::Filler {
+            bytes_per_second: u32::MAX,
+        },
+    )?;
+    rig.run_for(SimDuration::from_millis(500))?;
+    Ok(())
+}
+
+fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -> Result<Load> {
+    let before = rig.cpu_stats();
+    let traffic = rig.usb_traffic().bytes_in;
+    let begun = Instant::now();
+    let mut statuses = 0u64;
+    for _ in 0..seconds * 20 {
+        rig.run_for(SimDuration::from_millis(50))?;
+        link.receive(rig);
+        statuses += link
+            .take()
+            .iter()
+            .filter(|m| matches!(m, DeviceToHost::Status(_)))
+            .count() as u64;
+    }
+    let wall = begun.elapsed().as_secs_f64();
+    if statuses + 1 < seconds {
+        bail!("{name}: {statuses} status messages in {seconds} s");
+    }
+    let after = rig.cpu_stats();
+    let cycles = (after.awake - before.awake) + (after.asleep - before.asleep);
+    let tim2 = |s: &CpuStats| s.exceptions.get(TIM2).copied().unwrap_or_default();
+    let (t0, t1): (IrqStats, IrqStats) = (tim2(&before), tim2(&after));
+    let core_mhz = rig.core_rate().hz_rounded() as f64 / 1e6;
+    Ok(Load {
+        name,
+        virtual_seconds: seconds as f64,
+        speed: seconds as f64 / wall,
+        cpu: (after.awake - before.awake) as f64 / cycles as f64,
+        bytes_per_second: (rig.usb_traffic().bytes_in - traffic) as f64 / seconds as f64,
+        trigger_cpu: (t1.cycles - t0.cycles) as f64 / cycles as f64,
+        trigger_latency_us: t1.max_latency as f64 / core_mhz,
+        trigger_run_us: t1.max_cycles as f64 / core_mhz,
+    })
 }
