@@ -109,6 +109,11 @@ impl Fast {
         value
     }
 
+    /// Whether the next instruction stands in an IT block.
+    pub(crate) fn in_it(&self) -> bool {
+        self.it != 0
+    }
+
     /// Forgets the tag of a load-exclusive, as exception entry and return do.
     pub(crate) fn clear_exclusive(&mut self) {
         self.exclusive = None;
@@ -388,10 +393,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
         }};
     }
     loop {
-        if now >= limit {
-            stop!(Stop::Limit, st.it);
-        }
         let it = st.it;
+        // Never between the instructions of an IT block: see `Cpu::slow_step`.
+        if now >= limit && it == 0 {
+            stop!(Stop::Limit, it);
+        }
         let slot = code.get(pc, it != 0, bus.memory());
         if it != 0 {
             st.it = Fast::it_next(it);
@@ -943,7 +949,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             Op::Cps { enable } => {
                 st.primask = !enable;
                 now += 1;
-                if enable && st.pending_masked {
+                if enable && st.pending_masked && st.it == 0 {
                     pc = next;
                     stop!(Stop::Unmasked, st.it);
                 }
@@ -959,7 +965,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     st.basepri = new;
                 }
                 now += 1;
-                if st.pending_masked && st.basepri != old {
+                if st.pending_masked && st.basepri != old && st.it == 0 {
                     pc = next;
                     stop!(Stop::Unmasked, st.it);
                 }

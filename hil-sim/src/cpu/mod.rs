@@ -311,6 +311,13 @@ impl Cpu {
         self.regs.xpsr = self.fast.xpsr();
         self.regs.primask = self.fast.primask;
         self.regs.basepri = self.fast.basepri;
+        // rsemu 0.0.7 stacks xPSR without ITSTATE on exception entry (DDI 0403
+        // B1.5.6 wants it), so that the rest of an interrupted IT block would
+        // run unconditionally. Interrupts therefore wait for its end.
+        let in_it = self.fast.in_it();
+        if in_it {
+            self.regs.primask = true;
+        }
         let uses_psp = !self.regs.in_handler() && self.regs.control & sys::control::SPSEL != 0;
         if uses_psp {
             self.regs.psp = self.regs.r[13];
@@ -334,6 +341,7 @@ impl Cpu {
         self.cycles += self.arm.step();
         self.stats.slow_steps += 1;
 
+        let primask = self.fast.primask;
         self.regs = self.arm.regs();
         if it_block != 0 && usize::from(self.regs.exception().0) != before {
             let frame = if uses_psp {
@@ -345,7 +353,7 @@ impl Cpu {
         }
         self.fast.r = self.regs.r;
         self.fast.set_xpsr(self.regs.xpsr);
-        self.fast.primask = self.regs.primask;
+        self.fast.primask = if in_it { primask } else { self.regs.primask };
         self.fast.basepri = self.regs.basepri;
         self.fast.clear_exclusive();
 
@@ -388,7 +396,7 @@ impl Cpu {
         let privileged = self.regs.in_handler() || self.regs.control & sys::control::NPRIV == 0;
         self.fast_ok =
             plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
-        self.slow_next = takeable || falls_through || !self.fast_ok;
+        self.slow_next = takeable || falls_through || in_it || !self.fast_ok;
         event
     }
 
