@@ -67,6 +67,8 @@ pub enum Command {
     Info(commands::info::Args),
     /// The clock relation of two gyroscope recordings, with its uncertainty
     Offset(commands::offset::Args),
+    /// Measure frame sync from the depth camera's strobes on the phone's video
+    Evaluate(commands::evaluate::Args),
     /// Which serial ports there are, and which look like the board
     Ports(commands::ports::Args),
     /// Talk to the phone's app
@@ -88,6 +90,7 @@ impl Command {
         match self {
             Self::Info(args) => commands::info::run(args, context),
             Self::Offset(args) => commands::offset::run(args, context),
+            Self::Evaluate(args) => commands::evaluate::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),
             Self::Record(args) => commands::record::run(args, context),

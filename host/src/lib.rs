@@ -10,6 +10,7 @@
 //! - [`recording`]: the folder of a session, written and read.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
+//! - [`evaluate`]: frame sync measured from the depth camera's strobes on video.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
@@ -17,6 +18,7 @@ pub mod board;
 pub mod cli;
 pub mod commands;
 pub mod decimal;
+pub mod evaluate;
 pub mod gyro_csv;
 pub mod imu;
 pub mod outcome;

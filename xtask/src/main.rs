@@ -6,6 +6,7 @@
 //! crate of this workspace, so it builds in seconds.
 
 mod docs;
+mod evaluate_bench;
 mod firmware;
 mod process;
 mod sync_bench;
@@ -44,6 +45,9 @@ enum Command {
     },
     /// Measure; figures are ratios within one run.
     Bench {
+        /// Only the speed of `smartdepthsync evaluate`.
+        #[arg(long, conflicts_with = "sync")]
+        evaluate: bool,
         /// The clock estimate instead of the simulator: error, honesty and time
         /// on simulated twists, beside the published Python package.
         #[arg(long)]
@@ -68,6 +72,7 @@ fn run(command: Command) -> Result<()> {
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Check => check(),
         Command::Demo { args } => demo(&args),
+        Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench { sync: true, trials } => sync_bench::run(trials),
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),

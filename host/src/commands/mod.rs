@@ -1,6 +1,7 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
 pub mod doctor;
+pub mod evaluate;
 pub mod imu;
 pub mod info;
 pub mod offset;

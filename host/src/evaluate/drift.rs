@@ -1,0 +1,228 @@
+//! Drift: the train's place against time over a long recording.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::classify::{FrameCounts, Reference};
+use super::identity::Identity;
+use super::paper;
+use super::precision::middle_row;
+use super::recording::Recording;
+use super::stats::{COVERAGE_99, Line, robust_deviation};
+use super::track::{Choice, FramePoint, Track, track};
+use super::{EvaluateError, Settings};
+
+/// Fewer frames give no regression.
+const MIN_FRAMES: usize = 10;
+/// Frames over which errors may be correlated: two seconds, two key frames.
+const FRAME_LAG: usize = 64;
+/// Robust standard deviations beyond which a frame does not belong to the line.
+const OUTLIER: f64 = 6.0;
+/// The published pipeline looks at every n-th frame.
+const PAPER_EVERY: usize = 6;
+
+/// Drift by the published pipeline.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PaperDrift {
+    /// Frames with a peak.
+    pub frames: usize,
+    /// Row time from the peaks, µs.
+    pub row_time_us: f64,
+    /// Drift, µs/min.
+    pub drift_us_per_min: f64,
+    /// Standard uncertainty of the regression, µs/min.
+    pub drift_sigma_us_per_min: f64,
+}
+
+/// What a long recording says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Drift {
+    /// The input.
+    pub path: PathBuf,
+    /// Drift, µs/min; positive: the depth camera falls behind.
+    pub drift_us_per_min: f64,
+    /// Standard uncertainty of the drift, µs/min.
+    pub drift_sigma_us_per_min: f64,
+    /// Half width of the drift's 99 % interval, µs/min.
+    pub drift_uncertainty_99_us_per_min: f64,
+    /// Bias of the line in the middle of the used frames, µs.
+    pub bias_us: f64,
+    /// Bias of the line at the first used frame, µs.
+    pub bias_at_start_us: f64,
+    /// Bias of the line at the last used frame, µs.
+    pub bias_at_end_us: f64,
+    /// Seconds from the first to the last used frame.
+    pub span_s: f64,
+    /// Standard deviation of the frames about the line, µs.
+    pub residual_sd_us: f64,
+    /// Row time, µs.
+    pub row_time_us: f64,
+    /// Standard uncertainty of the row time, µs.
+    pub row_time_sigma_us: f64,
+    /// Exposure that fits the flashes, µs.
+    pub exposure_us: f64,
+    /// Frames far off the line, left out of it.
+    pub outliers: usize,
+    /// Which flash is which.
+    pub identity: Identity,
+    /// What became of the frames.
+    pub frames: FrameCounts,
+    /// What the smooth part was taken from.
+    pub reference: Reference,
+    /// The published pipeline on the same frames.
+    pub paper: Option<PaperDrift>,
+    /// Remarks.
+    pub notes: Vec<String>,
+}
+
+/// The result with what its pictures need.
+#[derive(Debug, Clone)]
+pub struct EvaluatedDrift {
+    /// The result.
+    pub result: Drift,
+    /// The regression, µs against seconds.
+    pub line: Line,
+    /// Used frames on the line.
+    pub points: Vec<FramePoint>,
+    /// The frames' fits.
+    pub track: Track,
+    /// The recording.
+    pub recording: Recording,
+}
+
+/// Evaluates the drift over all frames of a recording.
+pub fn evaluate(
+    recording: Recording,
+    settings: &Settings,
+    with_paper: bool,
+) -> Result<EvaluatedDrift, EvaluateError> {
+    let track = track(&recording, settings, Choice::All)?;
+    let mut points = track.points.clone();
+    let all = points.len();
+    let too_few = |found: usize| EvaluateError::TooFewFrames {
+        path: recording.path.clone(),
+        found,
+        needed: MIN_FRAMES,
+    };
+    for _ in 0..4 {
+        if points.len() < MIN_FRAMES {
+            return Err(too_few(points.len()));
+        }
+        let line = fit(&points).ok_or_else(|| too_few(points.len()))?;
+        let residuals: Vec<f64> = points
+            .iter()
+            .map(|p| p.bias_us - line.at(p.time_s))
+            .collect();
+        let limit = OUTLIER * robust_deviation(&residuals).max(0.02);
+        let before = points.len();
+        let mut residuals = residuals.into_iter();
+        points.retain(|_| residuals.next().is_some_and(|r| r.abs() <= limit));
+        if points.len() == before {
+            break;
+        }
+    }
+    let line = fit(&points)
+        .filter(|_| points.len() >= MIN_FRAMES)
+        .ok_or_else(|| too_few(points.len()))?;
+    let (first, last) = match (points.first(), points.last()) {
+        (Some(a), Some(b)) => (a.time_s, b.time_s),
+        _ => return Err(too_few(0)),
+    };
+
+    let mut notes = recording.notes.clone();
+    notes.extend(track.notes.iter().cloned());
+    let typical = super::stats::median(&points.iter().map(|p| p.sigma_us).collect::<Vec<_>>());
+    if line.residual_sd > 20.0 * typical.max(0.05) {
+        notes.push(format!(
+            "the frames lie {:.1} µs off the line, each is known to {typical:.2} µs: the train did not move evenly (was the trigger aligned, or the period changed, during this time? choose it with --from and --to)",
+            line.residual_sd
+        ));
+    }
+    let outliers = all - points.len();
+    if outliers * 10 > all {
+        notes.push(format!(
+            "{outliers} of {all} frames lie far off the line and were left out of it"
+        ));
+    }
+    let paper = with_paper
+        .then(|| paper_drift(&recording, &track, settings))
+        .flatten();
+    let per_minute = |v: f64| 60.0 * v;
+    let result = Drift {
+        path: recording.path.clone(),
+        drift_us_per_min: per_minute(line.slope),
+        drift_sigma_us_per_min: per_minute(line.slope_sigma),
+        drift_uncertainty_99_us_per_min: per_minute(COVERAGE_99 * line.slope_sigma),
+        bias_us: line.at(0.5 * (first + last)),
+        bias_at_start_us: line.at(first),
+        bias_at_end_us: line.at(last),
+        span_s: last - first,
+        residual_sd_us: line.residual_sd,
+        row_time_us: track.joint.row_time_us,
+        row_time_sigma_us: track.joint.row_time_sigma_us,
+        exposure_us: track.joint.exposure_us,
+        outliers,
+        identity: track.identity.clone(),
+        frames: track.counts,
+        reference: track.reference,
+        paper,
+        notes,
+    };
+    Ok(EvaluatedDrift {
+        result,
+        line,
+        points,
+        track,
+        recording,
+    })
+}
+
+fn fit(points: &[FramePoint]) -> Option<Line> {
+    let times: Vec<f64> = points.iter().map(|p| p.time_s).collect();
+    let biases: Vec<f64> = points.iter().map(|p| p.bias_us).collect();
+    Line::fit(&times, &biases, FRAME_LAG.min(points.len() / 6))
+}
+
+/// One flash's row in every 6th frame and a straight line through it.
+fn paper_drift(recording: &Recording, track: &Track, settings: &Settings) -> Option<PaperDrift> {
+    let middle = middle_row(recording);
+    let mut row_times = Vec::new();
+    let mut rows: Vec<(f64, f64)> = Vec::new();
+    let mut followed: Option<f64> = None;
+    let mut used = track.points.iter().map(|p| p.index).peekable();
+    for frame in &recording.frames {
+        while used.peek().is_some_and(|&i| i < frame.index) {
+            used.next();
+        }
+        if frame.index % PAPER_EVERY != 0 || used.peek() != Some(&frame.index) {
+            continue;
+        }
+        let profile: Vec<f64> = frame.rows.iter().map(|&v| f64::from(v)).collect();
+        let found = paper::evaluate(&profile, recording.rows, middle, &settings.train, 0.0, None);
+        row_times.extend(found.row_time_us);
+        let aim = followed.unwrap_or(middle);
+        let nearest = found
+            .peak_rows
+            .iter()
+            .copied()
+            .min_by(|a, b| (a - aim).abs().total_cmp(&(b - aim).abs()));
+        if let Some(row) = nearest {
+            followed = Some(row);
+            rows.push((frame.time_s, row));
+        }
+    }
+    if row_times.is_empty() {
+        return None;
+    }
+    let row_time_us = super::stats::mean(&row_times);
+    let (times, rows): (Vec<f64>, Vec<f64>) = rows.into_iter().unzip();
+    // The published regression knows no correlation.
+    let line = Line::fit(&times, &rows, 0)?;
+    Some(PaperDrift {
+        frames: rows.len(),
+        row_time_us,
+        drift_us_per_min: 60.0 * row_time_us * line.slope,
+        drift_sigma_us_per_min: 60.0 * row_time_us * line.slope_sigma,
+    })
+}

@@ -1,0 +1,180 @@
+//! What can go wrong in an evaluation. Each message says what was expected and
+//! what to do.
+
+use std::path::PathBuf;
+
+use super::frame::Region;
+
+/// An evaluation that could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// Not a strobe train.
+    #[error(
+        "`{0}` is not a strobe train: give `nfov`, `wfov` or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least twice the duration)"
+    )]
+    Train(String),
+    /// Not a rotation.
+    #[error("`{0}` is not a rotation: give 0, 90, 180 or 270 degrees")]
+    Rotation(String),
+    /// Not a region.
+    #[error("`{0}` is not a region: give X,Y,WIDTH,HEIGHT in pixels of the image")]
+    RegionSyntax(String),
+    /// The region is not inside the image.
+    #[error(
+        "the region {region} (X,Y,WIDTH,HEIGHT) is not inside the image of {width}x{height} pixels"
+    )]
+    RegionOutside {
+        /// The region.
+        region: Region,
+        /// Width of the image.
+        width: usize,
+        /// Height of the image.
+        height: usize,
+    },
+    /// Too small a picture.
+    #[error(
+        "only {rows} sensor rows to look at, at least {min} are needed: give a larger region or a larger video, and check --rotation"
+    )]
+    TooFewRows {
+        /// Rows there are.
+        rows: usize,
+        /// Rows needed.
+        min: usize,
+    },
+    /// A setting out of range.
+    #[error("{0}")]
+    Setting(String),
+    /// A frame of another size than those before it.
+    #[error(
+        "a frame of {got_width}x{got_height} pixels after frames of {width}x{height}: all frames of a recording, and all recordings of one evaluation, must have one size"
+    )]
+    FrameSize {
+        /// Width of the frame.
+        got_width: usize,
+        /// Height of the frame.
+        got_height: usize,
+        /// Width expected.
+        width: usize,
+        /// Height expected.
+        height: usize,
+    },
+    /// A side of the picture is beyond any sensor.
+    #[error("{path}: pictures of {width}x{height} pixels are not supported (1 to {max} a side)")]
+    Unsupported {
+        /// The input.
+        path: PathBuf,
+        /// Width it claims.
+        width: u64,
+        /// Height it claims.
+        height: u64,
+        /// Longest side.
+        max: usize,
+    },
+    /// `ffmpeg` or `ffprobe` is missing.
+    #[error(
+        "`{0}` was not found: videos are decoded by ffmpeg; install it (Debian, Ubuntu: `apt install ffmpeg`) and see that it is on the PATH, or give a folder of images"
+    )]
+    NoFfmpeg(&'static str),
+    /// `ffmpeg` or `ffprobe` could not be run.
+    #[error("`{program}` could not be run: {source}")]
+    RunFfmpeg {
+        /// Which of the two.
+        program: &'static str,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Not a readable video.
+    #[error("{path}: not a readable video: {message}")]
+    NotAVideo {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said, and what it may mean.
+        message: String,
+    },
+    /// An image could not be read.
+    #[error("{path}: not a readable image: {message}")]
+    NotAnImage {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        message: String,
+    },
+    /// A folder without images.
+    #[error(
+        "{0}: no images in this folder: expected png, jpg or pgm files, one a frame, whose names sort in the order of time"
+    )]
+    NoImages(PathBuf),
+    /// A file could not be read or written.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A timestamp file with something else in it.
+    #[error("{path}: line {line}: expected one integer of nanoseconds a line, found `{found}`")]
+    Timestamps {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is there.
+        found: String,
+    },
+    /// No frames at all in the time asked for.
+    #[error("{path}: no frames between {from_s} s and {to_s}")]
+    NoFrames {
+        /// The input.
+        path: PathBuf,
+        /// Start of the window, seconds.
+        from_s: f64,
+        /// End of the window.
+        to_s: String,
+    },
+    /// Nothing found.
+    #[error(
+        "{path}: no strobe flashes in any of {frames} frames. Is the re-transmitter on and in view, the depth camera running and its light on the photodiode? If the flashes are only in a part of the picture, give --region; if the image is turned against the sensor, --rotation; in another camera mode, --train"
+    )]
+    NoFlashes {
+        /// The input.
+        path: PathBuf,
+        /// Frames looked at.
+        frames: usize,
+    },
+    /// Flashes, but no clean frames.
+    #[error(
+        "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone, or give --keep-flicker to use these frames all the same"
+    )]
+    OnlyFlicker {
+        /// The input.
+        path: PathBuf,
+        /// Frames with flicker.
+        flicker: usize,
+        /// Frames looked at.
+        frames: usize,
+        /// Size of the flicker, grey levels.
+        peak_to_peak: f64,
+    },
+    /// Flashes in too few frames.
+    #[error("{path}: {found} frames with flashes, at least {needed} are needed")]
+    TooFewFrames {
+        /// The input.
+        path: PathBuf,
+        /// Frames with flashes.
+        found: usize,
+        /// Frames needed.
+        needed: usize,
+    },
+    /// A rig profile that is not TOML, or has something else at our key.
+    #[error("{path}: {message}")]
+    Profile {
+        /// The profile.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// A picture could not be drawn.
+    #[error("the plot could not be drawn: {0}")]
+    Plot(String),
+}

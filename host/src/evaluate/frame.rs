@@ -1,0 +1,382 @@
+//! One frame, reduced to the mean brightness of its sensor rows.
+//!
+//! A frame is reduced as soon as it arrives and then forgotten: a minute of 4K
+//! video needs as little memory as a second of it, apart from the profiles.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::Serialize;
+
+use super::EvaluateError;
+
+/// An 8-bit grey image, row by row without gaps.
+#[derive(Debug, Clone, Copy)]
+pub struct GreyView<'a> {
+    /// Pixels in an image row.
+    pub width: usize,
+    /// Image rows.
+    pub height: usize,
+    /// `width · height` grey levels.
+    pub pixels: &'a [u8],
+}
+
+/// By how many degrees the image is turned clockwise against the sensor's read-out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub enum Rotation {
+    /// The sensor's first row is the image's top row.
+    #[default]
+    #[serde(rename = "0")]
+    Deg0,
+    /// The sensor's first row is the image's right column.
+    #[serde(rename = "90")]
+    Deg90,
+    /// The sensor's first row is the image's bottom row.
+    #[serde(rename = "180")]
+    Deg180,
+    /// The sensor's first row is the image's left column.
+    #[serde(rename = "270")]
+    Deg270,
+}
+
+impl FromStr for Rotation {
+    type Err = EvaluateError;
+
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        match s {
+            "0" => Ok(Self::Deg0),
+            "90" => Ok(Self::Deg90),
+            "180" => Ok(Self::Deg180),
+            "270" => Ok(Self::Deg270),
+            _ => Err(EvaluateError::Rotation(s.to_owned())),
+        }
+    }
+}
+
+/// A rectangle of the image, in image pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Region {
+    /// Left edge.
+    pub x: usize,
+    /// Top edge.
+    pub y: usize,
+    /// Width.
+    pub width: usize,
+    /// Height.
+    pub height: usize,
+}
+
+impl fmt::Display for Region {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{},{},{},{}", self.x, self.y, self.width, self.height)
+    }
+}
+
+impl FromStr for Region {
+    type Err = EvaluateError;
+
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        let wrong = || EvaluateError::RegionSyntax(s.to_owned());
+        let numbers: Vec<usize> = s
+            .split(',')
+            .map(|p| p.trim().parse().map_err(|_| wrong()))
+            .collect::<Result<_, _>>()?;
+        match numbers.as_slice() {
+            &[x, y, width, height] if width > 0 && height > 0 => Ok(Self {
+                x,
+                y,
+                width,
+                height,
+            }),
+            _ => Err(wrong()),
+        }
+    }
+}
+
+/// Fewer rows than this do not hold two flashes of any sensor.
+pub const MIN_ROWS: usize = 64;
+/// Larger sides are refused: a damaged header must not allocate gigabytes.
+pub const MAX_SIDE: usize = 16_384;
+
+/// Mean brightness of the used rows of one frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RowProfile {
+    /// Grey levels, in read-out order, one for each used sensor row.
+    pub rows: Vec<f32>,
+    /// Share of used pixels at the white end of the scale.
+    pub saturated: f32,
+}
+
+/// Turns frames of one size into row profiles.
+#[derive(Debug, Clone)]
+pub struct RowReducer {
+    width: usize,
+    height: usize,
+    rotation: Rotation,
+    region: Region,
+    white: u8,
+}
+
+impl RowReducer {
+    /// For frames of `width` × `height` pixels; `region` is in image pixels, and
+    /// grey levels of `white` and above count as saturated.
+    pub fn new(
+        width: usize,
+        height: usize,
+        rotation: Rotation,
+        region: Option<Region>,
+        white: u8,
+    ) -> Result<Self, EvaluateError> {
+        let region = region.unwrap_or(Region {
+            x: 0,
+            y: 0,
+            width,
+            height,
+        });
+        let inside = |start: usize, length: usize, side: usize| {
+            start.checked_add(length).is_some_and(|end| end <= side)
+        };
+        if !inside(region.x, region.width, width) || !inside(region.y, region.height, height) {
+            return Err(EvaluateError::RegionOutside {
+                region,
+                width,
+                height,
+            });
+        }
+        let reducer = Self {
+            width,
+            height,
+            rotation,
+            region,
+            white,
+        };
+        let rows = reducer.used_rows();
+        if rows < MIN_ROWS {
+            return Err(EvaluateError::TooFewRows {
+                rows,
+                min: MIN_ROWS,
+            });
+        }
+        Ok(reducer)
+    }
+
+    fn rows_are_columns(&self) -> bool {
+        matches!(self.rotation, Rotation::Deg90 | Rotation::Deg270)
+    }
+
+    fn reversed(&self) -> bool {
+        matches!(self.rotation, Rotation::Deg90 | Rotation::Deg180)
+    }
+
+    /// Rows of the whole sensor picture.
+    pub fn sensor_rows(&self) -> usize {
+        if self.rows_are_columns() {
+            self.width
+        } else {
+            self.height
+        }
+    }
+
+    /// Rows inside the region.
+    pub fn used_rows(&self) -> usize {
+        if self.rows_are_columns() {
+            self.region.width
+        } else {
+            self.region.height
+        }
+    }
+
+    /// Number, in read-out order, of the first used row.
+    pub fn first_row(&self) -> usize {
+        let (start, length) = if self.rows_are_columns() {
+            (self.region.x, self.region.width)
+        } else {
+            (self.region.y, self.region.height)
+        };
+        if self.reversed() {
+            self.sensor_rows() - start - length
+        } else {
+            start
+        }
+    }
+
+    /// Where a sensor row lies in the image, and whether rows run along columns.
+    pub fn image_line(&self, sensor_row: f64) -> (f64, bool) {
+        let line = if self.reversed() {
+            self.sensor_rows() as f64 - 1.0 - sensor_row
+        } else {
+            sensor_row
+        };
+        (line, self.rows_are_columns())
+    }
+
+    /// Reduces one frame.
+    pub fn reduce(&self, frame: GreyView<'_>, out: &mut RowProfile) -> Result<(), EvaluateError> {
+        let expected = self.width * self.height;
+        if (frame.width, frame.height) != (self.width, self.height)
+            || frame.pixels.len() != expected
+        {
+            return Err(EvaluateError::FrameSize {
+                got_width: frame.width,
+                got_height: frame.height,
+                width: self.width,
+                height: self.height,
+            });
+        }
+        let Region {
+            x,
+            y,
+            width,
+            height,
+        } = self.region;
+        let mut saturated = 0u64;
+        let lines = frame
+            .pixels
+            .chunks_exact(self.width)
+            .skip(y)
+            .take(height)
+            .filter_map(|line| line.get(x..x + width));
+        out.rows.clear();
+        if self.rows_are_columns() {
+            let mut sums = vec![0u32; width];
+            for line in lines {
+                for (sum, &p) in sums.iter_mut().zip(line) {
+                    *sum += u32::from(p);
+                }
+                saturated += count_white(line, self.white);
+            }
+            out.rows
+                .extend(sums.iter().map(|&s| (f64::from(s) / height as f64) as f32));
+        } else {
+            for line in lines {
+                let sum: u64 = line
+                    .chunks(4096)
+                    .map(|c| u64::from(c.iter().map(|&p| u32::from(p)).sum::<u32>()))
+                    .sum();
+                out.rows.push((sum as f64 / width as f64) as f32);
+                saturated += count_white(line, self.white);
+            }
+        }
+        if self.reversed() {
+            out.rows.reverse();
+        }
+        out.saturated = saturated as f32 / (width * height) as f32;
+        Ok(())
+    }
+}
+
+fn count_white(line: &[u8], white: u8) -> u64 {
+    line.chunks(255)
+        .map(|c| {
+            let n: u8 = c
+                .iter()
+                .fold(0, |n, &p| n.wrapping_add(u8::from(p >= white)));
+            u64::from(n)
+        })
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sensor picture whose row r is r everywhere, delivered with a rotation.
+    fn picture(rotation: Rotation, rows: usize, columns: usize) -> (usize, usize, Vec<u8>) {
+        let (w, h) = match rotation {
+            Rotation::Deg0 | Rotation::Deg180 => (columns, rows),
+            _ => (rows, columns),
+        };
+        let mut pixels = vec![0; w * h];
+        for (i, p) in pixels.iter_mut().enumerate() {
+            let (x, y) = (i % w, i / w);
+            let row = match rotation {
+                Rotation::Deg0 => y,
+                Rotation::Deg90 => w - 1 - x,
+                Rotation::Deg180 => h - 1 - y,
+                Rotation::Deg270 => x,
+            };
+            *p = row as u8;
+        }
+        (w, h, pixels)
+    }
+
+    #[test]
+    fn every_rotation_gives_rows_in_read_out_order() {
+        for rotation in [
+            Rotation::Deg0,
+            Rotation::Deg90,
+            Rotation::Deg180,
+            Rotation::Deg270,
+        ] {
+            let (width, height, pixels) = picture(rotation, 100, 33);
+            let reducer = RowReducer::new(width, height, rotation, None, 98).unwrap();
+            let mut out = RowProfile::default();
+            let view = GreyView {
+                width,
+                height,
+                pixels: &pixels,
+            };
+            reducer.reduce(view, &mut out).unwrap();
+            let expected: Vec<f32> = (0..100).map(|r| r as f32).collect();
+            assert_eq!(out.rows, expected, "{rotation:?}");
+            assert!((out.saturated - 0.02).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_region_keeps_the_row_numbers() {
+        for (rotation, region, first) in [
+            (Rotation::Deg0, "3,10,20,70", 10),
+            (Rotation::Deg180, "3,10,20,70", 20),
+            (Rotation::Deg270, "5,1,70,20", 5),
+            (Rotation::Deg90, "5,1,70,20", 25),
+        ] {
+            let (width, height, pixels) = picture(rotation, 100, 33);
+            let region = Some(region.parse().unwrap());
+            let reducer = RowReducer::new(width, height, rotation, region, 255).unwrap();
+            let mut out = RowProfile::default();
+            let view = GreyView {
+                width,
+                height,
+                pixels: &pixels,
+            };
+            reducer.reduce(view, &mut out).unwrap();
+            assert_eq!(reducer.first_row(), first, "{rotation:?}");
+            assert_eq!(out.rows.first(), Some(&(first as f32)));
+            assert_eq!(out.rows.len(), 70);
+            let (line, vertical) = reducer.image_line(first as f64);
+            let at = if vertical {
+                pixels[line as usize]
+            } else {
+                pixels[line as usize * width]
+            };
+            assert_eq!(usize::from(at), first);
+        }
+    }
+
+    #[test]
+    fn wrong_sizes_and_regions_are_refused() {
+        let new = |w, h, region: &str| {
+            let region = region.parse().ok();
+            RowReducer::new(w, h, Rotation::Deg0, region, 255)
+        };
+        let e = new(100, 100, "50,0,51,100").unwrap_err().to_string();
+        assert!(e.contains("100x100"), "{e}");
+        assert!(new(100, 100, &format!("{},0,2,100", usize::MAX)).is_err());
+        assert!(new(100, 40, "").is_err());
+        assert!("1,2,3".parse::<Region>().is_err());
+        assert!("1,2,0,4".parse::<Region>().is_err());
+
+        let reducer = new(100, 100, "").unwrap();
+        let view = GreyView {
+            width: 50,
+            height: 100,
+            pixels: &[0; 5000],
+        };
+        let e = reducer
+            .reduce(view, &mut RowProfile::default())
+            .unwrap_err()
+            .to_string();
+        assert!(e.contains("50x100") && e.contains("100x100"), "{e}");
+    }
+}

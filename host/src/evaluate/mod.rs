@@ -1,0 +1,147 @@
+//! Frame sync measured from the depth camera's own strobes.
+//!
+//! Every exposure of a time-of-flight camera is a train of infrared flashes. A
+//! photodiode and an LED strip turn them into visible light on the phone's
+//! rolling-shutter sensor, where each flash becomes a bright band of rows. Where
+//! the bands lie says when the depth camera was exposed relative to the phone's
+//! frame.
+//!
+//! ## Conventions
+//!
+//! - *Perfect sync*: the centre of the train (the 5th of 9 flashes) falls on the
+//!   centre of exposure of the sensor's middle row. The middle row of `n` rows is
+//!   row `(n - 1) / 2`, counted from 0; between the two middle rows for even `n`.
+//! - *Bias*: centre of the train minus centre of exposure of the middle row, in
+//!   microseconds. Positive: the depth camera comes late.
+//! - Times are in the camera's clock as far as the train's pitch is known: row
+//!   time and bias scale with the pitch. The depth camera's clock may be off by
+//!   hundreds of ppm; of a bias of 100 µs that is 0.05 µs.
+//!
+//! ## Design
+//!
+//! Frames are reduced to row profiles as they come ([`frame`], [`source`]), so
+//! memory does not depend on size or length of a video ([`store`]). Everything
+//! after that is pure computation: a coarse matched filter ([`search`]), a fit of
+//! the whole train ([`fit`]), and the steps from there to a recording's result
+//! ([`track`]). [`paper`] is the published pipeline for comparison.
+//!
+//! ## Limits
+//!
+//! - One train a frame. With a slow read-out a second train can enter at the edge
+//!   when the cameras are half a period apart; such frames fit badly.
+//! - An exposure that is a whole number of pitches hides the flashes (every row
+//!   sees the same light); the result says so.
+//! - The light path's delay is the user's to state (`path_delay_us`).
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+pub mod calibrate;
+pub mod classify;
+pub mod drift;
+mod error;
+pub mod fit;
+pub mod frame;
+pub mod identity;
+pub mod linear;
+pub mod paper;
+pub mod plot;
+pub mod precision;
+pub mod recording;
+pub mod report;
+pub mod search;
+pub mod source;
+pub mod stats;
+pub mod store;
+pub mod track;
+pub mod train;
+
+pub use error::EvaluateError;
+
+use frame::{Region, Rotation};
+use train::TrainGeometry;
+
+/// What the user says about camera and train.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Settings {
+    /// Flashes of one exposure of the depth camera.
+    pub train: TrainGeometry,
+    /// How the image is turned against the sensor.
+    pub rotation: Rotation,
+    /// Part of the image to look at.
+    pub region: Option<Region>,
+    /// The row that counts as the middle, counted from 0 in read-out order.
+    pub middle_row: Option<f64>,
+    /// Exposure of a row, µs, if known (to about 2 %).
+    pub exposure_us: Option<f64>,
+    /// Row time, µs, if known (to about 0.5 %).
+    pub row_time_us: Option<f64>,
+    /// Bias that is expected, µs: decides where whole pitches are open.
+    pub near_us: f64,
+    /// Delay of the light path from strobe to LED, µs; subtracted.
+    pub path_delay_us: f64,
+    /// Use frames whose room light changes all the same.
+    pub keep_flicker: bool,
+    /// First second of the recording to use.
+    pub from_s: Option<f64>,
+    /// Second of the recording to stop at.
+    pub to_s: Option<f64>,
+    /// File with one time a frame, instead of the one beside the video.
+    pub timestamps: Option<PathBuf>,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            train: TrainGeometry::NFOV,
+            rotation: Rotation::Deg0,
+            region: None,
+            middle_row: None,
+            exposure_us: None,
+            row_time_us: None,
+            near_us: 0.0,
+            path_delay_us: 0.0,
+            keep_flicker: false,
+            from_s: None,
+            to_s: None,
+            timestamps: None,
+        }
+    }
+}
+
+impl Settings {
+    /// Checks that every number is one that a camera can have.
+    pub fn check(&self) -> Result<(), EvaluateError> {
+        self.train.check()?;
+        let wrong = |what: &str, value: f64, expected: &str| {
+            Err(EvaluateError::Setting(format!(
+                "{what} of {value} is not possible: expected {expected}"
+            )))
+        };
+        if let Some(t) = self.row_time_us.filter(|t| !(0.5..=500.0).contains(t)) {
+            return wrong("a row time", t, "0.5 to 500 µs");
+        }
+        if let Some(e) = self.exposure_us.filter(|e| !(1.0..=1e5).contains(e)) {
+            return wrong("an exposure", e, "1 to 100000 µs");
+        }
+        if !self.near_us.is_finite() || self.near_us.abs() > 1e6 {
+            return wrong("an expected bias", self.near_us, "at most 1000000 µs");
+        }
+        if !self.path_delay_us.is_finite() || self.path_delay_us.abs() > 1e5 {
+            return wrong("a delay", self.path_delay_us, "at most 100000 µs");
+        }
+        if let Some(m) = self.middle_row.filter(|m| !(0.0..=1e5).contains(m)) {
+            return wrong("a middle row", m, "a row of the sensor, from 0");
+        }
+        let seconds = |v: Option<f64>| v.is_none_or(|s| s.is_finite() && s >= 0.0);
+        let ordered = self.from_s.zip(self.to_s).is_none_or(|(a, b)| a < b);
+        if !seconds(self.from_s) || !seconds(self.to_s) || !ordered {
+            return Err(EvaluateError::Setting(
+                "start and end must be seconds since the first frame, the start before the end"
+                    .to_owned(),
+            ));
+        }
+        Ok(())
+    }
+}

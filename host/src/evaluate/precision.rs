@@ -1,0 +1,324 @@
+//! Bias of each recording, and its spread over recordings.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::Serialize;
+
+use super::classify::{FrameCounts, Reference};
+use super::identity::Identity;
+use super::paper::{self, PaperResult};
+use super::recording::Recording;
+use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
+use super::track::{Choice, Track, track};
+use super::{EvaluateError, Settings};
+
+/// Motion of the train within a recording's frames that is worth a remark, µs.
+const NOTABLE_MOTION_US: f64 = 20.0;
+
+/// What one recording says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordingResult {
+    /// The input.
+    pub path: PathBuf,
+    /// Width of the image, pixels.
+    pub width: usize,
+    /// Height of the image, pixels.
+    pub height: usize,
+    /// Bias from perfect sync, µs; positive: the depth camera comes late.
+    pub bias_us: f64,
+    /// Standard uncertainty of the bias, µs.
+    pub sigma_us: f64,
+    /// Half width of the 99 % interval, µs.
+    pub uncertainty_99_us: f64,
+    /// Row, from 0, that the centre of the train falls on.
+    pub row: f64,
+    /// Row time, µs.
+    pub row_time_us: f64,
+    /// Standard uncertainty of the row time, µs.
+    pub row_time_sigma_us: f64,
+    /// Exposure that fits the flashes, µs.
+    pub exposure_us: f64,
+    /// Its standard uncertainty, µs.
+    pub exposure_sigma_us: f64,
+    /// Grey levels that a whole flash adds.
+    pub amplitude: f64,
+    /// Standard deviation between the frames, µs; none with one frame.
+    pub frame_sd_us: Option<f64>,
+    /// Which flash is which.
+    pub identity: Identity,
+    /// What became of the frames.
+    pub frames: FrameCounts,
+    /// What the smooth part was taken from.
+    pub reference: Reference,
+    /// The published pipeline on the same frames.
+    pub paper: Option<PaperResult>,
+    /// Remarks.
+    pub notes: Vec<String>,
+}
+
+/// A recording that gave no result.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LeftOut {
+    /// The input.
+    pub path: PathBuf,
+    /// Why.
+    pub reason: String,
+}
+
+/// Spread of one quantity over recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Number of recordings.
+    pub count: usize,
+    /// Mean, µs.
+    pub mean_us: f64,
+    /// Standard uncertainty of the mean, µs.
+    pub mean_sigma_us: f64,
+    /// Median, µs.
+    pub median_us: f64,
+    /// Standard deviation over recordings, µs; none for a single one.
+    pub sd_us: Option<f64>,
+    /// Standard uncertainty of it, µs.
+    pub sd_sigma_us: Option<f64>,
+    /// Interquartile range over recordings, µs; none for a single one.
+    pub iqr_us: Option<f64>,
+    /// Standard uncertainty of it, µs.
+    pub iqr_sigma_us: Option<f64>,
+}
+
+impl Spread {
+    /// Of values with their own standard uncertainties; `None` without values.
+    ///
+    /// The uncertainties of standard deviation and interquartile range are those
+    /// of normally distributed launches, SD/√(2(n-1)) and 1.573·SD/√n.
+    pub fn of(values: &[f64], sigmas: &[f64]) -> Option<Self> {
+        let n = values.len();
+        let median_us = quantile(values, 0.5)?;
+        let sd = standard_deviation(values);
+        // Between launches, and what each launch does not know itself.
+        let own = sigmas.iter().map(|s| s * s).sum::<f64>().sqrt() / n as f64;
+        let between = sd.map_or(0.0, |sd| sd / (n as f64).sqrt());
+        let iqr = sd.and_then(|_| Some(quantile(values, 0.75)? - quantile(values, 0.25)?));
+        Some(Self {
+            count: n,
+            mean_us: mean(values),
+            mean_sigma_us: own.max(between),
+            median_us,
+            sd_us: sd,
+            sd_sigma_us: sd.map(|sd| sd / (2.0 * (n as f64 - 1.0)).sqrt()),
+            iqr_us: iqr,
+            iqr_sigma_us: sd.map(|sd| 1.573 * sd / (n as f64).sqrt()),
+        })
+    }
+}
+
+/// Results over all recordings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Precision {
+    /// Each recording.
+    pub recordings: Vec<RecordingResult>,
+    /// Inputs without a result.
+    pub left_out: Vec<LeftOut>,
+    /// Bias over recordings.
+    pub bias: Option<Spread>,
+    /// Row time, weighted mean over recordings, µs.
+    pub row_time_us: f64,
+    /// Its standard uncertainty, µs.
+    pub row_time_sigma_us: f64,
+    /// Bias over recordings by the published pipeline.
+    pub paper_bias: Option<Spread>,
+    /// Row time by the published pipeline, mean over recordings, µs.
+    pub paper_row_time_us: Option<f64>,
+}
+
+/// Told after each input: its path, its result or why there is none, and the time
+/// spent waiting for it.
+pub type Progress<'a> = dyn FnMut(&Path, &Result<RecordingResult, String>, Duration) + 'a;
+
+/// One recording's result with what its pictures need.
+#[derive(Debug, Clone)]
+pub struct Evaluated {
+    /// The result.
+    pub result: RecordingResult,
+    /// The frames' fits.
+    pub track: Track,
+    /// The recording.
+    pub recording: Recording,
+}
+
+/// Evaluates one recording from its last `frames` frames with flashes.
+pub fn evaluate_recording(
+    recording: Recording,
+    settings: &Settings,
+    frames: usize,
+    with_paper: bool,
+) -> Result<Evaluated, EvaluateError> {
+    let track = track(&recording, settings, Choice::Last(frames.max(1)))?;
+    let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
+    let times: Vec<f64> = track.points.iter().map(|p| p.time_s).collect();
+    let line = Line::fit(&times, &biases, 1);
+    let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
+    let sigma_us = track.joint.mean_sigma_us.max(scatter);
+    let mut notes = recording.notes.clone();
+    notes.extend(track.notes.iter().cloned());
+    let low = biases.iter().copied().fold(f64::MAX, f64::min);
+    let high = biases.iter().copied().fold(f64::MIN, f64::max);
+    if high - low > NOTABLE_MOTION_US {
+        notes.push(format!(
+            "the train moved by {:.0} µs within the {} frames used: the cameras are not in step, or the trigger was still being aligned (choose the time with --from and --to)",
+            high - low,
+            biases.len()
+        ));
+    }
+    let middle = middle_row(&recording);
+    let paper = with_paper.then(|| {
+        paper::evaluate(
+            &track.mean_profile,
+            recording.rows,
+            middle,
+            &settings.train,
+            settings.near_us,
+            settings.row_time_us,
+        )
+    });
+    let amplitudes: Vec<f64> = track.points.iter().map(|p| p.amplitude).collect();
+    let joint = &track.joint;
+    let result = RecordingResult {
+        path: recording.path.clone(),
+        width: recording.width,
+        height: recording.height,
+        bias_us: joint.mean_us,
+        sigma_us,
+        uncertainty_99_us: COVERAGE_99 * sigma_us,
+        row: middle + (joint.mean_us + settings.path_delay_us) / joint.row_time_us,
+        row_time_us: joint.row_time_us,
+        row_time_sigma_us: joint.row_time_sigma_us,
+        exposure_us: joint.exposure_us,
+        exposure_sigma_us: joint.exposure_sigma_us,
+        amplitude: mean(&amplitudes),
+        frame_sd_us: standard_deviation(&biases),
+        identity: track.identity.clone(),
+        frames: track.counts,
+        reference: track.reference,
+        paper,
+        notes,
+    };
+    Ok(Evaluated {
+        result,
+        track,
+        recording,
+    })
+}
+
+/// The middle row's number in the sensor, from 0.
+pub fn middle_row(recording: &Recording) -> f64 {
+    recording.reducer.first_row() as f64 - recording.rows.first
+}
+
+/// Evaluates recordings one after the other; only one is in memory at a time.
+///
+/// Inputs that give no result are left out with the reason.
+/// `each` is called after each input, with the time spent waiting for it. Returns
+/// the results and, for the pictures, the first recording that gave one.
+pub fn evaluate(
+    inputs: &[PathBuf],
+    settings: &Settings,
+    frames: usize,
+    with_paper: bool,
+    stop: &dyn Fn() -> bool,
+    each: &mut Progress<'_>,
+) -> Result<(Precision, Option<Evaluated>), EvaluateError> {
+    settings.check()?;
+    let mut results: Vec<RecordingResult> = Vec::new();
+    let mut left_out = Vec::new();
+    let mut shown = None;
+    for path in inputs {
+        if stop() {
+            break;
+        }
+        let expected = results.first().map(|r| (r.width, r.height));
+        let evaluated = Recording::read(path, settings, expected, stop)
+            .and_then(|r| evaluate_recording(r, settings, frames, with_paper));
+        match evaluated {
+            Ok(evaluated) => {
+                each(
+                    path,
+                    &Ok(evaluated.result.clone()),
+                    evaluated.recording.waited,
+                );
+                results.push(evaluated.result.clone());
+                shown.get_or_insert(evaluated);
+            }
+            Err(error) if inputs.len() == 1 || concerns_all(&error) => return Err(error),
+            Err(error) => {
+                let reason = error.to_string();
+                each(path, &Err(reason.clone()), Duration::ZERO);
+                left_out.push(LeftOut {
+                    path: path.clone(),
+                    reason,
+                });
+            }
+        }
+    }
+    Ok((summarise(results, left_out), shown))
+}
+
+fn concerns_all(error: &EvaluateError) -> bool {
+    matches!(
+        error,
+        EvaluateError::NoFfmpeg(_)
+            | EvaluateError::RunFfmpeg { .. }
+            | EvaluateError::Setting(_)
+            | EvaluateError::Train(_)
+            | EvaluateError::RegionOutside { .. }
+            | EvaluateError::TooFewRows { .. }
+    )
+}
+
+/// Puts the recordings' results together.
+pub fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precision {
+    let values: Vec<f64> = recordings.iter().map(|r| r.bias_us).collect();
+    let sigmas: Vec<f64> = recordings.iter().map(|r| r.sigma_us).collect();
+    let weights: Vec<f64> = recordings
+        .iter()
+        .map(|r| r.row_time_sigma_us.max(1e-9).powi(-2))
+        .collect();
+    let total: f64 = weights.iter().sum();
+    let row_time_us = recordings
+        .iter()
+        .zip(&weights)
+        .map(|(r, w)| r.row_time_us * w)
+        .sum::<f64>()
+        / total;
+    let papers = || recordings.iter().filter_map(|r| r.paper.as_ref());
+    let paper_values: Vec<f64> = papers().filter_map(|p| p.bias_us).collect();
+    let paper_rows: Vec<f64> = papers().filter_map(|p| p.row_time_us).collect();
+    Precision {
+        bias: Spread::of(&values, &sigmas),
+        row_time_us,
+        row_time_sigma_us: total.powf(-0.5),
+        paper_bias: Spread::of(&paper_values, &[]),
+        paper_row_time_us: (!paper_rows.is_empty()).then(|| mean(&paper_rows)),
+        recordings,
+        left_out,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_of_known_numbers() {
+        let spread = Spread::of(&[1.0, 2.0, 3.0, 4.0, 5.0], &[0.1; 5]).unwrap();
+        assert_eq!((spread.mean_us, spread.median_us), (3.0, 3.0));
+        assert_eq!(spread.iqr_us, Some(2.0));
+        assert!((spread.sd_us.unwrap() - 2.5f64.sqrt()).abs() < 1e-12);
+        assert!((spread.mean_sigma_us - 0.5f64.sqrt()).abs() < 1e-12);
+        let single = Spread::of(&[7.0], &[0.3]).unwrap();
+        assert_eq!((single.sd_us, single.iqr_us), (None, None));
+        assert_eq!(single.mean_sigma_us, 0.3);
+        assert_eq!(Spread::of(&[], &[]), None);
+    }
+}

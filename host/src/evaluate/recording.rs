@@ -1,0 +1,214 @@
+//! One recording, read: the profiles of its frames and a picture for the report.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::frame::{GreyView, RowProfile, RowReducer};
+use super::search::RowGrid;
+use super::source::{self, FrameSource};
+use super::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
+use super::{EvaluateError, Settings};
+
+/// Longest side of the picture kept for the report, pixels.
+const PICTURE_SIDE: usize = 960;
+
+/// A frame made smaller for the report.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Picture {
+    /// Number of the frame in its recording.
+    pub index: usize,
+    /// Width.
+    pub width: usize,
+    /// Height.
+    pub height: usize,
+    /// Grey levels, row by row.
+    pub pixels: Vec<u8>,
+    /// Image pixels to one pixel of the picture.
+    pub reduction: usize,
+}
+
+/// A recording reduced to row profiles.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    /// The input.
+    pub path: PathBuf,
+    /// Width of the image.
+    pub width: usize,
+    /// Height of the image.
+    pub height: usize,
+    /// How rows lie in the image.
+    pub reducer: RowReducer,
+    /// The used rows relative to the middle row.
+    pub rows: RowGrid,
+    /// Kept frames.
+    pub frames: Vec<StoredFrame>,
+    /// Frames read in the window asked for.
+    pub read: usize,
+    /// Largest share of saturated pixels in a frame.
+    pub saturated: f32,
+    /// The frame with the strongest contrast between rows.
+    pub picture: Picture,
+    /// Remarks for the user.
+    pub notes: Vec<String>,
+    /// Time spent waiting for the decoder and for the disk.
+    pub waited: Duration,
+}
+
+impl Recording {
+    /// Opens and reads a video, a folder of images or one image.
+    ///
+    /// `stop` is asked before each frame; when it says so, reading ends early with
+    /// what there is. `expected` is the size of earlier recordings.
+    pub fn read(
+        path: &Path,
+        settings: &Settings,
+        expected: Option<(usize, usize)>,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Self, EvaluateError> {
+        let started = Instant::now();
+        let mut source = source::open(path, settings.timestamps.as_deref())?;
+        let opened = started.elapsed();
+        let mut recording = Self::from_source(source.as_mut(), settings, expected, stop)?;
+        recording.waited += opened;
+        Ok(recording)
+    }
+
+    /// Reads an opened source to its end; `expected` and `stop` as in
+    /// [`read`](Self::read).
+    pub fn from_source(
+        source: &mut dyn FrameSource,
+        settings: &Settings,
+        expected: Option<(usize, usize)>,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Self, EvaluateError> {
+        let mut waited = Duration::ZERO;
+        let info = source.info().clone();
+        if let Some((width, height)) = expected.filter(|&e| e != (info.width, info.height)) {
+            return Err(EvaluateError::FrameSize {
+                got_width: info.width,
+                got_height: info.height,
+                width,
+                height,
+            });
+        }
+        let reducer = RowReducer::new(
+            info.width,
+            info.height,
+            settings.rotation,
+            settings.region,
+            info.white,
+        )?;
+        let middle = settings
+            .middle_row
+            .unwrap_or(0.5 * (reducer.sensor_rows() as f64 - 1.0));
+        let rows = RowGrid {
+            first: reducer.first_row() as f64 - middle,
+            step: 1.0,
+            len: reducer.used_rows(),
+        };
+        let mut notes = Vec::new();
+        let mut store = ProfileStore::new(DEFAULT_CAPACITY);
+        let mut profile = RowProfile::default();
+        let mut picture = Picture::default();
+        let mut best_contrast = 0.0;
+        let (mut read, mut saturated, mut untimed) = (0, 0.0f32, 0usize);
+        for index in 0.. {
+            if stop() {
+                notes.push("stopped by the user before the end of the input".to_owned());
+                break;
+            }
+            let asked = Instant::now();
+            let frame = source.next_frame();
+            waited += asked.elapsed();
+            let Some(frame) = frame? else { break };
+            let Some(time_s) = info.times.seconds(index) else {
+                untimed += 1;
+                continue;
+            };
+            if settings.to_s.is_some_and(|to| time_s >= to) {
+                break;
+            }
+            if settings.from_s.is_some_and(|from| time_s < from) {
+                continue;
+            }
+            reducer.reduce(frame, &mut profile)?;
+            read += 1;
+            saturated = saturated.max(profile.saturated);
+            let contrast = contrast(&profile.rows);
+            if contrast > 1.2 * best_contrast {
+                best_contrast = contrast;
+                picture = shrink(frame, index);
+            }
+            store.push(index, time_s, &profile);
+        }
+        if untimed > 0 {
+            notes.push(format!(
+                "{untimed} frames beyond the end of the timestamp file left out"
+            ));
+        }
+        let mut all = source.closing_notes();
+        all.append(&mut notes);
+        if read == 0 {
+            return Err(EvaluateError::NoFrames {
+                path: info.path,
+                from_s: settings.from_s.unwrap_or(0.0),
+                to_s: settings
+                    .to_s
+                    .map_or("the end".to_owned(), |s| format!("{s} s")),
+            });
+        }
+        if store.one_in() > 1 {
+            all.push(format!(
+                "long recording: one in {} frames, chosen at random, was used",
+                store.one_in()
+            ));
+        }
+        if saturated > 0.02 {
+            all.push(format!(
+                "up to {:.0} % of the pixels are saturated: less light, a shorter exposure or a region without the bright part is better",
+                100.0 * saturated
+            ));
+        }
+        Ok(Self {
+            path: info.path,
+            width: info.width,
+            height: info.height,
+            reducer,
+            rows,
+            frames: store.into_frames(),
+            read,
+            saturated,
+            picture,
+            notes: all,
+            waited,
+        })
+    }
+}
+
+/// Mean square of differences of rows a flash apart: large with bands, small for
+/// smooth pictures.
+fn contrast(rows: &[f32]) -> f64 {
+    let apart = (rows.len() / 90).max(1);
+    let sum: f64 = rows
+        .iter()
+        .zip(rows.iter().skip(apart))
+        .map(|(a, b)| f64::from(a - b).powi(2))
+        .sum();
+    sum / rows.len().max(1) as f64
+}
+
+/// Every n-th pixel: enough to look at.
+fn shrink(frame: GreyView<'_>, index: usize) -> Picture {
+    let reduction = frame.width.max(frame.height).div_ceil(PICTURE_SIDE).max(1);
+    let lines = frame.pixels.chunks_exact(frame.width).step_by(reduction);
+    let pixels: Vec<u8> = lines
+        .flat_map(|line| line.iter().step_by(reduction).copied())
+        .collect();
+    Picture {
+        index,
+        width: frame.width.div_ceil(reduction),
+        height: frame.height.div_ceil(reduction),
+        pixels,
+        reduction,
+    }
+}

@@ -1,0 +1,410 @@
+//! The coarse search: where in the frame is the train, and of what shape?
+//!
+//! A matched filter. The brightness without its smooth part is correlated with
+//! one flash's trapezoid on a grid of times; the comb of all flashes is then a sum
+//! of as many grid values. What the template would explain of the frame's
+//! variance, `(T·y)² / |T|²` with the smooth part taken off both, says how well it
+//! fits. `|T|²` comes from correlations of the trapezoid with itself on the same
+//! grid, so a whole search costs less than a millisecond a frame.
+
+use rayon::prelude::*;
+
+use super::linear::{Basis, dot};
+use super::train::{Shape, TrainGeometry, overlap};
+
+/// Where the used rows lie, counted from the middle row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowGrid {
+    /// Place of the first used row, in rows.
+    pub first: f64,
+    /// Rows from one sample to the next: 1, or more for binned rows.
+    pub step: f64,
+    /// Number of samples.
+    pub len: usize,
+}
+
+impl RowGrid {
+    /// Place of sample `i`.
+    pub fn position(&self, i: usize) -> f64 {
+        self.first + i as f64 * self.step
+    }
+
+    /// Neighbouring rows taken together by `factor`; rows left over at the end
+    /// are dropped.
+    pub fn binned(&self, factor: usize) -> Self {
+        Self {
+            first: self.first + 0.5 * (factor as f64 - 1.0) * self.step,
+            step: self.step * factor as f64,
+            len: self.len / factor,
+        }
+    }
+}
+
+/// Means of `factor` neighbouring values.
+pub fn bin(values: &[f64], factor: usize) -> Vec<f64> {
+    values
+        .chunks_exact(factor)
+        .map(|c| c.iter().sum::<f64>() / factor as f64)
+        .collect()
+}
+
+/// What a search found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Found {
+    /// The shape, on the search's grid.
+    pub shape: Shape,
+    /// Part of the sum of squares that the template explains.
+    pub explained: f64,
+}
+
+/// A matched filter for one row time and exposure.
+#[derive(Debug, Clone)]
+pub struct CombSearch {
+    rows: RowGrid,
+    train: TrainGeometry,
+    row_time_us: f64,
+    exposure_us: f64,
+    start_us: f64,
+    step_us: f64,
+    steps: usize,
+    /// Rows that each grid time reaches, and the trapezoid there.
+    reach: Vec<(usize, Vec<f64>)>,
+    /// Candidates: (grid index of the first flash, may be negative; |T|²).
+    candidates: Vec<(isize, f64)>,
+    per_pitch: usize,
+}
+
+impl CombSearch {
+    /// Prepares the search; times on a grid of about `step_us`.
+    pub fn new(
+        rows: RowGrid,
+        train: &TrainGeometry,
+        row_time_us: f64,
+        exposure_us: f64,
+        smooth: &Basis,
+        step_us: f64,
+    ) -> Self {
+        let per_pitch = (train.pitch_us / step_us).ceil().max(2.0) as usize;
+        let step_us = train.pitch_us / per_pitch as f64;
+        let reach_us = 0.5 * (exposure_us + train.duration_us);
+        let start_us = rows.first * row_time_us - reach_us;
+        let span = (rows.len as f64 * rows.step) * row_time_us + 2.0 * reach_us;
+        let steps = (span / step_us).ceil().max(1.0) as usize;
+        let row_us = rows.step * row_time_us;
+        let reach: Vec<(usize, Vec<f64>)> = (0..steps)
+            .map(|i| {
+                let u = start_us + i as f64 * step_us;
+                let from = ((u - reach_us) / row_us - rows.first / rows.step)
+                    .ceil()
+                    .max(0.0) as usize;
+                let until = ((u + reach_us) / row_us - rows.first / rows.step).floor();
+                let until = (until + 1.0).clamp(0.0, rows.len as f64) as usize;
+                let light = (from..until)
+                    .map(|r| {
+                        let distance = rows.position(r) * row_time_us - u;
+                        overlap(distance, exposure_us, train.duration_us)
+                    })
+                    .collect();
+                (from, light)
+            })
+            .collect();
+
+        // Products of one flash with another `j` pitches later, and with the
+        // smooth part.
+        let neighbours = (2.0 * reach_us / train.pitch_us).floor() as usize;
+        let products: Vec<Vec<f64>> = (0..=neighbours)
+            .map(|j| {
+                (0..steps)
+                    .map(|i| match (reach.get(i), reach.get(i + j * per_pitch)) {
+                        (Some(a), Some(b)) => shared(a, b),
+                        _ => 0.0,
+                    })
+                    .collect()
+            })
+            .collect();
+        let on_smooth: Vec<Vec<f64>> = smooth
+            .columns()
+            .iter()
+            .map(|q| reach.iter().map(|r| on_rows(r, q)).collect())
+            .collect();
+
+        let own = products.first().map(Vec::as_slice).unwrap_or_default();
+        let whole = own.iter().copied().fold(0.0, f64::max);
+        let count = train.count as usize;
+        let comb = |values: &[f64], first: isize, flashes: usize| -> f64 {
+            (0..flashes)
+                .filter_map(|k| usize::try_from(first + (k * per_pitch) as isize).ok())
+                .filter_map(|i| values.get(i))
+                .sum()
+        };
+        let lowest = -((count.saturating_sub(2) * per_pitch) as isize);
+        let candidates = (lowest..steps as isize)
+            .filter_map(|first| {
+                // At least two flashes in view, each with half of its light.
+                let seen = (0..count)
+                    .filter_map(|k| usize::try_from(first + (k * per_pitch) as isize).ok())
+                    .filter(|&i| own.get(i).is_some_and(|&e| e >= 0.5 * whole))
+                    .count();
+                if seen < 2 {
+                    return None;
+                }
+                let mut energy = comb(own, first, count);
+                for (j, values) in products.iter().enumerate().skip(1) {
+                    energy += 2.0 * comb(values, first, count.saturating_sub(j));
+                }
+                for values in &on_smooth {
+                    energy -= comb(values, first, count).powi(2);
+                }
+                (energy > 1e-3 * whole).then_some((first, energy))
+            })
+            .collect();
+        Self {
+            rows,
+            train: *train,
+            row_time_us,
+            exposure_us,
+            start_us,
+            step_us,
+            steps,
+            reach,
+            candidates,
+            per_pitch,
+        }
+    }
+
+    /// The best place of the train in `y`, a profile without its smooth part.
+    ///
+    /// Where whole pitches more or less fit as well, the train nearest to
+    /// `near_us` is taken. `None` when no bright comb fits at all.
+    pub fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
+        debug_assert_eq!(y.len(), self.rows.len);
+        let single: Vec<f64> = self.reach.iter().map(|r| on_rows(r, y)).collect();
+        let scored: Vec<(f64, f64)> = self
+            .candidates
+            .iter()
+            .map(|&(first, energy)| {
+                let sum: f64 = (0..self.train.count as usize)
+                    .filter_map(|k| usize::try_from(first + (k * self.per_pitch) as isize).ok())
+                    .filter_map(|i| single.get(i))
+                    .sum();
+                let bias = self.start_us
+                    + first as f64 * self.step_us
+                    + self.train.center_index() * self.train.pitch_us;
+                (bias, if sum > 0.0 { sum * sum / energy } else { 0.0 })
+            })
+            .collect();
+        let (best_bias, best) = scored
+            .iter()
+            .copied()
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .filter(|b| b.1 > 0.0)?;
+        let whole_pitches = |bias: f64| {
+            let pitches = (bias - best_bias) / self.train.pitch_us;
+            (pitches - pitches.round()).abs() * self.train.pitch_us < 0.5 * self.step_us
+        };
+        let (bias_us, explained) = scored
+            .into_iter()
+            .filter(|&(bias, score)| score >= 0.99 * best && whole_pitches(bias))
+            .min_by(|a, b| (a.0 - near_us).abs().total_cmp(&(b.0 - near_us).abs()))?;
+        Some(Found {
+            shape: Shape {
+                bias_us,
+                row_time_us: self.row_time_us,
+                exposure_us: self.exposure_us,
+            },
+            explained,
+        })
+    }
+
+    /// Number of grid times.
+    pub fn grid_len(&self) -> usize {
+        self.steps
+    }
+}
+
+fn on_rows((from, light): &(usize, Vec<f64>), y: &[f64]) -> f64 {
+    y.get(*from..*from + light.len())
+        .map_or(0.0, |rows| dot(light, rows))
+}
+
+fn shared(a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)) -> f64 {
+    let from = a.0.max(b.0);
+    let until = (a.0 + a.1.len()).min(b.0 + b.1.len());
+    (from..until)
+        .filter_map(|r| Some(a.1.get(r - a.0)? * b.1.get(r - b.0)?))
+        .sum()
+}
+
+/// Shapes that a wide search hands on.
+const KEEP: usize = 4;
+
+/// What a wide search tries.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WideSearch {
+    /// Row times, µs.
+    pub row_times_us: Vec<f64>,
+    /// Exposures, µs.
+    pub exposures_us: Vec<f64>,
+    /// Where the train is expected, µs.
+    pub near_us: f64,
+}
+
+impl WideSearch {
+    /// All row times with which `sensor_rows` take 4 to 40 ms, and exposures from
+    /// 60 µs to 4.5 ms; or near what is known.
+    pub fn new(
+        sensor_rows: usize,
+        row_time_us: Option<f64>,
+        exposure_us: Option<f64>,
+        near_us: f64,
+    ) -> Self {
+        // A step of 0.9 % leaves a train's ends within a fifth of a flash.
+        const STEP: f64 = 1.009;
+        let ladder = |from: f64, to: f64, step: f64| {
+            std::iter::successors(Some(from), move |v| Some(v * step))
+                .take_while(move |&v| v <= to)
+                .collect::<Vec<f64>>()
+        };
+        let rows = sensor_rows as f64;
+        Self {
+            row_times_us: row_time_us
+                .map_or_else(|| ladder(4e3 / rows, 40e3 / rows, STEP), |t| vec![t]),
+            exposures_us: exposure_us.map_or_else(|| ladder(60.0, 4.5e3, 1.6), |e| vec![e]),
+            near_us,
+        }
+    }
+
+    /// The best few distinct shapes for one profile without its smooth part, on
+    /// `rows`, best first.
+    pub fn run(
+        &self,
+        rows: RowGrid,
+        train: &TrainGeometry,
+        profile: &[f64],
+        smooth: &Basis,
+    ) -> Vec<Found> {
+        // Bins of about a fifth of a flash at the usual row times.
+        let factor = (rows.len / 270).max(1);
+        let coarse = rows.binned(factor);
+        let smooth = Basis::spanning(smooth.columns().iter().map(|q| bin(q, factor)));
+        let mut y = bin(profile, factor);
+        smooth.remove_from(&mut y);
+        let step_us = 0.5 * train.duration_us.max(40.0);
+        let mut found: Vec<Found> = self
+            .row_times_us
+            .par_iter()
+            .flat_map_iter(|&row_time| {
+                let (smooth, y) = (&smooth, &y);
+                self.exposures_us.iter().filter_map(move |&exposure| {
+                    CombSearch::new(coarse, train, row_time, exposure, smooth, step_us)
+                        .best(y, self.near_us)
+                })
+            })
+            .collect();
+        found.sort_by(|a, b| b.explained.total_cmp(&a.explained));
+        let mut kept: Vec<Found> = Vec::new();
+        for f in found {
+            let known = kept.iter().any(|k| {
+                (k.shape.row_time_us / f.shape.row_time_us - 1.0).abs() < 0.03
+                    && (k.shape.exposure_us / f.shape.exposure_us).ln().abs() < 0.6
+            });
+            if !known {
+                kept.push(f);
+            }
+            if kept.len() == KEEP {
+                break;
+            }
+        }
+        kept
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::train::row_light;
+    use super::*;
+
+    fn profile(rows: RowGrid, shape: &Shape) -> Vec<f64> {
+        (0..rows.len)
+            .map(|i| {
+                let x = rows.position(i) / 540.0;
+                50.0 - 10.0 * x * x
+                    + 20.0 * row_light(&TrainGeometry::NFOV, shape, rows.position(i)).value
+            })
+            .collect()
+    }
+
+    const ROWS: RowGrid = RowGrid {
+        first: -539.5,
+        step: 1.0,
+        len: 1080,
+    };
+
+    #[test]
+    fn energies_agree_with_templates_built_row_by_row() {
+        for exposure in [80.0, 700.0, 3900.0] {
+            let smooth = Basis::polynomials(ROWS.len, 5);
+            let search = CombSearch::new(ROWS, &TrainGeometry::NFOV, 10.2, exposure, &smooth, 31.0);
+            assert!(search.candidates.len() > 200);
+            for &(first, energy) in search.candidates.iter().step_by(17) {
+                let shape = Shape {
+                    bias_us: search.start_us + first as f64 * search.step_us + 4.0 * 1575.0,
+                    row_time_us: 10.2,
+                    exposure_us: exposure,
+                };
+                let mut t: Vec<f64> = (0..ROWS.len)
+                    .map(|i| row_light(&TrainGeometry::NFOV, &shape, ROWS.position(i)).value)
+                    .collect();
+                smooth.remove_from(&mut t);
+                let direct = dot(&t, &t);
+                assert!(
+                    (energy - direct).abs() < 1e-6 * (1.0 + direct),
+                    "{exposure}: {energy} and {direct}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_place_is_found_to_the_grid() {
+        let smooth = Basis::polynomials(ROWS.len, 5);
+        let search = CombSearch::new(ROWS, &TrainGeometry::NFOV, 10.2, 400.0, &smooth, 31.0);
+        for bias_us in [-700.0, 0.0, 123.0, 781.0] {
+            let shape = Shape {
+                bias_us,
+                row_time_us: 10.2,
+                exposure_us: 400.0,
+            };
+            let mut y = profile(ROWS, &shape);
+            smooth.remove_from(&mut y);
+            let found = search.best(&y, 0.0).unwrap();
+            assert!((found.shape.bias_us - bias_us).abs() < 31.0, "{found:?}");
+            assert!(found.explained > 0.9 * dot(&y, &y));
+        }
+    }
+
+    #[test]
+    fn row_time_and_exposure_are_found_without_any_hint() {
+        for (row_time_us, exposure_us) in
+            [(8.0, 100.0), (10.2, 125.0), (14.0, 900.0), (20.0, 4000.0)]
+        {
+            let shape = Shape {
+                bias_us: 210.0,
+                row_time_us,
+                exposure_us,
+            };
+            let y = profile(ROWS, &shape);
+            let found = WideSearch::new(1080, None, None, 0.0).run(
+                ROWS,
+                &TrainGeometry::NFOV,
+                &y,
+                &Basis::polynomials(ROWS.len, 5),
+            );
+            let near = found.iter().any(|f| {
+                (f.shape.row_time_us / row_time_us - 1.0).abs() < 0.01
+                    && (f.shape.exposure_us / exposure_us).ln().abs() < 0.5
+            });
+            assert!(near, "{shape:?}: {found:?}");
+        }
+    }
+}

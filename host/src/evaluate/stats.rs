@@ -1,0 +1,213 @@
+//! Spread, regression, and the uncertainty of sums whose errors are correlated.
+
+use serde::Serialize;
+
+/// Factor from one standard deviation to the 99 % interval of a normal distribution.
+pub const COVERAGE_99: f64 = 2.576;
+
+/// Quantile by linear interpolation between order statistics (the usual default,
+/// type 7 of Hyndman and Fan). `None` without values.
+pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().checked_sub(1)?;
+    let at = q.clamp(0.0, 1.0) * last as f64;
+    let below = *sorted.get(at.floor() as usize)?;
+    let above = *sorted.get(at.ceil() as usize)?;
+    Some(below + (at - at.floor()) * (above - below))
+}
+
+/// Median; zero without values.
+pub fn median(values: &[f64]) -> f64 {
+    quantile(values, 0.5).unwrap_or(0.0)
+}
+
+/// Mean; zero without values.
+pub fn mean(values: &[f64]) -> f64 {
+    if values.is_empty() {
+        0.0
+    } else {
+        values.iter().sum::<f64>() / values.len() as f64
+    }
+}
+
+/// Standard deviation with `n - 1`; `None` for fewer than two values.
+pub fn standard_deviation(values: &[f64]) -> Option<f64> {
+    let n = values.len();
+    if n < 2 {
+        return None;
+    }
+    let m = mean(values);
+    let sum: f64 = values.iter().map(|v| (v - m).powi(2)).sum();
+    Some((sum / (n - 1) as f64).sqrt())
+}
+
+/// A normal distribution's standard deviation from the median of absolute deviations.
+pub fn robust_deviation(values: &[f64]) -> f64 {
+    let m = median(values);
+    let deviations: Vec<f64> = values.iter().map(|v| (v - m).abs()).collect();
+    1.4826 * median(&deviations)
+}
+
+/// Variance of the sum of `terms` whose errors are correlated over up to `lag`
+/// neighbours: the larger of the uncorrelated estimate `Σ e²` and the estimate of
+/// Newey and West (1987) with Bartlett weights.
+///
+/// `terms` come from residuals of a least-squares fit, which are smaller than the
+/// errors and sum to zero; the correlated part is scaled up for the number of
+/// terms that matter.
+pub fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
+    let white: f64 = terms.iter().map(|e| e * e).sum();
+    if white <= 0.0 {
+        return 0.0;
+    }
+    let fourth: f64 = terms.iter().map(|e| e.powi(4)).sum();
+    // As many equal terms would have the same ratio of moments; normal errors of
+    // equal size show a third of their number.
+    let effective = (3.0 * white * white / fourth).min(terms.len() as f64);
+    let mut sum = white;
+    for l in 1..=lag.min(terms.len().saturating_sub(1)) {
+        let weight = 1.0 - l as f64 / (lag as f64 + 1.0);
+        let product: f64 = terms
+            .iter()
+            .zip(terms.iter().skip(l))
+            .map(|(a, b)| a * b)
+            .sum();
+        sum += 2.0 * weight * product;
+    }
+    let shrunk = 1.0 - (lag as f64 + 1.0) / effective;
+    let correlated = sum / shrunk.max(0.33);
+    correlated.max(white)
+}
+
+/// By how much correlation between neighbours raises the variance of a sum of
+/// `residuals` over that of independent ones; at least 1.
+pub fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
+    let zero: f64 = residuals.iter().map(|e| e * e).sum();
+    if zero <= 0.0 {
+        return 1.0;
+    }
+    let mut sum = 1.0;
+    for l in 1..=lag.min(residuals.len().saturating_sub(1)) {
+        let product: f64 = residuals
+            .iter()
+            .zip(residuals.iter().skip(l))
+            .map(|(a, b)| a * b)
+            .sum();
+        sum += 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0)) * product / zero;
+    }
+    sum.max(1.0)
+}
+
+/// A straight line through points.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Line {
+    /// Value in the middle of the data.
+    pub center_value: f64,
+    /// The middle of the data.
+    pub center: f64,
+    /// Change per unit of the abscissa.
+    pub slope: f64,
+    /// Standard uncertainty of the slope, with the correlation of the residuals.
+    pub slope_sigma: f64,
+    /// Standard deviation of the residuals.
+    pub residual_sd: f64,
+}
+
+impl Line {
+    /// Least squares; `None` for fewer than three points or no spread in `x`.
+    /// Residuals may be correlated over `lag` neighbours.
+    pub fn fit(x: &[f64], y: &[f64], lag: usize) -> Option<Self> {
+        let n = x.len().min(y.len());
+        if n < 3 {
+            return None;
+        }
+        let (x, y) = (x.get(..n)?, y.get(..n)?);
+        let center = mean(x);
+        let center_value = mean(y);
+        let sxx: f64 = x.iter().map(|x| (x - center).powi(2)).sum();
+        if sxx <= 0.0 {
+            return None;
+        }
+        let slope = x
+            .iter()
+            .zip(y)
+            .map(|(x, y)| (x - center) * (y - center_value))
+            .sum::<f64>()
+            / sxx;
+        let scale = (n as f64 / (n as f64 - 2.0)).sqrt();
+        let residuals: Vec<f64> = x
+            .iter()
+            .zip(y)
+            .map(|(x, y)| scale * (y - center_value - slope * (x - center)))
+            .collect();
+        let influence: Vec<f64> = x
+            .iter()
+            .zip(&residuals)
+            .map(|(x, e)| (x - center) / sxx * e)
+            .collect();
+        let white = residuals.iter().map(|e| e * e).sum::<f64>() / n as f64 / sxx;
+        let slope_sigma = variance_of_sum(&influence, lag).max(white).sqrt();
+        Some(Self {
+            center_value,
+            center,
+            slope,
+            slope_sigma,
+            residual_sd: (residuals.iter().map(|e| e * e).sum::<f64>() / n as f64).sqrt(),
+        })
+    }
+
+    /// Value at `x`.
+    pub fn at(&self, x: f64) -> f64 {
+        self.center_value + self.slope * (x - self.center)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_interpolate() {
+        let v = [4.0, 1.0, 3.0, 2.0];
+        assert_eq!(median(&v), 2.5);
+        assert_eq!(quantile(&v, 0.25), Some(1.75));
+        assert_eq!(quantile(&[], 0.5), None);
+        assert_eq!(quantile(&[7.0], 0.9), Some(7.0));
+    }
+
+    #[test]
+    fn variance_of_white_and_of_correlated_sums() {
+        // A repeatable stand-in for noise: the fractional parts of a quadratic.
+        let noise = |i: usize| ((i * i) as f64 * 0.618_033_988_75).fract() - 0.5;
+        let white: Vec<f64> = (0..4000).map(noise).collect();
+        let truth = 4000.0 / 12.0;
+        let got = variance_of_sum(&white, 16);
+        assert!((got / truth - 1.0).abs() < 0.25, "{got} against {truth}");
+        // Each value four times: the sum is four times a sum of a quarter of the terms.
+        let repeated: Vec<f64> = (0..4000).map(|i| noise(i / 4)).collect();
+        let truth = 16.0 * 1000.0 / 12.0;
+        let got = variance_of_sum(&repeated, 32);
+        assert!((got / truth - 1.0).abs() < 0.35, "{got} against {truth}");
+        assert_eq!(variance_of_sum(&[0.0; 8], 4), 0.0);
+    }
+
+    #[test]
+    fn a_line_is_found_with_its_uncertainty() {
+        let noise = |i: usize| ((i * i) as f64 * 0.414_213_562_37).fract() - 0.5;
+        let x: Vec<f64> = (0..500).map(|i| f64::from(i) * 0.1).collect();
+        let y: Vec<f64> = (0..500).map(|i| 3.0 - 0.2 * x[i] + noise(i)).collect();
+        let line = Line::fit(&x, &y, 8).unwrap();
+        assert!(
+            (line.slope + 0.2).abs() < 4.0 * line.slope_sigma,
+            "{line:?}"
+        );
+        // 1/sqrt(12) over the spread of x.
+        let sxx: f64 = x.iter().map(|v| (v - mean(&x)).powi(2)).sum();
+        let expected = (1.0 / 12.0 / sxx).sqrt();
+        assert!((line.slope_sigma / expected - 1.0).abs() < 0.4, "{line:?}");
+        assert!((line.at(10.0) - 1.0).abs() < 0.1);
+        assert_eq!(Line::fit(&[1.0, 1.0, 1.0], &[1.0, 2.0, 3.0], 2), None);
+        assert_eq!(Line::fit(&[1.0, 2.0], &[1.0, 2.0], 2), None);
+    }
+}

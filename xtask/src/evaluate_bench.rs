@@ -1,0 +1,101 @@
+//! Speed of `smartdepthsync evaluate` on a 1080p30 video, against decoding alone.
+
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::process;
+
+/// Seconds of video.
+const SECONDS: f64 = 20.0;
+/// Speed that the tool must have beyond decoding, in times real time.
+const REQUIRED: f64 = 5.0;
+
+/// Renders a video, decodes it with ffmpeg alone, evaluates it, and prints the
+/// times.
+pub(crate) fn run() -> Result<()> {
+    let video = process::target_dir()
+        .join("bench")
+        .join("strobes-1080p30.mp4");
+    if let Some(folder) = video.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
+    process::run(
+        process::command(process::cargo_program())
+            .args(["run", "--release", "-p", "hil-sim", "--example"])
+            .args(["render_strobes", "--"])
+            .arg(&video)
+            .arg(SECONDS.to_string()),
+    )?;
+
+    let started = Instant::now();
+    process::run(
+        Command::new("ffmpeg")
+            .args(["-v", "error", "-nostdin", "-i"])
+            .arg(&video)
+            .args(["-vf", "extractplanes=y", "-f", "null", "-"]),
+    )?;
+    let decoding = started.elapsed().as_secs_f64();
+
+    let program = process::target_dir()
+        .join("release")
+        .join(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX));
+    println!("1080p30, {SECONDS:.0} s of video");
+    println!("  ffmpeg alone          {decoding:.2} s");
+    let mut slowest = f64::INFINITY;
+    for what in ["precision", "drift"] {
+        let output = Command::new(&program)
+            .args(["--json", "evaluate", what])
+            .arg(&video)
+            .stderr(Stdio::inherit())
+            .output()
+            .context("cannot start smartdepthsync")?;
+        if !output.status.success() {
+            bail!("evaluate {what} failed: {}", output.status);
+        }
+        let json = String::from_utf8_lossy(&output.stdout);
+        let total = number(&json, "total_s")?;
+        let own = total - number(&json, "waiting_for_input_s")?;
+        let speed = SECONDS / own;
+        slowest = slowest.min(speed);
+        println!(
+            "  evaluate {what:<10}   {total:.2} s, {own:.2} s beyond decoding: {speed:.1} times real time"
+        );
+    }
+    ensure!(
+        slowest >= REQUIRED,
+        "evaluate is only {slowest:.1} times as fast as real time, at least {REQUIRED} are required"
+    );
+    Ok(())
+}
+
+/// The number behind a key that occurs once in a JSON document.
+fn number(json: &str, key: &str) -> Result<f64> {
+    let quoted = format!("\"{key}\":");
+    let (_, rest) = json
+        .split_once(&quoted)
+        .with_context(|| format!("no {key} in the answer"))?;
+    let digits: String = rest
+        .trim_start()
+        .chars()
+        .take_while(|c| c.is_ascii_digit() || "+-.eE".contains(*c))
+        .collect();
+    digits
+        .parse()
+        .with_context(|| format!("{key} is not a number"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::number;
+
+    #[test]
+    fn numbers_are_found_in_json() {
+        let json = "{\n \"timing\": { \"total_s\": 1.5e0, \"x\": 2 } }";
+        assert_eq!(number(json, "total_s").unwrap(), 1.5);
+        assert_eq!(number(json, "x").unwrap(), 2.0);
+        assert!(number(json, "y").is_err());
+    }
+}
