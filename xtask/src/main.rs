@@ -73,7 +73,9 @@ fn run(command: Command) -> Result<()> {
         Command::Check => check(),
         Command::Demo { args } => demo(&args),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
-        Command::Bench { sync: true, trials } => sync_bench::run(trials),
+        Command::Bench {
+            sync: true, trials, ..
+        } => sync_bench::run(trials),
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
         Command::Docs => docs::build_and_check(),

@@ -6,15 +6,17 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::{Subcommand, ValueEnum};
+use jiff::civil::Date;
 use serde::Serialize;
 
 use crate::cli::Context;
-use crate::evaluate::calibrate::{read_bias, today, write_bias};
+use crate::evaluate::calibrate::{read_bias, write_bias};
 use crate::evaluate::drift::{self, Drift, EvaluatedDrift};
 use crate::evaluate::frame::{Region, Rotation};
 use crate::evaluate::precision::{self, Evaluated, Precision, Spread};
 use crate::evaluate::recording::Recording;
 use crate::evaluate::report::{self, counts_text, identity_text, reference_text};
+use crate::evaluate::stats::mean;
 use crate::evaluate::train::TrainGeometry;
 use crate::evaluate::{EvaluateError, Settings, plot};
 use crate::outcome::{ExitStatus, Failure, Outcome};
@@ -96,7 +98,7 @@ struct CommonArgs {
 
 #[derive(Debug, clap::Args)]
 struct PrecisionArgs {
-    /// Videos, or folders of images; each is one recording
+    /// Recordings' folders, videos, or folders of images; each is one recording
     #[arg(required = true, value_name = "VIDEO_OR_FRAMES")]
     inputs: Vec<PathBuf>,
     /// Frames with flashes to use of each recording, the last ones
@@ -105,7 +107,8 @@ struct PrecisionArgs {
     /// Write the bias into this rig profile
     #[arg(long, value_name = "PROFILE")]
     calibrate: Option<PathBuf>,
-    /// Bias in µs that was subtracted while recording [default: the profile's]
+    /// Bias in µs that was subtracted while recording [default: as the recording's session
+    /// says, else the profile's]
     #[arg(
         long,
         value_name = "US",
@@ -119,7 +122,7 @@ struct PrecisionArgs {
 
 #[derive(Debug, clap::Args)]
 struct DriftArgs {
-    /// Video, or folder of images
+    /// Recording's folder, video, or folder of images
     #[arg(value_name = "VIDEO_OR_FRAMES")]
     input: PathBuf,
     /// File with one integer of nanoseconds a frame [default: the one beside the video]
@@ -163,14 +166,14 @@ struct Timing {
 #[derive(Debug, Clone, Serialize)]
 struct Calibrated {
     profile: PathBuf,
-    /// Bias that was subtracted while recording, µs.
+    /// Bias that was subtracted while recording, µs; mean over recordings.
     applied_bias_us: f64,
     /// New bias, µs.
     bias_us: f64,
     /// Its standard uncertainty, µs.
     bias_sigma_us: f64,
-    /// Date, UTC.
-    measured: String,
+    /// Date.
+    measured: Date,
 }
 
 #[derive(Serialize)]
@@ -236,14 +239,10 @@ fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
 fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outcome> {
     let started = Instant::now();
     let settings = args.common.settings(None).map_err(Failure::from)?;
-    // Before hours of work, not after it.
-    let applied = match (&args.calibrate, args.applied_bias) {
-        (Some(profile), None) => read_bias(profile).map_err(Failure::from)?,
-        (Some(profile), Some(bias)) => {
-            read_bias(profile).map_err(Failure::from)?;
-            bias
-        }
-        (None, _) => 0.0,
+    // A profile that cannot be read is found out before hours of work.
+    let profile_bias = match &args.calibrate {
+        Some(profile) => read_bias(profile).map_err(Failure::from)?,
+        None => 0.0,
     };
     let count = args.inputs.len();
     let mut done = 0;
@@ -291,7 +290,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outc
         write_file(path, &report::precision(&result, &shown, &settings)?)?;
     }
     let calibrated = match &args.calibrate {
-        Some(profile) => Some(calibrate(profile, applied, args, &result)?),
+        Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
         None => None,
     };
     let output = PrecisionOutput {
@@ -318,11 +317,28 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outc
 /// Adds the measured bias to the one that was applied, and writes it.
 fn calibrate(
     profile: &Path,
-    applied: f64,
+    profile_bias: f64,
     args: &PrecisionArgs,
     result: &Precision,
 ) -> anyhow::Result<Calibrated> {
-    let bias = result.bias.as_ref().context("no bias was measured")?;
+    // What each recording left over, and what had been subtracted from it.
+    let applied: Vec<f64> = result
+        .recordings
+        .iter()
+        .map(|r| {
+            args.applied_bias
+                .or(r.applied_bias_us)
+                .unwrap_or(profile_bias)
+        })
+        .collect();
+    let whole: Vec<f64> = result
+        .recordings
+        .iter()
+        .zip(&applied)
+        .map(|(r, applied)| r.bias_us + applied)
+        .collect();
+    let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
+    let bias = Spread::of(&whole, &sigmas).context("no bias was measured")?;
     let open = result.recordings.iter().any(|r| !r.identity.unique);
     if open && args.common.near.is_none() {
         return Err(Failure::new(
@@ -340,12 +356,12 @@ fn calibrate(
     }
     let new = Calibrated {
         profile: profile.to_owned(),
-        applied_bias_us: applied,
-        bias_us: applied + bias.mean_us,
+        applied_bias_us: mean(&applied),
+        bias_us: bias.mean_us,
         bias_sigma_us: bias.mean_sigma_us,
-        measured: today(),
+        measured: jiff::Zoned::now().date(),
     };
-    write_bias(profile, new.bias_us, new.bias_sigma_us, &new.measured).map_err(Failure::from)?;
+    write_bias(profile, new.bias_us, new.bias_sigma_us, new.measured).map_err(Failure::from)?;
     Ok(new)
 }
 

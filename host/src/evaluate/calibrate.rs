@@ -15,20 +15,12 @@ use std::io::Write;
 use std::path::Path;
 use std::str::FromStr;
 
-use toml_edit::{Date, Datetime, DocumentMut, Item, Table, value};
+use jiff::civil::Date;
+use toml_edit::{Datetime, DocumentMut, Item, Table, value};
 
 use super::EvaluateError;
 
 const TABLE: &str = "frame_sync";
-
-/// A bias as the rig profile holds it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bias {
-    /// Bias, µs.
-    pub bias_us: f64,
-    /// Standard uncertainty, µs.
-    pub sigma_us: f64,
-}
 
 fn profile_error(path: &Path, message: String) -> EvaluateError {
     EvaluateError::Profile {
@@ -65,13 +57,13 @@ pub fn read_bias(path: &Path) -> Result<f64, EvaluateError> {
         })
 }
 
-/// Writes bias, its standard uncertainty and the date (`2024-05-17`, UTC) into the
+/// Writes bias, its standard uncertainty and the date of the measurement into the
 /// profile's table `[frame_sync]`, which is added when it is missing.
 pub fn write_bias(
     path: &Path,
     bias_us: f64,
     sigma_us: f64,
-    date: &str,
+    date: Date,
 ) -> Result<(), EvaluateError> {
     if !bias_us.is_finite() || !sigma_us.is_finite() || sigma_us < 0.0 {
         return Err(profile_error(
@@ -80,8 +72,9 @@ pub fn write_bias(
         ));
     }
     let measured: Datetime = date
+        .to_string()
         .parse()
-        .map_err(|e| profile_error(path, format!("`{date}` is not a date: {e}")))?;
+        .map_err(|e| profile_error(path, format!("{date} cannot be written: {e}")))?;
     let mut document = load(path)?;
     let table = document
         .entry(TABLE)
@@ -129,56 +122,10 @@ fn replace(path: &Path, bytes: &[u8]) -> Result<(), EvaluateError> {
     Ok(())
 }
 
-/// Today's date in UTC, as TOML writes it.
-pub fn today() -> String {
-    let seconds = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .map_or(0, |d| d.as_secs());
-    date_of_day(seconds / 86_400).to_string()
-}
-
-/// Date of a day since 1970-01-01 (Gregorian calendar).
-fn date_of_day(day: u64) -> Date {
-    let mut year = 1970u16;
-    let mut rest = day;
-    loop {
-        let leap =
-            (year.is_multiple_of(4) && !year.is_multiple_of(100)) || year.is_multiple_of(400);
-        let days = if leap { 366 } else { 365 };
-        if rest < days || year == 9999 {
-            let mut month = 1u8;
-            for length in [
-                31,
-                if leap { 29 } else { 28 },
-                31,
-                30,
-                31,
-                30,
-                31,
-                31,
-                30,
-                31,
-                30,
-            ] {
-                if rest < length {
-                    break;
-                }
-                rest -= length;
-                month += 1;
-            }
-            return Date {
-                year,
-                month,
-                day: u8::try_from(rest.min(30) + 1).unwrap_or(31),
-            };
-        }
-        rest -= days;
-        year += 1;
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use jiff::civil::date;
+
     use super::*;
 
     fn profile(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
@@ -193,7 +140,7 @@ mod tests {
         let before = "# my rig\nname = 'a'  # the one on the roof\n\n[frame_sync]\n# constants\nreadout_us = 11_016.0\nbias_us = 5 # by eye\n\n[imu]\nrate = 500\n";
         let (_dir, path) = profile(before);
         assert_eq!(read_bias(&path).unwrap(), 5.0);
-        write_bias(&path, -1234.56789, 0.4321, "2024-05-17").unwrap();
+        write_bias(&path, -1234.56789, 0.4321, date(2024, 5, 17)).unwrap();
         let after = std::fs::read_to_string(&path).unwrap();
         let expected = "# my rig\nname = 'a'  # the one on the roof\n\n[frame_sync]\n# constants\nreadout_us = 11_016.0\nbias_us = -1234.568 # by eye\nbias_sigma_us = 0.432\nbias_measured = 2024-05-17\n\n[imu]\nrate = 500\n";
         assert_eq!(after, expected);
@@ -204,7 +151,7 @@ mod tests {
     fn a_missing_table_is_added() {
         let (_dir, path) = profile("name = 'a'\n");
         assert_eq!(read_bias(&path).unwrap(), 0.0);
-        write_bias(&path, 1.0, 0.5, "2024-05-17").unwrap();
+        write_bias(&path, 1.0, 0.5, date(2024, 5, 17)).unwrap();
         let after: toml::Table = std::fs::read_to_string(&path).unwrap().parse().unwrap();
         assert_eq!(after["frame_sync"]["bias_us"].as_float(), Some(1.0));
         assert_eq!(after["name"].as_str(), Some("a"));
@@ -214,30 +161,16 @@ mod tests {
     fn what_is_not_a_profile_is_left_alone() {
         for text in ["frame_sync = 3\n", "[frame_sync\n"] {
             let (_dir, path) = profile(text);
-            let e = write_bias(&path, 1.0, 0.5, "2024-05-17").unwrap_err();
+            let e = write_bias(&path, 1.0, 0.5, date(2024, 5, 17)).unwrap_err();
             assert!(e.to_string().contains("rig.toml"), "{e}");
             assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
         }
         let (_dir, path) = profile("[frame_sync]\nbias_us = 'x'\n");
         assert!(read_bias(&path).is_err());
-        assert!(write_bias(&path, f64::NAN, 0.5, "2024-05-17").is_err());
-        assert!(write_bias(&path, 1.0, 0.5, "yesterday").is_err());
+        assert!(write_bias(&path, f64::NAN, 0.5, date(2024, 5, 17)).is_err());
         let missing = path.with_file_name("none.toml");
-        let e = write_bias(&missing, 1.0, 0.5, "2024-05-17").unwrap_err();
+        let e = write_bias(&missing, 1.0, 0.5, date(2024, 5, 17)).unwrap_err();
         assert!(e.to_string().contains("existing profile"), "{e}");
         assert!(!missing.exists());
-    }
-
-    #[test]
-    fn days_are_dates() {
-        for (day, date) in [
-            (0, "1970-01-01"),
-            (59, "1970-03-01"),
-            (11_016, "2000-02-29"),
-            (19_723, "2024-01-01"),
-            (20_088, "2024-12-31"),
-        ] {
-            assert_eq!(date_of_day(day).to_string(), date);
-        }
     }
 }

@@ -97,6 +97,7 @@ pub fn evaluate(
     settings: &Settings,
     with_paper: bool,
 ) -> Result<EvaluatedDrift, EvaluateError> {
+    let settings = &settings.with_session(&recording);
     let track = track(&recording, settings, Choice::All)?;
     let mut points = track.points.clone();
     let all = points.len();

@@ -51,6 +51,7 @@ pub mod precision;
 pub mod recording;
 pub mod report;
 pub mod search;
+pub mod session;
 pub mod source;
 pub mod stats;
 pub mod store;
@@ -60,6 +61,7 @@ pub mod train;
 pub use error::EvaluateError;
 
 use frame::{Region, Rotation};
+use recording::Recording;
 use train::TrainGeometry;
 
 /// What the user says about camera and train.
@@ -111,6 +113,18 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// With the exposure that the recording's session knows, unless one is given.
+    #[must_use]
+    pub fn with_session(&self, recording: &Recording) -> Self {
+        let known = recording.applied.map(|a| a.exposure_us);
+        Self {
+            exposure_us: self
+                .exposure_us
+                .or(known.filter(|e| (1.0..=1e5).contains(e))),
+            ..self.clone()
+        }
+    }
+
     /// Checks that every number is one that a camera can have.
     pub fn check(&self) -> Result<(), EvaluateError> {
         self.train.check()?;

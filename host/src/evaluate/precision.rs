@@ -25,6 +25,8 @@ pub struct RecordingResult {
     pub width: usize,
     /// Height of the image, pixels.
     pub height: usize,
+    /// Bias in µs that the recording's session says was subtracted.
+    pub applied_bias_us: Option<f64>,
     /// Bias from perfect sync, µs; positive: the depth camera comes late.
     pub bias_us: f64,
     /// Standard uncertainty of the bias, µs.
@@ -154,6 +156,7 @@ pub fn evaluate_recording(
     frames: usize,
     with_paper: bool,
 ) -> Result<Evaluated, EvaluateError> {
+    let settings = &settings.with_session(&recording);
     let track = track(&recording, settings, Choice::Last(frames.max(1)))?;
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
     let times: Vec<f64> = track.points.iter().map(|p| p.time_s).collect();
@@ -188,6 +191,7 @@ pub fn evaluate_recording(
         path: recording.path.clone(),
         width: recording.width,
         height: recording.height,
+        applied_bias_us: recording.applied.map(|a| a.bias_us),
         bias_us: joint.mean_us,
         sigma_us,
         uncertainty_99_us: COVERAGE_99 * sigma_us,

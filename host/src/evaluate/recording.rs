@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use super::frame::{GreyView, RowProfile, RowReducer};
 use super::search::RowGrid;
+use super::session::{self, Applied};
 use super::source::{self, FrameSource};
 use super::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
 use super::{EvaluateError, Settings};
@@ -32,6 +33,8 @@ pub struct Picture {
 pub struct Recording {
     /// The input.
     pub path: PathBuf,
+    /// How the recording was aligned, if its session says so.
+    pub applied: Option<Applied>,
     /// Width of the image.
     pub width: usize,
     /// Height of the image.
@@ -55,7 +58,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens and reads a video, a folder of images or one image.
+    /// Opens and reads a recording's folder, a video, a folder of images or one
+    /// image.
     ///
     /// `stop` is asked before each frame; when it says so, reading ends early with
     /// what there is. `expected` is the size of earlier recordings.
@@ -66,10 +70,12 @@ impl Recording {
         stop: &dyn Fn() -> bool,
     ) -> Result<Self, EvaluateError> {
         let started = Instant::now();
-        let mut source = source::open(path, settings.timestamps.as_deref())?;
+        let input = session::resolve(path)?;
+        let mut source = source::open(&input.path, settings.timestamps.as_deref())?;
         let opened = started.elapsed();
         let mut recording = Self::from_source(source.as_mut(), settings, expected, stop)?;
         recording.waited += opened;
+        recording.applied = input.applied;
         Ok(recording)
     }
 
@@ -171,6 +177,7 @@ impl Recording {
         }
         Ok(Self {
             path: info.path,
+            applied: None,
             width: info.width,
             height: info.height,
             reducer,
