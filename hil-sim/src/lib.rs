@@ -16,6 +16,7 @@ pub mod frame_phase;
 pub mod i2c;
 pub mod i2c_bus;
 pub mod inertial_channel;
+pub mod k4a_mkv;
 pub mod model;
 pub mod motion;
 pub mod mpu9150;

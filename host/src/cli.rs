@@ -83,6 +83,8 @@ pub enum Command {
     Trigger(commands::trigger::Args),
     /// Stream the board's IMU: rate, jitter, noise; to a CSV file
     Imu(commands::imu::Args),
+    /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, topics
+    Extract(commands::extract::Args),
 }
 
 impl Command {
@@ -98,6 +100,7 @@ impl Command {
             Self::Profile(args) => commands::profile::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),
             Self::Imu(args) => commands::imu::run(args, context),
+            Self::Extract(args) => commands::extract::run(args, context),
         }
     }
 }

@@ -11,6 +11,7 @@
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
 //! - [`evaluate`]: frame sync measured from the depth camera's strobes on video.
+//! - [`extract`]: recordings into datasets with timestamps in board time.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
@@ -19,6 +20,7 @@ pub mod cli;
 pub mod commands;
 pub mod decimal;
 pub mod evaluate;
+pub mod extract;
 pub mod gyro_csv;
 pub mod imu;
 pub mod outcome;

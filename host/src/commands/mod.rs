@@ -2,6 +2,7 @@
 
 pub mod doctor;
 pub mod evaluate;
+pub mod extract;
 pub mod imu;
 pub mod info;
 pub mod offset;

@@ -1,0 +1,613 @@
+//! Writes depth recordings in the format of the Azure Kinect's recorder.
+//!
+//! The order of things in the file is the recorder's, because a file that was
+//! not closed is a part of the test: first the segment with unknown size, a void
+//! of 1,024 bytes for the seek head, a void of 256 bytes for the segment
+//! information, tracks, the calibration as an attachment, tags without
+//! `K4A_START_OFFSET_NS` and a void behind them; then clusters of less than 32 ms
+//! with a CRC-32; and only at [`K4aMkvWriter::finish`] the information, the start
+//! offset, cues, the seek head and the segment's size. Dropping the writer
+//! without it leaves what a crash leaves.
+//!
+//! Captures become simple blocks, IMU samples are laced in block groups (fixed
+//! size). Like the recorder, the writer keeps two seconds back, so that data of
+//! several tracks is sorted by time.
+//!
+//! Limits: no colour track; strings of the real camera's calibration are the
+//! caller's.
+
+use std::collections::VecDeque;
+use std::io::{self, Seek, SeekFrom, Write};
+
+/// Nanoseconds in a unit of the file's time.
+const SCALE: u64 = 1_000;
+/// Length of a cluster, in µs.
+const CLUSTER_US: u64 = 32_000;
+/// How long data is held back, in µs.
+const DELAY_US: u64 = 2_000_000;
+/// At most this many IMU samples in one block.
+const LACED: usize = 8;
+
+const DEPTH_TRACK: u8 = 1;
+const IR_TRACK: u8 = 2;
+const IMU_TRACK: u8 = 3;
+
+/// What stands in the file's head.
+#[derive(Clone, Debug)]
+pub struct K4aSettings {
+    /// Width of depth and infrared in pixels.
+    pub width: u32,
+    /// Height of depth and infrared in pixels.
+    pub height: u32,
+    /// Frames a second: 5, 15 or 30.
+    pub fps: u32,
+    /// `K4A_DEPTH_MODE`, e.g. `NFOV_UNBINNED`.
+    pub depth_mode: String,
+    /// `K4A_DEVICE_SERIAL_NUMBER`.
+    pub serial: String,
+    /// Whether there is an infrared track.
+    pub infrared: bool,
+    /// Whether there is an IMU track.
+    pub imu: bool,
+    /// Content of the attachment `calibration.json`.
+    pub calibration: Vec<u8>,
+}
+
+impl Default for K4aSettings {
+    /// NFOV unbinned at 30 fps with infrared and IMU.
+    fn default() -> Self {
+        Self {
+            width: 640,
+            height: 576,
+            fps: 30,
+            depth_mode: "NFOV_UNBINNED".into(),
+            serial: "000000000000".into(),
+            infrared: true,
+            imu: true,
+            calibration: br#"{"CalibrationInformation":{"Cameras":[]}}"#.to_vec(),
+        }
+    }
+}
+
+/// A sample of the camera's IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct K4aImu {
+    /// Device time of the acceleration, µs.
+    pub accel_us: u64,
+    /// m/s².
+    pub accel: [f32; 3],
+    /// Device time of the angular rate, µs.
+    pub gyro_us: u64,
+    /// rad/s.
+    pub gyro: [f32; 3],
+}
+
+struct Entry {
+    us: u64,
+    track: u8,
+    data: Vec<u8>,
+}
+
+/// A depth recording being written.
+pub struct K4aMkvWriter<W> {
+    out: W,
+    settings: K4aSettings,
+    position: u64,
+    segment_size_at: u64,
+    segment_data: u64,
+    seek_at: u64,
+    info_at: u64,
+    tracks_at: u64,
+    attachments_at: u64,
+    tags_at: u64,
+    tags_room: usize,
+    pending: VecDeque<Entry>,
+    latest_us: u64,
+    start_us: Option<u64>,
+    cues: Vec<(u64, u64)>,
+}
+
+const SEEK_ROOM: usize = 1024;
+const INFO_ROOM: usize = 256;
+const TAGS_SPARE: usize = 1024;
+
+impl<W: Write + Seek> K4aMkvWriter<W> {
+    /// Writes the head.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn new(mut out: W, settings: K4aSettings) -> io::Result<Self> {
+        let mut head = Vec::new();
+        element(&mut head, 0x4282, b"matroska");
+        unsigned(&mut head, 0x4287, 2);
+        unsigned(&mut head, 0x4285, 2);
+        let mut file = Vec::new();
+        element(&mut file, 0x1A45_DFA3, &head);
+        file.extend_from_slice(&[0x18, 0x53, 0x80, 0x67]);
+        let segment_size_at = file.len() as u64;
+        file.extend_from_slice(&[0x01, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]);
+        let segment_data = file.len() as u64;
+        let seek_at = file.len() as u64;
+        void(&mut file, SEEK_ROOM);
+        let info_at = file.len() as u64;
+        void(&mut file, INFO_ROOM);
+        let tracks_at = file.len() as u64;
+        file.extend(tracks(&settings));
+        let attachments_at = file.len() as u64;
+        file.extend(attachments(&settings));
+        let tags_at = file.len() as u64;
+        let written = tags(&settings, None);
+        let tags_room = written.len() + TAGS_SPARE;
+        file.extend(written);
+        void(&mut file, TAGS_SPARE);
+        out.write_all(&file)?;
+        Ok(Self {
+            out,
+            position: file.len() as u64,
+            settings,
+            segment_size_at,
+            segment_data,
+            seek_at,
+            info_at,
+            tracks_at,
+            attachments_at,
+            tags_at,
+            tags_room,
+            pending: VecDeque::new(),
+            latest_us: 0,
+            start_us: None,
+            cues: Vec::new(),
+        })
+    }
+
+    /// Adds a capture at a device time in µs. Pixels row by row; `depth` in mm.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails, or the infrared image is missing or not expected.
+    pub fn write_capture(
+        &mut self,
+        us: u64,
+        depth: &[u16],
+        infrared: Option<&[u16]>,
+    ) -> io::Result<()> {
+        if infrared.is_some() != self.settings.infrared {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                "an infrared image must be given if, and only if, there is a track for it",
+            ));
+        }
+        self.push(us, DEPTH_TRACK, big_endian(depth))?;
+        if let Some(infrared) = infrared {
+            self.push(us, IR_TRACK, big_endian(infrared))?;
+        }
+        Ok(())
+    }
+
+    /// Adds any bytes as a depth frame: for damaged frames.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn write_raw_depth(&mut self, us: u64, bytes: Vec<u8>) -> io::Result<()> {
+        self.push(us, DEPTH_TRACK, bytes)
+    }
+
+    /// Adds a sample of the IMU.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails, or there is no track for it.
+    pub fn write_imu(&mut self, sample: &K4aImu) -> io::Result<()> {
+        if !self.settings.imu {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidInput,
+                "the recording has no IMU track",
+            ));
+        }
+        let mut data = Vec::with_capacity(40);
+        data.extend_from_slice(&(sample.accel_us * 1000).to_le_bytes());
+        for axis in sample.accel {
+            data.extend_from_slice(&axis.to_le_bytes());
+        }
+        data.extend_from_slice(&(sample.gyro_us * 1000).to_le_bytes());
+        for axis in sample.gyro {
+            data.extend_from_slice(&axis.to_le_bytes());
+        }
+        self.push(sample.accel_us, IMU_TRACK, data)
+    }
+
+    fn push(&mut self, us: u64, track: u8, data: Vec<u8>) -> io::Result<()> {
+        // Nearly sorted already: step back over the few that are later.
+        let place = self.pending.iter().rposition(|entry| entry.us <= us);
+        let entry = Entry { us, track, data };
+        self.pending
+            .insert(place.map_or(0, |place| place + 1), entry);
+        self.latest_us = self.latest_us.max(us);
+        while let Some(first) = self.pending.front() {
+            if first.us + CLUSTER_US + DELAY_US >= self.latest_us {
+                break;
+            }
+            self.write_cluster()?;
+        }
+        Ok(())
+    }
+
+    fn write_cluster(&mut self) -> io::Result<()> {
+        let Some(first) = self.pending.front() else {
+            return Ok(());
+        };
+        let cluster_us = first.us;
+        let start_us = *self.start_us.get_or_insert(cluster_us);
+        let mut body = Vec::new();
+        unsigned(&mut body, 0xE7, cluster_us.saturating_sub(start_us));
+        let mut has_depth = false;
+        while let Some(entry) = pop_if(&mut self.pending, |entry| {
+            entry.us < cluster_us + CLUSTER_US
+        }) {
+            let relative = (entry.us - cluster_us) as i16;
+            if entry.track != IMU_TRACK {
+                has_depth |= entry.track == DEPTH_TRACK;
+                let block = block(entry.track, relative, 0x80, &[&entry.data]);
+                element(&mut body, 0xA3, &block);
+                continue;
+            }
+            let mut laced = vec![entry];
+            while laced.len() < LACED {
+                let next = pop_if(&mut self.pending, |entry| {
+                    entry.track == IMU_TRACK && entry.us < cluster_us + CLUSTER_US
+                });
+                let Some(next) = next else { break };
+                laced.push(next);
+            }
+            let frames: Vec<&[u8]> = laced.iter().map(|entry| entry.data.as_slice()).collect();
+            let duration = laced[laced.len() - 1].us - laced[0].us + 1;
+            let mut group = Vec::new();
+            element(&mut group, 0xA1, &block(IMU_TRACK, relative, 0, &frames));
+            unsigned(&mut group, 0x9B, duration);
+            element(&mut body, 0xA0, &group);
+        }
+        if has_depth {
+            self.cues
+                .push((cluster_us - start_us, self.position - self.segment_data));
+        }
+        let cluster = with_crc(0x1F43_B675, &body);
+        self.out.write_all(&cluster)?;
+        self.position += cluster.len() as u64;
+        Ok(())
+    }
+
+    /// Writes what is held back as clusters, as the recorder does at its end.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn flush_clusters(&mut self) -> io::Result<()> {
+        while !self.pending.is_empty() {
+            self.write_cluster()?;
+        }
+        Ok(())
+    }
+
+    /// Leaves the recording as it is, as a crash of the recorder does: what is held
+    /// back is lost.
+    pub fn into_inner(self) -> W {
+        self.out
+    }
+
+    /// Closes the recording and returns what was written to.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn finish(mut self) -> io::Result<W> {
+        self.flush_clusters()?;
+        let start_us = self.start_us.unwrap_or(0);
+        let cues_at = self.position;
+        let mut points = Vec::new();
+        for (time, cluster) in &self.cues {
+            let mut position = Vec::new();
+            unsigned(&mut position, 0xF7, DEPTH_TRACK.into());
+            unsigned(&mut position, 0xF1, *cluster);
+            let mut point = Vec::new();
+            unsigned(&mut point, 0xB3, *time);
+            element(&mut point, 0xB7, &position);
+            element(&mut points, 0xBB, &point);
+        }
+        let mut cues = Vec::new();
+        element(&mut cues, 0x1C53_BB6B, &points);
+        self.out.write_all(&cues)?;
+        let end = cues_at + cues.len() as u64;
+
+        let duration = (self.latest_us.saturating_sub(start_us)) as f64;
+        self.replace(self.info_at, info(duration), INFO_ROOM)?;
+        let tags = tags(&self.settings, Some(start_us * 1000));
+        self.replace(self.tags_at, tags, self.tags_room)?;
+        let mut seeks = Vec::new();
+        for (id, at) in [
+            (0x1549_A966_u32, self.info_at),
+            (0x1654_AE6B, self.tracks_at),
+            (0x1941_A469, self.attachments_at),
+            (0x1254_C367, self.tags_at),
+            (0x1C53_BB6B, cues_at),
+        ] {
+            let mut seek = Vec::new();
+            element(&mut seek, 0x53AB, &id.to_be_bytes());
+            unsigned(&mut seek, 0x53AC, at - self.segment_data);
+            element(&mut seeks, 0x4DBB, &seek);
+        }
+        let mut seek_head = Vec::new();
+        element(&mut seek_head, 0x114D_9B74, &seeks);
+        self.replace(self.seek_at, seek_head, SEEK_ROOM)?;
+        let size = (end - self.segment_data) | 1 << 56;
+        self.out.seek(SeekFrom::Start(self.segment_size_at))?;
+        self.out.write_all(&size.to_be_bytes())?;
+        self.out.seek(SeekFrom::Start(end))?;
+        self.out.flush()?;
+        Ok(self.out)
+    }
+
+    /// Writes an element over a void and fills the rest with a void again.
+    fn replace(&mut self, at: u64, mut element: Vec<u8>, room: usize) -> io::Result<()> {
+        let rest = room.checked_sub(element.len()).filter(|&rest| rest != 1);
+        let rest = rest.ok_or_else(|| io::Error::other("the reserved room is too small"))?;
+        if rest > 0 {
+            void(&mut element, rest);
+        }
+        self.out.seek(SeekFrom::Start(at))?;
+        self.out.write_all(&element)
+    }
+}
+
+fn pop_if(pending: &mut VecDeque<Entry>, wanted: impl Fn(&Entry) -> bool) -> Option<Entry> {
+    if wanted(pending.front()?) {
+        pending.pop_front()
+    } else {
+        None
+    }
+}
+
+fn big_endian(pixels: &[u16]) -> Vec<u8> {
+    pixels
+        .iter()
+        .flat_map(|pixel| pixel.to_be_bytes())
+        .collect()
+}
+
+/// A block with its frames: one, or several of the same size (fixed lacing).
+fn block(track: u8, relative: i16, flags: u8, frames: &[&[u8]]) -> Vec<u8> {
+    let mut data = Vec::with_capacity(8 + frames.iter().map(|frame| frame.len()).sum::<usize>());
+    data.push(0x80 | track);
+    data.extend_from_slice(&relative.to_be_bytes());
+    if frames.len() == 1 {
+        data.push(flags);
+    } else {
+        data.push(flags | 2 << 1);
+        data.push((frames.len() - 1) as u8);
+    }
+    for frame in frames {
+        data.extend_from_slice(frame);
+    }
+    data
+}
+
+fn tracks(settings: &K4aSettings) -> Vec<u8> {
+    let mut entries = Vec::new();
+    let mut video = |number: u8, name: &str| {
+        let mut entry = track_entry(number, 1, name, "V_MS/VFW/FOURCC");
+        element(
+            &mut entry,
+            0x63A2,
+            &bitmap_info(settings.width, settings.height),
+        );
+        unsigned(
+            &mut entry,
+            0x23_E383,
+            1_000_000_000 / u64::from(settings.fps.max(1)),
+        );
+        let mut pixels = Vec::new();
+        unsigned(&mut pixels, 0xB0, settings.width.into());
+        unsigned(&mut pixels, 0xBA, settings.height.into());
+        element(&mut entry, 0xE0, &pixels);
+        element(&mut entries, 0xAE, &entry);
+    };
+    video(DEPTH_TRACK, "DEPTH");
+    if settings.infrared {
+        video(IR_TRACK, "IR");
+    }
+    if settings.imu {
+        let entry = track_entry(IMU_TRACK, 0x11, "IMU", "S_K4A/IMU");
+        element(&mut entries, 0xAE, &entry);
+    }
+    let mut out = Vec::new();
+    element(&mut out, 0x1654_AE6B, &entries);
+    out
+}
+
+fn track_uid(number: u8) -> u64 {
+    0x00A1_B2C3_D4E5_F600 + u64::from(number)
+}
+
+fn track_entry(number: u8, kind: u64, name: &str, codec: &str) -> Vec<u8> {
+    let mut entry = Vec::new();
+    unsigned(&mut entry, 0xD7, number.into());
+    unsigned(&mut entry, 0x73C5, track_uid(number));
+    unsigned(&mut entry, 0x83, kind);
+    unsigned(&mut entry, 0x9C, 1);
+    element(&mut entry, 0x536E, name.as_bytes());
+    element(&mut entry, 0x86, codec.as_bytes());
+    entry
+}
+
+/// BITMAPINFOHEADER with the format `b16g`.
+fn bitmap_info(width: u32, height: u32) -> Vec<u8> {
+    let mut header = Vec::with_capacity(40);
+    header.extend_from_slice(&0_u32.to_le_bytes());
+    header.extend_from_slice(&width.to_le_bytes());
+    header.extend_from_slice(&height.to_le_bytes());
+    header.extend_from_slice(&1_u16.to_le_bytes());
+    header.extend_from_slice(&16_u16.to_le_bytes());
+    header.extend_from_slice(b"b16g");
+    header.extend_from_slice(&(width * height * 2).to_le_bytes());
+    header.resize(40, 0);
+    header
+}
+
+fn attachments(settings: &K4aSettings) -> Vec<u8> {
+    let mut file = Vec::new();
+    element(&mut file, 0x466E, b"calibration.json");
+    element(&mut file, 0x4660, b"application/octet-stream");
+    unsigned(&mut file, 0x46AE, 0x00C0_FFEE);
+    element(&mut file, 0x465C, &settings.calibration);
+    let mut attached = Vec::new();
+    element(&mut attached, 0x61A7, &file);
+    let mut out = Vec::new();
+    element(&mut out, 0x1941_A469, &attached);
+    out
+}
+
+fn tags(settings: &K4aSettings, start_ns: Option<u64>) -> Vec<u8> {
+    let mut body = Vec::new();
+    let mut add = |name: &str, value: &str, track: Option<u8>| {
+        let mut targets = Vec::new();
+        if track.is_some() {
+            element(&mut targets, 0x63CA, b"TRACK");
+        }
+        unsigned(&mut targets, 0x63C5, track.map_or(0, track_uid));
+        let mut simple = Vec::new();
+        element(&mut simple, 0x45A3, name.as_bytes());
+        element(&mut simple, 0x4487, value.as_bytes());
+        let mut tag = Vec::new();
+        element(&mut tag, 0x63C0, &targets);
+        element(&mut tag, 0x67C8, &simple);
+        element(&mut body, 0x7373, &tag);
+    };
+    let uid = |track| track_uid(track).to_string();
+    add("K4A_DEPTH_TRACK", &uid(DEPTH_TRACK), Some(DEPTH_TRACK));
+    add("K4A_DEPTH_MODE", &settings.depth_mode, Some(DEPTH_TRACK));
+    if settings.infrared {
+        add("K4A_IR_TRACK", &uid(IR_TRACK), Some(IR_TRACK));
+        add("K4A_IR_MODE", "ACTIVE", Some(IR_TRACK));
+    }
+    add("K4A_WIRED_SYNC_MODE", "SUBORDINATE", None);
+    add("K4A_SUBORDINATE_DELAY_NS", "0", None);
+    add("K4A_DEPTH_FIRMWARE_VERSION", "1.6.80", None);
+    add("K4A_DEVICE_SERIAL_NUMBER", &settings.serial, None);
+    add("K4A_CALIBRATION_FILE", "calibration.json", None);
+    if settings.imu {
+        add("K4A_IMU_TRACK", &uid(IMU_TRACK), Some(IMU_TRACK));
+        add("K4A_IMU_MODE", "ON", Some(IMU_TRACK));
+    }
+    if let Some(start) = start_ns {
+        add("K4A_START_OFFSET_NS", &start.to_string(), None);
+    }
+    with_crc(0x1254_C367, &body)
+}
+
+fn info(duration: f64) -> Vec<u8> {
+    let mut body = Vec::new();
+    unsigned(&mut body, 0x2A_D7B1, SCALE);
+    element(&mut body, 0x4489, &duration.to_be_bytes());
+    element(&mut body, 0x4D80, b"hil-sim");
+    element(&mut body, 0x5741, b"k4arecord-1.4.1");
+    let mut out = Vec::new();
+    element(&mut out, 0x1549_A966, &body);
+    out
+}
+
+fn push_id(out: &mut Vec<u8>, id: u32) {
+    let leading = (id.leading_zeros() / 8) as usize;
+    out.extend_from_slice(&id.to_be_bytes()[leading..]);
+}
+
+fn push_size(out: &mut Vec<u8>, size: u64) {
+    // All ones means unknown, so each length holds one less than its bits would.
+    let length = (1..8)
+        .find(|length| size < (1_u64 << (7 * length)) - 1)
+        .unwrap_or(8);
+    let coded = size | 1 << (7 * length);
+    out.extend_from_slice(&coded.to_be_bytes()[8 - length..]);
+}
+
+fn element(out: &mut Vec<u8>, id: u32, data: &[u8]) {
+    push_id(out, id);
+    push_size(out, data.len() as u64);
+    out.extend_from_slice(data);
+}
+
+fn unsigned(out: &mut Vec<u8>, id: u32, value: u64) {
+    let leading = (value.leading_zeros() / 8).min(7) as usize;
+    element(out, id, &value.to_be_bytes()[leading..]);
+}
+
+/// A void element of `room` bytes in all (2 at least).
+fn void(out: &mut Vec<u8>, room: usize) {
+    out.push(0xEC);
+    if room >= 9 {
+        let size = (room - 9) as u64 | 1 << 56;
+        out.extend_from_slice(&size.to_be_bytes());
+        out.resize(out.len() + room - 9, 0);
+    } else {
+        out.push(0x80 | (room - 2) as u8);
+        out.resize(out.len() + room - 2, 0);
+    }
+}
+
+/// A master element that begins with the CRC-32 of the rest of it.
+fn with_crc(id: u32, body: &[u8]) -> Vec<u8> {
+    let mut inner = Vec::with_capacity(body.len() + 6);
+    element(&mut inner, 0xBF, &crc32fast::hash(body).to_le_bytes());
+    inner.extend_from_slice(body);
+    let mut out = Vec::with_capacity(inner.len() + 12);
+    element(&mut out, id, &inner);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    #[test]
+    fn a_closed_file_is_matroska_to_the_end() {
+        let settings = K4aSettings {
+            width: 4,
+            height: 2,
+            ..K4aSettings::default()
+        };
+        let mut writer = K4aMkvWriter::new(Cursor::new(Vec::new()), settings).unwrap();
+        for frame in 0..100_u64 {
+            let us = 5_000_000 + frame * 33_333;
+            writer.write_capture(us, &[1; 8], Some(&[2; 8])).unwrap();
+        }
+        let bytes = writer.finish().unwrap().into_inner();
+        // Walk the segment's children: sizes must lead from one to the next and
+        // end at the segment's own end.
+        let segment = 5 + bytes[4] as usize - 0x80;
+        assert_eq!(bytes[segment..segment + 4], [0x18, 0x53, 0x80, 0x67]);
+        let mut at = segment + 12;
+        let mut clusters = 0;
+        while at < bytes.len() {
+            let id_length = bytes[at].leading_zeros() as usize + 1;
+            clusters += usize::from(bytes[at..at + id_length] == [0x1F, 0x43, 0xB6, 0x75]);
+            let size_length = bytes[at + id_length].leading_zeros() as usize + 1;
+            let mut size = 0_u64;
+            for &byte in &bytes[at + id_length..at + id_length + size_length] {
+                size = size << 8 | u64::from(byte);
+            }
+            size &= (1 << (7 * size_length)) - 1;
+            at += id_length + size_length + size as usize;
+        }
+        assert_eq!(at, bytes.len());
+        assert_eq!(clusters, 100);
+        let mut size = [0; 8];
+        size.copy_from_slice(&bytes[segment + 4..segment + 12]);
+        size[0] = 0;
+        assert_eq!(
+            u64::from_be_bytes(size) as usize,
+            bytes.len() - segment - 12
+        );
+    }
+}

@@ -1,0 +1,321 @@
+//! The matching against simulated cameras with known truth.
+
+use super::*;
+
+/// A small generator of its own: the tests need nothing better.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 >> 33
+    }
+
+    fn below(&mut self, end: u64) -> u64 {
+        self.next() % end
+    }
+}
+
+/// Pulses of 30.0024 Hz with a move of the phase.
+struct Train {
+    count: u64,
+    /// First pulse of the move, ns in all, ns a pulse (0: at once).
+    slew: Option<(u64, i64, i64)>,
+}
+
+const PERIOD_PS: i64 = 33_330_652_540;
+
+impl Train {
+    fn pulses(&self) -> Vec<PulseTime> {
+        let mut moved = 0_i64;
+        (0..self.count)
+            .map(|number| {
+                if let Some((from, total, step)) = self.slew
+                    && number >= from
+                {
+                    let left = total - moved;
+                    let step = if step == 0 {
+                        left
+                    } else {
+                        left.clamp(-step, step)
+                    };
+                    moved += step;
+                }
+                let at = 7_000_000_000 + (number as i64 * PERIOD_PS) / 1000 + moved;
+                PulseTime {
+                    train: 1,
+                    number,
+                    at: BoardNanos(at),
+                }
+            })
+            .collect()
+    }
+}
+
+/// The camera's stamp of a pulse: 300 ppm off, with wander, in ticks of 90 kHz.
+fn stamp(pulse: &PulseTime) -> DeviceNanos {
+    let seconds = (pulse.at.0 - 7_000_000_000) as f64 * 1e-9;
+    let wander = 40e-6 * (seconds / 200.0).sin();
+    let device = 3.123_456 + seconds * (1.0 + 300e-6) + wander;
+    let ticks = (device * 90_000.0).floor();
+    DeviceNanos((ticks / 90_000.0 * 1e6).floor() as i64 * 1000)
+}
+
+/// Frames of the pulses from `skip` on, with drops; and the pulse of each.
+fn frames(
+    pulses: &[PulseTime],
+    skip: usize,
+    drop_in: u64,
+    seed: u64,
+) -> (Vec<DeviceNanos>, Vec<usize>) {
+    let mut dice = Dice(seed);
+    let mut out = (Vec::new(), Vec::new());
+    for (index, pulse) in pulses.iter().enumerate().skip(skip) {
+        // A first frame that is there anchors the truth of the shift.
+        if index > skip && drop_in > 0 && dice.below(drop_in) == 0 {
+            continue;
+        }
+        out.0.push(stamp(pulse));
+        out.1.push(index);
+    }
+    out
+}
+
+fn check(found: &DepthMatch, truth: &[usize]) {
+    assert_eq!(found.frames.len(), truth.len());
+    for (frame, &pulse) in found.frames.iter().zip(truth) {
+        assert_eq!(
+            (frame.state, frame.pulse),
+            (FrameState::Matched, Some(pulse))
+        );
+        assert!(frame.residual.abs() < 20_000, "{frame:?}");
+    }
+    let (first, last) = (truth[0], truth[truth.len() - 1]);
+    let missing: Vec<usize> = (first..=last)
+        .filter(|pulse| !truth.contains(pulse))
+        .collect();
+    assert_eq!(found.missing, missing);
+    assert!(
+        (found.rate_error - 300e-6).abs() < 1e-6,
+        "{}",
+        found.rate_error
+    );
+}
+
+#[test]
+fn an_alignment_in_the_recording_decides() {
+    // Slews as they are used, both ways; the recorder starts in front of them.
+    for (seed, slew) in [
+        (1, (900, 9_000_000, 100_000)),
+        (2, (300, -15_000_000, 20_000)),
+        (3, (600, 4_000_000, 2_000)),
+    ] {
+        let train = Train {
+            count: 18_000,
+            slew: Some(slew),
+        };
+        let pulses = train.pulses();
+        let (frames, truth) = frames(&pulses, 137, 50, seed);
+        let found = match_frames(&frames, &pulses, None).unwrap();
+        assert!(matches!(found.decision, Decision::Pattern { margin } if margin > 30.0));
+        check(&found, &truth);
+    }
+}
+
+#[test]
+fn a_jump_decides_when_its_frames_are_there() {
+    let train = Train {
+        count: 3_000,
+        slew: Some((1_000, 16_000_000, 0)),
+    };
+    let pulses = train.pulses();
+    let (frames, truth) = frames(&pulses, 3, 0, 1);
+    check(&match_frames(&frames, &pulses, None).unwrap(), &truth);
+    // Without the frames around the jump there is nothing to tell shifts apart by.
+    let hole = |index: &usize| (950..1050).contains(index);
+    let kept: Vec<DeviceNanos> = frames
+        .iter()
+        .zip(&truth)
+        .filter(|(_, index)| !hole(index))
+        .map(|(frame, _)| *frame)
+        .collect();
+    let error = match_frames(&kept, &pulses, None).unwrap_err();
+    assert!(
+        matches!(error, MatchError::Ambiguous(a) if a.first <= 3 && a.last >= 3),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
+    let pulses = Train {
+        count: 2_000,
+        slew: None,
+    }
+    .pulses();
+    let (frames, truth) = frames(&pulses[..1_900], 2, 30, 5);
+    let error = match_frames(&frames, &pulses, None).unwrap_err();
+    let MatchError::Ambiguous(left) = error else {
+        panic!("{error:?}");
+    };
+    assert!(left.first <= 2 && left.last >= 100, "{left:?}");
+
+    let given = match_frames(&frames, &pulses, Some(Hint::FirstPulse(2))).unwrap();
+    assert!(matches!(given.decision, Decision::Hint { left } if left > 90));
+    check(&given, &truth);
+
+    // A clock known to 3 ms, with the rate 5 ppm off; the centre of exposure
+    // lies 6.3625 ms behind the pulse.
+    let center = 6_362_500;
+    let map = AffineMap::new(
+        stamp(&pulses[1_000]),
+        BoardNanos(pulses[1_000].at.0 + center + 3_000_000),
+        1.0 / (1.0 + 305e-6) - 1.0,
+    )
+    .unwrap();
+    let clock = |sigma| Hint::Clock { map, sigma, center };
+    check(
+        &match_frames(&frames, &pulses, Some(clock(3e6))).unwrap(),
+        &truth,
+    );
+    // Too coarse to tell periods apart: not used.
+    assert!(matches!(
+        match_frames(&frames, &pulses, Some(clock(8e6))),
+        Err(MatchError::Ambiguous(_))
+    ));
+}
+
+#[test]
+fn pattern_and_hint_must_agree() {
+    let pulses = Train {
+        count: 4_000,
+        slew: Some((500, 9_000_000, 100_000)),
+    }
+    .pulses();
+    let (frames, truth) = frames(&pulses, 10, 40, 9);
+    check(
+        &match_frames(&frames, &pulses, Some(Hint::FirstPulse(10))).unwrap(),
+        &truth,
+    );
+    let error = match_frames(&frames, &pulses, Some(Hint::FirstPulse(11))).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            MatchError::Conflict {
+                pattern: 10,
+                hint: 11,
+                ..
+            }
+        ),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
+    let all = Train {
+        count: 3_000,
+        slew: Some((400, 9_000_000, 100_000)),
+    }
+    .pulses();
+    let (mut frames, mut truth) = frames(&all, 5, 25, 11);
+    // Three pulses never reached the recording.
+    let lost = [700, 701, 1500];
+    let pulses: Vec<PulseTime> = all
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| !lost.contains(index))
+        .map(|(_, pulse)| *pulse)
+        .collect();
+    // A frame doubled 300 µs later, and the camera going on for two seconds.
+    frames.insert(1000, DeviceNanos(frames[999].0 + 300_000));
+    truth.insert(1000, usize::MAX);
+    let last = frames[frames.len() - 1].0;
+    for i in 1..=60 {
+        frames.push(DeviceNanos(last + i * 33_333_000));
+        truth.push(usize::MAX);
+    }
+    let found = match_frames(&frames, &pulses, None).unwrap();
+    for (index, (frame, &pulse)) in found.frames.iter().zip(&truth).enumerate() {
+        if index == 1000 {
+            assert_eq!(frame.state, FrameState::Doubled);
+        } else if pulse == usize::MAX {
+            assert_eq!(frame.state, FrameState::AfterLastPulse, "{index}");
+        } else if lost.contains(&pulse) {
+            assert_eq!(frame.state, FrameState::OffPulse, "{index}");
+            let board = found.clock.apply(frames[index]).unwrap();
+            assert!((board.0 - all[pulse].at.0).abs() < 15_000, "{index}");
+        } else {
+            assert_eq!(frame.state, FrameState::Matched, "{index}");
+            assert_eq!(pulses[frame.pulse.unwrap()].number, pulse as u64);
+        }
+    }
+}
+
+#[test]
+fn a_camera_that_runs_free_is_said() {
+    let pulses = Train {
+        count: 3_000,
+        slew: Some((400, 9_000_000, 100_000)),
+    }
+    .pulses();
+    let at = |i: i64| DeviceNanos(i * 50_000_000);
+    let slow: Vec<DeviceNanos> = (0..1_000).map(at).collect();
+    assert!(matches!(
+        match_frames(&slow, &pulses, None),
+        Err(MatchError::OtherRate { .. })
+    ));
+    let mut dice = Dice(3);
+    let wild: Vec<DeviceNanos> = (0..1_000)
+        .map(|i| DeviceNanos(i * 33_330_000 + dice.below(30_000_000) as i64))
+        .collect();
+    let error = match_frames(&wild, &pulses, None).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            MatchError::NotFollowing { .. } | MatchError::OtherRate { .. }
+        ),
+        "{error:?}"
+    );
+    assert!(matches!(
+        match_frames(&wild[..5], &pulses, None),
+        Err(MatchError::TooFew { frames: 5, .. })
+    ));
+}
+
+#[test]
+fn hostile_times_do_not_panic() {
+    let pulses: Vec<PulseTime> = [
+        0,
+        1,
+        2,
+        i64::MAX / 2,
+        i64::MAX - 1,
+        i64::MAX,
+        i64::MAX,
+        5,
+        6,
+        7,
+        8,
+        9,
+    ]
+    .iter()
+    .map(|&at| PulseTime {
+        train: 0,
+        number: u64::MAX,
+        at: BoardNanos(at),
+    })
+    .collect();
+    let mut sorted = pulses.clone();
+    sorted.sort_by_key(|pulse| pulse.at);
+    let frames: Vec<DeviceNanos> = [i64::MIN, -1, 0, 0, 0, 1, 2, 3, i64::MAX, 5, 6, 7]
+        .iter()
+        .map(|&at| DeviceNanos(at))
+        .collect();
+    let _ = match_frames(&frames, &sorted, None);
+    let still = vec![DeviceNanos(5); 20];
+    let _ = match_frames(&still, &sorted, None);
+}

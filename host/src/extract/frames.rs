@@ -1,0 +1,268 @@
+//! The phone's frames: which timestamp belongs to which image, and when the
+//! middle of the middle row was exposed.
+//!
+//! The app writes one timestamp a frame, and the encoder one image a frame. Where
+//! the counts agree, they belong together in order. Where they do not, rows and
+//! images are matched by time: the images' presentation times in the video
+//! repeat the distances of the timestamps (both come from the sensor). If the
+//! video is too regular to tell which end is missing, that is said, and both are
+//! taken to begin together.
+
+use super::time::PhoneNanos;
+
+/// How many rows or images may be missing at the beginning.
+const MAX_SHIFT: usize = 600;
+/// Distances that agree to this are the same frame at two shifts, ns.
+const ALIKE: f64 = 200e3;
+
+/// When a frame was exposed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameTiming {
+    /// Exposure of a row, ns.
+    pub exposure: Option<i64>,
+    /// From the first row's to the last row's start of exposure, ns.
+    pub readout: Option<i64>,
+}
+
+impl FrameTiming {
+    /// From the timestamp (start of exposure of the first row) to the middle of
+    /// exposure of the middle row. Parts that are not known count as 0.
+    #[must_use]
+    pub fn to_middle(&self) -> i64 {
+        let half = |part: Option<i64>| part.unwrap_or(0) / 2;
+        half(self.exposure).saturating_add(half(self.readout))
+    }
+
+    /// Whether both parts are known.
+    #[must_use]
+    pub fn is_known(&self) -> bool {
+        self.exposure.is_some() && self.readout.is_some()
+    }
+}
+
+/// Which row of the timestamps each image has.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Alignment {
+    /// For each image, its row.
+    pub rows: Vec<Option<usize>>,
+    /// What is worth saying.
+    pub remark: Option<String>,
+}
+
+impl Alignment {
+    /// Images and rows in order: what is left when there are no presentation times.
+    #[must_use]
+    pub fn in_order(images: usize, rows: usize) -> Self {
+        Self {
+            rows: (0..images)
+                .map(|image| (image < rows).then_some(image))
+                .collect(),
+            remark: None,
+        }
+    }
+}
+
+/// Aligns images (presentation times in ns from the first) with timestamps.
+#[must_use]
+pub fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
+    if images.len() == stamps.len() {
+        return Alignment::in_order(images.len(), stamps.len());
+    }
+    let remark = format!(
+        "the video has {} frames and there are {} timestamps",
+        images.len(),
+        stamps.len()
+    );
+    let period = period(stamps);
+    let mut tries: Vec<Try> = Vec::new();
+    // The first image has row k, or the first row has image k.
+    for shift in 0..MAX_SHIFT {
+        if let Some(stamp) = stamps.get(shift) {
+            tries.extend(match_at(
+                images,
+                stamps,
+                difference(stamp.0, images.first()),
+                period,
+            ));
+        }
+        if shift > 0
+            && let (Some(image), Some(stamp)) = (images.get(shift), stamps.first())
+        {
+            tries.extend(match_at(
+                images,
+                stamps,
+                difference(stamp.0, Some(image)),
+                period,
+            ));
+        }
+    }
+    let better = |a: &Try, b: &Try| {
+        b.matched
+            .cmp(&a.matched)
+            .then(a.scatter.total_cmp(&b.scatter))
+    };
+    tries.sort_by(better);
+    let Some(best) = tries.first() else {
+        return Alignment {
+            remark: Some(format!(
+                "{remark}, and no presentation times to match them by"
+            )),
+            ..Alignment::in_order(images.len(), stamps.len())
+        };
+    };
+    let ambiguous = tries.iter().skip(1).any(|other| {
+        other.matched == best.matched
+            && other.rows != best.rows
+            && (other.scatter - best.scatter).abs() < ALIKE
+    });
+    if ambiguous {
+        return Alignment {
+            remark: Some(format!(
+                "{remark}; the video is too regular to tell which frames are missing: both are taken \
+                 to begin with the same frame"
+            )),
+            ..Alignment::in_order(images.len(), stamps.len())
+        };
+    }
+    let lost: Vec<String> = missing(&best.rows, stamps.len());
+    Alignment {
+        rows: best.rows.clone(),
+        remark: Some(format!("{remark}; matched by time, {}", lost.join(", "))),
+    }
+}
+
+/// What has no partner, in words.
+fn missing(rows: &[Option<usize>], stamps: usize) -> Vec<String> {
+    let mut has_image = vec![false; stamps];
+    for row in rows.iter().flatten() {
+        has_image[*row] = true;
+    }
+    let list = |indices: Vec<usize>| {
+        let shown: Vec<String> = indices.iter().take(20).map(ToString::to_string).collect();
+        let more = indices.len().saturating_sub(20);
+        let dots = if more > 0 {
+            format!(" and {more} more")
+        } else {
+            String::new()
+        };
+        format!("{}{dots}", shown.join(" "))
+    };
+    let rows_left: Vec<usize> = (0..stamps).filter(|&row| !has_image[row]).collect();
+    let images_left: Vec<usize> = (0..rows.len())
+        .filter(|&image| rows[image].is_none())
+        .collect();
+    let mut out = Vec::new();
+    if !rows_left.is_empty() {
+        out.push(format!("timestamps without an image: {}", list(rows_left)));
+    }
+    if !images_left.is_empty() {
+        out.push(format!("images without a timestamp: {}", list(images_left)));
+    }
+    out
+}
+
+struct Try {
+    matched: usize,
+    scatter: f64,
+    rows: Vec<Option<usize>>,
+}
+
+/// Matches each image to the nearest row at an offset.
+fn match_at(images: &[i64], stamps: &[PhoneNanos], offset: i128, period: f64) -> Option<Try> {
+    if period <= 0.0 {
+        return None;
+    }
+    let mut rows = Vec::with_capacity(images.len());
+    let mut next = 0;
+    let (mut matched, mut squares) = (0_usize, 0.0);
+    for &image in images {
+        let at = i128::from(image) + offset;
+        let distance = |row: usize| (i128::from(stamps[row].0) - at).unsigned_abs();
+        while next + 1 < stamps.len() && distance(next + 1) <= distance(next) {
+            next += 1;
+        }
+        let is_near = next < stamps.len() && (distance(next) as f64) < period * 0.4;
+        let free = rows.last().copied().flatten() != Some(next);
+        if is_near && free {
+            matched += 1;
+            squares += (distance(next) as f64).powi(2);
+            rows.push(Some(next));
+        } else {
+            rows.push(None);
+        }
+    }
+    Some(Try {
+        matched,
+        scatter: (squares / matched.max(1) as f64).sqrt(),
+        rows,
+    })
+}
+
+fn difference(stamp: i64, image: Option<&i64>) -> i128 {
+    i128::from(stamp) - i128::from(image.copied().unwrap_or(0))
+}
+
+/// Median distance of the timestamps, ns.
+fn period(stamps: &[PhoneNanos]) -> f64 {
+    let steps = stamps
+        .windows(2)
+        .map(|pair| pair[1].0.saturating_sub(pair[0].0) as f64);
+    super::depth_clock::fit::median(steps.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamps(count: i64) -> Vec<PhoneNanos> {
+        // A real phone's distances are regular to a microsecond.
+        (0..count)
+            .map(|i| PhoneNanos(949_000_000_000_000 + i * 33_330_652 + (i * 7919 % 13) * 100))
+            .collect()
+    }
+
+    fn presentation(stamps: &[PhoneNanos]) -> Vec<i64> {
+        // 90 kHz.
+        let tick = |ns: i64| ns * 90 / 1_000_000 * 1_000_000 / 90;
+        stamps.iter().map(|at| tick(at.0 - stamps[0].0)).collect()
+    }
+
+    #[test]
+    fn equal_counts_belong_together() {
+        let rows = stamps(100);
+        let found = align(&presentation(&rows), &rows);
+        assert_eq!(found, Alignment::in_order(100, 100));
+    }
+
+    #[test]
+    fn images_lost_in_the_middle_are_found_by_time() {
+        let rows = stamps(300);
+        let mut kept = rows.clone();
+        kept.drain(100..103);
+        kept.remove(200);
+        let found = align(&presentation(&kept), &rows);
+        for (image, row) in found.rows.iter().enumerate() {
+            assert_eq!(row.map(|row| rows[row]), Some(kept[image]));
+        }
+        let remark = found.remark.unwrap();
+        assert!(remark.contains("100 101 102 203"), "{remark}");
+    }
+
+    #[test]
+    fn a_regular_video_short_of_a_frame_is_ambiguous() {
+        let rows = stamps(300);
+        let found = align(&presentation(&rows[..299]), &rows);
+        assert!(found.remark.unwrap().contains("too regular"));
+        assert_eq!(found.rows, Alignment::in_order(299, 300).rows);
+    }
+
+    #[test]
+    fn nothing_to_match_does_not_panic() {
+        assert_eq!(align(&[], &stamps(3)).rows, Vec::<Option<usize>>::new());
+        assert_eq!(align(&[0, 5], &[]).rows, [None, None]);
+        let _ = align(
+            &[i64::MIN, i64::MAX, 0],
+            &[PhoneNanos(i64::MAX), PhoneNanos(i64::MIN)],
+        );
+    }
+}

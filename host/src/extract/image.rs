@@ -1,0 +1,188 @@
+//! PNG images, and files that are there whole or not at all.
+//!
+//! Images are compressed fast: a data set is written once and depth compresses
+//! little better with effort. The bytes depend on the pixels alone, so that an
+//! extraction that is repeated gives the same files.
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// An image as it is written.
+#[derive(Clone, Copy, Debug)]
+pub enum Pixels<'a> {
+    /// 16 bits a pixel, big-endian, as PNG has them.
+    Gray16(&'a [u8]),
+    /// 8 bits each of red, green and blue.
+    Rgb8(&'a [u8]),
+}
+
+/// A PNG file in memory.
+///
+/// # Errors
+///
+/// The number of bytes is not that of the size.
+pub fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Result<Vec<u8>> {
+    let mut out = Vec::with_capacity(match pixels {
+        Pixels::Gray16(bytes) | Pixels::Rgb8(bytes) => bytes.len() / 2,
+    });
+    let mut encoder = png::Encoder::new(&mut out, width, height);
+    let bytes = match pixels {
+        Pixels::Gray16(bytes) => {
+            encoder.set_color(png::ColorType::Grayscale);
+            encoder.set_depth(png::BitDepth::Sixteen);
+            bytes
+        }
+        Pixels::Rgb8(bytes) => {
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_depth(png::BitDepth::Eight);
+            bytes
+        }
+    };
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().map_err(io::Error::other)?;
+    writer.write_image_data(bytes).map_err(io::Error::other)?;
+    writer.finish().map_err(io::Error::other)?;
+    Ok(out)
+}
+
+/// Depth for TUM RGB-D: millimetres times five, 5,000 a metre. What does not fit
+/// into 16 bits (beyond 13.107 m) becomes 0, "none", and is counted.
+///
+/// `big_endian` holds 16-bit pixels.
+#[must_use]
+pub fn depth_to_tum(big_endian: &[u8]) -> (Vec<u8>, u64) {
+    let mut lost = 0;
+    let mut out = Vec::with_capacity(big_endian.len());
+    for pixel in big_endian.chunks_exact(2) {
+        let millimetres = u16::from_be_bytes([pixel[0], pixel[1]]);
+        let scaled = millimetres.checked_mul(5).unwrap_or_else(|| {
+            lost += 1;
+            0
+        });
+        out.extend_from_slice(&scaled.to_be_bytes());
+    }
+    (out, lost)
+}
+
+/// Writes a file so that it is there whole or not at all, and creates its folder.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    file.write_all(bytes)?;
+    file.finish()
+}
+
+/// A file that takes its name only when it is finished; without that, it is
+/// removed.
+#[derive(Debug)]
+pub struct WholeFile {
+    writer: Option<BufWriter<File>>,
+    partial: PathBuf,
+    path: PathBuf,
+}
+
+impl WholeFile {
+    /// Begins a file, and creates its folder.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be created.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(".partial");
+        let partial = path.with_file_name(name);
+        Ok(Self {
+            writer: Some(BufWriter::with_capacity(
+                256 * 1024,
+                File::create(&partial)?,
+            )),
+            partial,
+            path: path.to_owned(),
+        })
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    ///
+    /// Writing or renaming fails.
+    pub fn finish(mut self) -> io::Result<()> {
+        if let Some(mut writer) = self.writer.take() {
+            writer.flush()?;
+        }
+        fs::rename(&self.partial, &self.path)
+    }
+}
+
+impl Write for WholeFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match &mut self.writer {
+            Some(writer) => writer.write(bytes),
+            None => Err(io::Error::other("the file is finished")),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.writer.as_mut().map_or(Ok(()), Write::flush)
+    }
+}
+
+impl Drop for WholeFile {
+    fn drop(&mut self) {
+        if self.writer.take().is_some() {
+            let _ = fs::remove_file(&self.partial);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn png_keeps_every_value() {
+        let pixels: Vec<u8> = (0..600_u16).flat_map(|v| (v * 109).to_be_bytes()).collect();
+        let png = encode_png(30, 20, Pixels::Gray16(&pixels)).unwrap();
+        let mut reader = png::Decoder::new(io::Cursor::new(png)).read_info().unwrap();
+        let mut read = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut read).unwrap();
+        assert_eq!((info.width, info.height), (30, 20));
+        assert_eq!(read, pixels);
+        assert!(encode_png(30, 21, Pixels::Gray16(&pixels)).is_err());
+    }
+
+    #[test]
+    fn tum_depth_is_five_a_millimetre() {
+        let bytes: Vec<u8> = [0_u16, 1, 1234, 13_107, 13_108, u16::MAX]
+            .iter()
+            .flat_map(|v| v.to_be_bytes())
+            .collect();
+        let (scaled, lost) = depth_to_tum(&bytes);
+        let values: Vec<u16> = scaled
+            .chunks_exact(2)
+            .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
+            .collect();
+        assert_eq!(values, [0, 5, 6170, 65_535, 0, 0]);
+        assert_eq!(lost, 2);
+    }
+
+    #[test]
+    fn a_file_appears_when_it_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a/b.txt");
+        let mut file = WholeFile::create(&path).unwrap();
+        file.write_all(b"x").unwrap();
+        assert!(!path.exists());
+        drop(file);
+        assert_eq!(fs::read_dir(folder.path().join("a")).unwrap().count(), 0);
+        write_whole(&path, b"y").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"y");
+    }
+}

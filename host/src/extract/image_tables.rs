@@ -1,0 +1,350 @@
+//! Writes images in parallel: one thread reads the source, the others encode.
+//!
+//! An image that is there already is not written again (files appear whole or not
+//! at all), so that an extraction that was stopped goes on. Memory is a few
+//! batches of limited size.
+
+use std::io;
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use rayon::prelude::*;
+
+use super::depth::{DepthError, DepthImage, DepthInput};
+use super::image::{Pixels, encode_png, write_whole};
+use super::layout::Layout;
+use super::progress::Progress;
+use super::video::{RgbFrame, Video, VideoError};
+
+/// Bytes in a batch.
+const BATCH_BYTES: usize = 16 << 20;
+/// Images in a batch at most.
+const BATCH_IMAGES: usize = 64;
+
+/// Why images were not written.
+#[derive(Debug, thiserror::Error)]
+pub enum ImagesError {
+    /// The depth recording.
+    #[error(transparent)]
+    Depth(#[from] DepthError),
+    /// An image cannot be written.
+    #[error("writing {path}: {error}")]
+    Write {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Stopped.
+    #[error("stopped")]
+    Cancelled,
+}
+
+/// Where one depth frame goes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct DepthPlace {
+    /// Depth; `None` if the frame has no place in the data set.
+    pub depth: Option<PathBuf>,
+    /// Infrared.
+    pub infrared: Option<PathBuf>,
+}
+
+/// What the depth images were like.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct DepthOutcome {
+    /// Images with a place that are there.
+    pub written: u64,
+    /// Infrared images that are there, by frame.
+    pub infrared: Vec<usize>,
+    /// Frames without a whole image.
+    pub broken: Vec<usize>,
+    /// Frames in a part of the file whose checksum is wrong.
+    pub damaged: Vec<usize>,
+    /// Frames without any depth in them.
+    pub empty: Vec<usize>,
+    /// Pixels too far away for the format.
+    pub out_of_range: u64,
+}
+
+/// Writes the depth images. `places` has one entry a frame.
+///
+/// # Errors
+///
+/// Reading or writing fails, or it was stopped.
+pub fn write_depth(
+    input: &DepthInput,
+    places: &[DepthPlace],
+    size: (u32, u32),
+    layout: &dyn Layout,
+    progress: &dyn Progress,
+) -> Result<DepthOutcome, ImagesError> {
+    let mut images = input.images()?;
+    let (sender, receiver) = sync_channel::<Result<Vec<DepthImage>, DepthError>>(1);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            let mut batch = Batch::new(sender);
+            loop {
+                match images.next_images() {
+                    Ok(Some(images)) => {
+                        for image in images {
+                            let bytes =
+                                image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len);
+                            if !batch.push(image, bytes) {
+                                return;
+                            }
+                        }
+                    }
+                    Ok(None) => {
+                        batch.send();
+                        return;
+                    }
+                    Err(error) => {
+                        batch.fail(error);
+                        return;
+                    }
+                }
+            }
+        });
+        let mut outcome = DepthOutcome::default();
+        progress.begin("writing depth images", places.len() as u64);
+        each_batch(receiver, progress, |batch: Vec<DepthImage>| {
+            let last = batch.last().map_or(0, |image| image.index);
+            let results: Vec<Result<OneDepth, ImagesError>> = batch
+                .par_iter()
+                .map(|image| write_one(image, places.get(image.index), size, layout))
+                .collect();
+            for result in results {
+                outcome.take(result?);
+            }
+            progress.at(last as u64 + 1);
+            Ok(())
+        })?;
+        progress.end();
+        Ok(outcome)
+    })
+}
+
+struct OneDepth {
+    index: usize,
+    written: bool,
+    infrared: bool,
+    broken: bool,
+    damaged: bool,
+    empty: bool,
+    out_of_range: u64,
+}
+
+impl DepthOutcome {
+    fn take(&mut self, one: OneDepth) {
+        self.written += u64::from(one.written);
+        self.out_of_range += one.out_of_range;
+        let lists = [
+            (one.infrared, &mut self.infrared),
+            (one.broken, &mut self.broken),
+            (one.damaged, &mut self.damaged),
+            (one.empty, &mut self.empty),
+        ];
+        for (is_so, list) in lists {
+            if is_so {
+                list.push(one.index);
+            }
+        }
+    }
+}
+
+fn write_one(
+    image: &DepthImage,
+    place: Option<&DepthPlace>,
+    size: (u32, u32),
+    layout: &dyn Layout,
+) -> Result<OneDepth, ImagesError> {
+    let mut one = OneDepth {
+        index: image.index,
+        written: false,
+        infrared: false,
+        broken: image.depth.is_empty(),
+        damaged: image.damaged,
+        empty: !image.depth.is_empty() && image.depth.iter().all(|&byte| byte == 0),
+        out_of_range: 0,
+    };
+    let Some(place) = place else {
+        return Ok(one);
+    };
+    if let Some(path) = place.depth.as_ref().filter(|_| !one.broken) {
+        let (pixels, lost) = layout.depth_pixels(&image.depth);
+        one.out_of_range = lost;
+        write_missing(path, size, Pixels::Gray16(&pixels))?;
+        one.written = true;
+    }
+    if let (Some(path), Some(pixels)) = (&place.infrared, &image.infrared) {
+        write_missing(path, size, Pixels::Gray16(pixels))?;
+        one.infrared = true;
+    }
+    Ok(one)
+}
+
+/// Writes an image unless it is there.
+fn write_missing(path: &PathBuf, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
+    if path.exists() {
+        return Ok(());
+    }
+    encode_png(size.0, size.1, pixels)
+        .and_then(|png| write_whole(path, &png))
+        .map_err(|error| ImagesError::Write {
+            path: path.clone(),
+            error,
+        })
+}
+
+/// What the video was like.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct VideoOutcome {
+    /// Frames that were decoded.
+    pub decoded: u64,
+    /// Images that are there.
+    pub written: u64,
+    /// Width and height.
+    pub size: Option<(u32, u32)>,
+    /// Why decoding did not come to its end.
+    pub error: Option<String>,
+}
+
+/// Writes the phone's images. `places` has one entry a frame of the video; frames
+/// beyond are counted only.
+///
+/// # Errors
+///
+/// Writing fails, or it was stopped. What ffmpeg says is in the outcome.
+pub fn write_video(
+    video: Video,
+    places: &[Option<PathBuf>],
+    progress: &dyn Progress,
+) -> Result<VideoOutcome, ImagesError> {
+    let (sender, receiver) = sync_channel::<Result<Vec<(usize, RgbFrame)>, VideoError>>(1);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            let mut video = video;
+            let mut batch = Batch::new(sender);
+            let mut index = 0;
+            loop {
+                match video.next_frame() {
+                    Ok(Some(frame)) => {
+                        let bytes = frame.pixels.len();
+                        if !batch.push((index, frame), bytes) {
+                            return;
+                        }
+                        index += 1;
+                    }
+                    Ok(None) => {
+                        batch.send();
+                        return;
+                    }
+                    Err(error) => {
+                        batch.fail(error);
+                        return;
+                    }
+                }
+            }
+        });
+        let mut outcome = VideoOutcome::default();
+        progress.begin("decoding the phone's video", places.len() as u64);
+        let mut failed = None;
+        let each = |batch: Vec<(usize, RgbFrame)>| {
+            outcome.decoded += batch.len() as u64;
+            if let Some((_, frame)) = batch.first() {
+                outcome.size.get_or_insert((frame.width, frame.height));
+            }
+            let written: Result<Vec<bool>, ImagesError> = batch
+                .par_iter()
+                .map(|(index, frame)| match places.get(*index) {
+                    Some(Some(path)) => {
+                        let size = (frame.width, frame.height);
+                        write_missing(path, size, Pixels::Rgb8(&frame.pixels)).map(|()| true)
+                    }
+                    _ => Ok(false),
+                })
+                .collect();
+            outcome.written += written?.into_iter().filter(|&written| written).count() as u64;
+            progress.at(outcome.decoded);
+            Ok(())
+        };
+        match each_batch(receiver, progress, each) {
+            Ok(()) => {}
+            Err(BatchError::Source(error)) => failed = Some(error.to_string()),
+            Err(BatchError::Images(error)) => return Err(error),
+        }
+        outcome.error = failed;
+        progress.end();
+        Ok(outcome)
+    })
+}
+
+/// An error of the reading or of the writing side.
+enum BatchError<E> {
+    Source(E),
+    Images(ImagesError),
+}
+
+impl From<BatchError<DepthError>> for ImagesError {
+    fn from(error: BatchError<DepthError>) -> Self {
+        match error {
+            BatchError::Source(error) => error.into(),
+            BatchError::Images(error) => error,
+        }
+    }
+}
+
+/// Takes batches until the reader ends. The receiver is dropped on leaving, so that
+/// a reader that still sends stops.
+fn each_batch<T, E>(
+    receiver: Receiver<Result<Vec<T>, E>>,
+    progress: &dyn Progress,
+    mut each: impl FnMut(Vec<T>) -> Result<(), ImagesError>,
+) -> Result<(), BatchError<E>> {
+    for batch in receiver {
+        if progress.cancelled() {
+            return Err(BatchError::Images(ImagesError::Cancelled));
+        }
+        each(batch.map_err(BatchError::Source)?).map_err(BatchError::Images)?;
+    }
+    Ok(())
+}
+
+/// Collects items and sends them in batches.
+struct Batch<T, E> {
+    sender: SyncSender<Result<Vec<T>, E>>,
+    items: Vec<T>,
+    bytes: usize,
+}
+
+impl<T, E> Batch<T, E> {
+    fn new(sender: SyncSender<Result<Vec<T>, E>>) -> Self {
+        Self {
+            sender,
+            items: Vec::new(),
+            bytes: 0,
+        }
+    }
+
+    /// False if nobody listens any more.
+    fn push(&mut self, item: T, bytes: usize) -> bool {
+        self.items.push(item);
+        self.bytes += bytes;
+        if self.bytes >= BATCH_BYTES || self.items.len() >= BATCH_IMAGES {
+            return self.send();
+        }
+        true
+    }
+
+    fn send(&mut self) -> bool {
+        self.bytes = 0;
+        let items = std::mem::take(&mut self.items);
+        items.is_empty() || self.sender.send(Ok(items)).is_ok()
+    }
+
+    fn fail(&mut self, error: E) {
+        if self.send() {
+            let _ = self.sender.send(Err(error));
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! Writes the samples of both IMUs as tables, streaming.
+//!
+//! Rows are made in parallel a block at a time and written in order, one file a
+//! sequence.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use super::board::ImuRow;
+use super::image::WholeFile;
+use super::layout::ImuTable;
+use super::phone::csv::Sample;
+use super::sequence::Sequences;
+use super::time::{BoardNanos, PhoneNanos, PiecewiseMap};
+
+/// Rows that are made at a time.
+const BLOCK: usize = 32_768;
+/// Rows of one piece of work.
+const PIECE: usize = 2_048;
+/// Accelerations further apart than this are not interpolated between, ns.
+const MAX_GAP: i64 = 50_000_000;
+
+/// A table that is being written.
+pub struct TableWriter<'a> {
+    table: ImuTable,
+    out: &'a Path,
+    sequences: &'a Sequences,
+    delay: i64,
+    rows: Vec<ImuRow>,
+    files: Vec<Option<WholeFile>>,
+    written: u64,
+}
+
+impl<'a> TableWriter<'a> {
+    /// A table below `out`. `delay` (ns) is subtracted if the format wants it so.
+    #[must_use]
+    pub fn new(table: ImuTable, out: &'a Path, sequences: &'a Sequences, delay: i64) -> Self {
+        Self {
+            delay: if table.subtract_delay { delay } else { 0 },
+            table,
+            out,
+            sequences,
+            rows: Vec::with_capacity(BLOCK),
+            files: (0..sequences.count()).map(|_| None).collect(),
+            written: 0,
+        }
+    }
+
+    /// Adds a row.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
+        row.at = BoardNanos(row.at.0.saturating_sub(self.delay));
+        self.rows.push(row);
+        if self.rows.len() == BLOCK {
+            self.flush_rows()?;
+        }
+        Ok(())
+    }
+
+    fn flush_rows(&mut self) -> io::Result<()> {
+        let make = self.table.row;
+        let sequences = self.sequences;
+        let pieces: Vec<Vec<(usize, String)>> = self
+            .rows
+            .par_chunks(PIECE)
+            .map(|rows| {
+                let mut texts: Vec<(usize, String)> = Vec::new();
+                for row in rows {
+                    let sequence = sequences.at(row.at);
+                    if texts.last().is_none_or(|(last, _)| *last != sequence) {
+                        texts.push((sequence, String::with_capacity(rows.len() * 128)));
+                    }
+                    if let Some((_, text)) = texts.last_mut() {
+                        make(text, row);
+                    }
+                }
+                texts
+            })
+            .collect();
+        self.written += self.rows.len() as u64;
+        self.rows.clear();
+        for (sequence, text) in pieces.into_iter().flatten() {
+            self.file(sequence)?.write_all(text.as_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn file(&mut self, sequence: usize) -> io::Result<&mut WholeFile> {
+        let slot = &mut self.files[sequence];
+        if slot.is_none() {
+            let folder = self.out.join(self.sequences.folder(sequence));
+            let mut file = WholeFile::create(&folder.join(self.table.path))?;
+            file.write_all(self.table.header.as_bytes())?;
+            *slot = Some(file);
+        }
+        slot.as_mut().ok_or_else(|| io::Error::other("no file"))
+    }
+
+    /// Finishes the files. Returns how many rows there are.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn finish(mut self) -> io::Result<u64> {
+        self.flush_rows()?;
+        for file in self.files.into_iter().flatten() {
+            file.finish()?;
+        }
+        Ok(self.written)
+    }
+}
+
+/// Joins a phone's gyroscope with its accelerometer: a row for each sample of the
+/// gyroscope, with the acceleration interpolated to its time.
+///
+/// Times in between are compared as integers; only the accelerations themselves
+/// are numbers with a fraction.
+#[derive(Debug)]
+pub struct Joiner<A> {
+    accel: A,
+    before: Option<Sample>,
+    after: Option<Sample>,
+    ended: bool,
+    /// Gyroscope samples without an acceleration around them.
+    pub without_accel: u64,
+}
+
+impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
+    /// Takes the accelerometer's samples in order of time.
+    #[must_use]
+    pub fn new(accel: A) -> Self {
+        Self {
+            accel,
+            before: None,
+            after: None,
+            ended: false,
+            without_accel: 0,
+        }
+    }
+
+    /// The acceleration at a time; times come in order. `None` where there is none.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails.
+    pub fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
+        while !self.ended && self.after.is_none_or(|after| after.at < time) {
+            match (self.accel)()? {
+                Some(sample) => {
+                    self.before = self.after;
+                    self.after = Some(sample);
+                }
+                None => self.ended = true,
+            }
+        }
+        let value = match (self.before, self.after) {
+            (_, Some(after)) if after.at == time => Some(after.value),
+            (Some(before), Some(after)) => between(&before, &after, time),
+            _ => None,
+        };
+        if value.is_none() {
+            self.without_accel += 1;
+        }
+        Ok(value)
+    }
+}
+
+fn between(before: &Sample, after: &Sample, time: PhoneNanos) -> Option<[f64; 3]> {
+    let run = after.at.0.checked_sub(before.at.0)?;
+    let way = time.0.checked_sub(before.at.0)?;
+    if !(0..=run).contains(&way) || run > MAX_GAP || run == 0 {
+        return None;
+    }
+    let share = way as f64 / run as f64;
+    let mut value = [0.0; 3];
+    for (axis, slot) in value.iter_mut().enumerate() {
+        *slot = before.value[axis] + (after.value[axis] - before.value[axis]) * share;
+    }
+    Some(value)
+}
+
+/// A phone sample in board time.
+#[must_use]
+pub fn in_board_time(
+    clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
+    gyro: &Sample,
+    accel: [f64; 3],
+) -> Option<ImuRow> {
+    Some(ImuRow {
+        at: clock.apply(gyro.at)?,
+        gyro: gyro.value,
+        accel,
+        temperature: None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sample(at: i64, x: f64) -> Sample {
+        Sample {
+            at: PhoneNanos(at),
+            value: [x, -x, 0.0],
+        }
+    }
+
+    #[test]
+    fn accelerations_are_interpolated_and_not_beyond() {
+        let mut samples = [
+            sample(10_000_000, 1.0),
+            sample(20_000_000, 2.0),
+            sample(200_000_000, 3.0),
+        ]
+        .into_iter();
+        let mut joiner = Joiner::new(|| Ok(samples.next()));
+        let mut x = |ms: i64| joiner.at(PhoneNanos(ms * 1_000_000)).unwrap().map(|v| v[0]);
+        assert_eq!(x(5), None);
+        assert_eq!(x(10), Some(1.0));
+        assert_eq!(x(15), Some(1.5));
+        assert_eq!(x(20), Some(2.0));
+        assert_eq!(x(100), None);
+        assert_eq!(x(200), Some(3.0));
+        assert_eq!(x(201), None);
+        assert_eq!(joiner.without_accel, 3);
+    }
+}

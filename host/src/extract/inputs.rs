@@ -1,0 +1,311 @@
+//! What there is to extract from, and what the session says about it.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::board::BoardInput;
+use super::depth::DepthInput;
+use super::gyro_clock::Prior;
+use super::phone::files::{self, FilesError, PhoneFiles};
+use crate::recording::MCAP_FILE;
+use crate::recording::session_file::SessionFile;
+
+/// Values that the user gives; they go before those of the session.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// Exposure of a row of the phone, ns.
+    pub exposure_ns: Option<i64>,
+    /// From the first to the last row of the phone, ns.
+    pub readout_ns: Option<i64>,
+    /// From the trigger pulse to the depth timestamp, ns.
+    pub depth_center_ns: Option<i64>,
+    /// Low-pass delay of the board's IMU, ns.
+    pub board_imu_delay_ns: Option<i64>,
+    /// Low-pass delay of the phone's gyroscope, ns.
+    pub phone_imu_delay_ns: Option<i64>,
+    /// Index of the first depth frame's pulse.
+    pub first_pulse: Option<usize>,
+    /// Whether infrared images are written too.
+    pub infrared: bool,
+}
+
+/// What is known about the rig of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RigFacts {
+    /// Exposure of a row of the phone, ns.
+    pub exposure_ns: Option<i64>,
+    /// From the first to the last row of the phone, ns.
+    pub readout_ns: Option<i64>,
+    /// From the trigger pulse to the depth timestamp, ns.
+    pub depth_center_ns: Option<i64>,
+    /// Low-pass delay of the board's IMU, ns.
+    pub board_imu_delay_ns: Option<i64>,
+    /// Low-pass delay of the phone's gyroscope, ns.
+    pub phone_imu_delay_ns: Option<i64>,
+    /// What the session knows about the clocks.
+    pub prior: Option<Prior>,
+}
+
+/// Everything that is read.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// Name of the recording.
+    pub name: String,
+    /// The board's recording.
+    pub board: BoardInput,
+    /// The phone's files.
+    pub phone: Option<PhoneFiles>,
+    /// The depth recording.
+    pub depth: Option<DepthInput>,
+    /// What the session says.
+    pub rig: RigFacts,
+    /// Worth knowing.
+    pub remarks: Vec<String>,
+}
+
+/// Why there is nothing to extract from.
+#[derive(Debug, thiserror::Error)]
+pub enum InputsError {
+    /// It cannot be read.
+    #[error("reading {path}: {error}")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// It is no recording.
+    #[error(
+        "{path} is no recording: expected a folder with recording.mcap, or a ROS 1 bag (.bag), found {found}"
+    )]
+    NotARecording {
+        /// Which.
+        path: PathBuf,
+        /// What is there.
+        found: String,
+    },
+    /// The phone's files.
+    #[error(transparent)]
+    Phone(#[from] FilesError),
+    /// Several depth recordings.
+    #[error("{path} holds several depth recordings ({}); name one with --depth", names.join(", "))]
+    SeveralDepth {
+        /// Where.
+        path: PathBuf,
+        /// Their names.
+        names: Vec<String>,
+    },
+    /// The file given as depth recording is of another kind.
+    #[error("{path} is no depth recording: expected a file that ends in .mkv")]
+    NotDepth {
+        /// Which.
+        path: PathBuf,
+    },
+}
+
+/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
+const PUBLISHED_DELAY_NS: i64 = 1_900_000;
+
+/// Finds everything.
+///
+/// # Errors
+///
+/// There is no recording, or it is not clear what belongs to it.
+pub fn find(
+    recording: &Path,
+    phone: Option<&Path>,
+    depth: Option<&Path>,
+) -> Result<Inputs, InputsError> {
+    let meta = fs::metadata(recording).map_err(|error| InputsError::Io {
+        path: recording.to_owned(),
+        error,
+    })?;
+    let folder = meta.is_dir();
+    let board = if folder {
+        find_board(recording)?
+    } else {
+        board_file(recording).ok_or_else(|| InputsError::NotARecording {
+            path: recording.to_owned(),
+            found: "another kind of file".into(),
+        })?
+    };
+    let mut remarks = Vec::new();
+    let session_folder = match &board {
+        BoardInput::Mcap(path) => path.parent(),
+        BoardInput::Bag(_) => None,
+    };
+    let rig = if let Some(folder) = session_folder {
+        match SessionFile::load(folder) {
+            Ok(session) => facts_of(&session),
+            Err(error) => {
+                remarks.push(format!("the session's constants are not known: {error}"));
+                RigFacts::default()
+            }
+        }
+    } else {
+        remarks.push(
+            "a bag of the published system says nothing about its settings: the IMU's low-pass delay is \
+             taken as 1.9 ms, its register setting; exposure and readout of the phone are given by options"
+                .into(),
+        );
+        RigFacts {
+            board_imu_delay_ns: Some(PUBLISHED_DELAY_NS),
+            ..RigFacts::default()
+        }
+    };
+    let phone = match phone {
+        Some(place) => files::find(place)?,
+        None if folder => files::find(recording)?,
+        None => None,
+    };
+    let depth = match depth {
+        Some(path) => Some(depth_file(path)?),
+        None if folder => find_depth(recording)?,
+        None => None,
+    };
+    let name = match recording.canonicalize() {
+        Ok(path) => path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned()),
+        Err(_) => None,
+    };
+    Ok(Inputs {
+        name: name.unwrap_or_else(|| "recording".into()),
+        board,
+        phone,
+        depth,
+        rig,
+        remarks,
+    })
+}
+
+fn ends_with(path: &Path, endings: &[&str]) -> bool {
+    let name = path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase();
+    endings.iter().any(|ending| name.ends_with(ending))
+}
+
+fn board_file(path: &Path) -> Option<BoardInput> {
+    if ends_with(path, &[".mcap"]) {
+        Some(BoardInput::Mcap(path.to_owned()))
+    } else if ends_with(path, &[".bag", ".bag.active"]) {
+        Some(BoardInput::Bag(path.to_owned()))
+    } else {
+        None
+    }
+}
+
+/// What a session says, in whole nanoseconds. Values out of reason are left out.
+fn facts_of(session: &SessionFile) -> RigFacts {
+    let profile = &session.profile;
+    let alignment = session.alignment.as_ref();
+    let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
+    let bias = alignment.map_or(profile.frame_sync.bias_us, |a| a.bias_us);
+    let exposure = match (alignment, session.video.and_then(|video| video.exposure_ns)) {
+        (Some(alignment), _) => nanos(alignment.exposure_us),
+        (None, Some(exposure)) => i64::try_from(exposure).ok(),
+        (None, None) => nanos(profile.phone.exposure_us),
+    };
+    RigFacts {
+        exposure_ns: exposure,
+        // The image's time is that of the row that is synchronised: half of a
+        // readout is taken to it.
+        readout_ns: match alignment {
+            Some(alignment) => nanos(2.0 * alignment.middle_row_us),
+            None => nanos(profile.phone.readout_us),
+        },
+        // A measured bias says that the depth image is exposed later than its
+        // nominal centre, against the phone's middle row.
+        depth_center_ns: nanos(center + bias),
+        board_imu_delay_ns: session
+            .imu
+            .as_ref()
+            .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
+        phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
+        prior: session.clock.map(Prior::Model),
+    }
+}
+
+/// Microseconds in whole nanoseconds, within ±1 s.
+fn nanos(us: f64) -> Option<i64> {
+    let within = us.is_finite() && us.abs() <= 1e6;
+    within.then(|| (us * 1000.0).round() as i64)
+}
+
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
+    let fail = |error| InputsError::Io {
+        path: folder.to_owned(),
+        error,
+    };
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        paths.push(entry.map_err(fail)?.path());
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+fn names(paths: &[PathBuf]) -> Vec<String> {
+    let name = |path: &PathBuf| {
+        path.file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    paths.iter().map(name).collect()
+}
+
+fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
+    let own = folder.join(MCAP_FILE);
+    if own.is_file() {
+        return Ok(BoardInput::Mcap(own));
+    }
+    let bags: Vec<PathBuf> = entries(folder)?
+        .into_iter()
+        .filter(|path| path.is_file() && matches!(board_file(path), Some(BoardInput::Bag(_))))
+        .collect();
+    match bags.as_slice() {
+        [bag] => Ok(BoardInput::Bag(bag.clone())),
+        [] => Err(InputsError::NotARecording {
+            path: folder.to_owned(),
+            found: "neither".into(),
+        }),
+        several => Err(InputsError::NotARecording {
+            path: folder.to_owned(),
+            found: format!("several bags ({}): name one", names(several).join(", ")),
+        }),
+    }
+}
+
+fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
+    fs::metadata(path).map_err(|error| InputsError::Io {
+        path: path.to_owned(),
+        error,
+    })?;
+    if ends_with(path, &[".mkv"]) {
+        Ok(DepthInput::Mkv(path.to_owned()))
+    } else {
+        Err(InputsError::NotDepth {
+            path: path.to_owned(),
+        })
+    }
+}
+
+fn find_depth(folder: &Path) -> Result<Option<DepthInput>, InputsError> {
+    let files: Vec<PathBuf> = entries(folder)?
+        .into_iter()
+        .filter(|path| path.is_file() && ends_with(path, &[".mkv"]))
+        .collect();
+    match files.as_slice() {
+        [] => Ok(None),
+        [file] => Ok(Some(DepthInput::Mkv(file.clone()))),
+        several => Err(InputsError::SeveralDepth {
+            path: folder.to_owned(),
+            names: names(several),
+        }),
+    }
+}

@@ -1,0 +1,403 @@
+//! EBML primitives (RFC 8794): element IDs, sizes, and values.
+//!
+//! Everything works on a [`Source`] with a known end, so that a size that a
+//! file claims is checked against what is there before memory is asked for.
+
+use std::io::{self, Read, Seek, SeekFrom};
+
+/// Why an element could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum EbmlError {
+    /// Reading failed.
+    #[error("reading the file: {0}")]
+    Io(#[from] io::Error),
+    /// The file ends within an element.
+    #[error("the file ends within an element that begins at byte {at}")]
+    Truncated {
+        /// Where the element begins.
+        at: u64,
+    },
+    /// These bytes are no element ID or size.
+    #[error("no EBML element at byte {at}: {what}")]
+    Invalid {
+        /// Where.
+        at: u64,
+        /// What was wrong.
+        what: &'static str,
+    },
+    /// An element that is held in memory is larger than it may be.
+    #[error(
+        "the element at byte {at} has {size} bytes, more than the {limit} allowed for its kind"
+    )]
+    TooLarge {
+        /// Where.
+        at: u64,
+        /// What it claims.
+        size: u64,
+        /// The limit.
+        limit: u64,
+    },
+}
+
+/// The size of an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Size {
+    /// Bytes of data.
+    Known(u64),
+    /// Until an element of a higher level, or the end of the file.
+    Unknown,
+}
+
+/// The head of an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Head {
+    /// The ID with its marker bits, as the Matroska specification writes it.
+    pub id: u32,
+    /// Size of the data.
+    pub size: Size,
+    /// Position of the first byte of the head.
+    pub at: u64,
+    /// Position of the first byte of the data.
+    pub data: u64,
+}
+
+impl Head {
+    /// The first position behind the element; `None` for an unknown size or one
+    /// that no file can have.
+    #[must_use]
+    pub fn end(&self) -> Option<u64> {
+        match self.size {
+            Size::Known(size) => self.data.checked_add(size),
+            Size::Unknown => None,
+        }
+    }
+}
+
+/// Length of the ID, or `None` for a first byte that begins none.
+fn id_length(first: u8) -> Option<usize> {
+    let length = first.leading_zeros() as usize + 1;
+    (length <= 4).then_some(length)
+}
+
+/// A reader that knows its position and length.
+pub struct Source<R> {
+    reader: R,
+    position: u64,
+    length: u64,
+}
+
+impl<R: Read + Seek> Source<R> {
+    /// Takes the reader from its beginning to its present end.
+    ///
+    /// # Errors
+    ///
+    /// Seeking fails.
+    pub fn new(mut reader: R) -> io::Result<Self> {
+        let length = reader.seek(SeekFrom::End(0))?;
+        reader.seek(SeekFrom::Start(0))?;
+        Ok(Self {
+            reader,
+            position: 0,
+            length,
+        })
+    }
+
+    /// The position of the next byte.
+    #[must_use]
+    pub fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Bytes in all.
+    #[must_use]
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// Bytes from here to the end.
+    #[must_use]
+    pub fn remaining(&self) -> u64 {
+        self.length.saturating_sub(self.position)
+    }
+
+    /// Moves to a position, at most to the end.
+    ///
+    /// # Errors
+    ///
+    /// Seeking fails.
+    pub fn seek(&mut self, position: u64) -> io::Result<()> {
+        let position = position.min(self.length);
+        let distance = i128::from(position) - i128::from(self.position);
+        if let Ok(near) = i64::try_from(distance) {
+            self.reader.seek_relative(near)?;
+        } else {
+            self.reader.seek(SeekFrom::Start(position))?;
+        }
+        self.position = position;
+        Ok(())
+    }
+
+    /// Reads `size` bytes into `out` (its old content is lost).
+    ///
+    /// Memory grows with what is read, not with what is claimed.
+    ///
+    /// # Errors
+    ///
+    /// More than `limit`, or the file ends before.
+    pub fn read_into(&mut self, size: u64, limit: u64, out: &mut Vec<u8>) -> Result<(), EbmlError> {
+        let at = self.position;
+        if size > limit {
+            return Err(EbmlError::TooLarge { at, size, limit });
+        }
+        if size > self.remaining() {
+            return Err(EbmlError::Truncated { at });
+        }
+        out.clear();
+        let read = (&mut self.reader).take(size).read_to_end(out)? as u64;
+        self.position += read;
+        if read < size {
+            return Err(EbmlError::Truncated { at });
+        }
+        Ok(())
+    }
+
+    fn read_byte(&mut self, at: u64) -> Result<u8, EbmlError> {
+        let mut byte = [0];
+        match self.reader.read_exact(&mut byte) {
+            Ok(()) => {
+                self.position += 1;
+                Ok(byte[0])
+            }
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                Err(EbmlError::Truncated { at })
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Reads an element's head. `None` at the end of the file.
+    ///
+    /// # Errors
+    ///
+    /// The bytes are no head, or the file ends within it. The position is then
+    /// somewhere within the head.
+    pub fn head(&mut self) -> Result<Option<Head>, EbmlError> {
+        let at = self.position;
+        if self.remaining() == 0 {
+            return Ok(None);
+        }
+        let first = self.read_byte(at)?;
+        let Some(length) = id_length(first) else {
+            return Err(EbmlError::Invalid {
+                at,
+                what: "the first byte begins no element ID",
+            });
+        };
+        let mut id = u32::from(first);
+        for _ in 1..length {
+            id = id << 8 | u32::from(self.read_byte(at)?);
+        }
+        let first = self.read_byte(at)?;
+        let length = first.leading_zeros() + 1;
+        if length > 8 {
+            return Err(EbmlError::Invalid {
+                at,
+                what: "the size is longer than eight bytes",
+            });
+        }
+        let mut size = u64::from(first) & !(0x80_u64 >> (length - 1));
+        for _ in 1..length {
+            size = size << 8 | u64::from(self.read_byte(at)?);
+        }
+        let all_ones = (1_u64 << (7 * length)) - 1;
+        Ok(Some(Head {
+            id,
+            size: if size == all_ones {
+                Size::Unknown
+            } else {
+                Size::Known(size)
+            },
+            at,
+            data: self.position,
+        }))
+    }
+
+    /// Moves on to the next place where the bytes of `id` stand, at or behind
+    /// `from`. False (and at the end of the file) if there is none.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails.
+    pub fn find(&mut self, id: u32, from: u64) -> io::Result<bool> {
+        self.seek(from)?;
+        let pattern = id.to_be_bytes();
+        let mut block = vec![0_u8; 64 * 1024];
+        // The last three bytes of the block before, so that no place is missed.
+        let mut kept = 0;
+        loop {
+            let read = self.reader.read(&mut block[kept..])?;
+            self.position += read as u64;
+            let filled = kept + read;
+            if let Some(index) = block[..filled].windows(4).position(|four| four == pattern) {
+                let found = self.position - (filled - index) as u64;
+                self.seek(found)?;
+                return Ok(true);
+            }
+            if read == 0 {
+                return Ok(false);
+            }
+            let keep = filled.min(3);
+            block.copy_within(filled - keep..filled, 0);
+            kept = keep;
+        }
+    }
+}
+
+/// An unsigned integer of at most eight bytes.
+#[must_use]
+pub fn unsigned(data: &[u8]) -> Option<u64> {
+    if data.len() > 8 {
+        return None;
+    }
+    Some(
+        data.iter()
+            .fold(0, |value, &byte| value << 8 | u64::from(byte)),
+    )
+}
+
+/// UTF-8 text without the zeros that may follow it; wrong bytes are replaced.
+#[must_use]
+pub fn text(data: &[u8]) -> String {
+    let end = data
+        .iter()
+        .position(|&byte| byte == 0)
+        .unwrap_or(data.len());
+    String::from_utf8_lossy(&data[..end]).into_owned()
+}
+
+/// A float of 0, 4 or 8 bytes.
+#[must_use]
+pub fn float(data: &[u8]) -> Option<f64> {
+    match data.len() {
+        0 => Some(0.0),
+        4 => Some(f32::from_be_bytes(data.try_into().ok()?).into()),
+        8 => Some(f64::from_be_bytes(data.try_into().ok()?)),
+        _ => None,
+    }
+}
+
+/// The elements of a master element that is in memory; stops at the first that
+/// is broken or goes beyond the end.
+pub fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
+    let mut rest = data;
+    std::iter::from_fn(move || {
+        let (id, after) = memory_id(rest)?;
+        let (size, after) = variable(after)?;
+        let size = usize::try_from(size?).ok()?;
+        let data = after.get(..size)?;
+        rest = &after[size..];
+        Some((id, data))
+    })
+}
+
+fn memory_id(data: &[u8]) -> Option<(u32, &[u8])> {
+    let length = id_length(*data.first()?)?;
+    let bytes = data.get(..length)?;
+    let id = bytes.iter().fold(0, |id, &byte| id << 8 | u32::from(byte));
+    Some((id, &data[length..]))
+}
+
+/// A variable-length integer and what follows it; the inner `None` is the
+/// reserved value of all ones (unknown).
+#[must_use]
+pub fn variable(data: &[u8]) -> Option<(Option<u64>, &[u8])> {
+    let first = *data.first()?;
+    let length = first.leading_zeros() as usize + 1;
+    if length > 8 {
+        return None;
+    }
+    let bytes = data.get(..length)?;
+    let value = bytes
+        .iter()
+        .fold(0, |value, &byte| value << 8 | u64::from(byte));
+    let ones = (1_u64 << (7 * length)) - 1;
+    let value = value & ones;
+    Some(((value != ones).then_some(value), &data[length..]))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    fn head_of(bytes: &[u8]) -> Head {
+        Source::new(Cursor::new(bytes))
+            .unwrap()
+            .head()
+            .unwrap()
+            .unwrap()
+    }
+
+    #[test]
+    fn heads_have_sizes_of_every_length() {
+        let head = head_of(&[0x1A, 0x45, 0xDF, 0xA3, 0x9F]);
+        assert_eq!(
+            (head.id, head.size, head.data),
+            (0x1A45_DFA3, Size::Known(31), 5)
+        );
+        assert_eq!(head_of(&[0xEC, 0x40, 0x02]).size, Size::Known(2));
+        assert_eq!(head_of(&[0xEC, 0xFF]).size, Size::Unknown);
+        let eight = head_of(&[0xEC, 0x01, 0, 0, 0, 0, 0, 1, 0]);
+        assert_eq!(eight.size, Size::Known(256));
+        let unknown = head_of(&[0xEC, 0x01, 255, 255, 255, 255, 255, 255, 255]);
+        assert_eq!(unknown.size, Size::Unknown);
+    }
+
+    #[test]
+    fn what_is_no_head_is_said() {
+        let read = |bytes: &'static [u8]| Source::new(Cursor::new(bytes)).unwrap().head();
+        assert!(matches!(read(&[]), Ok(None)));
+        assert!(matches!(
+            read(&[0x00]),
+            Err(EbmlError::Invalid { at: 0, .. })
+        ));
+        assert!(matches!(
+            read(&[0xEC, 0x00]),
+            Err(EbmlError::Invalid { .. })
+        ));
+        assert!(matches!(
+            read(&[0x1A, 0x45]),
+            Err(EbmlError::Truncated { at: 0 })
+        ));
+    }
+
+    #[test]
+    fn a_claimed_size_is_checked_before_memory_is_used() {
+        let mut source = Source::new(Cursor::new(vec![0_u8; 10])).unwrap();
+        let mut out = Vec::new();
+        assert!(matches!(
+            source.read_into(u64::MAX, u64::MAX, &mut out),
+            Err(EbmlError::Truncated { at: 0 })
+        ));
+        assert!(matches!(
+            source.read_into(9, 8, &mut out),
+            Err(EbmlError::TooLarge {
+                size: 9,
+                limit: 8,
+                ..
+            })
+        ));
+        assert_eq!(out.capacity(), 0);
+    }
+
+    #[test]
+    fn a_pattern_over_a_block_border_is_found() {
+        let mut bytes = vec![0_u8; 64 * 1024 - 2];
+        bytes.extend_from_slice(&[0x1F, 0x43, 0xB6, 0x75, 1]);
+        let mut source = Source::new(Cursor::new(&bytes)).unwrap();
+        assert!(source.find(0x1F43_B675, 7).unwrap());
+        assert_eq!(source.position(), 64 * 1024 - 2);
+        assert!(!source.find(0x1F43_B675, 64 * 1024 - 1).unwrap());
+    }
+}

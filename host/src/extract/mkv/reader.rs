@@ -1,0 +1,848 @@
+//! A forward reader of Matroska segments (RFC 9559) that survives damage.
+//!
+//! [`Mkv::open`] reads everything in front of the first cluster, and looks
+//! behind the clusters for what is missing there. [`Mkv::next_cluster`] then
+//! gives one cluster after the other. Where the bytes make no sense, it goes on
+//! at the next place that looks like a cluster, and the loss is in
+//! [`Mkv::damage`]. A cluster with a CRC-32 element is checked against it.
+
+use std::io::{self, Read, Seek};
+
+use super::ebml::{self, EbmlError, Head, Size, Source};
+
+/// Most bytes of one cluster (the camera's hold 32 ms; the largest colour mode,
+/// uncompressed 4K, makes 66 MB of them).
+pub const MAX_CLUSTER: u64 = 256 << 20;
+/// Most bytes of the elements in front of the clusters, each.
+const MAX_HEADER: u64 = 16 << 20;
+/// Most tracks, tags and attachments that are kept.
+const MAX_ITEMS: usize = 4096;
+/// Most frames in one cluster.
+const MAX_FRAMES: usize = 100_000;
+/// Most entries in the list of damage; later ones are counted only.
+const MAX_DAMAGE: usize = 1000;
+
+mod id {
+    pub(super) const EBML: u32 = 0x1A45_DFA3;
+    pub(super) const DOC_TYPE: u32 = 0x4282;
+    pub(super) const SEGMENT: u32 = 0x1853_8067;
+    pub(super) const SEEK_HEAD: u32 = 0x114D_9B74;
+    pub(super) const INFO: u32 = 0x1549_A966;
+    pub(super) const TIMESTAMP_SCALE: u32 = 0x2A_D7B1;
+    pub(super) const DURATION: u32 = 0x4489;
+    pub(super) const WRITING_APP: u32 = 0x5741;
+    pub(super) const TRACKS: u32 = 0x1654_AE6B;
+    pub(super) const TRACK_ENTRY: u32 = 0xAE;
+    pub(super) const TRACK_NUMBER: u32 = 0xD7;
+    pub(super) const TRACK_UID: u32 = 0x73C5;
+    pub(super) const NAME: u32 = 0x536E;
+    pub(super) const CODEC_ID: u32 = 0x86;
+    pub(super) const CODEC_PRIVATE: u32 = 0x63A2;
+    pub(super) const DEFAULT_DURATION: u32 = 0x23_E383;
+    pub(super) const VIDEO: u32 = 0xE0;
+    pub(super) const PIXEL_WIDTH: u32 = 0xB0;
+    pub(super) const PIXEL_HEIGHT: u32 = 0xBA;
+    pub(super) const ATTACHMENTS: u32 = 0x1941_A469;
+    pub(super) const ATTACHED_FILE: u32 = 0x61A7;
+    pub(super) const FILE_NAME: u32 = 0x466E;
+    pub(super) const FILE_DATA: u32 = 0x465C;
+    pub(super) const TAGS: u32 = 0x1254_C367;
+    pub(super) const TAG: u32 = 0x7373;
+    pub(super) const SIMPLE_TAG: u32 = 0x67C8;
+    pub(super) const TAG_NAME: u32 = 0x45A3;
+    pub(super) const TAG_STRING: u32 = 0x4487;
+    pub(super) const CUES: u32 = 0x1C53_BB6B;
+    pub(super) const CHAPTERS: u32 = 0x1043_A770;
+    pub(super) const CLUSTER: u32 = 0x1F43_B675;
+    pub(super) const TIMESTAMP: u32 = 0xE7;
+    pub(super) const SIMPLE_BLOCK: u32 = 0xA3;
+    pub(super) const BLOCK_GROUP: u32 = 0xA0;
+    pub(super) const BLOCK: u32 = 0xA1;
+    pub(super) const CRC32: u32 = 0xBF;
+    pub(super) const VOID: u32 = 0xEC;
+}
+
+/// IDs that stand in a segment: behind one of these, a cluster of unknown size is over.
+const TOP_LEVEL: [u32; 8] = [
+    id::SEEK_HEAD,
+    id::INFO,
+    id::TRACKS,
+    id::ATTACHMENTS,
+    id::TAGS,
+    id::CUES,
+    id::CHAPTERS,
+    id::CLUSTER,
+];
+
+/// Why a file cannot be read at all.
+#[derive(Debug, thiserror::Error)]
+pub enum MkvError {
+    /// Reading failed, or the beginning is broken.
+    #[error(transparent)]
+    Ebml(#[from] EbmlError),
+    /// The file begins with something else.
+    #[error(
+        "this is no Matroska file: expected an EBML head with document type \"matroska\", found {found}"
+    )]
+    NotMatroska {
+        /// What it begins with.
+        found: String,
+    },
+    /// There is no list of tracks in front of the first cluster.
+    #[error(
+        "the file has no list of tracks; it is cut off within its first bytes or not a recording"
+    )]
+    NoTracks,
+}
+
+impl From<io::Error> for MkvError {
+    fn from(error: io::Error) -> Self {
+        Self::Ebml(error.into())
+    }
+}
+
+/// One track.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Track {
+    /// The number in the blocks.
+    pub number: u64,
+    /// The number in the tags.
+    pub uid: u64,
+    /// Its name.
+    pub name: String,
+    /// Its codec.
+    pub codec: String,
+    /// Set-up data of the codec.
+    pub codec_private: Vec<u8>,
+    /// Nominal distance of frames in ns.
+    pub frame_duration: Option<u64>,
+    /// Width and height in pixels.
+    pub pixels: Option<(u64, u64)>,
+}
+
+/// What stands beside the clusters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Header {
+    /// Nanoseconds in one unit of time; `None` if the segment information is lost.
+    pub scale: Option<u64>,
+    /// Duration in units, if it was written.
+    pub duration: Option<f64>,
+    /// The program that wrote it.
+    pub writing_app: Option<String>,
+    /// The tracks.
+    pub tracks: Vec<Track>,
+    /// Names and values of the tags.
+    pub tags: Vec<(String, String)>,
+    /// Names and bytes of the attached files.
+    pub attachments: Vec<(String, Vec<u8>)>,
+    /// Whether an index was found: it is written last, so a file without one was
+    /// not closed.
+    pub has_cues: bool,
+    /// Whether the segment knows its size: written at closing too.
+    pub has_size: bool,
+}
+
+impl Header {
+    /// The value of a tag.
+    #[must_use]
+    pub fn tag(&self, name: &str) -> Option<&str> {
+        let found = self.tags.iter().find(|(tag, _)| tag == name)?;
+        Some(&found.1)
+    }
+}
+
+/// One frame of a track.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// The track's number.
+    pub track: u64,
+    /// Time of the block in units of the file; frames that share a block share it.
+    pub time: i64,
+    /// Size in bytes.
+    pub size: usize,
+    /// The bytes; empty if they were not asked for.
+    pub data: Vec<u8>,
+}
+
+/// One cluster.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Cluster {
+    /// Where it begins in the file.
+    pub at: u64,
+    /// Its frames as they stand in the file.
+    pub frames: Vec<Frame>,
+    /// Whether it agrees with its CRC; `None` if it has none or was not read in full.
+    pub crc_ok: Option<bool>,
+}
+
+/// A part of the file that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Damage {
+    /// Where it begins.
+    pub at: u64,
+    /// How many bytes were left out.
+    pub bytes: u64,
+    /// What was wrong.
+    pub what: String,
+}
+
+/// Whose bytes are wanted; of other tracks only time and size are given.
+pub type Wanted<'a> = &'a dyn Fn(u64) -> bool;
+
+/// An open file.
+pub struct Mkv<R> {
+    source: Source<R>,
+    header: Header,
+    end: u64,
+    damage: Vec<Damage>,
+    damage_count: u64,
+    buffer: Vec<u8>,
+}
+
+impl<R: Read + Seek> Mkv<R> {
+    /// Opens a file and reads what stands beside the clusters.
+    ///
+    /// # Errors
+    ///
+    /// It is no Matroska file, or has no tracks.
+    pub fn open(reader: R) -> Result<Self, MkvError> {
+        let mut source = Source::new(reader)?;
+        check_document(&mut source)?;
+        let segment = loop {
+            match source.head()? {
+                None => return Err(MkvError::NoTracks),
+                Some(head) if head.id == id::SEGMENT => break head,
+                Some(head) => skip(&mut source, &head)?,
+            }
+        };
+        let length = source.length();
+        let mut mkv = Self {
+            end: segment.end().unwrap_or(length).min(length),
+            source,
+            header: Header {
+                has_size: segment.end().is_some_and(|end| end <= length),
+                ..Header::default()
+            },
+            damage: Vec::new(),
+            damage_count: 0,
+            buffer: Vec::new(),
+        };
+        mkv.read_header()?;
+        Ok(mkv)
+    }
+
+    /// What stands beside the clusters.
+    #[must_use]
+    pub fn header(&self) -> &Header {
+        &self.header
+    }
+
+    /// What could not be read so far.
+    #[must_use]
+    pub fn damage(&self) -> &[Damage] {
+        &self.damage
+    }
+
+    /// How many parts could not be read so far (the list is limited).
+    #[must_use]
+    pub fn damage_count(&self) -> u64 {
+        self.damage_count
+    }
+
+    /// How far reading is, and the whole length, in bytes.
+    #[must_use]
+    pub fn progress(&self) -> (u64, u64) {
+        (self.source.position(), self.end)
+    }
+
+    fn read_header(&mut self) -> Result<(), MkvError> {
+        // A damaged element in front of the tracks must not hide them.
+        let first_cluster = loop {
+            let head = match self.source.head() {
+                Ok(None) => break None,
+                Ok(Some(head)) => head,
+                Err(EbmlError::Io(error)) => return Err(error.into()),
+                Err(error) => {
+                    let at = self.source.position();
+                    let found = self.source.find(id::CLUSTER, at)?;
+                    self.note(at, self.source.position() - at, error.to_string());
+                    if found {
+                        continue;
+                    }
+                    break None;
+                }
+            };
+            if head.id == id::CLUSTER {
+                break Some(head.at);
+            }
+            self.read_top_level(&head)?;
+        };
+        if self.header.tracks.is_empty() {
+            return Err(MkvError::NoTracks);
+        }
+        let Some(first_cluster) = first_cluster else {
+            return Ok(());
+        };
+        // Remuxed files have tags at the end. Stepping over clusters reads
+        // heads only.
+        self.source.seek(first_cluster)?;
+        while let Ok(Some(head)) = self.source.head() {
+            if head.id == id::CLUSTER {
+                if head.end().is_none_or(|end| end > self.end) {
+                    break;
+                }
+                skip(&mut self.source, &head)?;
+            } else if self.read_top_level(&head).is_err() {
+                break;
+            }
+        }
+        self.source.seek(first_cluster)?;
+        Ok(())
+    }
+
+    fn read_top_level(&mut self, head: &Head) -> Result<(), MkvError> {
+        let Size::Known(size) = head.size else {
+            // Only segments and clusters may have no size: nothing to step over.
+            self.note(head.at, 0, format!("element {:X} has no size", head.id));
+            return Ok(());
+        };
+        let wanted = matches!(head.id, id::INFO | id::TRACKS | id::ATTACHMENTS | id::TAGS);
+        if head.id == id::CUES {
+            self.header.has_cues = head.end().is_some_and(|end| end <= self.end);
+        }
+        if !wanted {
+            self.source.seek(head.data.saturating_add(size))?;
+            return Ok(());
+        }
+        let mut data = Vec::new();
+        match self.source.read_into(size, MAX_HEADER, &mut data) {
+            Ok(()) => {}
+            Err(EbmlError::Io(error)) => return Err(error.into()),
+            Err(error) => {
+                self.note(
+                    head.at,
+                    size.min(self.source.remaining()),
+                    error.to_string(),
+                );
+                self.source.seek(head.data.saturating_add(size))?;
+                return Ok(());
+            }
+        }
+        match head.id {
+            id::INFO => read_info(&data, &mut self.header),
+            id::TRACKS => read_tracks(&data, &mut self.header.tracks),
+            id::ATTACHMENTS => read_attachments(&data, &mut self.header.attachments),
+            _ => read_tags(&data, &mut self.header.tags),
+        }
+        Ok(())
+    }
+
+    /// The next cluster; `None` at the end of the file.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails (damage is no error).
+    pub fn next_cluster(&mut self, wanted: Wanted<'_>) -> io::Result<Option<Cluster>> {
+        loop {
+            let at = self.source.position();
+            let result = match self.source.head() {
+                Ok(None) => return Ok(None),
+                Ok(Some(head)) if head.at >= self.end && head.id != id::CLUSTER => return Ok(None),
+                Ok(Some(head)) if head.id == id::CLUSTER => self.read_cluster(&head, wanted),
+                Ok(Some(head)) => match head.end() {
+                    Some(end) if end <= self.source.length() && is_known(head.id) => {
+                        self.source.seek(end)?;
+                        continue;
+                    }
+                    _ => Err(EbmlError::Invalid {
+                        at,
+                        what: "no cluster where one should begin",
+                    }),
+                },
+                Err(error) => Err(error),
+            };
+            match result {
+                Ok(cluster) => return Ok(Some(cluster)),
+                Err(EbmlError::Io(error)) => return Err(error),
+                Err(error) => {
+                    let found = self.source.find(id::CLUSTER, at + 1)?;
+                    self.note(at, self.source.position() - at, error.to_string());
+                    if !found {
+                        return Ok(None);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Reads the children of a cluster. What is there of a damaged cluster is
+    /// given; the rest of it is noted.
+    fn read_cluster(&mut self, cluster: &Head, wanted: Wanted<'_>) -> Result<Cluster, EbmlError> {
+        let length = self.source.length();
+        let end = cluster.end().unwrap_or(length);
+        let limit = cluster.data.saturating_add(MAX_CLUSTER).min(length);
+        let mut out = Cluster {
+            at: cluster.at,
+            ..Cluster::default()
+        };
+        let mut crc = Check::default();
+        let mut time: i64 = 0;
+        loop {
+            let at = self.source.position();
+            if at >= end {
+                break;
+            }
+            let head = match self.source.head() {
+                Ok(None) => break self.cut_off(at, cluster),
+                Ok(Some(head)) => head,
+                Err(EbmlError::Truncated { .. }) => break self.cut_off(at, cluster),
+                Err(EbmlError::Io(error)) => return Err(error.into()),
+                Err(error) => break self.broken(out.at, at, &error)?,
+            };
+            if TOP_LEVEL.contains(&head.id) {
+                // The end of a cluster of unknown size, or a cluster whose size
+                // is wrong. The next call begins here.
+                if cluster.size != Size::Unknown {
+                    self.note(
+                        cluster.at,
+                        0,
+                        "a cluster is shorter than its size says".into(),
+                    );
+                    crc = Check::default();
+                }
+                self.source.seek(at)?;
+                break;
+            }
+            let Some(child_end) = head.end().filter(|&child| child <= end) else {
+                let error = EbmlError::Invalid {
+                    at,
+                    what: "an element is larger than its cluster",
+                };
+                break self.broken(out.at, at, &error)?;
+            };
+            if child_end > length {
+                break self.cut_off(at, cluster);
+            }
+            if child_end > limit || out.frames.len() >= MAX_FRAMES {
+                let error = EbmlError::TooLarge {
+                    at: cluster.at,
+                    size: child_end - cluster.data,
+                    limit: MAX_CLUSTER,
+                };
+                break self.broken(out.at, at, &error)?;
+            }
+            let size = child_end - head.data;
+            match head.id {
+                id::TIMESTAMP | id::CRC32 => {
+                    let mut data = Vec::new();
+                    self.source.read_into(size, 8, &mut data)?;
+                    if head.id == id::CRC32 && crc.is_unused() {
+                        crc.expect(&data);
+                    } else {
+                        crc.add(&head, &data);
+                        time = ebml::unsigned(&data)
+                            .and_then(|time| i64::try_from(time).ok())
+                            .unwrap_or(0);
+                    }
+                }
+                id::SIMPLE_BLOCK | id::BLOCK_GROUP => {
+                    let whole = self.read_block(&head, size, time, wanted, &mut out)?;
+                    if whole {
+                        crc.add(&head, &self.buffer);
+                    } else {
+                        crc.skip();
+                    }
+                }
+                _ => {
+                    self.source.read_into(size, MAX_CLUSTER, &mut self.buffer)?;
+                    crc.add(&head, &self.buffer);
+                }
+            }
+        }
+        out.crc_ok = crc.verdict();
+        Ok(out)
+    }
+
+    /// Reads a block into frames. True if all its bytes are in `self.buffer`.
+    fn read_block(
+        &mut self,
+        head: &Head,
+        size: u64,
+        time: i64,
+        wanted: Wanted<'_>,
+        out: &mut Cluster,
+    ) -> Result<bool, EbmlError> {
+        // Peek at the track first: blocks that nobody wants are stepped over.
+        let peek = size.min(16);
+        if head.id == id::SIMPLE_BLOCK {
+            self.source.read_into(peek, 16, &mut self.buffer)?;
+            if let Some(block) = Block::parse(&self.buffer)
+                && !wanted(block.track)
+                && block.lacing == 0
+            {
+                let header = peek - block.payload.len() as u64;
+                out.frames.push(Frame {
+                    track: block.track,
+                    time: time.saturating_add(block.time.into()),
+                    size: usize::try_from(size - header).unwrap_or(usize::MAX),
+                    data: Vec::new(),
+                });
+                self.source.seek(head.data.saturating_add(size))?;
+                return Ok(false);
+            }
+            self.source.seek(head.data)?;
+        }
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let read = self.source.read_into(size, MAX_CLUSTER, &mut buffer);
+        self.buffer = buffer;
+        read?;
+        let block = if head.id == id::SIMPLE_BLOCK {
+            Some(self.buffer.as_slice())
+        } else {
+            ebml::children(&self.buffer)
+                .find(|(child, _)| *child == id::BLOCK)
+                .map(|(_, data)| data)
+        };
+        let frames = block.and_then(Block::parse).and_then(|block| {
+            let sizes = block.frames()?;
+            Some((block.track, block.time, sizes))
+        });
+        let Some((track, relative, parts)) = frames else {
+            let at = head.at;
+            self.note(
+                at,
+                size,
+                "a block whose head or lacing makes no sense".into(),
+            );
+            return Ok(true);
+        };
+        let keep = wanted(track);
+        let time = time.saturating_add(relative.into());
+        for part in parts {
+            out.frames.push(Frame {
+                track,
+                time,
+                size: part.len(),
+                data: if keep { part.to_vec() } else { Vec::new() },
+            });
+        }
+        Ok(true)
+    }
+
+    /// The file ends within a cluster.
+    fn cut_off(&mut self, at: u64, cluster: &Head) {
+        let length = self.source.length();
+        // A cluster of unknown size may end with the file.
+        if cluster.size != Size::Unknown || at < length {
+            self.note(
+                at,
+                length - at.min(length),
+                "the file ends within a cluster".into(),
+            );
+        }
+        // Seeking to the end of a readable file cannot fail in a way that matters:
+        // the next read says so.
+        let _ = self.source.seek(length);
+    }
+
+    /// A cluster cannot be read to its end: go on at the next one.
+    fn broken(&mut self, cluster: u64, at: u64, error: &EbmlError) -> io::Result<()> {
+        let _ = self.source.find(id::CLUSTER, at.max(cluster + 4))?;
+        let next = self.source.position();
+        self.note(at, next - at, error.to_string());
+        Ok(())
+    }
+
+    fn note(&mut self, at: u64, bytes: u64, what: String) {
+        self.damage_count += 1;
+        if self.damage.len() < MAX_DAMAGE {
+            self.damage.push(Damage { at, bytes, what });
+        }
+    }
+}
+
+fn is_known(head: u32) -> bool {
+    TOP_LEVEL.contains(&head) || head == id::VOID || head == id::CRC32
+}
+
+fn skip<R: Read + Seek>(source: &mut Source<R>, head: &Head) -> Result<(), EbmlError> {
+    let Some(end) = head.end() else {
+        return Err(EbmlError::Invalid {
+            at: head.at,
+            what: "an element without a size where one is needed",
+        });
+    };
+    source.seek(end)?;
+    Ok(())
+}
+
+fn check_document<R: Read + Seek>(source: &mut Source<R>) -> Result<(), MkvError> {
+    let not = |found: &str| MkvError::NotMatroska {
+        found: found.to_owned(),
+    };
+    let head = match source.head() {
+        Ok(Some(head)) if head.id == id::EBML => head,
+        Ok(None) => return Err(not("an empty file")),
+        Err(EbmlError::Io(error)) => return Err(error.into()),
+        _ => return Err(not("something else")),
+    };
+    let Size::Known(size) = head.size else {
+        return Err(not("an EBML head without a size"));
+    };
+    let mut data = Vec::new();
+    source.read_into(size, 4096, &mut data)?;
+    let kind = ebml::children(&data)
+        .find(|(child, _)| *child == id::DOC_TYPE)
+        .map(|(_, data)| ebml::text(data));
+    match kind.as_deref() {
+        Some("matroska" | "webm") => Ok(()),
+        Some(other) => Err(not(&format!("document type {:?}", clip(other)))),
+        None => Err(not("an EBML head without a document type")),
+    }
+}
+
+fn clip(text: &str) -> String {
+    text.chars().take(32).collect()
+}
+
+fn read_info(data: &[u8], header: &mut Header) {
+    for (child, data) in ebml::children(data) {
+        match child {
+            id::TIMESTAMP_SCALE => header.scale = ebml::unsigned(data).filter(|&scale| scale > 0),
+            id::DURATION => header.duration = ebml::float(data),
+            id::WRITING_APP => header.writing_app = Some(ebml::text(data)),
+            _ => {}
+        }
+    }
+    // Present but without a scale: the specification's default of one millisecond.
+    header.scale.get_or_insert(1_000_000);
+}
+
+fn read_tracks(data: &[u8], tracks: &mut Vec<Track>) {
+    for (child, data) in ebml::children(data) {
+        if child != id::TRACK_ENTRY || tracks.len() >= MAX_ITEMS {
+            continue;
+        }
+        let mut track = Track::default();
+        for (child, data) in ebml::children(data) {
+            match child {
+                id::TRACK_NUMBER => track.number = ebml::unsigned(data).unwrap_or(0),
+                id::TRACK_UID => track.uid = ebml::unsigned(data).unwrap_or(0),
+                id::NAME => track.name = ebml::text(data),
+                id::CODEC_ID => track.codec = ebml::text(data),
+                id::CODEC_PRIVATE => track.codec_private = data.to_vec(),
+                id::DEFAULT_DURATION => track.frame_duration = ebml::unsigned(data),
+                id::VIDEO => track.pixels = read_pixels(data),
+                _ => {}
+            }
+        }
+        tracks.push(track);
+    }
+}
+
+fn read_pixels(data: &[u8]) -> Option<(u64, u64)> {
+    let value = |wanted| {
+        ebml::children(data)
+            .find(|(child, _)| *child == wanted)
+            .and_then(|(_, data)| ebml::unsigned(data))
+    };
+    Some((value(id::PIXEL_WIDTH)?, value(id::PIXEL_HEIGHT)?))
+}
+
+fn read_attachments(data: &[u8], attachments: &mut Vec<(String, Vec<u8>)>) {
+    for (child, data) in ebml::children(data) {
+        if child != id::ATTACHED_FILE || attachments.len() >= MAX_ITEMS {
+            continue;
+        }
+        let mut file = (String::new(), Vec::new());
+        for (child, data) in ebml::children(data) {
+            match child {
+                id::FILE_NAME => file.0 = ebml::text(data),
+                id::FILE_DATA => file.1 = data.to_vec(),
+                _ => {}
+            }
+        }
+        attachments.push(file);
+    }
+}
+
+fn read_tags(data: &[u8], tags: &mut Vec<(String, String)>) {
+    for (child, data) in ebml::children(data) {
+        if child != id::TAG {
+            continue;
+        }
+        for (child, data) in ebml::children(data) {
+            if child != id::SIMPLE_TAG || tags.len() >= MAX_ITEMS {
+                continue;
+            }
+            let mut tag = (String::new(), String::new());
+            for (child, data) in ebml::children(data) {
+                match child {
+                    id::TAG_NAME => tag.0 = ebml::text(data),
+                    id::TAG_STRING => tag.1 = ebml::text(data),
+                    _ => {}
+                }
+            }
+            tags.push(tag);
+        }
+    }
+}
+
+/// A block's head and what follows it.
+struct Block<'a> {
+    track: u64,
+    time: i16,
+    /// 0 none, 1 Xiph, 2 fixed size, 3 EBML.
+    lacing: u8,
+    payload: &'a [u8],
+}
+
+impl<'a> Block<'a> {
+    fn parse(data: &'a [u8]) -> Option<Self> {
+        let (track, rest) = ebml::variable(data)?;
+        let (head, payload) = rest.split_at_checked(3)?;
+        Some(Self {
+            track: track?,
+            time: i16::from_be_bytes([head[0], head[1]]),
+            lacing: head[2] >> 1 & 3,
+            payload,
+        })
+    }
+
+    /// The frames of the block (RFC 9559, 10.3).
+    fn frames(&self) -> Option<Vec<&'a [u8]>> {
+        if self.lacing == 0 {
+            return Some(vec![self.payload]);
+        }
+        let (&last, mut rest) = self.payload.split_first()?;
+        let count = usize::from(last) + 1;
+        let mut sizes = Vec::with_capacity(count);
+        match self.lacing {
+            1 => {
+                for _ in 1..count {
+                    let mut size = 0_usize;
+                    loop {
+                        let (&byte, after) = rest.split_first()?;
+                        rest = after;
+                        size += usize::from(byte);
+                        if byte < 255 {
+                            break;
+                        }
+                    }
+                    sizes.push(size);
+                }
+            }
+            2 => {
+                if !rest.len().is_multiple_of(count) {
+                    return None;
+                }
+                sizes.resize(count - 1, rest.len() / count);
+            }
+            _ => {
+                let mut size = 0_i64;
+                for index in 1..count {
+                    let before = rest.len();
+                    let (value, after) = ebml::variable(rest)?;
+                    let length = before - after.len();
+                    rest = after;
+                    let value = i64::try_from(value?).ok()?;
+                    if index == 1 {
+                        size = value;
+                    } else {
+                        // Differences are stored with half the range added.
+                        let bias = (1_i64 << (7 * length - 1)) - 1;
+                        size = size.checked_add(value - bias)?;
+                    }
+                    sizes.push(usize::try_from(size).ok()?);
+                }
+            }
+        }
+        let mut frames = Vec::with_capacity(count);
+        for size in sizes {
+            let (frame, after) = rest.split_at_checked(size)?;
+            frames.push(frame);
+            rest = after;
+        }
+        frames.push(rest);
+        Some(frames)
+    }
+}
+
+/// The CRC-32 of a cluster: over all that follows the CRC element in it.
+#[derive(Default)]
+struct Check {
+    expected: Option<u32>,
+    hasher: crc32fast::Hasher,
+    used: bool,
+    skipped: bool,
+}
+
+impl Check {
+    fn is_unused(&self) -> bool {
+        !self.used
+    }
+
+    fn expect(&mut self, data: &[u8]) {
+        self.used = true;
+        if let Ok(bytes) = data.try_into() {
+            // Stored little-endian (RFC 8794, 11.3.1).
+            self.expected = Some(u32::from_le_bytes(bytes));
+        }
+    }
+
+    fn skip(&mut self) {
+        self.used = true;
+        self.skipped = true;
+    }
+
+    fn add(&mut self, head: &Head, data: &[u8]) {
+        self.used = true;
+        if self.expected.is_none() || self.skipped {
+            return;
+        }
+        let mut bytes = Vec::with_capacity(12);
+        let id = head.id.to_be_bytes();
+        let leading = (head.id.leading_zeros() / 8) as usize;
+        bytes.extend_from_slice(&id[leading..]);
+        // The size with its own length, as it stands in the file.
+        let length = (head.data - head.at) as usize - (4 - leading);
+        let size = data.len() as u64 | 1 << (7 * length);
+        bytes.extend_from_slice(&size.to_be_bytes()[8 - length..]);
+        self.hasher.update(&bytes);
+        self.hasher.update(data);
+    }
+
+    fn verdict(self) -> Option<bool> {
+        let expected = self.expected?;
+        (!self.skipped).then(|| self.hasher.finalize() == expected)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lace(lacing: u8, payload: &[u8]) -> Option<Vec<usize>> {
+        let mut data = vec![0x81, 0, 5, lacing << 1];
+        data.extend_from_slice(payload);
+        let block = Block::parse(&data).unwrap();
+        assert_eq!((block.track, block.time), (1, 5));
+        Some(block.frames()?.iter().map(|frame| frame.len()).collect())
+    }
+
+    #[test]
+    fn all_lacings_are_taken_apart() {
+        assert_eq!(lace(0, &[1, 2, 3]), Some(vec![3]));
+        assert_eq!(lace(2, &[1, 9, 9, 9, 9]), Some(vec![2, 2]));
+        assert_eq!(lace(2, &[1, 9, 9, 9]), None);
+        let mut xiph = vec![2, 255, 1, 2];
+        xiph.extend(vec![0; 256 + 2 + 3]);
+        assert_eq!(lace(1, &xiph), Some(vec![256, 2, 3]));
+        // 3 frames: 4 bytes, then 4 − 2 (0xBF − 2), then the rest.
+        let mut ebml = vec![2, 0x84, 0xBD];
+        ebml.extend(vec![0; 4 + 2 + 7]);
+        assert_eq!(lace(3, &ebml), Some(vec![4, 2, 7]));
+        assert_eq!(lace(3, &[2, 0x84, 0x81]), None);
+        assert_eq!(lace(1, &[255]), None);
+    }
+}

@@ -1,0 +1,43 @@
+//! Extraction: from a recording to a data set whose timestamps are all in board
+//! time, in the formats that people load.
+//!
+//! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
+//! - Inputs: [`inputs`] finds them; [`board`] (our MCAP, [`bag`]s of the published
+//!   system), [`phone`] (CSV files, [`video`] by ffmpeg), [`depth`] ([`mkv`]).
+//! - Time: [`time`] (integers only), [`gyro_clock`] and [`phone_clock`] (the
+//!   phone's clock over the whole recording), [`depth_clock`] and [`depth_match`]
+//!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`].
+//! - Outputs: [`layout`] (EuRoC, TUM, topics), [`sequence`]s, [`tables`],
+//!   [`imu_tables`], [`image_tables`], [`image`], in a [`workplace`] that can be
+//!   gone on with.
+//!
+//! Inputs are read only, front to back, with bounded memory; nothing read from a
+//! file can make the program panic. Missing and damaged parts are named in the
+//! report, and the rest is extracted.
+
+pub mod bag;
+pub mod board;
+pub mod depth;
+pub mod depth_clock;
+pub mod depth_match;
+pub mod frames;
+pub mod gyro_clock;
+pub mod image;
+pub mod image_tables;
+pub mod imu_tables;
+pub mod inputs;
+pub mod layout;
+pub mod mkv;
+pub mod pairs;
+pub mod phone;
+pub mod phone_clock;
+pub mod progress;
+pub mod report;
+pub mod run;
+pub mod sequence;
+pub mod streams;
+pub mod survey;
+pub mod tables;
+pub mod time;
+pub mod video;
+pub mod workplace;

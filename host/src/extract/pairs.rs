@@ -1,0 +1,183 @@
+//! Pairs of a phone frame and a depth frame, and their time difference.
+//!
+//! A pair is two frames that are nearest to each other, the phone's middle of
+//! exposure of the middle row against the depth camera's centre of exposure, no
+//! further apart than half a frame period. Every frame is in at most one pair.
+
+use super::time::BoardNanos;
+
+/// Two frames that belong together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pair {
+    /// Index of the phone frame in its table.
+    pub color: usize,
+    /// Index of the depth frame in its table.
+    pub depth: usize,
+    /// Phone − depth, ns.
+    pub difference: i64,
+}
+
+/// Finds the pairs. Both lists are (table index, time), sorted by time; `limit` is
+/// half a frame period in ns.
+#[must_use]
+pub fn find(color: &[(usize, BoardNanos)], depth: &[(usize, BoardNanos)], limit: i64) -> Vec<Pair> {
+    let mut pairs = Vec::with_capacity(color.len().min(depth.len()));
+    for &(index, at) in color {
+        let Some(partner) = nearest(depth, at) else {
+            continue;
+        };
+        let (depth_index, depth_at) = depth[partner];
+        let back = nearest(color, depth_at).map(|place| color[place].0);
+        let difference = at.0.saturating_sub(depth_at.0);
+        if back == Some(index) && difference.saturating_abs() <= limit {
+            pairs.push(Pair {
+                color: index,
+                depth: depth_index,
+                difference,
+            });
+        }
+    }
+    pairs
+}
+
+/// Place of the entry nearest in time; the earlier of two that are as near.
+fn nearest(sorted: &[(usize, BoardNanos)], at: BoardNanos) -> Option<usize> {
+    let after = sorted.partition_point(|entry| entry.1 < at);
+    let distance =
+        |place: &usize| (i128::from(sorted[*place].1.0) - i128::from(at.0)).unsigned_abs();
+    let candidates = [
+        after.checked_sub(1),
+        Some(after).filter(|&place| place < sorted.len()),
+    ];
+    candidates.into_iter().flatten().min_by_key(distance)
+}
+
+/// Counts of differences in bins.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Histogram {
+    /// Width of a bin, ns.
+    pub bin_ns: i64,
+    /// Lower edge of the first bin, ns.
+    pub first_ns: i64,
+    /// Differences in each bin.
+    pub counts: Vec<u64>,
+}
+
+/// At most this many bins.
+const BINS: i64 = 60;
+
+/// A histogram over all differences, with bins of 1, 2 or 5 · 10ⁿ ns. `None` without pairs.
+#[must_use]
+pub fn histogram(pairs: &[Pair]) -> Option<Histogram> {
+    let smallest = pairs.iter().map(|pair| pair.difference).min()?;
+    let largest = pairs.iter().map(|pair| pair.difference).max()?;
+    let range = largest.saturating_sub(smallest).saturating_add(1);
+    let mut bin_ns: i64 = 100;
+    for step in [2, 5, 10].into_iter().cycle() {
+        let decade = 10_i64.pow(bin_ns.ilog10());
+        if range / bin_ns < BINS {
+            break;
+        }
+        bin_ns = match decade.checked_mul(step) {
+            Some(wider) if wider <= 1_000_000_000_000_000_000 => wider,
+            _ => break,
+        };
+    }
+    let first_ns = smallest.div_euclid(bin_ns).saturating_mul(bin_ns);
+    let bins = largest.saturating_sub(first_ns).div_euclid(bin_ns) + 1;
+    let mut counts = vec![0; usize::try_from(bins.min(10 * BINS)).unwrap_or(1)];
+    for pair in pairs {
+        let bin = pair.difference.saturating_sub(first_ns).div_euclid(bin_ns);
+        if let Some(count) = usize::try_from(bin)
+            .ok()
+            .and_then(|bin| counts.get_mut(bin))
+        {
+            *count += 1;
+        }
+    }
+    Some(Histogram {
+        bin_ns,
+        first_ns,
+        counts,
+    })
+}
+
+/// Median and spread of the differences.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Spread {
+    /// Pairs.
+    pub count: usize,
+    /// Median, ns.
+    pub median_ns: i64,
+    /// First and third quartile, ns.
+    pub quartiles_ns: [i64; 2],
+    /// Smallest and largest, ns.
+    pub range_ns: [i64; 2],
+}
+
+/// The spread of the differences; `None` without pairs.
+#[must_use]
+pub fn spread(pairs: &[Pair]) -> Option<Spread> {
+    let mut sorted: Vec<i64> = pairs.iter().map(|pair| pair.difference).collect();
+    sorted.sort_unstable();
+    let at = |numerator: usize| {
+        sorted
+            .get((sorted.len().saturating_sub(1)) * numerator / 4)
+            .copied()
+    };
+    Some(Spread {
+        count: sorted.len(),
+        median_ns: at(2)?,
+        quartiles_ns: [at(1)?, at(3)?],
+        range_ns: [at(0)?, at(4)?],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn times(times: &[i64]) -> Vec<(usize, BoardNanos)> {
+        times
+            .iter()
+            .enumerate()
+            .map(|(i, &t)| (i, BoardNanos(t)))
+            .collect()
+    }
+
+    #[test]
+    fn every_frame_is_in_one_pair_at_most() {
+        let color = times(&[0, 100, 200, 300, 400]);
+        let depth = times(&[5, 98, 140, 306, 360, 460]);
+        let pairs = find(&color, &depth, 50);
+        let found: Vec<_> = pairs
+            .iter()
+            .map(|p| (p.color, p.depth, p.difference))
+            .collect();
+        assert_eq!(found, [(0, 0, -5), (1, 1, 2), (3, 3, -6), (4, 4, 40)]);
+        assert_eq!(find(&color, &[], 50), []);
+        let far = times(&[i64::MIN, i64::MAX]);
+        assert_eq!(find(&color, &far, 50), []);
+    }
+
+    #[test]
+    fn the_histogram_holds_all_pairs() {
+        let pair = |difference| Pair {
+            color: 0,
+            depth: 0,
+            difference,
+        };
+        let pairs: Vec<Pair> = (-500..500).map(|i| pair(i * 37)).collect();
+        let histogram = histogram(&pairs).unwrap();
+        assert_eq!(histogram.counts.iter().sum::<u64>(), 1000);
+        assert_eq!(histogram.bin_ns, 1000);
+        assert_eq!(histogram.first_ns, -19_000);
+        assert!(histogram.counts.len() <= 60);
+        assert_eq!(super::histogram(&[]), None);
+        let one = super::histogram(&[pair(7)]).unwrap();
+        assert_eq!((one.bin_ns, one.counts.as_slice()), (100, &[1][..]));
+        let spread = spread(&pairs).unwrap();
+        assert_eq!(spread.range_ns, [-500 * 37, 499 * 37]);
+        let _ = super::histogram(&[pair(i64::MIN), pair(i64::MAX)]);
+    }
+}

@@ -1,0 +1,276 @@
+//! Finds the files of one phone video.
+//!
+//! The app saves `{VIDEO}.mp4`, and in a folder named by the video's date
+//! `{VIDEO}gyro.csv`, `{VIDEO}accel.csv`, and `{VIDEO}_imu_timestamps.csv` (older
+//! versions: `{VIDEO}_timestamps.csv`). The folder may hold the video too, or lie
+//! beside it, so two levels are searched. Names are compared as they are; nothing
+//! is opened but what matches.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Most directory entries that are looked at.
+const MAX_ENTRIES: usize = 100_000;
+
+/// Endings of the frame timestamps; the longer first, as it contains the other.
+const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps.csv", "_timestamps.csv"];
+
+/// The files of one video. Any of them may be missing.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct PhoneFiles {
+    /// Common beginning of the names.
+    pub name: String,
+    /// The video.
+    pub video: Option<PathBuf>,
+    /// Frame timestamps.
+    pub frames: Option<PathBuf>,
+    /// Gyroscope.
+    pub gyro: Option<PathBuf>,
+    /// Accelerometer.
+    pub accel: Option<PathBuf>,
+}
+
+impl PhoneFiles {
+    fn count(&self) -> usize {
+        [&self.video, &self.frames, &self.gyro, &self.accel]
+            .iter()
+            .filter(|file| file.is_some())
+            .count()
+    }
+
+    /// What is missing, in words.
+    #[must_use]
+    pub fn missing(&self) -> Vec<&'static str> {
+        let parts = [
+            (&self.video, "video (.mp4)"),
+            (
+                &self.frames,
+                "frame timestamps (_imu_timestamps.csv or _timestamps.csv)",
+            ),
+            (&self.gyro, "gyroscope (gyro.csv)"),
+            (&self.accel, "accelerometer (accel.csv)"),
+        ];
+        parts
+            .into_iter()
+            .filter(|(file, _)| file.is_none())
+            .map(|(_, what)| what)
+            .collect()
+    }
+}
+
+/// Why the files were not found.
+#[derive(Debug, thiserror::Error)]
+pub enum FilesError {
+    /// The place cannot be read.
+    #[error("reading {path}: {error}")]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Several videos lie there.
+    #[error(
+        "{place} holds the files of {} recordings ({}); name the video itself with --phone",
+        names.len(),
+        names.join(", ")
+    )]
+    Several {
+        /// Where.
+        place: PathBuf,
+        /// Their names.
+        names: Vec<String>,
+    },
+}
+
+#[derive(Clone, Copy)]
+enum Part {
+    Video,
+    Frames,
+    Gyro,
+    Accel,
+}
+
+/// What a file is, and the name of the video it belongs to.
+fn classify(name: &str) -> Option<(Part, &str)> {
+    // The gyroscope of a twist lies in a recording's folder and belongs to no video.
+    if name.starts_with("twist_") && name.ends_with("_phone_gyro.csv") {
+        return None;
+    }
+    for ending in FRAME_ENDINGS {
+        if let Some(video) = name.strip_suffix(ending) {
+            return Some((Part::Frames, video));
+        }
+    }
+    for (ending, part) in [("gyro.csv", Part::Gyro), ("accel.csv", Part::Accel)] {
+        if let Some(video) = name.strip_suffix(ending) {
+            return Some((part, video));
+        }
+    }
+    let (video, extension) = name.rsplit_once('.')?;
+    extension
+        .eq_ignore_ascii_case("mp4")
+        .then_some((Part::Video, video))
+}
+
+/// Finds the files of the one video in a folder (two levels deep), or of the
+/// video that `place` is. `None` if there is nothing of a phone.
+///
+/// # Errors
+///
+/// The place cannot be read, or there are several videos.
+pub fn find(place: &Path) -> Result<Option<PhoneFiles>, FilesError> {
+    let fail = |error| FilesError::Io {
+        path: place.to_owned(),
+        error,
+    };
+    let is_file = fs::metadata(place).map_err(fail)?.is_file();
+    let folder = if is_file {
+        match place.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        }
+    } else {
+        place
+    };
+    let mut groups: BTreeMap<String, PhoneFiles> = BTreeMap::new();
+    let mut left = MAX_ENTRIES;
+    collect(folder, 2, &mut left, &mut groups).map_err(fail)?;
+    if is_file {
+        let stem = place.file_stem().and_then(|stem| stem.to_str());
+        let group = stem.and_then(|stem| groups.remove(stem));
+        return Ok(group.map(|group| PhoneFiles {
+            video: Some(place.to_owned()),
+            ..group
+        }));
+    }
+    // A video alone beside complete sets is still another recording; names that
+    // stand in one group only (a copy of one file) are too.
+    let best = groups.values().map(PhoneFiles::count).max().unwrap_or(0);
+    if groups.len() > 1 {
+        // With a set of CSV files and videos of any other name, the names tell
+        // nothing apart: only one set and one video belong together.
+        if let Some(joined) = join_renamed(&groups) {
+            return Ok(Some(joined));
+        }
+        return Err(FilesError::Several {
+            place: place.to_owned(),
+            names: groups.into_keys().collect(),
+        });
+    }
+    Ok(groups.into_values().next().filter(|_| best > 0))
+}
+
+/// One video and one set of CSV files under another name: the video was renamed.
+fn join_renamed(groups: &BTreeMap<String, PhoneFiles>) -> Option<PhoneFiles> {
+    let mut videos = groups.values().filter(|group| group.video.is_some());
+    let mut sets = groups.values().filter(|group| group.video.is_none());
+    let (video, set) = (videos.next()?, sets.next()?);
+    if videos.next().is_some() || sets.next().is_some() || video.count() > 1 {
+        return None;
+    }
+    Some(PhoneFiles {
+        video: video.video.clone(),
+        ..set.clone()
+    })
+}
+
+fn collect(
+    folder: &Path,
+    depth: u32,
+    left: &mut usize,
+    groups: &mut BTreeMap<String, PhoneFiles>,
+) -> io::Result<()> {
+    let mut entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
+    entries.sort_by_key(fs::DirEntry::file_name);
+    for entry in entries {
+        *left = left.saturating_sub(1);
+        if *left == 0 {
+            return Ok(());
+        }
+        let path = entry.path();
+        let kind = entry.file_type()?;
+        if kind.is_dir() {
+            if depth > 1 {
+                // A folder that may not be read is somebody else's.
+                let _ = collect(&path, depth - 1, left, groups);
+            }
+            continue;
+        }
+        let name = entry.file_name();
+        let Some((part, video)) = name.to_str().and_then(classify) else {
+            continue;
+        };
+        let group = groups.entry(video.to_owned()).or_default();
+        group.name = video.to_owned();
+        let slot = match part {
+            Part::Video => &mut group.video,
+            Part::Frames => &mut group.frames,
+            Part::Gyro => &mut group.gyro,
+            Part::Accel => &mut group.accel,
+        };
+        slot.get_or_insert(path);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(files: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for file in files {
+            let path = folder.path().join(file);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "").unwrap();
+        }
+        folder
+    }
+
+    #[test]
+    fn both_forms_of_the_names_are_found() {
+        for frames in ["_imu_timestamps.csv", "_timestamps.csv"] {
+            let frames = format!("20210401_120000/VID_20210401_120000{frames}");
+            let folder = folder(&[
+                "VID_20210401_120000.mp4",
+                "20210401_120000/VID_20210401_120000gyro.csv",
+                "20210401_120000/VID_20210401_120000accel.csv",
+                &frames,
+                "notes.txt",
+                "twist_1_phone_gyro.csv",
+            ]);
+            let found = find(folder.path()).unwrap().unwrap();
+            assert_eq!(found.name, "VID_20210401_120000");
+            assert_eq!(found.missing(), Vec::<&str>::new());
+            assert!(found.frames.unwrap().ends_with(&frames));
+            let video = folder.path().join("VID_20210401_120000.mp4");
+            assert!(find(&video).unwrap().unwrap().gyro.is_some());
+        }
+    }
+
+    #[test]
+    fn several_recordings_are_refused_by_name() {
+        let folder = folder(&["a.mp4", "b.mp4", "agyro.csv", "bgyro.csv"]);
+        let error = find(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("(a, b)"), "{error}");
+        let one = find(&folder.path().join("b.mp4")).unwrap().unwrap();
+        assert!(one.gyro.unwrap().ends_with("bgyro.csv"));
+    }
+
+    #[test]
+    fn a_renamed_video_still_belongs_to_its_set() {
+        let folder = folder(&["video.mp4", "x/VID_1gyro.csv", "x/VID_1_timestamps.csv"]);
+        let found = find(folder.path()).unwrap().unwrap();
+        assert!(found.video.is_some() && found.gyro.is_some() && found.frames.is_some());
+        assert_eq!(found.missing(), ["accelerometer (accel.csv)"]);
+    }
+
+    #[test]
+    fn nothing_is_nothing() {
+        assert_eq!(find(folder(&["readme.md"]).path()).unwrap(), None);
+        assert!(find(Path::new("no/such/place")).is_err());
+    }
+}

@@ -1,0 +1,369 @@
+//! The extraction itself: from a recording to a data set, step by step.
+//!
+//! 1. [`survey`](super::survey): pulses, marks, what the board recorded.
+//! 2. The phone's clock ([`phone_clock`]): over the whole recording from both
+//!    gyroscopes, else from what the session knows.
+//! 3. The depth camera's clock ([`depth_match`]): which frame has which pulse.
+//! 4. Tables of frames in board time, pairs, sequences.
+//! 5. Images and samples, in parallel; what is there already is kept.
+//! 6. Index files of the format, CSV tables, the report.
+//!
+//! A part that is missing or damaged is a [`Loss`]: everything else is still
+//! extracted. Only a board recording that cannot be read at all, or an output
+//! folder that cannot be written, is an error.
+
+mod depth_part;
+mod index_files;
+mod phone_part;
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use index_files::Written;
+
+use super::board::{BoardError, BoardEvent, Images};
+use super::frames::FrameTiming;
+use super::image::write_whole;
+use super::image_tables::ImagesError;
+use super::imu_tables::TableWriter;
+use super::inputs::{Inputs, InputsError, Options};
+use super::layout::{Facts, Format};
+use super::pairs::{self, Pair};
+use super::progress::Progress;
+use super::report::{BoardReport, Constants, Loss, PairsReport, Report};
+use super::sequence::Sequences;
+use super::survey::{ImuSpan, Survey, survey};
+use super::tables::{self, ColorFrame, DepthFrame};
+use super::time::BoardNanos;
+use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
+
+/// Version of the report's form.
+const REPORT_VERSION: u32 = 1;
+
+/// What is to be done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// The recording: a folder, or a bag.
+    pub recording: PathBuf,
+    /// The phone's files, if they lie elsewhere.
+    pub phone: Option<PathBuf>,
+    /// The depth recording, if it lies elsewhere.
+    pub depth: Option<PathBuf>,
+    /// The format.
+    pub format: Format,
+    /// The output folder.
+    pub out: PathBuf,
+    /// Values that the user gives.
+    pub options: Options,
+}
+
+/// Why there is no data set.
+#[derive(Debug, thiserror::Error)]
+pub enum ExtractError {
+    /// There is nothing to extract from.
+    #[error(transparent)]
+    Inputs(#[from] InputsError),
+    /// The output folder.
+    #[error(transparent)]
+    Workplace(#[from] WorkplaceError),
+    /// The board's recording.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// A file cannot be written.
+    #[error("writing below {path}: {error}")]
+    Write {
+        /// The output folder.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Images.
+    #[error(transparent)]
+    Images(ImagesError),
+    /// Stopped; the next run goes on.
+    #[error("stopped; run it again to go on")]
+    Cancelled,
+}
+
+impl From<ImagesError> for ExtractError {
+    fn from(error: ImagesError) -> Self {
+        match error {
+            ImagesError::Cancelled => Self::Cancelled,
+            error => Self::Images(error),
+        }
+    }
+}
+
+/// The state of a run.
+struct Run<'a> {
+    job: &'a Job,
+    inputs: Inputs,
+    place: Workplace,
+    progress: &'a dyn Progress,
+    losses: Vec<Loss>,
+    remarks: Vec<String>,
+}
+
+/// Extracts.
+///
+/// # Errors
+///
+/// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
+/// report.
+pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
+    let inputs = super::inputs::find(&job.recording, job.phone.as_deref(), job.depth.as_deref())?;
+    check_outside(&job.out, &job.recording)?;
+    let marks = file_marks(&inputs);
+    let place = Workplace::open(&job.out, &marks, (job.format, &job.options))?;
+    let remarks = inputs.remarks.clone();
+    let mut run = Run {
+        job,
+        inputs,
+        place,
+        progress,
+        losses: Vec::new(),
+        remarks,
+    };
+    let survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
+    run.judge_board(&survey);
+    let sequences = Sequences::new(survey.marks.clone());
+    let mut constants = run.constants();
+
+    let phone = run.read_phone(&survey, &constants)?;
+    let depth = run.read_depth(&survey, &mut constants)?;
+
+    let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
+    let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
+    let pairs = find_pairs(color, depth_frames, &survey);
+    run.write_tables(&survey, color, depth_frames, &pairs)?;
+
+    let video = run.write_phone_images(phone.as_ref(), &sequences)?;
+    let images = run.write_depth_images(depth.as_ref(), &sequences, depth_frames)?;
+    let board_delay = constants.board_imu_delay_ns;
+    run.write_board_imu(&sequences, board_delay)?;
+    let phone_imu =
+        run.write_phone_imu(phone.as_ref(), &sequences, constants.phone_imu_delay_ns)?;
+
+    let facts = Facts {
+        color_rate: rate_of(color.iter().map(|frame| frame.at)),
+        depth_rate: rate_of(depth_frames.iter().filter_map(|frame| frame.at)),
+        board_imu_rate: survey.imu.rate(),
+        phone_imu_rate: phone_imu.rate,
+        color_size: video.as_ref().and_then(|video| video.size),
+        depth_size: depth.as_ref().map(|depth| depth.index.size),
+        board_imu_delay: constants.board_imu_delay_ns,
+        phone_imu_delay: constants.phone_imu_delay_ns,
+        depth_center: constants.depth_center_ns,
+        color_middle: constants.color_middle_ns,
+    };
+    let written = Written {
+        survey: &survey,
+        color,
+        depth: depth_frames,
+        pairs: &pairs,
+        video: video.as_ref(),
+        images: images.as_ref(),
+    };
+    let sequence_reports = run.finish_sequences(&sequences, &written, &facts)?;
+    run.write_calibration(depth.as_ref())?;
+
+    let report = Report {
+        version: REPORT_VERSION,
+        recording: run.inputs.name.clone(),
+        format: job.format,
+        board: BoardReport {
+            pulses: survey.pulses.len(),
+            pulse_period_ns: survey.pulse_period(),
+            missing_pulses: survey.missing_pulses(),
+            imu: survey.imu,
+            marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
+        },
+        phone: phone
+            .as_ref()
+            .map(|phone| phone.report(video.as_ref(), &phone_imu)),
+        clock: phone.as_ref().and_then(|phone| {
+            let clock = phone.clock.as_ref()?;
+            Some(clock.report(&phone.frames))
+        }),
+        depth: depth
+            .as_ref()
+            .map(|depth| depth.report(&survey, images.as_ref())),
+        pairs: pairs::spread(&pairs)
+            .zip(pairs::histogram(&pairs))
+            .map(|(spread, histogram)| PairsReport { spread, histogram }),
+        sequences: sequence_reports,
+        constants,
+        losses: run.losses.clone(),
+        remarks: run.remarks.clone(),
+    };
+    let json = serde_json::to_vec_pretty(&report).map_err(|error| run.failed(error.into()))?;
+    run.write("report.json", &json)?;
+    run.write("report.html", report.html().as_bytes())?;
+    Ok(report)
+}
+
+fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
+    let mut paths: Vec<&Path> = vec![inputs.board.path()];
+    if let Some(phone) = &inputs.phone {
+        let files = [&phone.video, &phone.frames, &phone.gyro, &phone.accel];
+        paths.extend(files.into_iter().flatten().map(PathBuf::as_path));
+    }
+    if let Some(depth) = &inputs.depth {
+        paths.push(depth.path());
+    }
+    // A file that has gone since is met again when it is read.
+    paths
+        .into_iter()
+        .filter_map(|path| FileMark::of(path).ok())
+        .collect()
+}
+
+impl Run<'_> {
+    fn lose(&mut self, part: &'static str, what: impl Into<String>) {
+        self.losses.push(Loss {
+            part,
+            what: what.into(),
+        });
+    }
+
+    fn failed(&self, error: io::Error) -> ExtractError {
+        ExtractError::Write {
+            path: self.place.out.clone(),
+            error,
+        }
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {
+        write_whole(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
+    }
+
+    fn judge_board(&mut self, survey: &Survey) {
+        for damage in &survey.damage {
+            self.lose("board", damage.clone());
+        }
+        for (train, first, count) in survey.missing_pulses() {
+            let last = first + count - 1;
+            self.lose(
+                "board",
+                format!("pulses {first} to {last} of train {train} are not in the recording"),
+            );
+        }
+        if survey.pulses.is_empty() {
+            self.lose("board", "there are no trigger pulses");
+        }
+        if survey.imu.samples == 0 {
+            self.lose("board", "there are no IMU samples");
+        }
+        if survey.imu.disordered > 0 {
+            let count = survey.imu.disordered;
+            self.lose(
+                "board",
+                format!("{count} IMU samples do not lie behind the sample before them"),
+            );
+        }
+    }
+
+    /// Options before what the session says.
+    fn constants(&self) -> Constants {
+        let (options, rig) = (&self.job.options, &self.inputs.rig);
+        let timing = self.timing();
+        Constants {
+            board_imu_delay_ns: options
+                .board_imu_delay_ns
+                .or(rig.board_imu_delay_ns)
+                .unwrap_or(0),
+            phone_imu_delay_ns: options
+                .phone_imu_delay_ns
+                .or(rig.phone_imu_delay_ns)
+                .unwrap_or(0),
+            color_middle_ns: timing.to_middle(),
+            // The mode's own value is filled in when the depth recording is read.
+            depth_center_ns: options.depth_center_ns.or(rig.depth_center_ns).unwrap_or(0),
+        }
+    }
+
+    fn timing(&self) -> FrameTiming {
+        let (options, rig) = (&self.job.options, &self.inputs.rig);
+        FrameTiming {
+            exposure: options.exposure_ns.or(rig.exposure_ns),
+            readout: options.readout_ns.or(rig.readout_ns),
+        }
+    }
+
+    fn write_tables(
+        &self,
+        survey: &Survey,
+        color: &[ColorFrame],
+        depth: &[DepthFrame],
+        pairs: &[Pair],
+    ) -> Result<(), ExtractError> {
+        let out = &self.place.out;
+        let write = || -> io::Result<()> {
+            tables::write_pulses(&out.join("pulses.csv"), &survey.pulses, depth)?;
+            if !color.is_empty() {
+                tables::write_color(&out.join("phone_frames.csv"), color)?;
+            }
+            if !depth.is_empty() {
+                tables::write_depth(&out.join("depth_frames.csv"), depth, &survey.pulses)?;
+            }
+            if !pairs.is_empty() {
+                tables::write_pairs(&out.join("pairs.csv"), pairs, color, depth)?;
+            }
+            Ok(())
+        };
+        write().map_err(|error| self.failed(error))
+    }
+
+    fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
+        let table = self.job.format.layout().board_imu();
+        let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
+        let mut stream = self.inputs.board.open(Images::Skip)?;
+        let length = std::fs::metadata(self.inputs.board.path()).map_or(0, |meta| meta.len());
+        self.progress.begin("writing the board's IMU", length);
+        let mut count = 0_u64;
+        while let Some(event) = stream.next_event()? {
+            if let BoardEvent::Imu(row) = event {
+                writer.push(row).map_err(|error| self.failed(error))?;
+            }
+            count += 1;
+            if count.is_multiple_of(8192) {
+                self.progress.at(stream.position());
+                if self.progress.cancelled() {
+                    return Err(ExtractError::Cancelled);
+                }
+            }
+        }
+        writer.finish().map_err(|error| self.failed(error))?;
+        self.progress.end();
+        Ok(())
+    }
+}
+
+fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Vec<Pair> {
+    let Some(period) = survey.pulse_period() else {
+        return Vec::new();
+    };
+    let mut phone: Vec<(usize, BoardNanos)> = color
+        .iter()
+        .enumerate()
+        .map(|(index, frame)| (index, frame.at))
+        .collect();
+    let mut centres: Vec<(usize, BoardNanos)> = depth
+        .iter()
+        .enumerate()
+        .filter(|(_, frame)| frame.is_used())
+        .filter_map(|(index, frame)| Some((index, frame.at?)))
+        .collect();
+    phone.sort_by_key(|&(_, at)| at);
+    centres.sort_by_key(|&(_, at)| at);
+    pairs::find(&phone, &centres, period / 2)
+}
+
+/// Events a second over the whole span.
+fn rate_of(times: impl Iterator<Item = BoardNanos>) -> Option<f64> {
+    let mut span = ImuSpan::default();
+    for at in times {
+        span.add(at.0);
+    }
+    span.rate()
+}

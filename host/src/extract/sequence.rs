@@ -1,0 +1,74 @@
+//! Sequences: parts of a recording that marks divide it into.
+//!
+//! Without marks the whole recording is one data set in the output folder itself.
+//! With marks, what lies before the first is in `seq_0`, what lies at or behind
+//! the n-th in `seq_n`, as the published system's splitter has it.
+
+use std::path::PathBuf;
+
+use super::time::BoardNanos;
+
+/// The marks of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Sequences {
+    marks: Vec<BoardNanos>,
+}
+
+impl Sequences {
+    /// From the marks in any order; equal ones count once.
+    #[must_use]
+    pub fn new(mut marks: Vec<BoardNanos>) -> Self {
+        marks.sort_unstable();
+        marks.dedup();
+        Self { marks }
+    }
+
+    /// How many sequences there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.marks.len() + 1
+    }
+
+    /// The marks in order.
+    #[must_use]
+    pub fn marks(&self) -> &[BoardNanos] {
+        &self.marks
+    }
+
+    /// The sequence of an instant.
+    #[must_use]
+    pub fn at(&self, time: BoardNanos) -> usize {
+        self.marks.partition_point(|&mark| mark <= time)
+    }
+
+    /// The folder of a sequence, relative to the output.
+    #[must_use]
+    pub fn folder(&self, sequence: usize) -> PathBuf {
+        if self.marks.is_empty() {
+            PathBuf::new()
+        } else {
+            PathBuf::from(format!("seq_{sequence}"))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn marks_divide() {
+        let sequences = Sequences::new([30, 10, 10].map(BoardNanos).to_vec());
+        assert_eq!(sequences.count(), 3);
+        assert_eq!(
+            [5, 10, 29, 30, 99].map(|t| sequences.at(BoardNanos(t))),
+            [0, 1, 1, 2, 2]
+        );
+        assert_eq!(sequences.folder(2), PathBuf::from("seq_2"));
+        let none = Sequences::default();
+        assert_eq!(
+            (none.at(BoardNanos(7)), none.folder(0)),
+            (0, PathBuf::new())
+        );
+    }
+}

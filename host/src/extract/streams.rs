@@ -1,0 +1,133 @@
+//! Gyroscopes of all devices as streams that can be opened again.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::{Path, PathBuf};
+
+use super::board::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::depth::{DepthError, DepthInput};
+use super::gyro_clock::{GyroSample, GyroStream};
+use super::phone::csv::Rows;
+use super::progress::Progress;
+
+/// Samples between two looks at whether to stop.
+const LOOK: u64 = 8192;
+
+/// Why a stream ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum StreamError {
+    /// The board's recording.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// The depth recording.
+    #[error(transparent)]
+    Depth(#[from] DepthError),
+    /// A file of the phone.
+    #[error("reading {path}: {error}")]
+    Phone {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Stopped.
+    #[error("stopped")]
+    Cancelled,
+}
+
+/// The board's gyroscope.
+///
+/// # Errors
+///
+/// The recording cannot be opened.
+pub fn board<'a>(
+    input: &BoardInput,
+    progress: &'a dyn Progress,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    Ok(Box::new(BoardGyro {
+        stream: input.open(Images::Skip)?,
+        progress,
+        count: 0,
+        last: i64::MIN,
+    }))
+}
+
+struct BoardGyro<'a> {
+    stream: Box<dyn BoardStream>,
+    progress: &'a dyn Progress,
+    count: u64,
+    last: i64,
+}
+
+impl Iterator for BoardGyro<'_> {
+    type Item = Result<GyroSample, StreamError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            self.count += 1;
+            if self.count.is_multiple_of(LOOK) && self.progress.cancelled() {
+                return Some(Err(StreamError::Cancelled));
+            }
+            match self.stream.next_event() {
+                Err(error) => return Some(Err(error.into())),
+                Ok(None) => return None,
+                // Windows are cut in order of time.
+                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > self.last => {
+                    self.last = row.at.0;
+                    return Some(Ok(GyroSample {
+                        at: row.at.0,
+                        rate: row.gyro,
+                    }));
+                }
+                Ok(Some(_)) => {}
+            }
+        }
+    }
+}
+
+/// The phone's gyroscope.
+///
+/// # Errors
+///
+/// The file cannot be opened.
+pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    let fail = {
+        let path = path.to_owned();
+        move |error| StreamError::Phone {
+            path: path.clone(),
+            error,
+        }
+    };
+    let file = File::open(path).map_err(&fail)?;
+    let mut rows = Rows::new(BufReader::with_capacity(256 * 1024, file));
+    Ok(Box::new(std::iter::from_fn(move || {
+        match rows.next_sample() {
+            Ok(sample) => sample.map(|sample| {
+                Ok(GyroSample {
+                    at: sample.at.0,
+                    rate: sample.value,
+                })
+            }),
+            Err(error) => Some(Err(fail(error))),
+        }
+    })))
+}
+
+/// The depth camera's gyroscope.
+///
+/// # Errors
+///
+/// The file cannot be opened.
+pub fn camera<'a>(
+    input: &DepthInput,
+    progress: &'a dyn Progress,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    let mut count = 0_u64;
+    Ok(Box::new(input.gyro()?.map(move |sample| {
+        count += 1;
+        if count.is_multiple_of(LOOK) && progress.cancelled() {
+            return Err(StreamError::Cancelled);
+        }
+        Ok(sample?)
+    })))
+}

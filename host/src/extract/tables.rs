@@ -1,0 +1,233 @@
+//! The frames of both cameras as tables, with their times in board time.
+
+use std::fmt::Write as _;
+use std::io::{self, Write};
+use std::path::Path;
+
+use super::depth::DepthIndex;
+use super::depth_clock::{DepthMatch, FrameState, PulseTime};
+use super::frames::FrameTiming;
+use super::image::WholeFile;
+use super::pairs::Pair;
+use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap};
+
+/// A frame of the phone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ColorFrame {
+    /// Its timestamp: start of exposure of the first row.
+    pub phone: PhoneNanos,
+    /// The same instant on the board.
+    pub start: BoardNanos,
+    /// Middle of exposure of the middle row on the board: the image's time.
+    pub at: BoardNanos,
+    /// Frame of the video, if there is one.
+    pub image: Option<usize>,
+}
+
+/// A frame of the depth camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DepthFrame {
+    /// Its timestamp on its own clock.
+    pub device: DeviceNanos,
+    /// Centre of exposure on the board; `None` if frames and pulses were not
+    /// matched.
+    pub at: Option<BoardNanos>,
+    /// What it is; `None` if not matched.
+    pub state: Option<FrameState>,
+    /// Index of its pulse.
+    pub pulse: Option<usize>,
+    /// Frame − pulse on the fitted clock, ns.
+    pub residual: i64,
+    /// Whether it has the bytes of a whole image.
+    pub whole: bool,
+}
+
+impl DepthFrame {
+    /// Whether it has a place in the data set.
+    #[must_use]
+    pub fn is_used(&self) -> bool {
+        self.at.is_some() && self.whole && self.state != Some(FrameState::Doubled)
+    }
+}
+
+/// The phone's frames in board time. Frames that the clock does not map are left
+/// out (none, with a clock).
+#[must_use]
+pub fn color_frames(
+    stamps: &[PhoneNanos],
+    images: &[Option<usize>],
+    clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
+    timing: FrameTiming,
+) -> Vec<ColorFrame> {
+    let frame = |(row, &phone): (usize, &PhoneNanos)| {
+        // Half of the exposure and of the readout pass on the phone's clock.
+        let middle = PhoneNanos(phone.0.saturating_add(timing.to_middle()));
+        Some(ColorFrame {
+            phone,
+            start: clock.apply(phone)?,
+            at: clock.apply(middle)?,
+            image: images.get(row).copied().flatten(),
+        })
+    };
+    stamps.iter().enumerate().filter_map(frame).collect()
+}
+
+/// The depth frames in board time.
+#[must_use]
+pub fn depth_frames(
+    index: &DepthIndex,
+    found: Option<&DepthMatch>,
+    pulses: &[PulseTime],
+    center: i64,
+) -> Vec<DepthFrame> {
+    let frames = index.frames.iter().enumerate();
+    frames
+        .map(|(number, stamp)| {
+            let assigned = found.and_then(|found| found.frames.get(number));
+            let pulse = assigned.and_then(|assigned| assigned.pulse);
+            // The pulse itself is exact; without one, the fitted clock has to do.
+            let edge = match pulse.and_then(|pulse| pulses.get(pulse)) {
+                Some(pulse) => Some(pulse.at),
+                None => found.and_then(|found| found.clock.apply(stamp.at)),
+            };
+            DepthFrame {
+                device: stamp.at,
+                at: edge.map(|edge| BoardNanos(edge.0.saturating_add(center))),
+                state: assigned.map(|assigned| assigned.state),
+                pulse,
+                residual: assigned.map_or(0, |assigned| assigned.residual),
+                whole: stamp.whole,
+            }
+        })
+        .collect()
+}
+
+fn optional<T: std::fmt::Display>(value: Option<T>) -> String {
+    value.map_or_else(String::new, |value| value.to_string())
+}
+
+fn write_rows<T>(
+    path: &Path,
+    header: &str,
+    items: &[T],
+    mut row: impl FnMut(&mut String, usize, &T),
+) -> io::Result<()> {
+    let mut file = WholeFile::create(path)?;
+    writeln!(file, "{header}")?;
+    let mut text = String::new();
+    for (index, item) in items.iter().enumerate() {
+        text.clear();
+        row(&mut text, index, item);
+        writeln!(file, "{text}")?;
+    }
+    file.finish()
+}
+
+/// Writes `phone_frames.csv`.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
+    let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame";
+    write_rows(path, header, frames, |text, index, frame| {
+        let image = optional(frame.image);
+        // Writing into a String cannot fail.
+        let _ = write!(
+            text,
+            "{index},{},{},{},{image}",
+            frame.phone.0, frame.start.0, frame.at.0
+        );
+    })
+}
+
+/// Writes `depth_frames.csv`.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_depth(path: &Path, frames: &[DepthFrame], pulses: &[PulseTime]) -> io::Result<()> {
+    let header =
+        "#frame,device_timestamp [ns],timestamp [ns],pulse,train,number,residual [ns],state,whole";
+    write_rows(path, header, frames, |text, index, frame| {
+        let pulse = frame.pulse.and_then(|pulse| pulses.get(pulse));
+        let state = match frame.state {
+            Some(FrameState::Matched) => "matched",
+            Some(FrameState::Doubled) => "doubled",
+            Some(FrameState::BeforeFirstPulse) => "before_first_pulse",
+            Some(FrameState::AfterLastPulse) => "after_last_pulse",
+            Some(FrameState::OffPulse) => "off_pulse",
+            None => "not_matched",
+        };
+        let _ = write!(
+            text,
+            "{index},{},{},{},{},{},{},{state},{}",
+            frame.device.0,
+            optional(frame.at.map(|at| at.0)),
+            optional(frame.pulse),
+            optional(pulse.map(|pulse| pulse.train)),
+            optional(pulse.map(|pulse| pulse.number)),
+            frame.residual,
+            u8::from(frame.whole)
+        );
+    })
+}
+
+/// Writes `pulses.csv`.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_pulses(path: &Path, pulses: &[PulseTime], frames: &[DepthFrame]) -> io::Result<()> {
+    let mut frame_of = vec![None; pulses.len()];
+    for (index, frame) in frames.iter().enumerate() {
+        let matched = frame.state == Some(FrameState::Matched);
+        if let Some(slot) = frame
+            .pulse
+            .filter(|_| matched)
+            .and_then(|pulse| frame_of.get_mut(pulse))
+        {
+            *slot = Some(index);
+        }
+    }
+    let header = "#pulse,train,number,timestamp [ns],depth_frame";
+    write_rows(path, header, pulses, |text, index, pulse| {
+        let frame = optional(frame_of[index]);
+        let _ = write!(
+            text,
+            "{index},{},{},{},{frame}",
+            pulse.train, pulse.number, pulse.at.0
+        );
+    })
+}
+
+/// Writes `pairs.csv`. Indices are those of the frame tables.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_pairs(
+    path: &Path,
+    pairs: &[Pair],
+    color: &[ColorFrame],
+    depth: &[DepthFrame],
+) -> io::Result<()> {
+    let header =
+        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],difference [ns]";
+    write_rows(path, header, pairs, |text, _, pair| {
+        let phone = color.get(pair.color).map(|frame| frame.at.0);
+        let centre = depth
+            .get(pair.depth)
+            .and_then(|frame| frame.at)
+            .map(|at| at.0);
+        let _ = write!(
+            text,
+            "{},{},{},{},{}",
+            pair.color,
+            optional(phone),
+            pair.depth,
+            optional(centre),
+            pair.difference
+        );
+    })
+}

@@ -1,0 +1,79 @@
+//! The Python environment with the public readers that judge what we write.
+//!
+//! `cargo xtask test` makes `target/venv` before the tests; this makes it for a
+//! test that is run on its own. Used by tests of other crates too, by path.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// The interpreter of the environment in `target/venv`, with the packages of
+/// `xtask/python-requirements.txt`.
+pub fn python() -> &'static Path {
+    static PYTHON: OnceLock<PathBuf> = OnceLock::new();
+    PYTHON.get_or_init(prepare)
+}
+
+fn prepare() -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    // The folder for tests lies in the target folder, wherever that is.
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
+    let venv = target.join("venv");
+    let python = venv.join("bin/python3");
+    let requirements = root.join("xtask/python-requirements.txt");
+    let wanted = fs::read_to_string(&requirements).unwrap();
+    let stamp = venv.join("requirements.txt");
+    // Tests of several programs may come here at a time.
+    let lock = fs::File::create(target.join("venv.lock")).unwrap();
+    lock.lock().unwrap();
+    let have = fs::read_to_string(&stamp);
+    if have.is_ok_and(|have| have == wanted) && python.is_file() {
+        return python;
+    }
+    let made = Command::new("python3")
+        .args(["-m", "venv", "--clear"])
+        .arg(&venv)
+        .status();
+    assert!(
+        made.is_ok_and(|status| status.success()),
+        "this test needs Python with venv: sudo apt-get install python3 python3-venv"
+    );
+    let installed = Command::new(&python)
+        .args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "-r",
+        ])
+        .arg(&requirements)
+        .status();
+    assert!(
+        installed.is_ok_and(|status| status.success()),
+        "pip cannot install the packages of {}",
+        requirements.display()
+    );
+    fs::write(&stamp, wanted).unwrap();
+    python
+}
+
+/// Runs a script with arguments and returns what it printed. A script that fails
+/// fails the test with its own words.
+pub fn run_script(script: &Path, arguments: &[&Path]) -> String {
+    let output: Output = Command::new(python())
+        .arg(script)
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{} failed:\n{}\n{}",
+        script.display(),
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    String::from_utf8(output.stdout).unwrap()
+}
