@@ -7,6 +7,7 @@
 
 mod docs;
 mod evaluate_bench;
+mod extract_bench;
 mod firmware;
 mod process;
 mod sync_bench;
@@ -55,6 +56,12 @@ enum Command {
         /// With --sync: twists per scenario.
         #[arg(long, default_value_t = 300, requires = "sync")]
         trials: u32,
+        /// The extraction: speed and memory, beside a plain Python reader.
+        #[arg(long, conflicts_with = "sync")]
+        extract: bool,
+        /// With --extract: minutes of depth at full size (1.3 GB each).
+        #[arg(long, default_value_t = 10, requires = "extract")]
+        depth_minutes: u32,
     },
     /// Drift after twists and natural motion, simulated (docs/sync-study.md).
     Study {
@@ -73,6 +80,11 @@ fn run(command: Command) -> Result<()> {
         Command::Check => check(),
         Command::Demo { args } => demo(&args),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
+        Command::Bench {
+            extract: true,
+            depth_minutes,
+            ..
+        } => extract_bench::run(depth_minutes),
         Command::Bench {
             sync: true, trials, ..
         } => sync_bench::run(trials),

@@ -102,9 +102,10 @@ for seq, (number, stamp) in enumerate(depth):
         is_bigendian=0, step=12, data=pixels.view(np.uint8))))
 
 messages.sort(key=lambda message: message[0])
-with Writer(out / "published.bag") as writer:
-    if compression != "none":
-        writer.set_compression(Writer.CompressionFormat[compression.upper()])
+writer = Writer(out / "published.bag")
+if compression != "none":
+    writer.set_compression(Writer.CompressionFormat[compression.upper()])
+with writer:
     connections = {}
     for ns, topic, kind, message in messages:
         if topic not in connections:

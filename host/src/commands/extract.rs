@@ -7,8 +7,9 @@ use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::cli::{Context, Interrupt};
-use crate::extract::inputs::Options;
+use crate::extract::inputs::{InputsError, Options};
 use crate::extract::layout::Format;
+use crate::extract::learn;
 use crate::extract::progress::Progress;
 use crate::extract::run::{ExtractError, Job, run as extract};
 use crate::outcome::{ExitStatus, Failure, Outcome};
@@ -56,6 +57,9 @@ pub struct Args {
     /// The pulse of the first depth frame (its row in pulses.csv), where nothing else tells
     #[arg(long, value_name = "N")]
     depth_first_pulse: Option<usize>,
+    /// Write the learnt frame period and clock skew into this rig profile
+    #[arg(long, value_name = "PROFILE")]
+    learn: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -94,6 +98,10 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         }
         Err(error) => return Err(Failure::from(error).into()),
     };
+    if let Some(profile) = &args.learn {
+        let text = learn::into_profile(&report, profile).map_err(Failure::from)?;
+        context.say(text);
+    }
     context.print(&report, || {
         format!("{}written to {}", report.text(), job.out.display())
     })?;
@@ -126,7 +134,10 @@ fn default_out(recording: &Path, format: Format) -> anyhow::Result<PathBuf> {
         .context("the recording has no name; give --out")?
         .to_string_lossy()
         .into_owned();
-    let stem = name.strip_suffix(".bag").unwrap_or(&name);
+    let stem = [".bag.active", ".bag", ".mcap"]
+        .iter()
+        .find_map(|ending| name.strip_suffix(ending))
+        .unwrap_or(&name);
     Ok(base.with_file_name(format!("{stem}-{}", format.name())))
 }
 
@@ -161,6 +172,7 @@ impl From<ExtractError> for Failure {
     fn from(error: ExtractError) -> Self {
         let text = error.to_string();
         match error {
+            ExtractError::Inputs(InputsError::Io { .. }) => Self::new(ExitStatus::Storage, text),
             ExtractError::Inputs(_) | ExtractError::Workplace(_) => {
                 Self::new(ExitStatus::Usage, text)
             }

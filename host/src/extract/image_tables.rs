@@ -5,7 +5,7 @@
 //! batches of limited size.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use rayon::prelude::*;
@@ -184,14 +184,14 @@ fn write_one(
 }
 
 /// Writes an image unless it is there.
-fn write_missing(path: &PathBuf, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
+fn write_missing(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
     if path.exists() {
         return Ok(());
     }
     encode_png(size.0, size.1, pixels)
         .and_then(|png| write_whole(path, &png))
         .map_err(|error| ImagesError::Write {
-            path: path.clone(),
+            path: path.to_owned(),
             error,
         })
 }

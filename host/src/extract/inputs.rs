@@ -58,6 +58,8 @@ pub struct Inputs {
     pub phone: Option<PhoneFiles>,
     /// The depth recording.
     pub depth: Option<DepthInput>,
+    /// The board's unique ID.
+    pub board_id: Option<String>,
     /// What the session says.
     pub rig: RigFacts,
     /// Worth knowing.
@@ -131,13 +133,17 @@ pub fn find(
         })?
     };
     let mut remarks = Vec::new();
+    let mut board_id = None;
     let session_folder = match &board {
         BoardInput::Mcap(path) => path.parent(),
         BoardInput::Bag(_) => None,
     };
     let rig = if let Some(folder) = session_folder {
         match SessionFile::load(folder) {
-            Ok(session) => facts_of(&session),
+            Ok(session) => {
+                board_id = session.board.as_ref().map(|board| board.id.clone());
+                facts_of(&session)
+            }
             Err(error) => {
                 remarks.push(format!("the session's constants are not known: {error}"));
                 RigFacts::default()
@@ -175,6 +181,7 @@ pub fn find(
         board,
         phone,
         depth,
+        board_id,
         rig,
         remarks,
     })

@@ -9,7 +9,7 @@
 //!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`].
 //! - Outputs: [`layout`] (EuRoC, TUM, topics), [`sequence`]s, [`tables`],
 //!   [`imu_tables`], [`image_tables`], [`image`], in a [`workplace`] that can be
-//!   gone on with.
+//!   gone on with. [`learn`] puts what a recording teaches into a rig profile.
 //!
 //! Inputs are read only, front to back, with bounded memory; nothing read from a
 //! file can make the program panic. Missing and damaged parts are named in the
@@ -27,6 +27,7 @@ pub mod image_tables;
 pub mod imu_tables;
 pub mod inputs;
 pub mod layout;
+pub mod learn;
 pub mod mkv;
 pub mod pairs;
 pub mod phone;

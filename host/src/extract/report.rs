@@ -69,6 +69,8 @@ pub struct Constants {
 /// The board's part.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct BoardReport {
+    /// The board's unique ID, if the session knows it.
+    pub id: Option<String>,
     /// Pulses.
     pub pulses: usize,
     /// Median distance of pulses, ns.

@@ -10,7 +10,7 @@
 //! everything else is extracted.
 
 use std::ffi::OsString;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
@@ -212,7 +212,7 @@ impl From<io::Error> for PpmError {
 }
 
 /// Reads a binary PPM image; `None` at the end of the stream.
-fn read_ppm(reader: &mut impl Read) -> Result<Option<RgbFrame>, PpmError> {
+fn read_ppm(reader: &mut impl BufRead) -> Result<Option<RgbFrame>, PpmError> {
     let mut bytes = reader.by_ref().bytes();
     let mut word = || -> Result<Option<String>, PpmError> {
         let mut word = String::new();

@@ -16,7 +16,7 @@ use crate::time::PhoneNanos;
 
 /// What crystals do from one recording to the next (temperature), relative: a
 /// floor under the stated sigmas, which are those within one recording.
-const REPEATABILITY: f64 = 2e-8;
+pub const REPEATABILITY: f64 = 2e-8;
 
 /// The least number of frames.
 const MIN_FRAMES: usize = 300;

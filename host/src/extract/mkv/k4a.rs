@@ -14,7 +14,8 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use super::reader::{Cluster, Damage, Frame, Header, Mkv, MkvError, Track};
+use super::header::{Header, Track};
+use super::reader::{Cluster, Damage, Frame, Mkv, MkvError};
 use crate::extract::time::DeviceNanos;
 
 /// The recorder's unit of time.

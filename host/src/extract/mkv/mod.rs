@@ -8,13 +8,16 @@
 //! seek head, or want every size within the file) and give no attachments.
 //!
 //! - [`ebml`]: elements, sizes, values.
-//! - [`reader`]: segment, tracks, tags, attachments, clusters. Knows nothing of
-//!   the camera.
+//! - [`header`]: tracks, tags, attachments.
+//! - [`reader`]: the segment and its clusters. Knows nothing of the camera.
 //! - [`k4a`]: depth, infrared and IMU of the camera in its own time.
 //!
 //! Limits: one segment a file (what follows is ignored), no encryption, no
 //! compressed tracks. Memory is bounded by one cluster ([`reader::MAX_CLUSTER`]).
 
+mod block;
 pub mod ebml;
+pub mod header;
+mod id;
 pub mod k4a;
 pub mod reader;

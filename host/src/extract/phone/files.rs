@@ -3,7 +3,7 @@
 //! The app saves `{VIDEO}.mp4`, and in a folder named by the video's date
 //! `{VIDEO}gyro.csv`, `{VIDEO}accel.csv`, and `{VIDEO}_imu_timestamps.csv` (older
 //! versions: `{VIDEO}_timestamps.csv`). The folder may hold the video too, or lie
-//! beside it, so two levels are searched. Names are compared as they are; nothing
+//! beside it, so three levels are searched. Names are compared as they are; nothing
 //! is opened but what matches.
 
 use std::collections::BTreeMap;
@@ -13,6 +13,10 @@ use std::path::{Path, PathBuf};
 
 /// Most directory entries that are looked at.
 const MAX_ENTRIES: usize = 100_000;
+
+/// How deep folders are searched: a recording's folder, the phone's in it, the date's
+/// in that.
+const LEVELS: u32 = 3;
 
 /// Endings of the frame timestamps; the longer first, as it contains the other.
 const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps.csv", "_timestamps.csv"];
@@ -115,7 +119,7 @@ fn classify(name: &str) -> Option<(Part, &str)> {
         .then_some((Part::Video, video))
 }
 
-/// Finds the files of the one video in a folder (two levels deep), or of the
+/// Finds the files of the one video in a folder (three levels deep), or of the
 /// video that `place` is. `None` if there is nothing of a phone.
 ///
 /// # Errors
@@ -137,7 +141,7 @@ pub fn find(place: &Path) -> Result<Option<PhoneFiles>, FilesError> {
     };
     let mut groups: BTreeMap<String, PhoneFiles> = BTreeMap::new();
     let mut left = MAX_ENTRIES;
-    collect(folder, 2, &mut left, &mut groups).map_err(fail)?;
+    collect(folder, LEVELS, &mut left, &mut groups).map_err(fail)?;
     if is_file {
         let stem = place.file_stem().and_then(|stem| stem.to_str());
         let group = stem.and_then(|stem| groups.remove(stem));

@@ -165,13 +165,16 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         images: images.as_ref(),
     };
     let sequence_reports = run.finish_sequences(&sequences, &written, &facts)?;
-    run.write_calibration(depth.as_ref())?;
+    if images.is_some() {
+        run.write_calibration(depth.as_ref())?;
+    }
 
     let report = Report {
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
         board: BoardReport {
+            id: run.inputs.board_id.clone(),
             pulses: survey.pulses.len(),
             pulse_period_ns: survey.pulse_period(),
             missing_pulses: survey.missing_pulses(),

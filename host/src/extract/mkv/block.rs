@@ -1,0 +1,162 @@
+//! Blocks and their lacing, and the checksum of a cluster.
+
+use super::ebml::{self, Head};
+
+/// A block's head and what follows it.
+pub(super) struct Block<'a> {
+    pub(super) track: u64,
+    pub(super) time: i16,
+    /// 0 none, 1 Xiph, 2 fixed size, 3 EBML.
+    pub(super) lacing: u8,
+    pub(super) payload: &'a [u8],
+}
+
+impl<'a> Block<'a> {
+    pub(super) fn parse(data: &'a [u8]) -> Option<Self> {
+        let (track, rest) = ebml::variable(data)?;
+        let (head, payload) = rest.split_at_checked(3)?;
+        Some(Self {
+            track: track?,
+            time: i16::from_be_bytes([head[0], head[1]]),
+            lacing: head[2] >> 1 & 3,
+            payload,
+        })
+    }
+
+    /// The frames of the block (RFC 9559, 10.3).
+    pub(super) fn frames(&self) -> Option<Vec<&'a [u8]>> {
+        if self.lacing == 0 {
+            return Some(vec![self.payload]);
+        }
+        let (&last, mut rest) = self.payload.split_first()?;
+        let count = usize::from(last) + 1;
+        let mut sizes = Vec::with_capacity(count);
+        match self.lacing {
+            1 => {
+                for _ in 1..count {
+                    let mut size = 0_usize;
+                    loop {
+                        let (&byte, after) = rest.split_first()?;
+                        rest = after;
+                        size += usize::from(byte);
+                        if byte < 255 {
+                            break;
+                        }
+                    }
+                    sizes.push(size);
+                }
+            }
+            2 => {
+                if !rest.len().is_multiple_of(count) {
+                    return None;
+                }
+                sizes.resize(count - 1, rest.len() / count);
+            }
+            _ => {
+                let mut size = 0_i64;
+                for index in 1..count {
+                    let before = rest.len();
+                    let (value, after) = ebml::variable(rest)?;
+                    let length = before - after.len();
+                    rest = after;
+                    let value = i64::try_from(value?).ok()?;
+                    if index == 1 {
+                        size = value;
+                    } else {
+                        // Differences are stored with half the range added.
+                        let bias = (1_i64 << (7 * length - 1)) - 1;
+                        size = size.checked_add(value - bias)?;
+                    }
+                    sizes.push(usize::try_from(size).ok()?);
+                }
+            }
+        }
+        let mut frames = Vec::with_capacity(count);
+        for size in sizes {
+            let (frame, after) = rest.split_at_checked(size)?;
+            frames.push(frame);
+            rest = after;
+        }
+        frames.push(rest);
+        Some(frames)
+    }
+}
+
+/// The CRC-32 of a cluster: over all that follows the CRC element in it.
+#[derive(Default)]
+pub(super) struct Check {
+    expected: Option<u32>,
+    hasher: crc32fast::Hasher,
+    used: bool,
+    skipped: bool,
+}
+
+impl Check {
+    pub(super) fn is_unused(&self) -> bool {
+        !self.used
+    }
+
+    pub(super) fn expect(&mut self, data: &[u8]) {
+        self.used = true;
+        if let Ok(bytes) = data.try_into() {
+            // Stored little-endian (RFC 8794, 11.3.1).
+            self.expected = Some(u32::from_le_bytes(bytes));
+        }
+    }
+
+    pub(super) fn skip(&mut self) {
+        self.used = true;
+        self.skipped = true;
+    }
+
+    pub(super) fn add(&mut self, head: &Head, data: &[u8]) {
+        self.used = true;
+        if self.expected.is_none() || self.skipped {
+            return;
+        }
+        let mut bytes = Vec::with_capacity(12);
+        let id = head.id.to_be_bytes();
+        let leading = (head.id.leading_zeros() / 8) as usize;
+        bytes.extend_from_slice(&id[leading..]);
+        // The size with its own length, as it stands in the file.
+        let length = (head.data - head.at) as usize - (4 - leading);
+        let size = data.len() as u64 | 1 << (7 * length);
+        bytes.extend_from_slice(&size.to_be_bytes()[8 - length..]);
+        self.hasher.update(&bytes);
+        self.hasher.update(data);
+    }
+
+    pub(super) fn verdict(self) -> Option<bool> {
+        let expected = self.expected?;
+        (!self.skipped).then(|| self.hasher.finalize() == expected)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lace(lacing: u8, payload: &[u8]) -> Option<Vec<usize>> {
+        let mut data = vec![0x81, 0, 5, lacing << 1];
+        data.extend_from_slice(payload);
+        let block = Block::parse(&data).unwrap();
+        assert_eq!((block.track, block.time), (1, 5));
+        Some(block.frames()?.iter().map(|frame| frame.len()).collect())
+    }
+
+    #[test]
+    fn all_lacings_are_taken_apart() {
+        assert_eq!(lace(0, &[1, 2, 3]), Some(vec![3]));
+        assert_eq!(lace(2, &[1, 9, 9, 9, 9]), Some(vec![2, 2]));
+        assert_eq!(lace(2, &[1, 9, 9, 9]), None);
+        let mut xiph = vec![2, 255, 1, 2];
+        xiph.extend(vec![0; 256 + 2 + 3]);
+        assert_eq!(lace(1, &xiph), Some(vec![256, 2, 3]));
+        // 3 frames: 4 bytes, then 4 − 2 (0xBF − 2), then the rest.
+        let mut ebml = vec![2, 0x84, 0xBD];
+        ebml.extend(vec![0; 4 + 2 + 7]);
+        assert_eq!(lace(3, &ebml), Some(vec![4, 2, 7]));
+        assert_eq!(lace(3, &[2, 0x84, 0x81]), None);
+        assert_eq!(lace(1, &[255]), None);
+    }
+}
