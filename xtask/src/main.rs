@@ -5,6 +5,7 @@
 //! run. It calls cargo and other programs as processes and depends on no other
 //! crate of this workspace, so it builds in seconds.
 
+mod demo;
 mod docs;
 mod evaluate_bench;
 mod extract_bench;
@@ -39,11 +40,7 @@ enum Command {
     /// Formatting, lints and the book.
     Check,
     /// Boot the firmware on the simulated board and let the host tool talk to it.
-    Demo {
-        /// Passed on to the demo.
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        args: Vec<String>,
-    },
+    Demo,
     /// Measure; figures are ratios within one run.
     Bench {
         /// Only the speed of `smartdepthsync evaluate`.
@@ -78,7 +75,7 @@ fn run(command: Command) -> Result<()> {
         Command::Build => build(),
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Check => check(),
-        Command::Demo { args } => demo(&args),
+        Command::Demo => demo(),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench {
             extract: true,
@@ -127,7 +124,7 @@ fn check() -> Result<()> {
     docs::build_and_check()
 }
 
-fn demo(args: &[String]) -> Result<()> {
+fn demo() -> Result<()> {
     let elf = firmware::build()?;
     process::cargo([
         "build",
@@ -137,9 +134,7 @@ fn demo(args: &[String]) -> Result<()> {
         "-p",
         "hil-sim",
     ])?;
-    let mut demo = vec!["demo".to_owned()];
-    demo.extend_from_slice(args);
-    process::run_hil_sim(&demo, &elf)
+    demo::run(&elf)
 }
 
 fn bench() -> Result<()> {

@@ -1,4 +1,4 @@
-//! `hil-sim serve`: the board behind a pseudo-terminal.
+//! `hil-sim serve`: the board behind a pseudo-terminal, with its IMU at rest.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -7,9 +7,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use hil_sim::i2c::lock;
+use hil_sim::motion::Motion;
+use hil_sim::mpu9150::{Mpu9150, Mpu9150Config};
+use hil_sim::oscillator::{BoardTime, OscillatorConfig};
 use hil_sim::pin::Pin;
 use hil_sim::pty::Pty;
-use hil_sim::random::Seed;
+use hil_sim::random::{Seed, Stream};
 use hil_sim::rig::Rig;
 use hil_sim::rtt::LogLine;
 use hil_sim::time::{SimDuration, SimTime};
@@ -63,7 +66,14 @@ const TRACED: [(Pin, &str); 11] = [
 ];
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let mut builder = Rig::builder().seed(Seed(args.seed));
+    let seed = Seed(args.seed);
+    let board_time = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
+    let config = Mpu9150Config::typical(seed);
+    let sensor = Mpu9150::new(config, Motion::rest(), board_time, seed).shared();
+    let mut builder = Rig::builder()
+        .seed(seed)
+        .model(sensor.clone())
+        .i2c_target(sensor);
     if let Some(elf) = &args.elf {
         builder = builder.elf(elf);
     }
