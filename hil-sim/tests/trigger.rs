@@ -536,7 +536,7 @@ impl RigModel for Strobe {
             for _ in 0..self.count {
                 self.coming.push_back((at, Level::High));
                 self.coming.push_back((at + self.high, Level::Low));
-                at = at + self.pitch;
+                at += self.pitch;
             }
         }
     }

@@ -60,7 +60,7 @@ enum Command {
         #[arg(long, default_value_t = 10, requires = "extract")]
         depth_minutes: u32,
     },
-    /// Drift after twists and natural motion, simulated (docs/sync-study.md).
+    /// Drift after twists and natural motion, simulated.
     Study {
         /// Sessions per case.
         #[arg(long, default_value_t = 60)]

@@ -112,8 +112,7 @@ fn measure(args: &Args) -> Result<Figures> {
     let attach_ms = rig
         .usb_log()
         .iter()
-        .filter(|(_, what)| what == "device attached")
-        .next_back()
+        .rfind(|(_, what)| what == "device attached")
         .map(|(at, _)| at.as_secs_f64() * 1e3)
         .context("the device never attached")?;
     let mut figures = Figures {

@@ -113,7 +113,7 @@ pub(crate) fn scene(frame: u64, pixels: &mut [u16]) {
         noise ^= noise << 17;
         let (x, y) = ((index % 640) as u64, (index / 640) as u64);
         let surface = 900 + (x * 3 + frame) % 1500 / 2 + y * 2;
-        let hole = (x / 40 + y / 36 + frame / 30) % 11 == 0;
+        let hole = (x / 40 + y / 36 + frame / 30).is_multiple_of(11);
         *pixel = if hole {
             0
         } else {

@@ -2,7 +2,7 @@
 //!
 //! Pure functions on slices: no input or output, no global state. Times are f64
 //! seconds relative to a reference, so that a clock that reads 10⁶ s costs no
-//! precision. The derivation is in `docs/sync-math.md`.
+//! precision. Each module derives what it computes.
 //!
 //! [`estimate_offset`] takes two recordings ([`GyroTrack`]) and gives an
 //! [`Estimate`] with a [`ClockModel`], or a [`Refusal`] with reasons.

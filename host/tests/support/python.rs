@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 
 /// The interpreter of the environment in `target/venv`, with the packages of
 /// `xtask/python-requirements.txt`.
-pub fn python() -> &'static Path {
+pub(crate) fn python() -> &'static Path {
     static PYTHON: OnceLock<PathBuf> = OnceLock::new();
     PYTHON.get_or_init(prepare)
 }
@@ -62,7 +62,7 @@ fn prepare() -> PathBuf {
 
 /// Runs a script with arguments and returns what it printed. A script that fails
 /// fails the test with its own words.
-pub fn run_script(script: &Path, arguments: &[&Path]) -> String {
+pub(crate) fn run_script(script: &Path, arguments: &[&Path]) -> String {
     let output: Output = Command::new(python())
         .arg(script)
         .args(arguments)
