@@ -197,7 +197,10 @@ fn find_phone(
     let name = fetched.as_ref().map(|own| own.name.as_str());
     let found = files::find(place, name)?;
     Ok(found.map(|found| PhoneFiles {
-        video: found.video.clone().or_else(|| fetched.and_then(|own| own.video)),
+        video: found
+            .video
+            .clone()
+            .or_else(|| fetched.and_then(|own| own.video)),
         ..found
     }))
 }
