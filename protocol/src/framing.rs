@@ -19,12 +19,16 @@ const CRC32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// Bytes of the CRC behind the message.
 const CRC_LEN: usize = 4;
 
+/// By how much COBS makes a message and its CRC longer at most: one byte, and
+/// one for each full 254.
+const COBS_OVERHEAD: usize = 1 + (MAX_MESSAGE + CRC_LEN) / 254;
+
 /// The longest message in postcard form, in bytes.
 pub const MAX_MESSAGE: usize = 320;
 
 /// The longest frame on the wire, with CRC, COBS overhead (one byte in each
 /// 254, and one) and the delimiter.
-pub const MAX_FRAME: usize = MAX_MESSAGE + CRC_LEN + (MAX_MESSAGE + CRC_LEN) / 254 + 2;
+pub const MAX_FRAME: usize = MAX_MESSAGE + CRC_LEN + COBS_OVERHEAD + 1;
 
 /// Why a frame was not taken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,18 +106,48 @@ impl LinkCounters {
 /// of this crate.
 pub fn encode<'b, M: Serialize>(message: &M, buffer: &'b mut [u8]) -> postcard::Result<&'b [u8]> {
     const FULL: postcard::Error = postcard::Error::SerializeBufferFull;
-    let mut plain = [0; MAX_MESSAGE + CRC_LEN];
-    let body = plain.get_mut(..MAX_MESSAGE).ok_or(FULL)?;
+    // The message goes where COBS, which makes it longer by up to so many bytes,
+    // can code it to the front of the same buffer.
+    let body = buffer.get_mut(COBS_OVERHEAD..).ok_or(FULL)?;
     let body = postcard::to_slice(message, body)?;
     let (len, crc) = (body.len(), CRC32.checksum(body));
-    let with_crc = len + CRC_LEN;
-    let space = plain.get_mut(len..with_crc).ok_or(FULL)?;
+    if len > MAX_MESSAGE {
+        return Err(FULL);
+    }
+    let end = COBS_OVERHEAD + len + CRC_LEN;
+    let space = buffer.get_mut(end - CRC_LEN..end).ok_or(FULL)?;
     space.copy_from_slice(&crc.to_le_bytes());
-
-    let plain = plain.get(..with_crc).ok_or(FULL)?;
-    let coded = cobs::try_encode(plain, buffer).map_err(|_| FULL)?;
+    let coded = cobs_in_place(buffer, end).ok_or(FULL)?;
     *buffer.get_mut(coded).ok_or(FULL)? = 0;
     buffer.get(..=coded).ok_or(FULL)
+}
+
+/// Codes `buffer[COBS_OVERHEAD..end]` to the front of `buffer`; returns the
+/// length. What is written never overtakes what is read: it is ahead by one code
+/// byte at first, and by one more after each full run of 254.
+///
+/// The `cobs` crate needs a second buffer and takes several times as long, which
+/// on the board is a tenth of the cost of a message.
+fn cobs_in_place(buffer: &mut [u8], end: usize) -> Option<usize> {
+    let mut code_at = 0;
+    let mut code = 1_u8;
+    let mut write = 1;
+    for read in COBS_OVERHEAD..end {
+        let byte = *buffer.get(read)?;
+        if byte != 0 {
+            *buffer.get_mut(write)? = byte;
+            write += 1;
+            code += 1;
+        }
+        if byte == 0 || code == u8::MAX {
+            *buffer.get_mut(code_at)? = code;
+            code_at = write;
+            code = 1;
+            write += 1;
+        }
+    }
+    *buffer.get_mut(code_at)? = code;
+    Some(write)
 }
 
 /// A push parser: bytes go in, in any split; messages come out.

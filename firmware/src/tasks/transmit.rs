@@ -12,7 +12,6 @@ use embassy_usb::class::cdc_acm::Sender;
 use firmware::alive::Task;
 use firmware::config::{CHECK_IN_MS, TRANSMIT_BUFFER, USB_PACKET};
 use firmware::filler::Pacer;
-use heapless::Vec;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
 use crate::board::tim2;
@@ -25,7 +24,8 @@ const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 #[embassy_executor::task]
 pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
     let mut transmit = Transmit {
-        buffer: Vec::new(),
+        buffer: [0; TRANSMIT_BUFFER],
+        len: 0,
         filler: Pacer::new(),
         filler_seq: 0,
         connect: 0,
@@ -33,7 +33,7 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
     loop {
         ALIVE.check_in(Task::Transmit);
         let pause = transmit.fill();
-        if transmit.buffer.is_empty() {
+        if transmit.len == 0 {
             wait(pause).await;
             continue;
         }
@@ -42,7 +42,9 @@ pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
 }
 
 struct Transmit {
-    buffer: Vec<u8, TRANSMIT_BUFFER>,
+    /// Frames; the first `len` bytes.
+    buffer: [u8; TRANSMIT_BUFFER],
+    len: usize,
     filler: Pacer,
     filler_seq: u32,
     /// The connection that the buffer belongs to.
@@ -53,7 +55,7 @@ impl Transmit {
     /// Takes what waits, as far as the buffer holds it. Returns how long to
     /// wait at most if that is nothing.
     fn fill(&mut self) -> Duration {
-        self.buffer.clear();
+        self.len = 0;
         if !with_outbox(|outbox| outbox.is_linked()) {
             return CHECK_IN;
         }
@@ -61,7 +63,8 @@ impl Transmit {
         if connect != self.connect {
             // Ends what a former connection left half sent.
             self.connect = connect;
-            let _ = self.buffer.push(0);
+            self.buffer[0] = 0;
+            self.len = 1;
             self.filler = Pacer::new();
         }
         let mut taken = false;
@@ -79,14 +82,13 @@ impl Transmit {
     }
 
     fn has_room(&self) -> bool {
-        self.buffer.capacity() - self.buffer.len() >= MAX_FRAME
+        TRANSMIT_BUFFER - self.len >= MAX_FRAME
     }
 
     fn put(&mut self, message: &DeviceToHost) {
-        let mut frame = [0; MAX_FRAME];
-        match encode(message, &mut frame) {
-            // It fits: `has_room`.
-            Ok(frame) => drop(self.buffer.extend_from_slice(frame)),
+        let space = self.buffer.get_mut(self.len..).unwrap_or_default();
+        match encode(message, space) {
+            Ok(frame) => self.len += frame.len(),
             Err(_) => defmt::error!("a message does not fit into a frame"),
         }
     }
@@ -116,7 +118,8 @@ impl Transmit {
     /// Writes the buffer. A host that does not read is waited for, one that
     /// goes away is not.
     async fn write(&self, sender: &mut Sender<'static, UsbDriver>) {
-        for packet in self.buffer.chunks(USB_PACKET) {
+        let frames = self.buffer.get(..self.len).unwrap_or_default();
+        for packet in frames.chunks(USB_PACKET) {
             if !self.write_packet(sender, packet).await {
                 return;
             }
@@ -124,7 +127,7 @@ impl Transmit {
         // A transfer ends with a short packet, without which the host's
         // driver waits for more.
         let nothing_more = with_outbox(|outbox| outbox.is_empty());
-        if self.buffer.len().is_multiple_of(USB_PACKET) && nothing_more {
+        if self.len.is_multiple_of(USB_PACKET) && nothing_more {
             self.write_packet(sender, &[]).await;
         }
     }
