@@ -4,13 +4,17 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod board_host;
+mod trigger_rig;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, trigger_status};
-use hil_sim::model::{RigIo, RigModel};
-use hil_sim::pin::{Drive, Level, Pin};
+use hil_sim::pin::Pin;
 use hil_sim::rig::Rig;
-use hil_sim::time::{SimDuration, SimTime};
+use hil_sim::time::SimDuration;
 use protocol::*;
+use trigger_rig::{Strobe, Wire};
 
 /// The default width: 12 µs.
 const WIDTH: u32 = 576;
@@ -430,47 +434,12 @@ fn values_out_of_range_are_refused_and_change_nothing() {
     check_train(&mut board, first, period, WIDTH);
 }
 
-/// The trigger wire behind its buffer, back on PA3.
-struct Wire {
-    delay: SimDuration,
-    connected: std::sync::Arc<std::sync::atomic::AtomicBool>,
-    coming: std::collections::VecDeque<(SimTime, Level)>,
-}
-
-impl RigModel for Wire {
-    fn name(&self) -> String {
-        "trigger wire".into()
-    }
-    fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PA5]
-    }
-    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut RigIo<'_>) {
-        if self.connected.load(std::sync::atomic::Ordering::Relaxed) {
-            self.coming.push_back((io.now() + self.delay, level));
-        }
-    }
-    fn next_event(&self) -> Option<SimTime> {
-        self.coming.front().map(|next| next.0)
-    }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
-        while let Some(&(at, level)) = self.coming.front()
-            && at <= io.now()
-        {
-            self.coming.pop_front();
-            io.drive(Pin::PA3, Drive::from(level));
-        }
-    }
-}
-
 #[test]
 fn the_read_back_proves_the_wire() {
-    let connected = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let connected = Arc::new(AtomicBool::new(false));
     // 3 ticks: a buffer of 62.5 ns.
-    let wire = Wire {
-        delay: SimDuration::from_units(3 * UNITS_PER_TICK),
-        connected: connected.clone(),
-        coming: std::collections::VecDeque::new(),
-    };
+    let delay = SimDuration::from_units(3 * UNITS_PER_TICK);
+    let wire = Wire::new(delay, connected.clone());
     let mut board = Board::boot(Rig::builder().model(wire));
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(500);
@@ -478,7 +447,7 @@ fn the_read_back_proves_the_wire() {
     assert_eq!((unwired.seen, unwired.missing, unwired.stray), (0, 0, 0));
     assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
 
-    connected.store(true, std::sync::atomic::Ordering::Relaxed);
+    connected.store(true, Ordering::Relaxed);
     board.run(60);
     board.pulses.clear();
     board.run(1_000);
@@ -488,7 +457,7 @@ fn the_read_back_proves_the_wire() {
     assert!(wired.seen >= 30);
     assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, Some(3)));
 
-    connected.store(false, std::sync::atomic::Ordering::Relaxed);
+    connected.store(false, Ordering::Relaxed);
     board.run(60);
     board.pulses.clear();
     board.run(1_000);
@@ -498,67 +467,11 @@ fn the_read_back_proves_the_wire() {
     assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
 }
 
-/// Pulses on the strobe input, `count` of them at each trigger pulse.
-struct Strobe {
-    count: u32,
-    high: SimDuration,
-    pitch: SimDuration,
-    coming: std::collections::VecDeque<(SimTime, Level)>,
-    made: std::sync::Arc<std::sync::Mutex<Vec<(SimTime, Level)>>>,
-}
-
-impl Strobe {
-    fn new(count: u32, high_us: u64, pitch_us: u64) -> Self {
-        Self {
-            count,
-            high: SimDuration::from_micros(high_us),
-            pitch: SimDuration::from_micros(pitch_us),
-            coming: std::collections::VecDeque::new(),
-            made: std::sync::Arc::default(),
-        }
-    }
-}
-
-impl RigModel for Strobe {
-    fn name(&self) -> String {
-        "strobe".into()
-    }
-    fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PA5]
-    }
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
-        io.drive(Pin::PA2, Drive::Low);
-    }
-    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut RigIo<'_>) {
-        if level.is_high() {
-            // Not on a whole tick, so that captures have something to round.
-            let mut at = io.now() + SimDuration::from_nanos(500_007);
-            for _ in 0..self.count {
-                self.coming.push_back((at, Level::High));
-                self.coming.push_back((at + self.high, Level::Low));
-                at += self.pitch;
-            }
-        }
-    }
-    fn next_event(&self) -> Option<SimTime> {
-        self.coming.front().map(|next| next.0)
-    }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
-        while let Some(&(at, level)) = self.coming.front()
-            && at <= io.now()
-        {
-            self.coming.pop_front();
-            self.made.lock().unwrap().push((at, level));
-            io.drive(Pin::PA2, Drive::from(level));
-        }
-    }
-}
-
 /// The camera's 9 flashes at 30 fps, for 20 s: every edge reported, at the tick
 /// in which it came.
 #[test]
 fn the_cameras_flashes_are_captured_without_loss() {
-    let strobe = Strobe::new(9, 125, 1_575);
+    let strobe = Strobe::flashes();
     let made = strobe.made.clone();
     let mut board = Board::boot(Rig::builder().model(strobe));
     board.rig.log_pin(Pin::PA5);

@@ -16,7 +16,7 @@ use hil_sim::oscillator::{BoardTime, OscillatorConfig};
 use hil_sim::random::{Seed, Stream};
 use hil_sim::rig::{Rig, RigBuilder};
 use hil_sim::time::SimDuration;
-use protocol::{Command, DeviceToHost, Period, TICK_HZ, TriggerStart};
+use protocol::{Command, DeviceToHost, MIN_PULSE_WIDTH, Period, TICK_HZ, TriggerStart};
 use serde::Serialize;
 
 /// Options of `bench`.
@@ -46,6 +46,9 @@ struct Load {
     /// Longest wait of TIM2's handler and longest run, in microseconds.
     trigger_latency_us: f64,
     trigger_run_us: f64,
+    /// Longest time from an edge of the trigger to the end of its handling, as
+    /// the firmware measures it since its reset; without edges, none.
+    edge_to_end_us: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -56,7 +59,18 @@ struct Figures {
     attach_ms: f64,
     hello_ms: f64,
     loads: Vec<Load>,
+    /// Shortest period that the board takes, and the worst time from an edge to
+    /// the end of its handling in all loads.
+    shortest_period_us: f64,
+    edge_to_end_us: f64,
+    /// Share of core cycles for sampling the IMU.
+    sampling_cpu: f64,
 }
+
+/// Names of loads that figures are worked out from.
+const IDLE: &str = "idle";
+const IMU: &str = "IMU at 500 Hz";
+const RIG: &str = "IMU, trigger and strobe at 30 fps";
 
 /// Exception number of TIM2's interrupt.
 const TIM2: usize = 16 + 28;
@@ -77,12 +91,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         figures.attach_ms, figures.hello_ms
     );
     println!(
-        "{:<34} {:>12} {:>8} {:>11} {:>9} {:>10} {:>9}",
-        "load", "x real time", "CPU", "bytes/s", "TIM2 CPU", "TIM2 wait", "TIM2 run"
+        "{:<34} {:>12} {:>8} {:>11} {:>9} {:>10} {:>9} {:>11}",
+        "load", "x real time", "CPU", "bytes/s", "TIM2 CPU", "TIM2 wait", "TIM2 run", "edge to end"
     );
     for l in &figures.loads {
         println!(
-            "{:<34} {:>12.1} {:>7.2}% {:>11.0} {:>8.3}% {:>7.2} us {:>6.2} us",
+            "{:<34} {:>12.1} {:>7.2}% {:>11.0} {:>8.3}% {:>7.2} us {:>6.2} us {:>11}",
             l.name,
             l.speed,
             l.cpu * 100.0,
@@ -90,8 +104,22 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             l.trigger_cpu * 100.0,
             l.trigger_latency_us,
             l.trigger_run_us,
+            l.edge_to_end_us
+                .map_or("-".to_owned(), |us| format!("{us:.2} us")),
         );
     }
+    println!(
+        "trigger: an edge is handled {:.2} us after it at the latest, {:.2} % of the shortest \
+         period of {} us; a pulse must be {} us long",
+        figures.edge_to_end_us,
+        100.0 * figures.edge_to_end_us / figures.shortest_period_us,
+        figures.shortest_period_us,
+        MIN_PULSE_WIDTH / (TICK_HZ / 1_000_000),
+    );
+    println!(
+        "sampling the IMU and sending its samples takes {:.2} % of the core",
+        100.0 * figures.sampling_cpu
+    );
     println!("CPU, bytes/s and TIM2 figures are simulated; the speed is this machine's.");
     Ok(())
 }
@@ -121,8 +149,15 @@ fn measure(args: &Args) -> Result<Figures> {
         attach_ms,
         hello_ms,
         loads: Vec::new(),
+        shortest_period_us: Period::MIN.as_secs_f64() * 1e6,
+        edge_to_end_us: 0.0,
+        sampling_cpu: 0.0,
     };
-    figures.loads.push(load("idle", &mut rig, &mut link, 60)?);
+    figures.loads.push(load(IDLE, &mut rig, &mut link, 60)?);
+    start(&mut rig, &mut link, Period::MIN, MIN_PULSE_WIDTH)?;
+    let name = "trigger at 1 kHz";
+    figures.loads.push(load(name, &mut rig, &mut link, 10)?);
+    link.request(&mut rig, Command::TriggerStop)?;
     filler(&mut rig, &mut link)?;
     figures.loads.push(load(
         "streaming as much as USB takes",
@@ -149,29 +184,38 @@ fn measure(args: &Args) -> Result<Figures> {
     let mut link = BoardLink::new();
     link.hello(&mut rig, SimDuration::from_secs(5))?;
     rig.run_for(SimDuration::from_secs(1))?;
-    figures
-        .loads
-        .push(load("IMU at 500 Hz", &mut rig, &mut link, 20)?);
-    link.request(
-        &mut rig,
-        Command::TriggerStart(TriggerStart {
-            period: Period::from_ticks(TICK_HZ / 30),
-            width: 12 * (TICK_HZ / 1_000_000),
-            first_edge: None,
-        }),
-    )?;
-    rig.run_for(SimDuration::from_secs(1))?;
-    figures.loads.push(load(
-        "IMU, trigger and strobe at 30 fps",
-        &mut rig,
-        &mut link,
-        20,
-    )?);
+    figures.loads.push(load(IMU, &mut rig, &mut link, 20)?);
+    let period = Period::from_ticks(TICK_HZ / 30);
+    start(&mut rig, &mut link, period, 12 * (TICK_HZ / 1_000_000))?;
+    figures.loads.push(load(RIG, &mut rig, &mut link, 20)?);
     filler(&mut rig, &mut link)?;
     figures
         .loads
         .push(load("all of it, and USB full", &mut rig, &mut link, 10)?);
+    let edges = figures.loads.iter().filter_map(|load| load.edge_to_end_us);
+    figures.edge_to_end_us = edges.fold(0.0, f64::max);
+    figures.sampling_cpu = figures.cpu(IMU) - figures.cpu(IDLE);
     Ok(figures)
+}
+
+impl Figures {
+    /// Share of core cycles awake under a load.
+    fn cpu(&self, name: &str) -> f64 {
+        let load = self.loads.iter().find(|load| load.name == name);
+        load.map_or(0.0, |load| load.cpu)
+    }
+}
+
+/// Starts a train.
+fn start(rig: &mut Rig, link: &mut BoardLink, period: Period, width: u32) -> Result<()> {
+    let start = TriggerStart {
+        period,
+        width,
+        first_edge: None,
+    };
+    link.request(rig, Command::TriggerStart(start))?;
+    rig.run_for(SimDuration::from_secs(1))?;
+    Ok(())
 }
 
 /// Switches the filler on at full rate.
@@ -190,19 +234,22 @@ fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -
     let before = rig.cpu_stats();
     let traffic = rig.usb_traffic().bytes_in;
     let begun = Instant::now();
-    let mut statuses = 0u64;
+    let mut statuses = Vec::new();
     for _ in 0..seconds * 20 {
         rig.run_for(SimDuration::from_millis(50))?;
         link.receive(rig);
-        statuses += link
-            .take()
-            .iter()
-            .filter(|m| matches!(m, DeviceToHost::Status(_)))
-            .count() as u64;
+        statuses.extend(link.take().into_iter().filter_map(|message| match message {
+            DeviceToHost::Status(status) => Some(status),
+            _ => None,
+        }));
     }
     let wall = begun.elapsed().as_secs_f64();
-    if statuses + 1 < seconds {
-        bail!("{name}: {statuses} status messages in {seconds} s");
+    if (statuses.len() as u64) + 1 < seconds {
+        bail!("{name}: {} status messages in {seconds} s", statuses.len());
+    }
+    let latency = statuses.last().map_or(0, |status| status.trigger_latency);
+    if let Some(late) = statuses.iter().find(|status| status.trigger.late > 0) {
+        bail!("{name}: {} edges came late", late.trigger.late);
     }
     let after = rig.cpu_stats();
     let cycles = (after.awake - before.awake) + (after.asleep - before.asleep);
@@ -218,5 +265,6 @@ fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -
         trigger_cpu: (t1.cycles - t0.cycles) as f64 / cycles as f64,
         trigger_latency_us: t1.max_latency as f64 / core_mhz,
         trigger_run_us: t1.max_cycles as f64 / core_mhz,
+        edge_to_end_us: (latency > 0).then(|| f64::from(latency) * 1e6 / f64::from(TICK_HZ)),
     })
 }
