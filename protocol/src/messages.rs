@@ -25,7 +25,7 @@ pub const MAX_FILLER: usize = 240;
 /// The shortest pulse, in ticks: 10 µs.
 ///
 /// The handler of the rising edge arms the falling one, so a pulse must be
-/// longer than that can take in the worst case. The camera
+/// longer than that can take in the worst case (`docs/timing.md`). The camera
 /// needs more than 8 µs.
 pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
