@@ -1,7 +1,7 @@
 //! Statistics of the clock estimate on simulated twists, scenario by scenario.
 //!
 //! All figures are of simulated recordings. The number of trials per scenario is
-//! 60, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
+//! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ fn trials() -> u64 {
     std::env::var("SYNC_TRIALS")
         .ok()
         .and_then(|s| s.parse().ok())
-        .unwrap_or(60)
+        .unwrap_or(40)
 }
 
 fn options(spec: &TwistSpec) -> Options {
@@ -95,7 +95,7 @@ fn every_scenario_meets_its_figures() {
         if rmse > limit {
             failures.push(format!("{}: rmse {rmse:.2} µs > {limit} µs", scenario.name));
         }
-        // 60 trials scatter by 9 %: the bounds of the full study, widened by 2 sigma.
+        // 40 trials scatter by 11 %: the bounds of the full study, widened by 2 sigma.
         let slack = 2.0 / (2.0 * trials() as f64).sqrt();
         if scenario.honest && !(0.8 - slack..1.25 + slack).contains(&z) {
             failures.push(format!("{}: error over sigma {z:.2}", scenario.name));

@@ -9,7 +9,7 @@
 //! Slow differences (filters, nonlinearity, flexing) are not faults of samples;
 //! the local median of the difference is taken away before judging.
 
-use nalgebra::Vector3;
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::fit::{Calibration, Fit, Link, Node};
 use super::robust;
@@ -18,6 +18,8 @@ use super::spline::Vec3;
 
 /// A sample is an outlier beyond this many sigmas (length of the whitened vector).
 const OUTLIER_SIGMA: f64 = 6.0;
+/// The same once more than half a percent of the samples are outliers.
+const SUSPICIOUS_SIGMA: f64 = 3.8;
 /// Least scatter that is assumed, rad/s: below any real gyroscope's noise, above
 /// what the filter leaves of fast motion in a noiseless simulation.
 const LEAST_NOISE: f64 = 1e-4;
@@ -85,7 +87,7 @@ pub fn outliers(
         let around = &local[block.saturating_sub(1)..(block + 2).min(local.len())];
         around.iter().map(|s| s[axis]).fold(overall[axis], f64::max)
     };
-    index
+    let misfits: Vec<Misfit> = index
         .iter()
         .zip(&contrast)
         .enumerate()
@@ -96,7 +98,17 @@ pub fn outliers(
                 .sum::<f64>()
                 .sqrt(),
         })
-        .filter(|m| m.sigmas > OUTLIER_SIGMA)
+        .collect();
+    let clear = misfits.iter().filter(|m| m.sigmas > OUTLIER_SIGMA).count();
+    // Where there are many, there are more that hide in slow motion.
+    let threshold = if clear * 200 > misfits.len() {
+        SUSPICIOUS_SIGMA
+    } else {
+        OUTLIER_SIGMA
+    };
+    misfits
+        .into_iter()
+        .filter(|m| m.sigmas > threshold)
         .collect()
 }
 
@@ -128,23 +140,10 @@ struct Block {
     information: f64,
 }
 
-/// Variance of the displacement of some blocks, from their own scatter.
-fn scatter(blocks: &[Block], shift: f64) -> f64 {
-    if blocks.len() < 3 {
-        return f64::INFINITY;
-    }
-    let (mut sum, mut information) = (0.0, 0.0);
-    for b in blocks {
-        sum += (b.score - shift * b.information).powi(2);
-        information += b.information;
-    }
-    sum / (information * information)
-}
-
 /// Cuts the overlap where the relation of the clocks jumps.
 ///
-/// Binary segmentation of the local displacements (0.1 s blocks). One stretch
-/// means that there is no jump.
+/// Forward selection of steps in the local displacements of blocks of `block_s`,
+/// fitted together with shift and rate. One stretch means that there is no jump.
 #[must_use]
 pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
     let mut blocks: Vec<Block> = Vec::new();
@@ -185,58 +184,134 @@ pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
         })
         .collect();
     let sigma = robust::mad_sigma(&standard);
-    let mut cuts = vec![0, blocks.len()];
+    let middle = blocks.iter().map(|b| b.from * b.information).sum::<f64>() / total;
+    let mut steps = Steps::none(middle);
     if sigma.is_finite() {
-        let mut open = vec![(0, blocks.len())];
-        while let Some((from, to)) = open.pop() {
-            let (mut all_score, mut all_information) = (0.0, 0.0);
-            for b in &blocks[from..to] {
-                all_score += b.score;
-                all_information += b.information;
-            }
-            let (mut score, mut information) = (0.0, 0.0);
-            let mut best = (0.0, from);
-            for (i, b) in blocks[from..to].iter().enumerate().take(to - from - 1) {
-                score += b.score;
-                information += b.information;
-                let rest = all_information - information;
-                if information.min(rest) < 0.01 * total {
-                    continue;
-                }
-                let shifts = (score / information, (all_score - score) / rest);
-                let step = shifts.0 - shifts.1;
-                let z = step.abs() / (1.0 / information + 1.0 / rest).sqrt() / sigma.max(1e-12);
-                if step.abs() > LEAST_STEP_S && z > STEP_Z && z > best.0 {
-                    // The same against the scatter of the blocks on both sides.
-                    let cut = from + i + 1;
-                    let variance =
-                        scatter(&blocks[from..cut], shifts.0) + scatter(&blocks[cut..to], shifts.1);
-                    if step * step > STEP_Z_SCATTER * STEP_Z_SCATTER * variance {
-                        best = (z, cut);
-                    }
-                }
-            }
-            if best.0 > 0.0 {
-                cuts.push(best.1);
-                open.push((from, best.1));
-                open.push((best.1, to));
-            }
+        for _ in 0..MOST_STEPS {
+            let Some(next) = steps.with_best_cut(&blocks, sigma.max(1e-12)) else {
+                break;
+            };
+            steps = next;
         }
     }
-    cuts.sort_unstable();
-    cuts.windows(2)
-        .map(|c| {
-            let part = &blocks[c[0]..c[1]];
-            let score: f64 = part.iter().map(|b| b.score).sum();
-            let information: f64 = part.iter().map(|b| b.information).sum();
-            Stretch {
-                from: part[0].from,
-                to: part[part.len() - 1].to,
-                shift_s: score / information.max(f64::MIN_POSITIVE),
-                share: information / total,
+    steps.stretches(&blocks, total)
+}
+
+/// Most steps that are looked for.
+const MOST_STEPS: usize = 8;
+
+/// Steps of the relation, fitted together with a shift and a rate, which the fit
+/// has bent to lessen them.
+struct Steps {
+    middle: f64,
+    /// Blocks at which a new level begins.
+    cuts: Vec<usize>,
+    /// Level of each stretch against the first, seconds.
+    levels: Vec<f64>,
+}
+
+impl Steps {
+    const fn none(middle: f64) -> Self {
+        Self {
+            middle,
+            cuts: Vec::new(),
+            levels: Vec::new(),
+        }
+    }
+
+    /// Least-squares of the blocks' displacements on shift, rate and the steps
+    /// at `cuts`: (size, ideal variance, variance from scatter) of the last step,
+    /// and all sizes.
+    fn fitted(&self, blocks: &[Block], cuts: &[usize]) -> Option<(f64, f64, f64, Vec<f64>)> {
+        let n = 2 + cuts.len();
+        let row = |i: usize, b: &Block| {
+            DVector::from_fn(n, |k, _| match k {
+                0 => 1.0,
+                1 => b.from - self.middle,
+                _ => f64::from(u8::from(i >= cuts[k - 2])),
+            })
+        };
+        let mut normal = DMatrix::<f64>::zeros(n, n);
+        let mut right = DVector::<f64>::zeros(n);
+        for (i, b) in blocks.iter().enumerate() {
+            let x = row(i, b);
+            normal += &x * x.transpose() * b.information;
+            right += x * b.score;
+        }
+        let inverse = normal.cholesky()?.inverse();
+        let solution = &inverse * right;
+        let last = n - 1;
+        let mut scatter = 0.0;
+        for (i, b) in blocks.iter().enumerate() {
+            let x = row(i, b);
+            let influence = (inverse.row(last) * &x)[0];
+            let left = b.score - solution.dot(&x) * b.information;
+            scatter += (influence * left).powi(2);
+        }
+        let sizes = solution.iter().skip(2).copied().collect();
+        Some((solution[last], inverse[(last, last)], scatter, sizes))
+    }
+
+    fn with_best_cut(&self, blocks: &[Block], sigma: f64) -> Option<Self> {
+        let mut best: Option<(f64, Vec<usize>, Vec<f64>)> = None;
+        for cut in 2..blocks.len() - 1 {
+            if self.cuts.contains(&cut) {
+                continue;
+            }
+            let mut cuts = self.cuts.clone();
+            cuts.push(cut);
+            let Some((size, ideal, scatter, sizes)) = self.fitted(blocks, &cuts) else {
+                continue;
+            };
+            let z = size.abs() / (ideal.sqrt() * sigma);
+            if size.abs() > LEAST_STEP_S
+                && z > STEP_Z
+                && size * size > STEP_Z_SCATTER * STEP_Z_SCATTER * scatter
+                && best.as_ref().is_none_or(|b| z > b.0)
+            {
+                best = Some((z, cuts, sizes));
+            }
+        }
+        best.map(|(_, cuts, sizes)| {
+            let mut order: Vec<usize> = (0..cuts.len()).collect();
+            order.sort_by_key(|&i| cuts[i]);
+            let mut level = 0.0;
+            Self {
+                middle: self.middle,
+                levels: order
+                    .iter()
+                    .map(|&i| {
+                        level += sizes[i];
+                        level
+                    })
+                    .collect(),
+                cuts: {
+                    let mut sorted = cuts;
+                    sorted.sort_unstable();
+                    sorted
+                },
             }
         })
-        .collect()
+    }
+
+    fn stretches(&self, blocks: &[Block], total: f64) -> Vec<Stretch> {
+        let mut bounds = vec![0];
+        bounds.extend(&self.cuts);
+        bounds.push(blocks.len());
+        bounds
+            .windows(2)
+            .enumerate()
+            .map(|(i, bound)| {
+                let part = &blocks[bound[0]..bound[1]];
+                Stretch {
+                    from: part[0].from,
+                    to: part[part.len() - 1].to,
+                    shift_s: i.checked_sub(1).map_or(0.0, |k| self.levels[k]),
+                    share: part.iter().map(|b| b.information).sum::<f64>() / total,
+                }
+            })
+            .collect()
+    }
 }
 
 /// Displacement of parts of the overlap with equal information against the fit:

@@ -214,6 +214,29 @@ impl Prepared {
         self.usable.iter().filter(|&&u| u).count()
     }
 
+    /// How far a step between neighbours near `t` is from a whole number of
+    /// sampling steps, as a part of one.
+    fn odd_step_near(&self, t: f64) -> f64 {
+        let from = self.t.partition_point(|&x| x < t - 0.2);
+        let to = self.t.partition_point(|&x| x <= t + 0.2);
+        self.t[from..to]
+            .windows(2)
+            .map(|p| (p[1] - p[0]) / self.step_s)
+            .map(|steps| (steps - steps.round()).abs())
+            .fold(0.0, f64::max)
+    }
+
+    /// Samples that are there at all: a held sample is no sample.
+    fn real_count(&self) -> usize {
+        let held: usize = self
+            .faults
+            .iter()
+            .filter(|f| f.kind == FaultKind::CopiedSample && f.count * 5 > self.t.len())
+            .map(|f| f.samples.len())
+            .sum();
+        (self.t.len() - held).max(1)
+    }
+
     fn noise_variance(&self) -> f64 {
         self.noise.iter().map(|n| n * n).sum::<f64>() / 3.0
     }
@@ -365,7 +388,7 @@ fn related(
     let noise_variance = a.noise_variance() * gain(a) + b.noise_variance() * gain(b);
     let step = data_step(&smoothing);
     let fit_options = FitOptions {
-        iterations: 20,
+        iterations: 40,
         oversampling: (2.0 * std::f64::consts::PI.sqrt() * sigma_t / step).max(1.0),
         rate_sigma: 300e-6,
         noise_variance,
@@ -397,7 +420,7 @@ fn related(
             let parts = crosscheck::stretches(&best, 0.1);
             let changed_stretches = parts.len() > 1;
             if changed_stretches {
-                let share = leave_out_stretches(b, &parts);
+                let share = leave_out_stretches(a, b, &best.link, &parts);
                 largest_share *= share;
                 signal_b = b.signal(&smoothing);
                 data = signal_b.sampled(step);
@@ -596,7 +619,7 @@ fn leave_out_outliers(
 
 /// Keeps the stretches that agree with the one that weighs most; returns the
 /// share of the information that is kept.
-fn leave_out_stretches(b: &mut Prepared, parts: &[Stretch]) -> f64 {
+fn leave_out_stretches(a: &mut Prepared, b: &mut Prepared, link: &Link, parts: &[Stretch]) -> f64 {
     // Group stretches whose displacement is the same.
     let share_near = |centre: f64| -> f64 {
         parts
@@ -617,17 +640,33 @@ fn leave_out_stretches(b: &mut Prepared, parts: &[Stretch]) -> f64 {
             share += part.share;
             continue;
         }
-        let samples: Vec<usize> = (0..b.t.len())
-            .filter(|&k| b.usable[k] && b.t[k] >= part.from - 0.05 && b.t[k] <= part.to + 0.05)
+        // The stream whose timestamps are odd at the ends of the stretch.
+        let oddness = |p: &Prepared, time: &dyn Fn(f64) -> f64| {
+            let at = |t: f64| p.odd_step_near(time(t));
+            at(part.from).max(at(part.to))
+        };
+        let of_a = oddness(a, &|t| link.a_time(t)) > oddness(b, &|t| t);
+        let (stream, from, to) = if of_a {
+            (&mut *a, link.a_time(part.from), link.a_time(part.to))
+        } else {
+            (&mut *b, part.from, part.to)
+        };
+        let samples: Vec<usize> = (0..stream.t.len())
+            .filter(|&k| {
+                stream.usable[k]
+                    && stream.t[k] >= from - STRETCH_MARGIN_S
+                    && stream.t[k] <= to + STRETCH_MARGIN_S
+            })
             .collect();
-        b.leave_out(
-            FaultKind::TimestampStep,
-            samples,
-            Some(main.shift_s - part.shift_s),
-        );
+        let displacement = part.shift_s - main.shift_s;
+        let displacement = if of_a { displacement } else { -displacement };
+        stream.leave_out(FaultKind::TimestampStep, samples, Some(displacement));
     }
     share
 }
+
+/// Left out on either side of a displaced stretch: its ends are known to a block.
+const STRETCH_MARGIN_S: f64 = 0.15;
 
 /// Stretches closer than this belong together, seconds.
 const SAME_SHIFT_S: f64 = 50e-6;
@@ -720,8 +759,8 @@ fn judged(
         "rad/s rms",
         "one motion does not explain the other: not rigidly attached, or not recordings of the same twist",
     ));
-    let total_kept = a.usable_count() as f64 / a.t.len().max(1) as f64;
-    let kept = total_kept.min(b.usable_count() as f64 / b.t.len().max(1) as f64);
+    let part = |p: &Prepared| p.usable_count() as f64 / p.real_count() as f64;
+    let kept = part(a).min(part(b));
     report.gates.push(Gate::at_least(
         "usable",
         kept * 100.0,

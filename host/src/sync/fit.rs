@@ -262,7 +262,7 @@ pub fn fit(
         if nodes.len() < 4 * PARAMETERS {
             return None;
         }
-        if weights.is_none() && iteration > 1 {
+        if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
             (weights_now, quiet) = residual_weights(&nodes, options.oversampling);
         }
         quiet.apply(&mut nodes);
@@ -279,7 +279,7 @@ pub fn fit(
             }
             calibration.bias[row] += step[row * 4 + 3];
         }
-        if iteration > 2 && step[SHIFT].abs() < 2e-10 && step[RATE].abs() < 1e-9 {
+        if iteration > 2 && step[SHIFT].abs() < 1e-9 && step[RATE].abs() < 1e-9 {
             settled = true;
             break;
         }
@@ -317,6 +317,9 @@ pub fn fit(
         settled,
     })
 }
+
+/// Iteration from which the weights stay, so that the fit settles.
+const WEIGHTS_FROZEN: usize = 8;
 
 /// Weights over time: below 1 in stretches whose residual is well above the usual.
 #[derive(Debug, Clone, Default)]

@@ -2,7 +2,8 @@
 //!
 //! Pure functions on slices: no input or output, no global state. Times are f64
 //! seconds relative to a reference, so that a clock that reads 10⁶ s costs no
-//! precision. Each module derives what it computes.
+//! precision. Each module derives what it computes; the whole is described in
+//! `docs/sync-math.md`, and measured in `docs/sync-study.md`.
 //!
 //! [`estimate_offset`] takes two recordings ([`GyroTrack`]) and gives an
 //! [`Estimate`] with a [`ClockModel`], or a [`Refusal`] with reasons.

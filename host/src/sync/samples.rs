@@ -29,6 +29,8 @@ const CLASS_Z: f64 = 8.0;
 const CLASS_Z_SCATTER: f64 = 6.0;
 /// Least displacement of a class, as a part of the sampling step.
 const CLASS_STEP: f64 = 0.04;
+/// Predictions in a block whose scatter is judged together.
+const SCALE_BLOCK: usize = 64;
 /// Neighbours on each side.
 const SIDE: usize = 3;
 
@@ -102,10 +104,8 @@ pub fn check(
     }
 
     let total = usable.iter().filter(|&&u| u).count();
-    for _ in 0..24 {
-        let against = predictions(t, w, usable, step_s, &[]);
-        let noise = noise_of(&against);
-        let Some(class) = displaced_class(&against, &noise, step_s) else {
+    for _ in 0..12 {
+        let Some(class) = next_class(t, w, usable, step_s) else {
             break;
         };
         let members: Vec<usize> = (0..t.len())
@@ -219,10 +219,14 @@ fn predictions(
         }
         let (first, last) = (near[SIDE - 1], near[2 * SIDE - 1]);
         let left = near[..SIDE].iter().copied().min().unwrap_or(first);
-        if t[last] - t[left] > 4.0 * SIDE as f64 * step_s {
+        let k = kept[at];
+        let near_enough = |reach: f64, i: usize| (t[k] - t[i]).abs() < reach * step_s;
+        // The nearest on each side close, all six not far: across a gap the
+        // prediction errs in proportion to the rate of any vibration.
+        let close = near_enough(2.6, near[0]) && near_enough(2.6, near[SIDE]);
+        if !close || t[last] - t[left] > 4.0 * SIDE as f64 * step_s {
             return;
         }
-        let k = kept[at];
         let mut predicted = [0.0; 3];
         let mut gain = 1.0;
         for (i, &n) in near.iter().enumerate() {
@@ -385,8 +389,9 @@ fn stale_copies(
 ) -> (Vec<usize>, Option<f64>) {
     let displacement = |pairs: &[(usize, usize)]| {
         let (mut top, mut bottom) = (0.0, 0.0);
-        for a in predictions(t, w, usable, step_s, pairs) {
-            let (score, information) = score(&a, noise);
+        let against = predictions(t, w, usable, step_s, pairs);
+        for (a, variance) in against.iter().zip(local_variances(&against, noise)) {
+            let (score, information) = score(a, &variance);
             top += score;
             bottom += information;
         }
@@ -399,7 +404,8 @@ fn stale_copies(
     let is_displaced = |d: f64| d.abs() > 0.5 * step_s;
     // Runs of equal samples: the sensor is slower than the stream, and only the
     // first of each run is fresh.
-    let chains = pairs.windows(2).filter(|p| p[0].1 == p[1].0).count() * 3 > pairs.len();
+    let held = pairs.len() * 5 > usable.iter().filter(|&&u| u).count() * 2;
+    let chains = held || pairs.windows(2).filter(|p| p[0].1 == p[1].0).count() * 3 > pairs.len();
     // (leave out the first, leave out the second, staleness)
     let (drop_first, drop_second, stale) = if chains {
         (false, true, None)
@@ -420,15 +426,55 @@ fn stale_copies(
     (out, stale)
 }
 
+/// Variance of the prediction errors around each sample: the noise, or more
+/// where the rig vibrates (from blocks of [`SCALE_BLOCK`] predictions, robust).
+fn local_variances(against: &[Against], noise: &Vec3) -> Vec<Vec3> {
+    let mut out = Vec::with_capacity(against.len());
+    for block in against.chunks(SCALE_BLOCK) {
+        let local = noise_of(block);
+        let variance: Vec3 =
+            std::array::from_fn(|axis| local[axis].max(noise[axis]).powi(2).max(1e-12));
+        out.extend(std::iter::repeat_n(variance, block.len()));
+    }
+    out
+}
+
 /// Contribution of one sample to a displacement: score and information.
-fn score(a: &Against, noise: &Vec3) -> (f64, f64) {
+fn score(a: &Against, variance: &Vec3) -> (f64, f64) {
     let (mut score, mut information) = (0.0, 0.0);
     for axis in 0..3 {
-        let variance = (noise[axis] * noise[axis]).max(1e-12);
+        let variance = variance[axis];
         score -= a.error[axis] * a.slope[axis] / variance;
         information += a.slope[axis] * a.slope[axis] / variance;
     }
     (score, information)
+}
+
+/// The most significant displaced class among the usable samples.
+fn next_class(t: &[f64], w: &[Vec3], usable: &[bool], step_s: f64) -> Option<Class> {
+    let search = |usable: &[bool], periods| {
+        let against = predictions(t, w, usable, step_s, &[]);
+        let noise = noise_of(&against);
+        displaced_class(&against, &noise, step_s, periods)
+    };
+    let class = search(usable, 2..=LONGEST_PERIOD)?;
+    if class.period > 2 {
+        return Some(class);
+    }
+    // Every fourth (sixth, ...) sample displaced spoils every second prediction
+    // and looks like period 2. If leaving out that class leaves nothing, it was it.
+    for period in [4, 6, 8] {
+        if let Some(finer) = search(usable, period..=period) {
+            let mut without = usable.to_vec();
+            for k in (finer.phase..without.len()).step_by(finer.period) {
+                without[k] = false;
+            }
+            if search(&without, 2..=LONGEST_PERIOD).is_none() {
+                return Some(finer);
+            }
+        }
+    }
+    Some(class)
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -449,17 +495,23 @@ struct Sums {
     members: usize,
 }
 
-fn displaced_class(against: &[Against], noise: &Vec3, step_s: f64) -> Option<Class> {
+fn displaced_class(
+    against: &[Against],
+    noise: &Vec3,
+    step_s: f64,
+    periods: std::ops::RangeInclusive<usize>,
+) -> Option<Class> {
     let scored: Vec<(usize, f64, f64)> = against
         .iter()
-        .map(|a| {
-            let (score, information) = score(a, noise);
+        .zip(local_variances(against, noise))
+        .map(|(a, variance)| {
+            let (score, information) = score(a, &variance);
             (a.index, score, information)
         })
         .collect();
     let mut best: Option<(f64, Class)> = None;
     let mut sums = [Sums::default(); LONGEST_PERIOD];
-    for period in 2..=LONGEST_PERIOD {
+    for period in periods {
         sums[..period].fill(Sums::default());
         for &(index, score, information) in &scored {
             let sum = &mut sums[index % period];

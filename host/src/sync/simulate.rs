@@ -61,6 +61,8 @@ pub struct TwistSpec {
     pub motion: Motion,
     /// Length of each recording, seconds.
     pub duration_s: f64,
+    /// Rest before and after a twist, seconds.
+    pub rest_s: f64,
     /// The phone's recording starts this much later, seconds.
     pub phone_starts_s: f64,
     /// The phone sees another motion altogether.
@@ -100,6 +102,7 @@ impl Default for TwistSpec {
         Self {
             motion: Motion::Twist(2.0, 4.0),
             duration_s: 9.0,
+            rest_s: 1.0,
             phone_starts_s: 0.3,
             unrelated: false,
             skew_ppm: 20.0,
@@ -212,9 +215,11 @@ struct Rates {
 }
 
 impl Rates {
-    fn new(rng: &mut Pcg64, motion: Motion, end_s: f64) -> Self {
+    fn new(rng: &mut Pcg64, motion: Motion, rest_s: f64, end_s: f64) -> Self {
         let (low, high, slowest, fastest, rest_s) = match motion {
-            Motion::Twist(low, high) | Motion::SingleAxis(low, high) => (low, high, 0.5, 3.5, 1.0),
+            Motion::Twist(low, high) | Motion::SingleAxis(low, high) => {
+                (low, high, 0.5, 3.5, rest_s)
+            }
             Motion::Natural(low, high) => (low, high, 0.05, 1.5, 0.0),
             Motion::Still => (0.0, 0.0, 0.5, 3.5, 0.0),
         };
@@ -423,8 +428,8 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     } else {
         spec.duration_s
     };
-    let rates = Rates::new(&mut rng, spec.motion, moving_until);
-    let other = Rates::new(&mut rng, spec.motion, moving_until);
+    let rates = Rates::new(&mut rng, spec.motion, spec.rest_s, moving_until);
+    let other = Rates::new(&mut rng, spec.motion, spec.rest_s, moving_until);
     let turn = Rotation3::from_axis_angle(
         &Unit::new_normalize(direction(&mut rng)),
         rng.random_range(0.0..std::f64::consts::PI),
@@ -621,6 +626,15 @@ pub fn scenarios() -> Vec<Scenario> {
                 ..base
             },
             6.0,
+        ),
+        scenario(
+            "60 s, moved for 7 s",
+            TwistSpec {
+                duration_s: 60.0,
+                rest_s: 26.5,
+                ..base
+            },
+            4.0,
         ),
         Scenario {
             honest: false,

@@ -19,6 +19,9 @@ use super::robust;
 /// Below this number of jumps a sawtooth's mean is uncertain.
 pub const FEW_RESETS: usize = 3;
 
+/// Largest jump that is taken for a sawtooth's reset with fewer of them.
+const LARGEST_LONE_RESET_S: f64 = 100e-6;
+
 /// Timestamps after the checks.
 #[derive(Debug, Clone)]
 pub struct Timestamps {
@@ -192,6 +195,10 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         .filter(|s| (*s / size - 1.0).abs() < 0.4)
         .count();
     if alike * 5 < sizes.len() * 4 {
+        return;
+    }
+    // One or two large jumps are a step of the clock, not a sawtooth.
+    if jumps.len() < FEW_RESETS && size.abs() > LARGEST_LONE_RESET_S {
         return;
     }
     // Accumulated jumps, without the straight line through them.
