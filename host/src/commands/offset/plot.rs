@@ -17,7 +17,49 @@ const AXES: [RGBColor; 3] = [
     RGBColor(40, 140, 60),
     RGBColor(0, 90, 160),
 ];
+/// The axes of the board, under the phone's.
+const PALE_AXES: [RGBColor; 3] = [
+    RGBColor(245, 175, 180),
+    RGBColor(170, 225, 180),
+    RGBColor(165, 205, 240),
+];
 const LEFT_OUT: RGBColor = RGBColor(150, 0, 170);
+/// Width of the panel right of the data, for the legend, as a share of the data's.
+const LEGEND: f64 = 0.11;
+
+/// What is drawn in a panel under one name.
+struct Series {
+    name: &'static str,
+    color: RGBColor,
+    style: Style,
+    points: Points,
+}
+
+enum Style {
+    /// A line of this width.
+    Line(u32),
+    Dots,
+}
+
+impl Series {
+    const fn line(name: &'static str, color: RGBColor, points: Points) -> Self {
+        Self {
+            name,
+            color,
+            style: Style::Line(1),
+            points,
+        }
+    }
+
+    const fn dots(name: &'static str, color: RGBColor, points: Points) -> Self {
+        Self {
+            name,
+            color,
+            style: Style::Dots,
+            points,
+        }
+    }
+}
 
 /// Draws the panels as SVG text.
 ///
@@ -53,8 +95,10 @@ pub(super) fn svg(
             &panels[0],
             "Before: magnitude of the rate, each from its own first sample",
             "rad/s",
-            &[("board", BOARD, norm(mcu)), ("phone", PHONE, norm(phone))],
-            &[],
+            &[
+                Series::line("board", BOARD, norm(mcu)),
+                Series::line("phone", PHONE, norm(phone)),
+            ],
         )?;
         let out_of = |track: &GyroTrack, stream: Stream| -> Vec<(f64, f64)> {
             compare::left_out(faults, stream, track.len())
@@ -87,10 +131,9 @@ pub(super) fn svg(
             &panels[3],
             "Left out (samples as recorded, each from its own first sample)",
             "rad/s",
-            &[("board", BOARD, Vec::new()), ("phone", PHONE, Vec::new())],
             &[
-                (BOARD, out_of(mcu, Stream::Mcu)),
-                (LEFT_OUT, out_of(phone, Stream::Phone)),
+                Series::dots("board", BOARD, out_of(mcu, Stream::Mcu)),
+                Series::dots("phone", PHONE, out_of(phone, Stream::Phone)),
             ],
         )?;
         root.present().map_err(text)?;
@@ -128,16 +171,15 @@ fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<()>
             .map(|p| (p.board_s - start, of(p)[axis]))
             .collect()
     };
-    let mut series = Vec::new();
-    for (axis, name) in ["board x", "board y", "board z"].into_iter().enumerate() {
-        series.push((name, BOARD.mix(1.0), lines(|p| p.mcu, axis)));
-    }
-    for (axis, name) in ["phone x", "phone y", "phone z"].into_iter().enumerate() {
-        series.push((name, AXES[axis].mix(0.9), lines(|p| p.phone, axis)));
-    }
-    let series: Vec<(&str, RGBColor, Points)> = series
-        .into_iter()
-        .map(|(name, color, points)| (name, RGBColor(color.0, color.1, color.2), points))
+    let board = ["board x", "board y", "board z"];
+    let phone = ["phone x", "phone y", "phone z"];
+    // The board wide and pale below, the phone thin on top of it.
+    let series: Vec<Series> = (0..3)
+        .map(|axis| Series {
+            style: Style::Line(5),
+            ..Series::line(board[axis], PALE_AXES[axis], lines(|p| p.mcu, axis))
+        })
+        .chain((0..3).map(|axis| Series::line(phone[axis], AXES[axis], lines(|p| p.phone, axis))))
         .collect();
     panel(
         area,
@@ -150,7 +192,6 @@ fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<()>
         ),
         "rad/s",
         &series,
-        &[],
     )
 }
 
@@ -163,22 +204,21 @@ fn residual(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<
             .map(|p| (p.board_s - start, 1e3 * (p.phone[axis] - p.mcu[axis])))
             .collect()
     };
-    let series: Vec<(&str, RGBColor, Points)> = ["x", "y", "z"]
+    let mut series: Vec<Series> = ["x", "y", "z"]
         .into_iter()
         .enumerate()
-        .map(|(axis, name)| (name, AXES[axis], points(true, axis)))
+        .map(|(axis, name)| Series::line(name, AXES[axis], points(true, axis)))
         .collect();
-    let marks: Vec<(RGBColor, Points)> =
-        (0..3).map(|axis| (LEFT_OUT, points(false, axis))).collect();
+    let out = (0..3).flat_map(|axis| points(false, axis)).collect();
+    series.push(Series::dots("left out", LEFT_OUT, out));
     panel(
         area,
         &format!(
-            "Residual phone − board, samples as recorded; in band {:.2} mrad/s rms; dots: left out",
+            "Residual phone − board, samples as recorded; in band {:.2} mrad/s rms",
             estimate.report.residual_rms.unwrap_or(f64::NAN) * 1e3
         ),
         "mrad/s",
         &series,
-        &marks,
     )
 }
 
@@ -194,20 +234,10 @@ fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     }
 }
 
-fn panel(
-    area: &Area<'_, '_>,
-    caption: &str,
-    unit: &str,
-    series: &[(&str, RGBColor, Points)],
-    marks: &[(RGBColor, Points)],
-) -> Result<()> {
-    let all = || {
-        series
-            .iter()
-            .flat_map(|s| &s.2)
-            .chain(marks.iter().flat_map(|m| &m.1))
-    };
-    let (x, y) = (range(all().map(|p| p.0)), range(all().map(|p| p.1)));
+fn panel(area: &Area<'_, '_>, caption: &str, unit: &str, series: &[Series]) -> Result<()> {
+    let all = || series.iter().flat_map(|s| &s.points);
+    let (mut x, y) = (range(all().map(|p| p.0)), range(all().map(|p| p.1)));
+    x.end += LEGEND * (x.end - x.start);
     let mut chart: ChartContext<'_, SVGBackend<'_>, Cartesian2d<RangedCoordf64, RangedCoordf64>> =
         ChartBuilder::on(area)
             .caption(caption, ("sans-serif", 20))
@@ -223,24 +253,32 @@ fn panel(
         .y_desc(unit)
         .draw()
         .map_err(text)?;
-    for (name, color, points) in series {
-        let color = *color;
-        chart
-            .draw_series(LineSeries::new(
-                points.iter().copied(),
-                color.stroke_width(1),
-            ))
-            .map_err(text)?
-            .label(*name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color));
-    }
-    for (color, points) in marks {
-        chart
-            .draw_series(points.iter().map(|&p| Circle::new(p, 2, color.filled())))
-            .map_err(text)?;
+    for one in series {
+        let color = one.color;
+        match one.style {
+            Style::Line(width) => {
+                let points = one.points.iter().copied();
+                chart
+                    .draw_series(LineSeries::new(points, color.stroke_width(width)))
+                    .map_err(text)?
+                    .label(one.name)
+                    .legend(move |(x, y)| {
+                        PathElement::new([(x, y), (x + 18, y)], color.stroke_width(width))
+                    });
+            }
+            Style::Dots => {
+                let dots = one.points.iter();
+                chart
+                    .draw_series(dots.map(|&p| Circle::new(p, 2, color.filled())))
+                    .map_err(text)?
+                    .label(one.name)
+                    .legend(move |(x, y)| Circle::new((x + 9, y), 3, color.filled()));
+            }
+        }
     }
     chart
         .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
         .border_style(BLACK)
         .background_style(WHITE.mix(0.8))
         .draw()
