@@ -60,7 +60,8 @@ enum Command {
         #[arg(long, default_value_t = 10, requires = "extract")]
         depth_minutes: u32,
     },
-    /// Drift after twists and natural motion, simulated.
+    /// Drift after twists and natural motion, simulated: the tables of
+    /// docs/sync-study.md.
     Study {
         /// Sessions per case.
         #[arg(long, default_value_t = 60)]
