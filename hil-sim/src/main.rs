@@ -18,6 +18,8 @@ struct Cli {
 enum Command {
     /// Run the board and offer its USB serial port as a pseudo-terminal.
     Serve(commands::serve::Args),
+    /// Run a whole session on the simulated rig and judge it by the truth.
+    Demo(commands::demo::Args),
     /// Measure the simulator and the firmware in it.
     Bench(commands::bench::Args),
 }
@@ -25,6 +27,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => commands::serve::run(&args),
+        Command::Demo(args) => commands::demo::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
     };
     match result {

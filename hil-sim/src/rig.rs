@@ -707,6 +707,14 @@ impl Rig {
         self.usb(|s| s.tim2_count())
     }
 
+    /// The present value of TIM2's counter, and the virtual time at which it
+    /// took it. TIM2 runs without a prescaler, so from this one pair follows
+    /// the tick at which its hardware latches any other time.
+    #[must_use]
+    pub fn tim2_tick(&self) -> (SimTime, u32) {
+        self.usb(|s| s.tim2_tick())
+    }
+
     /// The firmware's image and symbols.
     #[must_use]
     pub fn firmware(&self) -> &Firmware {

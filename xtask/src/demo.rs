@@ -1,58 +1,48 @@
-//! The demo: the firmware's ELF on the simulated board, and the host tool that
-//! talks to it through a pseudo-terminal as it would to a real one.
+//! The demo: a whole session on the simulated rig, judged by the truth
+//! (`hil-sim demo`).
 
-use std::env;
-use std::io::{BufRead as _, BufReader};
-use std::path::Path;
-use std::process::{Child, Stdio};
+use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 
 use crate::process;
 
-/// Seconds of board time for which status messages are shown.
-const WATCH_SECONDS: &str = "10";
-
-/// The simulated board, ended with the demo however that ends.
-struct Board(Child);
-
-impl Drop for Board {
-    fn drop(&mut self) {
-        // It may have ended by itself; then there is nothing left to do.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+/// Options of `cargo xtask demo`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Seconds of board time to record.
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<u32>,
+    /// Write the figures to this file, as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Folder for the recording, the phone's files and the report [default: demo
+    /// in cargo's target folder]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
 }
 
-/// Boots the board, says hello, shows its status for ten seconds of board time.
-pub(crate) fn run(elf: &Path) -> Result<()> {
-    let bin = process::target_dir().join("release");
-    let program = |name: &str| bin.join(format!("{name}{}", env::consts::EXE_SUFFIX));
-    let mut child = process::command(program("hil-sim"))
-        .arg("serve")
-        .arg("--elf")
-        .arg(elf)
-        .stdout(Stdio::piped())
-        .spawn()
-        .context("cannot start the simulator")?;
-    let output = child.stdout.take();
-    let board = Board(child);
-    let output = output.context("the simulator has no output")?;
-    let mut line = String::new();
-    BufReader::new(output)
-        .read_line(&mut line)
-        .context("cannot read from the simulator")?;
-    let Some(port) = line.trim().strip_prefix("port: ") else {
-        bail!("the simulator did not name its port; it said {line:?}");
+/// Runs the demo with the programs that were just built.
+pub(crate) fn run(args: &Args, elf: &Path) -> Result<()> {
+    // The simulator runs at the root; the paths are those of whoever calls.
+    let here = std::env::current_dir()?;
+    let mut all = vec!["demo".to_owned()];
+    let mut option = |name: &str, value: Option<String>| {
+        if let Some(value) = value {
+            all.extend([name.to_owned(), value]);
+        }
     };
-    println!("the simulated board is at {port}");
-    process::run(process::command(program("smartdepthsync")).args([
-        "info",
-        "--port",
-        port,
-        "--watch",
-        WATCH_SECONDS,
-    ]))?;
-    drop(board);
-    Ok(())
+    let path = |path: &Path| here.join(path).display().to_string();
+    option("--seed", args.seed.map(|seed| seed.to_string()));
+    option("--seconds", args.seconds.map(|seconds| seconds.to_string()));
+    option("--json", args.json.as_deref().map(path));
+    let out = args
+        .out
+        .clone()
+        .unwrap_or_else(|| process::target_dir().join("demo"));
+    option("--out", Some(path(&out)));
+    process::run_hil_sim(&all, elf)
 }

@@ -9,6 +9,7 @@ mod demo;
 mod docs;
 mod evaluate_bench;
 mod extract_bench;
+mod figures;
 mod firmware;
 mod process;
 mod sync_bench;
@@ -39,8 +40,8 @@ enum Command {
     },
     /// Formatting, lints and the book.
     Check,
-    /// Boot the firmware on the simulated board and let the host tool talk to it.
-    Demo,
+    /// A whole session on the simulated rig, judged by the truth: table, report.
+    Demo(demo::Args),
     /// Measure; figures are ratios within one run.
     Bench {
         /// Only the speed of `smartdepthsync evaluate`.
@@ -69,6 +70,8 @@ enum Command {
     },
     /// Build the book into target/book and check its links.
     Docs,
+    /// Make the book's figures anew from simulated runs.
+    DocsFigures,
 }
 
 fn run(command: Command) -> Result<()> {
@@ -76,7 +79,7 @@ fn run(command: Command) -> Result<()> {
         Command::Build => build(),
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Check => check(),
-        Command::Demo => demo(),
+        Command::Demo(args) => demo(&args),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench {
             extract: true,
@@ -89,6 +92,7 @@ fn run(command: Command) -> Result<()> {
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
         Command::Docs => docs::build_and_check(),
+        Command::DocsFigures => figures::make(),
     }
 }
 
@@ -125,7 +129,8 @@ fn check() -> Result<()> {
     docs::build_and_check()
 }
 
-fn demo() -> Result<()> {
+fn demo(args: &demo::Args) -> Result<()> {
+    tools::ensure_program("ffmpeg", "ffmpeg")?;
     let elf = firmware::build()?;
     process::cargo([
         "build",
@@ -135,7 +140,7 @@ fn demo() -> Result<()> {
         "-p",
         "hil-sim",
     ])?;
-    demo::run(&elf)
+    demo::run(args, &elf)
 }
 
 fn bench() -> Result<()> {

@@ -316,6 +316,12 @@ impl Soc {
         self.tim[TIM2].count(self.now)
     }
 
+    /// Counter of TIM2, and the time at which it took this value.
+    pub(crate) fn tim2_tick(&self) -> (SimTime, u32) {
+        let tim = &self.tim[TIM2];
+        (tim.tick_began(self.now), tim.count(self.now))
+    }
+
     /// Time at which the first event is due, whatever it is.
     pub(crate) fn due(&self) -> SimTime {
         self.next_event

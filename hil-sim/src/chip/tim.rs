@@ -449,6 +449,11 @@ impl Tim {
         }
     }
 
+    /// Time of the last edge of the kernel clock, undivided, at or before `now`.
+    pub(crate) fn tick_began(&self, now: SimTime) -> SimTime {
+        self.clock.time_of(self.clock.edge_at(now))
+    }
+
     /// The counter's value, without any effect.
     pub(crate) fn count(&self, now: SimTime) -> u32 {
         if !self.running() {

@@ -1,25 +1,38 @@
-//! `hil-sim serve`: the board behind a pseudo-terminal, with its IMU at rest.
+//! `hil-sim serve`: the rig, with its board behind a pseudo-terminal and, if
+//! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
+//! typed against it as against hardware.
 
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use hil_sim::i2c::lock;
-use hil_sim::motion::Motion;
-use hil_sim::mpu9150::{Mpu9150, Mpu9150Config};
-use hil_sim::oscillator::{BoardTime, OscillatorConfig};
+use hil_sim::motion::MotionSpec;
+use hil_sim::owner_profile::owner_profile;
+use hil_sim::phone::{PhoneConfig, SimPhone, Surroundings};
 use hil_sim::pin::Pin;
 use hil_sim::pty::Pty;
-use hil_sim::random::{Seed, Stream};
+use hil_sim::random::Seed;
 use hil_sim::rig::Rig;
+use hil_sim::rig_config::{RigConfig, RigParts};
 use hil_sim::rtt::LogLine;
 use hil_sim::time::{SimDuration, SimTime};
+use hil_sim::true_clock::{BoardClockwork, TrueClock};
+use hil_sim::truth_recorder::TruthRecorder;
 use hil_sim::vcd_trace::VcdTrace;
 
 /// Virtual time between two looks at the pseudo-terminal.
 const STEP: SimDuration = SimDuration::from_millis(1);
+/// Virtual time between two looks at what the models have noted.
+const NOTE_STEP: SimDuration = SimDuration::from_millis(100);
+/// Board time from power-on within which the serial port is there.
+const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
+/// Wall time between two looks for a program that opens the port.
+const WAIT_STEP: Duration = Duration::from_millis(2);
 /// Bytes that wait for the program at the other end before the host stops
 /// asking the board for more, as an operating system does.
 const BUFFER: usize = 64 * 1024;
@@ -31,14 +44,39 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
     /// Pace virtual time by the wall clock; otherwise it runs as fast as it can.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "speed")]
     realtime: bool,
+    /// Virtual time passes at most so many times as fast as real time.
+    #[arg(long, value_name = "TIMES", value_parser = super::speed)]
+    speed: Option<f64>,
+    /// Once booted, let the board stand still until a program opens its port.
+    #[arg(long)]
+    wait_for_host: bool,
     /// Stop after so much virtual time, for example 10s or 5min.
     #[arg(long = "for", value_name = "DURATION", value_parser = humantime::parse_duration)]
     length: Option<Duration>,
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// How the rig moves: rest, twist, walk, a sequence such as
+    /// rest:5,twist:12,walk (seconds), or a CSV file (time in s, rate x, y, z in
+    /// rad/s, optionally specific force x, y, z in m/s²).
+    #[arg(long, value_name = "MOTION", default_value = "rest")]
+    motion: MotionSpec,
+    /// Switch the phone on; its app listens on this port of 127.0.0.1 (0: a free one).
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "6969")]
+    phone: Option<u16>,
+    /// Folder of the phone's files; a temporary one that goes with the phone if
+    /// not given.
+    #[arg(long, value_name = "DIR", requires = "phone")]
+    phone_files: Option<PathBuf>,
+    /// Write the rig profile of this rig's owner to this file, for
+    /// `smartdepthsync record --profile`.
+    #[arg(long, value_name = "FILE", requires = "phone")]
+    profile: Option<PathBuf>,
+    /// Write what really happened to this file, as JSON lines.
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
     /// Write the edges of the board's pins to this file, for a wave viewer.
     #[arg(long, value_name = "FILE")]
     vcd: Option<PathBuf>,
@@ -66,14 +104,17 @@ const TRACED: [(Pin, &str); 11] = [
 ];
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let seed = Seed(args.seed);
-    let board_time = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-    let config = Mpu9150Config::typical(seed);
-    let sensor = Mpu9150::new(config, Motion::rest(), board_time, seed).shared();
-    let mut builder = Rig::builder()
-        .seed(seed)
-        .model(sensor.clone())
-        .i2c_target(sensor);
+    let config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
+    let parts = config.build()?;
+    let mut builder = parts.wire(Rig::builder());
+    let clock = TrueClock::new();
+    let phone = match args.phone {
+        None => None,
+        Some(port) => {
+            builder = builder.model(BoardClockwork::new(parts.board.clone(), clock.clone()));
+            Some(start_phone(args, &parts, &clock, port)?)
+        }
+    };
     if let Some(elf) = &args.elf {
         builder = builder.elf(elf);
     }
@@ -89,35 +130,100 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
         let vcd = VcdTrace::new(BufWriter::new(file), &TRACED)
             .with_context(|| format!("cannot write {}", path.display()))?;
-        let shared = std::sync::Arc::new(std::sync::Mutex::new(vcd));
-        builder = builder.model(std::sync::Arc::clone(&shared));
+        let shared = Arc::new(std::sync::Mutex::new(vcd));
+        builder = builder.model(Arc::clone(&shared));
         trace = Some(shared);
     }
     let mut rig = builder.build()?;
     let pty = Pty::new().context("cannot make a pseudo-terminal")?;
     println!("port: {}", pty.path().display());
+    if let Some(phone) = &phone {
+        println!("phone: {}", phone.address());
+    }
     std::io::stdout().flush()?;
 
-    let result = pump(args, &mut rig, &pty);
+    let stopped = Arc::new(AtomicBool::new(false));
+    let stop = Arc::clone(&stopped);
+    ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed))
+        .context("cannot watch for Ctrl-C")?;
+
+    let mut truth = match &args.truth {
+        None => None,
+        Some(path) => {
+            let cannot = || format!("cannot write {}", path.display());
+            let file = BufWriter::new(File::create(path).with_context(cannot)?);
+            Some(TruthRecorder::new(file, &mut rig, &parts).with_context(cannot)?)
+        }
+    };
+
+    let result = pump(args, &mut rig, &pty, &stopped, |rig| {
+        match &mut truth {
+            Some(truth) => truth.poll(rig)?,
+            // Nobody wants it.
+            None => drop(parts.take_records()),
+        }
+        Ok(())
+    });
+    let noted = truth.map_or(Ok(()), |mut truth| {
+        truth.poll(&mut rig)?;
+        truth.flush()
+    });
+    // Whoever waits for true time waits in vain now.
+    clock.stop();
+    drop(phone);
     if let Some(trace) = trace {
         lock(&trace)
             .flush()
             .context("the trace could not be written")?;
     }
-    result
+    result?;
+    noted.context("the truth could not be written")
 }
 
-fn pump(args: &Args, rig: &mut Rig, pty: &Pty) -> Result<()> {
+/// Switches the phone on, and writes the profile that goes with it.
+fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> Result<SimPhone> {
+    let mut config = PhoneConfig::draw(parts.config.seed);
+    config.storage.clone_from(&args.phone_files);
+    let surroundings = Surroundings {
+        clock: clock.clone(),
+        motion: Arc::clone(&parts.motion),
+        light: Arc::new(parts.flashes.clone()),
+    };
+    let phone = SimPhone::start(config, surroundings, port)?;
+    if let Some(path) = &args.profile {
+        std::fs::write(path, owner_profile(&parts.config, &phone)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(phone)
+}
+
+/// Runs the board and moves bytes; calls `note` every now and then.
+fn pump(
+    args: &Args,
+    rig: &mut Rig,
+    pty: &Pty,
+    stopped: &AtomicBool,
+    mut note: impl FnMut(&mut Rig) -> Result<()>,
+) -> Result<()> {
     rig.usb_set_buffer_limit(BUFFER);
     rig.usb_open(false);
     let end = args
         .length
         .map(|d| SimTime::from_nanos(u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)));
-    let begun = Instant::now();
+    let stopped = || stopped.load(Ordering::Relaxed);
+    if args.wait_for_host {
+        rig.run_until_usb_ready(BOOT_LIMIT)?;
+    }
+    while args.wait_for_host && !pty.is_open()? && !stopped() {
+        std::thread::sleep(WAIT_STEP);
+    }
+    let speed = args.speed.or(args.realtime.then_some(1.0));
+    let (began, begun) = (rig.now(), Instant::now());
+    let mut next_note = rig.now();
     let mut open = false;
     let mut waiting: Vec<u8> = Vec::new();
     let mut buffer = [0; 4096];
-    while end.is_none_or(|end| rig.now() < end) {
+    while end.is_none_or(|end| rig.now() < end) && !stopped() {
         let is_open = pty.is_open()?;
         if is_open != open {
             open = is_open;
@@ -129,6 +235,10 @@ fn pump(args: &Args, rig: &mut Rig, pty: &Pty) -> Result<()> {
             rig.usb_write(buffer.get(..n).unwrap_or(&[]));
         }
         rig.run_for(STEP)?;
+        if rig.now() >= next_note {
+            note(rig)?;
+            next_note = rig.now() + NOTE_STEP;
+        }
         if waiting.is_empty() {
             waiting = rig.usb_read();
         }
@@ -140,8 +250,10 @@ fn pump(args: &Args, rig: &mut Rig, pty: &Pty) -> Result<()> {
                 waiting.clear();
             }
         }
-        if args.realtime {
-            let ahead = Duration::from_nanos(rig.now().as_nanos()).saturating_sub(begun.elapsed());
+        if let Some(speed) = speed {
+            let run = rig.now().as_nanos() - began.as_nanos();
+            let due = Duration::from_nanos(run).div_f64(speed);
+            let ahead = due.saturating_sub(begun.elapsed());
             if !ahead.is_zero() {
                 std::thread::sleep(ahead);
             }

@@ -50,6 +50,12 @@ impl FrameTimes {
         self.first_ns.saturating_add(since)
     }
 
+    /// Distance of frames, in nanoseconds of the boot clock.
+    #[must_use]
+    pub fn period_ns(&self) -> f64 {
+        self.camera.frame_period_ns
+    }
+
     /// True middle of exposure of the middle row of frame `n`, in nanoseconds
     /// of the boot clock.
     #[must_use]

@@ -1,0 +1,61 @@
+//! `hil-sim demo`: a whole session on the simulated rig, judged by the truth.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use hil_sim::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
+
+/// Options of `demo`.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Seconds of board time to record.
+    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_SECONDS,
+          value_parser = clap::value_parser!(u32).range(i64::from(*SECONDS.start())..=i64::from(*SECONDS.end())))]
+    seconds: u32,
+    /// Write the figures to this file, as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Folder for the recording, the phone's files and the report.
+    #[arg(long, value_name = "DIR", default_value = "target/demo")]
+    out: PathBuf,
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    /// The program of the session; the `smartdepthsync` beside this one by default.
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// Virtual time passes at most so many times as fast as real time.
+    #[arg(long, default_value_t = 15.0, value_parser = super::speed)]
+    speed: f64,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let program = match &args.program {
+        Some(program) => program.clone(),
+        None => std::env::current_exe()
+            .context("cannot find this program's folder")?
+            .with_file_name(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX)),
+    };
+    let done = demo::run(&DemoOptions {
+        seed: args.seed,
+        seconds: args.seconds,
+        out: args.out.clone(),
+        elf: args.elf.clone(),
+        program,
+        speed: args.speed,
+        record_args: Vec::new(),
+    })?;
+    println!("\n{}", done.figures.table());
+    println!("recording  {}", done.recording.display());
+    println!("report     {}", done.report.display());
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&done.figures)?;
+        std::fs::write(path, json + "\n")
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        println!("figures    {}", path.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,322 @@
+//! What a session decided, against what was true.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use protocol::Ticks;
+use serde::Serialize;
+use smartdepthsync::recording::reader::{Item, Reader};
+use smartdepthsync::recording::session_file::SessionFile;
+use smartdepthsync::sync::ClockModel;
+
+use crate::clock::{Clock, Rate};
+use crate::depth_camera::{FrameRecord, Source};
+use crate::frame_phase::{PhaseError, PhaseSummary, phase_errors, summarise};
+use crate::oscillator::{BoardTime, Oscillator};
+use crate::phone::VideoTruth;
+use crate::running_rig::RunTruth;
+use crate::time::SimTime;
+
+/// Ticks of the board in a second of its time.
+const TICK_HZ: u64 = protocol::TICK_HZ as u64;
+
+/// What is known about a run that nobody in it knew.
+#[derive(Clone, Debug)]
+pub struct Truth {
+    /// The board's crystal.
+    pub board: BoardTime,
+    /// The phone's clock.
+    pub phone: Oscillator,
+    /// The phone's videos.
+    pub videos: Vec<VideoTruth>,
+    /// All frames of the depth camera, in order.
+    pub depth: Vec<FrameRecord>,
+    /// When the board's tick count was zero, to within [`Timebase::NEAR`].
+    pub timebase: Timebase,
+}
+
+/// An error with what was said about it, µs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OffsetError {
+    /// Stated minus true, µs.
+    pub error_us: f64,
+    /// Stated 1-sigma, µs.
+    pub sigma_us: f64,
+}
+
+/// A session judged.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The relation of the clocks that the trigger was aligned by, at the
+    /// beginning of the recorded span.
+    pub offset_start: OffsetError,
+    /// The relation that was best known in the end, at the end of the span.
+    pub offset_end: OffsetError,
+    /// Phase of the frames over the recorded span.
+    pub phase: PhaseSummary,
+    /// The same, frame by frame.
+    pub phases: Vec<PhaseError>,
+    /// Pulses in the recording's whole span.
+    pub pulses: u64,
+    /// IMU samples likewise.
+    pub imu_samples: u64,
+    /// Pulses and samples that the recording says are missing, and frames of the
+    /// phone without a depth frame within half a frame.
+    pub lost: u64,
+    /// Length of the recorded span, seconds of board time.
+    pub recorded_s: f64,
+}
+
+/// Relation of the board's tick count to its time.
+#[derive(Clone, Copy, Debug)]
+pub struct Timebase {
+    clock: Clock,
+}
+
+impl Timebase {
+    /// How many ticks a first guess may be off: far less than the shortest period.
+    pub const NEAR: u64 = 100;
+
+    /// The tick count that was zero at `zero`.
+    #[must_use]
+    pub fn new(zero: SimTime) -> Self {
+        Self {
+            clock: Clock::new(Rate::hz(TICK_HZ), zero, 0),
+        }
+    }
+
+    /// The same made exact, from pulses as the board timed them and their edges
+    /// as the depth camera saw them: the board stamps an edge with its compare
+    /// value, so the difference is the same for all. This one must be right to
+    /// within [`Timebase::NEAR`].
+    ///
+    /// # Errors
+    ///
+    /// The edges are not pulses of the recording.
+    pub fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
+        let edges: Vec<SimTime> = frames
+            .iter()
+            .filter_map(|f| match f.source {
+                Source::Pulse { edge, .. } => Some(edge),
+                Source::FreeRun => None,
+            })
+            .collect();
+        let first = edges
+            .first()
+            .context("the depth camera has seen no pulse")?;
+        let about = self.ticks(*first).0;
+        let from = pulses.partition_point(|p| p.0 + Self::NEAR < about);
+        let exact = pulses
+            .get(from)
+            .filter(|p| p.0 <= about + Self::NEAR)
+            .and_then(|p| zero_of(*first, *p))
+            .map(Self::new)
+            .context("the depth camera's first edge is no pulse of the recording")?;
+        let strange = edges
+            .iter()
+            .filter(|e| pulses.binary_search(&exact.ticks(**e)).is_err())
+            .count();
+        if strange > 0 {
+            bail!(
+                "{strange} of {} edges that the depth camera saw are no pulses of the recording",
+                edges.len()
+            );
+        }
+        Ok(exact)
+    }
+
+    /// The tick count at a board time.
+    #[must_use]
+    pub fn ticks(&self, at: SimTime) -> Ticks {
+        Ticks(self.clock.edge_at(at))
+    }
+
+    /// The board time of a tick.
+    #[must_use]
+    pub fn time(&self, ticks: Ticks) -> SimTime {
+        self.clock.time_of(ticks.0)
+    }
+}
+
+/// The board time at which the count was zero, if it was `ticks` at `edge`.
+fn zero_of(edge: SimTime, ticks: Ticks) -> Option<SimTime> {
+    let units =
+        u128::from(ticks.0) * u128::from(crate::time::UNITS_PER_SECOND) / u128::from(TICK_HZ);
+    let units = u64::try_from(units).ok()?;
+    edge.units().checked_sub(units).map(SimTime::from_units)
+}
+
+/// Pulses and number of IMU samples of a recording.
+fn read_streams(folder: &Path) -> Result<(Vec<Ticks>, u64)> {
+    let mut pulses = Vec::new();
+    let mut samples = 0;
+    for entry in Reader::open(folder)? {
+        match entry?.item {
+            Item::Pulse(pulse) => pulses.push(Ticks(pulse.ticks)),
+            Item::Imu(_) => samples += 1,
+            _ => {}
+        }
+    }
+    pulses.sort_unstable();
+    Ok((pulses, samples))
+}
+
+impl Truth {
+    /// What a run has left.
+    ///
+    /// # Errors
+    ///
+    /// The board's timer never ran, or there was no phone.
+    pub fn of(run: RunTruth) -> Result<Self> {
+        let zero = run.zero.context("the board's timer never ran")?;
+        Ok(Self {
+            board: run.parts.board,
+            phone: run.phone_clock.context("the rig has no phone")?,
+            videos: run.videos,
+            depth: run.depth,
+            timebase: Timebase::new(zero),
+        })
+    }
+
+    /// What the phone's clock truly read at a tick, minus the board's time, in
+    /// nanoseconds.
+    fn offset_ns(&self, base: &Timebase, at: Ticks) -> f64 {
+        let true_time = self.board.true_at(base.time(at));
+        let phone = i128::from(self.phone.nanos_at(true_time));
+        // 125 / 6 ns a tick: whole nanoseconds and the remainder apart.
+        let scaled = i128::from(at.0) * 125;
+        (phone - scaled / 6) as f64 - (scaled % 6) as f64 / 6.0
+    }
+
+    /// How wrong a stated relation is at a tick.
+    fn error_of(&self, model: &ClockModel, base: &Timebase, at: Ticks) -> OffsetError {
+        let stated = model.offset_at(at.into());
+        OffsetError {
+            error_us: stated.value * 1e6 - self.offset_ns(base, at) * 1e-3,
+            sigma_us: stated.sigma * 1e6,
+        }
+    }
+
+    /// Judges the recording in `folder`.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be read, or a part that is judged is missing in it.
+    pub fn judge(&self, folder: &Path) -> Result<Verdict> {
+        let session = SessionFile::load(folder)?;
+        let (pulses, imu_samples) = read_streams(folder)?;
+        let base = self.timebase.refined(&pulses, &self.depth)?;
+        let alignment = session
+            .alignment
+            .context("the session has aligned nothing")?;
+        let clock = session
+            .clock
+            .context("the session knows no relation of the clocks")?;
+        let span = session
+            .recorded
+            .context("the session has recorded nothing")?;
+        let video = self
+            .videos
+            .last()
+            .context("the phone has recorded no video")?;
+
+        let phone_ns = |at: Ticks| self.phone.nanos_at(self.board.true_at(base.time(at)));
+        let (from, to) = (phone_ns(span.from), phone_ns(span.to));
+        let first = video.frames.complete_at(from);
+        let count = video
+            .frames
+            .complete_at(to)
+            .min(video.count.unwrap_or(usize::MAX));
+        let phases = phase_errors(&video.frames, first..count, &self.phone, &self.depth);
+        let phase = summarise(&phases).context("the recorded span has no frames")?;
+        // A pair further apart than a quarter of a frame is none.
+        let quarter_us = video.frames.period_ns() * 0.25e-3;
+        let unpaired = phases
+            .iter()
+            .filter(|p| p.error_us.abs() > quarter_us)
+            .count();
+        let lost = session.counts.lost() + unpaired as u64;
+        Ok(Verdict {
+            offset_start: self.error_of(&alignment.clock, &base, span.from),
+            offset_end: self.error_of(&clock, &base, span.to),
+            phase,
+            phases,
+            pulses: pulses.len() as u64,
+            imu_samples,
+            lost,
+            recorded_s: (span.to - span.from).as_secs_f64(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::oscillator::{OscillatorConfig, TrueTime};
+
+    fn frame(edge: SimTime) -> FrameRecord {
+        FrameRecord {
+            number: 0,
+            source: Source::Pulse { number: 0, edge },
+            first_flash: edge,
+            center: edge,
+            center_true: TrueTime::ZERO,
+            device_ticks: 0,
+            bad: false,
+            delivered: true,
+        }
+    }
+
+    #[test]
+    fn the_timebase_is_made_exact_though_the_camera_misses_pulses() {
+        let zero = SimTime::from_nanos(2_345_678);
+        let base = Timebase::new(zero);
+        let pulses: Vec<Ticks> = (0..300u64)
+            .map(|k| Ticks(5_000_000_000 + k * 1_600_000))
+            .collect();
+        let frames: Vec<FrameRecord> = pulses[2..290]
+            .iter()
+            .map(|&p| frame(base.time(p)))
+            .collect();
+        for off_ns in [0, 1_500, -1_500] {
+            let about = SimTime::from_nanos(2_345_678u64.saturating_add_signed(off_ns));
+            let found = Timebase::new(about).refined(&pulses, &frames).unwrap();
+            for &pulse in &pulses {
+                assert_eq!(found.ticks(base.time(pulse)), pulse);
+            }
+        }
+        assert!(base.refined(&pulses[5..], &frames).is_err());
+        assert!(base.refined(&pulses, &[]).is_err());
+    }
+
+    #[test]
+    fn a_true_relation_has_no_error() {
+        let config = |offset_ns, rate_ppm| OscillatorConfig {
+            offset_ns,
+            rate_ppm,
+            wander: 0.0,
+        };
+        let random = || crate::random::Seed(1).stream(crate::random::Stream::Test);
+        let truth = Truth {
+            board: BoardTime::new(config(0, 20.0), random()),
+            phone: Oscillator::new(config(4_000_000_000_000, -30.0), random()),
+            videos: Vec::new(),
+            depth: Vec::new(),
+            timebase: Timebase::new(SimTime::from_nanos(1_000_000)),
+        };
+        let base = truth.timebase;
+        let at = Ticks(48_000_000 * 100);
+        let skew = (1.0 - 30e-6) / (1.0 + 20e-6) - 1.0;
+        let model = ClockModel {
+            reference: Ticks(48_000_000 * 40).into(),
+            offset: truth.offset_ns(&base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
+            skew,
+            covariance: [[1e-12, 0.0], [0.0, 0.0]],
+            wander: smartdepthsync::sync::Wander(0.0),
+        };
+        let error = truth.error_of(&model, &base, at);
+        // 3 µs of error were put in.
+        assert!((error.error_us - 3.0).abs() < 0.01, "{error:?}");
+        assert!((error.sigma_us - 1.0).abs() < 1e-6, "{error:?}");
+    }
+}
