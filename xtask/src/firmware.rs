@@ -37,7 +37,24 @@ enum Route {
 
 /// Builds the firmware in the release profile and returns its ELF.
 pub(crate) fn build() -> Result<PathBuf> {
-    cargo_for_target(&["build", "--release"])?;
+    built(&["build", "--release"])
+}
+
+/// Builds the firmware with a wrong PLL factor, beside the right one: the name
+/// of its ELF ends in `-wrong-pll`. A test of the simulator runs it. To be
+/// called before [`build`], which leaves the right one under its own name.
+pub(crate) fn build_with_wrong_pll() -> Result<()> {
+    let elf = built(&["build", "--release", "--features", "wrong-pll"])?;
+    let mut kept = elf.clone().into_os_string();
+    kept.push("-wrong-pll");
+    std::fs::copy(&elf, &kept)
+        .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
+    Ok(())
+}
+
+/// Runs cargo and returns the ELF that it leaves.
+fn built(args: &[&str]) -> Result<PathBuf> {
+    cargo_for_target(args)?;
     let elf = process::target_dir()
         .join(TARGET)
         .join("release")

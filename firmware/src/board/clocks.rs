@@ -32,7 +32,11 @@ pub(crate) fn config() -> Config {
     config.rcc.pll = Some(Pll {
         prediv: PllPreDiv::DIV4,
         mul: PllMul::MUL96,
-        divp: Some(PllPDiv::DIV2),
+        divp: Some(if cfg!(feature = "wrong-pll") {
+            PllPDiv::DIV4
+        } else {
+            PllPDiv::DIV2
+        }),
         divq: Some(PllQDiv::DIV4),
         divr: None,
     });

@@ -19,6 +19,9 @@
 pub(crate) mod exec;
 pub(crate) mod op;
 
+#[cfg(test)]
+mod differential;
+
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rsemu::core::device::{Device, ResetKind};
