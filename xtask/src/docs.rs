@@ -15,9 +15,14 @@ use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
 
+/// Fails on any broken local link of the book.
+pub(crate) fn check() -> Result<()> {
+    check_links(&process::root().join("docs"))
+}
+
 /// Builds the book into `target/book` and fails on any broken local link.
 pub(crate) fn build_and_check() -> Result<()> {
-    check_links(&process::root().join("docs"))?;
+    check()?;
     let mdbook = tools::ensure_cargo_tool(
         "mdbook",
         MDBOOK_VERSION,

@@ -48,6 +48,7 @@ struct StatusReport {
     cpu_percent: f64,
     stack_used: u32,
     stack_size: u32,
+    /// Since the board's reset; without a host everything is dropped.
     dropped: protocol::Dropped,
     link: LinkCounters,
     connects: u32,
@@ -83,6 +84,7 @@ fn watch(
 ) -> anyhow::Result<Outcome> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let mut silent_since = board.now();
+    let mut before = None;
     while board.session().latest().0 < end {
         if context.interrupt.requested() {
             return Ok(Outcome::Interrupted);
@@ -95,8 +97,9 @@ fn watch(
                 silent_since = board.now();
                 let report = StatusReport::from(&status);
                 if !context.global.json {
-                    context.print(&report, || report.text())?;
+                    context.print(&report, || report.text(before))?;
                 }
+                before.get_or_insert(total(&report.dropped));
                 reports.push(report);
             }
             Some(_) => {}
@@ -181,16 +184,32 @@ impl From<&Status> for StatusReport {
     }
 }
 
+/// Messages dropped on all streams.
+fn total(dropped: &protocol::Dropped) -> u64 {
+    [
+        dropped.answers,
+        dropped.pulses,
+        dropped.captures,
+        dropped.imu,
+        dropped.status,
+    ]
+    .iter()
+    .map(|&count| u64::from(count))
+    .sum()
+}
+
 impl StatusReport {
-    fn text(&self) -> String {
-        let dropped = &self.dropped;
-        let dropped = u64::from(dropped.answers)
-            + u64::from(dropped.pulses)
-            + u64::from(dropped.captures)
-            + u64::from(dropped.imu)
-            + u64::from(dropped.status);
+    /// In words. `before` is what had been dropped by the first status: all that
+    /// was made while no host was connected, which is no loss to this one.
+    fn text(&self, before: Option<u64>) -> String {
+        let dropped = total(&self.dropped);
+        let dropped = match before {
+            Some(before) => format!("dropped {}", dropped.saturating_sub(before)),
+            None if dropped == 0 => String::from("dropped 0"),
+            None => format!("dropped 0 ({dropped} before)"),
+        };
         format!(
-            "{:>10.3} s  CPU {:>4.1} %  stack {}/{} bytes  dropped {dropped}  IMU {:?}, {} samples",
+            "{:>10.3} s  CPU {:>4.1} %  stack {}/{} bytes  {dropped}  IMU {:?}, {} samples",
             self.uptime_s,
             self.cpu_percent,
             self.stack_used,
