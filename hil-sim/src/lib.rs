@@ -6,6 +6,7 @@
 
 mod backtrace;
 pub mod board_link;
+pub mod board_truth;
 mod chip;
 pub mod clock;
 pub mod cpu;
@@ -18,6 +19,7 @@ pub mod i2c;
 pub mod i2c_bus;
 pub mod inertial_channel;
 pub mod k4a_mkv;
+pub mod long_run;
 pub mod model;
 pub mod motion;
 pub mod mpu9150;

@@ -22,6 +22,8 @@ enum Command {
     Demo(commands::demo::Args),
     /// Measure the simulator and the firmware in it.
     Bench(commands::bench::Args),
+    /// Hours of trigger, IMU and strobe in one run, every edge compared.
+    LongRun(commands::long_run::Args),
 }
 
 fn main() -> ExitCode {
@@ -29,6 +31,7 @@ fn main() -> ExitCode {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
+        Command::LongRun(args) => commands::long_run::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 pub(crate) mod demo;
+pub(crate) mod long_run;
 pub(crate) mod serve;
 
 /// How many times as fast as real time virtual time may pass.
