@@ -141,6 +141,8 @@ impl CommonArgs {
             middle_row: self.middle_row,
             exposure_us: self.exposure,
             row_time_us: self.row_time,
+            row_time_hint_us: None,
+            exposure_hint_us: None,
             near_us: self.near.unwrap_or(0.0),
             path_delay_us: self.path_delay,
             keep_flicker: self.keep_flicker,

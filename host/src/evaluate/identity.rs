@@ -178,6 +178,7 @@ fn extras(fits: &[FrameFit], shape: &Shape, excess: Option<f64>, settings: &Sett
         .filter(|&j| {
             settings
                 .exposure_us
+                .or(settings.exposure_hint_us)
                 .is_none_or(|known| (exposure(j) - known).abs() < 0.25 * pitch)
         })
         .collect();

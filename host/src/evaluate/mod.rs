@@ -79,6 +79,13 @@ pub struct Settings {
     pub exposure_us: Option<f64>,
     /// Row time, µs, if known (to about 0.5 %).
     pub row_time_us: Option<f64>,
+    /// Row time found in another recording of the same camera, µs: tried first.
+    #[serde(skip)]
+    pub row_time_hint_us: Option<f64>,
+    /// Exposure that the phone reported, µs: tried first, and decides where whole
+    /// pitches of exposure are open.
+    #[serde(skip)]
+    pub exposure_hint_us: Option<f64>,
     /// Bias that is expected, µs: decides where whole pitches are open.
     pub near_us: f64,
     /// Delay of the light path from strobe to LED, µs; subtracted.
@@ -102,6 +109,8 @@ impl Default for Settings {
             middle_row: None,
             exposure_us: None,
             row_time_us: None,
+            row_time_hint_us: None,
+            exposure_hint_us: None,
             near_us: 0.0,
             path_delay_us: 0.0,
             keep_flicker: false,
@@ -113,14 +122,12 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// With the exposure that the recording's session knows, unless one is given.
+    /// With the exposure that the recording's session knows, as a hint.
     #[must_use]
     pub fn with_session(&self, recording: &Recording) -> Self {
         let known = recording.applied.map(|a| a.exposure_us);
         Self {
-            exposure_us: self
-                .exposure_us
-                .or(known.filter(|e| (1.0..=1e5).contains(e))),
+            exposure_hint_us: known.filter(|e| (1.0..=1e5).contains(e)),
             ..self.clone()
         }
     }

@@ -118,16 +118,22 @@ fn profile_panel(
     let first = recording.reducer.first_row() as f64;
     let smooth = paper::smooth(&track.mean_profile);
     let x = first..first + recording.rows.len as f64;
+    let rest = head(
+        area,
+        "Mean brightness of rows, with the fitted train",
+        &[
+            ("measured", MEASURED, Sign::Dot),
+            ("fitted", FITTED, Sign::Line),
+            ("flashes and middle row", MARK, Sign::Line),
+        ],
+    )?;
     let mut y = range(smooth.iter().chain(&track.fitted_profile).copied(), 0.08);
     y.end += 0.08 * (y.end - y.start);
     let top = y.end;
     let span = y.end - y.start;
-    let mut chart = ChartBuilder::on(area)
-        .caption(
-            "Mean brightness of rows, with the fitted train",
-            ("sans-serif", 18),
-        )
+    let mut chart = ChartBuilder::on(&rest)
         .margin(10)
+        .margin_top(0)
         .x_label_area_size(40)
         .y_label_area_size(60)
         .build_cartesian_2d(x, y)
@@ -136,6 +142,7 @@ fn profile_panel(
         .configure_mesh()
         .x_desc("sensor row")
         .y_desc("grey level")
+        .x_label_formatter(&|v| format!("{v:.0}"))
         .light_line_style(WHITE)
         .draw()
         .map_err(plot_error)?;
@@ -146,16 +153,16 @@ fn profile_panel(
             .map(|(i, &v)| (first + i as f64, v))
             .collect()
     };
-    for (name, values, color) in [
-        ("measured", &track.mean_profile, MEASURED),
-        ("fitted", &track.fitted_profile, FITTED),
-    ] {
-        chart
-            .draw_series(LineSeries::new(points(values), color))
-            .map_err(plot_error)?
-            .label(name)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color));
-    }
+    chart
+        .draw_series(
+            points(&track.mean_profile)
+                .into_iter()
+                .map(|p| Circle::new(p, 2, MEASURED.mix(0.5).filled())),
+        )
+        .map_err(plot_error)?;
+    chart
+        .draw_series(LineSeries::new(points(&track.fitted_profile), FITTED))
+        .map_err(plot_error)?;
     let bias = track.joint.mean_us + path_delay_us;
     let rows = flash_rows(recording, track, train, bias);
     chart
@@ -164,9 +171,7 @@ fn profile_panel(
                 + TriangleMarker::new((0, 12), 5, MARK.filled())
                 + Text::new(number.to_string(), (-4, -6), ("sans-serif", 14))
         }))
-        .map_err(plot_error)?
-        .label("flash")
-        .legend(|(x, y)| TriangleMarker::new((x + 9, y), 5, MARK.filled()));
+        .map_err(plot_error)?;
     let middle = middle_row(recording);
     let bottom = top - span;
     chart
@@ -174,28 +179,53 @@ fn profile_panel(
             [(middle, bottom), (middle, top)],
             MARK.mix(0.6),
         )])
-        .map_err(plot_error)?
-        .label("middle row")
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], MARK.mix(0.6)));
-    legend(&mut chart)
+        .map_err(plot_error)?;
+    Ok(())
 }
 
-fn legend<'a, 'b, X, Y>(
-    chart: &mut ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, Y>>,
-) -> Result<(), EvaluateError>
-where
-    X: Ranged<ValueType = f64>,
-    Y: Ranged<ValueType = f64>,
-    'b: 'a,
-{
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(MEASURED.mix(0.4))
-        .label_font(("sans-serif", 13))
-        .draw()
-        .map_err(plot_error)
+/// How an entry of a legend looks.
+#[derive(Clone, Copy)]
+enum Sign {
+    Line,
+    Dot,
+}
+
+/// The space above a chart for its title and legend, pixels.
+const HEAD: u32 = 58;
+
+/// Writes title and legend into the head of a picture and leaves the rest for the
+/// chart.
+fn head<'a>(
+    area: &Area<'a>,
+    title: &str,
+    entries: &[(&str, RGBColor, Sign)],
+) -> Result<Area<'a>, EvaluateError> {
+    let (top, rest) = area.split_vertically(HEAD);
+    top.draw(&Text::new(
+        title.to_owned(),
+        (70, 12),
+        ("sans-serif", 18).into_font(),
+    ))
+    .map_err(plot_error)?;
+    let mut x = 70;
+    for &(name, color, sign) in entries {
+        match sign {
+            Sign::Line => top.draw(&PathElement::new(
+                [(x, 46), (x + 18, 46)],
+                color.stroke_width(2),
+            )),
+            Sign::Dot => top.draw(&Circle::new((x + 9, 46), 3, color.filled())),
+        }
+        .map_err(plot_error)?;
+        top.draw(&Text::new(
+            name.to_owned(),
+            (x + 24, 40),
+            ("sans-serif", 13).into_font(),
+        ))
+        .map_err(plot_error)?;
+        x += 48 + 7 * name.chars().count() as i32;
+    }
+    Ok(rest)
 }
 
 fn histogram_panel(area: &Area<'_>, values: &[f64]) -> Result<(), EvaluateError> {
@@ -219,12 +249,17 @@ fn histogram_panel(area: &Area<'_>, values: &[f64]) -> Result<(), EvaluateError>
     }
     let highest = f64::from(counts.iter().copied().max().unwrap_or(1)) + 0.5;
     let start = x.start;
-    let mut chart = ChartBuilder::on(area)
-        .caption(
-            format!("Bias over {} launches", values.len()),
-            ("sans-serif", 18),
-        )
+    let rest = head(
+        area,
+        &format!("Bias over {} launches", values.len()),
+        &[
+            ("median", FITTED, Sign::Line),
+            ("quartiles", MEASURED, Sign::Line),
+        ],
+    )?;
+    let mut chart = ChartBuilder::on(&rest)
         .margin(10)
+        .margin_top(0)
         .x_label_area_size(40)
         .y_label_area_size(60)
         .build_cartesian_2d(x, 0.0..highest)
@@ -233,7 +268,14 @@ fn histogram_panel(area: &Area<'_>, values: &[f64]) -> Result<(), EvaluateError>
         .configure_mesh()
         .x_desc("bias, µs")
         .y_desc("launches")
-        .y_label_formatter(&|v| format!("{v:.0}"))
+        .y_labels((highest as usize + 1).min(10))
+        .y_label_formatter(&|v| {
+            if (v - v.round()).abs() < 1e-6 {
+                format!("{v:.0}")
+            } else {
+                String::new()
+            }
+        })
         .light_line_style(WHITE)
         .draw()
         .map_err(plot_error)?;
@@ -253,21 +295,14 @@ fn histogram_panel(area: &Area<'_>, values: &[f64]) -> Result<(), EvaluateError>
         let Some(at) = quantile(values, q) else {
             continue;
         };
-        let name = match q {
-            0.5 => "median",
-            _ if q < 0.5 => "quartiles",
-            _ => "",
-        };
-        let series = chart
-            .draw_series([PathElement::new([(at, 0.0), (at, highest)], color)])
+        chart
+            .draw_series([PathElement::new(
+                [(at, 0.0), (at, highest)],
+                color.stroke_width(2),
+            )])
             .map_err(plot_error)?;
-        if !name.is_empty() {
-            series
-                .label(name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color));
-        }
     }
-    legend(&mut chart)
+    Ok(())
 }
 
 fn drift_panel(area: &Area<'_>, drift: &EvaluatedDrift) -> Result<(), EvaluateError> {
@@ -285,15 +320,20 @@ fn drift_panel(area: &Area<'_>, drift: &EvaluatedDrift) -> Result<(), EvaluateEr
     let ends = [x.start, x.end].map(|t| (t, row(drift.line.at(t))));
     let y = range(points.iter().chain(&ends).map(|p| p.1), 0.1);
     let digits = (2.0 - (y.end - y.start).log10()).clamp(0.0, 6.0) as usize;
-    let mut chart = ChartBuilder::on(area)
-        .caption(
-            format!(
-                "Row of the train's centre against time: {:+.3} ± {:.3} µs/min",
-                drift.result.drift_us_per_min, drift.result.drift_sigma_us_per_min
-            ),
-            ("sans-serif", 18),
-        )
+    let rest = head(
+        area,
+        &format!(
+            "Row of the train's centre against time: {:+.3} ± {:.3} µs/min",
+            drift.result.drift_us_per_min, drift.result.drift_sigma_us_per_min
+        ),
+        &[
+            ("frames", MEASURED, Sign::Dot),
+            ("regression", FITTED, Sign::Line),
+        ],
+    )?;
+    let mut chart = ChartBuilder::on(&rest)
         .margin(10)
+        .margin_top(0)
         .x_label_area_size(40)
         .y_label_area_size(80)
         .build_cartesian_2d(x, y)
@@ -312,13 +352,9 @@ fn drift_panel(area: &Area<'_>, drift: &EvaluatedDrift) -> Result<(), EvaluateEr
                 .iter()
                 .map(|&p| Circle::new(p, 2, MEASURED.mix(0.5).filled())),
         )
-        .map_err(plot_error)?
-        .label("frames")
-        .legend(|(x, y)| Circle::new((x + 9, y), 3, MEASURED.mix(0.5).filled()));
+        .map_err(plot_error)?;
     chart
         .draw_series(LineSeries::new(ends, FITTED.stroke_width(2)))
-        .map_err(plot_error)?
-        .label("regression")
-        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], FITTED));
-    legend(&mut chart)
+        .map_err(plot_error)?;
+    Ok(())
 }

@@ -242,6 +242,11 @@ pub fn evaluate(
             break;
         }
         let expected = results.first().map(|r| (r.width, r.height));
+        // The recordings are of one camera.
+        let settings = &Settings {
+            row_time_hint_us: results.first().map(|r| r.row_time_us),
+            ..settings.clone()
+        };
         let evaluated = Recording::read(path, settings, expected, stop)
             .and_then(|r| evaluate_recording(r, settings, frames, with_paper));
         match evaluated {

@@ -257,39 +257,53 @@ fn picture(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
         STANDARD.encode(png.get_ref())
     );
-    let mut line = |row: f64, color: &str, label: &str| {
+    // Places in the reduced picture: the centre of a row's pixels.
+    let place = |row: f64| {
         let (line, vertical) = recording.reducer.image_line(row);
-        // Centre of the row's pixels in the reduced picture.
-        let at = (line + 0.5) / picture.reduction as f64;
-        let (x1, y1, x2, y2, tx, ty) = if vertical {
-            (at, 0.0, at, h as f64, at + 3.0, 14.0)
+        ((line + 0.5) / picture.reduction as f64, vertical)
+    };
+    let across = |row: f64, from: f64, to: f64| {
+        let (at, vertical) = place(row);
+        if vertical {
+            format!(
+                "x1=\"{at:.2}\" y1=\"{:.1}\" x2=\"{at:.2}\" y2=\"{:.1}\"",
+                from * h as f64,
+                to * h as f64
+            )
         } else {
-            (0.0, at, w as f64, at, 4.0, at - 3.0)
-        };
-        let _ = writeln!(
-            svg,
-            "<line x1=\"{x1:.2}\" y1=\"{y1:.2}\" x2=\"{x2:.2}\" y2=\"{y2:.2}\" stroke=\"{color}\" stroke-width=\"1.2\"/><text x=\"{tx:.1}\" y=\"{ty:.1}\" fill=\"{color}\" font-family=\"sans-serif\" font-size=\"14\">{label}</text>"
-        );
+            format!(
+                "x1=\"{:.1}\" y1=\"{at:.2}\" x2=\"{:.1}\" y2=\"{at:.2}\"",
+                from * w as f64,
+                to * w as f64
+            )
+        }
     };
     for (number, row) in flash_rows(recording, track, &settings.train, bias) {
-        line(row, "#ff6a3d", &format!("flash {number}, row {row:.2}"));
-    }
-    svg.push_str("<g stroke-dasharray=\"6 4\">\n");
-    let mut line = |row: f64| {
-        let (line, vertical) = recording.reducer.image_line(row);
-        let at = (line + 0.5) / picture.reduction as f64;
-        let (x1, y1, x2, y2) = if vertical {
-            (at, 0.0, at, h as f64)
+        // Only at the edges, so that the bands stay visible.
+        for (from, to) in [(0.0, 0.18), (0.82, 1.0)] {
+            let _ = writeln!(
+                svg,
+                "<line {} stroke=\"#ff6a3d\" stroke-width=\"1.2\"/>",
+                across(row, from, to)
+            );
+        }
+        let (at, vertical) = place(row);
+        let (x, y) = if vertical {
+            (at + 3.0, 14.0)
         } else {
-            (0.0, at, w as f64, at)
+            (4.0, at - 3.0)
         };
         let _ = writeln!(
             svg,
-            "<line x1=\"{x1:.2}\" y1=\"{y1:.2}\" x2=\"{x2:.2}\" y2=\"{y2:.2}\" stroke=\"#39a0ff\" stroke-width=\"1.2\"/>"
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"14\">flash {number}, row {row:.2}</text>"
         );
-    };
-    line(middle_row(recording));
-    svg.push_str("</g>\n</svg>\n");
+    }
+    let _ = writeln!(
+        svg,
+        "<line {} stroke=\"#39a0ff\" stroke-width=\"1.2\" stroke-dasharray=\"6 4\"/>",
+        across(middle_row(recording), 0.0, 1.0)
+    );
+    svg.push_str("</svg>\n");
     let _ = writeln!(
         svg,
         "<p>Frame {} of the recording. Dashed: the middle row.</p>",

@@ -28,7 +28,7 @@ use super::fit::{FrameFit, JointFit, Model, Prior, Priors};
 use super::identity::{Identity, identify, unwrap_track};
 use super::linear::{Basis, dot, polynomial_columns};
 use super::recording::Recording;
-use super::search::{CombSearch, WideSearch};
+use super::search::{CombSearch, Found, WideSearch};
 use super::stats::{mean, quantile};
 use super::store::StoredFrame;
 use super::train::Shape;
@@ -371,59 +371,83 @@ fn first_sight(
             .enumerate()
             .collect();
         order.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let wide = WideSearch::new(
-            recording.reducer.sensor_rows(),
-            settings.row_time_us,
-            settings.exposure_us,
-            settings.near_us,
-        );
         // A smooth curve with as many parameters as a train.
         let competitor = Basis::spanning(
             (model.smooth.columns().iter().cloned())
                 .chain(polynomial_columns(recording.rows.len, COMPETITOR_DEGREE)),
         );
-        let mut tried: Vec<usize> = Vec::new();
-        let mut best: Option<(f64, Shape)> = None;
-        for rank in [0.0, 0.1, 0.3, 0.5, 0.75] {
-            let at = (rank * (order.len().saturating_sub(1)) as f64) as usize;
-            let Some(&(index, _)) = order.get(at) else {
-                continue;
-            };
-            let Some(frame) = frames.get(index).filter(|_| !tried.contains(&index)) else {
-                continue;
-            };
-            tried.push(index);
-            let y = &model.detrend(&frame.rows);
-            let mut bent = y.clone();
-            competitor.remove_from(&mut bent);
-            let smooth_rss = dot(&bent, &bent);
-            for found in wide.run(recording.rows, &settings.train, y, &model.smooth) {
-                let joint = model.fit_joint(
-                    std::slice::from_ref(y),
-                    &[found.shape.bias_us],
-                    &found.shape,
-                    &priors(settings),
-                );
-                let shape = Shape {
-                    bias_us: joint.mean_us,
-                    row_time_us: joint.row_time_us,
-                    exposure_us: joint.exposure_us,
-                };
-                let fit = model.fit_frame(y, &shape);
-                let sharp = fit.rss <= (1.0 - SHARPER) * smooth_rss;
-                if sharp && is_train(&fit, PLAIN_SHARE) && best.is_none_or(|(s, _)| fit.share > s) {
-                    best = Some((fit.share, shape));
+        let candidates: Vec<&StoredFrame> = {
+            let last = order.len().saturating_sub(1) as f64;
+            let mut ranks: Vec<usize> = [0.0, 0.1, 0.3, 0.5, 0.75]
+                .iter()
+                .map(|r| (r * last) as usize)
+                .collect();
+            ranks.dedup();
+            ranks
+                .into_iter()
+                .filter_map(|at| frames.get(order.get(at)?.0))
+                .collect()
+        };
+        for wide in searches(recording, settings) {
+            for frame in &candidates {
+                let y = model.detrend(&frame.rows);
+                let mut bent = y.clone();
+                competitor.remove_from(&mut bent);
+                let smooth_rss = dot(&bent, &bent);
+                let found = wide.run(recording.rows, &settings.train, &y, &model.smooth);
+                if let Some(shape) = best_train(&model, &y, &found, smooth_rss, settings) {
+                    return Some((model, shape));
                 }
             }
-            if best.is_some() {
-                break;
-            }
-        }
-        if let Some((_, shape)) = best {
-            return Some((model, shape));
         }
     }
     None
+}
+
+/// Where to look: near what is known or was found before, then everywhere.
+fn searches(recording: &Recording, settings: &Settings) -> Vec<WideSearch> {
+    let rows = recording.reducer.sensor_rows();
+    let search = |row_time, exposure| WideSearch::new(rows, row_time, exposure, settings.near_us);
+    let hinted_row_time = settings.row_time_us.or(settings.row_time_hint_us);
+    let hinted_exposure = settings.exposure_us.or(settings.exposure_hint_us);
+    let mut all = vec![
+        search(hinted_row_time, hinted_exposure),
+        search(hinted_row_time, settings.exposure_us),
+        search(settings.row_time_us, settings.exposure_us),
+    ];
+    all.dedup();
+    all
+}
+
+/// Fits what a search found in one frame; the best that is a train.
+fn best_train(
+    model: &Model,
+    y: &[f64],
+    found: &[Found],
+    smooth_rss: f64,
+    settings: &Settings,
+) -> Option<Shape> {
+    let frame = [y.to_vec()];
+    found
+        .iter()
+        .filter_map(|found| {
+            let joint = model.fit_joint(
+                &frame,
+                &[found.shape.bias_us],
+                &found.shape,
+                &priors(settings),
+            );
+            let shape = Shape {
+                bias_us: joint.mean_us,
+                row_time_us: joint.row_time_us,
+                exposure_us: joint.exposure_us,
+            };
+            let fit = model.fit_frame(y, &shape);
+            let sharp = fit.rss <= (1.0 - SHARPER) * smooth_rss;
+            (sharp && is_train(&fit, PLAIN_SHARE)).then_some((fit.share, shape))
+        })
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, shape)| shape)
 }
 
 /// Searches and fits every frame.

@@ -160,11 +160,7 @@ pub fn find(
             ..RigFacts::default()
         }
     };
-    let phone = match phone {
-        Some(place) => files::find(place)?,
-        None if folder => files::find(recording)?,
-        None => None,
-    };
+    let phone = find_phone(folder.then_some(recording), phone)?;
     let depth = match depth {
         Some(path) => Some(depth_file(path)?),
         None if folder => find_depth(recording)?,
@@ -185,6 +181,28 @@ pub fn find(
         rig,
         remarks,
     })
+}
+
+/// The phone's files in the place that the user names, with the video that the
+/// session has fetched into the recording's folder; else all of them there.
+fn find_phone(
+    recording: Option<&Path>,
+    place: Option<&Path>,
+) -> Result<Option<PhoneFiles>, FilesError> {
+    let Some(place) = place else {
+        return recording.map_or(Ok(None), |folder| files::find(folder, None));
+    };
+    let own = recording.and_then(|folder| files::find(folder, None).ok().flatten());
+    let fetched = own.filter(|own| own.video.is_some());
+    let name = fetched.as_ref().map(|own| own.name.as_str());
+    let found = files::find(place, name)?;
+    Ok(found.map(|found| PhoneFiles {
+        video: found
+            .video
+            .clone()
+            .or_else(|| fetched.and_then(|own| own.video)),
+        ..found
+    }))
 }
 
 fn ends_with(path: &Path, endings: &[&str]) -> bool {

@@ -120,12 +120,13 @@ fn classify(name: &str) -> Option<(Part, &str)> {
 }
 
 /// Finds the files of the one video in a folder (three levels deep), or of the
-/// video that `place` is. `None` if there is nothing of a phone.
+/// video that `place` is. Where a folder holds several, the one called `wanted` is
+/// taken. `None` if there is nothing of a phone.
 ///
 /// # Errors
 ///
 /// The place cannot be read, or there are several videos.
-pub fn find(place: &Path) -> Result<Option<PhoneFiles>, FilesError> {
+pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<PhoneFiles>, FilesError> {
     let fail = |error| FilesError::Io {
         path: place.to_owned(),
         error,
@@ -150,21 +151,19 @@ pub fn find(place: &Path) -> Result<Option<PhoneFiles>, FilesError> {
             ..group
         }));
     }
-    // A video alone beside complete sets is still another recording; names that
-    // stand in one group only (a copy of one file) are too.
-    let best = groups.values().map(PhoneFiles::count).max().unwrap_or(0);
-    if groups.len() > 1 {
-        // With a set of CSV files and videos of any other name, the names tell
-        // nothing apart: only one set and one video belong together.
-        if let Some(joined) = join_renamed(&groups) {
-            return Ok(Some(joined));
-        }
-        return Err(FilesError::Several {
-            place: place.to_owned(),
-            names: groups.into_keys().collect(),
-        });
+    if groups.len() <= 1 {
+        return Ok(groups.into_values().next());
     }
-    Ok(groups.into_values().next().filter(|_| best > 0))
+    if let Some(group) = wanted.and_then(|wanted| groups.remove(wanted)) {
+        return Ok(Some(group));
+    }
+    if let Some(joined) = join_renamed(&groups) {
+        return Ok(Some(joined));
+    }
+    Err(FilesError::Several {
+        place: place.to_owned(),
+        names: groups.into_keys().collect(),
+    })
 }
 
 /// One video and one set of CSV files under another name: the video was renamed.
@@ -246,35 +245,37 @@ mod tests {
                 "notes.txt",
                 "twist_1_phone_gyro.csv",
             ]);
-            let found = find(folder.path()).unwrap().unwrap();
+            let found = find(folder.path(), None).unwrap().unwrap();
             assert_eq!(found.name, "VID_20210401_120000");
             assert_eq!(found.missing(), Vec::<&str>::new());
             assert!(found.frames.unwrap().ends_with(&frames));
             let video = folder.path().join("VID_20210401_120000.mp4");
-            assert!(find(&video).unwrap().unwrap().gyro.is_some());
+            assert!(find(&video, None).unwrap().unwrap().gyro.is_some());
         }
     }
 
     #[test]
     fn several_recordings_are_refused_by_name() {
         let folder = folder(&["a.mp4", "b.mp4", "agyro.csv", "bgyro.csv"]);
-        let error = find(folder.path()).unwrap_err().to_string();
+        let error = find(folder.path(), None).unwrap_err().to_string();
         assert!(error.contains("(a, b)"), "{error}");
-        let one = find(&folder.path().join("b.mp4")).unwrap().unwrap();
+        let one = find(&folder.path().join("b.mp4"), None).unwrap().unwrap();
         assert!(one.gyro.unwrap().ends_with("bgyro.csv"));
+        let named = find(folder.path(), Some("a")).unwrap().unwrap();
+        assert!(named.gyro.unwrap().ends_with("agyro.csv"));
     }
 
     #[test]
     fn a_renamed_video_still_belongs_to_its_set() {
         let folder = folder(&["video.mp4", "x/VID_1gyro.csv", "x/VID_1_timestamps.csv"]);
-        let found = find(folder.path()).unwrap().unwrap();
+        let found = find(folder.path(), None).unwrap().unwrap();
         assert!(found.video.is_some() && found.gyro.is_some() && found.frames.is_some());
         assert_eq!(found.missing(), ["accelerometer (accel.csv)"]);
     }
 
     #[test]
     fn nothing_is_nothing() {
-        assert_eq!(find(folder(&["readme.md"]).path()).unwrap(), None);
-        assert!(find(Path::new("no/such/place")).is_err());
+        assert_eq!(find(folder(&["readme.md"]).path(), None).unwrap(), None);
+        assert!(find(Path::new("no/such/place"), None).is_err());
     }
 }
