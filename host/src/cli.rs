@@ -85,6 +85,12 @@ pub enum Command {
     Imu(commands::imu::Args),
     /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, topics
     Extract(commands::extract::Args),
+    /// Check a recording: checksums, losses, the pulses' grid, times
+    Verify(commands::verify::Args),
+    /// The HTML report of a recording, anew
+    Report(commands::report::Args),
+    /// Write what can be read of a damaged recording as a new, whole one
+    Repair(commands::repair::Args),
 }
 
 impl Command {
@@ -101,6 +107,9 @@ impl Command {
             Self::Trigger(args) => commands::trigger::run(args, context),
             Self::Imu(args) => commands::imu::run(args, context),
             Self::Extract(args) => commands::extract::run(args, context),
+            Self::Verify(args) => commands::verify::run(args, context),
+            Self::Report(args) => commands::report::run(args, context),
+            Self::Repair(args) => commands::repair::run(args, context),
         }
     }
 }

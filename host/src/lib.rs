@@ -8,10 +8,12 @@
 //! - [`profile`]: what is fixed about one rig.
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - [`recording`]: the folder of a session, written and read.
+//! - [`report`]: one self-contained HTML page, the same for all commands.
 //! - [`sync`]: the relation of two clocks from two gyroscopes. No I/O.
 //! - [`time`]: phone time and board time as types that do not mix.
 //! - [`evaluate`]: frame sync measured from the depth camera's strobes on video.
 //! - [`extract`]: recordings into datasets with timestamps in board time.
+//! - [`verify`]: checks and repairs recordings.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
@@ -28,7 +30,9 @@ pub mod phone;
 pub mod profile;
 pub mod record;
 pub mod recording;
+pub mod report;
 pub mod session;
 pub mod sync;
 pub mod time;
 pub mod transport;
+pub mod verify;

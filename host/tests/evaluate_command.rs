@@ -8,6 +8,9 @@ use std::time::Duration;
 use serde_json::Value;
 use smartdepthsync::evaluate::train::{Shape, TrainGeometry, row_light};
 
+#[path = "support/browser.rs"]
+mod browser;
+
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
 }
@@ -92,8 +95,15 @@ fn precision_of_image_folders_with_all_outputs() {
     assert!(json["timing"]["waiting_for_input_s"].as_f64().unwrap() >= 0.0);
     let svg = std::fs::read_to_string(&plot).unwrap();
     assert!(svg.contains("Bias over 3 launches"));
-    let html = std::fs::read_to_string(&html).unwrap();
-    assert!(html.contains("data:image/png;base64,") && html.contains("flash 5, row "));
+    browser::check(
+        Path::new(&html),
+        "evaluate",
+        &[
+            "data:image/png;base64,",
+            "flash 5, row ",
+            "after the middle of the phone",
+        ],
+    );
 
     let text = run(&["evaluate", "precision", &inputs[0]]);
     assert_eq!(text.code, 0);

@@ -9,10 +9,13 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// What the tests need beyond Rust: ffmpeg, and Python with public readers of
-/// the formats that we write.
+/// What the tests need beyond Rust: ffmpeg, a browser for the reports, a terminal
+/// emulator for the live view, and Python with public readers of the formats that
+/// we write.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
+    ensure_program("chromium", "chromium")?;
+    ensure_program("tmux", "tmux")?;
     ensure_python()?;
     Ok(())
 }
@@ -37,10 +40,10 @@ pub(crate) fn ensure_component(component: &str, subcommand: &str) -> Result<()> 
 
 /// Makes sure that `program` is on the path, from a Debian package if need be.
 pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
-    let version = if program == "ffmpeg" {
-        "-version"
-    } else {
-        "--version"
+    let version = match program {
+        "ffmpeg" => "-version",
+        "tmux" => "-V",
+        _ => "--version",
     };
     if process::answers(program, &[version]) {
         return Ok(());

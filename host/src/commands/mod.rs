@@ -10,7 +10,10 @@ pub mod phone;
 pub mod ports;
 pub mod profile;
 pub mod record;
+pub mod repair;
+pub mod report;
 pub mod trigger;
+pub mod verify;
 
 use crate::board::Board;
 use crate::outcome::Failure;

@@ -12,6 +12,7 @@ use crate::profile::Profile;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::recording::folder::check_name;
 use crate::recording::session_file::SessionFile;
+use crate::report::session;
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
@@ -81,6 +82,7 @@ pub fn parse_duration(text: &str) -> Result<u64, String> {
 #[derive(Debug, Serialize)]
 struct Report<'a> {
     folder: PathBuf,
+    report: Option<PathBuf>,
     #[serde(flatten)]
     session: &'a SessionFile,
 }
@@ -116,10 +118,19 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         folder,
         file,
     } = record::run(&options, &profile, context, &mut connector)?;
+    // The recording is there, whatever becomes of its report.
+    let html = match session::write(&folder, &file) {
+        Ok(path) => Some(path),
+        Err(error) => {
+            context.say(format!("warning: there is no report: {error}"));
+            None
+        }
+    };
     match result {
         Ok(outcome) => {
             let report = Report {
                 folder,
+                report: html,
                 session: &file,
             };
             context.print(&report, || summary(&report))?;
@@ -135,6 +146,9 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 fn summary(report: &Report<'_>) -> String {
     let session = report.session;
     let mut text = format!("recording    {}\n", report.folder.display());
+    if let Some(html) = &report.report {
+        let _ = writeln!(text, "report       {}", html.display());
+    }
     let seconds = |ticks: u64| ticks as f64 / f64::from(TICK_HZ);
     if let Some(span) = session.recorded {
         let _ = writeln!(

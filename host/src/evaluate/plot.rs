@@ -15,6 +15,8 @@ use super::train::TrainGeometry;
 /// Size of one picture, pixels.
 const WIDTH: u32 = 900;
 const HEIGHT: u32 = 380;
+/// Size of type: to be read when the picture is shrunk to a phone's width.
+const LABEL: i32 = 20;
 /// Points drawn of a long series.
 const MAX_POINTS: usize = 2000;
 
@@ -134,12 +136,14 @@ fn profile_panel(
     let mut chart = ChartBuilder::on(&rest)
         .margin(10)
         .margin_top(0)
-        .x_label_area_size(40)
-        .y_label_area_size(60)
+        .x_label_area_size(52)
+        .y_label_area_size(76)
         .build_cartesian_2d(x, y)
         .map_err(plot_error)?;
     chart
         .configure_mesh()
+        .label_style(("sans-serif", LABEL))
+        .axis_desc_style(("sans-serif", LABEL))
         .x_desc("sensor row")
         .y_desc("grey level")
         .x_label_formatter(&|v| format!("{v:.0}"))
@@ -169,7 +173,7 @@ fn profile_panel(
         .draw_series(rows.iter().map(|&(number, row)| {
             EmptyElement::at((row, top - 0.02 * span))
                 + TriangleMarker::new((0, 12), 5, MARK.filled())
-                + Text::new(number.to_string(), (-4, -6), ("sans-serif", 14))
+                + Text::new(number.to_string(), (-4, -6), ("sans-serif", LABEL))
         }))
         .map_err(plot_error)?;
     let middle = middle_row(recording);
@@ -204,7 +208,7 @@ fn head<'a>(
     top.draw(&Text::new(
         title.to_owned(),
         (70, 12),
-        ("sans-serif", 18).into_font(),
+        ("sans-serif", 20).into_font(),
     ))
     .map_err(plot_error)?;
     let mut x = 70;
@@ -219,11 +223,11 @@ fn head<'a>(
         .map_err(plot_error)?;
         top.draw(&Text::new(
             name.to_owned(),
-            (x + 24, 40),
-            ("sans-serif", 13).into_font(),
+            (x + 24, 38),
+            ("sans-serif", LABEL).into_font(),
         ))
         .map_err(plot_error)?;
-        x += 48 + 7 * name.chars().count() as i32;
+        x += 48 + 10 * name.chars().count() as i32;
     }
     Ok(rest)
 }
@@ -260,12 +264,14 @@ fn histogram_panel(area: &Area<'_>, values: &[f64]) -> Result<(), EvaluateError>
     let mut chart = ChartBuilder::on(&rest)
         .margin(10)
         .margin_top(0)
-        .x_label_area_size(40)
-        .y_label_area_size(60)
+        .x_label_area_size(52)
+        .y_label_area_size(76)
         .build_cartesian_2d(x, 0.0..highest)
         .map_err(plot_error)?;
     chart
         .configure_mesh()
+        .label_style(("sans-serif", LABEL))
+        .axis_desc_style(("sans-serif", LABEL))
         .x_desc("bias, µs")
         .y_desc("launches")
         .y_labels((highest as usize + 1).min(10))
@@ -334,12 +340,14 @@ fn drift_panel(area: &Area<'_>, drift: &EvaluatedDrift) -> Result<(), EvaluateEr
     let mut chart = ChartBuilder::on(&rest)
         .margin(10)
         .margin_top(0)
-        .x_label_area_size(40)
-        .y_label_area_size(80)
+        .x_label_area_size(52)
+        .y_label_area_size(92)
         .build_cartesian_2d(x, y)
         .map_err(plot_error)?;
     chart
         .configure_mesh()
+        .label_style(("sans-serif", LABEL))
+        .axis_desc_style(("sans-serif", LABEL))
         .x_desc("time, s")
         .y_desc("sensor row")
         .y_label_formatter(&|v| format!("{v:.digits$}"))

@@ -1,10 +1,11 @@
-//! A report as one HTML file without any other file: tables and pictures.
+//! The report of a measurement as a [`Page`].
 
 use std::fmt::Write as _;
 use std::io::Cursor;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use serde_json::json;
 
 use super::classify::{FrameCounts, Reference};
 use super::drift::EvaluatedDrift;
@@ -14,11 +15,7 @@ use super::precision::{Evaluated, Precision, Spread, middle_row};
 use super::recording::Recording;
 use super::track::Track;
 use super::{EvaluateError, Settings};
-
-const STYLE: &str = "body{font-family:sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#222}\
-table{border-collapse:collapse;margin:1rem 0}td,th{padding:.25rem .8rem;text-align:left;border-bottom:1px solid #ddd;vertical-align:top}\
-td.n{text-align:right;font-variant-numeric:tabular-nums}svg{max-width:100%;height:auto}\
-.note{background:#fff5d6;padding:.4rem .8rem;margin:.3rem 0}";
+use crate::report::{Level, Page};
 
 /// Report of a precision measurement.
 pub fn precision(
@@ -26,126 +23,183 @@ pub fn precision(
     shown: &Evaluated,
     settings: &Settings,
 ) -> Result<String, EvaluateError> {
-    let mut body = String::from("<h1>Frame sync: bias and precision</h1>\n");
-    body.push_str("<table>\n");
+    let (level, verdict) = precision_verdict(result);
+    let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
+    let mut facts = Vec::new();
     if let Some(bias) = &result.bias {
-        spread_rows(&mut body, "bias from perfect sync", bias);
+        spread_rows(&mut facts, "bias from perfect sync", bias);
     }
-    row(
-        &mut body,
-        "row time",
-        &format!(
+    facts.push((
+        String::from("row time"),
+        format!(
             "{:.4} ± {:.4} µs",
             result.row_time_us, result.row_time_sigma_us
         ),
-    );
+    ));
     if let Some(paper) = &result.paper_bias {
-        spread_rows(&mut body, "published pipeline: bias", paper);
+        spread_rows(&mut facts, "published pipeline: bias", paper);
         if let Some(t) = result.paper_row_time_us {
-            row(
-                &mut body,
-                "published pipeline: row time",
-                &format!("{t:.4} µs"),
-            );
+            facts.push((
+                String::from("published pipeline: row time"),
+                format!("{t:.4} µs"),
+            ));
         }
     }
-    body.push_str("</table>\n<h2>Recordings</h2>\n<table><tr><th>recording</th><th>bias, µs</th><th>1 σ, µs</th><th>row</th><th>row time, µs</th><th>which flash</th><th>frames</th></tr>\n");
+    page.facts(&facts);
+    page.section("Recordings");
+    let mut rows: Vec<Vec<String>> = result
+        .recordings
+        .iter()
+        .map(|r| {
+            vec![
+                r.path.display().to_string(),
+                format!("{:.3}", r.bias_us),
+                format!("{:.3}", r.sigma_us),
+                format!("{:.2}", r.row),
+                format!("{:.4}", r.row_time_us),
+                identity_text(&r.identity),
+                counts_text(&r.frames),
+            ]
+        })
+        .collect();
+    rows.extend(result.left_out.iter().map(|l| {
+        let mut row = vec![l.path.display().to_string()];
+        row.extend(std::iter::repeat_n(String::new(), 4));
+        row.push(format!("left out: {}", l.reason));
+        row.push(String::new());
+        row
+    }));
+    page.table(
+        &[
+            "recording",
+            "bias, µs",
+            "1 σ, µs",
+            "row",
+            "row time, µs",
+            "which flash",
+            "frames",
+        ],
+        &rows,
+    );
     for r in &result.recordings {
-        let _ = writeln!(
-            body,
-            "<tr><td>{}</td><td class=n>{:.3}</td><td class=n>{:.3}</td><td class=n>{:.2}</td><td class=n>{:.4}</td><td>{}</td><td>{}</td></tr>",
-            escape(&r.path.display().to_string()),
-            r.bias_us,
-            r.sigma_us,
-            r.row,
-            r.row_time_us,
-            identity_text(&r.identity),
-            counts_text(&r.frames),
+        notes(&mut page, &r.path.display().to_string(), &r.notes);
+    }
+    page.section("Frame with the rows found");
+    picture(&mut page, &shown.recording, &shown.track, settings)?;
+    page.section("Row profile and launches");
+    page.figure(
+        &plot::precision(result, shown, &settings.train, settings.path_delay_us)?,
+        "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
+         recordings, their biases.",
+    );
+    page.settings("Settings", &json!(settings));
+    Ok(page.html())
+}
+
+fn precision_verdict(result: &Precision) -> (Level, String) {
+    let open = result.recordings.iter().any(|r| !r.identity.unique);
+    let level = if open || !result.left_out.is_empty() {
+        Level::Warning
+    } else {
+        Level::Good
+    };
+    let mut text = match &result.bias {
+        Some(bias) => format!(
+            "The depth camera is exposed {:.1} ± {:.1} µs {} the middle of the phone's frame (mean \
+             of {} recordings).",
+            bias.mean_us.abs(),
+            bias.mean_sigma_us,
+            if bias.mean_us < 0.0 {
+                "before"
+            } else {
+                "after"
+            },
+            bias.count
+        ),
+        None => String::from("No recording gave a bias."),
+    };
+    if open {
+        text.push_str(
+            " Which flash is which is open: the bias may be off by whole pitches (see the table).",
         );
     }
-    for l in &result.left_out {
-        let _ = writeln!(
-            body,
-            "<tr><td>{}</td><td colspan=6>left out: {}</td></tr>",
-            escape(&l.path.display().to_string()),
-            escape(&l.reason)
+    if !result.left_out.is_empty() {
+        let _ = write!(
+            text,
+            " {} recordings could not be used.",
+            result.left_out.len()
         );
     }
-    body.push_str("</table>\n");
-    for r in &result.recordings {
-        notes(&mut body, &r.path.display().to_string(), &r.notes);
-    }
-    body.push_str("<h2>Frame with the rows found</h2>\n");
-    body.push_str(&picture(&shown.recording, &shown.track, settings)?);
-    body.push_str("<h2>Row profile and launches</h2>\n");
-    body.push_str(&plot::precision(
-        result,
-        shown,
-        &settings.train,
-        settings.path_delay_us,
-    )?);
-    Ok(page("Frame sync: precision", &body))
+    (level, text)
 }
 
 /// Report of a drift measurement.
 pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, EvaluateError> {
     let r = &drift.result;
-    let mut body = String::from("<h1>Frame sync: drift</h1>\n<table>\n");
-    row(
-        &mut body,
-        "recording",
-        &escape(&r.path.display().to_string()),
+    let level = if r.identity.unique && r.notes.is_empty() {
+        Level::Good
+    } else {
+        Level::Warning
+    };
+    let verdict = format!(
+        "Over {:.1} s the exposures move against each other by {:+.2} ± {:.2} µs a minute, from \
+         {:+.1} µs at the start to {:+.1} µs at the end.",
+        r.span_s,
+        r.drift_us_per_min,
+        r.drift_sigma_us_per_min,
+        r.bias_at_start_us,
+        r.bias_at_end_us
     );
-    row(
-        &mut body,
+    let mut page = Page::new("Frame sync: drift", level, &verdict);
+    let mut facts = Vec::new();
+    let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
+    fact("recording", r.path.display().to_string());
+    fact(
         "drift",
-        &format!(
+        format!(
             "{:+.4} ± {:.4} µs/min (1 σ)",
             r.drift_us_per_min, r.drift_sigma_us_per_min
         ),
     );
-    row(
-        &mut body,
+    fact(
         "bias",
-        &format!(
+        format!(
             "{:+.3} µs at the start, {:+.3} µs at the end, {:.1} s later",
             r.bias_at_start_us, r.bias_at_end_us, r.span_s
         ),
     );
-    row(
-        &mut body,
+    fact(
         "frames about the line",
-        &format!("{:.3} µs (standard deviation)", r.residual_sd_us),
+        format!("{:.3} µs (standard deviation)", r.residual_sd_us),
     );
-    row(
-        &mut body,
+    fact(
         "row time",
-        &format!("{:.4} ± {:.4} µs", r.row_time_us, r.row_time_sigma_us),
+        format!("{:.4} ± {:.4} µs", r.row_time_us, r.row_time_sigma_us),
     );
-    row(&mut body, "which flash", &identity_text(&r.identity));
-    row(&mut body, "frames", &counts_text(&r.frames));
-    row(&mut body, "scene taken from", reference_text(r.reference));
+    fact("which flash", identity_text(&r.identity));
+    fact("frames", counts_text(&r.frames));
+    fact("scene taken from", reference_text(r.reference).to_owned());
     if let Some(p) = &r.paper {
-        row(
-            &mut body,
+        fact(
             "published pipeline",
-            &format!(
+            format!(
                 "{:+.4} ± {:.4} µs/min from {} frames, row time {:.4} µs",
                 p.drift_us_per_min, p.drift_sigma_us_per_min, p.frames, p.row_time_us
             ),
         );
     }
-    body.push_str("</table>\n");
-    notes(&mut body, &r.path.display().to_string(), &r.notes);
-    body.push_str("<h2>Frame with the rows found</h2>\n");
-    body.push_str(&picture(&drift.recording, &drift.track, settings)?);
-    body.push_str("<h2>Row profile and drift</h2>\n");
-    body.push_str(&plot::drift(
-        drift,
-        &settings.train,
-        settings.path_delay_us,
-    )?);
-    Ok(page("Frame sync: drift", &body))
+    page.facts(&facts);
+    notes(&mut page, &r.path.display().to_string(), &r.notes);
+    page.section("Frame with the rows found");
+    picture(&mut page, &drift.recording, &drift.track, settings)?;
+    page.section("Row profile and drift");
+    page.figure(
+        &plot::drift(drift, &settings.train, settings.path_delay_us)?,
+        "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
+         against time with the fitted line.",
+    );
+    page.settings("Settings", &json!(settings));
+    Ok(page.html())
 }
 
 /// Which flash is which, in words.
@@ -202,42 +256,37 @@ pub const fn reference_text(reference: Reference) -> &'static str {
     }
 }
 
-fn spread_rows(out: &mut String, name: &str, s: &Spread) {
-    row(
-        out,
-        name,
-        &format!(
+fn spread_rows(facts: &mut Vec<(String, String)>, name: &str, s: &Spread) {
+    facts.push((
+        name.to_owned(),
+        format!(
             "mean {:+.3} ± {:.3} µs, median {:+.3} µs, {} recordings",
             s.mean_us, s.mean_sigma_us, s.median_us, s.count
         ),
-    );
+    ));
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
         (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
     {
-        row(
-            out,
-            "spread over recordings",
-            &format!("IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"),
-        );
+        facts.push((
+            String::from("spread over recordings"),
+            format!("IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"),
+        ));
     }
 }
 
-fn row(out: &mut String, name: &str, value: &str) {
-    let _ = writeln!(out, "<tr><th>{name}</th><td>{value}</td></tr>");
-}
-
-fn notes(out: &mut String, path: &str, notes: &[String]) {
+fn notes(page: &mut Page, path: &str, notes: &[String]) {
     for note in notes {
-        let _ = writeln!(out, "<p class=note>{}: {}</p>", escape(path), escape(note));
+        page.note(Level::Warning, &format!("{path}: {note}"));
     }
 }
 
 /// The frame with lines where the flashes were found.
 fn picture(
+    page: &mut Page,
     recording: &Recording,
     track: &Track,
     settings: &Settings,
-) -> Result<String, EvaluateError> {
+) -> Result<(), EvaluateError> {
     let picture = &recording.picture;
     let (w, h) = (picture.width, picture.height);
     let png_error = |e: image::ImageError| EvaluateError::Plot(e.to_string());
@@ -257,6 +306,8 @@ fn picture(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
         STANDARD.encode(png.get_ref())
     );
+    // Type in proportion to the picture, so that it can be read at any size.
+    let size = (0.03 * w.min(h) as f64).max(12.0);
     // Places in the reduced picture: the centre of a row's pixels.
     let place = |row: f64| {
         let (line, vertical) = recording.reducer.image_line(row);
@@ -295,7 +346,7 @@ fn picture(
         };
         let _ = writeln!(
             svg,
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"14\">flash {number}, row {row:.2}</text>"
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"{size:.0}\">flash {number}, row {row:.2}</text>"
         );
     }
     let _ = writeln!(
@@ -304,39 +355,19 @@ fn picture(
         across(middle_row(recording), 0.0, 1.0)
     );
     svg.push_str("</svg>\n");
-    let _ = writeln!(
-        svg,
-        "<p>Frame {} of the recording. Dashed: the middle row.</p>",
-        picture.index
+    page.picture(
+        &svg,
+        &format!(
+            "Frame {} of the recording. Dashed: the middle row.",
+            picture.index
+        ),
     );
-    Ok(svg)
-}
-
-fn page(title: &str, body: &str) -> String {
-    format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title><style>{STYLE}</style></head>\n<body>\n{body}</body></html>\n"
-    )
-}
-
-/// File names are not markup.
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn file_names_are_not_markup() {
-        assert_eq!(
-            escape("<a href=\"x\">&"),
-            "&lt;a href=&quot;x&quot;&gt;&amp;"
-        );
-    }
 
     #[test]
     fn counts_name_only_what_there_is() {

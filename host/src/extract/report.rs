@@ -7,11 +7,14 @@
 use std::fmt::Write;
 
 use serde::Serialize;
+use serde_json::json;
 
 use super::gyro_clock::WindowResult;
 use super::layout::Format;
 use super::pairs::{Histogram, Spread};
 use super::survey::ImuSpan;
+use crate::report::chart::{self, Data, Series};
+use crate::report::{Level, Page};
 
 /// Something that is missing or damaged.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -270,161 +273,143 @@ impl Report {
         lines
     }
 
+    /// How well it went, in words.
+    #[must_use]
+    pub fn verdict(&self) -> (Level, String) {
+        let pairs = self.pairs.as_ref().map_or(String::new(), |pairs| {
+            format!(
+                " {} pairs of frames; phone − depth is {:.1} µs in the median.",
+                pairs.spread.count,
+                pairs.spread.median_ns as f64 / 1000.0
+            )
+        });
+        match self.losses.first() {
+            None => (
+                Level::Good,
+                format!(
+                    "Everything is there and has its time in board time: {} trigger pulses, {} IMU \
+                     samples.{pairs}",
+                    self.board.pulses, self.board.imu.samples
+                ),
+            ),
+            Some(loss) => (
+                Level::Warning,
+                format!(
+                    "Something is missing or damaged: {} ({}){}. What is there has its time in board \
+                     time.{pairs}",
+                    loss.what,
+                    loss.part,
+                    match self.losses.len() {
+                        1 => String::new(),
+                        n => format!(", and {} more (below)", n - 1),
+                    }
+                ),
+            ),
+        }
+    }
+
     /// The report as a page without anything from outside.
     #[must_use]
     pub fn html(&self) -> String {
-        let mut out = String::from(
-            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Extraction</title>\n\
-             <style>body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}\
-             table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.2em .6em;text-align:left}\
-             svg{width:100%;height:auto}</style></head><body>\n",
-        );
-        let _ = writeln!(
-            out,
-            "<h1>Extraction of {}</h1>\n<table>",
-            escape(&self.recording)
-        );
-        for (name, value) in self.lines() {
-            let _ = writeln!(out, "<tr><th>{name}</th><td>{}</td></tr>", escape(&value));
+        let (level, verdict) = self.verdict();
+        let title = format!("Extraction of {}", self.recording);
+        let mut page = Page::new(&title, level, &verdict);
+        page.facts(&self.lines());
+        if !self.losses.is_empty() {
+            page.section("Missing or damaged");
+            let rows: Vec<Vec<String>> = self
+                .losses
+                .iter()
+                .map(|loss| vec![loss.part.to_owned(), loss.what.clone()])
+                .collect();
+            page.table(&["part", "what is missing, and what that means"], &rows);
         }
-        out.push_str("</table>\n");
-        let lists = [
-            (
-                "Missing or damaged",
-                self.losses
-                    .iter()
-                    .map(|loss| format!("{}: {}", loss.part, loss.what))
-                    .collect::<Vec<_>>(),
-            ),
-            ("Remarks", self.remarks.clone()),
-        ];
-        for (title, items) in lists {
-            if items.is_empty() {
-                continue;
+        if !self.remarks.is_empty() {
+            page.section("Remarks");
+            for remark in &self.remarks {
+                page.note(Level::Good, remark);
             }
-            let _ = writeln!(out, "<h2>{title}</h2>\n<ul>");
-            for item in items {
-                let _ = writeln!(out, "<li>{}</li>", escape(&item));
-            }
-            out.push_str("</ul>\n");
         }
         if let Some(pairs) = &self.pairs {
-            out.push_str("<h2>Time difference of the pairs</h2>\n");
-            out.push_str(&histogram_svg(&pairs.histogram));
+            page.section("Time difference of the pairs");
+            let histogram = &pairs.histogram;
+            let svg = chart::histogram(
+                "phone − depth, µs",
+                "pairs",
+                histogram.first_ns as f64 / 1000.0,
+                histogram.bin_ns as f64 / 1000.0,
+                &histogram.counts,
+            );
+            page.figure(
+                &svg,
+                "Middle of exposure of the phone's frame minus that of the depth image it is paired \
+                 with, both in board time.",
+            );
         }
         if let Some(clock) = self.clock.as_ref().filter(|clock| clock.course.len() > 1) {
-            out.push_str("<h2>Clock of the phone: each window against the smoothed course</h2>\n");
-            out.push_str(&course_svg(&clock.course));
+            page.section("Clock of the phone");
+            page.figure(
+                &course_svg(&clock.course),
+                "What the two gyroscopes say in each window against the smoothed course, with \
+                 1-sigma of both.",
+            );
         }
         if self.sequences.len() > 1 {
-            out.push_str("<h2>Sequences</h2>\n<table><tr><th>folder</th><th>phone</th><th>depth</th><th>pairs</th></tr>\n");
-            for part in &self.sequences {
-                let _ = writeln!(
-                    out,
-                    "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
-                    escape(&part.folder),
-                    part.color,
-                    part.depth,
-                    part.pairs
-                );
-            }
-            out.push_str("</table>\n");
+            page.section("Sequences");
+            let rows: Vec<Vec<String>> = self
+                .sequences
+                .iter()
+                .map(|part| {
+                    vec![
+                        part.folder.clone(),
+                        part.color.to_string(),
+                        part.depth.to_string(),
+                        part.pairs.to_string(),
+                    ]
+                })
+                .collect();
+            page.table(&["folder", "phone", "depth", "pairs"], &rows);
         }
-        out.push_str("</body></html>\n");
-        out
+        page.settings(
+            "Settings: constants that went into the times, ns",
+            &json!(self.constants),
+        );
+        page.html()
     }
 }
 
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-}
-
-/// A drawing with plotters; the backend draws into text, which cannot fail, so a
-/// failure gives an empty drawing.
-fn histogram_svg(histogram: &Histogram) -> String {
-    use plotters::prelude::*;
-    let mut svg = String::new();
-    let us = |bin: usize| (histogram.first_ns + bin as i64 * histogram.bin_ns) as f64 / 1000.0;
-    let top = histogram.counts.iter().copied().max().unwrap_or(0).max(1) as f64;
-    let mut draw = || -> Result<(), Box<dyn std::error::Error>> {
-        let root = SVGBackend::with_string(&mut svg, (800, 320)).into_drawing_area();
-        let mut chart = ChartBuilder::on(&root)
-            .margin(10)
-            .x_label_area_size(40)
-            .y_label_area_size(60)
-            .build_cartesian_2d(us(0)..us(histogram.counts.len()), 0.0..top * 1.05)?;
-        chart
-            .configure_mesh()
-            .x_desc("phone − depth, µs")
-            .y_desc("pairs")
-            .draw()?;
-        chart.draw_series(histogram.counts.iter().enumerate().map(|(bin, &count)| {
-            Rectangle::new(
-                [(us(bin), 0.0), (us(bin + 1), count as f64)],
-                BLUE.mix(0.6).filled(),
-            )
-        }))?;
-        root.present()?;
-        Ok(())
-    };
-    if draw().is_err() {
-        return String::new();
-    }
-    svg
-}
-
+/// Windows against the course, with the course's own band.
 fn course_svg(course: &[WindowResult]) -> String {
-    use plotters::prelude::*;
-    let mut svg = String::new();
-    let first = course.first().map_or(0.0, |window| window.board_s);
-    let last = course.last().map_or(1.0, |window| window.board_s);
-    let reach = course
-        .iter()
-        .map(|window| (window.residual_s.abs() + window.sigma_s) * 1e6)
-        .fold(1.0, f64::max);
-    let mut draw = || -> Result<(), Box<dyn std::error::Error>> {
-        let root = SVGBackend::with_string(&mut svg, (800, 320)).into_drawing_area();
-        let mut chart = ChartBuilder::on(&root)
-            .margin(10)
-            .x_label_area_size(40)
-            .y_label_area_size(60)
-            .build_cartesian_2d(first..last.max(first + 1.0), -reach * 1.1..reach * 1.1)?;
-        chart
-            .configure_mesh()
-            .x_desc("board time, s")
-            .y_desc("window − course, µs")
-            .draw()?;
-        let band: Vec<(f64, f64)> = course
-            .iter()
-            .map(|window| (window.board_s, window.course_sigma_s * 1e6))
-            .chain(
-                course
-                    .iter()
-                    .rev()
-                    .map(|window| (window.board_s, -window.course_sigma_s * 1e6)),
-            )
-            .collect();
-        chart.draw_series([Polygon::new(band, GREEN.mix(0.3))])?;
-        chart.draw_series(course.iter().map(|window| {
-            let (value, sigma) = (window.residual_s * 1e6, window.sigma_s * 1e6);
-            PathElement::new(
-                vec![
-                    (window.board_s, value - sigma),
-                    (window.board_s, value + sigma),
-                ],
-                BLACK.mix(0.5),
-            )
-        }))?;
-        chart.draw_series(course.iter().map(|window| {
-            Circle::new((window.board_s, window.residual_s * 1e6), 2, BLUE.filled())
-        }))?;
-        root.present()?;
-        Ok(())
+    let band = |sign: f64| {
+        Data::Line(
+            course
+                .iter()
+                .map(|window| (window.board_s, sign * window.course_sigma_s * 1e6))
+                .collect(),
+        )
     };
-    if draw().is_err() {
-        return String::new();
-    }
-    svg
+    let windows = course
+        .iter()
+        .map(|window| {
+            (
+                window.board_s,
+                window.residual_s * 1e6,
+                window.sigma_s * 1e6,
+            )
+        })
+        .collect();
+    let series = |name: &str, data| Series {
+        name: name.to_owned(),
+        data,
+    };
+    chart::series(
+        "board time, s",
+        "window − course, µs",
+        -1.0..1.0,
+        &[
+            series("windows", Data::Bars(windows)),
+            series("+1-sigma of the course", band(1.0)),
+            series("−1-sigma", band(-1.0)),
+        ],
+    )
 }

@@ -11,6 +11,7 @@
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - [`reader`]: reads it, whole or broken off.
+//! - [`scan`]: walks its records over any damage.
 //! - [`session_file`]: what `session.json` holds.
 //!
 //! The format is described in `docs/formats.md`.
@@ -18,6 +19,7 @@
 pub mod folder;
 pub mod messages;
 pub mod reader;
+pub mod scan;
 pub mod session_file;
 pub mod writer;
 
@@ -119,6 +121,9 @@ impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
         let next = if error.is_disk_full() {
             "free some space; what was recorded before is kept and can be read"
+        } else if matches!(error, RecordingError::Mcap { .. }) {
+            "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
+             what is wrong with one, `smartdepthsync repair` saves what can be read"
         } else {
             "check the folder and its rights"
         };

@@ -10,7 +10,7 @@ use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
-use mcap::records::{self, Record};
+use mcap::records::{self, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use protocol::Ticks;
 
@@ -157,6 +157,10 @@ impl Reader {
                     })?;
                     self.reader.notify_read(count);
                 }
+                // Nothing else is of use here, and the parser of attachments takes
+                // four bytes for granted.
+                LinearReadEvent::Record { opcode, .. }
+                    if !matches!(opcode, op::CHANNEL | op::MESSAGE) => {}
                 LinearReadEvent::Record { data, opcode } => {
                     let record = mcap::parse_record(opcode, data);
                     match record {

@@ -14,7 +14,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -103,14 +103,7 @@ impl Writer {
         };
         let file = File::create_new(&path).map_err(io)?;
         let copy = file.try_clone().map_err(io)?;
-        let options = WriteOptions::new()
-            .profile("ros2")
-            .library(concat!("smartdepthsync ", env!("CARGO_PKG_VERSION")))
-            .compression(Some(Compression::Lz4))
-            // Chunks are closed by time, below.
-            .chunk_size(Some(16 << 20))
-            .disable_seeking(true);
-        let mut mcap = options
+        let mut mcap = options()
             .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
             .map_err(|source| mcap_error(&path, source))?;
         let channels = make_channels(&mut mcap).map_err(|source| mcap_error(&path, source))?;
@@ -439,11 +432,34 @@ fn mcap_error(path: &Path, source: mcap::McapError) -> RecordingError {
     }
 }
 
-fn make_channels(
-    mcap: &mut mcap::Writer<NoSeek<BufWriter<File>>>,
+/// How recordings are written.
+pub(crate) fn options() -> WriteOptions {
+    WriteOptions::new()
+        .profile("ros2")
+        .library(concat!("smartdepthsync ", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Lz4))
+        // Chunks are closed by time.
+        .chunk_size(Some(16 << 20))
+        .disable_seeking(true)
+}
+
+/// The topics of every recording with their numbers and types, as the writer
+/// makes them.
+///
+/// # Errors
+///
+/// None that is known: it writes into memory.
+pub(crate) fn known_channels() -> Result<mcap::Summary, mcap::McapError> {
+    let mut mcap = options().create(NoSeek::new(Cursor::new(Vec::new())))?;
+    make_channels(&mut mcap)?;
+    mcap.finish()
+}
+
+fn make_channels<W: Write + Seek>(
+    mcap: &mut mcap::Writer<W>,
 ) -> Result<[Channel; 12], mcap::McapError> {
-    fn channel<M: RosMessage>(
-        mcap: &mut mcap::Writer<NoSeek<BufWriter<File>>>,
+    fn channel<M: RosMessage, W: Write + Seek>(
+        mcap: &mut mcap::Writer<W>,
         topic: &str,
     ) -> Result<Channel, mcap::McapError> {
         let schema = mcap.add_schema(M::TYPE, "ros2msg", M::schema().as_bytes())?;
@@ -452,18 +468,18 @@ fn make_channels(
     }
     // In the order of `Kind`.
     Ok([
-        channel::<Imu>(mcap, topic::IMU)?,
-        channel::<Temperature>(mcap, topic::TEMPERATURE)?,
-        channel::<TimeReference>(mcap, topic::TRIGGER)?,
-        channel::<Pulse>(mcap, topic::PULSE)?,
-        channel::<TimeReference>(mcap, topic::STROBE)?,
-        channel::<Capture>(mcap, topic::CAPTURE)?,
-        channel::<DiagnosticArray>(mcap, topic::STATUS)?,
-        channel::<LinkFrame>(mcap, topic::LINK)?,
-        channel::<ClockModel>(mcap, topic::CLOCK)?,
-        channel::<TimeReference>(mcap, topic::MARKER)?,
-        channel::<TimeReference>(mcap, topic::HOST_TIME)?,
-        channel::<Log>(mcap, topic::LOG)?,
+        channel::<Imu, W>(mcap, topic::IMU)?,
+        channel::<Temperature, W>(mcap, topic::TEMPERATURE)?,
+        channel::<TimeReference, W>(mcap, topic::TRIGGER)?,
+        channel::<Pulse, W>(mcap, topic::PULSE)?,
+        channel::<TimeReference, W>(mcap, topic::STROBE)?,
+        channel::<Capture, W>(mcap, topic::CAPTURE)?,
+        channel::<DiagnosticArray, W>(mcap, topic::STATUS)?,
+        channel::<LinkFrame, W>(mcap, topic::LINK)?,
+        channel::<ClockModel, W>(mcap, topic::CLOCK)?,
+        channel::<TimeReference, W>(mcap, topic::MARKER)?,
+        channel::<TimeReference, W>(mcap, topic::HOST_TIME)?,
+        channel::<Log, W>(mcap, topic::LOG)?,
     ])
 }
 

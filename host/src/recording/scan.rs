@@ -1,0 +1,407 @@
+//! Walks the records of an MCAP file over any damage, with bounded memory.
+//!
+//! The readers for daily work stop where a file breaks. This walk goes on: where
+//! bytes are no records any more it searches for the next chunk, which proves
+//! itself by a head that fits its length (and later by its checksum). So a flipped
+//! length costs one chunk and not the rest of the file.
+//!
+//! Limits: chunks are stored as they are or with LZ4, which is all that this
+//! program writes; a record outside of a chunk that was turned into another valid
+//! one is only noticed by the checksum over the whole file.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use mcap::records::{ChunkHeader, Record, op};
+
+/// The longest record that is taken: far above a chunk of this program.
+const MAX_RECORD: u64 = 256 << 20;
+
+/// The largest chunk when unpacked.
+const MAX_CHUNK: u64 = 256 << 20;
+
+/// Opcode and length before each record.
+const HEAD: u64 = 9;
+
+/// Length of the footer, the last record of a file.
+const FOOTER: u64 = 20;
+
+/// Bytes that are searched at a time.
+const WINDOW: usize = 1 << 16;
+
+/// The longest head of a chunk with its opcode, length and compression's name.
+const CHUNK_HEAD: usize = 9 + 8 + 8 + 8 + 4 + 4 + MAX_NAME + 8;
+
+/// The longest name of a compression that is believed.
+const MAX_NAME: usize = 8;
+
+/// Something in the file.
+#[derive(Debug)]
+pub enum Piece {
+    /// The records of a chunk whose checksum is right.
+    Chunk(Vec<u8>),
+    /// A chunk that cannot be used.
+    BadChunk {
+        /// Where it begins.
+        at: u64,
+        /// What is wrong with it.
+        what: String,
+        /// Board time in nanoseconds of its first and last message, as its head
+        /// says.
+        times: (u64, u64),
+    },
+    /// A record outside of chunks: its opcode and body.
+    Record(u8, Vec<u8>),
+    /// Bytes that are no records, up to the next chunk or the end.
+    Skipped {
+        /// From this byte.
+        from: u64,
+        /// Up to this one.
+        to: u64,
+    },
+    /// The file ends inside of a record, or without the records that close it.
+    CutOff {
+        /// Whole records end here.
+        at: u64,
+    },
+    /// The end that a writer makes which came to its end.
+    End,
+}
+
+/// The walk.
+pub struct Scan {
+    file: BufReader<File>,
+    length: u64,
+    position: u64,
+    /// End of the last chunk with a head that fits: nothing before it can hold
+    /// another chunk.
+    trusted: u64,
+    /// Checksum over everything since the begin, and then since the record that
+    /// closes the data; nothing once a part was skipped.
+    hasher: Option<crc32fast::Hasher>,
+    data_crc: Option<u32>,
+    summary_crc: Option<u32>,
+    closed: bool,
+    ended: bool,
+}
+
+/// Whether a file begins as MCAP files do.
+///
+/// # Errors
+///
+/// It cannot be read.
+pub fn has_magic(path: &Path) -> io::Result<bool> {
+    let mut magic = [0; mcap::MAGIC.len()];
+    match File::open(path)?.read_exact(&mut magic) {
+        Ok(()) => Ok(magic == *mcap::MAGIC),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
+impl Scan {
+    /// Begins at the front of a file.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let file = File::open(path)?;
+        let length = file.metadata()?.len();
+        Ok(Self {
+            file: BufReader::with_capacity(1 << 20, file),
+            length,
+            position: 0,
+            trusted: 0,
+            hasher: Some(crc32fast::Hasher::new()),
+            data_crc: None,
+            summary_crc: None,
+            closed: false,
+            ended: false,
+        })
+    }
+
+    /// Length of the file in bytes.
+    #[must_use]
+    pub const fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// The checksum of all bytes before the record that closes the data; once
+    /// that was given out, and if nothing was skipped.
+    #[must_use]
+    pub const fn data_crc(&self) -> Option<u32> {
+        self.data_crc
+    }
+
+    /// The checksum of the part behind it, up to the one that the footer gives;
+    /// once the footer was given out, and if nothing was skipped.
+    #[must_use]
+    pub const fn summary_crc(&self) -> Option<u32> {
+        self.summary_crc
+    }
+
+    /// The next piece; `None` behind the last.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be read.
+    pub fn next_piece(&mut self) -> io::Result<Option<Piece>> {
+        if self.ended {
+            return Ok(None);
+        }
+        if self.position == 0 {
+            let magic = self.take(mcap::MAGIC.len() as u64)?;
+            if let Some(hasher) = &mut self.hasher {
+                hasher.update(&magic);
+            }
+            if magic != *mcap::MAGIC {
+                return self.search(0).map(Some);
+            }
+        }
+        if self.closed {
+            return self.after_footer().map(Some);
+        }
+        let at = self.position;
+        let rest = self.length.saturating_sub(at);
+        if rest < HEAD {
+            self.ended = true;
+            return Ok(Some(Piece::CutOff { at }));
+        }
+        let (opcode, length) = self.peek_head()?;
+        let fits = length <= MAX_RECORD
+            && length <= rest - HEAD
+            && match opcode {
+                // What ends the walk must be what it looks like.
+                op::FOOTER => length == FOOTER && rest <= HEAD + FOOTER + 8,
+                op::DATA_END => length == 4,
+                _ => true,
+            };
+        if !(op::HEADER..=op::DATA_END).contains(&opcode) || !fits {
+            // A record that was being written when the writer was killed looks
+            // like this too; only then is nothing behind it.
+            let plausible = (op::HEADER..=op::DATA_END).contains(&opcode) && length <= MAX_RECORD;
+            return match self.search(at)? {
+                Piece::Skipped { to, .. } if to == self.length && plausible => {
+                    Ok(Some(Piece::CutOff { at }))
+                }
+                piece => Ok(Some(piece)),
+            };
+        }
+        if opcode == op::DATA_END {
+            self.data_crc = self.hasher.take().map(crc32fast::Hasher::finalize);
+        }
+        let record = self.take(HEAD + length)?;
+        let body = record.get(HEAD as usize..).unwrap_or_default();
+        if let Some(hasher) = &mut self.hasher {
+            // The footer's own checksum is its last four bytes.
+            let covered = record.len()
+                - if opcode == op::FOOTER {
+                    4.min(record.len())
+                } else {
+                    0
+                };
+            hasher.update(record.get(..covered).unwrap_or_default());
+        }
+        match opcode {
+            op::DATA_END => {
+                self.hasher = self.data_crc.map(|_| crc32fast::Hasher::new());
+                Ok(Some(Piece::Record(opcode, body.to_vec())))
+            }
+            op::CHUNK => match chunk_of(body) {
+                Some((header, packed)) => {
+                    self.trusted = self.position;
+                    Ok(Some(unpack(at, &header, packed)))
+                }
+                None => self.search(at).map(Some),
+            },
+            op::FOOTER => {
+                self.closed = true;
+                self.summary_crc = self.hasher.take().map(crc32fast::Hasher::finalize);
+                Ok(Some(Piece::Record(opcode, body.to_vec())))
+            }
+            _ => Ok(Some(Piece::Record(opcode, body.to_vec()))),
+        }
+    }
+
+    /// Behind the footer stands the magic again, and nothing else.
+    fn after_footer(&mut self) -> io::Result<Piece> {
+        self.ended = true;
+        let at = self.position;
+        let rest = self.length.saturating_sub(at);
+        if rest == mcap::MAGIC.len() as u64 && self.take(rest)? == *mcap::MAGIC {
+            return Ok(Piece::End);
+        }
+        if rest < mcap::MAGIC.len() as u64 {
+            return Ok(Piece::CutOff { at });
+        }
+        Ok(Piece::Skipped {
+            from: at,
+            to: self.length,
+        })
+    }
+
+    /// Opcode and length of the record here, without going on.
+    fn peek_head(&mut self) -> io::Result<(u8, u64)> {
+        let mut head = [0; HEAD as usize];
+        self.file.read_exact(&mut head)?;
+        self.file.seek_relative(-(HEAD as i64))?;
+        let [opcode, length @ ..] = head;
+        Ok((opcode, u64::from_le_bytes(length)))
+    }
+
+    fn take(&mut self, length: u64) -> io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        (&mut self.file).take(length).read_to_end(&mut bytes)?;
+        self.position += bytes.len() as u64;
+        Ok(bytes)
+    }
+
+    /// Goes to the next chunk behind what is known; to the end if there is none.
+    fn search(&mut self, from: u64) -> io::Result<Piece> {
+        let mut start = self.trusted;
+        let mut window = Vec::new();
+        let found = loop {
+            if start >= self.length {
+                break None;
+            }
+            self.file.seek(SeekFrom::Start(start))?;
+            window.clear();
+            (&mut self.file)
+                .take((WINDOW + CHUNK_HEAD) as u64)
+                .read_to_end(&mut window)?;
+            let hit = (0..window.len().min(WINDOW)).find(|&index| {
+                let at = start + index as u64;
+                // The record that led here is no chunk.
+                at != from
+                    && window
+                        .get(index..)
+                        .is_some_and(|bytes| is_chunk_head(bytes, self.length - at))
+            });
+            match hit {
+                Some(index) => break Some(start + index as u64),
+                None => start += WINDOW as u64,
+            }
+        };
+        // The checksum over all is meaningless from here on.
+        self.hasher = None;
+        let to = found.unwrap_or(self.length);
+        if found.is_none() {
+            self.ended = true;
+        }
+        self.position = to;
+        self.trusted = to;
+        self.file.seek(SeekFrom::Start(to))?;
+        Ok(Piece::Skipped {
+            from: from.min(to),
+            to,
+        })
+    }
+}
+
+/// Whether a chunk begins here: its head must fit the length of its record.
+fn is_chunk_head(bytes: &[u8], rest: u64) -> bool {
+    let inner = || -> Option<bool> {
+        let (&opcode, bytes) = bytes.split_first()?;
+        if opcode != op::CHUNK {
+            return Some(false);
+        }
+        let (length, bytes) = bytes.split_first_chunk::<8>()?;
+        let length = u64::from_le_bytes(*length);
+        let (_, bytes) = bytes.split_first_chunk::<28>()?;
+        let (name, bytes) = bytes.split_first_chunk::<4>()?;
+        let name = usize::try_from(u32::from_le_bytes(*name)).ok()?;
+        if name > MAX_NAME {
+            return Some(false);
+        }
+        let size = bytes.get(name..)?.first_chunk::<8>()?;
+        let size = u64::from_le_bytes(*size);
+        Some(
+            length <= MAX_RECORD
+                && length + HEAD <= rest
+                && size.checked_add(40 + name as u64) == Some(length),
+        )
+    };
+    inner().unwrap_or(false)
+}
+
+/// Head and packed bytes of a chunk, if they fit each other.
+fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
+    let Ok(Record::Chunk { header, .. }) = mcap::parse_record(op::CHUNK, body) else {
+        return None;
+    };
+    let name = header.compression.len();
+    let packed = body.get(40 + name..)?;
+    (name <= MAX_NAME && packed.len() as u64 == header.compressed_size).then_some((header, packed))
+}
+
+fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
+    let bad = |what: String| Piece::BadChunk {
+        at,
+        what,
+        times: (header.message_start_time, header.message_end_time),
+    };
+    let data = match header.compression.as_str() {
+        "" => packed.to_vec(),
+        "lz4" => {
+            let mut out = Vec::new();
+            let unpacked = lz4_flex::frame::FrameDecoder::new(packed)
+                .take(MAX_CHUNK)
+                .read_to_end(&mut out);
+            if let Err(error) = unpacked {
+                return bad(format!("it cannot be unpacked: {error}"));
+            }
+            out
+        }
+        _ => {
+            return bad(String::from(
+                "it is packed in a way that this program does not write; expected lz4 or nothing",
+            ));
+        }
+    };
+    if data.len() as u64 != header.uncompressed_size {
+        return bad(format!(
+            "it holds {} bytes where {} were expected",
+            data.len(),
+            header.uncompressed_size
+        ));
+    }
+    if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc {
+        return bad(String::from("its checksum is wrong"));
+    }
+    Piece::Chunk(data)
+}
+
+/// Opcode and body of the records in a chunk; ends at the first that is cut off.
+pub fn records_of(chunk: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
+    let mut rest = chunk;
+    std::iter::from_fn(move || {
+        let (&opcode, after) = rest.split_first()?;
+        let (length, after) = after.split_first_chunk::<8>()?;
+        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+        let (body, after) = after.split_at_checked(length)?;
+        rest = after;
+        Some((opcode, body))
+    })
+}
+
+/// A record by its opcode; `None` if it is no such, or one of a kind that the
+/// walk has no use for.
+///
+/// The parser of attachments takes four bytes for granted, so they are left out.
+#[must_use]
+pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+    matches!(
+        opcode,
+        op::HEADER
+            | op::FOOTER
+            | op::SCHEMA
+            | op::CHANNEL
+            | op::MESSAGE
+            | op::STATISTICS
+            | op::DATA_END
+    )
+    .then(|| mcap::parse_record(opcode, body).ok())
+    .flatten()
+}

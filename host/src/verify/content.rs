@@ -1,0 +1,689 @@
+//! The messages of a recording: whether they agree with each other.
+//!
+//! Everything is followed message by message; nothing but a few states is kept,
+//! so hours of recording need no memory.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use mcap::records::MessageHeader;
+use protocol::{Decoder, DeviceToHost, Period, Status, Ticks};
+
+use super::file::Sink;
+use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
+use crate::record::alignment::off_grid;
+use crate::recording::messages::{
+    Capture, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference, from_cdr,
+};
+use crate::recording::reader::ticks_of_nanos;
+use crate::recording::session_file::{Alignment, SessionFile};
+use crate::recording::{RecordingError, topic};
+
+/// The streams that are compared with their topics.
+const STREAMS: [(&str, &str); 4] = [
+    ("status", topic::STATUS),
+    ("pulses", topic::PULSE),
+    ("captures", topic::CAPTURE),
+    ("imu", topic::IMU),
+];
+
+/// How many messages may be under way between a status and the streams that it
+/// counts: the queues of the board hold at most a few.
+const UNDER_WAY: u64 = 8;
+
+/// The most topics that are counted one by one.
+const MAX_TOPICS: usize = 1_000;
+
+/// What the messages say.
+pub struct Outcome {
+    /// First and last board time, ns.
+    pub span: Option<(u64, u64)>,
+    /// Runs of the board.
+    pub runs: u64,
+    /// Frames that are no message.
+    pub damaged_frames: u64,
+    /// See [`super::Report`].
+    pub streams: BTreeMap<&'static str, StreamReport>,
+    /// See [`super::Report`].
+    pub topics: BTreeMap<String, TopicReport>,
+    /// See [`super::Report`].
+    pub grid: Option<GridReport>,
+}
+
+/// One numbered stream in the frames of the link, and its topic.
+#[derive(Default)]
+struct Stream {
+    expected: Option<u32>,
+    report: StreamReport,
+    /// Times of frames whose message has not come yet.
+    pending: VecDeque<Ticks>,
+    /// A frame of it has been seen, so that from here on each message has one.
+    seen: bool,
+}
+
+/// The board's counters at its first and its last status of a run.
+#[derive(Clone)]
+struct Counters {
+    first: Status,
+    first_imu: u64,
+    last: Status,
+    last_imu: u64,
+    missing_at_first: [u64; 4],
+}
+
+/// The last pulse.
+#[derive(Clone, Copy)]
+struct LastPulse {
+    train: u32,
+    number: u64,
+    at: Ticks,
+    aligned: bool,
+}
+
+/// A topic's running number and time.
+#[derive(Default)]
+struct TopicState {
+    report: TopicReport,
+    expected: Option<u32>,
+    last: Option<u64>,
+}
+
+/// The checks while they run.
+pub struct Content {
+    alignment: Option<Alignment>,
+    recorded_to: Option<Ticks>,
+    imu_interval: Option<u64>,
+    topics: BTreeMap<String, TopicState>,
+    streams: [Stream; 4],
+    epoch: Option<u32>,
+    runs: u64,
+    damaged_frames: u64,
+    in_step: bool,
+    counters: Option<Counters>,
+    dropped: [u64; 4],
+    pulse: Option<LastPulse>,
+    steps: Option<(u64, u64)>,
+    last_imu: Option<(Ticks, u32)>,
+    grid: GridReport,
+    markers: u64,
+    span: Option<(u64, u64)>,
+    /// Something is missing in the file here.
+    after_gap: bool,
+    gaps: u64,
+}
+
+impl Content {
+    /// Before the first message.
+    #[must_use]
+    pub fn new(session: Option<&SessionFile>) -> Self {
+        let finished = session.is_some_and(|session| session.outcome.is_some());
+        Self {
+            alignment: session.and_then(|session| session.alignment),
+            recorded_to: session
+                .filter(|_| finished)
+                .and_then(|session| session.recorded)
+                .map(|span| span.to),
+            imu_interval: session
+                .and_then(|session| session.imu.as_ref())
+                .map(|imu| u64::from(imu.setup.interval)),
+            topics: BTreeMap::new(),
+            streams: Default::default(),
+            epoch: None,
+            runs: 1,
+            damaged_frames: 0,
+            in_step: false,
+            counters: None,
+            dropped: [0; 4],
+            pulse: None,
+            steps: None,
+            last_imu: None,
+            grid: GridReport::default(),
+            markers: 0,
+            span: None,
+            after_gap: false,
+            gaps: 0,
+        }
+    }
+
+    /// What came of it.
+    #[must_use]
+    pub fn finish(
+        mut self,
+        file: &FileReport,
+        session: Option<&SessionFile>,
+        findings: &mut Findings,
+    ) -> Outcome {
+        self.close_run(findings);
+        let whole = file.closed && self.gaps == 0;
+        for (stream, (name, _)) in self.streams.iter().zip(STREAMS) {
+            let left = stream.pending.len() as u64;
+            if whole && left > 0 {
+                findings.add_many(Grade::Error, "frame_without_message", None, left, || {
+                    format!("the last frames of {name} have no message of their own")
+                });
+            }
+        }
+        for (index, (stream, (name, _))) in self.streams.iter_mut().zip(STREAMS).enumerate() {
+            let dropped = self.dropped.get(index).copied().unwrap_or_default();
+            stream.report.dropped_by_board = dropped.min(stream.report.missing);
+            let lost = stream.report.missing - stream.report.dropped_by_board;
+            if stream.report.missing > 0 {
+                let missing = stream.report.missing;
+                findings.add_many(Grade::Warning, "messages_missing", None, missing, || {
+                    format!(
+                        "{missing} messages of {name} are missing by the board's numbers: {} the \
+                         board dropped itself, {lost} were lost on the link or with a damaged part",
+                        stream.report.dropped_by_board
+                    )
+                });
+            }
+        }
+        if let Some(session) = session.filter(|_| whole) {
+            if session.markers.len() as u64 != self.markers {
+                findings.add(Grade::Error, "markers_differ", None, || {
+                    format!(
+                        "the session file has {} marks, the recording {}",
+                        session.markers.len(),
+                        self.markers
+                    )
+                });
+            }
+            let missing: u64 = self.streams.iter().map(|s| s.report.missing).sum();
+            if session.counts.lost() > missing {
+                findings.add(Grade::Error, "losses_differ", None, || {
+                    format!(
+                        "the session counted {} lost messages, but by the board's numbers {missing} \
+                         are missing",
+                        session.counts.lost()
+                    )
+                });
+            }
+        }
+        Outcome {
+            span: self.span,
+            runs: self.runs,
+            damaged_frames: self.damaged_frames,
+            streams: STREAMS
+                .iter()
+                .zip(&self.streams)
+                .map(|(&(name, _), stream)| (name, stream.report))
+                .collect(),
+            topics: self
+                .topics
+                .into_iter()
+                .map(|(name, state)| (name, state.report))
+                .collect(),
+            grid: self.alignment.map(|_| self.grid),
+        }
+    }
+
+    /// The number of a message in its topic, and its time.
+    fn place(&mut self, name: &str, header: &MessageHeader, findings: &mut Findings) {
+        let at = header.log_time;
+        if self.topics.len() >= MAX_TOPICS && !self.topics.contains_key(name) {
+            return;
+        }
+        let state = self.topics.entry(name.to_owned()).or_default();
+        state.report.messages += 1;
+        if let Some(expected) = state.expected {
+            let missing = header.sequence.wrapping_sub(expected);
+            if missing > u32::MAX / 2 {
+                findings.add(Grade::Error, "order", Some(ticks_of_nanos(at)), || {
+                    format!(
+                        "message {} of {name} comes twice or too late",
+                        header.sequence
+                    )
+                });
+            } else if missing > 0 {
+                state.report.missing += u64::from(missing);
+                findings.add_many(
+                    Grade::Error,
+                    "messages_cut_out",
+                    Some(ticks_of_nanos(at)),
+                    u64::from(missing),
+                    || format!("{missing} messages of {name} are gone from the file"),
+                );
+            }
+        }
+        state.expected = Some(header.sequence.wrapping_add(1));
+        let own_time =
+            STREAMS.iter().any(|&(_, topic)| topic == name) || name == topic::TEMPERATURE;
+        if own_time {
+            if let Some(last) = state.last
+                && at <= last
+            {
+                findings.add(
+                    Grade::Error,
+                    "time_not_monotonic",
+                    Some(ticks_of_nanos(at)),
+                    || {
+                        format!(
+                            "a message of {name} is {:.6} s older than the one before it",
+                            (last - at) as f64 * 1e-9
+                        )
+                    },
+                );
+            }
+            state.last = Some(at);
+            self.span = Some(
+                self.span
+                    .map_or((at, at), |(from, to)| (from.min(at), to.max(at))),
+            );
+        }
+    }
+
+    /// A frame of the link: decoded again.
+    fn frame(&mut self, frame: &LinkFrame, at: Ticks, findings: &mut Findings) {
+        let mut decoder = Decoder::<DeviceToHost>::new();
+        let mut bytes = frame.data.clone();
+        bytes.push(0);
+        let mut rest = bytes.as_slice();
+        match decoder.next(&mut rest) {
+            Some(Ok(message)) => {
+                self.in_step = true;
+                self.link_message(message, findings);
+            }
+            Some(Err(error)) if self.in_step => {
+                self.damaged_frames += 1;
+                findings.add(Grade::Warning, "frame_damaged", Some(at), || {
+                    format!("a frame of the link was damaged when it came: {error}")
+                });
+            }
+            // The stream is joined in the middle of a frame.
+            _ => {}
+        }
+    }
+
+    fn link_message(&mut self, message: DeviceToHost, findings: &mut Findings) {
+        let (index, seq, at) = match &message {
+            DeviceToHost::Hello(hello) => {
+                self.run(hello.epoch, findings);
+                return;
+            }
+            DeviceToHost::Status(status) => {
+                self.run(status.epoch, findings);
+                (0, status.seq, status.at)
+            }
+            DeviceToHost::Pulse(pulse) => (1, pulse.seq, pulse.at),
+            DeviceToHost::Capture(capture) => (2, capture.seq, capture.at),
+            DeviceToHost::Imu(sample) => {
+                self.imu_frame(sample.at, sample.seq, sample.flags, findings);
+                (3, sample.seq, sample.at)
+            }
+            DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) | DeviceToHost::Filler(_) => return,
+        };
+        if let Some(stream) = self.streams.get_mut(index) {
+            let gap = stream
+                .expected
+                .map_or(0, |expected| seq.wrapping_sub(expected));
+            if gap > u32::MAX / 2 {
+                findings.add(Grade::Error, "number_backwards", Some(at), || {
+                    format!("the board's numbers go back to {seq}")
+                });
+            } else {
+                stream.report.missing += u64::from(gap);
+            }
+            stream.expected = Some(seq.wrapping_add(1));
+            stream.report.received += 1;
+            stream.seen = true;
+            stream.pending.push_back(at);
+            if stream.pending.len() > 64 {
+                stream.pending.pop_front();
+                findings.add(Grade::Error, "frame_without_message", Some(at), || {
+                    String::from("a frame of the link has no message of its own")
+                });
+            }
+        }
+        if let DeviceToHost::Status(status) = message {
+            self.status(status, findings);
+        }
+    }
+
+    /// Silence between samples must have a reason.
+    fn imu_frame(
+        &mut self,
+        at: Ticks,
+        seq: u32,
+        flags: protocol::ImuFlags,
+        findings: &mut Findings,
+    ) {
+        let told =
+            flags.has(protocol::ImuFlags::AFTER_LOSS) || flags.has(protocol::ImuFlags::FIRST);
+        if let (Some((last, number)), Some(interval)) = (self.last_imu, self.imu_interval) {
+            let steps = u64::from(seq.wrapping_sub(number));
+            let distance = at.0.saturating_sub(last.0);
+            if distance > interval.saturating_mul(steps) + interval / 2 && !self.after_gap {
+                let grade = if told { Grade::Warning } else { Grade::Error };
+                let kind = if told {
+                    "imu_gap"
+                } else {
+                    "imu_gap_unexplained"
+                };
+                findings.add(grade, kind, Some(at), || {
+                    format!(
+                        "{:.1} ms without IMU samples{}",
+                        distance as f64 / 48_000.0,
+                        if told {
+                            ", as the board itself says"
+                        } else {
+                            ", and the board does not say why"
+                        }
+                    )
+                });
+            }
+        }
+        self.last_imu = Some((at, seq));
+    }
+
+    fn status(&mut self, status: Status, findings: &mut Findings) {
+        let imu = self
+            .streams
+            .get(3)
+            .and_then(|stream| stream.expected)
+            .map_or(0, u64::from);
+        let missing = self.missing();
+        match &mut self.counters {
+            None => {
+                self.counters = Some(Counters {
+                    first: status.clone(),
+                    first_imu: imu,
+                    last: status.clone(),
+                    last_imu: imu,
+                    missing_at_first: missing,
+                });
+            }
+            Some(counters) => {
+                counters.last = status.clone();
+                counters.last_imu = imu;
+            }
+        }
+        // The pulses that were made against those that came.
+        if let Some(pulse) = self.pulse
+            && pulse.train == status.trigger.train
+            && !self.after_gap
+        {
+            let made = status.trigger.pulses;
+            let came = pulse.number + 1;
+            if came > made {
+                findings.add(Grade::Error, "pulse_count", Some(status.at), || {
+                    format!("pulse {} came, but the board counts {made}", pulse.number)
+                });
+            }
+        }
+    }
+
+    fn missing(&self) -> [u64; 4] {
+        [0, 1, 2, 3].map(|index: usize| {
+            self.streams
+                .get(index)
+                .map_or(0, |stream| stream.report.missing)
+        })
+    }
+
+    /// The board may have been reset since the last message.
+    fn run(&mut self, epoch: u32, findings: &mut Findings) {
+        if self.epoch.is_some_and(|known| known != epoch) {
+            self.close_run(findings);
+            self.runs += 1;
+            findings.add(Grade::Warning, "board_reset", None, || {
+                String::from("the board was reset within the recording: its time begins anew")
+            });
+            for stream in &mut self.streams {
+                stream.expected = None;
+                stream.pending.clear();
+            }
+            for state in self.topics.values_mut() {
+                state.last = None;
+            }
+            self.counters = None;
+            self.pulse = None;
+            self.steps = None;
+            self.last_imu = None;
+            // The grid in the session file belongs to one run only.
+            self.recorded_to = Some(Ticks(0));
+        }
+        self.epoch = Some(epoch);
+    }
+
+    /// The board's own counters over a run against what is missing.
+    fn close_run(&mut self, findings: &mut Findings) {
+        let Some(counters) = self.counters.take() else {
+            return;
+        };
+        let grown =
+            |f: fn(&Status) -> u32| u64::from(f(&counters.last).wrapping_sub(f(&counters.first)));
+        let dropped = [
+            grown(|status| status.dropped.status),
+            grown(|status| status.dropped.pulses),
+            grown(|status| status.dropped.captures),
+            grown(|status| status.dropped.imu),
+        ];
+        let missing = self.missing();
+        for index in 0..dropped.len() {
+            let (Some(&dropped), Some(total), Some(&missing), Some(&before), Some((name, _))) = (
+                dropped.get(index),
+                self.dropped.get_mut(index),
+                missing.get(index),
+                counters.missing_at_first.get(index),
+                STREAMS.get(index),
+            ) else {
+                continue;
+            };
+            *total += dropped;
+            let here = missing - before;
+            // What was dropped last shows with the stream's next message only.
+            if dropped > here + 1 && self.gaps == 0 && here > 0 {
+                findings.add(Grade::Note, "drops_not_seen", None, || {
+                    format!("the board dropped {dropped} {name}, of which {here} show as a gap")
+                });
+            }
+        }
+        let made = grown(|status| status.imu.samples);
+        let numbered = counters.last_imu.wrapping_sub(counters.first_imu) & u64::from(u32::MAX);
+        if self.gaps == 0 && made.abs_diff(numbered) > UNDER_WAY {
+            findings.add(Grade::Error, "imu_count", Some(counters.last.at), || {
+                format!(
+                    "the board read {made} IMU samples between its first and last status, but their \
+                     numbers grew by {numbered}"
+                )
+            });
+        }
+    }
+
+    /// A message must have a frame of its own, in order.
+    fn came_of(&mut self, index: usize, at: Ticks, findings: &mut Findings) {
+        let after_gap = self.after_gap;
+        let Some(stream) = self.streams.get_mut(index) else {
+            return;
+        };
+        match stream.pending.pop_front() {
+            Some(expected) if expected == at => {}
+            Some(expected) => {
+                stream.pending.clear();
+                if !after_gap {
+                    findings.add(Grade::Error, "message_differs", Some(at), || {
+                        format!(
+                            "a message is at tick {} where its frame on the link says {}",
+                            at.0, expected.0
+                        )
+                    });
+                }
+            }
+            None if stream.seen && !after_gap => {
+                findings.add(Grade::Error, "message_without_frame", Some(at), || {
+                    String::from("a message has no frame of the link that it came in")
+                });
+            }
+            None => {}
+        }
+    }
+
+    fn pulse(&mut self, pulse: &Pulse, findings: &mut Findings) {
+        let at = Ticks(pulse.ticks);
+        let now = LastPulse {
+            train: pulse.train,
+            number: pulse.number,
+            at,
+            aligned: pulse.aligned,
+        };
+        if let Some(last) = self.pulse.replace(now)
+            && last.train == pulse.train
+        {
+            let step = pulse.number.wrapping_sub(last.number);
+            if step == 0 || step > u64::MAX / 2 {
+                findings.add(Grade::Error, "pulse_twice", Some(at), || {
+                    format!("pulse {} comes after {}", pulse.number, last.number)
+                });
+            } else if step > 1 {
+                findings.add_many(Grade::Warning, "pulses_missing", Some(at), step - 1, || {
+                    format!(
+                        "{} pulses are missing before pulse {}",
+                        step - 1,
+                        pulse.number
+                    )
+                });
+            }
+            self.step(last, now, step, findings);
+        } else {
+            self.steps = None;
+        }
+        self.hold_against_grid(pulse, at, findings);
+    }
+
+    /// Without a known grid: steps of a train on its grid differ by a tick at most.
+    fn step(&mut self, last: LastPulse, now: LastPulse, step: u64, findings: &mut Findings) {
+        if self.alignment.is_some() || step != 1 || !last.aligned || !now.aligned {
+            self.steps = None;
+            return;
+        }
+        let length = now.at.0.saturating_sub(last.at.0);
+        let (low, high) = self.steps.map_or((length, length), |(low, high)| {
+            (low.min(length), high.max(length))
+        });
+        if high - low > 1 {
+            findings.add(Grade::Error, "grid", Some(now.at), || {
+                format!(
+                    "pulse {} comes {length} ticks after the one before, others {low} to {high}",
+                    now.number
+                )
+            });
+            self.steps = None;
+        } else {
+            self.steps = Some((low, high));
+        }
+    }
+
+    fn hold_against_grid(&mut self, pulse: &Pulse, at: Ticks, findings: &mut Findings) {
+        let Some(alignment) = self.alignment else {
+            return;
+        };
+        let arrived = alignment.arrival.unwrap_or(alignment.anchor);
+        if at < arrived || self.recorded_to.is_some_and(|to| at > to) {
+            return;
+        }
+        let off = off_grid(alignment.anchor, Period(alignment.period_q32), at).unsigned_abs();
+        self.grid.checked += 1;
+        if off != 0 {
+            self.grid.off += 1;
+            self.grid.worst_ticks = self.grid.worst_ticks.max(off);
+            findings.add(Grade::Error, "off_grid", Some(at), || {
+                format!(
+                    "pulse {} is {off} ticks off the grid of the alignment",
+                    pulse.number
+                )
+            });
+        }
+    }
+
+    fn stamped(&self, at: u64, stamp: i64, findings: &mut Findings) {
+        if i64::try_from(at) != Ok(stamp) {
+            findings.add(
+                Grade::Error,
+                "stamp_differs",
+                Some(ticks_of_nanos(at)),
+                || format!("a message of {at} ns has a header of {stamp} ns"),
+            );
+        }
+    }
+}
+
+impl Sink for Content {
+    fn message(
+        &mut self,
+        name: &str,
+        header: &MessageHeader,
+        data: &[u8],
+        findings: &mut Findings,
+    ) -> Result<(), RecordingError> {
+        let at = header.log_time;
+        let ticks = ticks_of_nanos(at);
+        let result = match name {
+            topic::LINK => from_cdr::<LinkFrame>(data).map(|frame| {
+                self.frame(&frame, ticks, findings);
+            }),
+            topic::IMU => from_cdr::<Imu>(data).map(|imu| {
+                self.stamped(at, imu.header.stamp.nanos(), findings);
+                self.came_of(3, ticks, findings);
+                let values: [f64; 3] = imu.angular_velocity.into();
+                if values.iter().any(|value| !value.is_finite()) {
+                    findings.add(Grade::Error, "not_a_number", Some(ticks), || {
+                        String::from("an IMU sample is not a number")
+                    });
+                }
+            }),
+            topic::PULSE => from_cdr::<Pulse>(data).map(|pulse| {
+                self.stamped(at, pulse.header.stamp.nanos(), findings);
+                if ticks != Ticks(pulse.ticks) {
+                    findings.add(Grade::Error, "stamp_differs", Some(ticks), || {
+                        format!(
+                            "a pulse of tick {} is logged at tick {}",
+                            pulse.ticks, ticks.0
+                        )
+                    });
+                }
+                self.came_of(1, ticks, findings);
+                self.pulse(&pulse, findings);
+            }),
+            topic::CAPTURE => from_cdr::<Capture>(data).map(|capture| {
+                self.stamped(at, capture.header.stamp.nanos(), findings);
+                self.came_of(2, ticks, findings);
+                if capture.after_loss {
+                    findings.add(Grade::Warning, "captures_lost", Some(ticks), || {
+                        String::from("an edge on the strobe input was lost, as the board says")
+                    });
+                }
+            }),
+            topic::STATUS => from_cdr::<DiagnosticArray>(data).map(|status| {
+                self.stamped(at, status.header.stamp.nanos(), findings);
+                self.came_of(0, ticks, findings);
+            }),
+            topic::MARKER => from_cdr::<TimeReference>(data).map(|_| self.markers += 1),
+            topic::TEMPERATURE => from_cdr::<Temperature>(data).map(|_| ()),
+            topic::LOG => from_cdr::<Log>(data).map(|_| ()),
+            topic::TRIGGER | topic::STROBE | topic::HOST_TIME => {
+                from_cdr::<TimeReference>(data).map(|_| ())
+            }
+            _ => Ok(()),
+        };
+        if let Err(error) = result {
+            findings.add(Grade::Error, "message_damaged", Some(ticks), || {
+                format!("a message of {name} cannot be read: {error}")
+            });
+        }
+        self.place(name, header, findings);
+        self.after_gap &= name == topic::LINK || name == topic::LOG;
+        Ok(())
+    }
+
+    fn gap(&mut self) {
+        self.after_gap = true;
+        self.gaps += 1;
+        for stream in &mut self.streams {
+            stream.pending.clear();
+            stream.seen = false;
+        }
+        self.pulse = None;
+        self.steps = None;
+        self.last_imu = None;
+        self.counters = None;
+    }
+}
