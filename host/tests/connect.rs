@@ -67,11 +67,17 @@ fn another_protocol_version_says_how_to_flash() {
         hello.protocol_version = 900;
         frame(&DeviceToHost::Hello(hello))
     });
-    let output = run(&["info", "--port", &newer.path]);
-    assert_eq!(code(&output), 9);
-    let told = text(&output.stderr);
-    assert!(told.contains("version 900"), "{told}");
-    assert!(told.contains("cargo run --release"), "{told}");
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("recordings");
+    let out = out.to_str().unwrap();
+    for arguments in [&["info"][..], &["record", "--yes", "--out", out]] {
+        let output = run(&[arguments, &["--port", &newer.path]].concat());
+        assert_eq!(code(&output), 9);
+        let told = text(&output.stderr);
+        assert!(told.contains("version 900"), "{told}");
+        assert!(told.contains("cargo run --release"), "{told}");
+    }
+    assert!(!folder.path().join("recordings").exists());
 }
 
 #[test]

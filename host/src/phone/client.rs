@@ -119,6 +119,13 @@ impl PhoneClient {
         self.connection.is_some()
     }
 
+    /// Whether the connection is in step and the phone has not closed it meanwhile,
+    /// as far as this system has heard: a request would at least be sent.
+    #[must_use]
+    pub fn is_alive(&self) -> bool {
+        self.connection.as_ref().is_some_and(Connection::is_alive)
+    }
+
     /// Opens a new connection after an error, with the same settings.
     pub fn reconnect(&mut self) -> Result<(), PhoneError> {
         // The app serves one client at a time: leave before knocking again.

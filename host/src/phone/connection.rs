@@ -63,6 +63,21 @@ impl Connection {
         })
     }
 
+    /// Whether the other end still holds the connection, as far as this system has
+    /// heard by now.
+    pub(super) fn is_alive(&self) -> bool {
+        if self.stream.set_nonblocking(true).is_err() {
+            return false;
+        }
+        let seen = self.stream.peek(&mut [0]);
+        let blocking_again = self.stream.set_nonblocking(false).is_ok();
+        blocking_again
+            && match seen {
+                Ok(count) => count > 0,
+                Err(error) => error.kind() == ErrorKind::WouldBlock,
+            }
+    }
+
     /// Sends the line of a request, after making sure that nothing is left over
     /// that could be taken for its answer.
     pub(super) fn send(

@@ -1,8 +1,9 @@
 //! The phone on a thread of its own, so that the board is listened to while a
 //! request lasts.
 //!
-//! One request at a time. A connection that broke is opened anew by the next
-//! request.
+//! One request at a time. A connection that broke, also between two requests, is
+//! opened anew by the next request: nothing was asked on it, so nothing is asked
+//! twice.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -184,7 +185,7 @@ impl Phone {
 
     fn connected(&mut self) -> Result<&mut PhoneClient, PhoneError> {
         let client = match self.client.take() {
-            Some(client) if client.is_connected() => client,
+            Some(client) if client.is_alive() => client,
             Some(mut client) => {
                 client.reconnect()?;
                 client

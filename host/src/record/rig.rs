@@ -65,6 +65,8 @@ pub struct Rig<'a> {
     pub board: Board,
     /// Its ID in hex.
     pub board_id: String,
+    /// What it said its epoch is when the session began: another one is a reset.
+    epoch: u32,
     /// The phone.
     pub phone: PhoneTask,
     /// The person.
@@ -138,6 +140,7 @@ impl<'a> Rig<'a> {
             profile: parts.profile,
             connector: parts.connector,
             board_id: protocol::usb::serial_number(&board.hello().board_id).to_string(),
+            epoch: board.hello().epoch,
             now: board.hello().now,
             last_sign: board.now(),
             board,
@@ -358,18 +361,9 @@ impl<'a> Rig<'a> {
             Event::Damaged(error) => {
                 writer.log(now, Severity::Warning, "damaged", &error.to_string())
             }
-            Event::Restarted { last } => {
-                return Err(Failure::new(
-                    ExitStatus::LinkLost,
-                    format!(
-                        "the board was reset {:.3} s after its last one: its time began anew, so \
-                         the session ends here",
-                        last.as_secs_f64()
-                    ),
-                )
-                .next_step("`smartdepthsync info` says why it was reset")
-                .into());
-            }
+            // While closing there is nothing left to end, and the link's loss is told.
+            Event::Restarted { .. } if self.closing => Ok(()),
+            Event::Restarted { last } => return Err(self.restarted(last).into()),
             Event::OtherVersion { found } => {
                 return Err(Failure::from(BoardError::OtherVersion { found }).into());
             }
@@ -434,6 +428,21 @@ impl<'a> Rig<'a> {
         };
         self.now = self.now.max(at);
         written.map_err(|error| Failure::from(error).into())
+    }
+
+    /// The board began anew, after `last` of its time before.
+    fn restarted(&mut self, last: Ticks) -> Failure {
+        // A reset stops the train.
+        self.trigger_started = false;
+        Failure::new(
+            ExitStatus::LinkLost,
+            format!(
+                "the board was reset {:.3} s after its last one: its time began anew, so the \
+                 session ends here",
+                last.as_secs_f64()
+            ),
+        )
+        .next_step("`smartdepthsync info` says why it was reset")
     }
 
     /// All that had come is taken.
@@ -528,6 +537,10 @@ impl<'a> Rig<'a> {
         }
         self.last_sign = self.board.now();
         self.file.reconnects += 1;
+        if self.board.hello().epoch != self.epoch && !self.closing {
+            // Whatever it is asked from here on, it knows nothing of this session.
+            return Err(self.restarted(lost_at).into());
+        }
         let now = self.board.hello().now;
         if let Some(watch) = &mut self.watch {
             watch.resume(now);

@@ -75,7 +75,7 @@ pub enum RecordingError {
         source: std::io::Error,
     },
     /// The MCAP file cannot be written or read.
-    #[error("{path}: {source}", path = .path.display())]
+    #[error("{path}: {reason}", path = .path.display(), reason = mcap_reason(.source))]
     Mcap {
         /// The file.
         path: PathBuf,
@@ -98,6 +98,14 @@ pub enum RecordingError {
         /// Line and what was expected.
         reason: String,
     },
+}
+
+/// What is wrong, in the system's words where it was the system's refusal.
+fn mcap_reason(error: &mcap::McapError) -> String {
+    match error {
+        mcap::McapError::Io(source) => source.to_string(),
+        other => other.to_string(),
+    }
 }
 
 impl RecordingError {
