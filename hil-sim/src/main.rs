@@ -20,6 +20,8 @@ enum Command {
     Serve(commands::serve::Args),
     /// Run a whole session on the simulated rig and judge it by the truth.
     Demo(commands::demo::Args),
+    /// Phase and drift of the frames from launch to launch, against the truth.
+    FrameSync(commands::frame_sync::Args),
     /// Measure the simulator and the firmware in it.
     Bench(commands::bench::Args),
     /// Hours of trigger, IMU and strobe in one run, every edge compared.
@@ -30,6 +32,7 @@ fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
+        Command::FrameSync(args) => commands::frame_sync::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),
     };

@@ -16,6 +16,10 @@ pub(crate) struct Args {
     /// Seconds of board time to record.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u32>,
+    /// Show a session on a rig that has learnt nothing, without one before it that
+    /// teaches.
+    #[arg(long)]
+    fresh: bool,
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -44,5 +48,8 @@ pub(crate) fn run(args: &Args, elf: &Path) -> Result<()> {
         .clone()
         .unwrap_or_else(|| process::target_dir().join("demo"));
     option("--out", Some(path(&out)));
+    if args.fresh {
+        all.push("--fresh".to_owned());
+    }
     process::run_hil_sim(&all, elf)
 }

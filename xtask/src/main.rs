@@ -72,6 +72,13 @@ enum Command {
         /// With --sync: twists per scenario.
         #[arg(long, default_value_t = 300, requires = "sync")]
         trials: u32,
+        /// Phase and drift of the frames from launch to launch, on the whole
+        /// simulated rig, with a fresh and a learnt profile.
+        #[arg(long, conflicts_with_all = ["sync", "evaluate", "extract"])]
+        frame_sync: bool,
+        /// With --frame-sync: how many rigs.
+        #[arg(long, default_value_t = 20, requires = "frame_sync")]
+        launches: u32,
         /// The extraction: speed and memory, beside a plain Python reader.
         #[arg(long, conflicts_with = "sync")]
         extract: bool,
@@ -112,6 +119,11 @@ fn run(command: Command) -> Result<()> {
         Command::Bench {
             sync: true, trials, ..
         } => sync_bench::run(trials),
+        Command::Bench {
+            frame_sync: true,
+            launches,
+            ..
+        } => frame_sync(launches),
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
         Command::Docs => docs::build_and_check(),
@@ -182,6 +194,27 @@ fn long_run(length: &str, full_link: u8, seed: u64) -> Result<()> {
         format!("--for={length}"),
         format!("--full-link={full_link}"),
         format!("--seed={seed}"),
+    ];
+    process::run_hil_sim(&args, &elf)
+}
+
+fn frame_sync(launches: u32) -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
+    let out = process::target_dir().join("frame-sync");
+    let args = [
+        "frame-sync".to_owned(),
+        "--launches".to_owned(),
+        launches.to_string(),
+        "--out".to_owned(),
+        out.display().to_string(),
     ];
     process::run_hil_sim(&args, &elf)
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use hil_sim::demo::stage::StageOptions;
 use hil_sim::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
 
 /// Options of `demo`.
@@ -18,6 +19,10 @@ pub(crate) struct Args {
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
+    /// Show a session on a rig that has learnt nothing, without one before it that
+    /// teaches.
+    #[arg(long)]
+    fresh: bool,
     /// Folder for the recording, the phone's files and the report.
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     out: PathBuf,
@@ -33,20 +38,17 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let program = match &args.program {
-        Some(program) => program.clone(),
-        None => std::env::current_exe()
-            .context("cannot find this program's folder")?
-            .with_file_name(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX)),
-    };
     let done = demo::run(&DemoOptions {
-        seed: args.seed,
+        stage: StageOptions {
+            seed: args.seed,
+            out: args.out.clone(),
+            elf: args.elf.clone(),
+            program: super::session_program(args.program.as_deref())?,
+            speed: args.speed,
+            quiet: false,
+        },
         seconds: args.seconds,
-        out: args.out.clone(),
-        elf: args.elf.clone(),
-        program,
-        speed: args.speed,
-        record_args: Vec::new(),
+        fresh: args.fresh,
     })?;
     println!("\n{}", done.figures.table());
     println!("recording  {}", done.recording.display());

@@ -94,12 +94,17 @@ impl Timebase {
     ///
     /// The edges are not pulses of the recording.
     pub fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
+        let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
+        let (begin, end) = (near(pulses.first())?, near(pulses.last())?);
+        let range = begin.0.saturating_sub(Self::NEAR)..=end.0.saturating_add(Self::NEAR);
+        // Edges before and behind are those of other sessions.
         let edges: Vec<SimTime> = frames
             .iter()
             .filter_map(|f| match f.source {
                 Source::Pulse { edge, .. } => Some(edge),
                 Source::FreeRun => None,
             })
+            .filter(|&edge| range.contains(&self.ticks(edge).0))
             .collect();
         let first = edges
             .first()
@@ -215,10 +220,16 @@ impl Truth {
         let span = session
             .recorded
             .context("the session has recorded nothing")?;
+        let phase_ns = session
+            .video
+            .context("the session has started no video")?
+            .phase
+            .0;
         let video = self
             .videos
-            .last()
-            .context("the phone has recorded no video")?;
+            .iter()
+            .find(|v| (v.start_ns..v.stop_ns.unwrap_or(i64::MAX)).contains(&phase_ns))
+            .context("the phone has recorded no video in this session")?;
 
         let phone_ns = |at: Ticks| self.phone.nanos_at(self.board.true_at(base.time(at)));
         let (from, to) = (phone_ns(span.from), phone_ns(span.to));
@@ -285,7 +296,11 @@ mod tests {
                 assert_eq!(found.ticks(base.time(pulse)), pulse);
             }
         }
-        assert!(base.refined(&pulses[5..], &frames).is_err());
+        // Pulses that the camera saw and the recording has not.
+        let gap = [&pulses[..50], &pulses[55..]].concat();
+        assert!(base.refined(&gap, &frames).is_err());
+        // Frames of another session do not matter.
+        assert!(base.refined(&pulses[5..100], &frames).is_ok());
         assert!(base.refined(&pulses, &[]).is_err());
     }
 

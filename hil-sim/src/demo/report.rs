@@ -40,12 +40,83 @@ pub struct Figures {
     pub wall_s: f64,
     /// The seed.
     pub seed: u64,
+    /// The session before it, from which the rig profile has learnt.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub before_learning: Option<Before>,
+}
+
+/// The figures of a session with nothing learnt.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Before {
+    /// Error of the clock offset at the start, µs.
+    pub offset_error_us: f64,
+    /// Its stated 1-sigma, µs.
+    pub offset_sigma_us: f64,
+    /// Middle of exposure of the depth camera minus that of the phone at the
+    /// start, µs.
+    pub phase_error_us: f64,
+    /// Change of that, µs a minute.
+    pub drift_us_per_min: f64,
+    /// What is missing.
+    pub lost: u64,
+    /// Length of the recorded span, seconds of board time.
+    pub recorded_s: f64,
+}
+
+/// Width of the names in the terminal's table.
+const WIDTH: usize = 50;
+
+/// Title of the figures of the session before.
+const BEFORE: &str = "The session before it, on a rig that has learnt nothing:";
+
+fn with_sigma(error: f64, sigma: f64) -> String {
+    format!("{error:+.2} µs (stated 1-sigma {sigma:.2} µs)")
+}
+
+impl Before {
+    /// Name and value of each line of the table.
+    fn lines(&self) -> Vec<(&'static str, String)> {
+        vec![
+            (
+                "clock offset at the start, error",
+                with_sigma(self.offset_error_us, self.offset_sigma_us),
+            ),
+            (
+                "phase between the middles of exposure at the start",
+                format!("{:+.2} µs", self.phase_error_us),
+            ),
+            ("its drift", format!("{:+.2} µs/min", self.drift_us_per_min)),
+            ("lost", self.lost.to_string()),
+            (
+                "recorded span, board time",
+                format!("{:.1} s", self.recorded_s),
+            ),
+        ]
+    }
+
+    fn of(verdict: &Verdict) -> Self {
+        Self {
+            offset_error_us: verdict.offset_start.error_us,
+            offset_sigma_us: verdict.offset_start.sigma_us,
+            phase_error_us: verdict.phase.start_us,
+            drift_us_per_min: verdict.phase.drift_us_per_min,
+            lost: verdict.lost,
+            recorded_s: verdict.recorded_s,
+        }
+    }
 }
 
 impl Figures {
-    /// The figures of a judged run.
+    /// The figures of a judged run; `before` is the session that has taught the
+    /// profile.
     #[must_use]
-    pub fn new(verdict: &Verdict, virtual_s: f64, wall_s: f64, seed: u64) -> Self {
+    pub fn new(
+        verdict: &Verdict,
+        before: Option<&Verdict>,
+        virtual_s: f64,
+        wall_s: f64,
+        seed: u64,
+    ) -> Self {
         Self {
             offset_error_us: verdict.offset_start.error_us,
             offset_sigma_us: verdict.offset_start.sigma_us,
@@ -60,12 +131,12 @@ impl Figures {
             virtual_s,
             wall_s,
             seed,
+            before_learning: before.map(Before::of),
         }
     }
 
     /// Name and value of each line of the table.
     fn lines(&self) -> Vec<(&'static str, String)> {
-        let with_sigma = |error, sigma| format!("{error:+.2} µs (stated 1-sigma {sigma:.2} µs)");
         vec![
             (
                 "clock offset at the start, error",
@@ -99,11 +170,16 @@ impl Figures {
     /// The table for the terminal.
     #[must_use]
     pub fn table(&self) -> String {
-        let lines = self.lines();
-        let width = lines.iter().map(|(name, _)| name.chars().count()).max();
-        let mut out = String::from("Against the truth of the simulated rig:\n");
-        for (name, value) in lines {
-            let _ = writeln!(out, "  {name:<0$}  {value}", width.unwrap_or(0));
+        let mut out = String::new();
+        let mut section = |title: &str, lines: Vec<(&str, String)>| {
+            let _ = writeln!(out, "{title}");
+            for (name, value) in lines {
+                let _ = writeln!(out, "  {name:<WIDTH$}  {value}");
+            }
+        };
+        section("Against the truth of the simulated rig:", self.lines());
+        if let Some(before) = &self.before_learning {
+            section(BEFORE, before.lines());
         }
         out
     }
@@ -115,15 +191,16 @@ impl Figures {
 ///
 /// The plot of the phase cannot be drawn.
 pub fn page(figures: &Figures, verdict: &Verdict, twist_svg: Option<&str>) -> Result<String> {
-    let mut rows = String::new();
-    for (name, value) in figures.lines() {
-        let _ = writeln!(
-            rows,
-            "<tr><td>{}</td><td>{}</td></tr>",
-            escape(name),
-            escape(&value)
-        );
-    }
+    let rows = rows(figures.lines());
+    let before = figures.before_learning.map_or(String::new(), |before| {
+        format!(
+            "<h2>{}</h2>\n<p>From it the rig profile learnt the period of the phone's frames and \
+             the rate of its clock, to which one twist and the 59 frames that the app averages \
+             are too short.</p>\n<table>\n{}</table>",
+            escape(BEFORE.trim_end_matches(':')),
+            self::rows(before.lines())
+        )
+    });
     let phase = phase_plot(verdict)?;
     let twist = twist_svg.unwrap_or("<p>There is no plot of a twist in this run.</p>");
     Ok(format!(
@@ -144,6 +221,7 @@ their clocks are models. Every figure is simulated and judged against the models
 truth.</p>
 <table>
 {rows}</table>
+{before}
 <h2>Phase of the frames</h2>
 <p>Middle of exposure of the depth camera minus that of the phone's middle row, in
 true time, for every frame of the recorded span.</p>
@@ -156,6 +234,20 @@ them.</p>
 "#,
         seed = figures.seed,
     ))
+}
+
+/// Rows of an HTML table.
+fn rows(lines: Vec<(&str, String)>) -> String {
+    let mut rows = String::new();
+    for (name, value) in lines {
+        let _ = writeln!(
+            rows,
+            "<tr><td>{}</td><td>{}</td></tr>",
+            escape(name),
+            escape(&value)
+        );
+    }
+    rows
 }
 
 fn escape(text: &str) -> String {
@@ -242,7 +334,7 @@ mod tests {
 
     #[test]
     fn the_figures_have_the_documented_keys() {
-        let figures = Figures::new(&verdict(), 320.0, 20.0, 7);
+        let figures = Figures::new(&verdict(), None, 320.0, 20.0, 7);
         let json = serde_json::to_value(&figures).unwrap();
         for key in [
             "offset_error_us",
@@ -268,8 +360,9 @@ mod tests {
     #[test]
     fn the_page_holds_all_it_needs() {
         let verdict = verdict();
-        let figures = Figures::new(&verdict, 320.0, 20.0, 7);
+        let figures = Figures::new(&verdict, Some(&verdict), 320.0, 20.0, 7);
         let page = page(&figures, &verdict, Some("<svg id=\"twist\"></svg>")).unwrap();
+        assert!(page.contains("has learnt nothing"));
         assert!(page.matches("<svg").count() == 2 && page.contains("id=\"twist\""));
         assert!(!page.contains("src=") && !page.contains("href="));
         // Thinned: far fewer marks than frames.

@@ -47,6 +47,9 @@ pub struct VideoTruth {
     pub stop_ns: Option<i64>,
     /// The video's file; it is there once it was rendered.
     pub path: PathBuf,
+    /// The file of its frames' timestamps; it is there once the recording was
+    /// saved.
+    pub timestamps: PathBuf,
 }
 
 /// A recording on the phone.
@@ -229,7 +232,7 @@ impl App {
                 let start_ns = self.now_ns();
                 let number = u32::try_from(state.recordings.len()).unwrap_or(u32::MAX);
                 let frames = FrameTimes::new(&self.config, number, start_ns);
-                let path = names.video();
+                let (path, timestamps) = (names.video(), names.timestamps());
                 state.recordings.push(Recording {
                     names,
                     truth: VideoTruth {
@@ -238,6 +241,7 @@ impl App {
                         start_ns,
                         stop_ns: None,
                         path,
+                        timestamps,
                     },
                 });
                 state.recording = true;

@@ -1,0 +1,314 @@
+//! How well frames coincide from launch to launch, by the truth.
+//!
+//! A launch is a rig of its own seed: clocks up to ±50 ppm and hours apart,
+//! sensors mounted at random. On each rig two sessions are run as a user runs
+//! them ([`super::stage`]): one with nothing learnt, from which the profile
+//! learns, and one with the learnt profile. The phase error of a session is the
+//! depth camera's middle of exposure minus the phone's, at the start of the
+//! recorded span; its drift is the change of that over the span.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use anyhow::{Context, Result, anyhow};
+use serde::Serialize;
+use smartdepthsync::evaluate::stats::{mean, quantile, standard_deviation};
+use smartdepthsync::recording::session_file::SessionFile;
+
+use super::judge::Verdict;
+use super::stage::{Stage, StageOptions};
+
+/// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
+/// from launch to launch, 16.34 µs/min of drift).
+pub const PAPER: (f64, f64, f64) = (66.3, 61.6, 16.34);
+
+/// What is to be measured.
+#[derive(Clone, Debug)]
+pub struct FrameSyncOptions {
+    /// The first rig's seed; the others follow it.
+    pub first_seed: u64,
+    /// How many rigs.
+    pub launches: u32,
+    /// Length of each recording, seconds of board time.
+    pub seconds: u32,
+    /// How many rigs run at the same time.
+    pub jobs: u32,
+    /// Folder of the recordings.
+    pub out: PathBuf,
+    /// The firmware's ELF; the one that was built last if not given.
+    pub elf: Option<PathBuf>,
+    /// The program `smartdepthsync`.
+    pub program: PathBuf,
+    /// At most so many times real time.
+    pub speed: f64,
+    /// Recordings are kept; otherwise they go as soon as they are judged.
+    pub keep: bool,
+}
+
+/// One session, judged.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Launch {
+    /// The rig.
+    pub seed: u64,
+    /// Phase error at the start, µs.
+    pub phase_error_us: f64,
+    /// What the session said about it, 1-sigma, µs.
+    pub phase_sigma_us: f64,
+    /// Drift of the phase, µs a minute.
+    pub drift_us_per_min: f64,
+    /// What the session said about it, 1-sigma, µs a minute.
+    pub drift_sigma_us_per_min: f64,
+    /// Error of the clock offset at the start, µs.
+    pub offset_error_us: f64,
+    /// Messages, pulses and frames that are missing.
+    pub lost: u64,
+}
+
+/// Launches of one kind in a few numbers.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Spread {
+    /// How many.
+    pub launches: usize,
+    /// Mean phase error, µs.
+    pub bias_us: f64,
+    /// Standard deviation of the phase error, µs.
+    pub sd_us: f64,
+    /// Interquartile range of the phase error, µs.
+    pub iqr_us: f64,
+    /// Largest phase error without its sign, µs.
+    pub worst_us: f64,
+    /// Mean drift without its sign, µs a minute.
+    pub drift_us_per_min: f64,
+    /// Largest drift without its sign, µs a minute.
+    pub worst_drift_us_per_min: f64,
+    /// RMS of phase errors over their stated sigmas: 1 if those are honest.
+    pub phase_sigmas: f64,
+    /// The same for the drifts.
+    pub drift_sigmas: f64,
+}
+
+/// All launches.
+#[derive(Clone, Debug, Serialize)]
+pub struct FrameSync {
+    /// Length of each recording, seconds of board time.
+    pub seconds: u32,
+    /// With a profile that has learnt nothing.
+    pub fresh: Vec<Launch>,
+    /// With the profile that the session before has taught.
+    pub learnt: Vec<Launch>,
+}
+
+impl Spread {
+    /// Of these launches; nothing for fewer than two.
+    #[must_use]
+    pub fn of(launches: &[Launch]) -> Option<Self> {
+        let phases: Vec<f64> = launches.iter().map(|l| l.phase_error_us).collect();
+        let drifts: Vec<f64> = launches.iter().map(|l| l.drift_us_per_min.abs()).collect();
+        let rms = |ratios: Vec<f64>| mean(&ratios.iter().map(|r| r * r).collect::<Vec<_>>()).sqrt();
+        let most = |values: &[f64]| values.iter().map(|v| v.abs()).fold(0.0, f64::max);
+        Some(Self {
+            launches: launches.len(),
+            bias_us: mean(&phases),
+            sd_us: standard_deviation(&phases)?,
+            iqr_us: quantile(&phases, 0.75)? - quantile(&phases, 0.25)?,
+            worst_us: most(&phases),
+            drift_us_per_min: mean(&drifts),
+            worst_drift_us_per_min: most(&drifts),
+            phase_sigmas: rms(launches
+                .iter()
+                .map(|l| l.phase_error_us / l.phase_sigma_us)
+                .collect()),
+            drift_sigmas: rms(launches
+                .iter()
+                .map(|l| l.drift_us_per_min / l.drift_sigma_us_per_min)
+                .collect()),
+        })
+    }
+}
+
+impl FrameSync {
+    /// The table for the terminal and the book.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut out = format!(
+            "Phase of the frames from launch to launch, and its drift over {} s (simulated):\n\n\
+             | | paper | fresh profile | learnt profile |\n|---|---|---|---|\n",
+            self.seconds
+        );
+        let (fresh, learnt) = (Spread::of(&self.fresh), Spread::of(&self.learnt));
+        let value = |spread: &Option<Spread>, of: &dyn Fn(&Spread) -> f64, digits: usize| {
+            spread
+                .as_ref()
+                .map_or("-".to_owned(), |s| format!("{:.digits$}", of(s)))
+        };
+        type Row = (&'static str, Option<f64>, usize, fn(&Spread) -> f64);
+        let rows: [Row; 9] = [
+            ("launches", None, 0, |s| s.launches as f64),
+            ("phase, IQR (µs)", Some(PAPER.0), 2, |s| s.iqr_us),
+            ("phase, SD (µs)", Some(PAPER.1), 2, |s| s.sd_us),
+            ("phase, mean (µs)", None, 2, |s| s.bias_us),
+            ("phase, largest (µs)", None, 2, |s| s.worst_us),
+            ("drift, mean (µs/min)", Some(PAPER.2), 2, |s| {
+                s.drift_us_per_min
+            }),
+            ("drift, largest (µs/min)", None, 2, |s| {
+                s.worst_drift_us_per_min
+            }),
+            ("phase over its stated sigma, RMS", None, 2, |s| {
+                s.phase_sigmas
+            }),
+            ("drift over its stated sigma, RMS", None, 2, |s| {
+                s.drift_sigmas
+            }),
+        ];
+        for (name, paper, digits, of) in rows {
+            let _ = writeln!(
+                out,
+                "| {name} | {} | {} | {} |",
+                paper.map_or(String::new(), |p| p.to_string()),
+                value(&fresh, &of, digits),
+                value(&learnt, &of, digits),
+            );
+        }
+        let lost: u64 = self.fresh.iter().chain(&self.learnt).map(|l| l.lost).sum();
+        let _ = writeln!(out, "\nlost in all sessions: {lost}");
+        out
+    }
+}
+
+/// Runs all launches. `done` is called after each rig.
+///
+/// # Errors
+///
+/// A session fails.
+pub fn run(
+    options: &FrameSyncOptions,
+    done: impl Fn(&Launch, &Launch) + Sync,
+) -> Result<FrameSync> {
+    let next = AtomicU32::new(0);
+    let results = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..options.jobs.max(1) {
+            scope.spawn(|| {
+                loop {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    if number >= options.launches {
+                        return;
+                    }
+                    let seed = options.first_seed.wrapping_add(number.into());
+                    let result = launch(options, seed);
+                    match &result {
+                        Ok((fresh, learnt)) => done(fresh, learnt),
+                        // No need to start more: the first failure is told.
+                        Err(_) => next.store(options.launches, Ordering::Relaxed),
+                    }
+                    let mut results = results.lock().unwrap_or_else(|e| e.into_inner());
+                    results.push(result.with_context(|| format!("the rig of seed {seed}")));
+                }
+            });
+        }
+    });
+    let results = results
+        .into_inner()
+        .map_err(|_| anyhow!("a rig panicked"))?;
+    let mut both: Vec<(Launch, Launch)> = results.into_iter().collect::<Result<_>>()?;
+    both.sort_by_key(|(fresh, _)| fresh.seed);
+    let (fresh, learnt) = both.into_iter().unzip();
+    Ok(FrameSync {
+        seconds: options.seconds,
+        fresh,
+        learnt,
+    })
+}
+
+/// Both sessions on one rig.
+fn launch(options: &FrameSyncOptions, seed: u64) -> Result<(Launch, Launch)> {
+    let out = options.out.join(format!("seed_{seed}"));
+    let stage = Stage::start(StageOptions {
+        seed,
+        out: out.clone(),
+        elf: options.elf.clone(),
+        program: options.program.clone(),
+        speed: options.speed,
+        quiet: true,
+    })?;
+    let fresh = stage.session("fresh", options.seconds, &[])?;
+    stage.learn(&fresh)?;
+    let learnt = stage.session("learnt", options.seconds, &[])?;
+    let truth = stage.end()?;
+    let judge = |folder: &Path| -> Result<Launch> {
+        let verdict = truth.judge(folder)?;
+        Launch::of(seed, &verdict, &SessionFile::load(folder)?)
+    };
+    let both = (judge(&fresh)?, judge(&learnt)?);
+    if !options.keep {
+        std::fs::remove_dir_all(&out)
+            .with_context(|| format!("cannot remove {}", out.display()))?;
+    }
+    Ok(both)
+}
+
+impl Launch {
+    fn of(seed: u64, verdict: &Verdict, session: &SessionFile) -> Result<Self> {
+        let alignment = session
+            .alignment
+            .as_ref()
+            .context("the session has aligned nothing")?;
+        Ok(Self {
+            seed,
+            phase_error_us: verdict.phase.start_us,
+            phase_sigma_us: alignment.phase_sigma_us,
+            drift_us_per_min: verdict.phase.drift_us_per_min,
+            drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
+            offset_error_us: verdict.offset_start.error_us,
+            lost: verdict.lost,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn launch(seed: u64, phase_error_us: f64, drift_us_per_min: f64) -> Launch {
+        Launch {
+            seed,
+            phase_error_us,
+            phase_sigma_us: 2.0,
+            drift_us_per_min,
+            drift_sigma_us_per_min: 1.0,
+            offset_error_us: 0.0,
+            lost: 0,
+        }
+    }
+
+    #[test]
+    fn the_spread_is_that_of_its_launches() {
+        let launches: Vec<Launch> = [-2.0, -1.0, 0.0, 1.0, 7.0]
+            .into_iter()
+            .zip(0..)
+            .map(|(phase, seed)| launch(seed, phase, if seed % 2 == 0 { 1.0 } else { -3.0 }))
+            .collect();
+        let spread = Spread::of(&launches).unwrap();
+        assert!((spread.bias_us - 1.0).abs() < 1e-12);
+        assert!((spread.sd_us - 12.5_f64.sqrt()).abs() < 1e-12);
+        assert!((spread.iqr_us - 2.0).abs() < 1e-12);
+        assert_eq!(spread.worst_us, 7.0);
+        assert!((spread.drift_us_per_min - 1.8).abs() < 1e-12);
+        assert_eq!(spread.worst_drift_us_per_min, 3.0);
+        assert!((spread.phase_sigmas - (55.0_f64 / 5.0 / 4.0).sqrt()).abs() < 1e-12);
+        assert!(Spread::of(&launches[..1]).is_none());
+        let table = FrameSync {
+            seconds: 300,
+            fresh: launches.clone(),
+            learnt: launches,
+        }
+        .table();
+        assert!(
+            table.contains("| phase, IQR (µs) | 66.3 | 2.00 | 2.00 |"),
+            "{table}"
+        );
+    }
+}
