@@ -88,6 +88,7 @@ impl Scene {
         SceneSource {
             scene: self,
             info: SourceInfo {
+                encoded: false,
                 path: PathBuf::from("rendered"),
                 width,
                 height,

@@ -14,8 +14,13 @@ use super::PortArg;
 use crate::board::{Board, BoardError};
 use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
-use crate::outcome::{Failure, Outcome};
+use crate::evaluate::latency::{Latency, latency};
+use crate::evaluate::train::TrainGeometry;
+use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::session::Event;
+
+/// How long the link may bring no pulse while the latency is measured.
+const PULSE_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `trigger`.
 #[derive(Debug, clap::Args)]
@@ -57,6 +62,16 @@ enum Action {
     Period {
         #[command(flatten)]
         period: PeriodArg,
+    },
+    /// Measure from the trigger's edge to the centre of exposure, with a photodiode on the
+    /// strobe input (PA2) while the train runs
+    Latency {
+        /// The depth mode's strobe train: nfov, wfov, or COUNT,PITCH_US,DURATION_US
+        #[arg(long, default_value = "nfov", value_name = "TRAIN")]
+        train: TrainGeometry,
+        /// Pulses to measure
+        #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..=100_000))]
+        pulses: u32,
     },
     /// Stop the train
     Stop,
@@ -139,7 +154,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         && period.given().is_none()
     {
         return Err(Failure::new(
-            crate::outcome::ExitStatus::Usage,
+            ExitStatus::Usage,
             "trigger period needs --fps or --period-us",
         )
         .into());
@@ -150,6 +165,9 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 
 fn act(action: &Action, board: &mut Board, context: &Context) -> anyhow::Result<Outcome> {
     let status = match *action {
+        Action::Latency { train, pulses } => {
+            return measure_latency(board, context, &train, pulses as usize);
+        }
         Action::Start {
             period,
             width_us,
@@ -188,6 +206,91 @@ fn act(action: &Action, board: &mut Board, context: &Context) -> anyhow::Result<
     } else {
         Outcome::Good
     })
+}
+
+/// Collects pulses and strobes, and says how they lie to each other.
+fn measure_latency(
+    board: &mut Board,
+    context: &Context,
+    train: &TrainGeometry,
+    wanted: usize,
+) -> anyhow::Result<Outcome> {
+    let status = board.trigger().map_err(Failure::from)?;
+    if status.state == TrainState::Stopped {
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            "the trigger is stopped: there is nothing to measure",
+        )
+        .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera")
+        .into());
+    }
+    let (mut pulses, mut captures) = (Vec::new(), Vec::new());
+    let mut quiet_since = board.now();
+    // The last pulse only ends the one before it.
+    while pulses.len() <= wanted {
+        if context.interrupt.requested() {
+            return Ok(Outcome::Interrupted);
+        }
+        match board
+            .next_event(Duration::from_millis(100))
+            .map_err(Failure::from)?
+        {
+            Some(Event::Message(DeviceToHost::Pulse(pulse))) => {
+                pulses.push(pulse.at);
+                quiet_since = board.now();
+            }
+            Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
+            _ => {}
+        }
+        if board.now().saturating_sub(quiet_since) > PULSE_PATIENCE {
+            break;
+        }
+    }
+    let Some(found) = latency(&pulses, &captures, train) else {
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            format!(
+                "no pulse has a whole train of {} flashes: {} strobe edges came with {} pulses, {} a pulse are expected",
+                train.count,
+                captures.len(),
+                pulses.len(),
+                2 * train.count
+            ),
+        )
+        .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's")
+        .into());
+    };
+    context.print(&found, || latency_text(&found))?;
+    Ok(if found.left_out > 0 {
+        Outcome::Loss
+    } else {
+        Outcome::Good
+    })
+}
+
+fn latency_text(found: &Latency) -> String {
+    let mut text = format!(
+        "pulses       {} with a whole train of flashes, {} without\n",
+        found.pulses, found.left_out
+    );
+    for (name, quantity) in [
+        ("centre", &found.center),
+        ("first flash", &found.first_flash),
+        ("pitch", &found.pitch),
+        ("flash", &found.duration),
+    ] {
+        let _ = writeln!(
+            text,
+            "{name:<12} {:.3} ± {:.3} µs (a single one: {:.3} µs)",
+            quantity.mean_us, quantity.sigma_us, quantity.sd_us
+        );
+    }
+    let _ = write!(
+        text,
+        "for the rig profile, less the light path's own delay:\n[depth]\ncenter_offset_us = {:.3}\ncenter_offset_sigma_us = {:.3}",
+        found.center.mean_us, found.center.sigma_us
+    );
+    text
 }
 
 struct Align {

@@ -22,6 +22,11 @@ const OUTLIER: f64 = 6.0;
 /// The published pipeline looks at every n-th frame.
 const PAPER_EVERY: usize = 6;
 
+/// By how much the stated uncertainty of an encoded video is larger than its
+/// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds,
+/// `cargo xtask bench --chain`). See [`super::precision`].
+const ENCODED: f64 = 1.5;
+
 /// Drift by the published pipeline.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperDrift {
@@ -150,11 +155,13 @@ pub fn evaluate(
         .then(|| paper_drift(&recording, &track, settings))
         .flatten();
     let per_minute = |v: f64| 60.0 * v;
+    let allowance = if recording.encoded { ENCODED } else { 1.0 };
+    let slope_sigma = allowance * line.slope_sigma;
     let result = Drift {
         path: recording.path.clone(),
         drift_us_per_min: per_minute(line.slope),
-        drift_sigma_us_per_min: per_minute(line.slope_sigma),
-        drift_uncertainty_99_us_per_min: per_minute(COVERAGE_99 * line.slope_sigma),
+        drift_sigma_us_per_min: per_minute(slope_sigma),
+        drift_uncertainty_99_us_per_min: per_minute(COVERAGE_99 * slope_sigma),
         bias_us: line.at(0.5 * (first + last)),
         bias_at_start_us: line.at(first),
         bias_at_end_us: line.at(last),

@@ -44,6 +44,7 @@ mod error;
 pub mod fit;
 pub mod frame;
 pub mod identity;
+pub mod latency;
 pub mod linear;
 pub mod paper;
 pub mod plot;

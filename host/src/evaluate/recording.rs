@@ -51,6 +51,8 @@ pub struct Recording {
     pub saturated: f32,
     /// The frame with the strongest contrast between rows.
     pub picture: Picture,
+    /// Whether the frames went through a video encoder.
+    pub encoded: bool,
     /// Remarks for the user.
     pub notes: Vec<String>,
     /// Time spent waiting for the decoder and for the disk.
@@ -186,6 +188,7 @@ impl Recording {
             read,
             saturated,
             picture,
+            encoded: info.encoded,
             notes: all,
             waited,
         })

@@ -72,6 +72,7 @@ impl ImageFolder {
         };
         Ok(Self {
             info: SourceInfo {
+                encoded: false,
                 path: path.to_owned(),
                 width,
                 height,

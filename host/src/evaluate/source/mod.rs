@@ -26,6 +26,8 @@ pub struct SourceInfo {
     pub frames: Option<u64>,
     /// When each frame was taken.
     pub times: FrameTimes,
+    /// Whether the frames went through a video encoder.
+    pub encoded: bool,
     /// Remarks for the user about the input.
     pub notes: Vec<String>,
 }

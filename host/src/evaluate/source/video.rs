@@ -107,6 +107,7 @@ impl Video {
             .map(|pipe| std::thread::spawn(move || keep_start(pipe)));
         Ok(Self {
             info: SourceInfo {
+                encoded: true,
                 path: path.to_owned(),
                 width,
                 height,
