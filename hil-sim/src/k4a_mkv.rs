@@ -19,6 +19,8 @@
 use std::collections::VecDeque;
 use std::io::{self, Seek, SeekFrom, Write};
 
+use crate::depth_camera::{FrameRecord, TIMESTAMP_HZ};
+
 /// Nanoseconds in a unit of the file's time.
 const SCALE: u64 = 1_000;
 /// Length of a cluster, in µs.
@@ -80,6 +82,39 @@ pub struct K4aImu {
     pub gyro_us: u64,
     /// rad/s.
     pub gyro: [f32; 3],
+}
+
+/// The recorder's device timestamp, µs rounded down, of ticks of [`TIMESTAMP_HZ`].
+#[must_use]
+pub fn device_us(ticks: u64) -> u64 {
+    let us = u128::from(ticks) * 1_000_000 / u128::from(TIMESTAMP_HZ);
+    u64::try_from(us).unwrap_or(u64::MAX)
+}
+
+/// Writes what the simulated camera delivered as a recording. `pixels` fills the
+/// depth image of a frame (by its number); bad frames are black.
+///
+/// # Errors
+///
+/// Writing fails.
+pub fn write_frames<W: Write + Seek>(
+    out: W,
+    settings: K4aSettings,
+    frames: &[FrameRecord],
+    mut pixels: impl FnMut(u64, &mut [u16]),
+) -> io::Result<W> {
+    let mut image = vec![0; settings.width as usize * settings.height as usize];
+    let infrared = settings.infrared;
+    let mut writer = K4aMkvWriter::new(out, settings)?;
+    for frame in frames.iter().filter(|frame| frame.delivered) {
+        image.fill(0);
+        if !frame.bad {
+            pixels(frame.number, &mut image);
+        }
+        let us = device_us(frame.device_ticks);
+        writer.write_capture(us, &image, infrared.then_some(&image))?;
+    }
+    writer.finish()
 }
 
 struct Entry {

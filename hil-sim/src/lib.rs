@@ -41,6 +41,7 @@ pub mod truth_recorder;
 pub mod usb;
 pub mod vcd_trace;
 pub mod video_writer;
+pub mod whole_chain;
 
 #[cfg(test)]
 mod test_bench;

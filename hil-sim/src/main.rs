@@ -22,6 +22,8 @@ enum Command {
     Demo(commands::demo::Args),
     /// Phase and drift of the frames from launch to launch, against the truth.
     FrameSync(commands::frame_sync::Args),
+    /// Check extraction and evaluation on recordings of the whole rig, by the truth.
+    Chain(commands::chain::Args),
     /// Measure the simulator and the firmware in it.
     Bench(commands::bench::Args),
     /// Hours of trigger, IMU and strobe in one run, every edge compared.
@@ -33,6 +35,7 @@ fn main() -> ExitCode {
         Command::Serve(args) => commands::serve::run(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::FrameSync(args) => commands::frame_sync::run(&args),
+        Command::Chain(args) => commands::chain::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),
     };

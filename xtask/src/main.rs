@@ -5,6 +5,7 @@
 //! run. It calls cargo and other programs as processes and depends on no other
 //! crate of this workspace, so it builds in seconds.
 
+mod chain_bench;
 mod demo;
 mod docs;
 mod evaluate_bench;
@@ -85,6 +86,16 @@ enum Command {
         /// With --extract: minutes of depth at full size (1.3 GB each).
         #[arg(long, default_value_t = 10, requires = "extract")]
         depth_minutes: u32,
+        /// Extraction, evaluation and calibration on recordings of the whole simulated
+        /// rig, by the truth.
+        #[arg(long, conflicts_with_all = ["sync", "extract", "evaluate"])]
+        chain: bool,
+        /// With --chain: seconds of the recording that is extracted.
+        #[arg(long, default_value_t = 600, requires = "chain")]
+        seconds: u32,
+        /// With --chain: seeds of the evaluation.
+        #[arg(long, default_value_t = 50, requires = "chain")]
+        seeds: u32,
     },
     /// Drift after twists and natural motion, simulated: the tables of
     /// docs/sync-study.md.
@@ -116,6 +127,12 @@ fn run(command: Command) -> Result<()> {
             depth_minutes,
             ..
         } => extract_bench::run(depth_minutes),
+        Command::Bench {
+            chain: true,
+            seconds,
+            seeds,
+            ..
+        } => chain(seconds, seeds),
         Command::Bench {
             sync: true, trials, ..
         } => sync_bench::run(trials),
@@ -217,6 +234,20 @@ fn frame_sync(launches: u32) -> Result<()> {
         out.display().to_string(),
     ];
     process::run_hil_sim(&args, &elf)
+}
+
+fn chain(seconds: u32, seeds: u32) -> Result<()> {
+    tools::ensure_program("ffmpeg", "ffmpeg")?;
+    let elf = firmware::build()?;
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
+    chain_bench::run(&elf, seconds, seeds)
 }
 
 fn bench() -> Result<()> {

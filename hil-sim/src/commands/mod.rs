@@ -1,6 +1,7 @@
 //! The commands of `hil-sim`.
 
 pub(crate) mod bench;
+pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod frame_sync;
 pub(crate) mod long_run;

@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use hil_sim::inertial_channel::{Channel, ChannelConfig, LowPass};
-use hil_sim::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
+use hil_sim::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
 use hil_sim::motion::{Motion, MotionSpec, MotionView};
 use hil_sim::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use hil_sim::random::{Random, Seed, Stream};
@@ -449,8 +449,7 @@ fn write_depth(
         let centre = rig.camera.when_elapsed(edge + delay);
         let own_ns = (edge + delay) / UNITS_PER_NANO + base;
         // 90 kHz ticks, rounded down, and then microseconds.
-        let ticks = u128::from(own_ns) * 90_000 / 1_000_000_000;
-        let us = (ticks * 1_000_000 / 90_000) as u64;
+        let us = device_us((u128::from(own_ns) * 90_000 / 1_000_000_000) as u64);
         let delivered = !dice.chance(config.drop_probability);
         truth.depth.push(DepthTruth {
             pulse: pulse.number,

@@ -1,0 +1,26 @@
+//! Extraction, evaluation and calibration on recordings of the whole simulated
+//! rig, by the truth (`hil-sim chain`).
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use crate::process;
+
+/// `cargo xtask bench --chain`: all three, the recordings under `target/chain`.
+pub(crate) fn run(elf: &Path, seconds: u32, seeds: u32) -> Result<()> {
+    let out = process::target_dir().join("chain").display().to_string();
+    let (seconds, seeds) = (seconds.to_string(), seeds.to_string());
+    for what in [
+        &["extract", "--seconds", &seconds][..],
+        &["evaluate", "--seeds", &seeds],
+        &["calibrate"],
+    ] {
+        let mut args = vec!["chain".to_owned()];
+        args.extend(what.iter().map(|&arg| arg.to_owned()));
+        args.extend(["--out".to_owned(), out.clone()]);
+        process::run_hil_sim(&args, elf)?;
+        println!();
+    }
+    Ok(())
+}
