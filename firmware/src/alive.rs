@@ -17,10 +17,15 @@ pub enum Task {
     Transmit,
     /// Samples the IMU.
     Imu,
+    /// Sends the sentences of the pulse per second.
+    Gnss,
 }
 
 /// All of [`Task`].
-const ALL: u32 = (1 << Task::Receive as u8) | (1 << Task::Transmit as u8) | (1 << Task::Imu as u8);
+const ALL: u32 = (1 << Task::Receive as u8)
+    | (1 << Task::Transmit as u8)
+    | (1 << Task::Imu as u8)
+    | (1 << Task::Gnss as u8);
 
 /// The bits.
 #[derive(Debug, Default)]
@@ -56,6 +61,7 @@ mod tests {
         for _ in 0..10 {
             alive.check_in(Task::Receive);
             alive.check_in(Task::Imu);
+            alive.check_in(Task::Gnss);
             assert!(!alive.all());
         }
         alive.check_in(Task::Transmit);

@@ -1,6 +1,6 @@
 //! Every tuning number of the firmware, with its derivation.
 
-use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, TICK_HZ};
+use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, NMEA_SLACK_MS, TICK_HZ};
 
 /// Ticks in a microsecond: 48.
 pub const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
@@ -16,6 +16,33 @@ pub const SYSCLK_HZ: u32 = 96_000_000;
 /// Timer clock of APB1 in Hz: 96 MHz / 4, doubled by the hardware for timers
 /// (RM0090 7.2). One tick of board time.
 pub const TIM2_HZ: u32 = TICK_HZ;
+
+/// Clock of TIM1 in a tick: APB2's timers run at 96 MHz.
+pub const TIM1_CLOCKS_PER_TICK: u32 = SYSCLK_HZ / TICK_HZ;
+
+/// Clock of UART5 in Hz: APB1, 96 MHz / 4.
+pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
+
+/// How long after TIM2's start TIM1 starts, in clocks of TIM1. The hardware makes
+/// it, and it never changes; the reference manual does not say how long it takes
+/// (RM0090 17.3.20 only says that there is a resynchronisation). This is the
+/// simulated board's; `docs/bring-up.md` says how to measure a real one's.
+pub const OUTPUT_START_DELAY: u32 = 2;
+
+/// An edge of TIM1 that is nearer than this is armed on it, in ticks: 0.6 ms. TIM1
+/// comes round every 65,536 of its clocks, 0.68 ms.
+pub const OUTPUT_NEAR: u32 = 600 * TICKS_PER_US;
+
+/// How long before an edge that is farther away TIM5 calls the handler that arms
+/// it on TIM1, in ticks: 0.4 ms.
+pub const OUTPUT_LEAD: u32 = 400 * TICKS_PER_US;
+
+/// The quiet margin of TIM1's handlers, in ticks: 40 µs. Longer than TIM2's
+/// ([`QUIET_MARGIN`]), as TIM2's handler goes on meanwhile.
+pub const OUTPUT_QUIET_MARGIN: u32 = 40 * TICKS_PER_US;
+
+/// How late sentences may begin, in ticks.
+pub const NMEA_SLACK: u64 = NMEA_SLACK_MS as u64 * 1_000 * TICKS_PER_US as u64;
 
 /// Clock of the IMU on PA8, in Hz: 96 MHz / 5. What the MPU-9150 asks for at
 /// CLKSEL = 5.
@@ -86,6 +113,14 @@ pub const ANSWERS_PER_COMMAND: usize = 3;
 
 /// Pulses that wait to be sent: two seconds at 30 fps.
 pub const PULSES: usize = 64;
+
+/// Pulses of the further outputs that wait to be sent, pulses per second with
+/// them: half a second of three trains at 30 fps.
+pub const OUTPUT_PULSES: usize = 64;
+
+/// Events of TIM1's handlers that wait for the handler below them. Four channels
+/// whose pulses are 0.15 ms apart at least make 26 in 1 ms.
+pub const OUTPUT_EVENTS: usize = 32;
 
 /// Captures that wait to be sent: five frames of the camera's pulses.
 pub const CAPTURES: usize = 96;

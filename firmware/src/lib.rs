@@ -9,6 +9,7 @@
 //! - [`pulser`]: how each edge is made by a compare channel.
 //! - [`capture`]: directions of captured edges, and the limit on their rate.
 //! - [`imu`]: the MPU-9150.
+//! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
 //! - [`filler`]: load for tests of the link.
 //! - [`alive`]: which tasks have checked in.
@@ -25,6 +26,7 @@ pub mod filler;
 pub mod imu;
 pub mod keep;
 pub mod load;
+pub mod nmea;
 pub mod outbox;
 pub mod pulser;
 pub mod timebase;

@@ -2,7 +2,7 @@
 //!
 //! Producers never wait: each stream has a queue of its own, and what finds no
 //! place there is dropped and counted. The sender takes answers first, then
-//! pulses, captures, IMU samples and status, so that a flood of one stream never
+//! pulses, pulses of the further outputs, captures, IMU samples and status, so that a flood of one stream never
 //! delays what matters more.
 //!
 //! While no host is linked everything is dropped and counted, so that a host
@@ -10,7 +10,10 @@
 //! every drop shows as a gap too.
 
 use heapless::Deque;
-use protocol::{Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, Pulse, Status};
+use protocol::{
+    Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, OutputArrived, OutputPulse,
+    Pps, Pulse, Status,
+};
 
 use crate::config;
 
@@ -20,10 +23,19 @@ pub struct Outbox {
     linked: bool,
     answers: Deque<DeviceToHost, { config::ANSWERS }>,
     pulses: Deque<Pulse, { config::PULSES }>,
+    /// Pulses of the further outputs and pulses per second, in their order.
+    outputs: Deque<OutputMessage, { config::OUTPUT_PULSES }>,
     captures: Deque<Capture, { config::CAPTURES }>,
     imu: Deque<ImuSample, { config::IMU_SAMPLES }>,
     status: Deque<Status, { config::STATUSES }>,
     dropped: Dropped,
+}
+
+/// What the further outputs have to say.
+#[derive(Clone, Copy, Debug)]
+enum OutputMessage {
+    Pulse(OutputPulse),
+    Pps(Pps),
 }
 
 /// Queues `item`, or counts it.
@@ -47,6 +59,7 @@ impl Outbox {
             linked: false,
             answers: Deque::new(),
             pulses: Deque::new(),
+            outputs: Deque::new(),
             captures: Deque::new(),
             imu: Deque::new(),
             status: Deque::new(),
@@ -56,6 +69,7 @@ impl Outbox {
                 captures: 0,
                 imu: 0,
                 status: 0,
+                outputs: 0,
             },
         }
     }
@@ -65,6 +79,7 @@ impl Outbox {
         self.linked = linked;
         clear(&mut self.answers, &mut self.dropped.answers);
         clear(&mut self.pulses, &mut self.dropped.pulses);
+        clear(&mut self.outputs, &mut self.dropped.outputs);
         clear(&mut self.captures, &mut self.dropped.captures);
         clear(&mut self.imu, &mut self.dropped.imu);
         clear(&mut self.status, &mut self.dropped.status);
@@ -116,6 +131,36 @@ impl Outbox {
         );
     }
 
+    /// Queues an arrival of a further output, with the answers.
+    pub fn output_arrived(&mut self, arrived: OutputArrived) {
+        let arrived = DeviceToHost::OutputArrived(arrived);
+        push(
+            &mut self.answers,
+            self.linked,
+            arrived,
+            &mut self.dropped.answers,
+        );
+    }
+
+    /// Queues a pulse of a further output.
+    pub fn output_pulse(&mut self, pulse: OutputPulse) {
+        self.output(OutputMessage::Pulse(pulse));
+    }
+
+    /// Queues a pulse per second.
+    pub fn pps(&mut self, pps: Pps) {
+        self.output(OutputMessage::Pps(pps));
+    }
+
+    fn output(&mut self, message: OutputMessage) {
+        push(
+            &mut self.outputs,
+            self.linked,
+            message,
+            &mut self.dropped.outputs,
+        );
+    }
+
     /// Queues a pulse.
     pub fn pulse(&mut self, pulse: Pulse) {
         push(
@@ -162,6 +207,7 @@ impl Outbox {
     pub fn is_empty(&self) -> bool {
         self.answers.is_empty()
             && self.pulses.is_empty()
+            && self.outputs.is_empty()
             && self.captures.is_empty()
             && self.imu.is_empty()
             && self.status.is_empty()
@@ -174,6 +220,12 @@ impl Outbox {
         }
         if let Some(pulse) = self.pulses.pop_front() {
             return Some(DeviceToHost::Pulse(pulse));
+        }
+        if let Some(message) = self.outputs.pop_front() {
+            return Some(match message {
+                OutputMessage::Pulse(pulse) => DeviceToHost::OutputPulse(pulse),
+                OutputMessage::Pps(pps) => DeviceToHost::Pps(pps),
+            });
         }
         if let Some(capture) = self.captures.pop_front() {
             return Some(DeviceToHost::Capture(capture));

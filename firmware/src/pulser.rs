@@ -14,12 +14,13 @@
 //! The logic runs against [`CompareOutput`], on the board and in tests.
 
 use protocol::{
-    MIN_START_LEAD, Period, Readback, Refusal, Ticks, TrainState, TriggerStart, TriggerStatus,
+    MIN_START_LEAD, OutputStart, OutputStatus, Period, Readback, Refusal, Ticks, TrainState,
+    TriggerStatus,
 };
 
 use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN};
 use crate::timebase::Timebase;
-use crate::trigger::{Alignment, Edge, Position, Train};
+use crate::trigger::{Alignment, Edge, Limits, Position, Train};
 
 /// What the output does when the counter reaches the compare value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,6 +94,7 @@ enum Stage {
 /// The trigger: at most one train, and the channel that makes it.
 #[derive(Clone, Copy, Debug)]
 pub struct Pulser {
+    limits: Limits,
     stage: Stage,
     train: Option<Train>,
     /// The train ends with the pulse that is being made.
@@ -105,15 +107,16 @@ pub struct Pulser {
 
 impl Default for Pulser {
     fn default() -> Self {
-        Self::new()
+        Self::new(Limits::CAMERA)
     }
 }
 
 impl Pulser {
     /// Without a train.
     #[must_use]
-    pub const fn new() -> Self {
+    pub const fn new(limits: Limits) -> Self {
         Self {
+            limits,
             stage: Stage::Idle,
             train: None,
             stopping: false,
@@ -147,7 +150,7 @@ impl Pulser {
         &mut self,
         output: &mut O,
         time: &Timebase,
-        start: TriggerStart,
+        start: OutputStart,
     ) -> Result<(), Refusal> {
         if self.running().is_some_and(|train| *train.start() == start) {
             return Ok(());
@@ -155,7 +158,7 @@ impl Pulser {
         let now = time.extend(output.counter());
         let earliest = Ticks(now.0 + u64::from(MIN_START_LEAD));
         let soonest = Ticks(now.0 + u64::from(START_LEAD));
-        let train = Train::new(start, now, earliest, soonest)?;
+        let train = Train::new(start, self.limits, now, earliest, soonest)?;
         if self.stage != Stage::Idle {
             return Err(Refusal::TriggerRunning);
         }
@@ -228,18 +231,48 @@ impl Pulser {
             Stage::Rise(edge, at) => {
                 self.pulses = self.pulses.wrapping_add(1);
                 self.stage = Stage::Fall(edge, at);
-                let width = self.train.map_or(0, |train| train.width());
-                let fall = (at.0 as u32).wrapping_add(width);
-                output.arm(fall, Action::Fall);
-                if is_past(fall, output.counter()) && !output.has_matched() {
-                    self.late = self.late.saturating_add(1);
-                    output.force_low();
-                    return self.end_pulse(output, time, edge, at);
-                }
-                None
+                self.arm_fall(output, time, edge, at)
             }
             Stage::Fall(edge, at) => self.end_pulse(output, time, edge, at),
         }
+    }
+
+    /// Arms what is armed already, once more: for an output that sees less far
+    /// ahead than [`MAX_ARM_AHEAD`] and was told of an edge too early. Returns
+    /// the pulse that is over with it, if that came too late.
+    pub fn rearm<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) -> Option<Pulsed> {
+        match self.stage {
+            Stage::Idle => None,
+            Stage::Waypoint(edge) => {
+                self.arm_rise(output, time, edge);
+                None
+            }
+            Stage::Rise(edge, at) => {
+                self.arm_rise_at(output, time, edge, at);
+                None
+            }
+            Stage::Fall(edge, at) => self.arm_fall(output, time, edge, at),
+        }
+    }
+
+    /// Arms the falling edge of the pulse that rose at `at`. Returns that pulse
+    /// if it had to be ended by force.
+    fn arm_fall<O: CompareOutput>(
+        &mut self,
+        output: &mut O,
+        time: &Timebase,
+        edge: Edge,
+        at: Ticks,
+    ) -> Option<Pulsed> {
+        let width = self.train.map_or(0, |train| train.width());
+        let fall = (at.0 as u32).wrapping_add(width);
+        output.arm(fall, Action::Fall);
+        if is_past(fall, output.counter()) && !output.has_matched() {
+            self.late = self.late.saturating_add(1);
+            output.force_low();
+            return self.end_pulse(output, time, edge, at);
+        }
+        None
     }
 
     fn end_pulse<O: CompareOutput>(
@@ -275,12 +308,23 @@ impl Pulser {
     /// Arms the rising edge, or a point on the way to it.
     fn arm_rise<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase, edge: Edge) {
         let now = time.extend(output.counter());
-        let mut at = edge.position.ticks();
+        let at = edge.position.ticks();
         if at.0 > now.0 + u64::from(MAX_ARM_AHEAD) {
             output.arm((now.0 as u32).wrapping_add(MAX_ARM_AHEAD), Action::Wake);
             self.stage = Stage::Waypoint(edge);
             return;
         }
+        self.arm_rise_at(output, time, edge, at);
+    }
+
+    /// Arms the rising edge at `at`, or as soon after it as can be.
+    fn arm_rise_at<O: CompareOutput>(
+        &mut self,
+        output: &mut O,
+        time: &Timebase,
+        edge: Edge,
+        mut at: Ticks,
+    ) {
         loop {
             output.arm(at.0 as u32, Action::Rise);
             let counter = output.counter();
@@ -343,16 +387,31 @@ impl Pulser {
         }
     }
 
+    /// The state of the train.
+    #[must_use]
+    pub fn state(&self) -> TrainState {
+        match self.stage {
+            Stage::Idle => TrainState::Stopped,
+            Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
+            _ if self.train.is_some_and(|train| train.is_slewing()) => TrainState::Slewing,
+            _ => TrainState::Running,
+        }
+    }
+
+    /// What the host is told of an output in the status.
+    #[must_use]
+    pub fn summary(&self) -> OutputStatus {
+        OutputStatus {
+            state: self.state(),
+            train: self.trains,
+            pulses: self.pulses,
+            late: self.late,
+        }
+    }
+
     /// What the host is told.
     #[must_use]
     pub fn status(&self) -> TriggerStatus {
-        let slewing = self.train.is_some_and(|train| train.is_slewing());
-        let state = match self.stage {
-            Stage::Idle => TrainState::Stopped,
-            Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
-            _ if slewing => TrainState::Slewing,
-            _ => TrainState::Running,
-        };
         let next = match self.stage {
             Stage::Idle => Position::default(),
             Stage::Waypoint(edge) | Stage::Rise(edge, _) => edge.position,
@@ -362,7 +421,7 @@ impl Pulser {
             }
         };
         TriggerStatus {
-            state,
+            state: self.state(),
             train: self.trains,
             period: self.train.map_or(Period(0), |train| train.period()),
             width: self.train.map_or(0, |train| train.width()),

@@ -9,7 +9,7 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
-use crate::board::{clocks, events, faults, idle, leds, stack, tim2};
+use crate::board::{clocks, events, faults, idle, leds, nmea_port, outputs, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
@@ -24,7 +24,10 @@ fn main() -> ! {
     stack::paint();
     // A halted core does not feed the watchdog.
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    tim2::init(events::init());
+    let (trigger_events, output_events) = events::init();
+    outputs::init(output_events);
+    tim2::init(trigger_events);
+    nmea_port::init();
     leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
 
     let mut clock_out = McoConfig::default();
@@ -71,6 +74,7 @@ fn main() -> ! {
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
         spawn(spawner, tasks::imu::run(imu_bus));
+        spawn(spawner, tasks::gnss::run());
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());
         spawn(spawner, tasks::status::run(watchdog));

@@ -15,8 +15,8 @@
 //! which the interrupt calls, only adds.
 
 use protocol::{
-    AlignPlan, MAX_TIME_AWAY, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Period, Refusal, TickDelta, Ticks,
-    TriggerAlign, TriggerStart,
+    AlignPlan, MAX_TIME_AWAY, MIN_OUTPUT_GAP, MIN_OUTPUT_WIDTH, MIN_PULSE_GAP, MIN_PULSE_WIDTH,
+    OutputAlign, OutputStart, Period, Refusal, TickDelta, Ticks,
 };
 
 /// Fraction bits of positions and periods.
@@ -31,6 +31,12 @@ impl Position {
     #[must_use]
     pub const fn from_ticks(ticks: Ticks) -> Self {
         Self((ticks.0 as u128) << FRACTION_BITS)
+    }
+
+    /// A fraction, in 2⁻³² ticks, after the start of tick `ticks`.
+    #[must_use]
+    pub const fn new(ticks: Ticks, fraction: u32) -> Self {
+        Self(Self::from_ticks(ticks).0 | fraction as u128)
     }
 
     /// The tick of an edge here: the floor.
@@ -83,42 +89,63 @@ pub struct Alignment {
     from: u64,
 }
 
+/// What the handler of an output needs between two edges, in ticks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// The shortest pulse.
+    pub min_width: u32,
+    /// The shortest time from a falling edge to the next rising edge.
+    pub min_gap: u32,
+}
+
+impl Limits {
+    /// The camera's trigger, whose handler goes before everything else.
+    pub const CAMERA: Self = Self {
+        min_width: MIN_PULSE_WIDTH,
+        min_gap: MIN_PULSE_GAP,
+    };
+
+    /// The further outputs.
+    pub const OUTPUT: Self = Self {
+        min_width: MIN_OUTPUT_WIDTH,
+        min_gap: MIN_OUTPUT_GAP,
+    };
+
+    /// The widest pulse at `period`, in ticks.
+    fn max_width(self, period: Period) -> u32 {
+        period.ticks().saturating_sub(self.min_gap)
+    }
+
+    /// The largest slew at `period` for pulses of `width`, in ticks: half a
+    /// period, and never so much that two pulses touch.
+    fn max_slew(self, period: Period, width: u32) -> u32 {
+        (period.ticks() / 2).min(self.max_width(period).saturating_sub(width))
+    }
+
+    /// Refuses a period that is out of bounds or leaves `width` no room.
+    fn check_period(self, period: Period, width: u32) -> Result<(), Refusal> {
+        if !period.in_bounds() {
+            return Err(Refusal::PeriodOutOfRange);
+        }
+        let (min, max) = (self.min_width, self.max_width(period));
+        if !(min..=max).contains(&width) {
+            return Err(Refusal::WidthOutOfRange { min, max });
+        }
+        Ok(())
+    }
+}
+
 /// A running train: the edge that was armed last and how it goes on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Train {
     /// The command that started it.
-    start: TriggerStart,
+    start: OutputStart,
+    limits: Limits,
     period: Period,
     number: u64,
     position: Position,
     aligned: bool,
     slew: Option<Slew>,
-}
-
-/// The widest pulse at `period`, in ticks.
-fn max_width(period: Period) -> u32 {
-    period.ticks().saturating_sub(MIN_PULSE_GAP)
-}
-
-/// The largest slew at `period` for pulses of `width`, in ticks: half a period,
-/// and never so much that two pulses touch.
-fn max_slew(period: Period, width: u32) -> u32 {
-    (period.ticks() / 2).min(max_width(period).saturating_sub(width))
-}
-
-/// Refuses a period that is out of bounds or leaves `width` no room.
-fn check_period(period: Period, width: u32) -> Result<(), Refusal> {
-    if !period.in_bounds() {
-        return Err(Refusal::PeriodOutOfRange);
-    }
-    let max = max_width(period);
-    if !(MIN_PULSE_WIDTH..=max).contains(&width) {
-        return Err(Refusal::WidthOutOfRange {
-            min: MIN_PULSE_WIDTH,
-            max,
-        });
-    }
-    Ok(())
 }
 
 /// Refuses what is farther than [`MAX_TIME_AWAY`].
@@ -137,22 +164,27 @@ impl Train {
     ///
     /// Values out of bounds; a first edge before `earliest`.
     pub fn new(
-        start: TriggerStart,
+        start: OutputStart,
+        limits: Limits,
         now: Ticks,
         earliest: Ticks,
         soonest: Ticks,
     ) -> Result<Self, Refusal> {
-        check_period(start.period, start.width)?;
-        let first = start.first_edge.unwrap_or(soonest);
+        limits.check_period(start.period, start.width)?;
+        let (first, fraction) = match start.first_edge {
+            Some(first) => (first, start.first_fraction),
+            None => (soonest, 0),
+        };
         check_near(first, now)?;
         if first < earliest {
             return Err(Refusal::TimeOutOfRange { now });
         }
         Ok(Self {
             start,
+            limits,
             period: start.period,
             number: 0,
-            position: Position::from_ticks(first),
+            position: Position::new(first, fraction),
             aligned: true,
             slew: None,
         })
@@ -160,7 +192,7 @@ impl Train {
 
     /// The command that started it.
     #[must_use]
-    pub const fn start(&self) -> &TriggerStart {
+    pub const fn start(&self) -> &OutputStart {
         &self.start
     }
 
@@ -220,17 +252,17 @@ impl Train {
     /// # Errors
     ///
     /// Values out of bounds for this train.
-    pub fn align(&self, command: u32, to: &TriggerAlign, now: Ticks) -> Result<Alignment, Refusal> {
-        check_period(to.period, self.width())?;
+    pub fn align(&self, command: u32, to: &OutputAlign, now: Ticks) -> Result<Alignment, Refusal> {
+        self.limits.check_period(to.period, self.width())?;
         check_near(to.anchor, now)?;
-        let max = max_slew(to.period, self.width());
+        let max = self.limits.max_slew(to.period, self.width());
         if to.slew > max {
             return Err(Refusal::SlewOutOfRange { max });
         }
 
         // Both below 2⁹⁶: the difference fits easily.
         let period = i128::from(to.period.0);
-        let anchor = Position::from_ticks(to.anchor).0 as i128;
+        let anchor = Position::new(to.anchor, to.anchor_fraction).0 as i128;
         let beyond = (self.position.0 as i128 - anchor).rem_euclid(period);
         let shift = if beyond * 2 <= period {
             -beyond
@@ -283,7 +315,7 @@ impl Train {
     ///
     /// Out of bounds, or an align is on its way.
     pub fn set_period(&mut self, period: Period) -> Result<(), Refusal> {
-        check_period(period, self.width())?;
+        self.limits.check_period(period, self.width())?;
         if self.is_slewing() {
             return Err(Refusal::AlignInProgress);
         }

@@ -19,6 +19,7 @@ pub mod i2c;
 pub mod i2c_bus;
 pub mod inertial_channel;
 pub mod k4a_mkv;
+pub mod lidar;
 pub mod long_run;
 pub mod model;
 pub mod motion;

@@ -75,6 +75,12 @@ pins! {
     PD15 = 3, 15;
     /// TIM1 CH1: pulse per second.
     PE9 = 4, 9;
+    /// TIM1 CH2: trigger output 2.
+    PE11 = 4, 11;
+    /// TIM1 CH3: trigger output 3.
+    PE13 = 4, 13;
+    /// TIM1 CH4: trigger output 4.
+    PE14 = 4, 14;
 }
 
 impl fmt::Display for Pin {

@@ -162,8 +162,9 @@ fn ten_minutes_of_samples_are_exact() {
     let mut last: Option<ImuSample> = None;
     let mut samples = 0;
     let mut pulses = bench.board.pulses.len();
-    for _ in 0..60 {
-        bench.board.run(10_000);
+    // Ten minutes, and a little for the samples under way at both ends.
+    for piece in 0..61 {
+        bench.board.run(if piece < 60 { 10_000 } else { 100 });
         for sample in bench.check_samples() {
             if let Some(last) = last {
                 assert_eq!(sample.seq, last.seq + 1);
@@ -177,7 +178,7 @@ fn ten_minutes_of_samples_are_exact() {
         bench.board.pulses.clear();
         bench.board.rig.take_edges();
     }
-    assert!(samples >= 300_000 - 10, "{samples}");
+    assert!(samples >= 300_000, "{samples}");
     assert!(pulses > 17_990, "{pulses}");
     let status = bench.board.next_status();
     let imu = status.imu;

@@ -8,8 +8,9 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use protocol::{
-    AlignPlan, Command, DeviceToHost, Hello, ImuConfig, ImuSetup, PROTOCOL_VERSION, Period,
-    Refusal, Reply, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
+    AlignPlan, Command, DeviceToHost, GnssReport, GnssSettings, Hello, ImuConfig, ImuSetup, Output,
+    OutputAction, OutputAlign, PROTOCOL_VERSION, Period, Refusal, Reply, Ticks, TriggerAlign,
+    TriggerStart, TriggerStatus,
 };
 
 use crate::outcome::{ExitStatus, Failure};
@@ -156,6 +157,24 @@ pub fn explain(refusal: &Refusal) -> String {
         }
         Refusal::ImuSettingOutOfRange => String::from("the IMU has no such setting"),
         Refusal::WrongKey => String::from("the key of the self test is wrong"),
+        Refusal::GnssRunning => {
+            String::from("the pulse per second runs with other settings; stop it first")
+        }
+        Refusal::GnssStopping => {
+            String::from("the pulse per second is just being stopped; try again in a second")
+        }
+        Refusal::GnssDateOutOfRange => {
+            String::from("the sentences can tell dates from 2000 to 2099 only")
+        }
+        Refusal::GnssWindowExceeded { ends_us } => format!(
+            "the sentences would end {:.1} ms after their pulse; they must within {} ms: take a \
+             shorter delay or a higher rate",
+            f64::from(ends_us) / 1e3,
+            protocol::NMEA_WINDOW_MS
+        ),
+        Refusal::GnssBaudTooHigh => {
+            String::from("a line that is low when idle takes at most 19200 Bd")
+        }
     }
 }
 
@@ -338,6 +357,62 @@ impl Board {
         }
     }
 
+    /// A command to one of the further trigger outputs, all but an align.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn output(&mut self, output: Output, action: OutputAction) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::Output { output, action })
+    }
+
+    /// Moves the train of a further output onto a grid.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn align_output(&mut self, output: Output, to: OutputAlign) -> Result<AlignPlan> {
+        let action = OutputAction::Align(to);
+        match self.call(&Command::Output { output, action })? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(BoardError::OddReply { command: "align" }),
+        }
+    }
+
+    /// The pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn gnss(&mut self) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssQuery)
+    }
+
+    /// Starts the pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssStart(settings))
+    }
+
+    /// Stops the pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn stop_gnss(&mut self) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssStop)
+    }
+
+    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
+        match self.call(command)? {
+            Reply::Gnss(report) => Ok(report),
+            _ => Err(BoardError::OddReply { command: "gnss" }),
+        }
+    }
+
     /// The IMU's setup and state.
     ///
     /// # Errors
@@ -490,5 +565,9 @@ const fn command_name(command: &Command) -> &'static str {
         Command::ImuQuery => "imu status",
         Command::Filler { .. } => "filler",
         Command::SelfTest { .. } => "self test",
+        Command::Output { .. } => "trigger output",
+        Command::GnssStart(_) => "gnss start",
+        Command::GnssStop => "gnss stop",
+        Command::GnssQuery => "gnss status",
     }
 }

@@ -81,6 +81,8 @@ pub enum Command {
     Profile(commands::profile::Args),
     /// The camera trigger by hand: start, align, period, stop, status
     Trigger(commands::trigger::Args),
+    /// Pulse per second and NMEA sentences for a lidar: start, stop, status
+    Gnss(commands::gnss::Args),
     /// Stream the board's IMU: rate, jitter, noise; to a CSV file
     Imu(commands::imu::Args),
     /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, topics
@@ -105,6 +107,7 @@ impl Command {
             Self::Doctor(args) => commands::doctor::run(args, context),
             Self::Profile(args) => commands::profile::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),
+            Self::Gnss(args) => commands::gnss::run(args, context),
             Self::Imu(args) => commands::imu::run(args, context),
             Self::Extract(args) => commands::extract::run(args, context),
             Self::Verify(args) => commands::verify::run(args, context),

@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use jiff::civil::Date;
-use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, TICK_HZ};
+use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, Output, TICK_HZ};
 use serde::{Deserialize, Serialize};
 
 use crate::outcome::{ExitStatus, Failure};
@@ -31,6 +31,59 @@ pub struct Profile {
     pub align: Align,
     /// The measured constant bias.
     pub frame_sync: FrameSync,
+    /// The sensors on the trigger outputs 2 to 4.
+    #[serde(default)]
+    pub outputs: Vec<TriggerOutput>,
+    /// The lidar, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lidar: Option<Lidar>,
+}
+
+/// A sensor on one of the further trigger outputs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TriggerOutput {
+    /// Number of the output: 2, 3 or 4.
+    pub output: u8,
+    /// What the sensor is called.
+    pub name: String,
+    /// Pulses of the camera's trigger to one of this: 6 is 5 fps beside 30.
+    pub every: u32,
+    /// How much later than the camera's pulse, µs; less than its period.
+    #[serde(default)]
+    pub delay_us: f64,
+    /// Length of a pulse, µs.
+    #[serde(default = "TriggerOutput::default_width")]
+    pub width_us: f64,
+}
+
+impl TriggerOutput {
+    const fn default_width() -> f64 {
+        100.0
+    }
+}
+
+/// A lidar that takes the board for a GNSS receiver.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lidar {
+    /// What it is called.
+    pub name: String,
+    /// Rate of the serial line.
+    #[serde(default = "Lidar::default_baud")]
+    pub baud: u32,
+    /// The serial line is high when idle (a UART's), not low (behind RS-232).
+    #[serde(default)]
+    pub idle_high: bool,
+    /// Send `$GPZDA` after `$GPRMC`.
+    #[serde(default)]
+    pub zda: bool,
+}
+
+impl Lidar {
+    const fn default_baud() -> u32 {
+        9_600
+    }
 }
 
 /// The phone.
@@ -247,6 +300,16 @@ impl Profile {
         Ok(profile)
     }
 
+    /// What the sensor on a further output is called.
+    #[must_use]
+    pub fn output_name(&self, output: Output) -> String {
+        let number = output.number();
+        self.outputs
+            .iter()
+            .find(|sensor| sensor.output == number)
+            .map_or_else(|| format!("output {number}"), |sensor| sensor.name.clone())
+    }
+
     /// Settings of the board's IMU.
     ///
     /// # Errors
@@ -339,6 +402,50 @@ impl Profile {
                 })
             }
         };
+        for (index, sensor) in self.outputs.iter().enumerate() {
+            let number = f64::from(sensor.output);
+            range("outputs.output", number, 2.0, 4.0, "2, 3 or 4")?;
+            let earlier = self.outputs.iter().take(index);
+            if earlier.clone().any(|other| other.output == sensor.output) {
+                return Err(ProfileError::Value {
+                    key: "outputs.output",
+                    found: format!("{} twice", sensor.output),
+                    expected: "each output once",
+                });
+            }
+            if sensor.name.trim().is_empty() || earlier.clone().any(|o| o.name == sensor.name) {
+                return Err(ProfileError::Value {
+                    key: "outputs.name",
+                    found: format!("{:?}", sensor.name),
+                    expected: "a name of its own for each sensor",
+                });
+            }
+            let every = f64::from(sensor.every);
+            range("outputs.every", every, 1.0, 30.0, "1 to 30 (pulses)")?;
+            range(
+                "outputs.delay_us",
+                sensor.delay_us,
+                0.0,
+                1e6,
+                "0 to 1000000 (µs)",
+            )?;
+            range(
+                "outputs.width_us",
+                sensor.width_us,
+                50.0,
+                1e6,
+                "50 to 1000000 (µs)",
+            )?;
+        }
+        if let Some(lidar) = &self.lidar
+            && crate::commands::gnss::parse_baud(&lidar.baud.to_string()).is_err()
+        {
+            return Err(ProfileError::Value {
+                key: "lidar.baud",
+                found: lidar.baud.to_string(),
+                expected: "4800, 9600, 19200, 38400, 57600 or 115200 (Bd)",
+            });
+        }
         let phone = &self.phone;
         let depth = &self.depth;
         let micros = "0 to 1000000 (µs)";
@@ -525,6 +632,19 @@ mod tests {
     #[test]
     fn values_out_of_range_name_their_key_and_what_is_expected() {
         for (text, key) in [
+            (
+                "[[outputs]]\noutput = 5\nname = \"a\"\nevery = 1\n",
+                "outputs.output",
+            ),
+            (
+                "[[outputs]]\noutput = 2\nname = \" \"\nevery = 1\n",
+                "outputs.name",
+            ),
+            (
+                "[[outputs]]\noutput = 2\nname = \"a\"\nevery = 0\n",
+                "outputs.every",
+            ),
+            ("[lidar]\nname = \"v\"\nbaud = 9601\n", "lidar.baud"),
             ("[depth]\nfps = 25\n", "depth.fps"),
             ("[depth]\npulse_width_us = 5\n", "depth.pulse_width_us"),
             ("[imu]\nrate_hz = 300\n", "imu.rate_hz"),

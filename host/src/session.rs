@@ -34,16 +34,22 @@ pub enum Stream {
     Imu,
     /// [`DeviceToHost::Filler`].
     Filler,
+    /// [`DeviceToHost::OutputPulse`].
+    Outputs,
+    /// [`DeviceToHost::Pps`].
+    Pps,
 }
 
 impl Stream {
     /// All streams.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::Status,
         Self::Pulses,
         Self::Captures,
         Self::Imu,
         Self::Filler,
+        Self::Outputs,
+        Self::Pps,
     ];
 }
 
@@ -55,6 +61,8 @@ impl std::fmt::Display for Stream {
             Self::Captures => "captures",
             Self::Imu => "IMU samples",
             Self::Filler => "filler messages",
+            Self::Outputs => "pulses of further outputs",
+            Self::Pps => "pulses per second",
         })
     }
 }
@@ -123,6 +131,12 @@ pub struct StreamCounts {
     pub imu: StreamCount,
     /// Filler.
     pub filler: StreamCount,
+    /// Pulses of the further outputs.
+    #[serde(default)]
+    pub outputs: StreamCount,
+    /// Pulses per second.
+    #[serde(default)]
+    pub pps: StreamCount,
 }
 
 impl StreamCounts {
@@ -135,6 +149,8 @@ impl StreamCounts {
             Stream::Captures => self.captures,
             Stream::Imu => self.imu,
             Stream::Filler => self.filler,
+            Stream::Outputs => self.outputs,
+            Stream::Pps => self.pps,
         }
     }
 
@@ -151,6 +167,8 @@ impl StreamCounts {
             Stream::Captures => &mut self.captures,
             Stream::Imu => &mut self.imu,
             Stream::Filler => &mut self.filler,
+            Stream::Outputs => &mut self.outputs,
+            Stream::Pps => &mut self.pps,
         }
     }
 }
@@ -373,6 +391,15 @@ impl Session {
                 self.time(sample.at);
             }
             DeviceToHost::Filler(ref filler) => self.number(Stream::Filler, filler.seq),
+            DeviceToHost::OutputPulse(ref output) => {
+                self.number(Stream::Outputs, output.pulse.seq);
+                self.time(output.pulse.at);
+            }
+            DeviceToHost::OutputArrived(ref arrived) => self.time(arrived.at),
+            DeviceToHost::Pps(ref pps) => {
+                self.number(Stream::Pps, pps.seq);
+                self.time(pps.at);
+            }
         }
         self.events.push_back(Event::Message(message));
     }

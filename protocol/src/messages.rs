@@ -14,6 +14,10 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 use crate::framing::LinkCounters;
+use crate::outputs::{
+    GnssReport, GnssSettings, GnssStatus, Output, OutputAction, OutputArrived, OutputPulse,
+    OutputStatus, Pps,
+};
 use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 
 /// The longest text of a last panic, in bytes; longer ones are cut.
@@ -89,6 +93,22 @@ pub enum Command {
         /// Which failure.
         failure: Failure,
     },
+    /// A command to one of the further trigger outputs. Answered with
+    /// [`Reply::Trigger`] or, for an align, [`Reply::Align`].
+    Output {
+        /// Which output.
+        output: Output,
+        /// What it is asked to do.
+        action: OutputAction,
+    },
+    /// Start the pulse per second and its sentences, on the next whole second of
+    /// board time. Where it runs with the same settings, nothing changes.
+    /// Answered with [`Reply::Gnss`].
+    GnssStart(GnssSettings),
+    /// Stop it. Answered with [`Reply::Gnss`].
+    GnssStop,
+    /// Answered with [`Reply::Gnss`].
+    GnssQuery,
 }
 
 /// The key of [`Command::SelfTest`], so that no stray bytes crash a rig.
@@ -159,6 +179,12 @@ pub enum DeviceToHost {
     Imu(ImuSample),
     /// Load for tests.
     Filler(Filler),
+    /// A pulse of one of the further trigger outputs was made.
+    OutputPulse(OutputPulse),
+    /// One of their trains has arrived where an align sent it.
+    OutputArrived(OutputArrived),
+    /// A pulse per second was made.
+    Pps(Pps),
 }
 
 /// Who the board is and how it last ended.
@@ -233,12 +259,14 @@ pub enum Reply {
         /// When the answer was put into the outbox.
         sent: Ticks,
     },
-    /// To start, period, stop and query.
+    /// To start, period, stop and query of any trigger output.
     Trigger(TriggerStatus),
     /// To [`Command::TriggerAlign`]; an [`Arrived`] follows.
     Align(AlignPlan),
     /// To the IMU's commands.
     Imu(ImuSetup),
+    /// To the commands of the pulse per second.
+    Gnss(GnssReport),
 }
 
 /// What an align will do.
@@ -288,6 +316,21 @@ pub enum Refusal {
     ImuSettingOutOfRange,
     /// The key of a self test was wrong.
     WrongKey,
+    /// The pulse per second runs with other settings; stop it first.
+    GnssRunning,
+    /// The pulse per second is still being stopped; its last pulse is on.
+    GnssStopping,
+    /// A date before 2000 or after 2099 within the next hour of board time, or
+    /// before the epoch.
+    GnssDateOutOfRange,
+    /// The sentences would end later than [`crate::NMEA_WINDOW_MS`] after their
+    /// pulse.
+    GnssWindowExceeded {
+        /// When they would end, in µs after the pulse.
+        ends_us: u32,
+    },
+    /// The rate is not possible with an inverted line.
+    GnssBaudTooHigh,
 }
 
 /// State of the train.
@@ -683,6 +726,8 @@ pub struct Dropped {
     pub imu: u32,
     /// Status messages.
     pub status: u32,
+    /// Pulses of the further outputs, and pulses per second.
+    pub outputs: u32,
 }
 
 /// Once a second.
@@ -723,6 +768,13 @@ pub struct Status {
     pub strobe_floods: u32,
     /// The IMU.
     pub imu: ImuStatus,
+    /// The further trigger outputs, 2 to 4.
+    pub outputs: [OutputStatus; 3],
+    /// Longest time from an edge of these outputs or the pulse per second to the
+    /// end of its handling since reset, in ticks.
+    pub output_latency: u32,
+    /// The pulse per second.
+    pub gnss: GnssStatus,
 }
 
 /// Load for tests; the payload counts up from the low byte of `seq`.

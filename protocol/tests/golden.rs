@@ -82,6 +82,28 @@ fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello {
     }
 }
 
+fn gnss_settings() -> GnssSettings {
+    GnssSettings {
+        utc_at_zero: 1_795_234_567,
+        baud: Baud::B9600,
+        line_inverted: true,
+        sentences: Sentences::Rmc,
+        delay_ms: 50,
+        pulse_width: TICK_HZ / 50,
+        pulse_inverted: false,
+    }
+}
+
+fn gnss_status() -> GnssStatus {
+    GnssStatus {
+        state: TrainState::Running,
+        pulses: 3_600,
+        sentences: 3_599,
+        missed: 1,
+        late: 0,
+    }
+}
+
 fn status() -> Status {
     Status {
         seq: 60,
@@ -93,6 +115,7 @@ fn status() -> Status {
             captures: 3,
             imu: 4,
             status: 5,
+            outputs: 15,
         },
         link: LinkCounters {
             frames: 6,
@@ -112,6 +135,19 @@ fn status() -> Status {
         strobe_overcaptures: 13,
         strobe_floods: 14,
         imu: imu_status(None),
+        outputs: [
+            TrainState::Stopped,
+            TrainState::Waiting,
+            TrainState::Running,
+        ]
+        .map(|state| OutputStatus {
+            state,
+            train: 2,
+            pulses: 108_000,
+            late: 1,
+        }),
+        output_latency: 400,
+        gnss: gnss_status(),
     }
 }
 
@@ -223,6 +259,60 @@ fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
             Command::SelfTest { key, failure },
         ));
     }
+    for (name, action) in [
+        (
+            "start",
+            OutputAction::Start(OutputStart {
+                period,
+                width: MIN_OUTPUT_WIDTH,
+                first_edge: Some(Ticks(96_000_000)),
+                first_fraction: 0x8000_0001,
+            }),
+        ),
+        (
+            "align",
+            OutputAction::Align(OutputAlign {
+                anchor: Ticks(1_234_567_890_123),
+                anchor_fraction: 7,
+                period,
+                slew: 1_600,
+            }),
+        ),
+        ("period", OutputAction::Period(Period::MIN)),
+        ("stop", OutputAction::Stop),
+        ("query", OutputAction::Query),
+    ] {
+        let output = Output::Two;
+        commands.push((format!("output-{name}"), Command::Output { output, action }));
+    }
+    for output in [Output::Three, Output::Four] {
+        let action = OutputAction::Query;
+        commands.push((
+            format!("output-{}", output.number()),
+            Command::Output { output, action },
+        ));
+    }
+    for baud in Baud::ALL {
+        let settings = GnssSettings {
+            baud,
+            ..gnss_settings()
+        };
+        commands.push((
+            format!("gnss-start-{}", baud.hz()),
+            Command::GnssStart(settings),
+        ));
+    }
+    commands.push((
+        "gnss-start-zda".to_owned(),
+        Command::GnssStart(GnssSettings {
+            sentences: Sentences::RmcZda,
+            line_inverted: false,
+            pulse_inverted: true,
+            ..gnss_settings()
+        }),
+    ));
+    commands.push(("gnss-stop".to_owned(), Command::GnssStop));
+    commands.push(("gnss-query".to_owned(), Command::GnssQuery));
     // A new command does not compile here until it has its golden bytes above.
     let known = |command: &Command| match command {
         Command::Hello
@@ -235,7 +325,11 @@ fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
         | Command::ImuConfigure(_)
         | Command::ImuQuery
         | Command::Filler { .. }
-        | Command::SelfTest { .. } => true,
+        | Command::SelfTest { .. }
+        | Command::Output { .. }
+        | Command::GnssStart(_)
+        | Command::GnssStop
+        | Command::GnssQuery => true,
     };
     commands
         .into_iter()
@@ -290,6 +384,20 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             }),
         ),
         ("imu", Reply::Imu(imu_setup(imu_config(), imu_status(None)))),
+        (
+            "gnss",
+            Reply::Gnss(GnssReport {
+                settings: Some(gnss_settings()),
+                status: gnss_status(),
+            }),
+        ),
+        (
+            "gnss-off",
+            Reply::Gnss(GnssReport {
+                settings: None,
+                status: gnss_status(),
+            }),
+        ),
     ];
     for (name, reply) in replies {
         let result = Ok(reply);
@@ -311,6 +419,11 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         Refusal::AlignInProgress,
         Refusal::ImuSettingOutOfRange,
         Refusal::WrongKey,
+        Refusal::GnssRunning,
+        Refusal::GnssStopping,
+        Refusal::GnssDateOutOfRange,
+        Refusal::GnssWindowExceeded { ends_us: 512_000 },
+        Refusal::GnssBaudTooHigh,
     ];
     for (number, refusal) in refusals.into_iter().enumerate() {
         let result = Err(refusal);
@@ -432,6 +545,41 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             payload: (2..10).collect(),
         }),
     );
+    for output in Output::ALL {
+        add(
+            format!("output-pulse-{}", output.number()),
+            DeviceToHost::OutputPulse(OutputPulse {
+                output,
+                pulse: Pulse {
+                    seq: 6,
+                    train: 2,
+                    number: 108_000,
+                    at: Ticks(9_599_999_999),
+                    aligned: true,
+                    readback: None,
+                },
+            }),
+        );
+    }
+    add(
+        "output-arrived".to_owned(),
+        DeviceToHost::OutputArrived(OutputArrived {
+            output: Output::Three,
+            command: 18,
+            train: 2,
+            pulse: 200,
+            at: Ticks(9_599_999_999),
+            remaining: TickDelta::ZERO,
+        }),
+    );
+    add(
+        "pps".to_owned(),
+        DeviceToHost::Pps(Pps {
+            seq: 9,
+            at: Ticks(480_000_000),
+            utc: 1_795_234_577,
+        }),
+    );
     // A new message does not compile here until it has its golden bytes above.
     for (_, message) in &messages {
         match message {
@@ -442,7 +590,10 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             | DeviceToHost::Arrived(_)
             | DeviceToHost::Capture(_)
             | DeviceToHost::Imu(_)
-            | DeviceToHost::Filler(_) => {}
+            | DeviceToHost::Filler(_)
+            | DeviceToHost::OutputPulse(_)
+            | DeviceToHost::OutputArrived(_)
+            | DeviceToHost::Pps(_) => {}
         }
     }
     messages.into_iter().collect()
@@ -552,6 +703,7 @@ fn no_message_is_longer_than_a_frame() {
         captures: all,
         imu: all,
         status: all,
+        outputs: all,
     };
     status.link = LinkCounters {
         frames: all,
@@ -595,6 +747,20 @@ fn no_message_is_longer_than_a_frame() {
             wrote: 0xFF,
             read: 0xFF,
         }))
+    };
+    status.outputs = [OutputStatus {
+        state: TrainState::Slewing,
+        train: all,
+        pulses: u64::MAX,
+        late: all,
+    }; 3];
+    status.output_latency = all;
+    status.gnss = GnssStatus {
+        state: TrainState::Slewing,
+        pulses: u64::MAX,
+        sentences: all,
+        missed: all,
+        late: all,
     };
     encode(&DeviceToHost::Status(status), &mut longest).unwrap();
 }

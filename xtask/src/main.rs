@@ -61,6 +61,9 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
+    /// An hour of virtual time with all four trigger outputs and the lidar's,
+    /// every edge compared with the arithmetic.
+    Hour,
     /// Measure; figures are ratios within one run.
     Bench {
         /// Only the speed of `smartdepthsync evaluate`.
@@ -143,6 +146,7 @@ fn run(command: Command) -> Result<()> {
         } => frame_sync(launches),
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
+        Command::Hour => hour(),
         Command::Docs => docs::build_and_check(),
         Command::DocsFigures => figures::make(),
     }
@@ -166,6 +170,19 @@ fn test(cargo_args: &[String]) -> Result<()> {
     }
     args.extend_from_slice(cargo_args);
     process::cargo_with_elf(&args, &elf)
+}
+
+fn hour() -> Result<()> {
+    let args = [
+        "-p",
+        "hil-sim",
+        "--test",
+        "outputs",
+        "--",
+        "--ignored",
+        "--nocapture",
+    ];
+    test(&args.map(str::to_owned))
 }
 
 fn check(no_book: bool) -> Result<()> {

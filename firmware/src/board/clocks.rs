@@ -16,6 +16,8 @@ use embassy_stm32::time::Hertz;
 use firmware::config::HSE_HZ;
 use protocol::ResetCause;
 
+use crate::board::urgent;
+
 /// Interrupts of the STM32F407 (RM0090 table 61).
 const INTERRUPTS: usize = 82;
 
@@ -83,7 +85,7 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     }
 }
 
-/// TIM2 at priority 0, everything else at 8. Before any interrupt is enabled:
+/// TIM2 at priority 0, the further outputs at 1, everything else at 8. Before any interrupt is enabled:
 /// an interrupt left at its reset priority of 0 would break critical sections.
 pub(crate) fn set_priorities() {
     // SAFETY: called once, first thing, while no interrupt is enabled.
@@ -92,6 +94,16 @@ pub(crate) fn set_priorities() {
         // SAFETY: any priority is valid; critical sections are not in use yet.
         unsafe { core.NVIC.ipr[interrupt].write(Priority::P8 as u8) };
     }
-    // SAFETY: TIM2's handler does not touch what critical sections protect.
-    unsafe { core.NVIC.set_priority(pac::Interrupt::TIM2, 0) };
+    // SAFETY: these handlers do not touch what critical sections protect.
+    unsafe {
+        core.NVIC.set_priority(pac::Interrupt::TIM2, 0);
+        for interrupt in [
+            pac::Interrupt::TIM1_CC,
+            pac::Interrupt::TIM5,
+            pac::Interrupt::TIM3,
+            pac::Interrupt::UART5,
+        ] {
+            core.NVIC.set_priority(interrupt, urgent::PRIORITY);
+        }
+    }
 }

@@ -1,10 +1,10 @@
 //! Critical sections that never mask the trigger.
 //!
 //! The usual one for a single core masks all interrupts (PRIMASK). This one
-//! raises BASEPRI, so that interrupts of priority 1 and below wait and TIM2's,
-//! of priority 0, does not: writing a packet into USB's FIFO or a line of the
-//! log cannot delay an edge of the trigger. The price is that TIM2's handler
-//! must not touch what critical sections protect.
+//! raises BASEPRI, so that interrupts of priority 2 and below wait and those of
+//! TIM2 (priority 0) and of the further outputs (priority 1) do not: writing a
+//! packet into USB's FIFO or a line of the log cannot delay an edge of a trigger.
+//! The price is that their handlers must not touch what critical sections protect.
 
 #![allow(unsafe_code, reason = "an implementation of the critical section")]
 
@@ -12,15 +12,15 @@ use core::sync::atomic::{Ordering, compiler_fence};
 
 use cortex_m::register::{basepri, basepri_max};
 
-/// Everything from this priority on waits: 1, in the upper 4 of 8 bits.
-const CEILING: u8 = 1 << 4;
+/// Everything from this priority on waits: 2, in the upper 4 of 8 bits.
+const CEILING: u8 = 2 << 4;
 
 struct BelowTrigger;
 
 critical_section::set_impl!(BelowTrigger);
 
 // SAFETY: on this single core, everything that uses critical sections runs in
-// thread mode or at priorities of 1 and below (`clocks::set_priorities`), all
+// thread mode or at priorities of 2 and below (`clocks::set_priorities`), all
 // of which BASEPRI holds off. BASEPRI_MAX never lowers the ceiling, and release
 // restores what was there, so sections nest.
 unsafe impl critical_section::Impl for BelowTrigger {

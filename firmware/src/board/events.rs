@@ -18,10 +18,13 @@ use embassy_sync::channel::Channel;
 use firmware::config;
 use firmware::pulser::Pulsed;
 use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{Arrived, Capture, Pulse, TickDelta, Ticks};
+use protocol::{
+    Arrived, Capture, Output, OutputArrived, OutputPulse, Pps, Pulse, TickDelta, Ticks,
+};
 use static_cell::StaticCell;
 
 use crate::board::leds::{self, Led};
+use crate::board::outputs::{self, OutputEvent};
 use crate::state;
 use crate::tasks;
 
@@ -67,14 +70,30 @@ pub(crate) static FLOODED: Channel<CriticalSectionRawMutex, Input, 4> = Channel:
 static EVENTS: CriticalSectionMutex<RefCell<Option<Consumer<'static, Event>>>> =
     CriticalSectionMutex::new(RefCell::new(None));
 
-/// Starts the handler; returns the end of the queue for TIM2's.
-pub(crate) fn init() -> Producer<'static, Event> {
+static OUTPUTS: CriticalSectionMutex<RefCell<Option<Consumer<'static, OutputEvent>>>> =
+    CriticalSectionMutex::new(RefCell::new(None));
+
+/// Starts the handler; returns the ends of the queues for TIM2's and TIM1's.
+pub(crate) fn init() -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
     static QUEUE: StaticCell<Queue<Event, { config::EVENTS }>> = StaticCell::new();
+    static OUTPUT_QUEUE: StaticCell<Queue<OutputEvent, { config::OUTPUT_EVENTS }>> =
+        StaticCell::new();
     let (producer, consumer) = QUEUE.init(Queue::new()).split();
     EVENTS.lock(|events| *events.borrow_mut() = Some(consumer));
+    let (outputs, consumer) = OUTPUT_QUEUE.init(Queue::new()).split();
+    OUTPUTS.lock(|events| *events.borrow_mut() = Some(consumer));
     // SAFETY: what the handler touches is set up.
     unsafe { NVIC::unmask(INTERRUPT) };
-    producer
+    (producer, outputs)
+}
+
+fn next_output() -> Option<OutputEvent> {
+    OUTPUTS.lock(|events| {
+        events
+            .borrow_mut()
+            .as_mut()
+            .and_then(|events| events.dequeue())
+    })
 }
 
 fn next() -> Option<Event> {
@@ -102,6 +121,53 @@ fn DCMI() {
             }
         }
     }
+    while let Some(event) = next_output() {
+        send_output(&event);
+    }
+}
+
+fn send_output(event: &OutputEvent) {
+    let OutputEvent {
+        channel,
+        seq,
+        pulsed,
+    } = *event;
+    let output = Output::ALL
+        .into_iter()
+        .find(|&output| outputs::channel_of(output) == channel);
+    let Some(output) = output else {
+        let pps = Pps {
+            seq,
+            at: pulsed.at,
+            utc: tasks::gnss::utc_of(pulsed.at),
+        };
+        return state::send(|outbox| outbox.pps(pps));
+    };
+    let pulse = OutputPulse {
+        output,
+        pulse: Pulse {
+            seq,
+            train: pulsed.train,
+            number: pulsed.number,
+            at: pulsed.at,
+            aligned: pulsed.aligned,
+            readback: None,
+        },
+    };
+    let arrived = pulsed.arrived.map(|command| OutputArrived {
+        output,
+        command,
+        train: pulsed.train,
+        pulse: pulsed.number,
+        at: pulsed.at,
+        remaining: TickDelta::ZERO,
+    });
+    state::send(|outbox| {
+        outbox.output_pulse(pulse);
+        if let Some(arrived) = arrived {
+            outbox.output_arrived(arrived);
+        }
+    });
 }
 
 fn send_pulse(seq: u32, pulsed: Pulsed) {

@@ -5,11 +5,12 @@
 //! | priority | what | why |
 //! |---|---|---|
 //! | 0 | TIM2 | the trigger; never masked by a critical section |
-//! | 8 | all others | USB, I2C, DMA, time driver, [`events`] |
+//! | 1 | TIM1, TIM5, TIM3 | the further outputs and their wake-ups, the inverted serial line; not masked by a critical section either |
+//! | 8 | all others | USB, I2C, DMA, UART, time driver, [`events`] |
 //! | thread | tasks | |
 //!
-//! TIM2's handler must therefore touch nothing that a critical section
-//! protects: it hands over through [`events`].
+//! The handlers of priorities 0 and 1 must therefore touch nothing that a critical
+//! section protects: they hand over through [`events`].
 
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
@@ -18,5 +19,8 @@ pub(crate) mod faults;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
 pub(crate) mod leds;
+pub(crate) mod nmea_port;
+pub(crate) mod outputs;
 pub(crate) mod stack;
 pub(crate) mod tim2;
+pub(crate) mod urgent;

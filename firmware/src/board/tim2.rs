@@ -24,13 +24,14 @@ use embassy_stm32::interrupt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use embassy_stm32::pac::timer::regs::SrGp16;
-use embassy_stm32::pac::timer::vals::{CcmrInputCcs, Ocm};
+use embassy_stm32::pac::timer::vals::{CcmrInputCcs, Mms, Ocm};
 use firmware::capture::{Bucket, direction};
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
 use firmware::timebase::Timebase;
+use firmware::trigger::Limits;
 use heapless::spsc::Producer;
-use protocol::{AlignPlan, Capture, CaptureChannel, Refusal, Ticks, TriggerAlign};
+use protocol::{AlignPlan, Capture, CaptureChannel, OutputAlign, Refusal, Ticks};
 
 use crate::board::events::{Event, Input};
 
@@ -49,7 +50,8 @@ const STROBE_PIN: usize = 2;
 const READBACK_PIN: usize = 3;
 const ALTERNATE_FUNCTION: u8 = 1;
 
-static TIMEBASE: Timebase = Timebase::new();
+/// Board time.
+pub(super) static TIMEBASE: Timebase = Timebase::new();
 static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 
 /// Inputs that are to be switched on again, as bits of [`Input`].
@@ -105,8 +107,11 @@ struct Shared {
 
 /// Starts the counter, 32 bit, 48 MHz, free running, and the channels. `events`
 /// takes what the handler has to say.
+///
+/// TIM1 and TIM5 must have been set up: this start starts them too.
 pub(crate) fn init(events: Producer<'static, Event>) {
     pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
+    TIM.cr2().modify(|w| w.set_mms(Mms::ENABLE));
     TIM.psc().write_value(0);
     TIM.arr().write_value(u32::MAX);
     TIM.egr().write(|w| w.set_ug(true));
@@ -204,7 +209,7 @@ pub(crate) fn with_pulser<R>(work: impl FnOnce(&mut Pulser, &mut Channel, &Timeb
 /// # Errors
 ///
 /// As [`firmware::trigger::Train::align`]; no train runs.
-pub(crate) fn align(command: u32, to: &TriggerAlign) -> Result<AlignPlan, Refusal> {
+pub(crate) fn align(command: u32, to: &OutputAlign) -> Result<AlignPlan, Refusal> {
     loop {
         let train = with_pulser(|pulser, _, _| pulser.running().copied());
         let train = train.ok_or(Refusal::TriggerStopped)?;
@@ -258,7 +263,7 @@ const fn over_flag(channel: usize) -> u32 {
 impl Shared {
     const fn new() -> Self {
         Self {
-            pulser: Pulser::new(),
+            pulser: Pulser::new(Limits::CAMERA),
             events: None,
             pulse_seq: 0,
             capture_seq: 0,

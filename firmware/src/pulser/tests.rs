@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use protocol::{MAX_TIME_AWAY, MIN_PULSE_WIDTH, TriggerAlign};
+use protocol::{MAX_TIME_AWAY, MIN_PULSE_WIDTH, OutputAlign, TriggerStart};
 
 use super::*;
 
@@ -113,12 +113,12 @@ impl Rig {
         Self {
             mock: Mock::new(now),
             time,
-            pulser: Pulser::new(),
+            pulser: Pulser::new(Limits::CAMERA),
         }
     }
 
     fn start(&mut self, start: TriggerStart) -> Result<(), Refusal> {
-        self.pulser.start(&mut self.mock, &self.time, start)
+        self.pulser.start(&mut self.mock, &self.time, start.into())
     }
 
     /// Runs to the next match and calls the handler `latency` ticks later.
@@ -304,8 +304,9 @@ fn an_align_is_adopted_and_its_arrival_reported_once() {
     let begin = start(33_330_652_540, 576, 1_000_000);
     rig.start(begin).unwrap();
     rig.next_pulse(50);
-    let to = TriggerAlign {
+    let to = OutputAlign {
         anchor: Ticks(1_000_777),
+        anchor_fraction: 0,
         period: begin.period,
         slew: 100,
     };

@@ -3,12 +3,13 @@
 use core::sync::atomic::Ordering;
 
 use protocol::{
-    Answer, Command, HostToDevice, Refusal, Reply, SELF_TEST_KEY, Ticks, TriggerStatus,
+    Answer, Command, HostToDevice, Output, OutputAction, Refusal, Reply, SELF_TEST_KEY, Ticks,
+    TriggerStatus,
 };
 
-use crate::board::tim2;
+use crate::board::{outputs, tim2};
 use crate::state::{self, FILLER_RATE};
-use crate::tasks::{imu, self_test};
+use crate::tasks::{gnss, imu, self_test};
 
 /// Carries out one command, which came in at `received`, and answers it.
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
@@ -36,9 +37,9 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
             }
         }
         Command::TriggerStart(start) => trigger(tim2::with_pulser(|pulser, output, time| {
-            pulser.start(output, time, start)
+            pulser.start(output, time, start.into())
         })),
-        Command::TriggerAlign(to) => tim2::align(message.id, &to).map(Reply::Align),
+        Command::TriggerAlign(to) => tim2::align(message.id, &to.into()).map(Reply::Align),
         Command::TriggerPeriod(period) => {
             trigger(tim2::with_pulser(|pulser, _, _| pulser.set_period(period)))
         }
@@ -49,12 +50,36 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
         Command::TriggerQuery => trigger(Ok(())),
         Command::ImuConfigure(config) => imu::configure(config).map(Reply::Imu),
         Command::ImuQuery => Ok(Reply::Imu(imu::setup())),
+        Command::Output { output, action } => act(message.id, output, action),
+        Command::GnssStart(settings) => gnss::start(settings).map(Reply::Gnss),
+        Command::GnssStop => Ok(Reply::Gnss(gnss::stop())),
+        Command::GnssQuery => Ok(Reply::Gnss(gnss::report())),
     };
     let answer = Answer {
         id: message.id,
         result,
     };
     state::send(|outbox| outbox.answer(answer));
+}
+
+/// Carries out what one of the further outputs is asked to do.
+fn act(id: u32, output: Output, action: OutputAction) -> Result<Reply, Refusal> {
+    match action {
+        OutputAction::Start(start) => outputs::with_output(output, |pulser, channel, time| {
+            pulser.start(channel, time, start)
+        })?,
+        OutputAction::Align(to) => return outputs::align(output, id, &to).map(Reply::Align),
+        OutputAction::Period(period) => {
+            outputs::with_output(output, |pulser, _, _| pulser.set_period(period))?;
+        }
+        OutputAction::Stop => outputs::with_output(output, |pulser, channel, time| {
+            pulser.stop(channel, time);
+            Ok(())
+        })?,
+        OutputAction::Query => {}
+    }
+    let channel = outputs::channel_of(output);
+    Ok(Reply::Trigger(outputs::pulser(channel).status()))
 }
 
 /// The state of the train behind what came of a command.

@@ -9,9 +9,9 @@ use firmware::config::TRIGGER_OVERDUE;
 use protocol::Status;
 
 use crate::board::tim2::{self, Counters};
-use crate::board::{idle, stack};
+use crate::board::{idle, outputs, stack};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
-use crate::tasks::{commands, imu};
+use crate::tasks::{commands, gnss, imu};
 
 /// Runs for ever.
 #[embassy_executor::task]
@@ -24,6 +24,7 @@ pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
         ticker.next().await;
         let now = tim2::now();
         let stuck = tim2::with_pulser(|pulser, _, _| pulser.is_overdue(now, TRIGGER_OVERDUE));
+        let stuck = stuck || outputs::is_overdue(TRIGGER_OVERDUE);
         if ALIVE.all() && !stuck {
             watchdog.pet();
         }
@@ -39,6 +40,9 @@ fn status(seq: u32, counters: &Counters, trigger_busy: u32) -> Status {
     let mut dropped = state::with_outbox(|outbox| outbox.dropped());
     dropped.pulses = dropped.pulses.saturating_add(counters.lost_pulses);
     dropped.captures = dropped.captures.saturating_add(counters.lost_captures);
+    let (lost, output_latency) = outputs::counters();
+    dropped.outputs = dropped.outputs.saturating_add(lost);
+    let [_, two, three, four] = outputs::summaries();
     Status {
         seq,
         at: tim2::now(),
@@ -55,5 +59,8 @@ fn status(seq: u32, counters: &Counters, trigger_busy: u32) -> Status {
         strobe_overcaptures: counters.strobe_overcaptures,
         strobe_floods: counters.strobe_floods,
         imu: imu::status(),
+        outputs: [two, three, four],
+        output_latency,
+        gnss: gnss::status(),
     }
 }

@@ -136,8 +136,12 @@ impl Soc {
         let now = self.now;
         match block {
             Block::Tim(n) => {
+                let started = self.tim[n].start().is_none();
                 self.tim[n].write(offset, value, now);
                 self.after_tim(n);
+                if started && self.tim[n].start_is_output() {
+                    self.start_slaves(n);
+                }
             }
             Block::Iwdg => {
                 self.iwdg.write(offset, value, now);
@@ -181,6 +185,29 @@ impl Soc {
             }
         }
         true
+    }
+
+    /// Starts the timers that wait for the start of timer `master`, at its time.
+    fn start_slaves(&mut self, master: usize) {
+        // What is on ITR0 to ITR3 of TIM1 to TIM5 (RM0090 tables 93 and 97); TIM8
+        // is not modelled.
+        const INPUTS: [[Option<usize>; 4]; 5] = [
+            [Some(TIM5), Some(TIM2), Some(TIM3), Some(TIM4)],
+            [Some(TIM1), None, Some(TIM3), Some(TIM4)],
+            [Some(TIM1), Some(TIM2), Some(TIM5), Some(TIM4)],
+            [Some(TIM1), Some(TIM2), Some(TIM3), None],
+            [Some(TIM2), Some(TIM3), Some(TIM4), None],
+        ];
+        let Some(at) = self.tim[master].start() else {
+            return;
+        };
+        for (slave, inputs) in INPUTS.iter().enumerate() {
+            let awaited = self.tim[slave].awaits().and_then(|input| inputs[input]);
+            if awaited == Some(master) {
+                self.tim[slave].trigger(at);
+                self.after_tim(slave);
+            }
+        }
     }
 
     fn write_rcc(&mut self, offset: u32, value: u32) {

@@ -489,14 +489,17 @@ impl Soc {
                 Clock::new(clocks.hclk, self.core_clock.time_of(self.cycle), self.cycle);
             self.event_cycle = self.cycle_at(self.next_event);
         }
-        self.clocks = clocks;
+        let before = std::mem::replace(&mut self.clocks, clocks);
         for n in 0..TIMERS {
-            let rate = if n == TIM1 {
-                clocks.timers2
+            let (old, rate) = if n == TIM1 {
+                (before.timers2, clocks.timers2)
             } else {
-                clocks.timers1
+                (before.timers1, clocks.timers1)
             };
-            self.tim[n].set_clock(rate, self.now);
+            // A clock that goes on keeps its phase.
+            if rate != old {
+                self.tim[n].set_clock(rate, self.now);
+            }
             self.reschedule_tim(n);
         }
         self.i2c.set_clock(clocks.pclk1);

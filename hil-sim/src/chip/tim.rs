@@ -9,12 +9,18 @@
 //!
 //! An output changes at the time at which the counter takes the compare
 //! value; a capture latches the counter's value at the time of the edge. The
-//! two or three clocks that the real synchronisers add are left out. Not
-//! modelled: down- and centre-aligned counting, slave modes, encoder mode,
-//! capture filters, complementary outputs and dead time, DMA bursts.
+//! two or three clocks that the real synchronisers add are left out. Of the slave
+//! modes there is the trigger mode on another timer's start: the slave starts
+//! [`SLAVE_DELAY`] of its clocks later. Not modelled: down- and centre-aligned
+//! counting, the other slave modes, encoder mode, capture filters, complementary
+//! outputs and dead time, DMA bursts.
 
 use crate::clock::{Clock, Rate};
 use crate::time::SimTime;
+
+/// Clocks of a slave from its master's start to its own. The reference manual tells
+/// of a resynchronisation and not of its length (RM0090 17.3.20).
+pub(crate) const SLAVE_DELAY: u64 = 2;
 
 const CR1_CEN: u32 = 1 << 0;
 const CR1_UDIS: u32 = 1 << 1;
@@ -116,6 +122,29 @@ impl Tim {
 
     fn running(&self) -> bool {
         self.cr1 & CR1_CEN != 0
+    }
+
+    /// Whether its start is its trigger output (MMS is "enable").
+    pub(crate) fn start_is_output(&self) -> bool {
+        (self.cr2 >> 4) & 7 == 1
+    }
+
+    /// When it was started, if it runs since then without a sync.
+    pub(crate) fn start(&self) -> Option<SimTime> {
+        self.running().then(|| self.clock.time_of(self.base_edge))
+    }
+
+    /// The internal trigger input that starts it, if it waits for one.
+    pub(crate) fn awaits(&self) -> Option<usize> {
+        let trigger_mode = self.smcr & 7 == 6;
+        let input = ((self.smcr >> 4) & 7) as usize;
+        (trigger_mode && input < 4 && !self.running()).then_some(input)
+    }
+
+    /// Its master started at `at`.
+    pub(crate) fn trigger(&mut self, at: SimTime) {
+        self.cr1 |= CR1_CEN;
+        self.base_edge = self.clock.edge_at(at) + SLAVE_DELAY;
     }
 
     fn channel(&self, ch: usize) -> Channel {
@@ -553,6 +582,24 @@ mod tests {
         t.write(0x00, 1, at(0));
         assert_eq!(t.next_event(), at(48_000));
         assert_eq!(t.read(0x24, at(48 * 10)), 10);
+    }
+
+    #[test]
+    fn a_slave_starts_with_its_master() {
+        let mut slave = Tim::new(false, 4, true);
+        slave.set_clock(Rate::hz(96_000_000), SimTime::ZERO);
+        assert_eq!(slave.awaits(), None);
+        slave.write(0x08, 0x16, at(5)); // TS = ITR1, SMS = trigger mode
+        assert_eq!(slave.awaits(), Some(1));
+        assert_eq!(slave.read(0x24, at(900)), 0);
+        slave.trigger(at(1_000));
+        assert_eq!(slave.awaits(), None);
+        // Two clocks of 96 MHz are one of 48.
+        assert_eq!(slave.read(0x24, at(1_001)), 0);
+        assert_eq!(slave.read(0x24, at(1_002)), 2);
+        let wrap = 65_536 / 2;
+        assert_eq!(slave.read(0x24, at(1_001 + wrap - 1)), 65_534);
+        assert_eq!(slave.read(0x24, at(1_001 + wrap)), 0);
     }
 
     #[test]

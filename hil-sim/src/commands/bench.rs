@@ -16,7 +16,10 @@ use hil_sim::oscillator::{BoardTime, OscillatorConfig};
 use hil_sim::random::{Seed, Stream};
 use hil_sim::rig::{Rig, RigBuilder};
 use hil_sim::time::SimDuration;
-use protocol::{Command, DeviceToHost, MIN_PULSE_WIDTH, Period, TICK_HZ, TriggerStart};
+use protocol::{
+    Baud, Command, DeviceToHost, GnssSettings, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output,
+    OutputAction, OutputStart, Period, Sentences, TICK_HZ, TriggerStart,
+};
 use serde::Serialize;
 
 /// Options of `bench`.
@@ -49,6 +52,8 @@ struct Load {
     /// Longest time from an edge of the trigger to the end of its handling, as
     /// the firmware measures it since its reset; without edges, none.
     edge_to_end_us: Option<f64>,
+    /// The same of the further outputs.
+    output_edge_to_end_us: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -115,6 +120,13 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         100.0 * figures.edge_to_end_us / figures.shortest_period_us,
         figures.shortest_period_us,
         MIN_PULSE_WIDTH / (TICK_HZ / 1_000_000),
+    );
+    let outputs = figures.loads.iter().filter_map(|l| l.output_edge_to_end_us);
+    println!(
+        "further outputs: an edge is handled {:.2} us after it at the latest; a pulse must be {} us \
+         long",
+        outputs.fold(0.0, f64::max),
+        MIN_OUTPUT_WIDTH / (TICK_HZ / 1_000_000),
     );
     println!(
         "sampling the IMU and sending its samples takes {:.2} % of the core",
@@ -188,6 +200,9 @@ fn measure(args: &Args) -> Result<Figures> {
     let period = Period::from_ticks(TICK_HZ / 30);
     start(&mut rig, &mut link, period, 12 * (TICK_HZ / 1_000_000))?;
     figures.loads.push(load(RIG, &mut rig, &mut link, 20)?);
+    start_outputs(&mut rig, &mut link)?;
+    let name = "the same, three more trains, lidar";
+    figures.loads.push(load(name, &mut rig, &mut link, 20)?);
     filler(&mut rig, &mut link)?;
     figures
         .loads
@@ -204,6 +219,32 @@ impl Figures {
         let load = self.loads.iter().find(|load| load.name == name);
         load.map_or(0.0, |load| load.cpu)
     }
+}
+
+/// Starts the outputs 2 to 4 at 30, 30 and 5 fps and the pulse per second, as a
+/// lidar wants it.
+fn start_outputs(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
+    for (output, fps) in Output::ALL.into_iter().zip([30, 30, 5]) {
+        let action = OutputAction::Start(OutputStart {
+            period: Period::from_ticks(TICK_HZ / fps),
+            width: 100 * (TICK_HZ / 1_000_000),
+            first_edge: None,
+            first_fraction: 0,
+        });
+        link.request(rig, Command::Output { output, action })?;
+    }
+    let settings = GnssSettings {
+        utc_at_zero: 1_800_000_000,
+        baud: Baud::B9600,
+        line_inverted: true,
+        sentences: Sentences::Rmc,
+        delay_ms: 50,
+        pulse_width: TICK_HZ / 50,
+        pulse_inverted: false,
+    };
+    link.request(rig, Command::GnssStart(settings))?;
+    rig.run_for(SimDuration::from_secs(1))?;
+    Ok(())
 }
 
 /// Starts a train.
@@ -248,6 +289,7 @@ fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -
         bail!("{name}: {} status messages in {seconds} s", statuses.len());
     }
     let latency = statuses.last().map_or(0, |status| status.trigger_latency);
+    let output_latency = statuses.last().map_or(0, |status| status.output_latency);
     if let Some(late) = statuses.iter().find(|status| status.trigger.late > 0) {
         bail!("{name}: {} edges came late", late.trigger.late);
     }
@@ -266,5 +308,7 @@ fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -
         trigger_latency_us: t1.max_latency as f64 / core_mhz,
         trigger_run_us: t1.max_cycles as f64 / core_mhz,
         edge_to_end_us: (latency > 0).then(|| f64::from(latency) * 1e6 / f64::from(TICK_HZ)),
+        output_edge_to_end_us: (output_latency > 0)
+            .then(|| f64::from(output_latency) * 1e6 / f64::from(TICK_HZ)),
     })
 }

@@ -284,6 +284,11 @@ impl Bench {
                 fields.status_seq.see(status.seq.into());
                 self.status(status)?;
             }
+            DeviceToHost::OutputPulse(_)
+            | DeviceToHost::OutputArrived(_)
+            | DeviceToHost::Pps(_) => {
+                return Err(self.wrong("an output that was not started".to_owned()));
+            }
             DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) => {}
         }
         Ok(())

@@ -22,6 +22,9 @@ pub(crate) struct Board {
     pub(crate) arrived: Vec<Arrived>,
     pub(crate) captures: Vec<Capture>,
     pub(crate) samples: Vec<ImuSample>,
+    pub(crate) output_pulses: Vec<OutputPulse>,
+    pub(crate) output_arrived: Vec<OutputArrived>,
+    pub(crate) pps: Vec<Pps>,
     pub(crate) statuses: Vec<Status>,
     pub(crate) fillers: u64,
     pub(crate) filler_bytes: u64,
@@ -44,6 +47,9 @@ impl Board {
             arrived: Vec::new(),
             captures: Vec::new(),
             samples: Vec::new(),
+            output_pulses: Vec::new(),
+            output_arrived: Vec::new(),
+            pps: Vec::new(),
             statuses: Vec::new(),
             fillers: 0,
             filler_bytes: 0,
@@ -65,6 +71,9 @@ impl Board {
                 DeviceToHost::Arrived(arrived) => self.arrived.push(arrived),
                 DeviceToHost::Capture(capture) => self.captures.push(capture),
                 DeviceToHost::Imu(sample) => self.samples.push(sample),
+                DeviceToHost::OutputPulse(pulse) => self.output_pulses.push(pulse),
+                DeviceToHost::OutputArrived(arrived) => self.output_arrived.push(arrived),
+                DeviceToHost::Pps(pps) => self.pps.push(pps),
                 DeviceToHost::Filler(filler) => {
                     self.fillers += 1;
                     self.filler_bytes += filler.payload.len() as u64;

@@ -3,6 +3,7 @@
 pub mod doctor;
 pub mod evaluate;
 pub mod extract;
+pub mod gnss;
 pub mod imu;
 pub mod info;
 pub mod offset;

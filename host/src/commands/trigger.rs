@@ -1,17 +1,17 @@
-//! `smartdepthsync trigger`: the camera trigger by hand.
+//! `smartdepthsync trigger`: the trigger outputs by hand.
 
 use std::fmt::Write as _;
 use std::time::Duration;
 
 use clap::Subcommand;
 use protocol::{
-    AlignPlan, Arrived, DeviceToHost, Period, Readback, TICK_HZ, Ticks, TrainState, TriggerAlign,
-    TriggerStart, TriggerStatus,
+    AlignPlan, Arrived, DeviceToHost, Output, OutputAction, OutputAlign, Period, Readback, TICK_HZ,
+    Ticks, TrainState, TriggerAlign, TriggerStart, TriggerStatus,
 };
 use serde::Serialize;
 
 use super::PortArg;
-use crate::board::{Board, BoardError};
+use crate::board::{Board, BoardError, Result as BoardResult};
 use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::evaluate::latency::{Latency, latency};
@@ -27,6 +27,10 @@ const PULSE_PATIENCE: Duration = Duration::from_secs(20);
 pub struct Args {
     #[command(flatten)]
     port: PortArg,
+    /// Which trigger output: 1 is the camera's (PA5); 2, 3, 4 are PE11, PE13, PE14
+    #[arg(long, value_name = "N", default_value_t = 1, global = true,
+          value_parser = clap::value_parser!(u8).range(1..=4))]
+    output: u8,
     #[command(subcommand)]
     action: Action,
 }
@@ -37,18 +41,26 @@ enum Action {
     Start {
         #[command(flatten)]
         period: PeriodArg,
-        /// Length of a pulse in µs (the camera needs more than 8)
-        #[arg(long, value_name = "US", default_value = "12", value_parser = parse_us_ticks)]
-        width_us: u32,
+        /// Length of a pulse in µs (the camera needs more than 8) [default: 12; outputs 2
+        /// to 4: 100]
+        #[arg(long, value_name = "US", value_parser = parse_us_ticks)]
+        width_us: Option<u32>,
         /// Board time of the first rising edge, in ticks of 48 MHz [default: at once]
         #[arg(long, value_name = "TICK")]
         first_edge: Option<u64>,
+        /// Fraction of the tick of the first edge, in 1/2^32 (outputs 2 to 4); as
+        /// `next_edge_fraction` of `trigger status --json` tells it
+        #[arg(long, value_name = "N", requires = "first_edge", default_value_t = 0)]
+        first_fraction: u32,
     },
     /// Move the running train so that an edge falls exactly on a tick
     Align {
         /// A tick of 48 MHz that the train shall pass through; at most an hour away
         #[arg(long, value_name = "TICK")]
         anchor: u64,
+        /// Fraction of that tick, in 1/2^32 (outputs 2 to 4)
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        anchor_fraction: u32,
         #[command(flatten)]
         period: PeriodArg,
         /// Move at most this many µs a frame; 0 jumps at once
@@ -159,32 +171,135 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         )
         .into());
     }
-    let mut board = args.port.open()?;
-    act(&args.action, &mut board, context)
+    let output = Output::from_number(args.output);
+    let fraction = match args.action {
+        Action::Start { first_fraction, .. } => first_fraction,
+        Action::Align {
+            anchor_fraction, ..
+        } => anchor_fraction,
+        _ => 0,
+    };
+    if output.is_none() && fraction != 0 {
+        return Err(Failure::new(
+            crate::outcome::ExitStatus::Usage,
+            "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
+        )
+        .into());
+    }
+    if output.is_some() && matches!(args.action, Action::Latency { .. }) {
+        return Err(Failure::new(
+            ExitStatus::Usage,
+            "the latency is measured on the camera's trigger, output 1",
+        )
+        .into());
+    }
+    let board = args.port.open()?;
+    let mut target = Target { board, output };
+    act(&args.action, &mut target, context)
 }
 
-fn act(action: &Action, board: &mut Board, context: &Context) -> anyhow::Result<Outcome> {
+/// One trigger output of a board.
+struct Target {
+    board: Board,
+    /// None is the camera's.
+    output: Option<Output>,
+}
+
+impl Target {
+    fn start(&mut self, start: TriggerStart, first_fraction: u32) -> BoardResult<TriggerStatus> {
+        match self.output {
+            None => self.board.start_trigger(start),
+            Some(output) => {
+                let start = protocol::OutputStart {
+                    first_fraction,
+                    ..start.into()
+                };
+                self.board.output(output, OutputAction::Start(start))
+            }
+        }
+    }
+
+    fn align(&mut self, to: TriggerAlign, anchor_fraction: u32) -> BoardResult<AlignPlan> {
+        match self.output {
+            None => self.board.align(to),
+            Some(output) => {
+                let to = OutputAlign {
+                    anchor_fraction,
+                    ..to.into()
+                };
+                self.board.align_output(output, to)
+            }
+        }
+    }
+
+    fn set_period(&mut self, period: Period) -> BoardResult<TriggerStatus> {
+        match self.output {
+            None => self.board.set_period(period),
+            Some(output) => self.board.output(output, OutputAction::Period(period)),
+        }
+    }
+
+    fn stop(&mut self) -> BoardResult<TriggerStatus> {
+        match self.output {
+            None => self.board.stop_trigger(),
+            Some(output) => self.board.output(output, OutputAction::Stop),
+        }
+    }
+
+    fn status(&mut self) -> BoardResult<TriggerStatus> {
+        match self.output {
+            None => self.board.trigger(),
+            Some(output) => self.board.output(output, OutputAction::Query),
+        }
+    }
+
+    /// The arrival that a message tells of, if it is one of this output.
+    fn arrival(&self, message: &DeviceToHost) -> Option<Arrived> {
+        match (self.output, message) {
+            (None, DeviceToHost::Arrived(arrived)) => Some(*arrived),
+            (Some(output), DeviceToHost::OutputArrived(arrived)) if arrived.output == output => {
+                Some(Arrived {
+                    command: arrived.command,
+                    train: arrived.train,
+                    pulse: arrived.pulse,
+                    at: arrived.at,
+                    remaining: arrived.remaining,
+                })
+            }
+            _ => None,
+        }
+    }
+}
+
+fn act(action: &Action, board: &mut Target, context: &Context) -> anyhow::Result<Outcome> {
     let status = match *action {
         Action::Latency { train, pulses } => {
-            return measure_latency(board, context, &train, pulses as usize);
+            return measure_latency(&mut board.board, context, &train, pulses as usize);
         }
         Action::Start {
             period,
             width_us,
             first_edge,
-        } => board.start_trigger(TriggerStart {
-            period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
-            width: width_us,
-            first_edge: first_edge.map(Ticks),
-        }),
+            first_fraction,
+        } => {
+            let default_us = if board.output.is_none() { 12 } else { 100 };
+            let start = TriggerStart {
+                period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
+                width: width_us.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
+                first_edge: first_edge.map(Ticks),
+            };
+            board.start(start, first_fraction)
+        }
         Action::Align {
             anchor,
+            anchor_fraction,
             period,
             slew_us,
             no_wait,
         } => {
             let align = Align {
                 anchor: Ticks(anchor),
+                anchor_fraction,
                 period: period.given(),
                 slew: slew_us,
                 wait: !no_wait,
@@ -193,13 +308,16 @@ fn act(action: &Action, board: &mut Board, context: &Context) -> anyhow::Result<
         }
         Action::Period { period } => match period.given() {
             Some(period) => board.set_period(period),
-            None => board.trigger(),
+            None => board.status(),
         },
-        Action::Stop => board.stop_trigger(),
-        Action::Status => board.trigger(),
+        Action::Stop => board.stop(),
+        Action::Status => board.status(),
     };
     let status = status.map_err(Failure::from)?;
-    let report = TriggerReport::from(&status);
+    let mut report = TriggerReport::from(&status);
+    if board.output.is_some() {
+        report.readback.state = String::from("none on this output");
+    }
     context.print(&report, || report.text(&status))?;
     Ok(if status.late > 0 || status.readback.missing > 0 {
         Outcome::Loss
@@ -295,23 +413,27 @@ fn latency_text(found: &Latency) -> String {
 
 struct Align {
     anchor: Ticks,
+    anchor_fraction: u32,
     period: Option<Period>,
     slew: u32,
     wait: bool,
 }
 
 impl Align {
-    fn run(&self, board: &mut Board, context: &Context) -> anyhow::Result<Outcome> {
+    fn run(&self, board: &mut Target, context: &Context) -> anyhow::Result<Outcome> {
         let period = match self.period {
             Some(period) => period,
-            None => board.trigger().map_err(Failure::from)?.period,
+            None => board.status().map_err(Failure::from)?.period,
         };
         let plan = board
-            .align(TriggerAlign {
-                anchor: self.anchor,
-                period,
-                slew: self.slew,
-            })
+            .align(
+                TriggerAlign {
+                    anchor: self.anchor,
+                    period,
+                    slew: self.slew,
+                },
+                self.anchor_fraction,
+            )
             .map_err(Failure::from)?;
         let mut report = AlignReport::from(&plan);
         if !context.global.json {
@@ -350,30 +472,34 @@ enum Wait {
 
 /// Waits for the arrival of the last align.
 fn wait_for_arrival(
-    board: &mut Board,
+    target: &mut Target,
     context: &Context,
     plan: &AlignPlan,
 ) -> Result<Wait, Failure> {
     // In board time, with a margin for the message; a rig that has no time
     // passing at all is given up by the clock on the wall.
     let latest = plan.arrival.0 + u64::from(TICK_HZ) * 3;
-    let mut quiet_since = board.now();
+    let mut quiet_since = target.board.now();
     loop {
         if context.interrupt.requested() {
             return Ok(Wait::Interrupted);
         }
-        match board.next_event(Duration::from_millis(100))? {
-            Some(Event::Message(DeviceToHost::Arrived(arrived)))
-                if arrived.pulse == plan.arrival_pulse && arrived.at == plan.arrival =>
-            {
-                return Ok(Wait::Arrived(arrived));
+        match target.board.next_event(Duration::from_millis(100))? {
+            Some(Event::Message(message)) => {
+                let arrived = target.arrival(&message).filter(|arrived| {
+                    arrived.pulse == plan.arrival_pulse && arrived.at == plan.arrival
+                });
+                if let Some(arrived) = arrived {
+                    return Ok(Wait::Arrived(arrived));
+                }
+                quiet_since = target.board.now();
             }
-            Some(_) => quiet_since = board.now(),
+            Some(_) => quiet_since = target.board.now(),
             None => {}
         }
-        let quiet = board.now().saturating_sub(quiet_since) > Duration::from_secs(20);
-        if quiet || board.session().latest().0 > latest {
-            let status = board.trigger()?;
+        let quiet = target.board.now().saturating_sub(quiet_since) > Duration::from_secs(20);
+        if quiet || target.board.session().latest().0 > latest {
+            let status = target.status()?;
             if status.state == TrainState::Running && status.pulses > plan.arrival_pulse {
                 return Ok(Wait::Unconfirmed);
             }

@@ -16,6 +16,7 @@
 //! - [`learn`]: what a recording teaches about the phone's clocks.
 
 pub mod alignment;
+pub mod further;
 pub mod learn;
 pub mod operator;
 pub mod phone_task;

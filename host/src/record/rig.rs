@@ -420,6 +420,23 @@ impl<'a> Rig<'a> {
                     writer.log(arrived.at, Severity::Info, "arrived", &text),
                 )
             }
+            DeviceToHost::OutputPulse(output) => {
+                let name = self.profile.output_name(output.output);
+                (output.pulse.at, writer.output_pulse(&output.pulse, &name))
+            }
+            DeviceToHost::OutputArrived(arrived) => {
+                let text = format!(
+                    "{} arrived at pulse {}, {} ticks from its grid",
+                    self.profile.output_name(arrived.output),
+                    arrived.pulse,
+                    arrived.remaining.0
+                );
+                (
+                    arrived.at,
+                    writer.log(arrived.at, Severity::Info, "output_arrived", &text),
+                )
+            }
+            DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps)),
             DeviceToHost::Hello(hello) => (
                 hello.now,
                 writer.log(hello.now, Severity::Info, "hello", "the board said hello"),

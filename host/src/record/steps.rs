@@ -6,6 +6,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::alignment::{plan, skew_prior, with_known_skew};
+use super::further;
 use super::operator::{Choice, Operator};
 use super::phone_task::{Answer, PhoneTask, Request};
 use super::recorder::DepthRecorder;
@@ -131,6 +132,7 @@ pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
     };
     let mut alignment = align(rig, &clock, &video)?;
     confirm_arrival(rig, &mut alignment)?;
+    further::start(rig)?;
     record(rig, options, &alignment)
 }
 
@@ -650,6 +652,15 @@ fn stop_devices(rig: &mut Rig<'_>) {
     }
     if rig.trigger_started {
         rig.trigger_started = false;
+        if let Err(Stop::Failed(failure)) = further::stop(rig) {
+            report(
+                rig,
+                Finding::error(
+                    "outputs_not_stopped",
+                    format!("a further output could not be stopped: {failure}"),
+                ),
+            );
+        }
         if let Err(Stop::Failed(failure)) = rig.call(Board::stop_trigger) {
             report(
                 rig,

@@ -162,6 +162,8 @@ impl Watch {
             Stream::Imu => "imu_gap",
             Stream::Captures => "captures_lost",
             Stream::Status => "status_lost",
+            Stream::Outputs => "output_pulses_lost",
+            Stream::Pps => "pps_lost",
             Stream::Filler => return,
         };
         findings.push(Finding::warning(kind, format!("{count} {stream} lost")));

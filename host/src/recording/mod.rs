@@ -47,6 +47,12 @@ pub mod topic {
     pub const STROBE: &str = "/board/strobe";
     /// [`super::messages::Capture`]: the same edges in full.
     pub const CAPTURE: &str = "/board/strobe_capture";
+    /// [`super::messages::Pulse`]: pulses of the further outputs; `frame_id` says
+    /// whose.
+    pub const OUTPUT: &str = "/board/output_pulse";
+    /// [`super::messages::TimeReference`]: pulses per second; `time_ref` is the UTC
+    /// that a lidar was told.
+    pub const GNSS: &str = "/board/gnss";
     /// [`super::messages::DiagnosticArray`]: once a second.
     pub const STATUS: &str = "/board/status";
     /// [`super::messages::LinkFrame`]: every frame of the link.

@@ -52,6 +52,10 @@ pub enum Item {
     HostTime(TimeReference),
     /// `/session/log`.
     Log(Log),
+    /// `/board/output_pulse`.
+    Output(Pulse),
+    /// `/board/gnss`.
+    Gnss(TimeReference),
     /// A topic that this version does not know.
     Other {
         /// The topic.
@@ -238,6 +242,8 @@ fn entry(
         topic::MARKER => from_cdr(data).map(Item::Marker),
         topic::HOST_TIME => from_cdr(data).map(Item::HostTime),
         topic::LOG => from_cdr(data).map(Item::Log),
+        topic::OUTPUT => from_cdr(data).map(Item::Output),
+        topic::GNSS => from_cdr(data).map(Item::Gnss),
         other => Ok(Item::Other {
             topic: other.to_owned(),
             data: data.to_vec(),

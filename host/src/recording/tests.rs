@@ -79,6 +79,9 @@ fn status(at: Ticks) -> Status {
             recoveries: 0,
             last_fault: None,
         },
+        outputs: [protocol::OutputStatus::IDLE; 3],
+        output_latency: 0,
+        gnss: protocol::GnssStatus::IDLE,
     }
 }
 
@@ -119,12 +122,31 @@ fn everything_comes_back_as_it_was_written() {
         .log(Ticks(79), Severity::Warning, "imu_gap", "2 samples")
         .unwrap();
     writer.frame(Ticks(80), vec![1, 2, 255]).unwrap();
+    writer.output_pulse(&pulse(7), "left").unwrap();
+    let pps = protocol::Pps {
+        seq: 4,
+        at: Ticks(96_000_000),
+        utc: 1_795_234_569,
+    };
+    writer.pps(&pps).unwrap();
     writer.finish().unwrap();
 
     let mut reader = Reader::open(folder.path()).unwrap();
     let entries: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
     assert!(!reader.broken_off());
-    assert_eq!(entries.len(), 12);
+    assert_eq!(entries.len(), 14);
+    let Item::Output(output) = &entries[12].item else {
+        panic!("{:?}", entries[12]);
+    };
+    assert_eq!(
+        (output.ticks, output.header.frame_id.as_str()),
+        (pulse(7).at.0, "left")
+    );
+    let Item::Gnss(second) = &entries[13].item else {
+        panic!("{:?}", entries[13]);
+    };
+    assert_eq!(entries[13].at, pps.at);
+    assert_eq!(second.time_ref.nanos(), pps.utc * 1_000_000_000);
     let Item::Imu(imu) = &entries[0].item else {
         panic!("{:?}", entries[0]);
     };
@@ -148,7 +170,7 @@ fn everything_comes_back_as_it_was_written() {
     let Item::Status(diagnostics) = &entries[6].item else {
         panic!("{:?}", entries[6]);
     };
-    assert_eq!(diagnostics.status.len(), 3);
+    assert_eq!(diagnostics.status.len(), 5);
     assert!(matches!(&entries[8].item, Item::Marker(marker) if marker.source == "door"));
     let Item::Clock(model) = &entries[9].item else {
         panic!("{:?}", entries[9]);

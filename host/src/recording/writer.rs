@@ -63,6 +63,8 @@ enum Kind {
     Marker,
     HostTime,
     Log,
+    Output,
+    Gnss,
 }
 
 /// How bad something is that is said.
@@ -81,7 +83,7 @@ pub struct Writer {
     mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
     file: File,
     path: PathBuf,
-    channels: [Channel; 12],
+    channels: [Channel; 14],
     chunk_from: Option<Ticks>,
     chunk_since: Instant,
     synced: Instant,
@@ -176,6 +178,49 @@ impl Writer {
                 aligned: pulse.aligned,
                 readback: pulse.readback.is_some(),
                 readback_ticks: pulse.readback.unwrap_or(0),
+            },
+        )
+    }
+
+    /// A pulse of one of the further outputs; `name` is the sensor's on it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn output_pulse(
+        &mut self,
+        pulse: &protocol::Pulse,
+        name: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            Kind::Output,
+            pulse.at,
+            &Pulse {
+                header: header(pulse.at, name),
+                ticks: pulse.at.0,
+                train: pulse.train,
+                number: pulse.number,
+                aligned: pulse.aligned,
+                readback: false,
+                readback_ticks: 0,
+            },
+        )
+    }
+
+    /// A pulse per second: the UTC that begins with it for whoever takes the
+    /// board for a GNSS receiver.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn pps(&mut self, pps: &protocol::Pps) -> Result<(), RecordingError> {
+        self.put(
+            Kind::Gnss,
+            pps.at,
+            &TimeReference {
+                header: header(pps.at, "board"),
+                time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
+                source: String::from("gnss"),
             },
         )
     }
@@ -457,7 +502,7 @@ pub(crate) fn known_channels() -> Result<mcap::Summary, mcap::McapError> {
 
 fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
-) -> Result<[Channel; 12], mcap::McapError> {
+) -> Result<[Channel; 14], mcap::McapError> {
     fn channel<M: RosMessage, W: Write + Seek>(
         mcap: &mut mcap::Writer<W>,
         topic: &str,
@@ -480,6 +525,8 @@ fn make_channels<W: Write + Seek>(
         channel::<TimeReference, W>(mcap, topic::MARKER)?,
         channel::<TimeReference, W>(mcap, topic::HOST_TIME)?,
         channel::<Log, W>(mcap, topic::LOG)?,
+        channel::<Pulse, W>(mcap, topic::OUTPUT)?,
+        channel::<TimeReference, W>(mcap, topic::GNSS)?,
     ])
 }
 
@@ -515,6 +562,7 @@ fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
         | dropped.captures
         | dropped.imu
         | dropped.status
+        | dropped.outputs
         | status.link.lost_frames();
     let trigger = &status.trigger;
     let imu = &status.imu;
@@ -540,6 +588,7 @@ fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
                     ("dropped_captures", dropped.captures.to_string()),
                     ("dropped_imu", dropped.imu.to_string()),
                     ("dropped_status", dropped.status.to_string()),
+                    ("dropped_outputs", dropped.outputs.to_string()),
                     ("link_lost_frames", status.link.lost_frames().to_string()),
                     (
                         "strobe_overcaptures",
@@ -585,6 +634,44 @@ fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
                     ),
                 ],
             ),
+            part(
+                "outputs",
+                u8::from(status.outputs.iter().any(|output| output.late > 0)),
+                outputs_state(&status.outputs),
+                &outputs_values(&status.outputs, status.output_latency),
+            ),
+            part(
+                "gnss",
+                u8::from(status.gnss.late > 0 || status.gnss.missed > 0),
+                format!("{:?}", status.gnss.state),
+                &[
+                    ("pulses", status.gnss.pulses.to_string()),
+                    ("sentences", status.gnss.sentences.to_string()),
+                    ("missed", status.gnss.missed.to_string()),
+                    ("late", status.gnss.late.to_string()),
+                ],
+            ),
         ],
     }
+}
+
+fn outputs_state(outputs: &[protocol::OutputStatus; 3]) -> String {
+    outputs
+        .map(|output| format!("{:?}", output.state))
+        .join(", ")
+}
+
+fn outputs_values(
+    [two, three, four]: &[protocol::OutputStatus; 3],
+    latency: u32,
+) -> [(&'static str, String); 7] {
+    [
+        ("pulses_2", two.pulses.to_string()),
+        ("pulses_3", three.pulses.to_string()),
+        ("pulses_4", four.pulses.to_string()),
+        ("late_2", two.late.to_string()),
+        ("late_3", three.late.to_string()),
+        ("late_4", four.late.to_string()),
+        ("latency_ticks", latency.to_string()),
+    ]
 }

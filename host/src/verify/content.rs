@@ -309,6 +309,12 @@ impl Content {
                 self.imu_frame(sample.at, sample.seq, sample.flags, findings);
                 (3, sample.seq, sample.at)
             }
+            // The further outputs are read, but not counted against the board.
+            DeviceToHost::OutputPulse(_)
+            | DeviceToHost::OutputArrived(_)
+            | DeviceToHost::Pps(_) => {
+                return;
+            }
             DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) | DeviceToHost::Filler(_) => return,
         };
         if let Some(stream) = self.streams.get_mut(index) {
@@ -655,6 +661,12 @@ impl Sink for Content {
             topic::STATUS => from_cdr::<DiagnosticArray>(data).map(|status| {
                 self.stamped(at, status.header.stamp.nanos(), findings);
                 self.came_of(0, ticks, findings);
+            }),
+            topic::OUTPUT => from_cdr::<Pulse>(data).map(|pulse| {
+                self.stamped(at, pulse.header.stamp.nanos(), findings);
+            }),
+            topic::GNSS => from_cdr::<TimeReference>(data).map(|pulse| {
+                self.stamped(at, pulse.header.stamp.nanos(), findings);
             }),
             topic::MARKER => from_cdr::<TimeReference>(data).map(|_| self.markers += 1),
             topic::TEMPERATURE => from_cdr::<Temperature>(data).map(|_| ()),

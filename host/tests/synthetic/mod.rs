@@ -99,6 +99,9 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
             recoveries: 0,
             last_fault: None,
         },
+        outputs: [protocol::OutputStatus::IDLE; 3],
+        output_latency: 0,
+        gnss: protocol::GnssStatus::IDLE,
     }
 }
 

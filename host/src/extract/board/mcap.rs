@@ -9,7 +9,8 @@
 //!
 //! In the topics layout our topics have the published system's names:
 //! `/board/trigger` is `/mcu_cameras_ts`, `/session/markers` is `/sequences_ts`,
-//! and each clock model is a pair on `/mcu_s10_ts`.
+//! `/board/gnss` is `/mcu_lidar_ts`, and each clock model is a pair on `/mcu_s10_ts`.
+//! Pulses of the further outputs come as `/output/` and the sensor's name.
 //!
 //! Limits: chunks are stored as they are or with LZ4, which is all that our writer
 //! makes.
@@ -25,7 +26,7 @@ use mcap::records::{ChunkHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use rayon::prelude::*;
 
-use super::{BoardError, BoardEvent, BoardStream, ImuRow, TimePair};
+use super::{BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, TimePair};
 use crate::extract::depth_clock::PulseTime;
 use crate::extract::time::{BoardNanos, SECOND};
 use crate::recording::messages::{
@@ -54,6 +55,8 @@ enum Kind {
     Pulse,
     Clock,
     Marker,
+    Output,
+    Gnss,
 }
 
 impl Kind {
@@ -65,6 +68,8 @@ impl Kind {
             topic::PULSE => Self::Pulse,
             topic::CLOCK => Self::Clock,
             topic::MARKER => Self::Marker,
+            topic::OUTPUT => Self::Output,
+            topic::GNSS => Self::Gnss,
             _ => return None,
         })
     }
@@ -75,6 +80,7 @@ struct Names {
     cameras: Arc<str>,
     phone: Arc<str>,
     sequences: Arc<str>,
+    lidar: Arc<str>,
 }
 
 /// A chunk as it stands in the file.
@@ -132,6 +138,7 @@ impl McapStream {
                 cameras: "/mcu_cameras_ts".into(),
                 phone: "/mcu_s10_ts".into(),
                 sequences: "/sequences_ts".into(),
+                lidar: LIDAR_TOPIC.into(),
             },
             events: VecDeque::new(),
             waiting: None,
@@ -437,6 +444,25 @@ fn message(
                 topic: names.sequences.clone(),
                 seq: sequence,
                 stamp,
+                other: times.time_ref.nanos(),
+            }));
+        }
+        Kind::Output => {
+            let pulse: Pulse = from_cdr(data)?;
+            let at = stamp(&pulse.header);
+            event(BoardEvent::Times(TimePair {
+                topic: format!("{OUTPUT_TOPICS}{}", pulse.header.frame_id).into(),
+                seq: sequence,
+                stamp: at,
+                other: at.0,
+            }));
+        }
+        Kind::Gnss => {
+            let times: TimeReference = from_cdr(data)?;
+            event(BoardEvent::Times(TimePair {
+                topic: names.lidar.clone(),
+                seq: sequence,
+                stamp: stamp(&times.header),
                 other: times.time_ref.nanos(),
             }));
         }

@@ -14,6 +14,12 @@ use super::depth_clock::PulseTime;
 use super::time::BoardNanos;
 use crate::sync::ClockModel;
 
+/// Topics of further outputs begin so; the sensor's name follows.
+pub const OUTPUT_TOPICS: &str = "/output/";
+
+/// Pulses per second with the UTC that a lidar was told.
+pub const LIDAR_TOPIC: &str = "/mcu_lidar_ts";
+
 /// One sample of the board's IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuRow {

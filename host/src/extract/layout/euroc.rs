@@ -95,6 +95,7 @@ impl Layout for Euroc {
 
     fn finish(&self, folder: &Path, tables: &SequenceTables, facts: &Facts) -> io::Result<()> {
         let base = folder.join("mav0");
+        super::further::write(&base, tables)?;
         let middle = format!(
             "phone camera; times are the middle of exposure of the middle row, {} ns after the phone's \
              frame timestamp; intrinsics and T_BS are not known to the extractor",

@@ -5,6 +5,7 @@
 //! list only images that were written.
 
 mod euroc;
+mod further;
 mod topics;
 mod tum;
 

@@ -59,6 +59,7 @@ impl Layout for Tum {
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables, _facts: &Facts) -> io::Result<()> {
+        super::further::write(folder, tables)?;
         list(&folder.join("rgb.txt"), "color images", &tables.color)?;
         list(&folder.join("depth.txt"), "depth maps", &tables.depth)?;
         let mut text = String::new();

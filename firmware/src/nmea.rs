@@ -1,0 +1,279 @@
+//! The sentences of a GNSS receiver, for a lidar that takes its time from one.
+//!
+//! The board pretends to stand still at 0° N 0° E with a valid fix: only date
+//! and time mean anything. Times are UTC as Unix time gives it: without leap
+//! seconds.
+
+use core::fmt::Write as _;
+
+use heapless::String;
+use protocol::{
+    Baud, END_UTC, GnssSettings, MAX_NMEA, MAX_PPS_WIDTH, MIN_OUTPUT_WIDTH, MIN_UTC,
+    NMEA_WINDOW_MS, Refusal, Sentences, TICK_HZ, Ticks,
+};
+
+/// How long settings must remain within the dates that the sentences can tell,
+/// in seconds: an hour.
+const DATE_MARGIN: i64 = 3_600;
+
+/// A date and a time of day.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Utc {
+    /// Year, as in 2026.
+    pub year: u32,
+    /// Month, from 1.
+    pub month: u32,
+    /// Day of the month, from 1.
+    pub day: u32,
+    /// Hour, 0 to 23.
+    pub hour: u32,
+    /// Minute, 0 to 59.
+    pub minute: u32,
+    /// Second, 0 to 59.
+    pub second: u32,
+}
+
+impl Utc {
+    /// Of Unix time; before 1970 it stands at its begin.
+    ///
+    /// The proleptic Gregorian calendar in eras of 400 years, whose years begin
+    /// in March so that the leap day is the last (H. Hinnant, "chrono-compatible
+    /// low-level date algorithms").
+    #[must_use]
+    pub const fn from_unix(unix: i64) -> Self {
+        let unix = if unix < 0 { 0 } else { unix as u64 };
+        // Up to 2³¹ days there is no overflow: seconds of a 64-bit number of ticks.
+        let days = unix / 86_400 + 719_468;
+        let era = days / 146_097;
+        let day_of_era = days % 146_097;
+        let year_of_era =
+            (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+        let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+        let month = (5 * day_of_year + 2) / 153;
+        let day = day_of_year - (153 * month + 2) / 5 + 1;
+        let month = if month < 10 { month + 3 } else { month - 9 };
+        let year = year_of_era + era * 400 + (month <= 2) as u64;
+        let of_day = unix % 86_400;
+        Self {
+            year: year as u32,
+            month: month as u32,
+            day: day as u32,
+            hour: (of_day / 3_600) as u32,
+            minute: (of_day / 60 % 60) as u32,
+            second: (of_day % 60) as u32,
+        }
+    }
+}
+
+/// The second that begins with the pulse at `at`, as Unix time.
+#[must_use]
+pub const fn utc_of(utc_at_zero: i64, at: Ticks) -> i64 {
+    utc_at_zero.saturating_add((at.0 / TICK_HZ as u64) as i64)
+}
+
+/// Refuses settings that the board cannot keep.
+///
+/// # Errors
+///
+/// Which.
+pub fn check(settings: &GnssSettings, now: Ticks) -> Result<(), Refusal> {
+    let utc = utc_of(settings.utc_at_zero, now);
+    if !(MIN_UTC..END_UTC - DATE_MARGIN).contains(&utc) {
+        return Err(Refusal::GnssDateOutOfRange);
+    }
+    if !(MIN_OUTPUT_WIDTH..=MAX_PPS_WIDTH).contains(&settings.pulse_width) {
+        return Err(Refusal::WidthOutOfRange {
+            min: MIN_OUTPUT_WIDTH,
+            max: MAX_PPS_WIDTH,
+        });
+    }
+    let fast = matches!(settings.baud, Baud::B38400 | Baud::B57600 | Baud::B115200);
+    if fast && settings.line_inverted {
+        return Err(Refusal::GnssBaudTooHigh);
+    }
+    let ends_us = settings.ends_us();
+    if ends_us > NMEA_WINDOW_MS * 1_000 {
+        return Err(Refusal::GnssWindowExceeded { ends_us });
+    }
+    Ok(())
+}
+
+/// The sentences for the second `utc` (Unix time), with line ends.
+#[must_use]
+pub fn text(sentences: Sentences, utc: i64) -> String<MAX_NMEA> {
+    let t = Utc::from_unix(utc);
+    let mut text = String::new();
+    sentence(&mut text, |text| {
+        write!(
+            text,
+            "GPRMC,{:02}{:02}{:02}.00,A,0000.0000,N,00000.0000,E,0.0,0.0,{:02}{:02}{:02},,,A",
+            t.hour,
+            t.minute,
+            t.second,
+            t.day,
+            t.month,
+            t.year % 100
+        )
+    });
+    if sentences == Sentences::RmcZda {
+        sentence(&mut text, |text| {
+            write!(
+                text,
+                "GPZDA,{:02}{:02}{:02}.00,{:02},{:02},{:04},00,00",
+                t.hour, t.minute, t.second, t.day, t.month, t.year
+            )
+        });
+    }
+    text
+}
+
+/// Adds a sentence: `$`, the body, `*` and its checksum (the exclusive or of the
+/// body), line end. There is room: [`MAX_NMEA`].
+fn sentence(
+    text: &mut String<MAX_NMEA>,
+    body: impl FnOnce(&mut String<MAX_NMEA>) -> core::fmt::Result,
+) {
+    let _ = text.push('$');
+    let begin = text.len();
+    let _ = body(text);
+    let bytes = text.as_bytes().get(begin..).unwrap_or_default();
+    let checksum = bytes.iter().fold(0, |sum, byte| sum ^ byte);
+    let _ = write!(text, "*{checksum:02X}\r\n");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn settings() -> GnssSettings {
+        GnssSettings {
+            utc_at_zero: 1_795_234_567,
+            baud: Baud::B9600,
+            line_inverted: true,
+            sentences: Sentences::Rmc,
+            delay_ms: 50,
+            pulse_width: TICK_HZ / 50,
+            pulse_inverted: false,
+        }
+    }
+
+    #[test]
+    fn sentences_are_as_in_the_standard() {
+        // 2026-11-21 03:04:05 UTC.
+        let utc = 1_795_230_245;
+        assert_eq!(
+            text(Sentences::RmcZda, utc).as_str(),
+            "$GPRMC,030405.00,A,0000.0000,N,00000.0000,E,0.0,0.0,211126,,,A*5B\r\n\
+             $GPZDA,030405.00,21,11,2026,00,00*61\r\n"
+        );
+    }
+
+    #[test]
+    fn days_of_the_calendar_follow_one_another() {
+        let days_in = |year: u32, month: u32| match month {
+            4 | 6 | 9 | 11 => 30,
+            2 if year.is_multiple_of(4)
+                && (!year.is_multiple_of(100) || year.is_multiple_of(400)) =>
+            {
+                29
+            }
+            2 => 28,
+            _ => 31,
+        };
+        let (mut year, mut month, mut day) = (1970, 1, 1);
+        for days in 0..80_000_i64 {
+            let utc = Utc::from_unix(days * 86_400 + 86_399);
+            assert_eq!((utc.year, utc.month, utc.day), (year, month, day));
+            assert_eq!((utc.hour, utc.minute, utc.second), (23, 59, 59));
+            day += 1;
+            if day > days_in(year, month) {
+                (day, month) = (1, month + 1);
+            }
+            if month > 12 {
+                (month, year) = (1, year + 1);
+            }
+        }
+    }
+
+    /// The length that the window is worked out from is the length of the text.
+    #[test]
+    fn the_longest_text_is_told_right() {
+        for sentences in [Sentences::Rmc, Sentences::RmcZda] {
+            let settings = GnssSettings {
+                sentences,
+                ..settings()
+            };
+            let len = text(sentences, END_UTC - 1).len();
+            assert_eq!(len as u32, settings.longest_text());
+            assert!(len <= MAX_NMEA);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_kept_is_refused() {
+        let check = |settings| check(&settings, Ticks(10 * u64::from(TICK_HZ)));
+        assert_eq!(check(settings()), Ok(()));
+        for utc_at_zero in [i64::MIN, MIN_UTC - 11, END_UTC - DATE_MARGIN - 10, i64::MAX] {
+            let refused = check(GnssSettings {
+                utc_at_zero,
+                ..settings()
+            });
+            assert_eq!(refused, Err(Refusal::GnssDateOutOfRange));
+        }
+        for pulse_width in [0, MIN_OUTPUT_WIDTH - 1, MAX_PPS_WIDTH + 1, u32::MAX] {
+            let refused = check(GnssSettings {
+                pulse_width,
+                ..settings()
+            });
+            assert!(matches!(refused, Err(Refusal::WidthOutOfRange { .. })));
+        }
+        let refused = check(GnssSettings {
+            baud: Baud::B38400,
+            ..settings()
+        });
+        assert_eq!(refused, Err(Refusal::GnssBaudTooHigh));
+        for delay_ms in [426, u16::MAX] {
+            let refused = check(GnssSettings {
+                delay_ms,
+                ..settings()
+            });
+            assert!(matches!(refused, Err(Refusal::GnssWindowExceeded { .. })));
+        }
+        let slow = GnssSettings {
+            baud: Baud::B4800,
+            sentences: Sentences::RmcZda,
+            delay_ms: 275,
+            ..settings()
+        };
+        assert_eq!(check(slow), Ok(()));
+    }
+
+    proptest! {
+        /// A parser that others wrote reads back the very second.
+        #[test]
+        fn a_public_parser_reads_the_time_back(utc in MIN_UTC..END_UTC) {
+            let text = text(Sentences::RmcZda, utc);
+            for line in text.as_str().lines() {
+                let sentence = nmea::parse_nmea_sentence(line).unwrap();
+                prop_assert_eq!(sentence.checksum, sentence.calc_checksum());
+                match nmea::parse_str(line).unwrap() {
+                    nmea::ParseResult::RMC(rmc) => {
+                        prop_assert_eq!(rmc.status_of_fix, nmea::sentences::rmc::RmcStatusOfFix::Autonomous);
+                        let time = rmc.fix_date.unwrap().and_time(rmc.fix_time.unwrap());
+                        // Two digits of the year: the parser takes 83 to 99 for the last century.
+                        let year = Utc::from_unix(utc).year;
+                        if year < 2083 {
+                            prop_assert_eq!(time.and_utc().timestamp(), utc);
+                        }
+                    }
+                    nmea::ParseResult::ZDA(zda) => {
+                        let date = zda.utc_date().unwrap();
+                        prop_assert_eq!(date.and_time(zda.utc_time.unwrap()).and_utc().timestamp(), utc);
+                    }
+                    other => panic!("{other:?}"),
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! The pulse per second and its sentences.
+//!
+//! The pulse is a train like any other, with a period of a second, on channel 1 of
+//! TIM1. This task sends the sentences of each second when they are due, by board
+//! time. What is late is left out and counted: a sentence outside of its window
+//! would give a lidar the wrong second.
+
+use core::cell::Cell;
+
+use embassy_futures::select::select;
+use embassy_sync::blocking_mutex::CriticalSectionMutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::signal::Signal;
+use embassy_time::{Duration, Timer};
+use firmware::alive::Task;
+use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
+use firmware::nmea;
+use protocol::{
+    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, Ticks,
+};
+
+use crate::board::{nmea_port, outputs, tim2};
+use crate::state::ALIVE;
+
+const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
+
+/// How long to wait for the line to fall idle before looking again.
+const CLOSING: Duration = Duration::from_millis(5);
+
+#[derive(Clone, Copy)]
+struct State {
+    settings: Option<GnssSettings>,
+    /// Of the last settings: the last pulse may come after a stop.
+    utc_at_zero: i64,
+    /// The first whole second that has a pulse.
+    first_second: u64,
+    /// When it was stopped, in ticks.
+    stopped_at: u64,
+    /// The line is not closed yet.
+    open: bool,
+    sentences: u32,
+    missed: u32,
+}
+
+static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell::new(State {
+    settings: None,
+    utc_at_zero: 0,
+    first_second: 0,
+    stopped_at: 0,
+    open: false,
+    sentences: 0,
+    missed: 0,
+}));
+
+/// The settings have changed.
+static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+fn update(change: impl FnOnce(&mut State)) {
+    STATE.lock(|cell| {
+        let mut state = cell.get();
+        change(&mut state);
+        cell.set(state);
+    });
+}
+
+/// Starts it on the next whole second of board time.
+///
+/// # Errors
+///
+/// Settings out of bounds; it runs with others.
+pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
+    let now = tim2::now();
+    nmea::check(&settings, now)?;
+    let state = STATE.lock(Cell::get);
+    match state.settings {
+        Some(same) if same == settings => return Ok(report()),
+        Some(_) => return Err(Refusal::GnssRunning),
+        None => {}
+    }
+    let stopped = outputs::pulser(outputs::PPS).running().is_none();
+    if state.open || !stopped {
+        return Err(Refusal::GnssStopping);
+    }
+    let second = (now.0 + u64::from(START_LEAD)) / u64::from(TICK_HZ) + 1;
+    let train = OutputStart {
+        period: Period::from_ticks(TICK_HZ),
+        width: settings.pulse_width,
+        first_edge: Some(Ticks(second * u64::from(TICK_HZ))),
+        first_fraction: 0,
+    };
+    outputs::set_pps_inverted(settings.pulse_inverted);
+    outputs::with_channel(outputs::PPS, |pulser, output, time| {
+        pulser.start(output, time, train)
+    })
+    .unwrap_or(Err(Refusal::GnssStopping))
+    .map_err(|refusal| match refusal {
+        Refusal::TriggerRunning => Refusal::GnssStopping,
+        other => other,
+    })?;
+    update(|state| {
+        state.settings = Some(settings);
+        state.utc_at_zero = settings.utc_at_zero;
+        state.first_second = second;
+        state.open = true;
+    });
+    CHANGED.signal(());
+    Ok(report())
+}
+
+/// Stops it. The pulse and the sentences under way are finished.
+pub(crate) fn stop() -> GnssReport {
+    let _ = outputs::with_channel(outputs::PPS, |pulser, output, time| {
+        pulser.stop(output, time);
+    });
+    let now = tim2::now();
+    update(|state| {
+        if state.settings.take().is_some() {
+            state.stopped_at = now.0;
+        }
+    });
+    CHANGED.signal(());
+    report()
+}
+
+/// Settings and state.
+pub(crate) fn report() -> GnssReport {
+    GnssReport {
+        settings: STATE.lock(Cell::get).settings,
+        status: status(),
+    }
+}
+
+/// How it fares.
+pub(crate) fn status() -> GnssStatus {
+    let state = STATE.lock(Cell::get);
+    let pulses = outputs::pulser(outputs::PPS).summary();
+    GnssStatus {
+        state: pulses.state,
+        pulses: pulses.pulses,
+        sentences: state.sentences,
+        missed: state.missed,
+        late: pulses.late,
+    }
+}
+
+/// The second that begins with the pulse at `at`, as Unix time.
+pub(crate) fn utc_of(at: Ticks) -> i64 {
+    nmea::utc_of(STATE.lock(Cell::get).utc_at_zero, at)
+}
+
+/// Sends sentences for ever.
+#[embassy_executor::task]
+pub(crate) async fn run() {
+    let mut running: Option<(GnssSettings, u64)> = None;
+    loop {
+        ALIVE.check_in(Task::Gnss);
+        let state = STATE.lock(Cell::get);
+        let pause = match (state.settings, running) {
+            (Some(settings), Some((same, second))) if same == settings => {
+                let (pause, second) = step(&settings, second);
+                running = Some((settings, second));
+                pause
+            }
+            (Some(settings), _) => {
+                nmea_port::open(settings.baud, settings.line_inverted);
+                running = Some((settings, state.first_second));
+                continue;
+            }
+            // A pulse that was made gets its sentences.
+            (None, Some((settings, second))) if second * u64::from(TICK_HZ) <= state.stopped_at => {
+                let (pause, second) = step(&settings, second);
+                running = Some((settings, second));
+                pause
+            }
+            (None, Some(_)) if nmea_port::is_idle() => {
+                nmea_port::close();
+                running = None;
+                update(|state| state.open = state.settings.is_some());
+                CHECK_IN
+            }
+            (None, Some(_)) => CLOSING,
+            (None, None) => {
+                // Stopped before this task saw that it was started.
+                update(|state| state.open = state.settings.is_some());
+                CHECK_IN
+            }
+        };
+        select(CHANGED.wait(), Timer::after(pause)).await;
+    }
+}
+
+/// Sends the sentences of `second` if they are due. Returns how long to wait, and
+/// the second whose sentences come next.
+fn step(settings: &GnssSettings, second: u64) -> (Duration, u64) {
+    let delay = u64::from(settings.delay_ms) * 1_000 * u64::from(TICKS_PER_US);
+    let due = second * u64::from(TICK_HZ) + delay;
+    let now = tim2::now().0;
+    if now < due {
+        let micros = (due - now).div_ceil(u64::from(TICKS_PER_US));
+        return (Duration::from_micros(micros).min(CHECK_IN), second);
+    }
+    let in_time = now - due <= NMEA_SLACK;
+    let utc = nmea::utc_of(settings.utc_at_zero, Ticks(due));
+    let sent = in_time && nmea_port::send(nmea::text(settings.sentences, utc).as_str());
+    update(|state| {
+        if sent {
+            state.sentences = state.sentences.saturating_add(1);
+        } else {
+            state.missed = state.missed.saturating_add(1);
+        }
+    });
+    (Duration::from_millis(0), second + 1)
+}
