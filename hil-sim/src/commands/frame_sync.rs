@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use hil_sim::demo::frame_sync::{self, FrameSyncOptions};
 
 /// Options of `frame-sync`.
@@ -62,12 +62,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             learnt.phase_error_us,
             learnt.drift_us_per_min
         );
-    })?;
+    });
     println!("\n{}", result.table());
     if let Some(path) = &args.json {
         let json = serde_json::to_string_pretty(&result)?;
         std::fs::write(path, json + "\n")
             .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if !result.failed.is_empty() {
+        bail!(
+            "{} of {} rigs failed; the figures are those of the others",
+            result.failed.len(),
+            args.launches
+        );
     }
     Ok(())
 }

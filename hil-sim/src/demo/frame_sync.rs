@@ -9,10 +9,10 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use serde::Serialize;
 use smartdepthsync::evaluate::stats::{mean, quantile, standard_deviation};
 use smartdepthsync::recording::session_file::SessionFile;
@@ -98,6 +98,18 @@ pub struct FrameSync {
     pub fresh: Vec<Launch>,
     /// With the profile that the session before has taught.
     pub learnt: Vec<Launch>,
+    /// Rigs on which a session failed, with the reason. They are in none of the
+    /// figures.
+    pub failed: Vec<FailedLaunch>,
+}
+
+/// A rig on which a session failed.
+#[derive(Clone, Debug, Serialize)]
+pub struct FailedLaunch {
+    /// The rig.
+    pub seed: u64,
+    /// Why.
+    pub reason: String,
 }
 
 impl Spread {
@@ -174,19 +186,15 @@ impl FrameSync {
         }
         let lost: u64 = self.fresh.iter().chain(&self.learnt).map(|l| l.lost).sum();
         let _ = writeln!(out, "\nlost in all sessions: {lost}");
+        for failed in &self.failed {
+            let _ = writeln!(out, "seed {} failed: {}", failed.seed, failed.reason);
+        }
         out
     }
 }
 
-/// Runs all launches. `done` is called after each rig.
-///
-/// # Errors
-///
-/// A session fails.
-pub fn run(
-    options: &FrameSyncOptions,
-    done: impl Fn(&Launch, &Launch) + Sync,
-) -> Result<FrameSync> {
+/// Runs all launches. `done` is called after each rig that went well.
+pub fn run(options: &FrameSyncOptions, done: impl Fn(&Launch, &Launch) + Sync) -> FrameSync {
     let next = AtomicU32::new(0);
     let results = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
@@ -199,28 +207,36 @@ pub fn run(
                     }
                     let seed = options.first_seed.wrapping_add(number.into());
                     let result = launch(options, seed);
-                    match &result {
-                        Ok((fresh, learnt)) => done(fresh, learnt),
-                        // No need to start more: the first failure is told.
-                        Err(_) => next.store(options.launches, Ordering::Relaxed),
+                    if let Ok((fresh, learnt)) = &result {
+                        done(fresh, learnt);
                     }
-                    let mut results = results.lock().unwrap_or_else(|e| e.into_inner());
-                    results.push(result.with_context(|| format!("the rig of seed {seed}")));
+                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
+                    results.push((seed, result));
                 }
             });
         }
     });
-    let results = results
-        .into_inner()
-        .map_err(|_| anyhow!("a rig panicked"))?;
-    let mut both: Vec<(Launch, Launch)> = results.into_iter().collect::<Result<_>>()?;
-    both.sort_by_key(|(fresh, _)| fresh.seed);
-    let (fresh, learnt) = both.into_iter().unzip();
-    Ok(FrameSync {
+    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
+    results.sort_by_key(|(seed, _)| *seed);
+    let mut all = FrameSync {
         seconds: options.seconds,
-        fresh,
-        learnt,
-    })
+        fresh: Vec::new(),
+        learnt: Vec::new(),
+        failed: Vec::new(),
+    };
+    for (seed, result) in results {
+        match result {
+            Ok((fresh, learnt)) => {
+                all.fresh.push(fresh);
+                all.learnt.push(learnt);
+            }
+            Err(error) => all.failed.push(FailedLaunch {
+                seed,
+                reason: format!("{error:#}"),
+            }),
+        }
+    }
+    all
 }
 
 /// Both sessions on one rig.
@@ -304,6 +320,7 @@ mod tests {
             seconds: 300,
             fresh: launches.clone(),
             learnt: launches,
+            failed: Vec::new(),
         }
         .table();
         assert!(
