@@ -270,7 +270,7 @@ fn every_edge_of_all_trains_is_exact_at_full_load() {
 
 /// `cargo xtask hour`.
 #[test]
-#[ignore = "an hour of virtual time takes about half an hour"]
+#[ignore = "an hour of virtual time: cargo xtask hour"]
 fn an_hour_of_all_trains_is_exact() {
     run_all(3_600);
 }
