@@ -8,10 +8,11 @@
 //! Results go to standard output (text, or one JSON document with `--json`);
 //! logs, progress and errors go to standard error.
 
+use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::{Parser, Subcommand, ValueEnum};
 use serde::Serialize;
@@ -75,6 +76,8 @@ pub enum Command {
     Phone(commands::phone::Args),
     /// Record: twist, align the trigger to the phone's frames, record, stop
     Record(commands::record::Args),
+    /// Look at the board live: trigger, gyroscope, rates, losses
+    Monitor(commands::monitor::Args),
     /// Is everything there for a recording, and if not, what to do
     Doctor(commands::doctor::Args),
     /// Make, check and teach a rig profile
@@ -93,6 +96,10 @@ pub enum Command {
     Report(commands::report::Args),
     /// Write what can be read of a damaged recording as a new, whole one
     Repair(commands::repair::Args),
+    /// Print the completions for a shell
+    Completions(commands::completions::Args),
+    /// Write the manual pages into a folder
+    Man(commands::man::Args),
 }
 
 impl Command {
@@ -104,6 +111,7 @@ impl Command {
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),
             Self::Record(args) => commands::record::run(args, context),
+            Self::Monitor(args) => commands::monitor::run(args, context),
             Self::Doctor(args) => commands::doctor::run(args, context),
             Self::Profile(args) => commands::profile::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),
@@ -113,6 +121,8 @@ impl Command {
             Self::Verify(args) => commands::verify::run(args, context),
             Self::Report(args) => commands::report::run(args, context),
             Self::Repair(args) => commands::repair::run(args, context),
+            Self::Completions(args) => commands::completions::run(args, context),
+            Self::Man(args) => commands::man::run(args, context),
         }
     }
 }
@@ -124,6 +134,52 @@ pub struct Context {
     pub global: Global,
     /// Set by Ctrl-C and by termination signals.
     pub interrupt: Interrupt,
+    /// Where things are said while a live view has the terminal.
+    pub said: Said,
+}
+
+/// What is said while a live view has the terminal, the latest last; standard
+/// error is not written to meanwhile.
+#[derive(Clone, Debug, Default)]
+pub struct Said(Arc<Mutex<Option<VecDeque<String>>>>);
+
+impl Said {
+    /// How many lines are kept.
+    const KEPT: usize = 20;
+
+    fn slot(&self) -> MutexGuard<'_, Option<VecDeque<String>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A live view takes the terminal, or gives it back.
+    pub fn divert(&self, to_view: bool) {
+        *self.slot() = to_view.then(VecDeque::new);
+    }
+
+    /// Whether a live view has the terminal.
+    #[must_use]
+    pub fn is_diverted(&self) -> bool {
+        self.slot().is_some()
+    }
+
+    /// The last lines.
+    #[must_use]
+    pub fn lines(&self) -> Vec<String> {
+        self.slot().iter().flatten().cloned().collect()
+    }
+
+    /// Takes a line, if a live view has the terminal.
+    fn take(&self, text: &str) -> bool {
+        let mut slot = self.slot();
+        let Some(lines) = slot.as_mut() else {
+            return false;
+        };
+        lines.push_back(text.to_owned());
+        if lines.len() > Self::KEPT {
+            lines.pop_front();
+        }
+        true
+    }
 }
 
 impl Context {
@@ -154,7 +210,7 @@ impl Context {
     /// Says something to the person who waits, on standard error; silent with
     /// `--json`.
     pub fn say(&self, text: impl AsRef<str>) {
-        if !self.global.json {
+        if !self.global.json && !self.said.take(text.as_ref()) {
             // Nobody to tell it to if standard error is gone.
             let _ = writeln!(io::stderr().lock(), "{}", text.as_ref());
         }
@@ -163,7 +219,7 @@ impl Context {
     /// Whether a progress bar would be seen.
     #[must_use]
     pub fn shows_progress(&self) -> bool {
-        !self.global.json && io::stderr().is_terminal()
+        !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal()
     }
 }
 
@@ -218,6 +274,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     let context = Context {
         global: cli.global,
         interrupt,
+        said: Said::default(),
     };
     match cli.command.run(&context) {
         Ok(outcome) => outcome.into(),

@@ -14,6 +14,7 @@
 //! - [`evaluate`]: frame sync measured from the depth camera's strobes on video.
 //! - [`extract`]: recordings into datasets with timestamps in board time.
 //! - [`verify`]: checks and repairs recordings.
+//! - [`view`]: what the operator sees while a session runs.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
@@ -36,3 +37,4 @@ pub mod sync;
 pub mod time;
 pub mod transport;
 pub mod verify;
+pub mod view;

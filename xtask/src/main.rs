@@ -7,11 +7,13 @@
 
 mod chain_bench;
 mod demo;
+mod dependencies;
 mod docs;
 mod evaluate_bench;
 mod extract_bench;
 mod figures;
 mod firmware;
+mod package;
 mod process;
 mod sync_bench;
 mod tools;
@@ -107,6 +109,11 @@ enum Command {
         #[arg(long, default_value_t = 60)]
         trials: u32,
     },
+    /// Licences and sources of all dependencies, and where unsafe code stands.
+    Dependencies,
+    /// The Debian package with host tool, udev rule and firmware; tried in a root
+    /// of its own.
+    Package,
     /// Build the book into target/book and check its links.
     Docs,
     /// Make the book's figures anew from simulated runs.
@@ -147,6 +154,8 @@ fn run(command: Command) -> Result<()> {
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
         Command::Hour => hour(),
+        Command::Dependencies => dependencies::check(),
+        Command::Package => package(),
         Command::Docs => docs::build_and_check(),
         Command::DocsFigures => figures::make(),
     }
@@ -199,11 +208,18 @@ fn check(no_book: bool) -> Result<()> {
         "warnings",
     ])?;
     firmware::clippy()?;
+    dependencies::check()?;
     if no_book {
         docs::check()
     } else {
         docs::build_and_check()
     }
+}
+
+fn package() -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
+    package::build(&elf)
 }
 
 fn demo(args: &demo::Args) -> Result<()> {

@@ -1,11 +1,14 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
+pub mod completions;
 pub mod doctor;
 pub mod evaluate;
 pub mod extract;
 pub mod gnss;
 pub mod imu;
 pub mod info;
+pub mod man;
+pub mod monitor;
 pub mod offset;
 pub mod phone;
 pub mod ports;

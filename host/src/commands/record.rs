@@ -38,6 +38,9 @@ pub struct Args {
     /// Ask nobody: go on where all is well, end where it is not
     #[arg(long)]
     yes: bool,
+    /// Plain lines instead of the live view
+    #[arg(long)]
+    plain: bool,
     /// Set a mark so long after the begin; may be given more than once
     #[arg(long, value_name = "AFTER", value_parser = parse_duration)]
     marker: Vec<u64>,
@@ -105,6 +108,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         out: args.out.clone(),
         name: args.name.clone(),
         duration: args.duration,
+        plain: args.plain,
         yes: args.yes,
         markers: args.marker.clone(),
         second_twist: args.second_twist,

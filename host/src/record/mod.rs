@@ -12,12 +12,13 @@
 //! - [`alignment`]: the arithmetic of the phase.
 //! - [`watch`]: what is watched while recording.
 //! - [`phone_task`], [`recorder`]: phone and depth recorder.
-//! - [`operator`]: the person.
+//! - [`operator`]: the person; [`live`]: what is shown to them.
 //! - [`learn`]: what a recording teaches about the phone's clocks.
 
 pub mod alignment;
 pub mod further;
 pub mod learn;
+pub mod live;
 pub mod operator;
 pub mod phone_task;
 pub mod recorder;
@@ -46,6 +47,8 @@ pub struct Options {
     pub name: Option<String>,
     /// How long to record in ticks of board time; until stopped if not given.
     pub duration: Option<u64>,
+    /// Plain lines even on a terminal.
+    pub plain: bool,
     /// Ask nobody: go on where all is well, give up where it is not.
     pub yes: bool,
     /// Marks to be set by themselves: ticks after the begin of the recording.

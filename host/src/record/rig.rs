@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use protocol::{Arrived, DeviceToHost, ImuSetup, TICK_HZ, Ticks};
 
+use super::live::{Live, Step};
 use super::operator::Operator;
 use super::phone_task::{Answer, PhoneTask, Request};
 use super::recorder::DepthRecorder;
@@ -50,6 +51,10 @@ const DISK_LOW: u64 = 1_000_000_000;
 /// closed well, bytes.
 const DISK_FULL: u64 = 20_000_000;
 
+/// A twist is enough when its expected 1-sigma is this part of the gate's: the
+/// phase then depends on the profile's constants more than on the twist.
+const ENOUGH: f64 = 0.1;
+
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;
 
@@ -71,6 +76,8 @@ pub struct Rig<'a> {
     pub phone: PhoneTask,
     /// The person.
     pub operator: Operator,
+    /// What is shown to the person.
+    pub live: Live,
     /// The depth recorder, while it runs.
     pub depth: Option<DepthRecorder>,
     /// The MCAP file, until it is finished or has failed.
@@ -122,6 +129,8 @@ pub struct Parts<'a> {
     /// See [`Rig`].
     pub operator: Operator,
     /// See [`Rig`].
+    pub live: Live,
+    /// See [`Rig`].
     pub writer: Writer,
     /// See [`Rig`].
     pub folder: PathBuf,
@@ -146,6 +155,7 @@ impl<'a> Rig<'a> {
             board,
             phone: parts.phone,
             operator: parts.operator,
+            live: parts.live,
             depth: None,
             writer: Some(parts.writer),
             folder: parts.folder,
@@ -198,11 +208,38 @@ impl<'a> Rig<'a> {
         if let Some(writer) = &mut self.writer {
             writer.tick().map_err(Failure::from)?;
         }
+        self.show();
         if self.last_round.elapsed() >= ROUND {
             self.last_round = Instant::now();
             self.round()?;
         }
         Ok(())
+    }
+
+    /// Puts the latest state before the person's eyes; never waits for that.
+    fn show(&mut self) {
+        let step = if self.closing {
+            Step::Closing
+        } else if self.gyro.is_some() {
+            Step::Twist(self.file.twists.len() + 1)
+        } else if let (Some(_), Some(span)) = (&self.watch, self.file.recorded) {
+            Step::Recording(span.from)
+        } else if self.trigger_started {
+            Step::Aligning
+        } else {
+            Step::Preparing
+        };
+        let length = f64::from(self.profile.phone.twist_s);
+        let enough = self.profile.align.max_offset_sigma_us * ENOUGH;
+        self.live.step(step, (length, enough));
+        self.live.gauge.reconnects = self.file.reconnects;
+        self.live.show(
+            self.now,
+            &self.folder,
+            self.clock.as_ref(),
+            self.file.alignment.as_ref(),
+            self.operator.is_present(),
+        );
     }
 
     /// Pumps until `done` says so.
@@ -286,6 +323,7 @@ impl<'a> Rig<'a> {
     /// The recording cannot be written.
     pub fn problem(&mut self, finding: Finding) -> Result<(), Stop> {
         self.problem_seen = true;
+        self.live.gauge.warning(finding.kind, &finding.text);
         let count = self.file.problems.len();
         if count < MAX_PROBLEMS {
             self.file.problems.push(Problem {
@@ -348,6 +386,7 @@ impl<'a> Rig<'a> {
                 return Ok(());
             }
             Event::Lost { stream, count } => {
+                self.live.gauge.lost(count);
                 if let Some(watch) = &mut self.watch {
                     watch.lost(stream, count, &mut self.findings);
                 }
@@ -359,6 +398,7 @@ impl<'a> Rig<'a> {
                 )
             }
             Event::Damaged(error) => {
+                self.live.gauge.damaged();
                 writer.log(now, Severity::Warning, "damaged", &error.to_string())
             }
             // While closing there is nothing left to end, and the link's loss is told.
@@ -374,6 +414,7 @@ impl<'a> Rig<'a> {
     }
 
     fn message(&mut self, message: DeviceToHost) -> Result<(), Stop> {
+        self.live.take(&message, &self.scale);
         let Some(writer) = &mut self.writer else {
             return Ok(());
         };

@@ -7,6 +7,7 @@ use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::alignment::{plan, skew_prior, with_known_skew};
 use super::further;
+use super::live::Live;
 use super::operator::{Choice, Operator};
 use super::phone_task::{Answer, PhoneTask, Request};
 use super::recorder::DepthRecorder;
@@ -93,10 +94,14 @@ pub fn connect<'a>(
     });
     file.imu = Some(ImuInfo { setup: imu, scale });
     file.phone = Some(PhoneInfo { address, version });
-    let operator = if options.yes || context.global.json {
-        Operator::absent()
-    } else {
-        Operator::at_stdin()
+    let asks = !options.yes && !context.global.json;
+    let mut live = Live::open(context, !options.plain);
+    live.length = options.duration;
+    live.gauge.board = protocol::usb::serial_number(&board.hello().board_id).to_string();
+    let operator = match live.take_keys() {
+        Some(keys) => Operator::at_keys(keys, asks),
+        None if asks => Operator::at_stdin(),
+        None => Operator::absent(),
     };
     let mut rig = Rig::new(Parts {
         context,
@@ -107,6 +112,7 @@ pub fn connect<'a>(
         scale,
         phone,
         operator,
+        live,
         writer,
         folder,
         file,
@@ -602,6 +608,7 @@ fn mark(rig: &mut Rig<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop>
     if let Some(writer) = &mut rig.writer {
         writer.marker(at, phone, &label).map_err(Failure::from)?;
     }
+    rig.live.gauge.marker(at, &label);
     rig.file.markers.push(Marker {
         at,
         label: label.clone(),

@@ -1,0 +1,176 @@
+//! What each fuzz target does with its bytes. One place for the targets of
+//! `cargo fuzz` (in `fuzz_targets/`) and for the short run over corpus and
+//! mutations that is part of the tests (`tests/fuzz_smoke.rs`).
+#![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::io::Cursor;
+use std::time::Duration;
+
+use smartdepthsync::extract::bag::messages::{Image, Imu, Temperature, TimeReference};
+use smartdepthsync::extract::bag::reader::{Bag, BagError};
+use smartdepthsync::extract::mkv::k4a::{Content, Recording};
+use smartdepthsync::extract::phone::csv::Rows;
+use smartdepthsync::phone::ImuRequest;
+use smartdepthsync::phone::answer::{AnswerDecoder, AnswerEvent};
+use smartdepthsync::phone::file_name::safe_file_name;
+use smartdepthsync::phone::requests::{ImuBody, VideoHeaderBody, VideoStartBody};
+use smartdepthsync::profile::Profile;
+use smartdepthsync::recording::reader::Reader;
+use smartdepthsync::session::Session;
+use smartdepthsync::verify::repair::repair;
+use smartdepthsync::verify::verify;
+
+/// Any bytes as a ROS 1 bag: no panic.
+pub(crate) fn bag(data: &[u8]) {
+    // With and without the first line, which a fuzzer would have to guess.
+    let with_magic = [b"#ROSBAG V2.0\n", data].concat();
+    for bytes in [data, &with_magic] {
+        let Ok(mut bag) = Bag::open(bytes) else {
+            continue;
+        };
+        while let Ok(true) = bag.next_chunk(|message| {
+            let _ = Imu::parse(message.data);
+            let _ = Temperature::parse(message.data);
+            let _ = TimeReference::parse(message.data);
+            let _ = Image::parse(message.data);
+            Ok::<(), BagError>(())
+        }) {}
+    }
+}
+
+/// Any bytes as a depth recording: no panic, no unbounded memory.
+pub(crate) fn depth_recording(data: &[u8]) {
+    for content in [Content::Times, Content::Pixels] {
+        let Ok(mut recording) = Recording::new(Cursor::new(data)) else {
+            return;
+        };
+        let mut bytes = 0;
+        while let Ok(Some(batch)) = recording.next_batch(content) {
+            bytes += batch
+                .depth
+                .iter()
+                .map(|image| image.bytes.len())
+                .sum::<usize>();
+        }
+        assert!(bytes <= data.len());
+    }
+}
+
+/// Any bytes as the phone's CSV files: no panic, times in order.
+pub(crate) fn phone_csv(data: &[u8]) {
+    let mut rows = Rows::new(data);
+    let mut last = None;
+    while let Ok(Some(sample)) = rows.next_sample() {
+        assert!(last.is_none_or(|last| sample.at > last));
+        assert!(sample.value.iter().all(|value| value.is_finite()));
+        last = Some(sample.at);
+    }
+    let mut rows = Rows::new(data);
+    while let Ok(Some(_)) = rows.next_frame() {}
+}
+
+/// Events of the answer in `bytes`, given in pieces of `step` bytes.
+fn read_answer(bytes: &[u8], step: usize) -> (Vec<String>, bool) {
+    let mut imu = ImuBody::new(ImuRequest {
+        duration: Duration::from_secs(1),
+        accelerometer: true,
+        gyroscope: true,
+        magnetometer: true,
+    });
+    let (mut start, mut video) = (VideoStartBody::default(), VideoHeaderBody::default());
+    let mut decoder = AnswerDecoder::new(1 << 16);
+    let mut events = Vec::new();
+    for piece in bytes.chunks(step.max(1)) {
+        let mut input = piece;
+        loop {
+            match decoder.next(&mut input) {
+                Ok(Some(event)) => {
+                    if let AnswerEvent::Line(line) = &event {
+                        let _ = imu.line(1, line);
+                        let _ = start.line(1, line);
+                        let _ = video.line(1, line);
+                        assert!(safe_file_name(line).len() <= 101);
+                    }
+                    events.push(format!("{event:?}"));
+                }
+                Ok(None) => break,
+                Err(_) => return (events, false),
+            }
+        }
+    }
+    let _ = (imu.finish(), start.finish(), video.finish());
+    (events, true)
+}
+
+/// The phone's answers: any bytes in any split, read as the answer to each of the
+/// requests. Nothing may panic, and the split must not change the outcome.
+pub(crate) fn phone_answer(data: &[u8]) {
+    let Some((&step, bytes)) = data.split_first() else {
+        return;
+    };
+    let whole = read_answer(bytes, usize::MAX);
+    let split = read_answer(bytes, usize::from(step));
+    assert_eq!(whole, split);
+}
+
+/// Any bytes off the board's link, in any split: no panic, the same events, and no
+/// more of them than bytes.
+pub(crate) fn link(data: &[u8]) {
+    let Some((&step, bytes)) = data.split_first() else {
+        return;
+    };
+    let events = |step: usize| {
+        let mut session = Session::new(1);
+        session.keep_frames(true);
+        for piece in bytes.chunks(step.max(1)) {
+            session.receive(piece);
+        }
+        let mut events = Vec::new();
+        while let Some(event) = session.next_event() {
+            events.push(format!("{event:?}"));
+        }
+        events
+    };
+    let whole = events(usize::MAX);
+    assert!(whole.len() <= 3 * bytes.len() + 1);
+    assert_eq!(whole, events(usize::from(step)));
+}
+
+/// Any bytes as a recording: read, checked, repaired. What is repaired must be
+/// whole as a file.
+pub(crate) fn recording(data: &[u8]) {
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("recording.mcap");
+    std::fs::write(&place, data).unwrap();
+    if let Ok(reader) = Reader::open(&place) {
+        for entry in reader {
+            if entry.is_err() {
+                break;
+            }
+        }
+    }
+    let Ok(report) = verify(&place) else {
+        return;
+    };
+    assert!(report.file.bytes == data.len() as u64);
+    let out = folder.path().join("out.mcap");
+    if let Ok(repaired) = repair(&place, &out) {
+        assert!(repaired.after.file.closed);
+    }
+    // Nothing else was written.
+    assert!(std::fs::read_dir(folder.path()).unwrap().count() <= 2);
+}
+
+/// Any text as a rig profile.
+pub(crate) fn profile(data: &[u8]) {
+    if let Ok(text) = std::str::from_utf8(data) {
+        let _ = Profile::parse(text, None);
+    }
+}
+
+/// Any text as a session file.
+pub(crate) fn session_file(data: &[u8]) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("session.json"), data).unwrap();
+    let _ = smartdepthsync::recording::session_file::SessionFile::load(folder.path());
+}

@@ -1,0 +1,43 @@
+//! `smartdepthsync completions`: for the shell.
+
+use clap::CommandFactory as _;
+use clap_complete::Shell;
+
+use crate::cli::{Cli, Context};
+use crate::outcome::Outcome;
+
+/// Print the completions for a shell, for example
+/// `smartdepthsync completions bash > ~/.local/share/bash-completion/completions/smartdepthsync`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+#[derive(Debug, serde::Serialize)]
+struct Script {
+    shell: String,
+    script: String,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// Standard output cannot be written.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let mut script = Vec::new();
+    clap_complete::generate(
+        args.shell,
+        &mut Cli::command(),
+        "smartdepthsync",
+        &mut script,
+    );
+    let script = Script {
+        shell: args.shell.to_string(),
+        script: String::from_utf8_lossy(&script).into_owned(),
+    };
+    context.print(&script, || script.script.clone())?;
+    Ok(Outcome::Good)
+}

@@ -1,0 +1,57 @@
+//! `smartdepthsync man`: the manual pages.
+
+use std::path::PathBuf;
+
+use clap::CommandFactory as _;
+
+use crate::cli::{Cli, Context};
+use crate::outcome::{ExitStatus, Failure, Outcome};
+
+/// Write the manual pages, one a command, into a folder, for example
+/// `smartdepthsync man ~/.local/share/man/man1`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The folder; it is made if it is not there
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+}
+
+#[derive(Debug, serde::Serialize)]
+struct Written {
+    pages: Vec<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// The folder cannot be written.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let failed = |error: std::io::Error| {
+        Failure::new(
+            ExitStatus::Storage,
+            format!("cannot write {}: {error}", args.folder.display()),
+        )
+        .next_step("give a folder that you may write to")
+    };
+    std::fs::create_dir_all(&args.folder).map_err(failed)?;
+    clap_mangen::generate_to(Cli::command(), &args.folder).map_err(failed)?;
+    let mut pages = Vec::new();
+    for entry in std::fs::read_dir(&args.folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        let name = path.file_name().map(|name| name.to_string_lossy());
+        if name.is_some_and(|name| name.starts_with("smartdepthsync") && name.ends_with(".1")) {
+            pages.push(path);
+        }
+    }
+    pages.sort();
+    let written = Written { pages };
+    context.print(&written, || {
+        format!(
+            "{} pages written to {}",
+            written.pages.len(),
+            args.folder.display()
+        )
+    })?;
+    Ok(Outcome::Good)
+}

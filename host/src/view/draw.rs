@@ -1,0 +1,591 @@
+//! A snapshot onto a screen.
+//!
+//! Laid out for 80 columns and 24 lines; larger screens give the room to the chart
+//! and the lists, smaller ones lose the chart first. Only the sixteen colours of
+//! any terminal are used, and nothing is told by colour alone.
+
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Axis, Block, Chart, Clear, Dataset, Gauge, GraphType, Paragraph, Wrap};
+
+use super::{Keys, Snapshot};
+
+/// Below this the chart is left out.
+const CHART_MIN: u16 = 20;
+
+/// Below this width, things stand below each other.
+const WIDE: u16 = 70;
+
+const GOOD: Style = Style::new().fg(Color::Green);
+const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
+const WARN: Style = Style::new().fg(Color::Yellow);
+const DIM: Style = Style::new().fg(Color::DarkGray);
+const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
+
+/// Draws it. `help` shows what the keys do.
+pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
+    let area = frame.area();
+    if area.width < 20 || area.height < 6 {
+        frame.render_widget(
+            Paragraph::new(super::lines::line(snapshot)).wrap(Wrap { trim: true }),
+            area,
+        );
+        return;
+    }
+    let warnings =
+        (snapshot.warnings.len() as u16 * 2).clamp(1, if area.height >= 30 { 6 } else { 2 });
+    let said = if area.height >= 30 { 4 } else { 2 };
+    let [title, panels, middle, warning, talk, keys] = Layout::vertical([
+        Constraint::Length(1),
+        Constraint::Length(if area.width >= WIDE { 8 } else { 14 }),
+        Constraint::Min(0),
+        Constraint::Length(warnings + 1),
+        Constraint::Length(said),
+        Constraint::Length(1),
+    ])
+    .areas(area);
+    frame.render_widget(title_line(snapshot), title);
+    draw_panels(frame, snapshot, panels);
+    if let Some(twist) = &snapshot.twist {
+        draw_twist(frame, twist, middle);
+    } else if area.height >= CHART_MIN {
+        draw_chart(frame, snapshot, middle);
+    }
+    draw_warnings(frame, snapshot, warning);
+    draw_said(frame, snapshot, talk);
+    frame.render_widget(keys_line(snapshot.keys), keys);
+    if help {
+        draw_help(frame, area);
+    }
+}
+
+fn title_line(snapshot: &Snapshot) -> Paragraph<'_> {
+    let mut text = format!(" SmartDepthSync  {}", snapshot.state.to_uppercase());
+    if let Some(recording) = &snapshot.recording {
+        text.push_str(&format!("  {}", clock(recording.elapsed_s)));
+        if let Some(length) = recording.length_s {
+            text.push_str(&format!(" of {}", clock(length)));
+        }
+    }
+    text.push_str(&format!(
+        "   board {} at {:.1} s",
+        short(&snapshot.board),
+        snapshot.now.as_secs_f64()
+    ));
+    let style = Style::new()
+        .fg(Color::Black)
+        .bg(if snapshot.warnings.is_empty() {
+            Color::Green
+        } else {
+            Color::Yellow
+        });
+    Paragraph::new(text).style(style)
+}
+
+fn draw_panels(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
+    let [left, right] = if area.width >= WIDE {
+        Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(area)
+    } else {
+        Layout::vertical([Constraint::Length(7), Constraint::Length(7)]).areas(area)
+    };
+    let block = |title: &'static str| Block::bordered().title(title).border_style(DIM);
+    frame.render_widget(
+        Paragraph::new(trigger_lines(snapshot)).block(block(" trigger and clocks ")),
+        left,
+    );
+    frame.render_widget(
+        Paragraph::new(state_lines(snapshot)).block(block(" rates and losses ")),
+        right,
+    );
+}
+
+fn fact<'a>(name: &'static str, value: String, style: Style) -> Line<'a> {
+    Line::from(vec![
+        Span::styled(format!("{name:<10}"), DIM),
+        Span::styled(value, style),
+    ])
+}
+
+fn trigger_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
+    let trigger = &snapshot.trigger;
+    let dash = || String::from("-");
+    let phase = match (trigger.phase_us, trigger.phase_sigma_us) {
+        (Some(phase), Some(sigma)) => (
+            format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
+            if phase == 0.0 { GOOD } else { BAD },
+        ),
+        _ => (String::from("not aligned yet"), Style::new()),
+    };
+    let readback = match (trigger.readback_ns, trigger.readback_missing) {
+        (Some(ns), 0) => (format!("seen, {ns:.0} ns after the edge"), GOOD),
+        (Some(ns), missing) => (format!("{ns:.0} ns, {missing} NOT SEEN"), BAD),
+        (None, _) if trigger.fps.is_some() => (String::from("not wired or not seen"), WARN),
+        (None, _) => (dash(), Style::new()),
+    };
+    let mut lines = vec![
+        fact(
+            "train",
+            format!(
+                "{}{}",
+                if trigger.state.is_empty() {
+                    "?"
+                } else {
+                    &trigger.state
+                },
+                trigger
+                    .fps
+                    .map_or(String::new(), |fps| format!(", {fps:.4} fps"))
+            ),
+            BOLD,
+        ),
+        fact(
+            "pulse",
+            match trigger.pulse {
+                Some(pulse) if trigger.late > 0 => format!("{pulse}, {} LATE", trigger.late),
+                Some(pulse) => pulse.to_string(),
+                None => dash(),
+            },
+            if trigger.late > 0 { BAD } else { Style::new() },
+        ),
+        fact("phase", phase.0, phase.1),
+        fact("read-back", readback.0, readback.1),
+    ];
+    match &snapshot.clock {
+        Some(known) => {
+            lines.push(fact(
+                "clocks",
+                format!("+-{:.1} us now, {} old", known.sigma_us, clock(known.age_s)),
+                if known.sigma_us < 100.0 { GOOD } else { WARN },
+            ));
+            lines.push(fact(
+                "",
+                format!("{:.6} s, {:+.3} ppm", known.offset_s, known.skew_ppm),
+                Style::new(),
+            ));
+        }
+        None => lines.push(fact("clocks", String::from("no twist yet"), Style::new())),
+    }
+    lines
+}
+
+fn state_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
+    let rates = &snapshot.rates;
+    let losses = &snapshot.losses;
+    let imu = match rates.imu_running {
+        Some(false) => (String::from("DOES NOT ANSWER"), BAD),
+        _ => (
+            format!(
+                "{:.1}/s{}",
+                rates.imu,
+                rates
+                    .temperature
+                    .map_or(String::new(), |celsius| format!(", {celsius:.1} C"))
+            ),
+            Style::new(),
+        ),
+    };
+    let lost = losses.messages + losses.damaged;
+    let mut lines = vec![
+        fact("IMU", imu.0, imu.1),
+        fact(
+            "pulses",
+            format!("{:.2}/s, strobe {:.2}/s", rates.pulses, rates.captures),
+            Style::new(),
+        ),
+        fact(
+            "lost",
+            format!(
+                "{} messages, {} damaged{}",
+                losses.messages,
+                losses.damaged,
+                match losses.reconnects {
+                    0 => String::new(),
+                    n => format!(", {n} relinks"),
+                }
+            ),
+            if lost == 0 && losses.reconnects == 0 {
+                GOOD
+            } else {
+                BAD
+            },
+        ),
+        fact("load", format!("{:.1} %", rates.load_percent), Style::new()),
+    ];
+    lines.push(match &snapshot.disk {
+        Some(disk) => fact(
+            "disk",
+            format!(
+                "{:.1} GB free{}",
+                disk.free as f64 * 1e-9,
+                disk.left_s
+                    .map_or(String::new(), |left| format!(", for {}", clock(left)))
+            ),
+            if disk.free < 1_000_000_000 {
+                WARN
+            } else {
+                Style::new()
+            },
+        ),
+        None => fact("disk", String::from("nothing is recorded"), DIM),
+    });
+    if let Some((at, label)) = snapshot.markers.last() {
+        lines.push(fact(
+            "last mark",
+            format!("{label} at {:.1} s", at.as_secs_f64()),
+            Style::new(),
+        ));
+    }
+    lines
+}
+
+fn draw_chart(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
+    let block = Block::bordered()
+        .title(" gyroscope of the board, rad/s: x red, y green, z blue ")
+        .border_style(DIM);
+    if area.height < 5 {
+        return;
+    }
+    let Some(&(last, _)) = snapshot.gyro.last() else {
+        frame.render_widget(Paragraph::new("no samples yet").block(block), area);
+        return;
+    };
+    let axes: [Vec<(f64, f64)>; 3] = [0, 1, 2].map(|axis: usize| {
+        snapshot
+            .gyro
+            .iter()
+            .filter_map(|(at, rates)| Some((at - last, *rates.get(axis)?)))
+            .collect()
+    });
+    let top = axes
+        .iter()
+        .flatten()
+        .map(|(_, rate)| rate.abs())
+        .fold(0.2, f64::max);
+    let colours = [Color::Red, Color::Green, Color::Blue];
+    let sets = axes
+        .iter()
+        .zip(colours)
+        .map(|(points, colour)| {
+            Dataset::default()
+                .marker(Marker::Braille)
+                .graph_type(GraphType::Line)
+                .style(Style::new().fg(colour))
+                .data(points)
+        })
+        .collect();
+    let chart = Chart::new(sets)
+        .block(block)
+        .x_axis(
+            Axis::default()
+                .bounds([-10.0, 0.0])
+                .labels(["-10 s", "-5 s", "now"])
+                .style(DIM),
+        )
+        .y_axis(
+            Axis::default()
+                .bounds([-top, top])
+                .labels([
+                    format!("{:+.1}", -top),
+                    String::from("0"),
+                    format!("{top:+.1}"),
+                ])
+                .style(DIM),
+        );
+    frame.render_widget(chart, area);
+}
+
+fn draw_twist(frame: &mut Frame<'_>, twist: &super::Twist, area: Rect) {
+    let [time, bar, hint] = Layout::vertical([
+        Constraint::Length(3),
+        Constraint::Length(3),
+        Constraint::Min(0),
+    ])
+    .areas(area);
+    let share = |part: f64, whole: f64| {
+        if whole > 0.0 {
+            (part / whole).clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    };
+    frame.render_widget(
+        Gauge::default()
+            .block(
+                Block::bordered()
+                    .title(" twist now, about all axes ")
+                    .border_style(DIM),
+            )
+            .gauge_style(Style::new().fg(Color::Cyan))
+            .ratio(share(twist.elapsed_s, twist.length_s))
+            .label(format!("{:.1} of {:.0} s", twist.elapsed_s, twist.length_s)),
+        time,
+    );
+    // From a hundred times too much (empty) to enough (full), by its logarithm.
+    let full = twist.sigma_us.map_or(0.0, |sigma| {
+        1.0 - (sigma / twist.enough_us).max(1e-9).log10() / 2.0
+    });
+    let enough = twist.is_enough();
+    frame.render_widget(
+        Gauge::default()
+            .block(
+                Block::bordered()
+                    .title(" expected 1-sigma of the offset, falling ")
+                    .border_style(DIM),
+            )
+            .gauge_style(Style::new().fg(if enough { Color::Green } else { Color::Yellow }))
+            .ratio(full.clamp(0.0, 1.0))
+            .label(match twist.sigma_us {
+                Some(sigma) if enough => {
+                    format!("{sigma:.1} us: ENOUGH (needed {:.0})", twist.enough_us)
+                }
+                Some(sigma) => format!("{sigma:.1} us, needed {:.0}", twist.enough_us),
+                None => String::from("no motion yet"),
+            }),
+        bar,
+    );
+    let [x, y, z] = twist.rms;
+    frame.render_widget(
+        Paragraph::new(vec![
+            Line::styled(
+                format!(" {}", twist.advice()),
+                if enough { GOOD } else { WARN }.add_modifier(Modifier::BOLD),
+            ),
+            Line::raw(format!(" x {x:.1}   y {y:.1}   z {z:.1} rad/s rms")),
+        ]),
+        hint,
+    );
+}
+
+fn draw_warnings(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
+    if snapshot.warnings.is_empty() {
+        frame.render_widget(Paragraph::new(" no warnings").style(GOOD), area);
+        return;
+    }
+    let room = usize::from(area.height) / 2;
+    let mut lines = Vec::new();
+    for warning in snapshot.warnings.iter().rev().take(room.max(1)) {
+        lines.push(Line::styled(
+            format!(" ! {:.1} s: {}", warning.at.as_secs_f64(), warning.text),
+            BAD,
+        ));
+        lines.push(Line::styled(format!("   -> {}", warning.todo), WARN));
+    }
+    frame.render_widget(Paragraph::new(lines), area);
+}
+
+fn draw_said(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
+    let room = usize::from(area.height);
+    let from = snapshot.said.len().saturating_sub(room);
+    let lines: Vec<Line<'_>> = snapshot
+        .said
+        .get(from..)
+        .unwrap_or_default()
+        .iter()
+        .map(|text| Line::raw(format!(" {text}")))
+        .collect();
+    frame.render_widget(Paragraph::new(lines), area);
+}
+
+fn keys_line<'a>(keys: Keys) -> Paragraph<'a> {
+    let text = match keys {
+        Keys::Look => " q stop   h help",
+        Keys::Answer => " Enter go on   r twist again / repeat   s leave out   q stop   h help",
+        Keys::Record => " m mark   q stop   h help",
+    };
+    Paragraph::new(text).style(Style::new().fg(Color::Black).bg(Color::Gray))
+}
+
+fn draw_help(frame: &mut Frame<'_>, area: Rect) {
+    let text = [
+        "Enter  go on, where something is asked",
+        "r      do the last step again (twist again)",
+        "s      leave the step out",
+        "m      set a mark, while recording",
+        "q      stop; what was recorded is kept",
+        "h      this help, and away again",
+        "",
+        "phase: the last pulse against the grid it was sent to,",
+        "       and how well that grid is known (1-sigma)",
+        "clocks: error of phone time in board time now (1-sigma)",
+    ];
+    let width = 60.min(area.width);
+    let height = (text.len() as u16 + 2).min(area.height);
+    let place = Rect::new(
+        area.x + (area.width - width) / 2,
+        area.y + (area.height - height) / 2,
+        width,
+        height,
+    );
+    frame.render_widget(Clear, place);
+    frame.render_widget(
+        Paragraph::new(text.map(Line::raw).to_vec()).block(Block::bordered().title(" help ")),
+        place,
+    );
+}
+
+/// Seconds as `1:02:03`.
+fn clock(seconds: f64) -> String {
+    let sign = if seconds < 0.0 { "-" } else { "" };
+    let whole = seconds.abs().min(1e9) as u64;
+    let (hours, minutes, seconds) = (whole / 3_600, whole / 60 % 60, whole % 60);
+    if hours > 0 {
+        format!("{sign}{hours}:{minutes:02}:{seconds:02}")
+    } else {
+        format!("{sign}{minutes}:{seconds:02}")
+    }
+}
+
+/// The end of a long ID, which is what differs.
+fn short(id: &str) -> String {
+    let skip = id.chars().count().saturating_sub(8);
+    id.chars().skip(skip).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::Ticks;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    use super::*;
+    use crate::view::{Clock, Disk, Losses, Recording, Trigger, Twist, Warning};
+
+    fn busy() -> Snapshot {
+        Snapshot {
+            state: String::from("recording"),
+            board: String::from("0123456789ABCDEF01234567"),
+            now: Ticks(48_000_000 * 123),
+            gyro: (0..250)
+                .map(|k| {
+                    let at = 113.0 + f64::from(k) * 0.04;
+                    (at, [at.sin(), at.cos(), 0.3])
+                })
+                .collect(),
+            trigger: Trigger {
+                state: String::from("running"),
+                fps: Some(30.0024),
+                pulse: Some(3_456),
+                phase_us: Some(0.0),
+                phase_sigma_us: Some(3.4),
+                readback_ns: Some(83.0),
+                readback_missing: 0,
+                late: 0,
+            },
+            clock: Some(Clock {
+                offset_s: 94_000.25,
+                sigma_us: 3.1,
+                skew_ppm: -15.2,
+                age_s: 100.0,
+            }),
+            losses: Losses::default(),
+            disk: Some(Disk {
+                free: 40_000_000_000,
+                left_s: Some(3_600_000.0),
+            }),
+            recording: Some(Recording {
+                elapsed_s: 61.0,
+                length_s: Some(300.0),
+            }),
+            markers: vec![(Ticks(48_000_000 * 90), String::from("door"))],
+            warnings: vec![Warning {
+                at: Ticks(48_000_000 * 99),
+                text: String::from("2 IMU samples lost"),
+                todo: "nothing to do",
+            }],
+            said: vec![String::from("mark: door")],
+            keys: Keys::Record,
+            ..Snapshot::default()
+        }
+    }
+
+    fn screen(width: u16, height: u16, snapshot: &Snapshot, help: bool) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, snapshot, help)).unwrap();
+        let buffer = terminal.backend().buffer();
+        (0..height)
+            .map(|y| {
+                (0..width)
+                    .map(|x| buffer[(x, y)].symbol())
+                    .collect::<String>()
+                    + "\n"
+            })
+            .collect()
+    }
+
+    #[test]
+    fn all_is_there_in_80_by_24() {
+        let text = screen(80, 24, &busy(), false);
+        for word in [
+            "RECORDING",
+            "1:01 of 5:00",
+            "30.0024 fps",
+            "3456",
+            "+0.00 us off grid, +-3.4 us",
+            "seen, 83 ns",
+            "+-3.1 us now, 1:40 old",
+            "0 messages",
+            "40.0 GB free, for 1000:00:00",
+            "door at 90.0 s",
+            "2 IMU samples lost",
+            "-> nothing to do",
+            "mark: door",
+            "m mark",
+            "gyroscope",
+            "now",
+        ] {
+            assert!(text.contains(word), "{word}:\n{text}");
+        }
+    }
+
+    #[test]
+    fn any_size_and_any_state_can_be_drawn() {
+        let mut twisting = busy();
+        for (elapsed, sigma) in [
+            (0.0, None),
+            (3.0, Some(1e9)),
+            (7.0, Some(0.0)),
+            (9.0, Some(5.0)),
+        ] {
+            twisting.twist = Some(Twist {
+                elapsed_s: elapsed,
+                length_s: 7.0,
+                sigma_us: sigma,
+                enough_us: 10.0,
+                rms: [3.0, 2.0, f64::NAN],
+            });
+            for (width, height) in [
+                (1, 1),
+                (19, 5),
+                (20, 6),
+                (40, 10),
+                (69, 12),
+                (80, 24),
+                (200, 60),
+            ] {
+                for help in [false, true] {
+                    screen(width, height, &twisting, help);
+                    screen(width, height, &busy(), help);
+                    screen(width, height, &Snapshot::default(), help);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_twist_says_when_it_is_enough() {
+        let mut snapshot = busy();
+        snapshot.twist = Some(Twist {
+            elapsed_s: 5.0,
+            length_s: 7.0,
+            sigma_us: Some(4.2),
+            enough_us: 10.0,
+            rms: [3.0, 2.0, 1.0],
+        });
+        let text = screen(80, 24, &snapshot, false);
+        assert!(text.contains("4.2 us: ENOUGH"), "{text}");
+        assert!(text.contains("enough: hold still"), "{text}");
+    }
+}

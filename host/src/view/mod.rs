@@ -1,0 +1,230 @@
+//! The live view: what the operator sees while a session runs.
+//!
+//! - [`gauge`]: messages in, a [`Snapshot`] of the latest state out. Pure.
+//! - [`draw`](mod@draw): a snapshot onto a screen of any size. Pure.
+//! - [`lines`]: a snapshot as one plain line, where there is no terminal.
+//! - [`screen`]: the thread that owns the terminal.
+//!
+//! The session never waits for the terminal: it puts the latest snapshot into a
+//! slot and goes on. A thread of its own takes what is there ten times a second
+//! and draws it. A slow line only makes the picture old; a terminal that is closed
+//! ends that thread and nothing else.
+
+pub mod draw;
+pub mod gauge;
+pub mod lines;
+pub mod screen;
+
+use std::time::Duration;
+
+use protocol::Ticks;
+use serde::Serialize;
+
+/// How often a new picture is made.
+pub const PERIOD: Duration = Duration::from_millis(100);
+
+/// The state of everything at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Snapshot {
+    /// What the session does: `monitor`, `twist 1`, `recording`, ...
+    pub state: String,
+    /// The board's ID.
+    pub board: String,
+    /// Latest board time.
+    pub now: Ticks,
+    /// The board's gyroscope over the last seconds: board time in s, rad/s.
+    #[serde(skip)]
+    pub gyro: Vec<(f64, [f64; 3])>,
+    /// The trigger.
+    pub trigger: Trigger,
+    /// The relation of the clocks, once there is one.
+    pub clock: Option<Clock>,
+    /// Samples and messages a second.
+    pub rates: Rates,
+    /// What was lost.
+    pub losses: Losses,
+    /// The disk, while something is recorded.
+    pub disk: Option<Disk>,
+    /// The recording, while it runs.
+    pub recording: Option<Recording>,
+    /// The twist, while it runs.
+    pub twist: Option<Twist>,
+    /// The last marks: board time and label.
+    pub markers: Vec<(Ticks, String)>,
+    /// What is wrong, and what to do; the latest last.
+    pub warnings: Vec<Warning>,
+    /// What was said last, the latest last.
+    #[serde(skip)]
+    pub said: Vec<String>,
+    /// What the keys do now.
+    #[serde(skip)]
+    pub keys: Keys,
+}
+
+/// The trigger.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Trigger {
+    /// State of the train in words; empty before the first status.
+    pub state: String,
+    /// Pulses a second, from the period.
+    pub fps: Option<f64>,
+    /// Number of the last pulse.
+    pub pulse: Option<u64>,
+    /// The last pulse against the grid on the phone's frames, µs.
+    pub phase_us: Option<f64>,
+    /// 1-sigma of where that grid lies against the phone's frames now, µs.
+    pub phase_sigma_us: Option<f64>,
+    /// From the edge to the wire, ns; nothing if it was not seen.
+    pub readback_ns: Option<f64>,
+    /// Pulses that the wire did not show.
+    pub readback_missing: u32,
+    /// Edges that came late.
+    pub late: u32,
+}
+
+/// The relation of the clocks.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Clock {
+    /// Phone minus board now, s.
+    pub offset_s: f64,
+    /// Expected error of it now, 1-sigma, µs.
+    pub sigma_us: f64,
+    /// Rate of the phone, ppm.
+    pub skew_ppm: f64,
+    /// Time since its data, s.
+    pub age_s: f64,
+}
+
+/// Messages a second, over the last two.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Rates {
+    /// IMU samples.
+    pub imu: f64,
+    /// Pulses.
+    pub pulses: f64,
+    /// Edges on the strobe input.
+    pub captures: f64,
+    /// Load of the board's processor, %.
+    pub load_percent: f64,
+    /// Temperature of the IMU, °C.
+    pub temperature: Option<f64>,
+    /// The IMU's state in words.
+    #[serde(skip)]
+    pub imu_running: Option<bool>,
+}
+
+/// What was lost since the begin.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Losses {
+    /// Messages by the board's numbers.
+    pub messages: u64,
+    /// Of these, dropped by the board itself.
+    pub dropped: u64,
+    /// Damaged frames.
+    pub damaged: u64,
+    /// How often the link was lost.
+    pub reconnects: u32,
+}
+
+/// The disk.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Disk {
+    /// Free, bytes.
+    pub free: u64,
+    /// How long a recording can still go on at the rate so far, s.
+    pub left_s: Option<f64>,
+}
+
+/// A recording that runs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Recording {
+    /// So long, s.
+    pub elapsed_s: f64,
+    /// Of so much, s; until it is stopped if there is none.
+    pub length_s: Option<f64>,
+}
+
+/// A twist that runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Twist {
+    /// So long, s.
+    pub elapsed_s: f64,
+    /// Of so much, s.
+    pub length_s: f64,
+    /// Expected 1-sigma of the offset from the motion so far, µs.
+    pub sigma_us: Option<f64>,
+    /// What is enough, µs.
+    pub enough_us: f64,
+    /// Root mean square of each axis, rad/s.
+    pub rms: [f64; 3],
+}
+
+impl Twist {
+    /// Whether the motion so far suffices.
+    #[must_use]
+    pub fn is_enough(&self) -> bool {
+        self.sigma_us.is_some_and(|sigma| sigma <= self.enough_us)
+    }
+
+    /// What to do, in words.
+    #[must_use]
+    pub fn advice(&self) -> &'static str {
+        let mut sorted = self.rms;
+        sorted.sort_by(f64::total_cmp);
+        if sorted[2] < 0.5 {
+            "twist faster"
+        } else if sorted[1] < 0.3 {
+            "twist about another axis too"
+        } else if self.is_enough() {
+            "enough: hold still when the time is up"
+        } else {
+            "go on"
+        }
+    }
+}
+
+/// Something that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Warning {
+    /// Board time.
+    pub at: Ticks,
+    /// What.
+    pub text: String,
+    /// What to do about it.
+    pub todo: &'static str,
+}
+
+/// What the keys do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Keys {
+    /// Only to look at: stop, help.
+    #[default]
+    Look,
+    /// A question was asked: go on, repeat, leave out, quit.
+    Answer,
+    /// While recording: mark, stop.
+    Record,
+}
+
+/// What to do about a kind of problem, in one line.
+#[must_use]
+pub fn todo_for(kind: &str) -> &'static str {
+    match kind {
+        "link_lost" => "check the USB cable; it is taken up again by itself",
+        "pulses_missing" | "phase_off" | "trigger_late" => {
+            "stop and record again; `trigger status` says more"
+        }
+        "readback_missing" => "check the trigger's wire and buffer",
+        "imu_gap" | "imu_gone" | "imu_recovered" | "imu_late" => {
+            "check the IMU's wires; the trigger is not affected"
+        }
+        "pulse_messages_lost" | "captures_lost" | "status_lost" => {
+            "nothing to do: counted, and times are not affected"
+        }
+        "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
+        "phone_lost" => "check the phone: app in the foreground, same network",
+        "disk_nearly_full" => "free some space",
+        "twist_refused" => "twist again, faster, about all axes",
+        _ => "see the recording's report",
+    }
+}

@@ -1,0 +1,182 @@
+//! The thread that owns the terminal.
+
+use std::io::{IsTerminal as _, Stderr, Write as _, stderr, stdin};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use ratatui::Terminal;
+use ratatui::backend::CrosstermBackend;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::crossterm::execute;
+use ratatui::crossterm::terminal::{
+    EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
+};
+
+use super::draw::draw;
+use super::{PERIOD, Snapshot};
+use crate::cli::Interrupt;
+
+/// How long the terminal is waited for at the end; one that takes nothing must not
+/// keep the program.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// A key that means something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Key {
+    /// Enter.
+    GoOn,
+    /// `r`.
+    Repeat,
+    /// `s`.
+    Skip,
+    /// `m`.
+    Mark,
+    /// `q` or Escape.
+    Quit,
+}
+
+#[derive(Default)]
+struct Slot {
+    snapshot: Snapshot,
+    stop: bool,
+}
+
+/// The view, while it is on the terminal. Dropping it gives the terminal back.
+pub struct Screen {
+    slot: Arc<Mutex<Slot>>,
+    keys: Option<Receiver<Key>>,
+    done: Receiver<()>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Whether there is a terminal that can show the view, and a person at its keys.
+#[must_use]
+pub fn is_possible() -> bool {
+    let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
+    stderr().is_terminal() && stdin().is_terminal() && !dumb
+}
+
+impl Screen {
+    /// Takes the terminal. `None` if it cannot be taken. A Ctrl-C becomes an
+    /// interrupt, as it does without the view.
+    #[must_use]
+    pub fn open(interrupt: &Interrupt) -> Option<Self> {
+        if !is_possible() || enable_raw_mode().is_err() {
+            return None;
+        }
+        let slot = Arc::new(Mutex::new(Slot::default()));
+        let (key_sender, keys) = channel();
+        let (done_sender, done) = channel();
+        let (theirs, interrupt) = (Arc::clone(&slot), interrupt.clone());
+        let spawned = std::thread::Builder::new()
+            .name(String::from("view"))
+            .spawn(move || {
+                // What goes wrong here is the terminal's end, and no one's loss.
+                if let Err(error) = show(&theirs, &key_sender, &interrupt) {
+                    tracing::debug!("the view has ended: {error}");
+                }
+                let _ = disable_raw_mode();
+                let _ = execute!(stderr(), LeaveAlternateScreen);
+                let _ = done_sender.send(());
+            });
+        match spawned {
+            Ok(thread) => Some(Self {
+                slot,
+                keys: Some(keys),
+                done,
+                thread: Some(thread),
+            }),
+            Err(_) => {
+                let _ = disable_raw_mode();
+                None
+            }
+        }
+    }
+
+    /// The keys; once.
+    pub const fn take_keys(&mut self) -> Option<Receiver<Key>> {
+        self.keys.take()
+    }
+
+    /// Puts a new state into the slot. Never waits for the terminal.
+    pub fn show(&self, snapshot: Snapshot) {
+        lock(&self.slot).snapshot = snapshot;
+    }
+
+    /// Gives the terminal back, if it still takes anything.
+    pub fn close(&mut self) {
+        let Some(thread) = self.thread.take() else {
+            return;
+        };
+        lock(&self.slot).stop = true;
+        if self.done.recv_timeout(PATIENCE).is_ok() {
+            // It has ended; there is nothing to be had from it.
+            let _ = thread.join();
+        }
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+fn lock(slot: &Mutex<Slot>) -> std::sync::MutexGuard<'_, Slot> {
+    slot.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn show(slot: &Mutex<Slot>, keys: &Sender<Key>, interrupt: &Interrupt) -> std::io::Result<()> {
+    let mut out = stderr();
+    execute!(out, EnterAlternateScreen)?;
+    let mut terminal: Terminal<CrosstermBackend<Stderr>> =
+        Terminal::new(CrosstermBackend::new(stderr()))?;
+    terminal.clear()?;
+    let mut help = false;
+    loop {
+        // Taken out of the slot first: the session must never wait for a drawing.
+        let (snapshot, stop) = {
+            let slot = lock(slot);
+            (slot.snapshot.clone(), slot.stop)
+        };
+        if stop {
+            break;
+        }
+        terminal.draw(|frame| draw(frame, &snapshot, help))?;
+        let drawn = Instant::now();
+        while let Some(left) = PERIOD.checked_sub(drawn.elapsed()) {
+            if !event::poll(left)? {
+                break;
+            }
+            let Event::Key(key) = event::read()? else {
+                // A new size is taken by the next drawing.
+                continue;
+            };
+            if key.kind == KeyEventKind::Release {
+                continue;
+            }
+            let meaning = match key.code {
+                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => {
+                    interrupt.request();
+                    continue;
+                }
+                KeyCode::Char('h' | '?') => {
+                    help = !help;
+                    break;
+                }
+                KeyCode::Enter => Key::GoOn,
+                KeyCode::Char('r') => Key::Repeat,
+                KeyCode::Char('s') => Key::Skip,
+                KeyCode::Char('m' | ' ') => Key::Mark,
+                KeyCode::Char('q') | KeyCode::Esc => Key::Quit,
+                _ => continue,
+            };
+            // Nobody listens any more: then it is only shown.
+            let _ = keys.send(meaning);
+        }
+    }
+    terminal.show_cursor()?;
+    out.flush()
+}

@@ -1,0 +1,268 @@
+//! The Debian package: host tool, manual pages, completions, udev rule, and the
+//! firmware as ELF and raw image with their hashes. Installed into a root of its
+//! own and tried there.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+use object::read::elf::{FileHeader as _, ProgramHeader as _};
+
+use crate::process;
+
+/// Name of the package and of the program.
+const NAME: &str = "smartdepthsync";
+
+/// Where the firmware's flash begins.
+const FLASH: u64 = 0x0800_0000;
+
+/// Builds `target/package/smartdepthsync_<version>_<arch>.deb` from what was built,
+/// and tries it.
+pub(crate) fn build(elf: &Path) -> Result<()> {
+    let program = process::target_dir().join("release").join(NAME);
+    let base = process::target_dir().join("package");
+    let tree = base.join("tree");
+    if base.exists() {
+        fs::remove_dir_all(&base).with_context(|| format!("cannot empty {}", base.display()))?;
+    }
+    let version = env!("CARGO_PKG_VERSION");
+    let arch = text(Command::new("dpkg").arg("--print-architecture"))
+        .context("dpkg is missing: packages are built on Debian")?;
+
+    install(&program, &tree.join("usr/bin").join(NAME), 0o755)?;
+    // The package needs no symbols; backtraces keep their names.
+    if process::answers("strip", &["--version"]) {
+        process::run(
+            process::command("strip")
+                .arg("--strip-debug")
+                .arg(tree.join("usr/bin").join(NAME)),
+        )?;
+    }
+    let rule = "host/udev/60-smartdepthsync.rules";
+    install(
+        &process::root().join(rule),
+        &tree.join("lib/udev/rules.d/60-smartdepthsync.rules"),
+        0o644,
+    )?;
+    for (shell, place) in [
+        (
+            "bash",
+            "usr/share/bash-completion/completions/smartdepthsync",
+        ),
+        ("zsh", "usr/share/zsh/vendor-completions/_smartdepthsync"),
+        (
+            "fish",
+            "usr/share/fish/vendor_completions.d/smartdepthsync.fish",
+        ),
+    ] {
+        let script = text(Command::new(&program).args(["completions", shell]))?;
+        write(&tree.join(place), format!("{script}\n").as_bytes())?;
+    }
+    let man = tree.join("usr/share/man/man1");
+    process::run(process::command(&program).arg("man").arg(&man))?;
+    for page in fs::read_dir(&man)? {
+        process::run(
+            process::command("gzip")
+                .args(["-9", "-n"])
+                .arg(page?.path()),
+        )?;
+    }
+    for name in ["LICENSE-MIT", "LICENSE-APACHE", "NOTICE", "CHANGELOG.md"] {
+        install(
+            &process::root().join(name),
+            &tree.join("usr/share/doc").join(NAME).join(name),
+            0o644,
+        )?;
+    }
+    firmware(elf, &tree.join("usr/share").join(NAME).join("firmware"))?;
+    control(&tree, version, &arch)?;
+
+    let package = base.join(format!("{NAME}_{version}_{arch}.deb"));
+    process::run(
+        process::command("dpkg-deb")
+            .args(["--root-owner-group", "--build"])
+            .arg(&tree)
+            .arg(&package),
+    )?;
+    try_it(&package, &base.join("root"))?;
+    println!("the package: {}", package.display());
+    Ok(())
+}
+
+/// ELF, raw image and their SHA-256.
+fn firmware(elf: &Path, folder: &Path) -> Result<()> {
+    let name = "smartdepthsync-firmware";
+    install(elf, &folder.join(format!("{name}.elf")), 0o644)?;
+    let bytes = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    write(&folder.join(format!("{name}.bin")), &image(&bytes)?)?;
+    let sums = text(
+        Command::new("sha256sum")
+            .args([format!("{name}.elf"), format!("{name}.bin")])
+            .current_dir(folder),
+    )?;
+    write(&folder.join("SHA256SUMS"), format!("{sums}\n").as_bytes())
+}
+
+/// What the flash holds, from its begin: the loaded segments at their physical
+/// addresses, 0xFF between them.
+fn image(elf: &[u8]) -> Result<Vec<u8>> {
+    let header = object::elf::FileHeader32::<object::Endianness>::parse(elf)
+        .context("the firmware is no 32-bit ELF")?;
+    let endian = header.endian()?;
+    let mut image = Vec::new();
+    for segment in header.program_headers(endian, elf)? {
+        let size = u64::from(segment.p_filesz(endian));
+        if segment.p_type(endian) != object::elf::PT_LOAD || size == 0 {
+            continue;
+        }
+        let at = u64::from(segment.p_paddr(endian))
+            .checked_sub(FLASH)
+            .context("the firmware has a part outside of the flash")?;
+        let data = segment
+            .data(endian, elf)
+            .ok()
+            .context("the firmware's ELF is cut off")?;
+        let at = usize::try_from(at)?;
+        if at + data.len() > 1 << 20 {
+            bail!("the firmware is larger than the flash");
+        }
+        if image.len() < at + data.len() {
+            image.resize(at + data.len(), 0xFF);
+        }
+        if let Some(place) = image.get_mut(at..at + data.len()) {
+            place.copy_from_slice(data);
+        }
+    }
+    if image.is_empty() {
+        bail!("the firmware's ELF has nothing to load");
+    }
+    Ok(image)
+}
+
+fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
+    let mut size = 0;
+    sizes(tree, &mut size)?;
+    let text = format!(
+        "Package: {NAME}\n\
+         Version: {version}\n\
+         Architecture: {arch}\n\
+         Maintainer: SmartDepthSync maintainers <maintainers@example.org>\n\
+         Section: science\n\
+         Priority: optional\n\
+         Depends: libc6, libgcc-s1\n\
+         Recommends: ffmpeg, udev\n\
+         Installed-Size: {}\n\
+         Description: hardware sync of a phone's video with a depth camera\n \
+         Host tool of SmartDepthSync: twists, aligns, records, extracts and evaluates.\n \
+         With the firmware of its board, and the rule that gives users the board.\n",
+        size / 1024
+    );
+    write(&tree.join("DEBIAN/control"), text.as_bytes())
+}
+
+/// Installs the package into a root of its own, runs the program from there, and
+/// removes it again.
+fn try_it(package: &Path, root: &Path) -> Result<()> {
+    for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/log"] {
+        fs::create_dir_all(root.join(folder))?;
+    }
+    write(&root.join("var/lib/dpkg/status"), b"")?;
+    let dpkg = |arguments: &[&std::ffi::OsStr]| {
+        let mut command = process::command("dpkg");
+        command
+            .arg(format!("--root={}", root.display()))
+            .arg(format!("--log={}", root.join("var/log/dpkg.log").display()))
+            .args(["--force-not-root", "--force-depends", "--force-bad-path"])
+            .args(arguments);
+        process::run(&mut command)
+    };
+    dpkg(&["--install".as_ref(), package.as_os_str()])?;
+    let program = root.join("usr/bin").join(NAME);
+    let said = text(Command::new(&program).arg("--version"))?;
+    if said != format!("{NAME} {}", env!("CARGO_PKG_VERSION")) {
+        bail!("the installed program says {said:?}");
+    }
+    for file in [
+        "lib/udev/rules.d/60-smartdepthsync.rules",
+        "usr/share/man/man1/smartdepthsync-record.1.gz",
+        "usr/share/bash-completion/completions/smartdepthsync",
+        "usr/share/doc/smartdepthsync/NOTICE",
+    ] {
+        if !root.join(file).is_file() {
+            bail!("{file} is not installed");
+        }
+    }
+    let firmware = root.join("usr/share/smartdepthsync/firmware");
+    process::run(
+        Command::new("sha256sum")
+            .args(["--check", "--strict", "--quiet", "SHA256SUMS"])
+            .current_dir(&firmware),
+    )?;
+    // The first word of the image is the stack's top, in the RAM; the second the
+    // reset handler, in the flash.
+    let image = fs::read(firmware.join("smartdepthsync-firmware.bin"))?;
+    let word = |at: usize| {
+        image
+            .get(at..at + 4)
+            .and_then(|bytes| bytes.try_into().ok())
+            .map_or(0, u32::from_le_bytes)
+    };
+    let (stack, reset) = (word(0), word(4));
+    let in_ram = (0x1000_0000..=0x1001_0000).contains(&stack)
+        || (0x2000_0000..=0x2002_0000).contains(&stack);
+    if !in_ram || u64::from(reset) >> 20 != FLASH >> 20 {
+        bail!("the image begins with {stack:#x} and {reset:#x}: no vector table");
+    }
+    dpkg(&["--purge".as_ref(), NAME.as_ref()])?;
+    if program.exists() {
+        bail!("the program is still there after its removal");
+    }
+    println!(
+        "the package was installed, tried and removed in {}",
+        root.display()
+    );
+    Ok(())
+}
+
+fn install(from: &Path, to: &Path, mode: u32) -> Result<()> {
+    let bytes = fs::read(from).with_context(|| format!("cannot read {}", from.display()))?;
+    write(to, &bytes)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        fs::set_permissions(to, fs::Permissions::from_mode(mode))?;
+    }
+    #[cfg(not(unix))]
+    let _ = mode;
+    Ok(())
+}
+
+fn write(to: &Path, bytes: &[u8]) -> Result<()> {
+    let folder = to.parent().context("a file without a folder")?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    fs::write(to, bytes).with_context(|| format!("cannot write {}", to.display()))
+}
+
+fn sizes(folder: &Path, sum: &mut u64) -> Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path: PathBuf = entry?.path();
+        if path.is_dir() {
+            sizes(&path, sum)?;
+        } else {
+            *sum += path.metadata()?.len();
+        }
+    }
+    Ok(())
+}
+
+/// What a program prints, without the end of its last line.
+fn text(command: &mut Command) -> Result<String> {
+    let output = command
+        .output()
+        .with_context(|| format!("cannot start {command:?}"))?;
+    if !output.status.success() {
+        bail!("{} from {command:?}", output.status);
+    }
+    Ok(String::from_utf8(output.stdout)?.trim_end().to_owned())
+}
