@@ -211,7 +211,10 @@ fn commands_of_xtask_that_the_documents_mention_exist() {
                     .next()
                     .unwrap()
                     .replace('-', "_");
-                let known = field.is_empty() || all.contains(&format!("{field}:"));
+                let name = field.replace('_', "-");
+                let known = field.is_empty()
+                    || all.contains(&format!("{field}:"))
+                    || all.contains(&format!("long = \"{name}\""));
                 assert!(known, "{}: {line}", page.display());
             }
         }
