@@ -240,6 +240,14 @@ impl Board {
         Ok(Self { wire, hello })
     }
 
+    /// Gives the link back, broken as it is: a port that is still there can be
+    /// opened again only by who does not hold it any more.
+    pub fn hang_up(&mut self) {
+        self.wire.session.cut();
+        let now = self.wire.link.now();
+        self.wire.link = Box::new(HungUp { now });
+    }
+
     /// Goes on with the same session on a new link, after the old one broke.
     /// What the board dropped meanwhile shows as [`Event::Lost`]; a reset
     /// meanwhile as [`Event::Restarted`].
@@ -466,6 +474,31 @@ impl Board {
                 command: command_name(command),
             }),
         }
+    }
+}
+
+/// In place of a link that was given back.
+struct HungUp {
+    now: Duration,
+}
+
+impl HungUp {
+    fn gone() -> LinkError {
+        LinkError::Gone {
+            reason: String::from("hung up"),
+        }
+    }
+}
+
+impl Link for HungUp {
+    fn now(&self) -> Duration {
+        self.now
+    }
+    fn send(&mut self, _: &[u8]) -> std::result::Result<(), LinkError> {
+        Err(Self::gone())
+    }
+    fn receive(&mut self, _: &mut Vec<u8>, _: Duration) -> std::result::Result<(), LinkError> {
+        Err(Self::gone())
     }
 }
 

@@ -557,6 +557,8 @@ impl<'a> Rig<'a> {
         let lost = Instant::now();
         let lost_at = self.now;
         self.problem(Finding::error("link_lost", error.to_string()))?;
+        // A port that fell silent but is still there is opened exclusively: by us.
+        self.board.hang_up();
         let patience = if self.closing {
             RELINK_TIME_CLOSING
         } else {
@@ -575,7 +577,11 @@ impl<'a> Rig<'a> {
                 Err(BoardError::OtherVersion { found }) => {
                     return Err(Failure::from(BoardError::OtherVersion { found }).into());
                 }
-                Err(error) => tracing::debug!("the link is still away: {error}"),
+                Err(error) => {
+                    tracing::debug!("the link is still away: {error}");
+                    // The port that was tried is held no longer than the try.
+                    self.board.hang_up();
+                }
             }
             if lost.elapsed() > patience {
                 return Err(Failure::new(
