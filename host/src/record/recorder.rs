@@ -241,7 +241,8 @@ mod tests {
     #[test]
     fn it_is_asked_to_stop_and_killed_only_if_it_does_not() {
         let folder = tempfile::tempdir().unwrap();
-        let polite = depth(&["sleep", "100"]);
+        // A shell may have started the tests with SIGINT ignored, which children inherit.
+        let polite = depth(&["env", "--default-signal=INT", "sleep", "100"]);
         let recorder = DepthRecorder::start(&polite, folder.path())
             .unwrap()
             .unwrap();
