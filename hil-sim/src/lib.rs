@@ -12,6 +12,7 @@ pub mod clock;
 pub mod cpu;
 pub mod demo;
 pub mod depth_camera;
+pub mod faults;
 pub mod firmware;
 pub mod flash_log;
 pub mod frame_phase;

@@ -28,6 +28,8 @@ enum Command {
     Bench(commands::bench::Args),
     /// Hours of trigger, IMU and strobe in one run, every edge compared.
     LongRun(commands::long_run::Args),
+    /// Recordings during which things go wrong, judged by the truth.
+    Faults(commands::faults::Args),
 }
 
 fn main() -> ExitCode {
@@ -38,6 +40,7 @@ fn main() -> ExitCode {
         Command::Chain(args) => commands::chain::run(&args),
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),
+        Command::Faults(args) => commands::faults::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

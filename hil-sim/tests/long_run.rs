@@ -13,6 +13,7 @@ fn two_minutes_are_exact_on_all_pins_with_flat_memory() {
         seed: Seed(3),
         seconds: 120,
         full_link_percent: 10,
+        strobe: true,
         slice_s: 2,
     };
     let report = run(&options, |_| {}).unwrap();

@@ -227,9 +227,18 @@ impl Board {
     ///
     /// See [`BoardError`].
     pub fn connect(link: Box<dyn Link>) -> Result<Self> {
+        Self::connect_from(link, std::process::id() << 12)
+    }
+
+    /// As [`Board::connect`], with the id of the first command.
+    ///
+    /// # Errors
+    ///
+    /// See [`BoardError`].
+    pub fn connect_from(link: Box<dyn Link>, first_id: u32) -> Result<Self> {
         let mut wire = Wire {
             link,
-            session: Session::new(std::process::id() << 12),
+            session: Session::new(first_id),
             events: VecDeque::new(),
             buffer: Vec::new(),
         };

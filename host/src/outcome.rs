@@ -140,6 +140,12 @@ impl Failure {
         }
     }
 
+    /// Whether it says what to do.
+    #[must_use]
+    pub const fn has_next_step(&self) -> bool {
+        self.next_step.is_some()
+    }
+
     /// What the user can do about it.
     #[must_use]
     pub fn next_step(mut self, step: impl Into<String>) -> Self {

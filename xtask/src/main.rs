@@ -59,6 +59,9 @@ enum Command {
         /// Share of the time in which the link is filled up as far as USB goes.
         #[arg(long, value_name = "PERCENT", default_value_t = 10)]
         full_link: u8,
+        /// Leave the strobe input dark.
+        #[arg(long)]
+        no_strobe: bool,
         /// The seed of all randomness.
         #[arg(long, default_value_t = 1)]
         seed: u64,
@@ -66,6 +69,16 @@ enum Command {
     /// An hour of virtual time with all four trigger outputs and the lidar's,
     /// every edge compared with the arithmetic.
     Hour,
+    /// The fault campaign: recordings on the simulated board during which things
+    /// go wrong, judged by the truth.
+    Faults {
+        /// The first seed.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// How many seeds.
+        #[arg(long, default_value_t = 200)]
+        count: u64,
+    },
     /// Measure; figures are ratios within one run.
     Bench {
         /// Only the speed of `smartdepthsync evaluate`.
@@ -129,8 +142,10 @@ fn run(command: Command) -> Result<()> {
         Command::Longrun {
             length,
             full_link,
+            no_strobe,
             seed,
-        } => long_run(&length, full_link, seed),
+        } => long_run(&length, full_link, no_strobe, seed),
+        Command::Faults { seed, count } => faults(seed, count),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench {
             extract: true,
@@ -236,14 +251,28 @@ fn demo(args: &demo::Args) -> Result<()> {
     demo::run(args, &elf)
 }
 
-fn long_run(length: &str, full_link: u8, seed: u64) -> Result<()> {
+fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<()> {
     let elf = firmware::build()?;
     process::cargo(["build", "--release", "-p", "hil-sim"])?;
-    let args = [
+    let mut args = vec![
         "long-run".to_owned(),
         format!("--for={length}"),
         format!("--full-link={full_link}"),
         format!("--seed={seed}"),
+    ];
+    if no_strobe {
+        args.push("--no-strobe".to_owned());
+    }
+    process::run_hil_sim(&args, &elf)
+}
+
+fn faults(seed: u64, count: u64) -> Result<()> {
+    let elf = firmware::build()?;
+    process::cargo(["build", "--release", "-p", "hil-sim"])?;
+    let args = [
+        "faults".to_owned(),
+        format!("--seed={seed}"),
+        format!("--count={count}"),
     ];
     process::run_hil_sim(&args, &elf)
 }

@@ -21,6 +21,9 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PERCENT", default_value_t = 10,
           value_parser = clap::value_parser!(u64).range(0..=100))]
     full_link: u64,
+    /// Leave the strobe input dark.
+    #[arg(long)]
+    no_strobe: bool,
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -44,6 +47,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         seed: Seed(args.seed),
         seconds: args.length.as_secs(),
         full_link_percent: args.full_link,
+        strobe: !args.no_strobe,
         slice_s: SLICE_S,
     };
     let mut shown = 0;

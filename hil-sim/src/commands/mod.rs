@@ -3,6 +3,7 @@
 pub(crate) mod bench;
 pub(crate) mod chain;
 pub(crate) mod demo;
+pub(crate) mod faults;
 pub(crate) mod frame_sync;
 pub(crate) mod long_run;
 pub(crate) mod serve;

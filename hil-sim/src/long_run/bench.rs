@@ -100,7 +100,11 @@ impl Bench {
         let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion))?;
         let sensor =
             Mpu9150::new(Mpu9150Config::typical(seed), motion, board.clone(), seed).shared();
-        let camera = DepthCamera::new(DepthCameraConfig::default(), board, seed)?;
+        let config = DepthCameraConfig {
+            photodiode: options.strobe,
+            ..DepthCameraConfig::default()
+        };
+        let camera = DepthCamera::new(config, board, seed)?;
         let camera = std::sync::Arc::new(std::sync::Mutex::new(camera));
         let mut builder = Rig::builder()
             .seed(seed)

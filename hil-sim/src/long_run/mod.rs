@@ -41,6 +41,8 @@ pub struct Options {
     /// Share of the time in which the link is filled up, in percent: so many of
     /// every hundred slices of [`Options::slice_s`].
     pub full_link_percent: u64,
+    /// Whether the camera's photodiode is on the strobe input: 540 edges a second.
+    pub strobe: bool,
     /// Virtual seconds of a slice with or without a full link.
     pub slice_s: u64,
 }
