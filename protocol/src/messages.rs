@@ -730,6 +730,28 @@ pub struct Dropped {
     pub outputs: u32,
 }
 
+impl Dropped {
+    /// Messages of all streams.
+    #[must_use]
+    pub const fn total(&self) -> u64 {
+        // By name, so that a new stream cannot be forgotten.
+        let Self {
+            answers,
+            pulses,
+            captures,
+            imu,
+            status,
+            outputs,
+        } = *self;
+        answers as u64
+            + pulses as u64
+            + captures as u64
+            + imu as u64
+            + status as u64
+            + outputs as u64
+    }
+}
+
 /// Once a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {

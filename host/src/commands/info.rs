@@ -99,7 +99,7 @@ fn watch(
                 if !context.global.json {
                     context.print(&report, || report.text(before))?;
                 }
-                before.get_or_insert(total(&report.dropped));
+                before.get_or_insert(report.dropped.total());
                 reports.push(report);
             }
             Some(_) => {}
@@ -184,25 +184,11 @@ impl From<&Status> for StatusReport {
     }
 }
 
-/// Messages dropped on all streams.
-fn total(dropped: &protocol::Dropped) -> u64 {
-    [
-        dropped.answers,
-        dropped.pulses,
-        dropped.captures,
-        dropped.imu,
-        dropped.status,
-    ]
-    .iter()
-    .map(|&count| u64::from(count))
-    .sum()
-}
-
 impl StatusReport {
     /// In words. `before` is what had been dropped by the first status: all that
     /// was made while no host was connected, which is no loss to this one.
     fn text(&self, before: Option<u64>) -> String {
-        let dropped = total(&self.dropped);
+        let dropped = self.dropped.total();
         let dropped = match before {
             Some(before) => format!("dropped {}", dropped.saturating_sub(before)),
             None if dropped == 0 => String::from("dropped 0"),

@@ -557,13 +557,7 @@ fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
                 .collect(),
         };
     let dropped = &status.dropped;
-    let any_dropped = dropped.answers
-        | dropped.pulses
-        | dropped.captures
-        | dropped.imu
-        | dropped.status
-        | dropped.outputs
-        | status.link.lost_frames();
+    let any_dropped = dropped.total() > 0 || status.link.lost_frames() > 0;
     let trigger = &status.trigger;
     let imu = &status.imu;
     DiagnosticArray {
@@ -571,8 +565,8 @@ fn diagnostics(status: &protocol::Status, board_id: &str) -> DiagnosticArray {
         status: vec![
             part(
                 "board",
-                u8::from(any_dropped > 0),
-                String::from(if any_dropped > 0 {
+                u8::from(any_dropped),
+                String::from(if any_dropped {
                     "messages were dropped"
                 } else {
                     "ok"

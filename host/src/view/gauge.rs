@@ -206,17 +206,7 @@ impl Gauge {
                 if trigger.state == TrainState::Stopped {
                     self.trigger.readback_ns = None;
                 }
-                let dropped = status.dropped;
-                let sum = [
-                    dropped.answers,
-                    dropped.pulses,
-                    dropped.captures,
-                    dropped.imu,
-                    dropped.status,
-                ]
-                .iter()
-                .map(|&count| u64::from(count))
-                .sum();
+                let sum = status.dropped.total();
                 let first = self.dropped.map_or(sum, |(first, _)| first.min(sum));
                 self.dropped = Some((first, sum));
             }
