@@ -3,6 +3,8 @@
 //! that drops frames. All figures here are of simulated recordings.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "../../host/tests/support/browser.rs"]
+mod browser;
 #[path = "support/synthetic.rs"]
 mod synthetic;
 
@@ -200,6 +202,22 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
         "{period} {sigma}"
     );
     assert!(clock.sigma_us[1] < 10.0, "{:?}", clock.sigma_us);
+
+    // And as people see it.
+    let pairs = format!("{} pairs of frames", expected.len());
+    browser::check(
+        &case.out().join("report.html"),
+        "extract",
+        &[
+            "Extraction of recording",
+            &pairs,
+            "Missing or damaged",
+            "Time difference of the pairs",
+            "Clock of the phone",
+            "1-sigma of the course",
+            "Settings: constants",
+        ],
+    );
 }
 
 #[test]

@@ -43,8 +43,8 @@ fn imu_start_stop_and_get_video() {
             "--json",
         ];
         let imu = json(&run(&imu));
-        assert_eq!(imu[1]["sensor"], "gyroscope");
-        let rate = imu[1]["rate_hz"].as_f64().unwrap();
+        assert_eq!(imu["sensors"][1]["sensor"], "gyroscope");
+        let rate = imu["sensors"][1]["rate_hz"].as_f64().unwrap();
         let true_rate = bench.phone.config().gyroscope.rate_hz;
         assert!(
             (rate / true_rate - 1.0).abs() < 1e-4,

@@ -4,6 +4,8 @@
 //! `cargo xtask bench --chain`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "../../host/tests/support/objects.rs"]
+mod objects;
 mod support;
 
 use std::process::Command;
@@ -94,6 +96,7 @@ fn the_photodiode_gives_the_time_from_trigger_to_centre() {
     // The camera's first frame comes on the second pulse.
     assert!(matches!(output.status.code(), Some(0 | 4)), "{output:?}");
     let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    objects::check("trigger latency", &[&found]);
     assert!(found["pulses"].as_u64().unwrap() >= 57, "{found}");
     // The camera counts its delays on its own clock.
     let rate = (1.0 + 1e-6 * board.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);

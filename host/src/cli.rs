@@ -20,7 +20,7 @@ use serde_json::json;
 use tracing_subscriber::filter::LevelFilter;
 
 use crate::commands;
-use crate::outcome::{ExitStatus, Outcome, Report};
+use crate::outcome::{ExitStatus, Failure, Outcome, Report};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
 #[derive(Debug, Parser)]
@@ -254,9 +254,17 @@ impl Interrupt {
 
 /// Runs the program and says how it ended.
 pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
-    let cli = match Cli::try_parse_from(args) {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
+            if error.use_stderr() && args.iter().any(|arg| arg == "--json") {
+                let message = error.render().to_string();
+                let message = message.trim_start_matches("error: ").trim_end();
+                print_error(&Report::of(
+                    &Failure::new(ExitStatus::Usage, message).into(),
+                ));
+            }
             // Help and version are asked for and go to standard output.
             let _ = error.print();
             return if error.use_stderr() {
@@ -285,13 +293,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
 fn report(context: &Context, error: &anyhow::Error) -> ExitStatus {
     let report = Report::of(error);
     if context.global.json {
-        let document = json!({ "error": {
-            "exit_code": report.status.code(),
-            "name": format!("{:?}", report.status),
-            "message": report.message,
-            "next_step": report.next_step,
-        }});
-        let _ = write_stdout(format!("{document:#}\n").as_bytes());
+        print_error(&report);
     } else {
         let mut text = format!("error: {}\n", report.message);
         if let Some(step) = report.next_step {
@@ -300,6 +302,17 @@ fn report(context: &Context, error: &anyhow::Error) -> ExitStatus {
         let _ = io::stderr().lock().write_all(text.as_bytes());
     }
     report.status
+}
+
+/// An error as the one object of `--json`.
+fn print_error(report: &Report) {
+    let document = json!({ "error": {
+        "exit_code": report.status.code(),
+        "name": format!("{:?}", report.status),
+        "message": report.message,
+        "next_step": report.next_step,
+    }});
+    let _ = write_stdout(format!("{document:#}\n").as_bytes());
 }
 
 fn start_log(global: &Global) {

@@ -7,6 +7,8 @@
 use protocol::{ImuFlags, ImuSample, ImuSetup, TICK_HZ, Ticks};
 use serde::{Deserialize, Serialize};
 
+use crate::outcome::{ExitStatus, Failure};
+
 /// Standard gravity, m/s².
 pub const STANDARD_GRAVITY: f64 = 9.806_65;
 
@@ -50,6 +52,19 @@ impl Scale {
             accel_m_s2: STANDARD_GRAVITY / f64::from(setup.accel_lsb_per_g),
             gyro_delay_us: setup.gyro_delay_us,
             accel_delay_us: setup.accel_delay_us,
+        })
+    }
+
+    /// As [`Scale::of`], for whom nothing goes without.
+    ///
+    /// # Errors
+    ///
+    /// The board gave no scale.
+    pub fn required(setup: &ImuSetup) -> Result<Self, Failure> {
+        Self::of(setup).ok_or_else(|| {
+            Failure::new(ExitStatus::Error, "the board gave no scale for its IMU").next_step(
+                "flash the firmware of this program's version (docs/flash.md), then try again",
+            )
         })
     }
 

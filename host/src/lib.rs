@@ -5,6 +5,7 @@
 //! - [`board`]: a session on a transport, with calls that wait for the answer.
 //! - [`phone`]: the phone's remote control over TCP.
 //! - [`imu`]: the board's IMU samples in SI units.
+//! - [`live_data`]: what is recorded, live for Foxglove.
 //! - [`profile`]: what is fixed about one rig.
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - [`recording`]: the folder of a session, written and read.
@@ -26,6 +27,7 @@ pub mod evaluate;
 pub mod extract;
 pub mod gyro_csv;
 pub mod imu;
+pub mod live_data;
 pub mod outcome;
 pub mod phone;
 pub mod profile;

@@ -5,10 +5,15 @@
 //! [`Failure`] in its chain, or [`ExitStatus::Error`] without one. Errors of the
 //! library convert into [`Failure`]s, so commands simply use `?`.
 //!
+//! Every error says what to do next: its own next step, else what the system's reason
+//! for a file suggests, else what its exit code does.
+//!
 //! `docs/exit-codes.md` is the table for users; a test compares it with
 //! [`ExitStatus::ALL`].
 
 use std::fmt;
+use std::io::{self, ErrorKind};
+use std::path::Path;
 use std::process::ExitCode;
 
 /// The exit codes of `smartdepthsync`. The numbers never change their meaning.
@@ -76,6 +81,36 @@ impl ExitStatus {
     pub const fn code(self) -> u8 {
         self as u8
     }
+
+    /// What to do about an error of which no more is known.
+    #[must_use]
+    pub const fn next_step(self) -> &'static str {
+        match self {
+            Self::Good | Self::Loss => "read the result: it says what is missing",
+            Self::Error => {
+                "run it again with -vv, which says more; if it stays so, report it with that log"
+            }
+            Self::Usage => "`smartdepthsync help COMMAND` says what is expected",
+            Self::Refused => "nothing was changed: change what the message names, then repeat it",
+            Self::NoPort => "plug the board in; `smartdepthsync ports` lists the ports there are",
+            Self::Permission => {
+                "install the udev rule (docs/install.md) and plug the board in again"
+            }
+            Self::Busy => "close the other program that has the port",
+            Self::NotThisBoard => {
+                "choose another port with --port; `smartdepthsync ports` marks boards"
+            }
+            Self::OtherVersion => "flash the firmware of this program's version (docs/flash.md)",
+            Self::NoAnswer => "press the board's reset button and try again",
+            Self::LinkLost => "check the USB cable and plug the board in again",
+            Self::Phone => {
+                "bring the app to the foreground with its remote control on, in the same network"
+            }
+            Self::Storage => "check the path, the rights and the free space",
+            Self::DepthRecorder => "check `[depth.recorder]` in the rig profile",
+            Self::Interrupted => "run the command again when you are ready",
+        }
+    }
 }
 
 impl From<ExitStatus> for ExitCode {
@@ -140,6 +175,14 @@ impl Failure {
         }
     }
 
+    /// A file or folder that cannot be used: `action` is what was tried, such as
+    /// "read".
+    #[must_use]
+    pub fn file(action: &str, path: &Path, error: &io::Error) -> Self {
+        let message = format!("cannot {action} {}: {error}", path.display());
+        Self::new(ExitStatus::Storage, message).next_step(file_step(error.kind()))
+    }
+
     /// Whether it says what to do.
     #[must_use]
     pub const fn has_next_step(&self) -> bool {
@@ -168,6 +211,22 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
+/// What to do about a file that cannot be used, for the system's reason.
+#[must_use]
+pub const fn file_step(reason: ErrorKind) -> &'static str {
+    match reason {
+        ErrorKind::NotFound => "check the path: there is no such file or folder",
+        ErrorKind::PermissionDenied => "check its owner and rights: you may not use it",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space and run it again",
+        ErrorKind::ReadOnlyFilesystem => "choose another place: this disk cannot be written",
+        ErrorKind::IsADirectory => "give a file: this is a folder",
+        ErrorKind::NotADirectory => "give a folder, and check the path: a part of it is a file",
+        ErrorKind::AlreadyExists => "choose a name that is not taken",
+        ErrorKind::InvalidData => "give another file: this one is not text",
+        _ => "check the path, the rights and the disk",
+    }
+}
+
 /// What is said about an error: its code, its text with all causes, and what to
 /// do next.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -181,7 +240,8 @@ pub struct Report {
 }
 
 impl Report {
-    /// Looks through the chain of causes for the first [`Failure`].
+    /// Looks through the chain of causes for the first [`Failure`]. There always is a
+    /// next step.
     #[must_use]
     pub fn of(error: &anyhow::Error) -> Self {
         let failure = error
@@ -199,10 +259,18 @@ impl Report {
             }
             message.push_str(&cause);
         }
+        let status = failure.map_or(ExitStatus::Error, Failure::status);
+        let file = error
+            .chain()
+            .find_map(|cause| cause.downcast_ref::<io::Error>());
+        let next_step = failure
+            .and_then(|failure| failure.next_step.clone())
+            .or_else(|| file.map(|error| file_step(error.kind()).to_owned()))
+            .unwrap_or_else(|| status.next_step().to_owned());
         Self {
-            status: failure.map_or(ExitStatus::Error, Failure::status),
+            status,
             message,
-            next_step: failure.and_then(|failure| failure.next_step.clone()),
+            next_step: Some(next_step),
         }
     }
 }
@@ -227,7 +295,18 @@ mod tests {
     fn an_error_without_a_code_is_a_plain_error() {
         let report = Report::of(&anyhow::anyhow!("odd"));
         assert_eq!(report.status, ExitStatus::Error);
-        assert_eq!(report.next_step, None);
+        assert!(report.next_step.unwrap().contains("-vv"));
+    }
+
+    #[test]
+    fn every_error_has_a_next_step() {
+        let error = anyhow::Error::from(io::Error::from(ErrorKind::StorageFull)).context("saving");
+        let step = Report::of(&error).next_step.unwrap();
+        assert!(step.contains("free some space"), "{step}");
+        for status in ExitStatus::ALL {
+            let report = Report::of(&Failure::new(status, "odd").into());
+            assert_eq!(report.next_step.as_deref(), Some(status.next_step()));
+        }
     }
 
     #[test]

@@ -145,7 +145,7 @@ fn ports_is_a_list_and_boards_has_its_own_code() {
     let output = run(&["ports", "--json"]);
     assert_eq!(code(&output), 0);
     let ports: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let boards = ports
+    let boards = ports["ports"]
         .as_array()
         .unwrap()
         .iter()

@@ -2,97 +2,22 @@
 //! help, completions and a manual page; every command prints JSON if asked to.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "support/documents.rs"]
+mod documents;
+
 use std::fs;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use clap::CommandFactory as _;
+use clap::error::ErrorKind;
+use documents::{Code, arguments, pages};
 use smartdepthsync::cli::Cli;
-
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .unwrap()
-        .to_owned()
-}
 
 fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
         .args(args)
         .output()
         .unwrap()
-}
-
-fn markdown(folder: &Path, found: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            markdown(&path, found);
-        } else if path.extension().is_some_and(|ending| ending == "md") {
-            found.push(path);
-        }
-    }
-}
-
-/// All that is written as code in a page: lines of blocks, and spans.
-fn code(text: &str) -> Vec<String> {
-    let mut found = Vec::new();
-    let mut in_block = false;
-    let mut prose = String::new();
-    let mut long = String::new();
-    for line in text.lines() {
-        if line.trim_start().starts_with("```") {
-            in_block = !in_block;
-            prose.push('\n');
-        } else if in_block {
-            // A line that goes on on the next.
-            let line = line.trim().trim_start_matches("$ ");
-            match line.strip_suffix('\\') {
-                Some(part) => long.push_str(part),
-                None => {
-                    found.push(format!("{long}{line}"));
-                    long.clear();
-                }
-            }
-        } else {
-            prose.push_str(line);
-            prose.push(' ');
-        }
-    }
-    found.extend(
-        prose
-            .split('`')
-            .skip(1)
-            .step_by(2)
-            .map(|span| span.split_whitespace().collect::<Vec<_>>().join(" ")),
-    );
-    found
-}
-
-/// What follows the program's name, up to the end of the command.
-fn arguments(line: &str) -> Option<Vec<String>> {
-    let line = line.split(" #").next().unwrap();
-    let at = line
-        .match_indices("smartdepthsync ")
-        .find(|(at, _)| {
-            let before = &line[..*at];
-            // Not as the name of a package.
-            *at == 0 || (before.ends_with([' ', '/', '(']) && !before.ends_with("-p "))
-        })?
-        .0;
-    let command = line[at..].split(['|', '>', ';']).next().unwrap();
-    let command = command.split("&&").next().unwrap();
-    Some(
-        command
-            .split_whitespace()
-            .skip(1)
-            .map(|word| {
-                word.trim_matches(['[', ']', '"', '\'', ',', '…'])
-                    .to_owned()
-            })
-            .filter(|word| !word.is_empty())
-            .collect(),
-    )
 }
 
 /// Walks a command line as far as it is commands and options; says what is unknown.
@@ -126,16 +51,11 @@ fn unknown(cli: &clap::Command, words: &[String]) -> Option<String> {
 fn everything_that_the_documents_mention_exists() {
     let mut cli = Cli::command();
     cli.build();
-    let mut pages = vec![root().join("README.md")];
-    for name in ["CHANGELOG.md", "CONTRIBUTING.md"] {
-        pages.push(root().join(name));
-    }
-    markdown(&root().join("docs"), &mut pages);
     let mut checked = 0;
     let mut wrong = Vec::new();
-    for page in &pages {
-        for line in code(&fs::read_to_string(page).unwrap()) {
-            let Some(words) = arguments(&line) else {
+    for (page, text) in pages() {
+        for line in Code::of(&text).all() {
+            let Some(words) = arguments(line, "smartdepthsync") else {
                 continue;
             };
             checked += 1;
@@ -145,81 +65,45 @@ fn everything_that_the_documents_mention_exists() {
         }
     }
     assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
-    assert!(checked >= 30, "only {checked} commands were found");
+    assert!(checked >= 60, "only {checked} commands were found");
+}
+
+/// A line of a block is there to be typed: the program must take it as it stands.
+#[test]
+fn every_command_in_a_block_is_a_whole_command() {
+    let mut checked = 0;
+    let mut wrong = Vec::new();
+    for (page, text) in pages() {
+        for line in Code::of(&text).lines {
+            let Some(words) = arguments(&line, "smartdepthsync") else {
+                continue;
+            };
+            checked += 1;
+            let words = std::iter::once("smartdepthsync").chain(words.iter().map(String::as_str));
+            match Cli::command().try_get_matches_from(words) {
+                Ok(_) => {}
+                Err(error) if error.kind() == ErrorKind::DisplayHelp => {}
+                Err(error) => wrong.push(format!("{}: {line}\n{error}", page.display())),
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(checked >= 40, "only {checked} commands were found");
 }
 
 #[test]
 fn the_check_finds_what_is_not_there() {
     let mut cli = Cli::command();
     cli.build();
-    let words = |line: &str| arguments(line).unwrap();
+    let words = |line: &str| arguments(line, "smartdepthsync").unwrap();
     let unknown = |line: &str| unknown(&cli, &words(line));
     assert_eq!(unknown("smartdepthsync record --duration 5m"), None);
     assert_eq!(unknown("sudo smartdepthsync -v verify X --json"), None);
     assert!(unknown("smartdepthsync recrod").is_some());
     assert!(unknown("smartdepthsync verify X --out Y").is_some());
     assert!(unknown("smartdepthsync evaluate precision --no-such").is_some());
-    assert_eq!(arguments("cargo build -p smartdepthsync --release"), None);
-}
-
-#[test]
-fn commands_of_xtask_that_the_documents_mention_exist() {
-    let folder = root().join("xtask/src");
-    let read = |path: PathBuf| fs::read_to_string(path).unwrap();
-    let source = read(folder.join("main.rs"));
-    let commands = source.split_once("enum Command {").unwrap().1;
-    let commands = commands.split_once("\n}").unwrap().0.to_lowercase();
-    let all: String = fs::read_dir(&folder)
-        .unwrap()
-        .map(|entry| read(entry.unwrap().path()))
-        .collect();
-    let mut pages = vec![root().join("README.md"), root().join("CONTRIBUTING.md")];
-    markdown(&root().join("docs"), &mut pages);
-    let mut checked = 0;
-    for page in pages {
-        for line in code(&fs::read_to_string(&page).unwrap()) {
-            let Some((_, rest)) = line.split_once("cargo xtask ") else {
-                continue;
-            };
-            let name: String = rest
-                .chars()
-                .take_while(|c| c.is_ascii_lowercase() || *c == '-')
-                .filter(|c| *c != '-')
-                .collect();
-            if name.is_empty() {
-                continue;
-            }
-            checked += 1;
-            let variant = commands.lines().any(|line| {
-                line.trim()
-                    .strip_prefix(name.as_str())
-                    .is_some_and(|rest| rest.starts_with([',', ' ', '(']))
-            });
-            assert!(
-                variant,
-                "{}: there is no `cargo xtask {name}`",
-                page.display()
-            );
-            // What follows `test` is cargo's.
-            let options = rest
-                .split_whitespace()
-                .filter_map(|word| word.strip_prefix("--"))
-                .filter(|_| name != "test");
-            for option in options {
-                let field = option
-                    .split(['=', '`', ']', ','])
-                    .next()
-                    .unwrap()
-                    .replace('-', "_");
-                let name = field.replace('_', "-");
-                let known = field.is_empty()
-                    || all.contains(&format!("{field}:"))
-                    || all.contains(&format!("long = \"{name}\""));
-                assert!(known, "{}: {line}", page.display());
-            }
-        }
-    }
-    assert!(checked >= 10, "{checked}");
+    let build = "cargo build -p smartdepthsync --release";
+    assert_eq!(arguments(build, "smartdepthsync"), None);
 }
 
 fn all_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Vec<Vec<String>>) {
@@ -260,6 +144,28 @@ fn every_command_has_help_and_a_manual_page() {
         assert!(text.contains(".SH SYNOPSIS"), "{}", page.display());
     }
     assert!(place.join("smartdepthsync.1").exists());
+}
+
+/// What the objects hold is compared by the tests of the commands.
+#[test]
+fn every_commands_object_is_described() {
+    let mut cli = Cli::command();
+    cli.build();
+    let mut commands = Vec::new();
+    all_commands(&cli, &mut Vec::new(), &mut commands);
+    let page = documents::root().join("docs/json.md");
+    let page = fs::read_to_string(page).unwrap();
+    let headings: String = page
+        .lines()
+        .filter(|line| line.starts_with("## "))
+        .collect();
+    for path in &commands {
+        let is_group = commands
+            .iter()
+            .any(|other| other.len() > path.len() && other.starts_with(path));
+        let name = format!("`{}`", path.join(" "));
+        assert!(is_group || headings.contains(&name), "no section of {name}");
+    }
 }
 
 #[test]

@@ -10,6 +10,8 @@ use smartdepthsync::evaluate::train::{Shape, TrainGeometry, row_light};
 
 #[path = "support/browser.rs"]
 mod browser;
+#[path = "support/objects.rs"]
+mod objects;
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -17,13 +19,18 @@ fn program() -> Command {
 
 /// Frames of 64 columns and 1,080 rows of 10.2 µs; the first three without flashes.
 fn frames(folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
+    frames_of(12, folder, bias_us, flash)
+}
+
+/// The same, so many.
+fn frames_of(count: u32, folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
     std::fs::create_dir_all(folder).unwrap();
     let shape = Shape {
         bias_us,
         row_time_us: 10.2,
         exposure_us: 250.0,
     };
-    for frame in 0..12u32 {
+    for frame in 0..count {
         let image = image::GrayImage::from_fn(64, 1080, |x, y| {
             let light = row_light(&TrainGeometry::NFOV, &shape, f64::from(y) - 539.5).value;
             let lit = if frame < 3 { 0.0 } else { flash * light };
@@ -75,6 +82,7 @@ fn precision_of_image_folders_with_all_outputs() {
     let ran = run(&args);
     assert_eq!(ran.code, 0, "{}", ran.err);
     let json: Value = serde_json::from_str(&ran.out).unwrap();
+    objects::check("evaluate precision", &[&json]);
     for (recording, truth) in json["recordings"]
         .as_array()
         .unwrap()
@@ -186,6 +194,15 @@ fn drift_of_an_image_folder() {
     let ran = run(&["evaluate", "drift", folder.to_str().unwrap()]);
     assert_eq!(ran.code, 3, "{}", ran.err);
     assert!(ran.err.contains("at least 10"), "{}", ran.err);
+
+    let more = frames_of(20, &dir.path().join("more"), -50.0, 40.0);
+    let ran = run(&["--json", "evaluate", "drift", more.to_str().unwrap()]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let json: Value = serde_json::from_str(&ran.out).unwrap();
+    objects::check("evaluate drift", &[&json]);
+    // All frames are alike.
+    let drift = json["drift_us_per_min"].as_f64().unwrap();
+    assert!(drift.abs() < 100.0, "{json:#}");
 }
 
 #[test]

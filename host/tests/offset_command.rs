@@ -1,6 +1,9 @@
 //! `smartdepthsync offset` as a process: outputs, exit codes, damaged files.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "support/objects.rs"]
+mod objects;
+
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -75,6 +78,7 @@ fn a_twist_is_accepted_in_both_forms() {
     );
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let result = json(&output);
+    objects::check("offset", &[&result]);
     assert_eq!(result["accepted"], true);
     let number = |key: &str| {
         result[key]

@@ -34,6 +34,7 @@ use serde::Serialize;
 use smartdepthsync::board::Board;
 use smartdepthsync::cli::{Context, Global, Interrupt, LogFormat, Said};
 use smartdepthsync::imu::Scale;
+use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
 use smartdepthsync::profile::Profile;
 use smartdepthsync::record::live::Live;
@@ -209,6 +210,7 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         markers: Vec::new(),
         second_twist: false,
         fetch_video: false,
+        foxglove: FoxgloveArg::default(),
     };
     let counts = host.board.session().counts();
     let damaged_frames = host.board.session().damaged_frames();

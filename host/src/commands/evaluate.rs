@@ -19,7 +19,7 @@ use crate::evaluate::report::{self, counts_text, identity_text, reference_text};
 use crate::evaluate::stats::mean;
 use crate::evaluate::train::TrainGeometry;
 use crate::evaluate::{EvaluateError, Settings, plot};
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
@@ -224,18 +224,46 @@ impl From<EvaluateError> for Failure {
             }
             _ => ExitStatus::Error,
         };
-        Self::new(status, error.to_string())
+        Self::new(status, error.to_string()).next_step(next_step(&error))
+    }
+}
+
+/// What to do about an evaluation that could not be made.
+fn next_step(error: &EvaluateError) -> &'static str {
+    use EvaluateError as E;
+    match error {
+        E::Train(_) | E::Rotation(_) | E::RegionSyntax(_) | E::Setting(_) => {
+            "change the option; `smartdepthsync help evaluate` explains each"
+        }
+        E::RegionOutside { .. } | E::TooFewRows { .. } | E::Unsupported { .. } => {
+            "give a --region inside the picture, or leave it out"
+        }
+        E::FrameSize { .. } => "evaluate recordings of one camera mode at a time",
+        E::NoFfmpeg(_) | E::RunFfmpeg { .. } => {
+            "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder of \
+             images"
+        }
+        E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
+            "give a video, or a folder of png, jpg or pgm images, one a frame"
+        }
+        E::Io { source, .. } => file_step(source.kind()),
+        E::Timestamps { .. } => {
+            "give the app's `..._timestamps.csv`: one integer of nanoseconds a line"
+        }
+        E::NoFrames { .. } => "choose another --from and --to within the recording",
+        E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => {
+            "look at the video: the re-transmitter's flashes must be in view, on a picture that is \
+             otherwise still"
+        }
+        E::Profile { .. } => {
+            "`smartdepthsync profile init rig.toml` writes a profile to start from"
+        }
+        E::Plot(_) => "leave --plot and --report out, and report this",
     }
 }
 
 fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
-    std::fs::write(path, text).map_err(|e| {
-        Failure::new(
-            ExitStatus::Storage,
-            format!("{} cannot be written: {e}", path.display()),
-        )
-        .into()
-    })
+    std::fs::write(path, text).map_err(|error| Failure::file("write", path, &error).into())
 }
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outcome> {
@@ -282,6 +310,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outc
                     .map_or("no reason", |l| l.reason.as_str())
             ),
         )
+        .next_step("mend what the reason names; with -v every recording's reason is told")
         .into());
     };
     if let Some(path) = &args.common.plot {

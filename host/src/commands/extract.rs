@@ -3,16 +3,17 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::cli::{Context, Interrupt};
 use crate::extract::inputs::{InputsError, Options};
 use crate::extract::layout::Format;
 use crate::extract::learn;
+use crate::extract::phone::files::FilesError;
 use crate::extract::progress::Progress;
 use crate::extract::run::{ExtractError, Job, run as extract};
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::extract::workplace::WorkplaceError;
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
 
 /// Turn a recording into a data set whose timestamps are all in board time.
 ///
@@ -131,7 +132,10 @@ fn default_out(recording: &Path, format: Format) -> anyhow::Result<PathBuf> {
     };
     let name = base
         .file_name()
-        .context("the recording has no name; give --out")?
+        .ok_or_else(|| {
+            Failure::new(ExitStatus::Usage, "the recording has no name")
+                .next_step("give the output folder with --out")
+        })?
         .to_string_lossy()
         .into_owned();
     let stem = [".bag.active", ".bag", ".mcap"]
@@ -172,10 +176,23 @@ impl From<ExtractError> for Failure {
     fn from(error: ExtractError) -> Self {
         let text = error.to_string();
         match error {
-            ExtractError::Inputs(InputsError::Io { .. }) => Self::new(ExitStatus::Storage, text),
-            ExtractError::Inputs(_) | ExtractError::Workplace(_) => {
-                Self::new(ExitStatus::Usage, text)
+            ExtractError::Inputs(
+                InputsError::Io { error, .. } | InputsError::Phone(FilesError::Io { error, .. }),
+            )
+            | ExtractError::Workplace(WorkplaceError::Io { error, .. }) => {
+                Self::new(ExitStatus::Storage, text).next_step(file_step(error.kind()))
             }
+            ExtractError::Inputs(InputsError::Phone(_)) => {
+                Self::new(ExitStatus::Usage, text).next_step("name the video itself with --phone")
+            }
+            ExtractError::Inputs(InputsError::NotARecording { .. }) => {
+                Self::new(ExitStatus::Usage, text)
+                    .next_step("give the folder that `record` made, its recording.mcap, or a bag")
+            }
+            ExtractError::Inputs(_) => Self::new(ExitStatus::Usage, text)
+                .next_step("name the depth recording with --depth"),
+            ExtractError::Workplace(_) => Self::new(ExitStatus::Usage, text)
+                .next_step("give another folder with --out, or remove this one"),
             ExtractError::Board(_) => Self::new(ExitStatus::Storage, text)
                 .next_step("check that the file is a recording and that it was copied in full"),
             ExtractError::Write { .. } | ExtractError::Images(_) => {
@@ -183,7 +200,8 @@ impl From<ExtractError> for Failure {
                     "make room or check the rights, and run it again: it goes on where it stopped",
                 )
             }
-            ExtractError::Cancelled => Self::new(ExitStatus::Interrupted, text),
+            ExtractError::Cancelled => Self::new(ExitStatus::Interrupted, text)
+                .next_step("run the same command again to go on"),
         }
     }
 }

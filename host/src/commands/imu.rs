@@ -6,7 +6,6 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use protocol::{
     AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuState, LowPass, TICK_HZ, Ticks,
@@ -139,7 +138,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     if wanted != setup.config {
         setup = board.configure_imu(wanted).map_err(Failure::from)?;
     }
-    let scale = Scale::of(&setup).context("the board gave no scale for its IMU")?;
+    let scale = Scale::required(&setup)?;
     let mut summary = Summary::default();
     let ended = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
     if let Some(csv) = csv {

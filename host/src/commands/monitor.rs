@@ -2,16 +2,18 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::Context as _;
-use protocol::{TICK_HZ, Ticks};
+use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
 use super::PortArg;
 use super::record::parse_duration;
 use crate::board::BoardError;
 use crate::cli::Context;
 use crate::imu::Scale;
+use crate::live_data::{FoxgloveArg, LiveData};
 use crate::outcome::{Failure, Outcome};
 use crate::record::{Connector as _, SerialConnector};
+use crate::recording::RecordingError;
+use crate::recording::writer::Topics;
 use crate::session::Event;
 use crate::view::gauge::Gauge;
 use crate::view::lines::line;
@@ -36,6 +38,8 @@ pub struct Args {
     /// Plain lines even on a terminal
     #[arg(long)]
     plain: bool,
+    #[command(flatten)]
+    foxglove: FoxgloveArg,
 }
 
 /// Runs the command.
@@ -44,9 +48,10 @@ pub struct Args {
 ///
 /// The board cannot be reached, or does not come back.
 pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let onlookers = args.foxglove.open(context)?;
     let mut board = args.port.open()?;
     let setup = board.imu().map_err(Failure::from)?;
-    let scale = Scale::of(&setup).context("the board gave no scale for its IMU")?;
+    let scale = Scale::required(&setup)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let mut connector = SerialConnector {
         port: args.port.port.clone(),
@@ -54,6 +59,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     let mut gauge = Gauge::default();
     gauge.state = String::from("monitor");
     gauge.board.clone_from(&id);
+    let mut topics = onlookers.clone().map(Topics::new);
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen
         .then(|| Screen::open(&context.interrupt))
@@ -71,7 +77,12 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         let mut wait = PERIOD;
         for _ in 0..2_000 {
             match board.next_event(wait) {
-                Ok(Some(Event::Message(message))) => gauge.take(&message, Some(&scale)),
+                Ok(Some(Event::Message(message))) => {
+                    gauge.take(&message, Some(&scale));
+                    if let Some(topics) = &mut topics {
+                        show_live(topics, &message, &scale, &id).map_err(Failure::from)?;
+                    }
+                }
                 Ok(Some(Event::Lost { stream, count })) => {
                     gauge.lost(count);
                     gauge.warning("pulse_messages_lost", &format!("{count} {stream} lost"));
@@ -116,6 +127,9 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         if shown.elapsed() >= PERIOD {
             shown = Instant::now();
             snapshot = gauge.snapshot(None, None);
+            if let Some(onlookers) = &onlookers {
+                onlookers.state(&snapshot);
+            }
             if let Some(screen) = &screen {
                 screen.show(snapshot.clone());
             }
@@ -152,4 +166,28 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         Outcome::Good if snapshot.losses.messages + snapshot.losses.damaged > 0 => Outcome::Loss,
         other => other,
     })
+}
+
+/// A message of the board, for those who look on from elsewhere.
+fn show_live(
+    topics: &mut Topics<LiveData>,
+    message: &DeviceToHost,
+    scale: &Scale,
+    board: &str,
+) -> Result<(), RecordingError> {
+    match message {
+        DeviceToHost::Imu(raw) => topics.imu(&scale.apply(raw)),
+        DeviceToHost::Pulse(pulse) => topics.pulse(pulse, None),
+        DeviceToHost::Capture(capture) => topics.capture(capture, None),
+        DeviceToHost::OutputPulse(output) => {
+            topics.output_pulse(&output.pulse, &format!("output {}", output.output.number()))
+        }
+        DeviceToHost::Pps(pps) => topics.pps(pps),
+        DeviceToHost::Status(status) => topics.status(status, board),
+        DeviceToHost::Hello(_)
+        | DeviceToHost::Answer(_)
+        | DeviceToHost::Arrived(_)
+        | DeviceToHost::OutputArrived(_)
+        | DeviceToHost::Filler(_) => Ok(()),
+    }
 }

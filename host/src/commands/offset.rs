@@ -154,12 +154,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     if let Some(path) = &args.plot {
         let svg = plot::svg(&mcu.track, &phone.track, &result, &options)
             .context("cannot draw the plot")?;
-        std::fs::write(path, svg).map_err(|error| {
-            Failure::new(
-                ExitStatus::Storage,
-                format!("cannot write {}: {error}", path.display()),
-            )
-        })?;
+        std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
         context.say(format!("plot: {}", path.display()));
     }
     let outcome = if result.is_ok() {
@@ -204,13 +199,15 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 
 fn read(path: &Path) -> anyhow::Result<GyroFile> {
     gyro_csv::read_file(path).map_err(|error| {
-        let status = match error {
-            gyro_csv::CsvError::Io(_) => ExitStatus::Storage,
-            _ => ExitStatus::Error,
-        };
-        Failure::new(status, format!("{}: {error}", path.display()))
-            .next_step("give CSV with a header (time in seconds; x, y, z in rad/s), or the phone app's x,y,z,nanoseconds")
-            .into()
+        match error {
+            gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),
+            other => Failure::new(ExitStatus::Error, format!("{}: {other}", path.display()))
+                .next_step(
+                    "give CSV with a header (time in seconds; x, y, z in rad/s), or the phone \
+                     app's x,y,z,nanoseconds",
+                ),
+        }
+        .into()
     })
 }
 

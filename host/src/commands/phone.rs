@@ -277,7 +277,15 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
         };
         summaries.push(SensorSummary::of(recording, file));
     }
-    context.print(&summaries, || {
+    /// What `--json` prints.
+    #[derive(Serialize)]
+    struct Summaries<'a> {
+        sensors: &'a [SensorSummary],
+    }
+    let printed = Summaries {
+        sensors: &summaries,
+    };
+    context.print(&printed, || {
         summaries
             .iter()
             .map(SensorSummary::text)

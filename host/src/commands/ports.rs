@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use anyhow::Context as _;
+use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
@@ -17,6 +17,12 @@ pub struct Args {
     boards: bool,
 }
 
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Ports<'a> {
+    ports: &'a [Port],
+}
+
 /// Lists the ports.
 ///
 /// # Errors
@@ -24,7 +30,13 @@ pub struct Args {
 /// The system does not list its ports; or no board, where only boards were
 /// asked for.
 pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
-    let mut ports = ports::list().context("cannot list the serial ports")?;
+    let mut ports = ports::list().map_err(|error| {
+        Failure::new(
+            ExitStatus::Error,
+            format!("cannot list the serial ports: {error}"),
+        )
+        .next_step("give the board's port to the other commands with --port")
+    })?;
     if args.boards {
         ports.retain(|port| port.board);
         if ports.is_empty() {
@@ -35,7 +47,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             );
         }
     }
-    context.print(&ports, || text(&ports))?;
+    context.print(&Ports { ports: &ports }, || text(&ports))?;
     Ok(Outcome::Good)
 }
 

@@ -46,6 +46,12 @@ enum Action {
     },
 }
 
+/// What `profile init --json` prints.
+#[derive(Debug, Serialize)]
+struct Made<'a> {
+    profile: &'a Path,
+}
+
 /// What `profile learn --json` prints.
 #[derive(Debug, Serialize)]
 struct Report {
@@ -80,17 +86,10 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 fn init(file: &Path, context: &Context) -> anyhow::Result<Outcome> {
     File::create_new(file)
         .and_then(|mut created| created.write_all(DEFAULT.as_bytes()))
-        .map_err(|error| {
-            Failure::new(
-                ExitStatus::Storage,
-                format!("cannot write {}: {error}", file.display()),
-            )
-            .next_step("choose a name that is not taken, in a folder that you may write")
-        })?;
-    context.say(format!(
-        "wrote {}; set the phone's address in it",
-        file.display()
-    ));
+        .map_err(|error| Failure::file("write", file, &error))?;
+    context.print(&Made { profile: file }, || {
+        format!("wrote {}; set the phone's address in it", file.display())
+    })?;
     Ok(Outcome::Good)
 }
 
@@ -103,9 +102,18 @@ fn teach(
     let text = read(file)?;
     let session = SessionFile::load(recording).map_err(Failure::from)?;
     let times = learn::parse_timestamps(&read(timestamps)?)
+        .map_err(|error| {
+            Failure::new(ExitStatus::Error, error.to_string()).next_step(
+                "give the app's `..._timestamps.csv` of that recording: one integer of \
+                 nanoseconds a line",
+            )
+        })
         .with_context(|| format!("{}", timestamps.display()))?;
     let period = learn::frame_period(&times)
-        .map_err(|error| Failure::new(ExitStatus::Refused, error.to_string()))
+        .map_err(|error| {
+            Failure::new(ExitStatus::Refused, error.to_string())
+                .next_step("give the timestamps of a longer recording, whole as the app wrote them")
+        })
         .with_context(|| format!("{}", timestamps.display()))?;
     let learnt = learn::learnt(&session, &period, jiff::Zoned::now().date());
     let taught = learn::into_profile(&text, file, &learnt).map_err(Failure::from)?;
@@ -145,22 +153,12 @@ impl Report {
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path).map_err(|error| {
-        Failure::new(
-            ExitStatus::Storage,
-            format!("cannot read {}: {error}", path.display()),
-        )
-    })
+    std::fs::read_to_string(path).map_err(|error| Failure::file("read", path, &error))
 }
 
 /// Replaces a file only when the new one is whole.
 fn replace(path: &Path, text: &str) -> Result<(), Failure> {
-    let failed = |error: &dyn std::fmt::Display| {
-        Failure::new(
-            ExitStatus::Storage,
-            format!("cannot write {}: {error}", path.display()),
-        )
-    };
+    let failed = |error: &std::io::Error| Failure::file("write", path, error);
     let folder = path
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty());

@@ -7,6 +7,7 @@ use protocol::TICK_HZ;
 use serde::Serialize;
 
 use crate::cli::Context;
+use crate::live_data::FoxgloveArg;
 use crate::outcome::{Failure, Outcome};
 use crate::profile::Profile;
 use crate::record::{self, Ended, Options, SerialConnector};
@@ -50,6 +51,8 @@ pub struct Args {
     /// Download the phone's video at the end
     #[arg(long)]
     fetch_video: bool,
+    #[command(flatten)]
+    foxglove: FoxgloveArg,
 }
 
 /// A duration such as `90s`, `5m`, `1h`, `1.5m` or seconds without a unit, as
@@ -113,6 +116,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         markers: args.marker.clone(),
         second_twist: args.second_twist,
         fetch_video: args.fetch_video,
+        foxglove: args.foxglove.clone(),
     };
     let mut connector = SerialConnector {
         port: args.port.clone(),

@@ -169,6 +169,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             ExitStatus::Usage,
             "trigger period needs --fps or --period-us",
         )
+        .next_step("give one of them, for example `trigger period --fps 30`")
         .into());
     }
     let output = Output::from_number(args.output);
@@ -184,6 +185,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             crate::outcome::ExitStatus::Usage,
             "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
         )
+        .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4")
         .into());
     }
     if output.is_some() && matches!(args.action, Action::Latency { .. }) {
@@ -191,6 +193,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             ExitStatus::Usage,
             "the latency is measured on the camera's trigger, output 1",
         )
+        .next_step("leave --output out")
         .into());
     }
     let board = args.port.open()?;

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::image::write_whole;
 use super::report::Report;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::profile::{Learnt, ProfileError};
 use crate::record::learn::{REPEATABILITY, into_profile as edited};
 
@@ -57,7 +57,20 @@ impl From<LearnError> for Failure {
             LearnError::Profile(_) => ExitStatus::Usage,
             _ => ExitStatus::Refused,
         };
-        Self::new(status, error.to_string())
+        let step = match &error {
+            LearnError::NoFrames => {
+                "extract the recording with the phone's files beside it, or name them with --phone"
+            }
+            LearnError::TooLittle { .. } => {
+                "learn from a recording in which the rig was moved for a minute or more, with the \
+                 phone's gyroscope file"
+            }
+            LearnError::Profile(_) => {
+                "`smartdepthsync profile init rig.toml` writes a profile to start from"
+            }
+            LearnError::Io { error, .. } => file_step(error.kind()),
+        };
+        Self::new(status, error.to_string()).next_step(step)
     }
 }
 

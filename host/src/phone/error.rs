@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::answer::{MalformedAnswer, ServerVersion};
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, file_step};
 
 /// An error of the phone client: what was expected and what came.
 /// [`PhoneError::next_step`] says what to do.
@@ -191,14 +191,10 @@ impl PhoneError {
             }
             Self::Unrequested { .. } => "connect again, and see that nothing else talks to the app",
             Self::TargetExists { .. } => "choose another place with --out, or give --overwrite",
-            Self::File { source, .. } => {
-                return match source.kind() {
-                    std::io::ErrorKind::StorageFull => Some("free some space on this disk"),
-                    _ => None,
-                };
-            }
+            Self::File { source, .. } => file_step(source.kind()),
             Self::NotConnected => "connect again",
-            Self::Argument(_) | Self::Cancelled { .. } => return None,
+            Self::Argument(_) => "`smartdepthsync help phone` says what is accepted",
+            Self::Cancelled { .. } => "run the command again when you are ready",
         })
     }
 

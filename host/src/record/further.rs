@@ -134,7 +134,10 @@ fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<O
 }
 
 fn start_lidar(rig: &mut Rig<'_>, lidar: &Lidar) -> Result<(), Stop> {
-    let usage = |text: String| Stop::from(Failure::new(ExitStatus::Usage, text));
+    let usage = |text: String| {
+        let failure = Failure::new(ExitStatus::Usage, text);
+        Stop::from(failure.next_step("set `[lidar]` of the rig profile, and this computer's clock"))
+    };
     let baud = parse_baud(&lidar.baud.to_string()).map_err(usage)?;
     let wall = SystemTime::now().duration_since(UNIX_EPOCH);
     let (ticks, round_trip) = rig.call(Board::ping)?;

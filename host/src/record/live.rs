@@ -11,6 +11,7 @@ use protocol::{DeviceToHost, TICK_HZ, Ticks};
 use super::rig::free_space;
 use crate::cli::Context;
 use crate::imu::Scale;
+use crate::live_data::LiveData;
 use crate::recording::session_file::Alignment;
 use crate::sync::ClockModel;
 use crate::view::gauge::Gauge;
@@ -48,6 +49,8 @@ pub struct Live {
     pub gauge: Gauge,
     /// How long is to be recorded, ticks.
     pub length: Option<u64>,
+    /// Who looks on from elsewhere.
+    pub onlookers: Option<LiveData>,
     context: Context,
     screen: Option<Screen>,
     shown: Instant,
@@ -69,6 +72,7 @@ impl Live {
         Self {
             gauge: Gauge::default(),
             length: None,
+            onlookers: None,
             context: context.clone(),
             screen,
             shown: Instant::now(),
@@ -132,7 +136,7 @@ impl Live {
             self.look_at_disk(now, folder);
         }
         let line_is_due = now.0.abs_diff(self.said.0) >= LINE_TICKS;
-        if self.screen.is_none() && !line_is_due {
+        if self.screen.is_none() && self.onlookers.is_none() && !line_is_due {
             return;
         }
         let mut snapshot = self.gauge.snapshot(clock, alignment);
@@ -148,15 +152,19 @@ impl Live {
             _ if asks => Keys::Answer,
             _ => Keys::Look,
         };
+        if let Some(onlookers) = &self.onlookers {
+            onlookers.state(&snapshot);
+        }
         match &self.screen {
             Some(screen) => {
                 snapshot.said = self.context.said.lines();
                 screen.show(snapshot);
             }
-            None => {
+            None if line_is_due => {
                 self.said = now;
                 self.context.say(line(&snapshot));
             }
+            None => {}
         }
     }
 

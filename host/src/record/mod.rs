@@ -32,6 +32,7 @@ use protocol::TICK_HZ;
 
 use crate::board::{self, BoardError};
 use crate::cli::Context;
+use crate::live_data::FoxgloveArg;
 use crate::outcome::{Failure, Outcome};
 use crate::profile::Profile;
 use crate::recording::session_file::{SessionFile, SessionOutcome};
@@ -57,6 +58,8 @@ pub struct Options {
     pub second_twist: bool,
     /// Download the phone's video at the end.
     pub fetch_video: bool,
+    /// Live data for Foxglove, if wanted.
+    pub foxglove: FoxgloveArg,
 }
 
 /// Opens links to the board, the first time and after a loss.
@@ -137,7 +140,8 @@ pub fn run(
             return Err(Failure::new(
                 crate::outcome::ExitStatus::Interrupted,
                 "stopped before anything was recorded",
-            ));
+            )
+            .next_step("start it again when you are ready"));
         }
         Err(Stop::Failed(failure)) => return Err(failure),
     };

@@ -49,6 +49,7 @@ pub fn connect<'a>(
     context: &'a Context,
     connector: &'a mut dyn Connector,
 ) -> Result<Rig<'a>, Stop> {
+    let onlookers = options.foxglove.open(context)?;
     let link = connector.connect(None).map_err(Failure::from)?;
     let mut board = Board::connect(link).map_err(Failure::from)?;
     let wanted = profile.imu_config().map_err(Failure::from)?;
@@ -56,12 +57,13 @@ pub fn connect<'a>(
     if imu.config != wanted {
         imu = board.configure_imu(wanted).map_err(Failure::from)?;
     }
-    let scale = Scale::of(&imu)
-        .ok_or_else(|| Failure::new(ExitStatus::Error, "the board gave no scale for its IMU"))?;
+    let scale = Scale::required(&imu)?;
 
     let address = profile.phone.address.clone();
-    let phone = PhoneTask::start(address.clone())
-        .map_err(|error| Failure::new(ExitStatus::Error, format!("no thread: {error}")))?;
+    let phone = PhoneTask::start(address.clone()).map_err(|error| {
+        Failure::new(ExitStatus::Error, format!("no thread: {error}"))
+            .next_step("close other programs: the system gives no more threads")
+    })?;
     phone.ask(Request::Probe);
     let version = loop {
         match phone.answer() {
@@ -75,7 +77,10 @@ pub fn connect<'a>(
 
     let name = options.name.clone().unwrap_or_else(folder::name_for_now);
     let folder = folder::create(&options.out, &name).map_err(Failure::from)?;
-    let writer = Writer::create(&folder).map_err(Failure::from)?;
+    let mut writer = Writer::create(&folder).map_err(Failure::from)?;
+    if let Some(live) = &onlookers {
+        writer.mirror(live.clone());
+    }
     let name = folder
         .file_name()
         .map_or(name, |name| name.to_string_lossy().into_owned());
@@ -97,6 +102,7 @@ pub fn connect<'a>(
     let asks = !options.yes && !context.global.json;
     let mut live = Live::open(context, !options.plain);
     live.length = options.duration;
+    live.onlookers = onlookers;
     live.gauge.board = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let operator = match live.take_keys() {
         Some(keys) => Operator::at_keys(keys, asks),
@@ -134,7 +140,11 @@ pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
     start_trigger(rig)?;
     let video = phone_video(rig)?;
     let Some(clock) = rig.clock else {
-        return Err(Failure::new(ExitStatus::Refused, "there is no relation of the clocks").into());
+        return Err(
+            Failure::new(ExitStatus::Refused, "there is no relation of the clocks")
+                .next_step("the twist was left out or refused: record again, and twist faster")
+                .into(),
+        );
     };
     let mut alignment = align(rig, &clock, &video)?;
     confirm_arrival(rig, &mut alignment)?;
@@ -454,7 +464,11 @@ fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
         exposure_ns,
     }) = started
     else {
-        return Err(Failure::new(ExitStatus::Phone, "the phone's video was left out").into());
+        return Err(
+            Failure::new(ExitStatus::Phone, "the phone's video was left out")
+                .next_step("record again with the phone: there is nothing to align to without it")
+                .into(),
+        );
     };
     let video = Video {
         phase,
@@ -479,8 +493,10 @@ fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
 
 /// Sends the train onto the phone's frames.
 fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
-    let planned = plan(rig.profile, clock, video)
-        .map_err(|error| Failure::new(ExitStatus::Refused, error.to_string()))?;
+    let planned = plan(rig.profile, clock, video).map_err(|error| {
+        Failure::new(ExitStatus::Refused, error.to_string())
+            .next_step("set the profile's values to the camera's mode, or twist longer")
+    })?;
     for remark in &planned.remarks {
         rig.tell(Severity::Info, "align", remark)?;
     }
@@ -567,11 +583,13 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     let how_long = options.duration.map_or(String::new(), |ticks| {
         format!(" for {:.0} s", ticks as f64 / f64::from(TICK_HZ))
     });
-    rig.tell(
-        Severity::Info,
-        "recording",
-        &format!("recording{how_long}; Enter sets a mark, Ctrl-C stops"),
-    )?;
+    let keys = if rig.context.said.is_diverted() {
+        "m sets a mark, q stops"
+    } else {
+        "Enter sets a mark, Ctrl-C stops"
+    };
+    let text = format!("recording{how_long}; {keys}");
+    rig.tell(Severity::Info, "recording", &text)?;
     rig.operator.forget_typed();
     let bar = recording_bar(rig, options.duration);
     let mut due: Vec<u64> = options.markers.clone();
@@ -704,7 +722,11 @@ fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
                 rig.tell(Severity::Info, "twist", &text)?;
                 rig.set_clock(joined, "twists at begin and end")
             }
-            _ => Err(Failure::new(ExitStatus::Refused, "the second twist was refused").into()),
+            _ => Err(
+                Failure::new(ExitStatus::Refused, "the second twist was refused")
+                    .next_step("twist again, faster and about all axes")
+                    .into(),
+            ),
         })
         .or_else(|stop| lesser(rig, "second_twist", stop))?;
     }
@@ -824,6 +846,7 @@ fn odd_answer(answer: &Answer) -> Failure {
         ExitStatus::Phone,
         format!("the phone answered something else: {answer:?}"),
     )
+    .next_step("restart the app and try again")
 }
 
 fn spinner(rig: &Rig<'_>) -> ProgressBar {

@@ -25,7 +25,7 @@ pub mod writer;
 
 use std::path::PathBuf;
 
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, file_step};
 
 /// Name of the MCAP file in the folder.
 pub const MCAP_FILE: &str = "recording.mcap";
@@ -138,6 +138,8 @@ impl From<RecordingError> for Failure {
         } else if matches!(error, RecordingError::Mcap { .. }) {
             "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
              what is wrong with one, `smartdepthsync repair` saves what can be read"
+        } else if let RecordingError::Io { source, .. } = &error {
+            file_step(source.kind())
         } else {
             "check the folder and its rights"
         };

@@ -11,6 +11,9 @@
 //! `log_time` and `publish_time` are board time in nanoseconds. Ticks of 20.83 ns
 //! round to different nanoseconds, so `round(ns · 6 / 125)` gives them back
 //! exactly.
+//!
+//! What a message becomes, and on which topic, is in [`Topics`]; where it goes is an
+//! [`Output`]: the file here, or a viewer that listens live.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -29,6 +32,7 @@ use super::messages::{
 };
 use super::{MCAP_FILE, RecordingError, topic};
 use crate::imu::Sample;
+use crate::live_data::LiveData;
 use crate::sync::ClockModel as ClockRelation;
 use crate::time::PhoneNanos;
 
@@ -49,21 +53,35 @@ struct Channel {
 }
 
 /// The kinds of messages, as indices of channels.
-#[derive(Clone, Copy, Debug)]
-enum Kind {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// [`topic::IMU`].
     Imu,
+    /// [`topic::TEMPERATURE`].
     Temperature,
+    /// [`topic::TRIGGER`].
     Trigger,
+    /// [`topic::PULSE`].
     Pulse,
+    /// [`topic::STROBE`].
     Strobe,
+    /// [`topic::CAPTURE`].
     Capture,
+    /// [`topic::STATUS`].
     Status,
+    /// [`topic::LINK`].
     Link,
+    /// [`topic::CLOCK`].
     Clock,
+    /// [`topic::MARKER`].
     Marker,
+    /// [`topic::HOST_TIME`].
     HostTime,
+    /// [`topic::LOG`].
     Log,
+    /// [`topic::OUTPUT`].
     Output,
+    /// [`topic::GNSS`].
     Gnss,
 }
 
@@ -78,8 +96,24 @@ pub enum Severity {
     Error,
 }
 
+/// Where the messages of the topics go.
+pub trait Output {
+    /// Takes the CDR form of a message.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be kept.
+    fn put(&mut self, kind: Kind, at: Ticks, data: &[u8]) -> Result<(), RecordingError>;
+}
+
+/// What the board and the session say, as ROS 2 messages on their topics.
+pub struct Topics<O>(O);
+
+/// Writes a recording's file.
+pub type Writer = Topics<McapFile>;
+
 /// The file that is being written.
-pub struct Writer {
+pub struct McapFile {
     mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
     file: File,
     path: PathBuf,
@@ -88,6 +122,7 @@ pub struct Writer {
     chunk_since: Instant,
     synced: Instant,
     dirty: bool,
+    mirror: Option<LiveData>,
 }
 
 impl Writer {
@@ -110,7 +145,7 @@ impl Writer {
             .map_err(|source| mcap_error(&path, source))?;
         let channels = make_channels(&mut mcap).map_err(|source| mcap_error(&path, source))?;
         let now = Instant::now();
-        let mut writer = Self {
+        let mut file = McapFile {
             mcap,
             file: copy,
             path,
@@ -119,9 +154,56 @@ impl Writer {
             chunk_since: now,
             synced: now,
             dirty: true,
+            mirror: None,
         };
-        writer.flush()?;
-        Ok(writer)
+        file.flush()?;
+        Ok(Self(file))
+    }
+
+    /// Shows everything that is written from here on to those who look on live.
+    pub fn mirror(&mut self, to: LiveData) {
+        self.0.mirror = Some(to);
+    }
+
+    /// Closes the chunk if it has waited long enough. Call it when nothing comes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Topics::imu`].
+    pub fn tick(&mut self) -> Result<(), RecordingError> {
+        if self.0.dirty && self.0.chunk_since.elapsed() >= CHUNK_TIME {
+            self.0.flush()?;
+        }
+        Ok(())
+    }
+
+    /// Closes the chunk and hands it to the system.
+    ///
+    /// # Errors
+    ///
+    /// As [`Topics::imu`].
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
+        self.0.flush()
+    }
+
+    /// Writes index and end of the file and pushes it to the disk.
+    ///
+    /// # Errors
+    ///
+    /// As [`Topics::imu`].
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        self.0
+            .mcap
+            .finish()
+            .map_err(|source| mcap_error(&self.0.path, source))?;
+        self.0.sync()
+    }
+}
+
+impl<O: Output> Topics<O> {
+    /// Into this output.
+    pub const fn new(output: O) -> Self {
+        Self(output)
     }
 
     /// An IMU sample.
@@ -160,7 +242,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn pulse(
         &mut self,
         pulse: &protocol::Pulse,
@@ -186,7 +268,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn output_pulse(
         &mut self,
         pulse: &protocol::Pulse,
@@ -212,7 +294,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn pps(&mut self, pps: &protocol::Pps) -> Result<(), RecordingError> {
         self.put(
             Kind::Gnss,
@@ -229,7 +311,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn capture(
         &mut self,
         capture: &protocol::Capture,
@@ -257,7 +339,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn status(
         &mut self,
         status: &protocol::Status,
@@ -284,7 +366,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn marker(
         &mut self,
         at: Ticks,
@@ -298,7 +380,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn clock_model(
         &mut self,
         at: Ticks,
@@ -325,7 +407,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn log(
         &mut self,
         at: Ticks,
@@ -357,7 +439,7 @@ impl Writer {
     ///
     /// # Errors
     ///
-    /// As [`Writer::imu`].
+    /// As [`Topics::imu`].
     pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
         self.put(
             Kind::Link,
@@ -367,57 +449,6 @@ impl Writer {
                 data: frame,
             },
         )
-    }
-
-    /// Closes the chunk if it has waited long enough. Call it when nothing comes.
-    ///
-    /// # Errors
-    ///
-    /// As [`Writer::imu`].
-    pub fn tick(&mut self) -> Result<(), RecordingError> {
-        if self.dirty && self.chunk_since.elapsed() >= CHUNK_TIME {
-            self.flush()?;
-        }
-        Ok(())
-    }
-
-    /// Closes the chunk and hands it to the system.
-    ///
-    /// # Errors
-    ///
-    /// As [`Writer::imu`].
-    pub fn flush(&mut self) -> Result<(), RecordingError> {
-        self.mcap
-            .flush()
-            .map_err(|source| mcap_error(&self.path, source))?;
-        self.chunk_from = None;
-        self.chunk_since = Instant::now();
-        self.dirty = false;
-        if self.synced.elapsed() >= SYNC_TIME {
-            self.sync()?;
-        }
-        Ok(())
-    }
-
-    /// Writes index and end of the file and pushes it to the disk.
-    ///
-    /// # Errors
-    ///
-    /// As [`Writer::imu`].
-    pub fn finish(mut self) -> Result<(), RecordingError> {
-        self.mcap
-            .finish()
-            .map_err(|source| mcap_error(&self.path, source))?;
-        self.sync()
-    }
-
-    fn sync(&mut self) -> Result<(), RecordingError> {
-        self.synced = Instant::now();
-        self.file.sync_data().map_err(|source| RecordingError::Io {
-            action: "write",
-            path: self.path.clone(),
-            source,
-        })
     }
 
     fn time_reference(
@@ -448,6 +479,36 @@ impl Writer {
             topic: M::TYPE.to_owned(),
             source,
         })?;
+        self.0.put(kind, at, &data)
+    }
+}
+
+impl McapFile {
+    fn flush(&mut self) -> Result<(), RecordingError> {
+        self.mcap
+            .flush()
+            .map_err(|source| mcap_error(&self.path, source))?;
+        self.chunk_from = None;
+        self.chunk_since = Instant::now();
+        self.dirty = false;
+        if self.synced.elapsed() >= SYNC_TIME {
+            self.sync()?;
+        }
+        Ok(())
+    }
+
+    fn sync(&mut self) -> Result<(), RecordingError> {
+        self.synced = Instant::now();
+        self.file.sync_data().map_err(|source| RecordingError::Io {
+            action: "write",
+            path: self.path.clone(),
+            source,
+        })
+    }
+}
+
+impl Output for McapFile {
+    fn put(&mut self, kind: Kind, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
         let nanos = at.as_nanos();
         if let Some(channel) = self.channels.get_mut(kind as usize) {
             let header = MessageHeader {
@@ -458,7 +519,7 @@ impl Writer {
             };
             channel.sequence = channel.sequence.wrapping_add(1);
             self.mcap
-                .write_to_known_channel(&header, &data)
+                .write_to_known_channel(&header, data)
                 .map_err(|source| mcap_error(&self.path, source))?;
         }
         self.dirty = true;
@@ -466,7 +527,10 @@ impl Writer {
         if at.0.abs_diff(from.0) >= CHUNK_TICKS || self.chunk_since.elapsed() >= CHUNK_TIME {
             self.flush()?;
         }
-        Ok(())
+        match &mut self.mirror {
+            Some(mirror) => mirror.put(kind, at, data),
+            None => Ok(()),
+        }
     }
 }
 
@@ -500,34 +564,52 @@ pub(crate) fn known_channels() -> Result<mcap::Summary, mcap::McapError> {
     mcap.finish()
 }
 
+/// A topic and what is on it.
+pub(crate) struct Description {
+    /// Its name.
+    pub(crate) topic: &'static str,
+    /// The type of its messages.
+    pub(crate) name: &'static str,
+    /// The type's schema.
+    pub(crate) schema: String,
+}
+
+/// The topics in the order of [`Kind`].
+pub(crate) fn descriptions() -> [Description; 14] {
+    fn of<M: RosMessage>(topic: &'static str) -> Description {
+        Description {
+            topic,
+            name: M::TYPE,
+            schema: M::schema(),
+        }
+    }
+    [
+        of::<Imu>(topic::IMU),
+        of::<Temperature>(topic::TEMPERATURE),
+        of::<TimeReference>(topic::TRIGGER),
+        of::<Pulse>(topic::PULSE),
+        of::<TimeReference>(topic::STROBE),
+        of::<Capture>(topic::CAPTURE),
+        of::<DiagnosticArray>(topic::STATUS),
+        of::<LinkFrame>(topic::LINK),
+        of::<ClockModel>(topic::CLOCK),
+        of::<TimeReference>(topic::MARKER),
+        of::<TimeReference>(topic::HOST_TIME),
+        of::<Log>(topic::LOG),
+        of::<Pulse>(topic::OUTPUT),
+        of::<TimeReference>(topic::GNSS),
+    ]
+}
+
 fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
 ) -> Result<[Channel; 14], mcap::McapError> {
-    fn channel<M: RosMessage, W: Write + Seek>(
-        mcap: &mut mcap::Writer<W>,
-        topic: &str,
-    ) -> Result<Channel, mcap::McapError> {
-        let schema = mcap.add_schema(M::TYPE, "ros2msg", M::schema().as_bytes())?;
-        let id = mcap.add_channel(schema, topic, "cdr", &BTreeMap::new())?;
-        Ok(Channel { id, sequence: 0 })
+    let mut channels = [Channel::default(); 14];
+    for (channel, described) in channels.iter_mut().zip(descriptions()) {
+        let schema = mcap.add_schema(described.name, "ros2msg", described.schema.as_bytes())?;
+        channel.id = mcap.add_channel(schema, described.topic, "cdr", &BTreeMap::new())?;
     }
-    // In the order of `Kind`.
-    Ok([
-        channel::<Imu, W>(mcap, topic::IMU)?,
-        channel::<Temperature, W>(mcap, topic::TEMPERATURE)?,
-        channel::<TimeReference, W>(mcap, topic::TRIGGER)?,
-        channel::<Pulse, W>(mcap, topic::PULSE)?,
-        channel::<TimeReference, W>(mcap, topic::STROBE)?,
-        channel::<Capture, W>(mcap, topic::CAPTURE)?,
-        channel::<DiagnosticArray, W>(mcap, topic::STATUS)?,
-        channel::<LinkFrame, W>(mcap, topic::LINK)?,
-        channel::<ClockModel, W>(mcap, topic::CLOCK)?,
-        channel::<TimeReference, W>(mcap, topic::MARKER)?,
-        channel::<TimeReference, W>(mcap, topic::HOST_TIME)?,
-        channel::<Log, W>(mcap, topic::LOG)?,
-        channel::<Pulse, W>(mcap, topic::OUTPUT)?,
-        channel::<TimeReference, W>(mcap, topic::GNSS)?,
-    ])
+    Ok(channels)
 }
 
 fn stamp(at: Ticks) -> Time {

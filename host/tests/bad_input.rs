@@ -1,0 +1,385 @@
+//! Bad input of every command: the exit code, a message that names what is wrong, and
+//! a next step that fits.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use clap::CommandFactory as _;
+use serde_json::Value;
+use smartdepthsync::cli::Cli;
+
+/// A command line, its exit code, and a word of the message and of the next step.
+type Case = (&'static str, i32, &'static str, &'static str);
+
+/// In a folder with the files that [`files`] makes.
+const CASES: &[Case] = &[
+    // Boards that are not there, and ports that are none.
+    (
+        "info --port /no/such/port",
+        5,
+        "/no/such/port",
+        "smartdepthsync ports",
+    ),
+    ("info --port text.txt", 8, "text.txt", "serial port"),
+    (
+        "imu --port /no/such/port",
+        5,
+        "/no/such/port",
+        "smartdepthsync ports",
+    ),
+    (
+        "monitor --port /no/such/port",
+        5,
+        "/no/such/port",
+        "smartdepthsync ports",
+    ),
+    (
+        "monitor --foxglove 192.0.2.1:1",
+        1,
+        "192.0.2.1",
+        "an address of this computer",
+    ),
+    (
+        "trigger start --port /no/such/port",
+        5,
+        "/no/such/port",
+        "smartdepthsync ports",
+    ),
+    (
+        "trigger start --first-edge 9 --first-fraction 5",
+        2,
+        "outputs 2 to 4",
+        "--output",
+    ),
+    (
+        "trigger align --anchor 5 --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    ("trigger period", 2, "--fps", "trigger period --fps 30"),
+    (
+        "trigger latency --output 2",
+        2,
+        "output 1",
+        "leave --output out",
+    ),
+    (
+        "trigger stop --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    (
+        "trigger status --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    (
+        "gnss start --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    (
+        "gnss stop --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    (
+        "gnss status --port /no/such/port",
+        5,
+        "/no/such/port",
+        "ports",
+    ),
+    // Phones.
+    (
+        "phone imu --phone 127.0.0.1:1",
+        12,
+        "127.0.0.1:1",
+        "remote control",
+    ),
+    (
+        "phone imu --phone 127.0.0.1:1 --no-gyro",
+        2,
+        "sensor",
+        "help phone",
+    ),
+    (
+        "phone start --phone 127.0.0.1:1",
+        12,
+        "127.0.0.1:1",
+        "remote control",
+    ),
+    (
+        "phone stop --phone 127.0.0.1:port",
+        2,
+        "127.0.0.1:port",
+        "<host>:<port>",
+    ),
+    (
+        "phone get-video --phone 127.0.0.1:1",
+        12,
+        "127.0.0.1:1",
+        "remote control",
+    ),
+    // Sessions.
+    ("record --port /no/such/port", 5, "/no/such/port", "ports"),
+    (
+        "record --profile nothing.toml",
+        13,
+        "nothing.toml",
+        "profile init",
+    ),
+    ("record --profile text.txt", 2, "text.txt", "profile init"),
+    (
+        "record --profile wrong.toml",
+        2,
+        "no_such_key",
+        "profile init",
+    ),
+    // Files of two gyroscopes.
+    (
+        "offset --mcu nothing.csv --phone gyro.csv",
+        13,
+        "nothing.csv",
+        "check the path",
+    ),
+    (
+        "offset --mcu gyro.csv --phone folder",
+        13,
+        "folder",
+        "this is a folder",
+    ),
+    (
+        "offset --mcu gyro.csv --phone text.txt",
+        1,
+        "text.txt",
+        "x,y,z,nanoseconds",
+    ),
+    (
+        "offset --mcu gyro.csv --phone binary.bin",
+        1,
+        "no text",
+        "x,y,z,nanoseconds",
+    ),
+    (
+        "offset --mcu empty.csv --phone gyro.csv",
+        1,
+        "empty.csv",
+        "CSV",
+    ),
+    // Videos.
+    (
+        "evaluate precision nothing.mp4",
+        13,
+        "nothing.mp4",
+        "check the path",
+    ),
+    (
+        "evaluate precision text.txt",
+        13,
+        "text.txt",
+        "give a video",
+    ),
+    (
+        "evaluate precision folder --region 1,2",
+        2,
+        "X,Y,WIDTH,HEIGHT",
+        "help COMMAND",
+    ),
+    (
+        "evaluate precision text.txt --calibrate nothing.toml",
+        1,
+        "nothing.toml",
+        "profile init",
+    ),
+    (
+        "evaluate drift nothing.mp4",
+        13,
+        "nothing.mp4",
+        "check the path",
+    ),
+    ("evaluate drift text.txt", 13, "text.txt", "give a video"),
+    ("evaluate drift folder", 13, "no images", "png"),
+    // Profiles.
+    ("profile init text.txt", 13, "text.txt", "not taken"),
+    (
+        "profile init no/such/folder/rig.toml",
+        13,
+        "no/such",
+        "check the path",
+    ),
+    (
+        "profile check nothing.toml",
+        13,
+        "nothing.toml",
+        "profile init",
+    ),
+    ("profile check wrong.toml", 2, "no_such_key", "profile init"),
+    (
+        "profile learn nothing.toml --recording folder --timestamps gyro.csv",
+        13,
+        "nothing.toml",
+        "check the path",
+    ),
+    (
+        "profile learn wrong.toml --recording nothing --timestamps gyro.csv",
+        13,
+        "nothing",
+        "check the",
+    ),
+    // Recordings.
+    ("extract nothing", 13, "nothing", "a bag"),
+    ("extract folder", 2, "recording.mcap", "`record` made"),
+    ("extract broken.mcap", 13, "broken.mcap", "copied in full"),
+    (
+        "extract broken.mcap --out folder/text",
+        2,
+        "not empty",
+        "--out",
+    ),
+    ("verify nothing", 13, "nothing", "check the"),
+    ("verify folder", 13, "folder", "check the"),
+    ("verify broken.mcap", 13, "broken.mcap", "repair"),
+    ("report nothing", 13, "nothing", "check the"),
+    ("report folder", 13, "session.json", "check the"),
+    ("repair nothing new", 13, "nothing", "check the"),
+    ("repair broken.mcap text.txt", 13, "text.txt", "not taken"),
+    ("repair broken.mcap new.mcap", 13, "broken.mcap", "verify"),
+    // The rest.
+    ("man text.txt/man1", 13, "text.txt", "write to"),
+];
+
+/// Commands that cannot fail by what they are given, beyond the command line.
+const HARMLESS: [&str; 3] = ["ports", "completions", "doctor"];
+
+fn files(folder: &Path) {
+    let write = |name: &str, text: &[u8]| fs::write(folder.join(name), text).unwrap();
+    write("text.txt", b"This is a text.\nIt has two lines.\n");
+    write("binary.bin", &[0xFF, 0xFE, 0, 1, 2, 3, 0x80]);
+    write("empty.csv", b"");
+    write("broken.mcap", b"this is no recording at all");
+    write("wrong.toml", b"[phone]\nno_such_key = 1\n");
+    let mut gyro = String::from("t,x,y,z\n");
+    for k in 0..400 {
+        gyro.push_str(&format!("{},0.1,0.2,0.3\n", f64::from(k) * 0.002));
+    }
+    write("gyro.csv", gyro.as_bytes());
+    fs::create_dir_all(folder.join("folder/text")).unwrap();
+    write("folder/text/notes", b"notes");
+}
+
+fn run(folder: &Path, arguments: &[&str]) -> Output {
+    let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(arguments)
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+    output
+}
+
+#[test]
+fn bad_input_of_every_command_has_a_next_step_that_fits() {
+    let folder = tempfile::tempdir().unwrap();
+    files(folder.path());
+    let mut wrong = Vec::new();
+    for &(line, code, message, step) in CASES {
+        let mut arguments = vec!["--json"];
+        arguments.extend(line.split(' '));
+        let output = run(folder.path(), &arguments);
+        let error = serde_json::from_slice::<Value>(&output.stdout).unwrap_or_default();
+        let error = &error["error"];
+        let text = |key: &str| error[key].as_str().unwrap_or_default().to_owned();
+        if output.status.code() != Some(code)
+            || !text("message").contains(message)
+            || !text("next_step").contains(step)
+            || error["exit_code"] != code
+        {
+            wrong.push(format!(
+                "{line}\n  expected {code}: …{message}… / …{step}…\n  found {:?}: {error}",
+                output.status.code()
+            ));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn no_command_is_left_out_and_a_wrong_option_names_the_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cli = Cli::command();
+    cli.build();
+    let mut leaves = Vec::new();
+    leaf_commands(&cli, &mut Vec::new(), &mut leaves);
+    assert!(leaves.len() > 20, "{leaves:?}");
+    for leaf in &leaves {
+        let tried = CASES.iter().any(|(line, ..)| {
+            line.strip_prefix(leaf.as_str())
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+        });
+        assert!(
+            tried || HARMLESS.contains(&leaf.as_str()),
+            "no bad input of `{leaf}`"
+        );
+        let mut arguments: Vec<&str> = leaf.split(' ').collect();
+        arguments.push("--no-such-option");
+        let output = run(folder.path(), &arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{leaf}: {said}");
+        assert!(
+            said.contains("--no-such-option") && said.contains("--help"),
+            "{said}"
+        );
+    }
+}
+
+fn leaf_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Vec<String>) {
+    let below: Vec<_> = command
+        .get_subcommands()
+        .filter(|below| below.get_name() != "help")
+        .collect();
+    if below.is_empty() {
+        found.push(path.join(" "));
+    }
+    for command in below {
+        path.push(command.get_name().to_owned());
+        leaf_commands(command, path, found);
+        path.pop();
+    }
+}
+
+#[test]
+fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
+    let folder = tempfile::tempdir().unwrap();
+    files(folder.path());
+    let output = run(
+        folder.path(),
+        &[
+            "--json",
+            "doctor",
+            "--port",
+            "/no/such/port",
+            "--phone",
+            "127.0.0.1:1",
+        ],
+    );
+    assert_eq!(output.status.code(), Some(5), "{output:?}");
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let checks = found["checks"].as_array().unwrap();
+    let bad: Vec<_> = checks
+        .iter()
+        .filter(|check| check["verdict"] != "good")
+        .collect();
+    assert!(bad.len() >= 2, "{found:#}");
+    for check in bad {
+        let step = check["next_step"].as_str().unwrap_or_default();
+        assert!(step.len() > 10, "{check}");
+    }
+}
