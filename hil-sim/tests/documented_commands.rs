@@ -126,7 +126,7 @@ fn options_that_stand_by_themselves_are_in_a_help() {
     xtask().all_options(&mut known);
     Help::read(support::smartdepthsync(), &mut Vec::new()).all_options(&mut known);
     // Of cargo and of the shell's tools.
-    let others = ["locked", "no-default-features", "features"];
+    let others = ["locked", "no-default-features"];
     let mut checked = 0;
     let mut wrong = Vec::new();
     for (page, text) in pages() {
