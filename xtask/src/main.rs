@@ -222,6 +222,17 @@ fn check(no_book: bool) -> Result<()> {
         "-D",
         "warnings",
     ])?;
+    // As a lean build has it.
+    process::cargo([
+        "clippy",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "--no-default-features",
+        "--",
+        "-D",
+        "warnings",
+    ])?;
     firmware::clippy()?;
     dependencies::check()?;
     if no_book {
