@@ -10,6 +10,7 @@ use std::path::Path;
 use hil_sim::demo::judge::Truth;
 use hil_sim::mpu9150::SampleRecord;
 use serde_json::Value;
+use smartdepthsync::record::preflight::Verdict;
 use smartdepthsync::recording::MCAP_FILE;
 use smartdepthsync::recording::reader::{Item, Reader};
 use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
@@ -35,6 +36,22 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     assert_eq!(session.outcome, Some(SessionOutcome::Good));
     assert_eq!(session.counts.lost(), 0);
     assert!(session.problems.is_empty());
+    // Both sides were looked at before, and all of them were in order.
+    let looked: Vec<&str> = session.preflight.iter().map(|c| c.name.as_str()).collect();
+    for name in [
+        "disk",
+        "ffmpeg",
+        "board",
+        "phone",
+        "IMU",
+        "IMU clock",
+        "IMU noise",
+        "link",
+    ] {
+        assert!(looked.contains(&name), "{name} is missing in {looked:?}");
+    }
+    assert_eq!(looked.last(), Some(&"trigger read-back"));
+    assert!(session.preflight.iter().all(|c| c.verdict != Verdict::Bad));
     assert_eq!(session.markers.len(), 2);
     let span = session.recorded.unwrap();
     let seconds = (span.to - span.from).as_secs_f64();

@@ -7,11 +7,13 @@
 mod support;
 mod whole_rig;
 
+use std::io::Write as _;
 use std::process::Command;
 
 use hil_sim::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
+use smartdepthsync::record::preflight::Verdict;
 use smartdepthsync::recording::reader::{Item, Reader};
 use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 use support::smartdepthsync;
@@ -22,6 +24,7 @@ use whole_rig::{Session, WholeRig};
 const SPEED: f64 = 10.0;
 
 // Exit codes, as docs/exit-codes.md has them.
+const REFUSED: i32 = 3;
 const LOSS: i32 = 4;
 const NO_PORT: i32 = 5;
 const LINK_LOST: i32 = 11;
@@ -31,7 +34,8 @@ const DEPTH_RECORDER: i32 = 14;
 const INTERRUPTED: i32 = 130;
 
 /// What a session says when it comes into a state.
-const STATES: [&str; 5] = [
+const STATES: [&str; 6] = [
+    "recording into",
     "twist 1: twist now",
     "the trigger runs",
     "the phone records",
@@ -154,12 +158,15 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
         // From here on the board records on: the phone is missed when it is to
         // be stopped.
         ("the phone records", LOSS, SessionOutcome::Loss),
+        ("aligning:", LOSS, SessionOutcome::Loss),
         ("recording for", LOSS, SessionOutcome::Loss),
         ("twist 2: twist now", LOSS, SessionOutcome::Loss),
     ] {
         let name = state.replace(|c: char| !c.is_ascii_alphanumeric(), "_");
         let arguments = ["--duration", "2s", "--second-twist"];
-        let mut session = Session::start(&mut rig.record(&name, &arguments));
+        // The slow way to the grid, so that it lasts.
+        let profile = rig.profile().replace("slew_us = 1000", "slew_us = 100");
+        let mut session = Session::start(&mut rig.record_with(&name, &profile, &arguments));
         session.wait_for(state);
         rig.wait_ms(100);
         rig.phone().leave_network();
@@ -256,6 +263,74 @@ fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
 }
 
 #[test]
+fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
+    let rig = WholeRig::new(10, SPEED);
+    let arguments = ["--duration", "60s", "--link-patience", "2s"];
+    let mut session = Session::start(&mut rig.record("never", &arguments));
+    session.wait_for("recording for");
+    rig.wait_ms(3_000);
+    rig.rig.unplug();
+    let unplugged = rig.rig.now().as_secs_f64();
+    let said = session.ends_with(LINK_LOST);
+    assert!(said.contains("did not come back within 2 s"), "{said}");
+    assert!(said.contains("check the USB cable"), "{said}");
+    let file = readable(&rig, "never", SessionOutcome::Failed);
+    assert!(problems(&file).contains(&"link_lost"));
+    assert!(!rig.phone().is_recording());
+    // All that had come is there.
+    let last = Reader::open(&rig.recording("never"))
+        .unwrap()
+        .filter_map(|entry| entry.ok())
+        .filter(|entry| matches!(entry.item, Item::Imu(_)))
+        .last()
+        .unwrap();
+    let missing = unplugged - last.at.as_secs_f64();
+    assert!(missing < 1.0, "{missing}");
+
+    // A phone that is away at once is asked for again by whoever is there, and
+    // left by them.
+    rig.rig.plug();
+    rig.phone().leave_network();
+    let mut command = rig.record("asked", &[]);
+    let arguments: Vec<_> = command
+        .get_args()
+        .filter(|a| *a != "--yes")
+        .map(ToOwned::to_owned)
+        .collect();
+    command = Command::new(command.get_program());
+    command.args(arguments);
+    let (mut session, mut keys) = Session::at_keys(&mut command);
+    session.wait_for("[Enter] or [r] try again");
+    rig.phone().join_network().unwrap();
+    keys.write_all(b"\n").unwrap();
+    session.wait_for("recording into");
+    session.wait_for("[Enter] to begin");
+    keys.write_all(b"q\n").unwrap();
+    session.ends_with(INTERRUPTED);
+    readable(&rig, "asked", SessionOutcome::Interrupted);
+}
+
+#[test]
+fn what_is_bad_before_a_recording_ends_it_and_says_what_to_do() {
+    let rig = WholeRig::with(13, SPEED, |config, _| config.imu = None);
+    let said = Session::start(&mut rig.record("no_imu", &["--duration", "2s"])).ends_with(REFUSED);
+    assert!(said.contains("IMU: no samples"), "{said}");
+    assert!(said.contains("check its wiring"), "{said}");
+    assert!(!said.contains("twist 1"), "{said}");
+    let file = SessionFile::load(&rig.recording("no_imu")).unwrap();
+    assert_eq!(file.outcome, Some(SessionOutcome::Failed));
+    let verdict = |name: &str| {
+        let check = file.preflight.iter().find(|check| check.name == name);
+        check.unwrap_or_else(|| panic!("{name}")).verdict
+    };
+    assert_eq!(verdict("IMU"), Verdict::Bad);
+    assert_eq!(verdict("disk"), Verdict::Good);
+    assert_eq!(verdict("constant bias"), Verdict::Warning);
+    assert_eq!(verdict("phone"), Verdict::Good);
+    all_is_stopped(&rig, "no IMU");
+}
+
+#[test]
 fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
     let rig = WholeRig::new(8, SPEED);
     // The system refuses to let a file grow beyond 512 kB, as a full disk does.
@@ -285,6 +360,8 @@ fn the_depth_recorder_is_started_watched_and_stopped() {
     let mut command = rig.record_with("none", &none, &["--duration", "2s"]);
     let said = Session::start(&mut command).ends_with(DEPTH_RECORDER);
     assert!(said.contains("no-such-depth-recorder"), "{said}");
+    // It is said before anybody has twisted anything.
+    assert!(!said.contains("twist 1"), "{said}");
     readable(&rig, "none", SessionOutcome::Failed);
     all_is_stopped(&rig, "none");
 

@@ -55,6 +55,8 @@ use crate::time::SimDuration;
 use plan::{Fault, Plan};
 use scene::{Delivered, Report, Stage, imu_is_well, time_of};
 
+/// How long the session waits for a lost link: its default.
+const LINK_PATIENCE: Duration = Duration::from_secs(60);
 /// Width of a pulse: 12 µs.
 const WIDTH: u32 = 12 * (TICK_HZ / 1_000_000);
 /// The period that a phone reports for 30 frames a second, in picoseconds.
@@ -195,6 +197,7 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         phone: PhoneTask::start("127.0.0.1:1".to_owned()).map_err(|error| error.to_string())?,
         operator: Operator::absent(),
         live: Live::open(&context, false),
+        link_patience: LINK_PATIENCE,
         writer,
         folder: recording.clone(),
         file: SessionFile::new(format!("seed-{}", plan.seed), profile.clone()),
@@ -205,6 +208,8 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         out: folder.to_path_buf(),
         name: None,
         duration: None,
+        own_profile: true,
+        link_patience: LINK_PATIENCE,
         plain: true,
         yes: true,
         markers: Vec::new(),

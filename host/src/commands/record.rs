@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use protocol::TICK_HZ;
 use serde::Serialize;
@@ -39,6 +40,9 @@ pub struct Args {
     /// Ask nobody: go on where all is well, end where it is not
     #[arg(long)]
     yes: bool,
+    /// How long a lost USB link to the board is waited for, in real time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
+    link_patience: u64,
     /// Plain lines instead of the live view
     #[arg(long)]
     plain: bool,
@@ -111,6 +115,8 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         out: args.out.clone(),
         name: args.name.clone(),
         duration: args.duration,
+        own_profile: args.profile.is_some(),
+        link_patience: Duration::from_secs_f64(args.link_patience as f64 / f64::from(TICK_HZ)),
         plain: args.plain,
         yes: args.yes,
         markers: args.marker.clone(),

@@ -1,7 +1,7 @@
 //! A session, from the twist to an aligned recording.
 //!
-//! Steps, each of which can be repeated or left: connect, twist, start the
-//! trigger, start the phone's video, align, confirm the arrival, record, stop,
+//! Steps, each of which can be repeated or left: connect (with the checks of
+//! [`preflight`]), twist, start the trigger, start the phone's video, align, confirm the arrival, record, stop,
 //! second twist, fetch the video, summary ([`steps`]). From the connect on, all
 //! that the board sends is recorded ([`rig`]), so the twist is in the file too.
 //!
@@ -12,6 +12,7 @@
 //! - [`alignment`]: the arithmetic of the phase.
 //! - [`watch`]: what is watched while recording.
 //! - [`phone_task`], [`recorder`]: phone and depth recorder.
+//! - [`preflight`]: what is looked at before.
 //! - [`operator`]: the person; [`live`]: what is shown to them.
 //! - [`learn`]: what a recording teaches about the phone's clocks.
 
@@ -21,12 +22,14 @@ pub mod learn;
 pub mod live;
 pub mod operator;
 pub mod phone_task;
+pub mod preflight;
 pub mod recorder;
 pub mod rig;
 pub mod steps;
 pub mod watch;
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use protocol::TICK_HZ;
 
@@ -48,6 +51,10 @@ pub struct Options {
     pub name: Option<String>,
     /// How long to record in ticks of board time; until stopped if not given.
     pub duration: Option<u64>,
+    /// The profile is the user's own, not the published rig's.
+    pub own_profile: bool,
+    /// How long a lost link to the board is waited for, in real time.
+    pub link_patience: Duration,
     /// Plain lines even on a terminal.
     pub plain: bool,
     /// Ask nobody: go on where all is well, give up where it is not.

@@ -12,6 +12,7 @@ use protocol::{Arrived, DeviceToHost, ImuSetup, TICK_HZ, Ticks};
 use super::live::{Live, Step};
 use super::operator::Operator;
 use super::phone_task::{Answer, PhoneTask, Request};
+use super::preflight::{Checks, ImuLook};
 use super::recorder::DepthRecorder;
 use super::watch::{Finding, Watch};
 use super::{Connector, Stop};
@@ -27,10 +28,7 @@ use crate::session::Event;
 use crate::sync::ClockModel;
 use crate::transport::LinkError;
 
-/// How long a lost link is waited for.
-const RELINK_TIME: Duration = Duration::from_secs(60);
-
-/// The same while a session is being closed.
+/// How long a lost link is waited for at most while a session is being closed.
 const RELINK_TIME_CLOSING: Duration = Duration::from_secs(3);
 
 /// Pause between tries to take up a link.
@@ -92,6 +90,10 @@ pub struct Rig<'a> {
     pub clock: Option<ClockModel>,
     /// Set while recording.
     pub watch: Option<Watch>,
+    /// What was looked at before the board was listened to.
+    pub checked: Checks,
+    /// The IMU's samples, while it is checked.
+    pub look: Option<ImuLook>,
     /// Gyroscope samples, while a twist is taken.
     pub gyro: Option<Vec<(Ticks, [f64; 3])>>,
     /// The last arrival that was reported.
@@ -103,6 +105,7 @@ pub struct Rig<'a> {
     /// The session is being closed: interrupts are no reason to stop any more.
     pub closing: bool,
     scale: Scale,
+    link_patience: Duration,
     problem_seen: bool,
     last_sign: Duration,
     last_round: Instant,
@@ -124,6 +127,8 @@ pub struct Parts<'a> {
     pub imu: ImuSetup,
     /// From counts to SI units.
     pub scale: Scale,
+    /// How long a lost link is waited for.
+    pub link_patience: Duration,
     /// See [`Rig`].
     pub phone: PhoneTask,
     /// See [`Rig`].
@@ -162,12 +167,15 @@ impl<'a> Rig<'a> {
             file: parts.file,
             clock: None,
             watch: None,
+            checked: Checks::default(),
+            look: None,
             gyro: None,
             arrived: None,
             video_may_run: false,
             trigger_started: false,
             closing: false,
             scale: parts.scale,
+            link_patience: parts.link_patience,
             problem_seen: false,
             last_round: Instant::now(),
             disk_warned: false,
@@ -387,6 +395,9 @@ impl<'a> Rig<'a> {
             }
             Event::Lost { stream, count } => {
                 self.live.gauge.lost(count);
+                if let Some(look) = &mut self.look {
+                    look.gap();
+                }
                 if let Some(watch) = &mut self.watch {
                     watch.lost(stream, count, &mut self.findings);
                 }
@@ -423,6 +434,9 @@ impl<'a> Rig<'a> {
         let (at, written) = match message {
             DeviceToHost::Imu(raw) => {
                 let sample = self.scale.apply(&raw);
+                if let Some(look) = &mut self.look {
+                    look.add(&sample);
+                }
                 if let Some(gyro) = &mut self.gyro {
                     gyro.push((sample.at, sample.gyro));
                 }
@@ -560,9 +574,9 @@ impl<'a> Rig<'a> {
         // A port that fell silent but is still there is opened exclusively: by us.
         self.board.hang_up();
         let patience = if self.closing {
-            RELINK_TIME_CLOSING
+            self.link_patience.min(RELINK_TIME_CLOSING)
         } else {
-            RELINK_TIME
+            self.link_patience
         };
         loop {
             if self.context.interrupt.requested() && !self.closing {

@@ -3,13 +3,14 @@
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
+use protocol::{ImuSetup, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::alignment::{plan, skew_prior, with_known_skew};
 use super::further;
 use super::live::Live;
 use super::operator::{Choice, Operator};
 use super::phone_task::{Answer, PhoneTask, Request};
+use super::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME, Verdict};
 use super::recorder::DepthRecorder;
 use super::rig::{Parts, Rig};
 use super::watch::{Finding, Grid, Watch};
@@ -17,7 +18,7 @@ use super::{Connector, Options, Stop, seconds};
 use crate::board::Board;
 use crate::cli::Context;
 use crate::imu::Scale;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, Report};
 use crate::phone::samples::sample_line;
 use crate::phone::{PhoneSample, Sensor, VideoStart};
 use crate::profile::Profile;
@@ -37,8 +38,17 @@ const TWIST_MARGIN: u64 = TICK_HZ as u64 / 4;
 /// How much longer than planned an arrival may take, ticks.
 const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
 
+/// Both sides of a rig, once they have answered.
+struct Sides {
+    board: Board,
+    imu: ImuSetup,
+    scale: Scale,
+    phone: PhoneTask,
+    version: Option<String>,
+}
+
 /// Connects to board and phone, and makes the recording's folder once both are
-/// there.
+/// there. With somebody there it is tried as often as they want.
 ///
 /// # Errors
 ///
@@ -49,7 +59,60 @@ pub fn connect<'a>(
     context: &'a Context,
     connector: &'a mut dyn Connector,
 ) -> Result<Rig<'a>, Stop> {
-    let onlookers = options.foxglove.open(context)?;
+    // It starts a program: the board is not to be kept waiting for that later.
+    let mut checked = Checks::default();
+    checked.host(profile, options.own_profile, &options.out);
+    let asks = !options.yes && !context.global.json;
+    let mut live = Live::open(context, !options.plain);
+    live.length = options.duration;
+    live.onlookers = options.foxglove.open(context)?;
+    let operator = match live.take_keys() {
+        Some(keys) => Operator::at_keys(keys, asks),
+        None if asks => Operator::at_stdin(),
+        None => Operator::absent(),
+    };
+    let sides = loop {
+        let failure = match reach(profile, context, connector) {
+            Ok(sides) => break sides,
+            Err(Stop::Failed(failure)) if asks => failure,
+            Err(stop) => return Err(stop),
+        };
+        let report = Report::of(&failure.into());
+        context.say(format!("error: {}", report.message));
+        if let Some(next) = &report.next_step {
+            context.say(format!("  -> {next}"));
+        }
+        context.say("[Enter] or [r] try again, [q] quit");
+        let choice = loop {
+            if context.interrupt.requested() {
+                return Err(Stop::Interrupted);
+            }
+            live.show(Ticks::ZERO, &options.out, None, None, true);
+            if let Some(choice) = operator.answer() {
+                break choice;
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        };
+        if matches!(choice, Choice::Quit | Choice::Skip) {
+            let failure = Failure::new(report.status, report.message);
+            return Err(match report.next_step {
+                Some(next) => failure.next_step(next),
+                None => failure,
+            }
+            .into());
+        }
+    };
+    let mut rig = set_up(sides, operator, live, options, profile, context, connector)?;
+    rig.checked = checked;
+    Ok(rig)
+}
+
+/// Board and phone, both ready.
+fn reach(
+    profile: &Profile,
+    context: &Context,
+    connector: &mut dyn Connector,
+) -> Result<Sides, Stop> {
     let link = connector.connect(None).map_err(Failure::from)?;
     let mut board = Board::connect(link).map_err(Failure::from)?;
     let wanted = profile.imu_config().map_err(Failure::from)?;
@@ -59,8 +122,7 @@ pub fn connect<'a>(
     }
     let scale = Scale::required(&imu)?;
 
-    let address = profile.phone.address.clone();
-    let phone = PhoneTask::start(address.clone()).map_err(|error| {
+    let phone = PhoneTask::start(profile.phone.address.clone()).map_err(|error| {
         Failure::new(ExitStatus::Error, format!("no thread: {error}"))
             .next_step("close other programs: the system gives no more threads")
     })?;
@@ -74,12 +136,37 @@ pub fn connect<'a>(
             None => std::thread::sleep(Duration::from_millis(10)),
         }
     };
+    Ok(Sides {
+        board,
+        imu,
+        scale,
+        phone,
+        version,
+    })
+}
 
+/// The recording's folder with its first lines, and all that a session needs.
+fn set_up<'a>(
+    sides: Sides,
+    operator: Operator,
+    mut live: Live,
+    options: &Options,
+    profile: &'a Profile,
+    context: &'a Context,
+    connector: &'a mut dyn Connector,
+) -> Result<Rig<'a>, Stop> {
+    let Sides {
+        board,
+        imu,
+        scale,
+        phone,
+        version,
+    } = sides;
     let name = options.name.clone().unwrap_or_else(folder::name_for_now);
     let folder = folder::create(&options.out, &name).map_err(Failure::from)?;
     let mut writer = Writer::create(&folder).map_err(Failure::from)?;
-    if let Some(live) = &onlookers {
-        writer.mirror(live.clone());
+    if let Some(onlookers) = &live.onlookers {
+        writer.mirror(onlookers.clone());
     }
     let name = folder
         .file_name()
@@ -98,17 +185,11 @@ pub fn connect<'a>(
         reset_cause: hello.reset_cause,
     });
     file.imu = Some(ImuInfo { setup: imu, scale });
-    file.phone = Some(PhoneInfo { address, version });
-    let asks = !options.yes && !context.global.json;
-    let mut live = Live::open(context, !options.plain);
-    live.length = options.duration;
-    live.onlookers = onlookers;
+    file.phone = Some(PhoneInfo {
+        address: profile.phone.address.clone(),
+        version,
+    });
     live.gauge.board = protocol::usb::serial_number(&board.hello().board_id).to_string();
-    let operator = match live.take_keys() {
-        Some(keys) => Operator::at_keys(keys, asks),
-        None if asks => Operator::at_stdin(),
-        None => Operator::absent(),
-    };
     let mut rig = Rig::new(Parts {
         context,
         profile,
@@ -116,6 +197,7 @@ pub fn connect<'a>(
         board,
         imu,
         scale,
+        link_patience: options.link_patience,
         phone,
         operator,
         live,
@@ -135,9 +217,13 @@ pub fn connect<'a>(
 ///
 /// A step failed, or the user wants to stop.
 pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
+    step(rig, "the checks", |rig| preflight(rig, options))?;
     first_twist(rig)?;
     step(rig, "the depth recorder", start_depth_recorder)?;
-    start_trigger(rig)?;
+    step(rig, "the trigger", |rig| {
+        start_trigger(rig)?;
+        check_readback(rig)
+    })?;
     let video = phone_video(rig)?;
     let Some(clock) = rig.clock else {
         return Err(
@@ -179,6 +265,54 @@ pub fn close(rig: &mut Rig<'_>, options: &Options, result: Result<(), Stop>) -> 
         failed => failed,
     };
     finish(rig, result)
+}
+
+/// Looks at both sides as `doctor` does. What is not good is said, and all of it
+/// kept in the session file.
+fn preflight(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
+    let mut checks = std::mem::take(&mut rig.checked);
+    if checks.checks.is_empty() {
+        checks.host(rig.profile, options.own_profile, &options.out);
+    }
+    checks.firmware(&rig.board);
+    if let Some(PhoneInfo { address, version }) = &rig.file.phone {
+        checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
+    }
+    rig.board.start_counting();
+    rig.look = Some(ImuLook::default());
+    let until = rig.now.0.saturating_add(IMU_TIME);
+    let looked = rig.pump_until(|rig| (rig.now.0 >= until).then_some(()));
+    let look = rig.look.take().unwrap_or_default();
+    looked?;
+    checks.imu(&look, &rig.call(Board::imu)?);
+    let session = rig.board.session();
+    checks.link(session.counts().lost(), session.damaged_frames());
+    rig.file.preflight.clear();
+    found(rig, checks)
+}
+
+/// Looks whether the train that was just started comes out of the wire.
+fn check_readback(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    let until = rig.now.0.saturating_add(TRIGGER_TIME);
+    rig.pump_until(|rig| (rig.now.0 >= until).then_some(()))?;
+    let mut checks = Checks::default();
+    checks.readback(&rig.call(Board::trigger)?);
+    found(rig, checks)
+}
+
+/// Says what was found, and ends with the first of it that is bad.
+fn found(rig: &mut Rig<'_>, checks: Checks) -> Result<(), Stop> {
+    for check in &checks.checks {
+        match check.verdict {
+            Verdict::Good => {}
+            Verdict::Warning => rig.tell(Severity::Warning, "preflight", &check.line())?,
+            Verdict::Bad => rig.tell(Severity::Error, "preflight", &check.line())?,
+        }
+    }
+    let failure = checks.failure();
+    rig.file.preflight.extend(checks.checks);
+    rig.save()?;
+    failure.map_or(Ok(()), |failure| Err(failure.into()))
 }
 
 /// Twists until one passes the gates.

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::{RecordingError, SESSION_FILE};
 use crate::imu::Scale;
 use crate::profile::Profile;
+use crate::record::preflight::Check;
 use crate::session::StreamCounts;
 use crate::sync::ClockModel;
 use crate::time::PhoneNanos;
@@ -41,6 +42,9 @@ pub struct SessionFile {
     pub imu: Option<ImuInfo>,
     /// The phone's app.
     pub phone: Option<PhoneInfo>,
+    /// What was looked at before the recording, and how it was.
+    #[serde(default)]
+    pub preflight: Vec<Check>,
     /// Every twist, in order, refused ones too.
     pub twists: Vec<Twist>,
     /// The relation of the clocks that is best known.
@@ -238,6 +242,7 @@ impl SessionFile {
             board: None,
             imu: None,
             phone: None,
+            preflight: Vec::new(),
             twists: Vec::new(),
             clock: None,
             video: None,
