@@ -47,7 +47,7 @@ enum Method {
 
 #[derive(Debug, clap::Args)]
 struct CommonArgs {
-    /// Strobe train: nfov, wfov, or COUNT,PITCH_US,DURATION_US
+    /// Strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
     #[arg(long, default_value = "nfov", value_name = "TRAIN")]
     train: TrainGeometry,
     /// Degrees by which the image is turned clockwise against the sensor's read-out
@@ -466,8 +466,17 @@ fn precision_text(
 fn spread_text(text: &mut String, name: &str, s: &Spread) {
     let _ = writeln!(
         text,
-        "{name} {} recordings\n  bias       mean {:+.3} ± {:.3} µs, median {:+.3} µs",
-        s.count, s.mean_us, s.mean_sigma_us, s.median_us
+        "{name} {} recording{}\n  bias       mean {:+.3}{} µs, median {:+.3} µs",
+        s.count,
+        if s.count == 1 { "" } else { "s" },
+        s.mean_us,
+        // The published pipeline says nothing about the uncertainty of one recording.
+        if s.mean_sigma_us > 0.0 {
+            format!(" ± {:.3}", s.mean_sigma_us)
+        } else {
+            String::new()
+        },
+        s.median_us
     );
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
         (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
@@ -534,6 +543,9 @@ fn drift_text(drift: &EvaluatedDrift) -> String {
         identity_text(&r.identity),
         reference_text(r.reference),
     );
+    if let Some(window) = report::window_text(r) {
+        let _ = writeln!(text, "  window     {window}");
+    }
     if let Some(p) = &r.paper {
         let _ = writeln!(
             text,

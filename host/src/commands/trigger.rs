@@ -78,7 +78,7 @@ enum Action {
     /// Measure from the trigger's edge to the centre of exposure, with a photodiode on the
     /// strobe input (PA2) while the train runs
     Latency {
-        /// The depth mode's strobe train: nfov, wfov, or COUNT,PITCH_US,DURATION_US
+        /// The depth mode's strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
         #[arg(long, default_value = "nfov", value_name = "TRAIN")]
         train: TrainGeometry,
         /// Pulses to measure

@@ -11,6 +11,7 @@ use super::precision::middle_row;
 use super::recording::Recording;
 use super::stats::{COVERAGE_99, Line, robust_deviation};
 use super::track::{Choice, FramePoint, Track, track};
+use super::window::still;
 use super::{EvaluateError, Settings};
 
 /// Fewer frames give no regression.
@@ -59,6 +60,9 @@ pub struct Drift {
     pub bias_at_end_us: f64,
     /// Seconds from the first to the last used frame.
     pub span_s: f64,
+    /// From and to, in seconds of the recording, where the train stands still but for
+    /// its drift: found by itself, because no other was chosen and it moves outside.
+    pub window_s: Option<[f64; 2]>,
     /// Standard deviation of the frames about the line, µs.
     pub residual_sd_us: f64,
     /// Row time, µs.
@@ -104,8 +108,14 @@ pub fn evaluate(
 ) -> Result<EvaluatedDrift, EvaluateError> {
     let settings = &settings.with_session(&recording);
     let track = track(&recording, settings, Choice::All)?;
-    let mut points = track.points.clone();
+    let chosen = settings.from_s.is_some() || settings.to_s.is_some();
+    let window = if chosen { None } else { still(&track.points) };
+    let mut points = match window.clone().and_then(|w| track.points.get(w)) {
+        Some(points) => points.to_vec(),
+        None => track.points.clone(),
+    };
     let all = points.len();
+    let window_s = window.and_then(|_| Some([points.first()?.time_s, points.last()?.time_s]));
     let too_few = |found: usize| EvaluateError::TooFewFrames {
         path: recording.path.clone(),
         found,
@@ -152,7 +162,7 @@ pub fn evaluate(
         ));
     }
     let paper = with_paper
-        .then(|| paper_drift(&recording, &track, settings))
+        .then(|| paper_drift(&recording, &points, settings))
         .flatten();
     let per_minute = |v: f64| 60.0 * v;
     let allowance = if recording.encoded { ENCODED } else { 1.0 };
@@ -166,6 +176,7 @@ pub fn evaluate(
         bias_at_start_us: line.at(first),
         bias_at_end_us: line.at(last),
         span_s: last - first,
+        window_s,
         residual_sd_us: line.residual_sd,
         row_time_us: track.joint.row_time_us,
         row_time_sigma_us: track.joint.row_time_sigma_us,
@@ -193,12 +204,16 @@ fn fit(points: &[FramePoint]) -> Option<Line> {
 }
 
 /// One flash's row in every 6th frame and a straight line through it.
-fn paper_drift(recording: &Recording, track: &Track, settings: &Settings) -> Option<PaperDrift> {
+fn paper_drift(
+    recording: &Recording,
+    points: &[FramePoint],
+    settings: &Settings,
+) -> Option<PaperDrift> {
     let middle = middle_row(recording);
     let mut row_times = Vec::new();
     let mut rows: Vec<(f64, f64)> = Vec::new();
     let mut followed: Option<f64> = None;
-    let mut used = track.points.iter().map(|p| p.index).peekable();
+    let mut used = points.iter().map(|p| p.index).peekable();
     for frame in &recording.frames {
         while used.peek().is_some_and(|&i| i < frame.index) {
             used.next();

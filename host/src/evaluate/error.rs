@@ -10,7 +10,7 @@ use super::frame::Region;
 pub enum EvaluateError {
     /// Not a strobe train.
     #[error(
-        "`{0}` is not a strobe train: give `nfov`, `wfov` or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least twice the duration)"
+        "`{0}` is not a strobe train: give `nfov`, `wfov`, a depth mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US, for example 9,1575,125 (2 to 64 flashes, pitch at least twice the duration)"
     )]
     Train(String),
     /// Not a rotation.

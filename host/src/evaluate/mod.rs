@@ -58,6 +58,7 @@ pub mod stats;
 pub mod store;
 pub mod track;
 pub mod train;
+pub mod window;
 
 pub use error::EvaluateError;
 

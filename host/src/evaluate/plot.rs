@@ -167,7 +167,7 @@ fn profile_panel(
     chart
         .draw_series(LineSeries::new(points(&track.fitted_profile), FITTED))
         .map_err(plot_error)?;
-    let bias = track.joint.mean_us + path_delay_us;
+    let bias = track.shown_bias_us + path_delay_us;
     let rows = flash_rows(recording, track, train, bias);
     chart
         .draw_series(rows.iter().map(|&(number, row)| {

@@ -13,6 +13,13 @@ use super::{EvaluateError, Settings};
 /// Longest side of the picture kept for the report, pixels.
 const PICTURE_SIDE: usize = 960;
 
+/// A picture is taken of every so many frames at most: one of the last 16 frames
+/// with flashes, which a precision is measured on, is among them.
+const PICTURE_EVERY: usize = 6;
+
+/// Contrast of a picture's frame against the strongest so far.
+const PICTURE_CONTRAST: f64 = 0.7;
+
 /// A frame made smaller for the report.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Picture {
@@ -49,7 +56,7 @@ pub struct Recording {
     pub read: usize,
     /// Largest share of saturated pixels in a frame.
     pub saturated: f32,
-    /// The frame with the strongest contrast between rows.
+    /// One of the last frames with as much contrast between rows as any.
     pub picture: Picture,
     /// Whether the frames went through a video encoder.
     pub encoded: bool,
@@ -143,8 +150,10 @@ impl Recording {
             read += 1;
             saturated = saturated.max(profile.saturated);
             let contrast = contrast(&profile.rows);
-            if contrast > 1.2 * best_contrast {
-                best_contrast = contrast;
+            let first = best_contrast == 0.0;
+            best_contrast = contrast.max(best_contrast);
+            let due = first || index >= picture.index + PICTURE_EVERY;
+            if due && contrast >= PICTURE_CONTRAST * best_contrast {
                 picture = shrink(frame, index);
             }
             store.push(index, time_s, &profile);

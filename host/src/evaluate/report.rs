@@ -2,13 +2,14 @@
 
 use std::fmt::Write as _;
 use std::io::Cursor;
+use std::path::{Path, PathBuf};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::json;
 
 use super::classify::{FrameCounts, Reference};
-use super::drift::EvaluatedDrift;
+use super::drift::{Drift, EvaluatedDrift};
 use super::identity::Identity;
 use super::plot::{self, flash_rows};
 use super::precision::{Evaluated, Precision, Spread, middle_row};
@@ -16,6 +17,9 @@ use super::recording::Recording;
 use super::track::Track;
 use super::{EvaluateError, Settings};
 use crate::report::{Level, Page};
+
+/// A picture narrower than this has its labels beside it, pixels.
+const LABEL_WIDTH: usize = 300;
 
 /// Report of a precision measurement.
 pub fn precision(
@@ -47,28 +51,21 @@ pub fn precision(
     }
     page.facts(&facts);
     page.section("Recordings");
-    let mut rows: Vec<Vec<String>> = result
+    let rows: Vec<Vec<String>> = result
         .recordings
         .iter()
         .map(|r| {
             vec![
-                r.path.display().to_string(),
+                short(&r.path),
                 format!("{:.3}", r.bias_us),
                 format!("{:.3}", r.sigma_us),
                 format!("{:.2}", r.row),
                 format!("{:.4}", r.row_time_us),
-                identity_text(&r.identity),
-                counts_text(&r.frames),
+                String::from(if r.identity.unique { "decided" } else { "open" }),
+                format!("{} of {}", r.frames.used, r.frames.read),
             ]
         })
         .collect();
-    rows.extend(result.left_out.iter().map(|l| {
-        let mut row = vec![l.path.display().to_string()];
-        row.extend(std::iter::repeat_n(String::new(), 4));
-        row.push(format!("left out: {}", l.reason));
-        row.push(String::new());
-        row
-    }));
     page.table(
         &[
             "recording",
@@ -77,12 +74,24 @@ pub fn precision(
             "row",
             "row time, µs",
             "which flash",
-            "frames",
+            "frames used",
         ],
         &rows,
     );
     for r in &result.recordings {
-        notes(&mut page, &r.path.display().to_string(), &r.notes);
+        let name = short(&r.path);
+        if !r.identity.unique {
+            let open = format!(
+                "{name}: which flash is which is {}",
+                identity_text(&r.identity)
+            );
+            page.note(Level::Warning, &open);
+        }
+        notes(&mut page, &name, &r.notes);
+    }
+    for l in &result.left_out {
+        let text = format!("{} is left out: {}", l.path.display(), l.reason);
+        page.note(Level::Bad, &text);
     }
     page.section("Frame with the rows found");
     picture(&mut page, &shown.recording, &shown.track, settings)?;
@@ -105,8 +114,8 @@ fn precision_verdict(result: &Precision) -> (Level, String) {
     };
     let mut text = match &result.bias {
         Some(bias) => format!(
-            "The depth camera is exposed {:.1} ± {:.1} µs {} the middle of the phone's frame (mean \
-             of {} recordings).",
+            "The depth camera is exposed {:.1} ± {:.1} µs {} the middle of the phone's frame \
+             ({}).",
             bias.mean_us.abs(),
             bias.mean_sigma_us,
             if bias.mean_us < 0.0 {
@@ -114,19 +123,23 @@ fn precision_verdict(result: &Precision) -> (Level, String) {
             } else {
                 "after"
             },
-            bias.count
+            if bias.count == 1 {
+                String::from("one recording")
+            } else {
+                format!("mean of {} recordings", bias.count)
+            }
         ),
         None => String::from("No recording gave a bias."),
     };
     if open {
         text.push_str(
-            " Which flash is which is open: the bias may be off by whole pitches (see the table).",
+            " Which flash is which is open: the bias may be off by whole pitches (see below).",
         );
     }
     if !result.left_out.is_empty() {
         let _ = write!(
             text,
-            " {} recordings could not be used.",
+            " Left out, because it could not be used: {}.",
             result.left_out.len()
         );
     }
@@ -177,6 +190,9 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
         format!("{:.4} ± {:.4} µs", r.row_time_us, r.row_time_sigma_us),
     );
     fact("which flash", identity_text(&r.identity));
+    if let Some(window) = window_text(r) {
+        fact("window", window);
+    }
     fact("frames", counts_text(&r.frames));
     fact("scene taken from", reference_text(r.reference).to_owned());
     if let Some(p) = &r.paper {
@@ -230,6 +246,15 @@ pub fn identity_text(identity: &Identity) -> String {
     )
 }
 
+/// The part of the recording that was found by itself, in words.
+pub fn window_text(drift: &Drift) -> Option<String> {
+    let [from, to] = drift.window_s?;
+    Some(format!(
+        "{from:.1} s to {to:.1} s of the recording, found by itself: before or after that the \
+         train is being aligned or runs free (others: --from, --to)"
+    ))
+}
+
 /// What became of the frames, in words.
 pub fn counts_text(c: &FrameCounts) -> String {
     let mut text = format!("{} used of {}", c.used, c.read);
@@ -256,13 +281,27 @@ pub const fn reference_text(reference: Reference) -> &'static str {
     }
 }
 
+/// The last two parts of a path: a recording's name and its video's.
+fn short(path: &Path) -> String {
+    let parts: Vec<_> = path.components().collect();
+    let last: PathBuf = parts.iter().skip(parts.len().saturating_sub(2)).collect();
+    last.display().to_string()
+}
+
 fn spread_rows(facts: &mut Vec<(String, String)>, name: &str, s: &Spread) {
+    // The published pipeline says nothing about the uncertainty of one recording.
+    let sigma = if s.mean_sigma_us > 0.0 {
+        format!(" ± {:.3}", s.mean_sigma_us)
+    } else {
+        String::new()
+    };
+    let rest = match s.count {
+        1 => String::from("one recording"),
+        count => format!("median {:+.3} µs, {count} recordings", s.median_us),
+    };
     facts.push((
         name.to_owned(),
-        format!(
-            "mean {:+.3} ± {:.3} µs, median {:+.3} µs, {} recordings",
-            s.mean_us, s.mean_sigma_us, s.median_us, s.count
-        ),
+        format!("mean {:+.3}{sigma} µs, {rest}", s.mean_us),
     ));
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
         (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
@@ -301,13 +340,19 @@ fn picture(
     )
     .map_err(png_error)?;
     let own = track.points.iter().find(|p| p.index == picture.index);
-    let bias = own.map_or(track.joint.mean_us, |p| p.bias_us) + settings.path_delay_us;
+    // Beside a picture that is too narrow for them the labels have room.
+    let beside = w < LABEL_WIDTH;
+    let whole = if beside { w + LABEL_WIDTH } else { w };
     let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {w} {h}\" width=\"{w}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {whole} {h}\" width=\"{whole}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
         STANDARD.encode(png.get_ref())
     );
     // Type in proportion to the picture, so that it can be read at any size.
-    let size = (0.03 * w.min(h) as f64).max(12.0);
+    let size = if beside {
+        (0.022 * h as f64).max(12.0)
+    } else {
+        (0.03 * w.min(h) as f64).max(12.0)
+    };
     // Places in the reduced picture: the centre of a row's pixels.
     let place = |row: f64| {
         let (line, vertical) = recording.reducer.image_line(row);
@@ -329,7 +374,12 @@ fn picture(
             )
         }
     };
-    for (number, row) in flash_rows(recording, track, &settings.train, bias) {
+    // Where the flashes of another frame lie says nothing about this one.
+    let rows = own.map(|p| {
+        let bias = p.bias_us + settings.path_delay_us;
+        flash_rows(recording, track, &settings.train, bias)
+    });
+    for (number, row) in rows.unwrap_or_default() {
         // Only at the edges, so that the bands stay visible.
         for (from, to) in [(0.0, 0.18), (0.82, 1.0)] {
             let _ = writeln!(
@@ -339,14 +389,23 @@ fn picture(
             );
         }
         let (at, vertical) = place(row);
-        let (x, y) = if vertical {
-            (at + 3.0, 14.0)
-        } else {
-            (4.0, at - 3.0)
+        let (x, y) = match (vertical, beside) {
+            (true, _) => (at + 3.0, 14.0),
+            (false, true) => (w as f64 + 6.0, at + 0.35 * size),
+            (false, false) => (4.0, at - 3.0),
         };
         let _ = writeln!(
             svg,
             "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"{size:.0}\">flash {number}, row {row:.2}</text>"
+        );
+    }
+    if beside {
+        let (at, _) = place(middle_row(recording));
+        let _ = writeln!(
+            svg,
+            "<text x=\"{}\" y=\"{:.1}\" fill=\"#0072b2\" font-family=\"sans-serif\" font-size=\"{size:.0}\">middle row</text>",
+            w + LABEL_WIDTH * 2 / 3,
+            at + 0.35 * size
         );
     }
     let _ = writeln!(

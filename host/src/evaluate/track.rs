@@ -77,10 +77,13 @@ pub struct Track {
     pub identity: Identity,
     /// Where the smooth part came from.
     pub reference: Reference,
-    /// Mean profile of the first used frames (at most 16), grey levels.
+    /// Mean profile of at most 16 of the used frames, grey levels: the first ones, or
+    /// those in the middle where all are used.
     pub mean_profile: Vec<f64>,
     /// Mean of their fitted profiles.
     pub fitted_profile: Vec<f64>,
+    /// Mean of their biases, µs.
+    pub shown_bias_us: f64,
     /// Remarks for the user.
     pub notes: Vec<String>,
 }
@@ -193,6 +196,12 @@ pub fn track(
         row_time_us: joint.row_time_us,
         exposure_us: joint.exposure_us,
     };
+    // Of a long recording those in the middle are shown: at its begin the train may
+    // still be moved.
+    let first_shown = match choice {
+        Choice::Last(_) => 0,
+        Choice::All => used.len().saturating_sub(SHOWN_FRAMES) / 2,
+    };
     let mut shown_residuals: Vec<Vec<f64>> = Vec::new();
     let mut fits: Vec<FrameFit> = Vec::with_capacity(used.len());
     // In pieces, because the curves of all frames together are large.
@@ -203,10 +212,12 @@ pub fn track(
                 model.fit_frame(&model.detrend(&frame.rows), &Shape { bias_us, ..shape })
             })
             .collect();
-        for fit in &mut some {
+        for (place, fit) in some.iter_mut().enumerate() {
             let residuals = std::mem::take(&mut fit.residuals);
             fit.light = Vec::new();
-            if shown_residuals.len() < SHOWN_FRAMES {
+            let is_shown =
+                (first_shown..first_shown + SHOWN_FRAMES).contains(&(fits.len() + place));
+            if is_shown {
                 shown_residuals.push(residuals);
             }
         }
@@ -247,7 +258,11 @@ pub fn track(
             amplitude: fit.amplitude,
         })
         .collect();
-    let mean_profile = mean_of(profiles.iter().take(SHOWN_FRAMES).copied());
+    let shown_profiles = profiles.iter().skip(first_shown).take(SHOWN_FRAMES);
+    let mean_profile = mean_of(shown_profiles.copied());
+    let shown_fits = fits.iter().skip(first_shown).take(SHOWN_FRAMES);
+    let shown_biases: Vec<f64> = shown_fits.map(|fit| fit.bias_us).collect();
+    let shown_bias_us = mean(&shown_biases) - settings.path_delay_us;
     let residuals = mean_of(shown_residuals.iter().map(Vec::as_slice));
     let fitted_profile = mean_profile
         .iter()
@@ -273,6 +288,7 @@ pub fn track(
         reference,
         mean_profile,
         fitted_profile,
+        shown_bias_us,
         notes,
     })
 }
