@@ -6,12 +6,13 @@
 mod python;
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use smartdepthsync::extract::inputs::Options;
 use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::Silent;
+use smartdepthsync::extract::progress::{Progress, Silent};
 use smartdepthsync::extract::report::Report;
-use smartdepthsync::extract::run::{Job, run};
+use smartdepthsync::extract::run::{ExtractError, Job, run};
 
 fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -28,14 +29,13 @@ fn make_bag(folder: &Path, compression: &str) {
     python::run_script(&script("make_published_bag.py"), &arguments);
 }
 
-fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
-    let out = folder.join(format!("out-{}", format.name()));
-    let job = Job {
+fn job(folder: &Path, format: Format) -> Job {
+    Job {
         recording: folder.join("published.bag"),
         phone: Some(folder.join("phone")),
         depth: None,
         format,
-        out: out.clone(),
+        out: folder.join(format!("out-{}", format.name())),
         options: Options {
             exposure_ns: Some(10_000_000),
             readout_ns: Some(11_006_000),
@@ -47,8 +47,30 @@ fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
             }),
             ..Options::default()
         },
-    };
-    (run(&job, &Silent).unwrap(), out)
+    }
+}
+
+fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
+    let job = job(folder, format);
+    (run(&job, &Silent).unwrap(), job.out)
+}
+
+/// Somebody who presses Ctrl-C after so many looks.
+struct Stops(AtomicUsize);
+
+impl Progress for Stops {
+    fn begin(&self, _what: &str, _total: u64) {}
+
+    fn at(&self, _position: u64) {}
+
+    fn end(&self) {}
+
+    fn cancelled(&self) -> bool {
+        let looked = |left: usize| left.checked_sub(1);
+        self.0
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, looked)
+            .is_err()
+    }
 }
 
 #[test]
@@ -159,6 +181,19 @@ fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
     std::fs::remove_file(out.join(".extraction/depth.json")).unwrap();
     let (third, _) = extract(folder.path(), Format::Euroc);
     assert_eq!(first, third);
+    assert_eq!(written, snapshot(&out));
+    // One that is stopped at every place, later each time, and taken up again.
+    std::fs::remove_dir_all(&out).unwrap();
+    let mut stops = 0;
+    let last = loop {
+        let progress = Stops(AtomicUsize::new(stops));
+        match run(&job(folder.path(), Format::Euroc), &progress) {
+            Err(ExtractError::Cancelled) => stops += 1,
+            end => break end.unwrap(),
+        }
+    };
+    assert!(stops > 4, "{stops}");
+    assert_eq!(first, last);
     assert_eq!(written, snapshot(&out));
     std::fs::remove_dir_all(&out).unwrap();
     assert_eq!(before, snapshot(folder.path()));

@@ -102,6 +102,18 @@ pub fn histogram(pairs: &[Pair]) -> Option<Histogram> {
     })
 }
 
+/// The pairs near to the median: within ten times the distance of the quartiles of
+/// them. What is further away (pairs before the trigger has arrived on the phone's
+/// frames) would hide the shape of all others in a histogram.
+#[must_use]
+pub fn central(pairs: &[Pair], spread: &Spread) -> Vec<Pair> {
+    let [low, high] = spread.quartiles_ns;
+    let reach = high.saturating_sub(low).max(1_000).saturating_mul(10);
+    let range = low.saturating_sub(reach)..=high.saturating_add(reach);
+    let near = |pair: &&Pair| range.contains(&pair.difference);
+    pairs.iter().filter(near).copied().collect()
+}
+
 /// Median and spread of the differences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Spread {
@@ -179,5 +191,9 @@ mod tests {
         let spread = spread(&pairs).unwrap();
         assert_eq!(spread.range_ns, [-500 * 37, 499 * 37]);
         let _ = super::histogram(&[pair(i64::MIN), pair(i64::MAX)]);
+        assert_eq!(central(&pairs, &spread), pairs);
+        let far = [&pairs[..], &[pair(11_000_000), pair(-9_000_000)]].concat();
+        assert_eq!(central(&far, &super::spread(&far).unwrap()), pairs);
+        assert_eq!(central(&[], &spread), []);
     }
 }

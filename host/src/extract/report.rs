@@ -176,8 +176,10 @@ pub struct DepthReport {
 pub struct PairsReport {
     /// Phone − depth.
     pub spread: Spread,
-    /// Phone − depth.
+    /// Phone − depth, all of them.
     pub histogram: Histogram,
+    /// Those near to the median ([`super::pairs::central`]).
+    pub central: Histogram,
 }
 
 /// One part of the recording.
@@ -249,7 +251,7 @@ impl Report {
                 lines.push((
                     "depth clock",
                     format!(
-                        "{rate:.2} ppm ± {sigma:.2}, scatter {residual:.1} µs, decided by {}",
+                        "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {}",
                         depth.decided_by
                     ),
                 ));
@@ -332,7 +334,7 @@ impl Report {
         }
         if let Some(pairs) = &self.pairs {
             page.section("Time difference of the pairs");
-            let histogram = &pairs.histogram;
+            let histogram = &pairs.central;
             let svg = chart::histogram(
                 "phone − depth, µs",
                 "pairs",
@@ -340,11 +342,22 @@ impl Report {
                 histogram.bin_ns as f64 / 1000.0,
                 &histogram.counts,
             );
-            page.figure(
-                &svg,
+            let mut caption = String::from(
                 "Middle of exposure of the phone's frame minus that of the depth image it is paired \
                  with, both in board time.",
             );
+            let shown: u64 = histogram.counts.iter().sum();
+            let outside = (pairs.spread.count as u64).saturating_sub(shown);
+            if outside > 0 {
+                let [least, most] = pairs.spread.range_ns.map(|ns| ns as f64 / 1e6);
+                let _ = write!(
+                    caption,
+                    " {outside} of {} pairs are further off than is shown ({least:.3} to {most:.3} ms \
+                     in all), as pairs are before the trigger has arrived on the phone's frames.",
+                    pairs.spread.count
+                );
+            }
+            page.figure(&svg, &caption);
         }
         if let Some(clock) = self.clock.as_ref().filter(|clock| clock.course.len() > 1) {
             page.section("Clock of the phone");

@@ -17,6 +17,9 @@ pub const COLUMNS: usize = 400;
 /// Size of axis labels.
 const LABEL: i32 = 19;
 
+/// Height of one line of the legend, as a part of the shown range of values.
+const LEGEND_ROOM: f64 = 0.12;
+
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
 pub const COLOURS: [RGBColor; 4] = [
     RGBColor(0, 114, 178),
@@ -191,7 +194,18 @@ pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -
     };
     let ys = ys.start.min(least.start)..ys.end.max(least.end);
     let margin = ((ys.end - ys.start) * 0.06).max(f64::MIN_POSITIVE);
-    let ys = ys.start - margin..ys.end + margin;
+    // Room for the legend, so that it hides nothing.
+    let legend = if all.len() > 1 { all.len() } else { 0 };
+    let room = (ys.end - ys.start) * LEGEND_ROOM * legend as f64;
+    let ys = ys.start - margin..ys.end + margin + room;
+    // Points on the edge would be cut in half.
+    let points = |series: &Series| matches!(series.data, Data::Points(_) | Data::Bars(_));
+    let side = if all.iter().any(points) {
+        (xs.end - xs.start) * 0.02
+    } else {
+        0.0
+    };
+    let xs = xs.start - side..xs.end + side;
     let mut svg = String::new();
     match draw(&mut svg, (x_label, y_label), xs, ys, all) {
         Ok(()) => svg,

@@ -160,6 +160,14 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<PhoneFiles>, Fi
     if let Some(joined) = join_renamed(&groups) {
         return Ok(Some(joined));
     }
+    // Sensors without frames are of no video: the app saves a twist's like this.
+    groups.retain(|_, group| group.video.is_some() || group.frames.is_some());
+    if groups.len() == 1 {
+        return Ok(groups.into_values().next());
+    }
+    if let Some(joined) = join_renamed(&groups) {
+        return Ok(Some(joined));
+    }
     Err(FilesError::Several {
         place: place.to_owned(),
         names: groups.into_keys().collect(),
@@ -271,6 +279,25 @@ mod tests {
         let found = find(folder.path(), None).unwrap().unwrap();
         assert!(found.video.is_some() && found.gyro.is_some() && found.frames.is_some());
         assert_eq!(found.missing(), ["accelerometer (accel.csv)"]);
+    }
+
+    #[test]
+    fn sensors_left_over_from_a_twist_do_not_matter() {
+        let twists = ["IMU_115900gyro.csv", "IMU_115930gyro.csv"];
+        let whole = ["a.mp4", "d/agyro.csv", "d/aaccel.csv", "d/a_timestamps.csv"];
+        let found = |files: &[&str]| find(folder(files).path(), None);
+        for twists in [&twists[..1], &twists] {
+            let one = found(&[&whole, twists].concat()).unwrap().unwrap();
+            assert!(one.gyro.unwrap().ends_with("agyro.csv"));
+            let renamed = ["video.mp4", whole[1], whole[3]];
+            let one = found(&[&renamed, twists].concat()).unwrap().unwrap();
+            assert!(one.gyro.unwrap().ends_with("agyro.csv"));
+            assert!(one.video.unwrap().ends_with("video.mp4"));
+        }
+        // Which of two twists is whose is not guessed, and neither which video.
+        assert!(found(&twists).is_err());
+        let two = ["b.mp4", "d/bgyro.csv", twists[0]];
+        assert!(found(&[&whole, &two[..]].concat()).is_err());
     }
 
     #[test]

@@ -191,9 +191,13 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
-        pairs: pairs::spread(&pairs)
-            .zip(pairs::histogram(&pairs))
-            .map(|(spread, histogram)| PairsReport { spread, histogram }),
+        pairs: pairs::spread(&pairs).and_then(|spread| {
+            Some(PairsReport {
+                spread,
+                histogram: pairs::histogram(&pairs)?,
+                central: pairs::histogram(&pairs::central(&pairs, &spread))?,
+            })
+        }),
         sequences: sequence_reports,
         constants,
         losses: run.losses.clone(),
