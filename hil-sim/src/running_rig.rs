@@ -108,6 +108,8 @@ struct Noted {
     depth: Vec<FrameRecord>,
     imu: Vec<SampleRecord>,
     zero: Option<SimTime>,
+    /// The board has been reset.
+    reset: bool,
 }
 
 impl Shared {
@@ -126,7 +128,7 @@ pub struct RunTruth {
     /// All samples of the board's IMU as they were in its registers, in order
     /// (48 bytes each: 86 MB an hour at 500 Hz).
     pub imu: Vec<SampleRecord>,
-    /// When the board's tick count was zero, if the board was never reset.
+    /// When the board's tick count was zero in its first run.
     pub zero: Option<SimTime>,
     /// The phone's clock.
     pub phone_clock: Option<Oscillator>,
@@ -421,7 +423,10 @@ impl Runner {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
                 Ok(Order::Plug) => rig.usb_plug(),
-                Ok(Order::Reset) => rig.press_reset(),
+                Ok(Order::Reset) => {
+                    self.shared.noted().reset = true;
+                    rig.press_reset();
+                }
                 Err(TryRecvError::Empty) => {}
             }
             self.follow_usb(&mut rig, &mut port)?;
@@ -455,7 +460,7 @@ impl Runner {
         self.shared.now.store(rig.now().units(), Ordering::Relaxed);
         let mut noted = self.shared.noted();
         // The count's zero is read off before its first wrap.
-        if rig.now() < SimTime::from_nanos(60_000_000_000) {
+        if rig.now() < SimTime::from_nanos(60_000_000_000) && !noted.reset {
             noted.zero = zero_of(rig);
         }
         if let Some(camera) = &self.parts.depth_camera {

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use protocol::{
     AlignPlan, Command, DeviceToHost, GnssReport, GnssSettings, Hello, ImuConfig, ImuSetup, Output,
-    OutputAction, OutputAlign, PROTOCOL_VERSION, Period, Refusal, Reply, Ticks, TriggerAlign,
-    TriggerStart, TriggerStatus,
+    OutputAction, OutputAlign, PROTOCOL_VERSION, Period, Refusal, Reply, ResetCause, Ticks,
+    TriggerAlign, TriggerStart, TriggerStatus,
 };
 
 use crate::outcome::{ExitStatus, Failure};
@@ -299,18 +299,21 @@ impl Board {
         self.wire.link.now()
     }
 
+    /// The next event that has come already.
+    pub fn queued_event(&mut self) -> Option<Event> {
+        let wire = &mut self.wire;
+        wire.events
+            .pop_front()
+            .or_else(|| wire.session.next_event())
+    }
+
     /// The next event; waits for it at most for `wait`.
     ///
     /// # Errors
     ///
     /// The link is gone. All events that came before are given out first.
     pub fn next_event(&mut self, wait: Duration) -> Result<Option<Event>> {
-        if let Some(event) = self
-            .wire
-            .events
-            .pop_front()
-            .or_else(|| self.wire.session.next_event())
-        {
+        if let Some(event) = self.queued_event() {
             return Ok(Some(event));
         }
         self.wire.pump(wait)?;
@@ -467,6 +470,25 @@ impl Board {
         }
     }
 
+    /// Asks for the board's time without waiting: the [`Event::Answer`] with this
+    /// id brings a [`Reply::Pong`], or [`Event::Expired`] none.
+    pub fn ask_time(&mut self) -> u32 {
+        let now = self.wire.link.now();
+        let host_time = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
+        let command = Command::Ping { host_time };
+        self.wire.session.send(now, command, ANSWER_TIMEOUT)
+    }
+
+    /// Says hello again: a board that was reset has something new to say.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn hello_again(&mut self) -> Result<&Hello> {
+        self.hello = self.wire.say_hello()?;
+        Ok(&self.hello)
+    }
+
     fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
         match self.call(command)? {
             Reply::Trigger(status) => Ok(status),
@@ -591,6 +613,21 @@ impl Wire {
             _ => None,
         });
         hello.ok_or(BoardError::OddReply { command: "hello" })
+    }
+}
+
+/// Why a board was reset, in words.
+#[must_use]
+pub const fn reset_cause(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::PowerOn => "power on",
+        ResetCause::BrownOut => "brown-out: the supply dipped",
+        ResetCause::Pin => "reset pin",
+        ResetCause::Software => "by the firmware itself",
+        ResetCause::Watchdog => "watchdog: a task was stuck",
+        ResetCause::WindowWatchdog => "window watchdog",
+        ResetCause::LowPower => "illegal low-power entry",
+        ResetCause::Unknown => "unknown cause",
     }
 }
 

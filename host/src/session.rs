@@ -5,7 +5,9 @@
 //! checks the protocol version, follows the sequence number of every stream and
 //! says what was lost. It survives its link: after a reconnect the same session
 //! goes on, so messages that the board dropped meanwhile show as loss, and a
-//! board that was reset meanwhile shows by its epoch.
+//! board that was reset meanwhile shows by its epoch. What comes over a new link
+//! before the board has said which run it is in is held back until it has: a
+//! sample of the new run is never taken for one of the old.
 //!
 //! Time is whatever the caller says it is ([`Link::now`](crate::transport::Link::now)).
 //! Damage before the first good frame is not counted: a stream that is joined in
@@ -15,7 +17,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use protocol::{
-    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
+    Answer, Command, Decoder, DeviceToHost, Dropped, FrameError, Hello, HostToDevice, LinkCounters,
     MAX_FRAME, PROTOCOL_VERSION, Ticks, encode, hello_version,
 };
 use serde::{Deserialize, Serialize};
@@ -53,6 +55,65 @@ impl Stream {
     ];
 }
 
+impl Stream {
+    /// Stream, number and time of a message; none of a message of no stream. The
+    /// time of filler is 0.
+    #[must_use]
+    pub const fn of(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
+        Some(match message {
+            DeviceToHost::Status(status) => (Self::Status, status.seq, status.at),
+            DeviceToHost::Pulse(pulse) => (Self::Pulses, pulse.seq, pulse.at),
+            DeviceToHost::Capture(capture) => (Self::Captures, capture.seq, capture.at),
+            DeviceToHost::Imu(sample) => (Self::Imu, sample.seq, sample.at),
+            DeviceToHost::Filler(filler) => (Self::Filler, filler.seq, Ticks::ZERO),
+            DeviceToHost::OutputPulse(output) => (Self::Outputs, output.pulse.seq, output.pulse.at),
+            DeviceToHost::Pps(pps) => (Self::Pps, pps.seq, pps.at),
+            DeviceToHost::Hello(_)
+            | DeviceToHost::Answer(_)
+            | DeviceToHost::Arrived(_)
+            | DeviceToHost::OutputArrived(_) => return None,
+        })
+    }
+
+    /// Its name in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Status => "status",
+            Self::Pulses => "pulses",
+            Self::Captures => "captures",
+            Self::Imu => "imu",
+            Self::Filler => "filler",
+            Self::Outputs => "outputs",
+            Self::Pps => "pps",
+        }
+    }
+
+    /// The board's counter of what it dropped of this stream; none if another
+    /// stream's counter holds it too, or if it never drops any. Pulses per second
+    /// are in the queue of the further outputs.
+    #[must_use]
+    pub const fn dropped(self, dropped: &Dropped) -> Option<u32> {
+        // Field by field: a counter that is new has a stream that is.
+        let Dropped {
+            answers: _,
+            pulses,
+            captures,
+            imu,
+            status,
+            outputs,
+        } = *dropped;
+        match self {
+            Self::Status => Some(status),
+            Self::Pulses => Some(pulses),
+            Self::Captures => Some(captures),
+            Self::Imu => Some(imu),
+            Self::Outputs => Some(outputs),
+            Self::Pps | Self::Filler => None,
+        }
+    }
+}
+
 impl std::fmt::Display for Stream {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
@@ -66,6 +127,10 @@ impl std::fmt::Display for Stream {
         })
     }
 }
+
+/// The most messages that are held back until the run is known: over a minute of
+/// the IMU. Beyond it the oldest go, and show as lost.
+const MAX_HELD: usize = 32_768;
 
 /// What a session has to tell.
 #[derive(Clone, Debug, PartialEq)]
@@ -190,6 +255,12 @@ pub struct Session {
     expected: [Option<u32>; Stream::ALL.len()],
     counts: StreamCounts,
     epoch: Option<u32>,
+    /// The line was cut, and the run not told since.
+    unsure: bool,
+    /// What came meanwhile.
+    held: VecDeque<(Vec<u8>, DeviceToHost)>,
+    /// How many of these came before the line was cut last.
+    held_before: usize,
     latest: Ticks,
     events: VecDeque<Event>,
     outgoing: Vec<u8>,
@@ -278,6 +349,8 @@ impl Session {
     /// the streams had counted stays, so that the loss shows.
     pub fn cut(&mut self) {
         self.decoder.reset();
+        self.unsure = self.epoch.is_some();
+        self.held_before = self.held.len();
         self.raw.clear();
         self.outgoing.clear();
         for (id, _) in self.waiting.drain(..) {
@@ -332,15 +405,32 @@ impl Session {
             Some(FrameError::Message) => hello_version(&raw),
             _ => None,
         };
-        if self.keep_frames {
-            self.events.push_back(Event::Frame(raw));
-        }
+        let result = match result {
+            Ok(message) if self.unsure => match Self::run_of(&message) {
+                Some(epoch) => {
+                    self.settle(epoch);
+                    Ok(message)
+                }
+                None if matches!(message, DeviceToHost::Answer(_) | DeviceToHost::Hello(_)) => {
+                    Ok(message)
+                }
+                None => {
+                    if self.held.len() >= MAX_HELD {
+                        self.held.pop_front();
+                        self.held_before = self.held_before.saturating_sub(1);
+                    }
+                    self.held.push_back((raw, message));
+                    return;
+                }
+            },
+            other => other,
+        };
         match result {
-            Ok(message) => {
-                self.in_step = true;
-                self.message(message);
-            }
+            Ok(message) => self.whole(raw, message),
             Err(error) => {
+                if self.keep_frames {
+                    self.events.push_back(Event::Frame(raw));
+                }
                 if let Some(found) = other_version {
                     self.events.push_back(Event::OtherVersion { found });
                 } else if self.in_step {
@@ -350,6 +440,41 @@ impl Session {
                 }
             }
         }
+    }
+
+    /// The run that a message tells.
+    fn run_of(message: &DeviceToHost) -> Option<u32> {
+        match message {
+            DeviceToHost::Hello(hello) if hello.protocol_version == PROTOCOL_VERSION => {
+                Some(hello.epoch)
+            }
+            DeviceToHost::Status(status) => Some(status.epoch),
+            _ => None,
+        }
+    }
+
+    /// The run is known again: what was held back is of it.
+    fn settle(&mut self, epoch: u32) {
+        self.unsure = false;
+        let mut held = std::mem::take(&mut self.held);
+        let before = std::mem::take(&mut self.held_before);
+        if before > 0 && self.epoch != Some(epoch) {
+            // The board was reset before or after these: nobody will ever say.
+            tracing::warn!("{before} messages of an unknown run are left out");
+            held.drain(..before.min(held.len()));
+        }
+        self.run(epoch);
+        for (raw, message) in held {
+            self.whole(raw, message);
+        }
+    }
+
+    fn whole(&mut self, raw: Vec<u8>, message: DeviceToHost) {
+        if self.keep_frames {
+            self.events.push_back(Event::Frame(raw));
+        }
+        self.in_step = true;
+        self.message(message);
     }
 
     fn message(&mut self, message: DeviceToHost) {
@@ -372,34 +497,14 @@ impl Session {
                 }
                 return;
             }
-            DeviceToHost::Status(ref status) => {
-                self.run(status.epoch);
-                self.number(Stream::Status, status.seq);
-                self.time(status.at);
-            }
-            DeviceToHost::Pulse(ref pulse) => {
-                self.number(Stream::Pulses, pulse.seq);
-                self.time(pulse.at);
-            }
+            DeviceToHost::Status(ref status) => self.run(status.epoch),
             DeviceToHost::Arrived(ref arrived) => self.time(arrived.at),
-            DeviceToHost::Capture(ref capture) => {
-                self.number(Stream::Captures, capture.seq);
-                self.time(capture.at);
-            }
-            DeviceToHost::Imu(ref sample) => {
-                self.number(Stream::Imu, sample.seq);
-                self.time(sample.at);
-            }
-            DeviceToHost::Filler(ref filler) => self.number(Stream::Filler, filler.seq),
-            DeviceToHost::OutputPulse(ref output) => {
-                self.number(Stream::Outputs, output.pulse.seq);
-                self.time(output.pulse.at);
-            }
             DeviceToHost::OutputArrived(ref arrived) => self.time(arrived.at),
-            DeviceToHost::Pps(ref pps) => {
-                self.number(Stream::Pps, pps.seq);
-                self.time(pps.at);
-            }
+            _ => {}
+        }
+        if let Some((stream, number, at)) = Stream::of(&message) {
+            self.number(stream, number);
+            self.time(at);
         }
         self.events.push_back(Event::Message(message));
     }

@@ -264,6 +264,20 @@ fn what_the_board_dropped_is_told_from_what_the_link_lost() {
 }
 
 #[test]
+fn a_loss_on_the_further_outputs_is_counted() {
+    let parent = tempfile::tempdir().unwrap();
+    let wrong = Wrong {
+        outputs_lost: &[2, 3],
+        ..Wrong::default()
+    };
+    let report = verify(&make(parent.path(), wrong)).unwrap();
+    assert_eq!(report.verdict, Verdict::Incomplete, "{report:?}");
+    let outputs = report.streams["outputs"];
+    assert_eq!((outputs.received, outputs.missing), (SECONDS - 2, 2));
+    assert_eq!(kinds(&report), ["messages_missing"]);
+}
+
+#[test]
 fn a_pulse_off_its_grid_by_one_tick_is_found() {
     let parent = tempfile::tempdir().unwrap();
     let wrong = Wrong {

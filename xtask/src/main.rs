@@ -279,7 +279,14 @@ fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<(
 
 fn faults(seed: u64, count: u64) -> Result<()> {
     let elf = firmware::build()?;
-    process::cargo(["build", "--release", "-p", "hil-sim"])?;
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
     let args = [
         "faults".to_owned(),
         format!("--seed={seed}"),

@@ -4,7 +4,8 @@
 //! real firmware on the simulated board, and the host tool's own code from the
 //! link to the finished recording, in one process on virtual time. So a seed
 //! gives the same run to the byte, however fast the machine is
-//! ([`Verdict::digest`]).
+//! ([`Verdict::digest`]). Faults that need the phone or the real process have runs of
+//! another kind (`process.rs`).
 //!
 //! Judged, against what really happened:
 //!
@@ -16,20 +17,27 @@
 //!   given once, and nothing else; killed, all but the last second;
 //! - board time goes on, or the board says that it was reset and why;
 //! - the session goes on afterwards, with loss told, or ends with the exit code
-//!   and a next step.
+//!   and a next step; after a reset of the board, its train is on its grid again
+//!   and the new run is put where it was, as well as the mark says.
 //!
 //! Limit: a power cut or a held bus in the middle of a transfer can damage the
 //! bytes of that one sample unnoticed, because I2C has no checksum. Such a
 //! sample is counted ([`Verdict::disturbed`]) and no error.
 
+mod happenings;
+mod judge;
 pub mod plan;
+mod process;
 mod scene;
+mod stage;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, SystemTime};
 
-use protocol::{DeviceToHost, ImuFlags, Period, ResetCause, TICK_HZ, Ticks, TriggerStart};
+use protocol::{Period, TICK_HZ, TriggerStart};
 use serde::Serialize;
 use smartdepthsync::board::Board;
 use smartdepthsync::cli::{Context, Global, Interrupt, LogFormat, Said};
@@ -43,17 +51,18 @@ use smartdepthsync::record::phone_task::PhoneTask;
 use smartdepthsync::record::rig::{Parts, Rig as HostRig};
 use smartdepthsync::record::watch::{Grid, Watch};
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, steps};
-use smartdepthsync::recording::reader::{Item, Reader};
 use smartdepthsync::recording::session_file::{SessionFile, Span};
 use smartdepthsync::recording::writer::Writer;
 use smartdepthsync::session::StreamCounts;
 
 use crate::board_truth::Train;
+use crate::i2c::lock;
 use crate::random::Seed;
 use crate::rig::Rig;
-use crate::time::SimDuration;
-use plan::{Fault, Plan};
-use scene::{Delivered, Report, Stage, imu_is_well, time_of};
+pub use crate::whole_chain::Programs;
+use plan::Plan;
+use scene::Report;
+use stage::Stage;
 
 /// How long the session waits for a lost link: its default.
 const LINK_PATIENCE: Duration = Duration::from_secs(60);
@@ -61,8 +70,8 @@ const LINK_PATIENCE: Duration = Duration::from_secs(60);
 const WIDTH: u32 = 12 * (TICK_HZ / 1_000_000);
 /// The period that a phone reports for 30 frames a second, in picoseconds.
 const PERIOD_PICOS: u64 = 33_330_652_540;
-/// What a kill may cost, as the recording promises.
-const KILL_COSTS: SimDuration = SimDuration::from_millis(1_000);
+/// The host's time of day, which stands still but for being set: s since 1970.
+const TIME_OF_DAY: u64 = 1_800_000_000;
 /// How often the host asks for the state of the train while recording.
 const ASK_TICKS: u64 = TICK_HZ as u64;
 
@@ -93,10 +102,15 @@ pub struct Verdict {
     pub reconnects: u32,
     /// Runs of the board.
     pub runs: usize,
+    /// How far the session put a later run of the board off its true place, µs.
+    pub joint_error_us: Option<f64>,
+    /// What it said that might be, 1-sigma in µs.
+    pub joint_sigma_us: Option<f64>,
     /// Problems that the session told of, by kind.
     pub problems: BTreeMap<String, u32>,
     /// CRC-32 of all bytes that the host was given: two runs of a seed are alike
-    /// if this is.
+    /// if this is. 0 of a run with the real program, which is not the same to the
+    /// byte.
     pub digest: u32,
 }
 
@@ -110,15 +124,14 @@ pub struct Finding {
     pub what: String,
 }
 
-/// Runs one seed. `elf` is the firmware; without it, the default one. Files go
-/// into `folder`.
+/// Runs one seed. Files go into `folder`.
 ///
 /// # Errors
 ///
 /// Something was not as promised.
-pub fn run(seed: Seed, elf: Option<&Path>, folder: &Path) -> Result<Verdict, Finding> {
+pub fn run(seed: Seed, programs: &Programs, folder: &Path) -> Result<Verdict, Finding> {
     let plan = Plan::draw(seed);
-    run_plan(&plan, elf, folder)
+    run_plan(&plan, programs, folder)
 }
 
 /// Runs a plan, which need not be one of a seed.
@@ -126,13 +139,48 @@ pub fn run(seed: Seed, elf: Option<&Path>, folder: &Path) -> Result<Verdict, Fin
 /// # Errors
 ///
 /// Something was not as promised.
-pub fn run_plan(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Verdict, Finding> {
-    session(plan, elf, folder)
-        .and_then(|ended| judge(plan, &ended))
-        .map_err(|what| Finding {
-            plan: plan.clone(),
-            what,
-        })
+pub fn run_plan(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Verdict, Finding> {
+    let result = if process::is_needed(plan) {
+        process::run(plan, programs, folder)
+    } else {
+        session(plan, programs.elf.as_deref(), folder).and_then(|ended| judge::judge(plan, &ended))
+    };
+    result.map_err(|what| Finding {
+        plan: plan.clone(),
+        what,
+    })
+}
+
+/// Runs seeds, as many at a time as the machine has processors, each told when it is
+/// done; gives their results in order.
+///
+/// On threads of its own: the simulated phone works on the common pool of threads,
+/// and a run that waited there for its phone would wait for ever.
+pub fn campaign(
+    seeds: &[u64],
+    programs: &Programs,
+    folder: &Path,
+    done: &(dyn Fn(u64, &Result<Verdict, Finding>) + Sync),
+) -> Vec<Result<Verdict, Finding>> {
+    let next = AtomicUsize::new(0);
+    let results = Arc::new(Mutex::new(BTreeMap::new()));
+    let workers = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..workers {
+            scope.spawn(|| {
+                loop {
+                    let Some(&seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed)) else {
+                        return;
+                    };
+                    let result = run(Seed(seed), programs, folder);
+                    done(seed, &result);
+                    lock(&results).insert(seed, result);
+                }
+            });
+        }
+    });
+    let mut results = lock(&results);
+    std::mem::take(&mut *results).into_values().collect()
 }
 
 /// A session that has ended.
@@ -161,7 +209,9 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         std::fs::create_dir_all(place).map_err(|error| error.to_string())?;
     }
     let (from, to) = (recording.clone(), killed.clone());
-    let stage = Stage::open(plan, builder, move || copy_files(&from, &to))?;
+    let clock_step = Arc::new(AtomicI64::new(0));
+    let step = Arc::clone(&clock_step);
+    let stage = Stage::open(plan, builder, step, move || copy_files(&from, &to))?;
     let mut connector = stage.clone();
 
     let profile = Profile::published().map_err(|error| error.to_string())?;
@@ -186,7 +236,11 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
     let mut board = Board::connect_from(link, 1).map_err(|error| error.to_string())?;
     let imu = board.imu().map_err(|error| error.to_string())?;
     let scale = Scale::of(&imu).ok_or("the board gave no scale for its IMU")?;
-    let writer = Writer::create(&recording).map_err(|error| error.to_string())?;
+    let mut writer = Writer::create(&recording).map_err(|error| error.to_string())?;
+    writer.set_wall_clock(Box::new(move || {
+        let seconds = TIME_OF_DAY.saturating_add_signed(clock_step.load(Ordering::Relaxed));
+        SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)
+    }));
     let parts = Parts {
         context: &context,
         profile: &profile,
@@ -217,9 +271,9 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         fetch_video: false,
         foxglove: FoxgloveArg::default(),
     };
+    let result = steps::close(&mut host, &options, result);
     let counts = host.board.session().counts();
     let damaged_frames = host.board.session().damaged_frames();
-    let result = steps::close(&mut host, &options, result);
     let (status, next_step) = match &result {
         Ok(()) if host.has_problems() => (ExitStatus::Loss, true),
         Ok(()) => (ExitStatus::Good, true),
@@ -294,247 +348,6 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
         if host.now.0 >= ask {
             ask = host.now.0 + ASK_TICKS;
             host.call(Board::trigger)?;
-        }
-    }
-    Ok(())
-}
-
-fn judge(plan: &Plan, ended: &Ended) -> Result<Verdict, String> {
-    let report = &ended.report;
-    if let Some(wrong) = &report.wrong {
-        return Err(wrong.clone());
-    }
-    judge_end(plan, ended)?;
-    let losses = judge_losses(plan, ended)?;
-    judge_recording(ended)?;
-    if let Some(killed) = report.killed {
-        let promised = killed.units().saturating_sub(KILL_COSTS.units());
-        let given: Vec<&Delivered> = report
-            .delivered
-            .iter()
-            .filter(|delivered| delivered.at.units() <= promised)
-            .collect();
-        contains(&ended.killed, &given, "the killed recording")?;
-    }
-    let compared = report.compared;
-    let mut problems = BTreeMap::new();
-    for problem in &ended.file.problems {
-        *problems.entry(problem.kind.clone()).or_default() += 1;
-    }
-    Ok(Verdict {
-        plan: plan.clone(),
-        exit_code: ended.status.code(),
-        virtual_s: report.ended.as_secs_f64(),
-        pulses: compared.pulses,
-        delivered: compared.reports + compared.samples + compared.captures,
-        disturbed: compared.disturbed,
-        pulses_lost: losses,
-        samples_lost: ended.counts.imu.lost,
-        captures_lost: ended.counts.captures.lost,
-        damaged_frames: ended.damaged_frames,
-        reconnects: ended.file.reconnects,
-        runs: report.hellos.len(),
-        problems,
-        digest: report.digest,
-    })
-}
-
-/// The session went on, or ended as it should.
-fn judge_end(plan: &Plan, ended: &Ended) -> Result<(), String> {
-    let report = &ended.report;
-    let kinds: Vec<&str> = ended
-        .file
-        .problems
-        .iter()
-        .map(|p| p.kind.as_str())
-        .collect();
-    if !ended.next_step {
-        return Err(format!("{:?} without a next step", ended.status));
-    }
-    let runs = report.hellos.len();
-    let expected_runs = 1 + usize::from(plan.resets());
-    if runs != expected_runs {
-        return Err(format!(
-            "the host saw {runs} runs of the board, not {expected_runs}; {:?}, {kinds:?}",
-            ended.status
-        ));
-    }
-    if plan.resets() {
-        let cause = report.hellos.last().map(|hello| hello.reset_cause);
-        let expected = plan.events.iter().find_map(|event| match event.fault {
-            Fault::ResetPressed => Some(ResetCause::Pin),
-            Fault::WatchdogReset => Some(ResetCause::Watchdog),
-            Fault::SupplyReset => Some(ResetCause::PowerOn),
-            _ => None,
-        });
-        if cause != expected {
-            return Err(format!("reset by {cause:?}, not {expected:?}"));
-        }
-        // A session either goes on behind a mark, or ends and says why.
-        return match ended.status {
-            ExitStatus::LinkLost | ExitStatus::Loss if !kinds.is_empty() => Ok(()),
-            status => Err(format!("{status:?} after a reset; {kinds:?}")),
-        };
-    }
-    let harmless = plan
-        .events
-        .iter()
-        .all(|e| matches!(e.fault, Fault::HostKilled | Fault::DepthCameraStopped));
-    match ended.status {
-        ExitStatus::Good | ExitStatus::Loss => {}
-        status => return Err(format!("the session ended with {status:?}; {kinds:?}")),
-    }
-    if harmless && ended.status != ExitStatus::Good {
-        return Err(format!("loss without a reason: {kinds:?}"));
-    }
-    // It was whole again by the end.
-    let late = |message: &DeviceToHost| {
-        report.delivered.iter().rev().find(|delivered| {
-            core::mem::discriminant(&delivered.message) == core::mem::discriminant(message)
-        })
-    };
-    let Some(status) = &report.status else {
-        return Err("no status ever came".to_owned());
-    };
-    if !imu_is_well(status) {
-        return Err(format!("the IMU did not come back: {:?}", status.imu));
-    }
-    let last = late(&DeviceToHost::Status(status.clone()));
-    let quiet = SimDuration::from_millis(1_500);
-    if last.is_none_or(|last| report.ended.since(last.at) > quiet) {
-        return Err("the link did not come back".to_owned());
-    }
-    Ok(())
-}
-
-/// What the host says is missing is what is missing. Gives the pulses.
-fn judge_losses(plan: &Plan, ended: &Ended) -> Result<u64, String> {
-    let report = &ended.report;
-    let told = ended.counts.pulses;
-    let first_epoch = report.hellos.first().map_or(0, |hello| hello.epoch);
-    let of_run = |pick: fn(&DeviceToHost) -> Option<u32>| -> Vec<u32> {
-        report
-            .delivered
-            .iter()
-            .filter(|delivered| delivered.epoch == first_epoch)
-            .filter_map(|delivered| pick(&delivered.message))
-            .collect()
-    };
-    let pulses = of_run(|message| match message {
-        DeviceToHost::Pulse(pulse) => Some(pulse.seq),
-        _ => None,
-    });
-    // By the pin: numbers from the first to the last that were told, less those
-    // that were.
-    let missing = report.pulses_between.saturating_sub(pulses.len() as u64);
-    if missing != told.lost {
-        return Err(format!(
-            "{missing} pulses are missing, the host says {}",
-            told.lost
-        ));
-    }
-    for (name, seqs, told) in [
-        (
-            "samples",
-            of_run(|message| match message {
-                DeviceToHost::Imu(sample) => Some(sample.seq),
-                _ => None,
-            }),
-            ended.counts.imu,
-        ),
-        (
-            "captures",
-            of_run(|message| match message {
-                DeviceToHost::Capture(capture) => Some(capture.seq),
-                _ => None,
-            }),
-            ended.counts.captures,
-        ),
-    ] {
-        let span = match (seqs.first(), seqs.last()) {
-            (Some(first), Some(last)) => u64::from(last.wrapping_sub(*first)) + 1,
-            _ => 0,
-        };
-        let missing = span.saturating_sub(seqs.len() as u64);
-        // Those of a run after a reset count too.
-        if missing != told.lost && !plan.resets() {
-            return Err(format!(
-                "{missing} {name} are missing, the host says {}",
-                told.lost
-            ));
-        }
-    }
-    // Without a fault of the IMU, an edge of data-ready without a sample is a
-    // sample that was lost on the link.
-    let imu_fault = plan.events.iter().any(|event| event.fault.hits_imu());
-    let marked = report
-        .delivered
-        .iter()
-        .any(|delivered| match &delivered.message {
-            DeviceToHost::Imu(sample) => sample.flags.has(ImuFlags::FIRST),
-            _ => false,
-        });
-    if imu_fault
-        && !plan.resets()
-        && !marked
-        && ended.counts.imu.lost == 0
-        && report.compared.samples_missing > 50
-    {
-        return Err(format!(
-            "{} samples are missing without a mark",
-            report.compared.samples_missing
-        ));
-    }
-    Ok(missing)
-}
-
-/// The finished recording holds what the host was given.
-fn judge_recording(ended: &Ended) -> Result<(), String> {
-    let first = ended.report.hellos.first().map_or(0, |hello| hello.epoch);
-    let one_run = ended.report.hellos.len() <= 1 || ended.status != ExitStatus::Loss;
-    let given: Vec<&Delivered> = ended
-        .report
-        .delivered
-        .iter()
-        .filter(|delivered| !one_run || delivered.epoch == first)
-        .collect();
-    contains(&ended.folder, &given, "the recording")
-}
-
-/// Each pulse and sample is in the file as often as it was given.
-fn contains(folder: &Path, given: &[&Delivered], what: &str) -> Result<(), String> {
-    let mut pulses: BTreeMap<Ticks, i64> = BTreeMap::new();
-    let mut samples: BTreeMap<Ticks, i64> = BTreeMap::new();
-    for delivered in given {
-        let Some(at) = time_of(&delivered.message) else {
-            continue;
-        };
-        match &delivered.message {
-            DeviceToHost::Pulse(_) => *pulses.entry(at).or_default() += 1,
-            DeviceToHost::Imu(_) => *samples.entry(at).or_default() += 1,
-            _ => {}
-        }
-    }
-    let reader = Reader::open(folder).map_err(|error| format!("{what}: {error}"))?;
-    for entry in reader {
-        let entry = entry.map_err(|error| format!("{what}: {error}"))?;
-        let count = match &entry.item {
-            Item::Pulse(_) => pulses.get_mut(&entry.at),
-            Item::Imu(_) => samples.get_mut(&entry.at),
-            _ => None,
-        };
-        if let Some(count) = count {
-            *count -= 1;
-        }
-    }
-    for (name, left) in [("pulses", &pulses), ("samples", &samples)] {
-        let missing = left.values().filter(|&&count| count > 0).count();
-        let twice = left.values().filter(|&&count| count < 0).count();
-        if missing + twice > 0 {
-            let first = left.iter().find(|(_, count)| **count != 0);
-            return Err(format!(
-                "{what} lacks {missing} {name} and has {twice} twice, first {first:?}"
-            ));
         }
     }
     Ok(())

@@ -34,24 +34,39 @@ pub enum Fault {
     WatchdogReset,
     /// The supply of board and IMU fails and comes back.
     SupplyReset,
+    /// The host's time of day is set, by hours.
+    HostClockStepped,
+    /// The phone leaves the network.
+    PhoneGone,
+    /// The phone is on the network and nothing goes through.
+    WifiStalled,
+    /// No more fits onto the disk.
+    DiskFull,
+    /// The real process is killed.
+    ProcessKilled,
 }
 
 impl Fault {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 18] = [
+        Self::DepthCameraStopped,
         Self::UsbUnplugged,
         Self::HostStalled,
         Self::CorruptedFromBoard,
-        Self::CorruptedToBoard,
         Self::I2cHeld,
         Self::ImuPowerCut,
         Self::ImuClockCut,
         Self::StrobeFlooded,
         Self::HostKilled,
-        Self::DepthCameraStopped,
-        Self::ResetPressed,
         Self::WatchdogReset,
         Self::SupplyReset,
+        Self::HostClockStepped,
+        Self::PhoneGone,
+        Self::WifiStalled,
+        Self::DiskFull,
+        Self::ProcessKilled,
+        Self::ResetPressed,
+        Self::CorruptedToBoard,
     ];
 
     /// Whether the board begins a new run by it.
@@ -61,6 +76,25 @@ impl Fault {
             self,
             Self::ResetPressed | Self::WatchdogReset | Self::SupplyReset
         )
+    }
+
+    /// Whether it needs the program as a process, and the phone.
+    #[must_use]
+    pub const fn needs_process(self) -> bool {
+        matches!(
+            self,
+            Self::PhoneGone | Self::WifiStalled | Self::DiskFull | Self::ProcessKilled
+        )
+    }
+
+    /// Whether it can be done to the rig of a run with the real program.
+    const fn goes_with_process(self) -> bool {
+        self.needs_process() || matches!(self, Self::UsbUnplugged | Self::ResetPressed)
+    }
+
+    /// Whether the session may end before it does.
+    const fn may_outlast(self) -> bool {
+        matches!(self, Self::PhoneGone | Self::WifiStalled)
     }
 
     /// Whether samples of the IMU are missing by it.
@@ -78,7 +112,14 @@ impl Fault {
             Self::I2cHeld | Self::ImuPowerCut => Some((5, 4_000)),
             Self::ImuClockCut | Self::StrobeFlooded => Some((100, 4_000)),
             Self::DepthCameraStopped => Some((500, 5_000)),
-            Self::HostKilled | Self::ResetPressed | Self::WatchdogReset | Self::SupplyReset => None,
+            Self::PhoneGone | Self::WifiStalled => Some((500, 20_000)),
+            Self::HostKilled
+            | Self::ResetPressed
+            | Self::WatchdogReset
+            | Self::SupplyReset
+            | Self::HostClockStepped
+            | Self::DiskFull
+            | Self::ProcessKilled => None,
         }
     }
 }
@@ -119,6 +160,8 @@ pub struct Plan {
     pub length_us: u64,
     /// Damaged bytes in a million, where bytes are damaged.
     pub corruption_ppm: u32,
+    /// What the host's time of day is set by, s.
+    pub clock_step_s: i64,
 }
 
 /// How long a recording goes on behind the last fault, in ms: 1 s for the watch
@@ -135,8 +178,15 @@ impl Plan {
         // Every fault leads in turn, so that few seeds try all of them.
         let first = Fault::ALL[(seed.0 % Fault::ALL.len() as u64) as usize];
         let mut faults = vec![first];
+        let fitting: Vec<Fault> = Fault::ALL
+            .into_iter()
+            .filter(|fault| match first.needs_process() {
+                true => fault.goes_with_process(),
+                false => !fault.needs_process(),
+            })
+            .collect();
         for _ in 0..random.bits() % 4 {
-            let fault = Fault::ALL[(random.bits() % Fault::ALL.len() as u64) as usize];
+            let fault = fitting[(random.bits() % fitting.len() as u64) as usize];
             let again = faults
                 .iter()
                 .any(|f| *f == fault || f.is_reset() && fault.is_reset());
@@ -149,12 +199,23 @@ impl Plan {
             .map(|fault| Self::place(fault, &mut random))
             .collect();
         events.sort_by_key(|event| event.at_us);
-        let last = events.iter().map(|event| event.at_us + event.for_us).max();
+        let end = |event: &Event| match event.fault.may_outlast() {
+            true => event.at_us,
+            false => event.at_us + event.for_us,
+        };
+        let last = events.iter().map(end).max();
+        let hours = 1 + (random.bits() % 12) as i64;
+        let clock_step_s = if random.bits().is_multiple_of(2) {
+            hours * 3_600
+        } else {
+            hours * -3_600
+        };
         Self {
             seed: seed.0,
             events,
             length_us: last.unwrap_or(0) + QUIET_MS * 1000,
             corruption_ppm: 100 + (random.bits() % 2_000) as u32,
+            clock_step_s,
         }
     }
 
@@ -203,7 +264,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_is_one_plan_and_thirteen_in_a_row_have_every_fault() {
+    fn a_seed_is_one_plan_and_eighteen_in_a_row_have_every_fault() {
         for seed in 0..200 {
             let plan = Plan::draw(Seed(seed));
             assert_eq!(plan, Plan::draw(Seed(seed)));
@@ -211,7 +272,8 @@ mod tests {
             assert!(resets <= 1, "{plan}");
         }
         for fault in Fault::ALL {
-            assert!((1..14).any(|seed| Plan::draw(Seed(seed)).has(fault)));
+            let among = (1..=18).any(|seed| Plan::draw(Seed(seed)).has(fault));
+            assert!(among, "{fault:?}");
         }
     }
 }

@@ -1,33 +1,22 @@
-//! The rig of a run, on a thread of its own, and the host's end of its cable.
-//!
-//! Virtual time passes only while the host waits for bytes or for the port, so a
-//! run does not depend on how fast the machine is. Faults happen at their
-//! virtual times, to a millisecond.
+//! The rig of a run: it runs while the host waits, faults happen at their virtual
+//! times to a millisecond, and what the host is given is compared with the truth.
 
-use std::sync::mpsc::{Receiver, RecvError, SendError, Sender, channel};
+use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use protocol::{
-    Command, Decoder, DeviceToHost, Failure as SelfTestFailure, Hello, HostToDevice, ImuState,
-    MAX_FRAME, SELF_TEST_KEY, Status, Ticks, encode,
-};
-use smartdepthsync::board::{self, BoardError};
-use smartdepthsync::record::Connector;
-use smartdepthsync::transport::serial::OpenError;
-use smartdepthsync::transport::{Link, LinkError};
+use protocol::{Command, Decoder, DeviceToHost, Hello, HostToDevice, ImuState, Status, Ticks};
 
-use super::plan::{Fault, Plan};
+use super::happenings::{Flood, Turn};
+use super::plan::Plan;
+use super::stage::{Reply, Request};
 use crate::board_truth::{BoardTruth, Compared, Train};
 use crate::depth_camera::{DepthCamera, DepthCameraConfig};
 use crate::i2c::{Shared, lock};
-use crate::model::{RigIo, RigModel};
 use crate::motion::MotionSpec;
 use crate::motion::gesture::Gesture;
-use crate::mpu9150::{Fault as ImuFault, Mpu9150, Mpu9150Config};
+use crate::mpu9150::{Mpu9150, Mpu9150Config};
 use crate::oscillator::{BoardTime, OscillatorConfig};
-use crate::pin::{Drive, Pin};
 use crate::random::{Seed, Stream};
 use crate::rig::{FailureKind, ResetCause, Rig, RigBuilder};
 use crate::time::{SimDuration, SimTime};
@@ -38,41 +27,14 @@ const STEP: SimDuration = SimDuration::from_millis(1);
 /// Virtual time that a try to open a port that is not there takes: the host
 /// program waits as long between tries.
 const TRY: SimDuration = SimDuration::from_millis(500);
-/// Half a period of 100 kHz.
-const FLOOD: SimDuration = SimDuration::from_micros(5);
-
-/// The name under which the port is told.
-const PORT: &str = "the simulated board";
-
-/// What the host asks of the scene.
-enum Request {
-    Connect,
-    Close(u64),
-    Send(u64, Vec<u8>),
-    Receive(u64, Duration),
-    /// The recording begins, with this train.
-    Begin(Train),
-    End,
-}
-
-/// What the scene answers.
-#[derive(Default)]
-struct Reply {
-    now: Duration,
-    bytes: Vec<u8>,
-    /// The connection, or none if there is none (any more).
-    connection: Option<u64>,
-    busy: bool,
-    report: Option<Box<Report>>,
-}
 
 /// A message that was handed to the host.
 #[derive(Clone, Debug)]
 pub(super) struct Delivered {
     /// When.
     pub at: SimTime,
-    /// The board's run.
-    pub epoch: u32,
+    /// The board's run: 0 is the first.
+    pub run: usize,
     /// What.
     pub message: DeviceToHost,
 }
@@ -98,222 +60,49 @@ pub(super) struct Report {
     pub ended: SimTime,
     /// CRC-32 of all bytes that the host was given.
     pub digest: u32,
+    /// The train that was started first.
+    pub first_train: Option<Train>,
+    /// The train that was started after a reset.
+    pub train: Option<Train>,
+    /// When tick 0 of each run was.
+    pub zeros: Vec<SimTime>,
     /// Pulses that the board made between the first and the last that the host
     /// was told of, by the pin.
     pub pulses_between: u64,
 }
 
-/// The host's end of the scene; clones are the same.
-#[derive(Clone)]
-pub(super) struct Stage(Arc<Mutex<Mail>>);
-
-struct Mail {
-    requests: Sender<Request>,
-    replies: Receiver<Reply>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Stage {
-    /// Boots a board with everything around it.
-    pub(super) fn open(
-        plan: &Plan,
-        builder: RigBuilder,
-        on_kill: impl FnMut() + Send + 'static,
-    ) -> Result<Self, String> {
-        let (requests, inbox) = channel();
-        let (outbox, replies) = channel();
-        let plan = plan.clone();
-        let thread = std::thread::Builder::new()
-            .name("scene".to_owned())
-            .spawn(move || match Scene::new(plan, builder, Box::new(on_kill)) {
-                Ok(mut scene) => {
-                    let _ = outbox.send(scene.reply());
-                    while let Ok(request) = inbox.recv() {
-                        if outbox.send(scene.answer(request)).is_err() {
-                            return;
-                        }
-                    }
-                }
-                Err(error) => {
-                    let report = Report {
-                        wrong: Some(error),
-                        ..Report::default()
-                    };
-                    let reply = Reply {
-                        report: Some(Box::new(report)),
-                        ..Reply::default()
-                    };
-                    let _ = outbox.send(reply);
-                }
-            })
-            .map_err(|error| error.to_string())?;
-        let begun = replies.recv().map_err(|error| error.to_string())?;
-        if let Some(report) = begun.report {
-            return Err(report.wrong.unwrap_or_default());
-        }
-        Ok(Self(Arc::new(Mutex::new(Mail {
-            requests,
-            replies,
-            thread: Some(thread),
-        }))))
-    }
-
-    fn ask(&self, request: Request) -> Result<Reply, LinkError> {
-        let mail = lock(&self.0);
-        let gone = |reason: String| LinkError::Gone { reason };
-        mail.requests
-            .send(request)
-            .map_err(|error: SendError<_>| gone(error.to_string()))?;
-        mail.replies
-            .recv()
-            .map_err(|error: RecvError| gone(error.to_string()))
-    }
-
-    /// The recording begins: faults count from here.
-    pub(super) fn begin(&self, train: Train) -> Result<(), LinkError> {
-        self.ask(Request::Begin(train)).map(|_| ())
-    }
-
-    /// Switches the rig off.
-    pub(super) fn end(&self) -> Result<Report, LinkError> {
-        let reply = self.ask(Request::End)?;
-        let thread = lock(&self.0).thread.take();
-        drop(thread);
-        reply.report.map(|report| *report).ok_or(LinkError::Stuck)
-    }
-}
-
-impl Connector for Stage {
-    fn connect(&mut self, _: Option<&str>) -> board::Result<Box<dyn Link>> {
-        let reply = self.ask(Request::Connect)?;
-        match reply.connection {
-            Some(connection) => Ok(Box::new(Cable {
-                stage: self.clone(),
-                connection,
-                now: reply.now,
-            })),
-            None if reply.busy => Err(BoardError::Open(OpenError::Busy {
-                path: PORT.to_owned(),
-            })),
-            None => Err(BoardError::Open(OpenError::NotFound {
-                path: PORT.to_owned(),
-            })),
-        }
-    }
-}
-
-/// One connection.
-struct Cable {
-    stage: Stage,
-    connection: u64,
-    now: Duration,
-}
-
-impl Cable {
-    fn taken(&mut self, reply: &Reply) -> Result<(), LinkError> {
-        self.now = reply.now;
-        if reply.connection == Some(self.connection) {
-            Ok(())
-        } else {
-            Err(LinkError::Gone {
-                reason: "unplugged".to_owned(),
-            })
-        }
-    }
-}
-
-impl Link for Cable {
-    fn now(&self) -> Duration {
-        self.now
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let reply = self
-            .stage
-            .ask(Request::Send(self.connection, bytes.to_vec()))?;
-        self.taken(&reply)
-    }
-
-    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
-        let reply = self.stage.ask(Request::Receive(self.connection, wait))?;
-        if reply.bytes.is_empty() {
-            self.taken(&reply)
-        } else {
-            self.now = reply.now;
-            into.extend_from_slice(&reply.bytes);
-            Ok(())
-        }
-    }
-}
-
-impl Drop for Cable {
-    fn drop(&mut self) {
-        // The scene may have ended.
-        let _ = self.stage.ask(Request::Close(self.connection));
-    }
-}
-
-/// Drives the strobe input at 100 kHz for a while.
-#[derive(Debug, Default)]
-struct Flood {
-    next: Option<SimTime>,
-    until: SimTime,
-    high: bool,
-}
-
-impl RigModel for Flood {
-    fn name(&self) -> String {
-        "flood".to_owned()
-    }
-    fn watched_pins(&self) -> Vec<Pin> {
-        Vec::new()
-    }
-    fn next_event(&self) -> Option<SimTime> {
-        self.next
-    }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
-        self.high = !self.high && io.now() < self.until;
-        io.drive(Pin::PA2, if self.high { Drive::High } else { Drive::Low });
-        self.next = (self.high || io.now() < self.until).then(|| io.now() + FLOOD);
-    }
-}
-
-/// A fault that begins or ends.
-#[derive(Clone, Copy, Debug)]
-struct Turn {
-    at: SimTime,
-    fault: Fault,
-    begins: bool,
-    ends: SimTime,
-}
-
-struct Scene {
-    plan: Plan,
-    rig: Rig,
-    sensor: Shared<Mpu9150>,
-    camera: Shared<DepthCamera>,
-    flood: Shared<Flood>,
-    truth: BoardTruth,
+pub(super) struct Scene {
+    pub(super) plan: Plan,
+    pub(super) rig: Rig,
+    pub(super) sensor: Shared<Mpu9150>,
+    pub(super) camera: Shared<DepthCamera>,
+    pub(super) flood: Shared<Flood>,
+    pub(super) truth: BoardTruth,
     decoder: Decoder<DeviceToHost>,
-    turns: Vec<Turn>,
+    /// What the host sends.
+    commands: Decoder<HostToDevice>,
+    pub(super) turns: Vec<Turn>,
     connection: u64,
     /// The host has the port open.
     open: bool,
     pending: Vec<u8>,
     recording: bool,
-    epoch: u32,
+    run: usize,
     failures: usize,
-    expect_watchdog: bool,
-    report: Report,
+    pub(super) expect_watchdog: bool,
+    pub(super) report: Report,
     digest: crc32fast::Hasher,
-    on_kill: Box<dyn FnMut() + Send>,
+    /// What the host's time of day was set by, s.
+    pub(super) clock_step: Arc<AtomicI64>,
+    pub(super) on_kill: Box<dyn FnMut() + Send>,
     pulse_numbers: Option<(u64, u64)>,
 }
 
 impl Scene {
-    fn new(
+    pub(super) fn new(
         plan: Plan,
         builder: RigBuilder,
+        clock_step: Arc<AtomicI64>,
         on_kill: Box<dyn FnMut() + Send>,
     ) -> Result<Self, String> {
         let seed = Seed(plan.seed);
@@ -347,22 +136,24 @@ impl Scene {
             flood,
             truth,
             decoder: Decoder::new(),
+            commands: Decoder::new(),
             turns: Vec::new(),
             connection: 0,
             open: false,
             pending: Vec::new(),
             recording: false,
-            epoch: 0,
+            run: 0,
             failures: 0,
             expect_watchdog: false,
             report: Report::default(),
             digest: crc32fast::Hasher::new(),
+            clock_step,
             on_kill,
             pulse_numbers: None,
         })
     }
 
-    fn reply(&self) -> Reply {
+    pub(super) fn reply(&self) -> Reply {
         Reply {
             now: Duration::from_nanos(self.rig.now().as_nanos()),
             connection: self.open.then_some(self.connection),
@@ -370,7 +161,7 @@ impl Scene {
         }
     }
 
-    fn answer(&mut self, request: Request) -> Reply {
+    pub(super) fn answer(&mut self, request: Request) -> Reply {
         match request {
             Request::Connect => return self.connect(),
             Request::Close(connection) => {
@@ -382,6 +173,7 @@ impl Scene {
             }
             Request::Send(connection, bytes) => {
                 if connection == self.connection && self.open {
+                    self.listen(&bytes);
                     self.rig.usb_write(&bytes);
                 }
             }
@@ -396,6 +188,27 @@ impl Scene {
             }
         }
         self.reply()
+    }
+
+    /// After a reset the host starts the train itself, on an edge that it names.
+    fn listen(&mut self, mut bytes: &[u8]) {
+        while let Some(item) = self.commands.next(&mut bytes) {
+            if let Ok(HostToDevice {
+                command: Command::TriggerStart(start),
+                ..
+            }) = item
+                && let Some(first) = start.first_edge
+                && self.recording
+            {
+                let train = Train {
+                    first,
+                    period: start.period,
+                    width: start.width,
+                };
+                self.truth.started(train);
+                self.report.train = Some(train);
+            }
+        }
     }
 
     fn connect(&mut self) -> Reply {
@@ -446,6 +259,7 @@ impl Scene {
 
     fn begin(&mut self, train: Train) {
         self.truth.started(train);
+        self.report.first_train = Some(train);
         self.recording = true;
         let zero = self.rig.now();
         self.report.began = zero;
@@ -533,108 +347,16 @@ impl Scene {
     }
 
     /// The board begins a new run.
-    fn restart(&mut self, at: SimTime) {
+    pub(super) fn restart(&mut self, at: SimTime) {
         // What it had sent before, the host is still given.
         if self.open {
             self.pending.extend(self.rig.usb_read());
         }
         self.judge();
+        self.run += 1;
         if let Err(wrong) = self.truth.restart(&mut self.rig, &self.sensor, at) {
             self.complain(wrong.0);
         }
-    }
-
-    fn turn(&mut self, turn: &Turn) {
-        let now = self.rig.now();
-        let begins = turn.begins;
-        if turn.fault.hits_imu() || turn.fault.is_reset() {
-            self.truth.disturbed(now);
-        }
-        match turn.fault {
-            Fault::UsbUnplugged if begins => self.rig.usb_unplug(),
-            Fault::UsbUnplugged => self.rig.usb_plug(),
-            Fault::HostStalled => self.rig.usb_set_reading(!begins),
-            Fault::CorruptedFromBoard | Fault::CorruptedToBoard => self.corrupt(turn),
-            Fault::I2cHeld => self.rig.i2c_bus(|bus| bus.hold_sda(begins)),
-            Fault::ImuPowerCut if begins => self.imu(ImuFault::PowerOff),
-            Fault::ImuPowerCut => self.imu(ImuFault::PowerOn),
-            Fault::ImuClockCut => self.imu(ImuFault::ClockCut(begins)),
-            Fault::StrobeFlooded if begins => {
-                let mut flood = lock(&self.flood);
-                flood.next = Some(now + FLOOD);
-                flood.until = turn.ends;
-                drop(flood);
-                self.rig.models_changed();
-            }
-            Fault::StrobeFlooded => {}
-            Fault::HostKilled => {
-                self.report.killed = Some(now);
-                (self.on_kill)();
-            }
-            Fault::DepthCameraStopped if begins => {
-                lock(&self.camera).stop();
-                self.rig.models_changed();
-            }
-            Fault::DepthCameraStopped => {
-                lock(&self.camera).wait_for_pulses();
-                self.rig.models_changed();
-            }
-            Fault::ResetPressed => {
-                self.rig.press_reset();
-                self.restart(now);
-            }
-            Fault::WatchdogReset => self.hang(),
-            Fault::SupplyReset => {
-                self.imu(ImuFault::PowerOff);
-                let soon = now + SimDuration::from_micros(500);
-                lock(&self.sensor).schedule(soon, ImuFault::PowerOn);
-                self.rig.models_changed();
-                self.rig.power_cycle();
-                self.restart(now);
-            }
-        }
-    }
-
-    fn imu(&mut self, fault: ImuFault) {
-        lock(&self.sensor).schedule(self.rig.now(), fault);
-        self.rig.models_changed();
-    }
-
-    fn corrupt(&mut self, turn: &Turn) {
-        let now = self.rig.now();
-        let zero = self.report.began;
-        let on = |fault: Fault| {
-            let active = self
-                .plan
-                .events
-                .iter()
-                .any(|e| e.fault == fault && e.begins(zero) <= now && now < e.ends(zero));
-            let active = if turn.fault == fault {
-                turn.begins
-            } else {
-                active
-            };
-            if active { self.plan.corruption_ppm } else { 0 }
-        };
-        let (from, to) = (on(Fault::CorruptedFromBoard), on(Fault::CorruptedToBoard));
-        self.rig.usb_corrupt(from, to);
-    }
-
-    /// Lets a task of the board hang.
-    fn hang(&mut self) {
-        let command = HostToDevice {
-            id: u32::MAX,
-            command: Command::SelfTest {
-                key: SELF_TEST_KEY,
-                failure: SelfTestFailure::Stall,
-            },
-        };
-        let mut buffer = [0; MAX_FRAME];
-        if let Ok(frame) = encode(&command, &mut buffer) {
-            self.rig.usb_write(&[0]);
-            self.rig.usb_write(frame);
-        }
-        self.expect_watchdog = true;
     }
 
     /// Compares what the host is about to be given.
@@ -654,16 +376,16 @@ impl Scene {
         match &message {
             DeviceToHost::Hello(hello) => {
                 self.truth.begin(&self.rig, hello.now);
-                self.epoch = hello.epoch;
                 let known = self.report.hellos.last().map(|last| last.epoch);
                 if known != Some(hello.epoch) {
                     self.report.hellos.push(hello.clone());
+                    self.report.zeros.extend(self.truth.zero());
                 }
             }
             DeviceToHost::Status(status) => self.status(status),
             DeviceToHost::Pulse(pulse) if self.recording => {
                 let (first, _) = self.pulse_numbers.unwrap_or((pulse.number, pulse.number));
-                if self.report.hellos.len() <= 1 {
+                if self.run == 0 {
                     self.pulse_numbers = Some((first, pulse.number));
                 }
             }
@@ -675,7 +397,7 @@ impl Scene {
         if self.recording {
             self.report.delivered.push(Delivered {
                 at: self.rig.now(),
-                epoch: self.epoch,
+                run: self.run,
                 message,
             });
         }

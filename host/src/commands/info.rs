@@ -7,7 +7,7 @@ use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Status, TICK_HZ};
 use serde::Serialize;
 
 use super::PortArg;
-use crate::board::{Board, BoardError};
+use crate::board::{Board, BoardError, reset_cause};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use crate::session::Event;
@@ -157,7 +157,7 @@ impl Info {
             "time        {:.6} s since reset ({} ticks of {} Hz)",
             self.uptime_s, self.now_ticks, self.tick_hz
         );
-        let _ = writeln!(text, "last reset  {}", cause(self.reset_cause));
+        let _ = writeln!(text, "last reset  {}", reset_cause(self.reset_cause));
         if let Some(panic) = &self.last_panic {
             let _ = writeln!(text, "last panic  {panic}");
         }
@@ -203,18 +203,5 @@ impl StatusReport {
             self.imu.state,
             self.imu.samples
         )
-    }
-}
-
-const fn cause(cause: ResetCause) -> &'static str {
-    match cause {
-        ResetCause::PowerOn => "power on",
-        ResetCause::BrownOut => "brown-out: the supply dipped",
-        ResetCause::Pin => "reset pin",
-        ResetCause::Software => "by the firmware itself",
-        ResetCause::Watchdog => "watchdog: a task was stuck",
-        ResetCause::WindowWatchdog => "window watchdog",
-        ResetCause::LowPower => "illegal low-power entry",
-        ResetCause::Unknown => "unknown cause",
     }
 }

@@ -135,7 +135,7 @@ pub fn find(
     let mut remarks = Vec::new();
     let mut board_id = None;
     let session_folder = match &board {
-        BoardInput::Mcap(path) => path.parent(),
+        BoardInput::Mcap(path) | BoardInput::Moved(path, _) => path.parent(),
         BoardInput::Bag(_) => None,
     };
     let rig = if let Some(folder) = session_folder {

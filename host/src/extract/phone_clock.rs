@@ -1,9 +1,13 @@
 //! The phone's clock in board time: from both gyroscopes over the whole
 //! recording; else from what the session found; else from the recorded offset of
 //! the published system.
+//!
+//! Where the board was reset, each run has a relation of its own. The phone's clock
+//! went on meanwhile, so the two relations also say how long the board was away,
+//! better than the session knew: the later run is moved there.
 
 use super::board::{BoardError, BoardInput};
-use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate};
+use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
 use super::phone::files::PhoneFiles;
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
@@ -20,17 +24,37 @@ const RECORDED_MARGIN: f64 = 0.5;
 /// How far the relation is laid out beyond the recording, s.
 const BEYOND: i64 = 60;
 
+/// Source of a relation that there is none of.
+const NONE: &str = "none";
+
 /// A relation of phone and board.
 #[derive(Clone, Debug)]
 pub struct PhoneClock {
-    /// Phone time to board time.
+    /// Phone time to board time, the runs of the board being where
+    /// [`PhoneClock::moves`] puts them.
     pub map: PiecewiseMap<PhoneNanos, BoardNanos>,
     /// Worth knowing.
-    pub remark: Option<String>,
+    pub remarks: Vec<String>,
+    runs: Vec<RunClock>,
+    middle: BoardNanos,
+}
+
+/// The relation in one run of the board.
+#[derive(Clone, Debug)]
+struct RunClock {
+    /// From here on, as the recording has it.
+    from: BoardNanos,
+    /// Until here.
+    to: BoardNanos,
     source: &'static str,
     gyros: Option<GyroClock>,
     course: Option<ClockCourse>,
-    middle: BoardNanos,
+    /// Without a course: phone less board, ns.
+    offset: i64,
+    /// How much later it is than the recording has it, ns.
+    moved: i64,
+    /// 1-sigma of its distance to the run before, s.
+    joint_sigma_s: f64,
 }
 
 /// Why looking for it ended.
@@ -42,7 +66,8 @@ pub enum Stopped {
     Board(BoardError),
 }
 
-/// Finds the relation. The inner error says in words why there is none.
+/// Finds the relation, for each run of the board by itself. The inner error says in
+/// words why there is none.
 ///
 /// # Errors
 ///
@@ -55,20 +80,91 @@ pub fn find(
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Result<PhoneClock, String>, Stopped> {
-    let prior = prior
-        .or(survey.clock.map(Prior::Model))
-        .or_else(|| recorded_offset(survey));
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
-    let span = (
-        BoardNanos(first.saturating_sub(BEYOND * SECOND)),
-        BoardNanos(last.saturating_add(BEYOND * SECOND)),
-    );
-    let middle = BoardNanos(first.midpoint(last));
+    let mut runs = Vec::new();
+    let mut remarks = Vec::new();
+    let mut from = BoardNanos(first.saturating_sub(BEYOND * SECOND));
+    let ends = survey.runs.iter().map(|mark| mark.last);
+    let ends = ends.chain([BoardNanos(last.saturating_add(BEYOND * SECOND))]);
+    for (index, to) in ends.enumerate() {
+        // The session's relation is that of the last run.
+        let own = match survey.former_clocks.get(index) {
+            Some(former) => former.map(Prior::Model),
+            None => prior,
+        };
+        let own = own
+            .or(survey.clock.map(Prior::Model))
+            .or_else(|| recorded_offset(survey));
+        let run = find_run(board, files, survey, own, constants, (from, to), progress)?;
+        match run {
+            Ok((run, remark)) => {
+                runs.push(run);
+                remarks.extend(remark);
+            }
+            Err(why) if survey.runs.is_empty() => return Ok(Err(why)),
+            Err(why) => {
+                remarks.push(why);
+                runs.push(RunClock::new((from, to), NONE));
+            }
+        }
+        if let Some(mark) = survey.runs.get(index) {
+            from = mark.from;
+        }
+    }
+    if runs.iter().all(|run| run.source == NONE) {
+        return Ok(Err(remarks.join("; ")));
+    }
+    join(&mut runs, survey);
+    let map = PiecewiseMap::from_knots(runs.iter().flat_map(RunClock::knots));
+    Ok(Ok(PhoneClock {
+        map,
+        remarks,
+        runs,
+        middle: BoardNanos(first.midpoint(last)),
+    }))
+}
+
+/// The phone's clock goes on while the board is reset: by it, each run is put where
+/// it belongs behind the one before.
+fn join(runs: &mut [RunClock], survey: &Survey) {
+    for index in 1..runs.len() {
+        let (before, rest) = runs.split_at_mut(index);
+        let (Some(before), Some(run)) = (before.last(), rest.first_mut()) else {
+            continue;
+        };
+        run.moved = before.moved;
+        let mark = survey.runs.iter().find(|mark| mark.from == run.from);
+        run.joint_sigma_s = mark.map_or(0.0, |mark| mark.sigma_s);
+        let (Some(was), Some(is)) = (&before.gyros, &run.gyros) else {
+            continue;
+        };
+        let at = BoardSeconds(run.from.0 as f64 * 1e-9);
+        let is = is.course.at(at);
+        let step = is.offset - was.course.at(at).offset;
+        // The step changes what the former run's clock says by its rate.
+        let was = was.course.at(BoardSeconds(at.0 + step));
+        let step = ((is.offset - was.offset) * 1e9).round() as i64;
+        // Never into the former run.
+        let least = before.to.0.saturating_sub(run.from.0);
+        run.moved = before.moved.saturating_add(step.max(least));
+        run.joint_sigma_s = (is.covariance[0][0] + was.covariance[0][0]).max(0.0).sqrt();
+    }
+}
+
+/// The relation within one run; with it, what is worth knowing.
+fn find_run(
+    board: &BoardInput,
+    files: &PhoneFiles,
+    survey: &Survey,
+    prior: Option<Prior>,
+    constants: &Constants,
+    span: (BoardNanos, BoardNanos),
+    progress: &dyn Progress,
+) -> Result<Result<(RunClock, Option<String>), String>, Stopped> {
     let Some(gyro) = &files.gyro else {
         return Ok(from_prior(
             prior,
             span,
-            middle,
             "there is no gyroscope file of the phone",
         ));
     };
@@ -76,7 +172,6 @@ pub fn find(
         return Ok(from_prior(
             prior,
             span,
-            middle,
             "the board's recording has no IMU samples",
         ));
     }
@@ -86,29 +181,29 @@ pub fn find(
     };
     progress.begin(
         "relating the phone's clock",
-        last.saturating_sub(first).unsigned_abs(),
+        span.1.0.saturating_sub(span.0.0).unsigned_abs(),
     );
     let related = relate(
-        &|| streams::board(board, progress),
+        &|| streams::board_between(board, span, progress),
         &|| streams::phone(gyro),
         prior,
         delays,
         1,
-        &|at| progress.at(at.0.saturating_sub(first).unsigned_abs()),
+        &|at| progress.at(at.0.saturating_sub(span.0.0).unsigned_abs()),
     );
     progress.end();
     match related {
-        Ok(gyros) => Ok(Ok(PhoneClock {
-            map: gyros.pieces(span.0, span.1),
-            remark: None,
-            source: "gyroscopes",
-            course: Some(gyros.course.clone()),
-            gyros: Some(gyros),
-            middle,
-        })),
+        Ok(gyros) => Ok(Ok((
+            RunClock {
+                course: Some(gyros.course.clone()),
+                gyros: Some(gyros),
+                ..RunClock::new(span, "gyroscopes")
+            },
+            None,
+        ))),
         Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
         Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
-        Err(error) => Ok(from_prior(prior, span, middle, &error.to_string())),
+        Err(error) => Ok(from_prior(prior, span, &error.to_string())),
     }
 }
 
@@ -123,57 +218,112 @@ fn recorded_offset(survey: &Survey) -> Option<Prior> {
 fn from_prior(
     prior: Option<Prior>,
     span: (BoardNanos, BoardNanos),
-    middle: BoardNanos,
     why: &str,
-) -> Result<PhoneClock, String> {
+) -> Result<(RunClock, Option<String>), String> {
     match prior {
         None => Err(format!("phone time cannot be related to board time: {why}")),
         Some(Prior::Model(model)) => {
             let course = ClockCourse::from_estimates(&[model], model.wander)
                 .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
-            Ok(PhoneClock {
-                map: lay_out(&course, span),
-                remark: Some(format!(
-                    "the clock relation is the session's, from the twist alone, and not from the whole \
-                     recording: {why}"
-                )),
-                source: "session",
-                gyros: None,
+            let run = RunClock {
                 course: Some(course),
-                middle,
-            })
+                ..RunClock::new(span, "session")
+            };
+            let remark = format!(
+                "the clock relation is the session's, from the twist alone, and not from the whole \
+                 recording: {why}"
+            );
+            Ok((run, Some(remark)))
         }
         Some(Prior::Offset(offset, _)) => {
-            let nanos = (offset * 1e9).round() as i64;
-            let knot = |at: BoardNanos| (PhoneNanos(at.0.saturating_add(nanos)), at);
-            Ok(PhoneClock {
-                map: PiecewiseMap::from_knots([knot(span.0), knot(span.1)]),
-                remark: Some(format!(
-                    "the clock relation is the one offset that was recorded, without the drift of the \
-                     clocks: {why}"
-                )),
-                source: "bag",
-                gyros: None,
-                course: None,
-                middle,
-            })
+            let run = RunClock {
+                offset: (offset * 1e9).round() as i64,
+                ..RunClock::new(span, "bag")
+            };
+            let remark = format!(
+                "the clock relation is the one offset that was recorded, without the drift of the \
+                 clocks: {why}"
+            );
+            Ok((run, Some(remark)))
         }
     }
 }
 
-fn lay_out(
-    course: &ClockCourse,
-    span: (BoardNanos, BoardNanos),
-) -> PiecewiseMap<PhoneNanos, BoardNanos> {
-    super::gyro_clock::lay_out(course, span.0, span.1)
+impl RunClock {
+    fn new((from, to): (BoardNanos, BoardNanos), source: &'static str) -> Self {
+        Self {
+            from,
+            to,
+            source,
+            gyros: None,
+            course: None,
+            offset: 0,
+            moved: 0,
+            joint_sigma_s: 0.0,
+        }
+    }
+
+    /// Pairs of times, the run being where it was moved to.
+    fn knots(&self) -> Vec<(PhoneNanos, BoardNanos)> {
+        let plain = |at: BoardNanos| (PhoneNanos(at.0.saturating_add(self.offset)), at);
+        if self.source == NONE {
+            return Vec::new();
+        }
+        let knots = match &self.course {
+            Some(course) => super::gyro_clock::knots(course, self.from, self.to),
+            None => vec![plain(self.from), plain(self.to)],
+        };
+        let later = |(phone, at): (PhoneNanos, BoardNanos)| {
+            (phone, BoardNanos(at.0.saturating_add(self.moved)))
+        };
+        knots.into_iter().map(later).collect()
+    }
 }
 
 impl PhoneClock {
+    /// How much later each run of the board is than the recording has it, ns;
+    /// nothing if all are where they should be.
+    #[must_use]
+    pub fn moves(&self) -> Option<Vec<i64>> {
+        let moves: Vec<i64> = self.runs.iter().map(|run| run.moved).collect();
+        moves.iter().any(|&by| by != 0).then_some(moves)
+    }
+
+    /// For each run after the first: how much later it is than the recording has
+    /// it, ns, 1-sigma of its distance to the run before in s, and by what.
+    #[must_use]
+    pub fn joints(&self) -> Vec<(i64, f64, &'static str)> {
+        let joint = |pair: &[RunClock]| {
+            let by_gyros = pair.iter().all(|run| run.gyros.is_some());
+            let by = if by_gyros {
+                "gyroscopes"
+            } else {
+                "the computer's clock"
+            };
+            pair.last().map(|run| (run.moved, run.joint_sigma_s, by))
+        };
+        self.runs.windows(2).filter_map(joint).collect()
+    }
+
     /// The relation at a board time, with its uncertainty.
     #[must_use]
     pub fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
-        let course = self.course.as_ref()?;
-        Some(course.at(BoardSeconds(at.0 as f64 * 1e-9)))
+        let run = self
+            .runs
+            .iter()
+            .rev()
+            .find(|run| run.from.0.saturating_add(run.moved) <= at.0)
+            .or(self.runs.first())?;
+        let moved = run.moved as f64 * 1e-9;
+        let model = run
+            .course
+            .as_ref()?
+            .at(BoardSeconds(at.0 as f64 * 1e-9 - moved));
+        Some(ClockModel {
+            reference: BoardSeconds(model.reference.0 + moved),
+            offset: model.offset - moved,
+            ..model
+        })
     }
 
     /// What the report says about it, over these frames.
@@ -190,29 +340,25 @@ impl PhoneClock {
             Some([low.min(sigma), high.max(sigma)])
         });
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
+        let gyros = || self.runs.iter().filter_map(|run| run.gyros.as_ref());
+        let sum = |of: fn(&GyroClock) -> usize| gyros().map(of).sum();
+        let course: Vec<_> = gyros()
+            .flat_map(|gyros| gyros.results.iter().copied())
+            .collect();
         ClockReport {
-            source: self.source,
-            windows: self.gyros.as_ref().map_or(0, |gyros| gyros.windows),
-            used: self.gyros.as_ref().map_or(0, |gyros| gyros.course.used),
-            contradicting: self
-                .gyros
-                .as_ref()
-                .map_or(0, |gyros| gyros.course.contradicting),
+            source: self.runs.first().map_or(NONE, |run| run.source),
+            windows: sum(|gyros| gyros.windows),
+            used: sum(|gyros| gyros.course.used),
+            contradicting: sum(|gyros| gyros.course.contradicting),
             offset_s: middle.map_or(0.0, |model| model.offset),
             skew_ppm: middle.map_or(0.0, |model| model.skew * 1e6),
             skew_sigma_ppm: middle
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
             sigma_us: range.unwrap_or([0.0, 0.0]),
-            residual_us: self
-                .gyros
-                .as_ref()
-                .map_or(0.0, |gyros| gyros.residual_rms() * 1e6),
+            residual_us: residual_rms(&course) * 1e6,
             frame_period_ns: FrameTrain::from_timestamps(&phone)
                 .map(|train| (train.period_s * 1e9, train.period_sigma_s * 1e9)),
-            course: self
-                .gyros
-                .as_ref()
-                .map_or_else(Vec::new, |gyros| gyros.results.clone()),
+            course,
         }
     }
 }

@@ -70,7 +70,7 @@ pub struct Constants {
 }
 
 /// The board's part.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct BoardReport {
     /// The board's unique ID, if the session knows it.
     pub id: Option<String>,
@@ -82,8 +82,25 @@ pub struct BoardReport {
     pub missing_pulses: Vec<(u32, u64, u64)>,
     /// Samples of the IMU.
     pub imu: ImuSpan,
+    /// Runs of the board after a reset within the recording.
+    pub runs: Vec<BoardRunReport>,
     /// Marks, ns.
     pub marks_ns: Vec<i64>,
+}
+
+/// A run of the board after a reset.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BoardRunReport {
+    /// It begins at or behind this time, ns.
+    pub from_ns: i64,
+    /// The last time known of the run before, ns.
+    pub last_before_ns: i64,
+    /// How much later it is in the data set than in the recording, ns.
+    pub moved_ns: i64,
+    /// 1-sigma of its distance to the run before, µs.
+    pub sigma_us: f64,
+    /// What that is known from.
+    pub by: &'static str,
 }
 
 /// The phone's part.

@@ -9,6 +9,7 @@ use super::depth::{DepthError, DepthInput};
 use super::gyro_clock::{GyroSample, GyroStream};
 use super::phone::csv::Rows;
 use super::progress::Progress;
+use super::time::BoardNanos;
 
 /// Samples between two looks at whether to stop.
 const LOOK: u64 = 8192;
@@ -50,6 +51,30 @@ pub fn board<'a>(
         count: 0,
         last: i64::MIN,
     }))
+}
+
+/// The board's gyroscope within a span.
+///
+/// # Errors
+///
+/// The recording cannot be opened.
+pub fn board_between<'a>(
+    input: &BoardInput,
+    (from, to): (BoardNanos, BoardNanos),
+    progress: &'a dyn Progress,
+) -> Result<GyroStream<'a, StreamError>, StreamError> {
+    let behind = move |sample: &Result<GyroSample, StreamError>| {
+        sample.as_ref().is_ok_and(|sample| sample.at > to.0)
+    };
+    let before = move |sample: &Result<GyroSample, StreamError>| {
+        sample.as_ref().is_ok_and(|sample| sample.at < from.0)
+    };
+    let samples = board(input, progress)?;
+    Ok(Box::new(
+        samples
+            .skip_while(before)
+            .take_while(move |sample| !behind(sample)),
+    ))
 }
 
 struct BoardGyro<'a> {

@@ -1,6 +1,6 @@
 //! The first pass over the board's recording: everything but the samples.
 
-use super::board::{BoardError, BoardEvent, BoardInput, Images, TimePair};
+use super::board::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair};
 use super::depth_clock::PulseTime;
 use super::progress::Progress;
 use super::time::{BoardNanos, SECOND};
@@ -17,6 +17,10 @@ pub struct Survey {
     pub times: Vec<TimePair>,
     /// The last clock model that was recorded.
     pub clock: Option<ClockModel>,
+    /// Runs of the board after resets.
+    pub runs: Vec<RunMark>,
+    /// The last clock model of each run that another followed.
+    pub former_clocks: Vec<Option<ClockModel>>,
     /// The IMU's samples.
     pub imu: ImuSpan,
     /// Depth images in the recording itself (bags).
@@ -111,6 +115,10 @@ pub fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Option<Surv
             BoardEvent::Times(pair) => out.times.push(pair),
             BoardEvent::Clock(model) => out.clock = Some(model),
             BoardEvent::Image(_) => out.images += 1,
+            BoardEvent::Run(mark) => {
+                out.runs.push(mark);
+                out.former_clocks.push(out.clock);
+            }
         }
         events += 1;
         if events.is_multiple_of(4096) {

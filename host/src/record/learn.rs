@@ -204,7 +204,11 @@ pub fn learnt(session: &SessionFile, period: &FramePeriod, date: Date) -> Learnt
         (Some(first), Some(last)) => last - first,
         _ => 0.0,
     };
-    let clock = session.clock.filter(|_| baseline >= MIN_BASELINE_S);
+    // Over a reset the two twists are of different runs.
+    let one_run = session.runs.is_empty();
+    let clock = session
+        .clock
+        .filter(|_| one_run && baseline >= MIN_BASELINE_S);
     let floor_ns = REPEATABILITY * period.period_ns;
     Learnt {
         frame_period_ns: period.period_ns,

@@ -11,6 +11,7 @@
 //!
 //! - [`alignment`]: the arithmetic of the phase.
 //! - [`watch`]: what is watched while recording.
+//! - [`runs`]: one axis of time when the board is reset meanwhile.
 //! - [`phone_task`], [`recorder`]: phone and depth recorder.
 //! - [`preflight`]: what is looked at before.
 //! - [`operator`]: the person; [`live`]: what is shown to them.
@@ -24,7 +25,9 @@ pub mod operator;
 pub mod phone_task;
 pub mod preflight;
 pub mod recorder;
+mod restart;
 pub mod rig;
+pub mod runs;
 pub mod steps;
 pub mod watch;
 

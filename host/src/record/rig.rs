@@ -7,13 +7,15 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use protocol::{Arrived, DeviceToHost, ImuSetup, TICK_HZ, Ticks};
+use protocol::{Arrived, DeviceToHost, ImuSetup, Reply, TICK_HZ, Ticks};
 
 use super::live::{Live, Step};
 use super::operator::Operator;
 use super::phone_task::{Answer, PhoneTask, Request};
 use super::preflight::{Checks, ImuLook};
 use super::recorder::DepthRecorder;
+use super::restart::{NextScale, Pending};
+use super::runs::{Axis, Pair};
 use super::watch::{Finding, Watch};
 use super::{Connector, Stop};
 use crate::board::{self, Board, BoardError};
@@ -68,8 +70,15 @@ pub struct Rig<'a> {
     pub board: Board,
     /// Its ID in hex.
     pub board_id: String,
-    /// What it said its epoch is when the session began: another one is a reset.
-    epoch: u32,
+    /// The run that the board is in: another one is a reset.
+    pub(super) epoch: u32,
+    /// Its runs on one axis of time: all times outside of calls to the board are
+    /// on it.
+    pub(super) axis: Axis,
+    /// Both clocks when a new run was met, until it begins on the axis.
+    pub(super) met: Option<Pair>,
+    /// What is to be done after a reset.
+    pub(super) pending: Option<Pending>,
     /// The phone.
     pub phone: PhoneTask,
     /// The person.
@@ -104,10 +113,11 @@ pub struct Rig<'a> {
     pub trigger_started: bool,
     /// The session is being closed: interrupts are no reason to stop any more.
     pub closing: bool,
-    scale: Scale,
     link_patience: Duration,
+    pub(super) scale: Scale,
+    pub(super) next_scale: Option<NextScale>,
     problem_seen: bool,
-    last_sign: Duration,
+    pub(super) last_sign: Duration,
     last_round: Instant,
     disk_warned: bool,
     findings: Vec<Finding>,
@@ -155,6 +165,9 @@ impl<'a> Rig<'a> {
             connector: parts.connector,
             board_id: protocol::usb::serial_number(&board.hello().board_id).to_string(),
             epoch: board.hello().epoch,
+            axis: Axis::default(),
+            met: None,
+            pending: None,
             now: board.hello().now,
             last_sign: board.now(),
             board,
@@ -176,6 +189,7 @@ impl<'a> Rig<'a> {
             closing: false,
             scale: parts.scale,
             link_patience: parts.link_patience,
+            next_scale: None,
             problem_seen: false,
             last_round: Instant::now(),
             disk_warned: false,
@@ -192,12 +206,16 @@ impl<'a> Rig<'a> {
         if self.context.interrupt.requested() && !self.closing {
             return Err(Stop::Interrupted);
         }
+        self.compare_clocks();
         let mut wait = wait;
         // Bounded, so that prompts stay alive even under full load.
         for _ in 0..2_000 {
             match self.board.next_event(wait) {
                 Ok(Some(event)) => {
-                    self.last_sign = self.board.now();
+                    // That an answer does not come is no sign of life.
+                    if !matches!(event, Event::Expired { .. }) {
+                        self.last_sign = self.board.now();
+                    }
                     self.take(event)?;
                 }
                 Ok(None) => {
@@ -213,6 +231,7 @@ impl<'a> Rig<'a> {
             wait = Duration::ZERO;
         }
         self.tell_findings()?;
+        self.restore()?;
         if let Some(writer) = &mut self.writer {
             writer.tick().map_err(Failure::from)?;
         }
@@ -390,6 +409,7 @@ impl<'a> Rig<'a> {
         let written = match event {
             Event::Frame(frame) => writer.frame(now, frame),
             Event::Message(message) => {
+                let message = self.axis.message(message);
                 self.message(message)?;
                 return Ok(());
             }
@@ -412,14 +432,30 @@ impl<'a> Rig<'a> {
                 self.live.gauge.damaged();
                 writer.log(now, Severity::Warning, "damaged", &error.to_string())
             }
-            // While closing there is nothing left to end, and the link's loss is told.
-            Event::Restarted { .. } if self.closing => Ok(()),
-            Event::Restarted { last } => return Err(self.restarted(last).into()),
+            Event::Restarted { .. } => {
+                let recording = self.watch.is_some() || self.closing;
+                let last = now;
+                self.trigger_started = false;
+                self.begin_run()?;
+                if recording {
+                    return Ok(());
+                }
+                return Err(restarted(last).into());
+            }
             Event::OtherVersion { found } => {
                 return Err(Failure::from(BoardError::OtherVersion { found }).into());
             }
-            // Calls take their answers themselves.
-            Event::Answer(_) | Event::Expired { .. } => Ok(()),
+            Event::Answer(answer) => {
+                // Calls take their answers themselves.
+                if let Ok(Reply::Pong { received, .. }) = answer.result {
+                    self.axis.answered(answer.id, self.board.now(), received);
+                }
+                Ok(())
+            }
+            Event::Expired { id } => {
+                self.axis.expired(id);
+                Ok(())
+            }
         };
         written.map_err(|error| Failure::from(error).into())
     }
@@ -433,6 +469,10 @@ impl<'a> Rig<'a> {
             |clock: Option<ClockModel>, at| clock.map(|clock| clock.ticks_to_phone(at));
         let (at, written) = match message {
             DeviceToHost::Imu(raw) => {
+                if let Some(scale) = self.next_scale.and_then(|next| next.of(&raw)) {
+                    self.next_scale = None;
+                    self.scale = scale;
+                }
                 let sample = self.scale.apply(&raw);
                 if let Some(look) = &mut self.look {
                     look.add(&sample);
@@ -500,21 +540,6 @@ impl<'a> Rig<'a> {
         };
         self.now = self.now.max(at);
         written.map_err(|error| Failure::from(error).into())
-    }
-
-    /// The board began anew, after `last` of its time before.
-    fn restarted(&mut self, last: Ticks) -> Failure {
-        // A reset stops the train.
-        self.trigger_started = false;
-        Failure::new(
-            ExitStatus::LinkLost,
-            format!(
-                "the board was reset {:.3} s after its last one: its time began anew, so the \
-                 session ends here",
-                last.as_secs_f64()
-            ),
-        )
-        .next_step("`smartdepthsync info` says why it was reset")
     }
 
     /// All that had come is taken.
@@ -615,11 +640,21 @@ impl<'a> Rig<'a> {
         }
         self.last_sign = self.board.now();
         self.file.reconnects += 1;
-        if self.board.hello().epoch != self.epoch && !self.closing {
-            // Whatever it is asked from here on, it knows nothing of this session.
-            return Err(self.restarted(lost_at).into());
+        if self.board.hello().epoch != self.epoch {
+            // What it says of its new run is waiting: before that, its time.
+            self.meet_new_run();
+            if self.watch.is_none() && !self.closing {
+                // Whatever it is asked from here on, it knows nothing of this session.
+                self.trigger_started = false;
+                return Err(restarted(lost_at).into());
+            }
+            // Up to the new run's first messages: who asks on is in the new run.
+            while let Some(event) = self.board.queued_event() {
+                self.take(event)?;
+            }
+            return Ok(());
         }
-        let now = self.board.hello().now;
+        let now = self.axis.recorded(self.board.hello().now);
         if let Some(watch) = &mut self.watch {
             watch.resume(now);
         }
@@ -630,6 +665,19 @@ impl<'a> Rig<'a> {
             &format!("the link is back after {away:.3} s of board time"),
         )
     }
+}
+
+/// The board began anew while nothing was recorded that could go on.
+fn restarted(last: Ticks) -> Failure {
+    Failure::new(
+        ExitStatus::LinkLost,
+        format!(
+            "the board was reset {:.3} s after its last one: what was found out about its clock is \
+             void, so the session ends here",
+            last.as_secs_f64()
+        ),
+    )
+    .next_step("`smartdepthsync info` says why it was reset; then record again")
 }
 
 /// Free space for this user on the disk of a folder, bytes; `None` where it

@@ -846,6 +846,13 @@ fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
     if options.second_twist {
         let first = rig.clock;
         step(rig, "the second twist", |rig| match (twist(rig)?, first) {
+            (Some(second), Some(first)) if !rig.file.runs.is_empty() => {
+                // The first twist is of the run before the reset: its rate holds, its
+                // offset is better known from this one.
+                let sigma = first.covariance[1][1].sqrt();
+                let clock = with_known_skew(&second, first.skew, sigma).unwrap_or(second);
+                rig.set_clock(clock, "twist at the end, after a reset of the board")
+            }
             (Some(second), Some(first)) => {
                 let joined = first.joined(&second);
                 let text = format!(

@@ -59,6 +59,8 @@ pub mod topic {
     pub const LINK: &str = "/link/frames";
     /// [`super::messages::ClockModel`].
     pub const CLOCK: &str = "/session/clock_model";
+    /// [`super::messages::BoardRun`]: the board was reset.
+    pub const RUN: &str = "/session/board_run";
     /// [`super::messages::TimeReference`]: markers.
     pub const MARKER: &str = "/session/markers";
     /// [`super::messages::TimeReference`]: wall clock of the host.

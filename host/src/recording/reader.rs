@@ -15,8 +15,8 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use protocol::Ticks;
 
 use super::messages::{
-    Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference,
-    from_cdr,
+    BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
+    TimeReference, from_cdr,
 };
 use super::{MCAP_FILE, RecordingError, topic};
 
@@ -56,6 +56,8 @@ pub enum Item {
     Output(Pulse),
     /// `/board/gnss`.
     Gnss(TimeReference),
+    /// `/session/board_run`.
+    Run(BoardRun),
     /// A topic that this version does not know.
     Other {
         /// The topic.
@@ -244,6 +246,7 @@ fn entry(
         topic::LOG => from_cdr(data).map(Item::Log),
         topic::OUTPUT => from_cdr(data).map(Item::Output),
         topic::GNSS => from_cdr(data).map(Item::Gnss),
+        topic::RUN => from_cdr(data).map(Item::Run),
         other => Ok(Item::Other {
             topic: other.to_owned(),
             data: data.to_vec(),

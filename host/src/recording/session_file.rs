@@ -53,6 +53,9 @@ pub struct SessionFile {
     pub video: Option<Video>,
     /// How the trigger was aligned.
     pub alignment: Option<Alignment>,
+    /// The board's runs after the first: each begins with a reset.
+    #[serde(default)]
+    pub runs: Vec<BoardRun>,
     /// The recorded span of board time: from the arrival of the trigger on the
     /// phone's frames to the stop.
     pub recorded: Option<Span>,
@@ -206,6 +209,27 @@ pub enum FramePeriodSource {
     VideoStart,
 }
 
+/// A run of the board after a reset within the recording. All times are recorded
+/// ones: the board's own plus `shift`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BoardRun {
+    /// The board's number of the run.
+    pub epoch: u32,
+    /// Why it was reset.
+    pub reset_cause: ResetCause,
+    /// The last time known of the run before.
+    pub last: Ticks,
+    /// Tick 0 of this run.
+    pub from: Ticks,
+    /// Recorded ticks less the board's.
+    pub shift: u64,
+    /// 1-sigma of the shift, µs: the phase of the trigger against the phone's
+    /// frames is uncertain by as much in this run.
+    pub shift_sigma_us: f64,
+    /// The edge from which the trigger was on its grid again, once it was.
+    pub anchor: Option<Ticks>,
+}
+
 /// A marker of the user.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Marker {
@@ -247,6 +271,7 @@ impl SessionFile {
             clock: None,
             video: None,
             alignment: None,
+            runs: Vec::new(),
             recorded: None,
             markers: Vec::new(),
             counts: StreamCounts::default(),

@@ -27,12 +27,14 @@ use mcap::{Compression, WriteOptions};
 use protocol::{CaptureChannel, Edge, TICK_HZ, Ticks};
 
 use super::messages::{
-    Capture, ClockModel, DiagnosticArray, DiagnosticStatus, Header, Imu, KeyValue, LinkFrame, Log,
-    Pulse, RosMessage, Temperature, Time, TimeReference, to_cdr,
+    BoardRun, Capture, ClockModel, DiagnosticArray, DiagnosticStatus, Header, Imu, KeyValue,
+    LinkFrame, Log, Pulse, RosMessage, Temperature, Time, TimeReference, to_cdr,
 };
 use super::{MCAP_FILE, RecordingError, topic};
+use crate::board::reset_cause;
 use crate::imu::Sample;
 use crate::live_data::LiveData;
+use crate::record::runs::Joint;
 use crate::sync::ClockModel as ClockRelation;
 use crate::time::PhoneNanos;
 
@@ -83,6 +85,8 @@ pub enum Kind {
     Output,
     /// [`topic::GNSS`].
     Gnss,
+    /// [`topic::RUN`].
+    Run,
 }
 
 /// How bad something is that is said.
@@ -104,6 +108,11 @@ pub trait Output {
     ///
     /// It cannot be kept.
     fn put(&mut self, kind: Kind, at: Ticks, data: &[u8]) -> Result<(), RecordingError>;
+
+    /// The time of day, which is told once a second and used for nothing.
+    fn time_of_day(&self) -> SystemTime {
+        SystemTime::now()
+    }
 }
 
 /// What the board and the session say, as ROS 2 messages on their topics.
@@ -117,13 +126,17 @@ pub struct McapFile {
     mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
     file: File,
     path: PathBuf,
-    channels: [Channel; 14],
+    channels: [Channel; 15],
     chunk_from: Option<Ticks>,
     chunk_since: Instant,
     synced: Instant,
     dirty: bool,
     mirror: Option<LiveData>,
+    wall: WallClock,
 }
+
+/// Tells the time of day.
+pub type WallClock = Box<dyn Fn() -> SystemTime + Send>;
 
 impl Writer {
     /// Makes the file in a recording's folder.
@@ -155,9 +168,16 @@ impl Writer {
             synced: now,
             dirty: true,
             mirror: None,
+            wall: Box::new(SystemTime::now),
         };
         file.flush()?;
         Ok(Self(file))
+    }
+
+    /// Takes the time of day, which is recorded once a second and used for nothing,
+    /// from another clock than the system's.
+    pub fn set_wall_clock(&mut self, wall: WallClock) {
+        self.0.wall = wall;
     }
 
     /// Shows everything that is written from here on to those who look on live.
@@ -346,7 +366,9 @@ impl<O: Output> Topics<O> {
         board_id: &str,
     ) -> Result<(), RecordingError> {
         self.put(Kind::Status, status.at, &diagnostics(status, board_id))?;
-        let wall = SystemTime::now()
+        let wall = self
+            .0
+            .time_of_day()
             .duration_since(UNIX_EPOCH)
             .ok()
             .and_then(|since| i64::try_from(since.as_nanos()).ok())
@@ -399,6 +421,34 @@ impl<O: Output> Topics<O> {
                 covariance: [a, b, c, d],
                 wander: clock.wander.0,
                 source: source.to_owned(),
+            },
+        )
+    }
+
+    /// The board was reset: a later run begins. `since` is tick 0 of it, `last` the
+    /// last tick of the run before, both recorded; `joint` says how they hang
+    /// together.
+    ///
+    /// # Errors
+    ///
+    /// As [`Writer::imu`].
+    pub fn board_run(
+        &mut self,
+        since: Ticks,
+        hello: &protocol::Hello,
+        joint: &Joint,
+        last: Ticks,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            Kind::Run,
+            since,
+            &BoardRun {
+                header: header(since, "board"),
+                epoch: hello.epoch,
+                reset_cause: reset_cause(hello.reset_cause).to_owned(),
+                shift_ticks: joint.shift,
+                shift_sigma_s: joint.sigma_s,
+                last_ticks: last.0,
             },
         )
     }
@@ -508,6 +558,10 @@ impl McapFile {
 }
 
 impl Output for McapFile {
+    fn time_of_day(&self) -> SystemTime {
+        (self.wall)()
+    }
+
     fn put(&mut self, kind: Kind, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
         let nanos = at.as_nanos();
         if let Some(channel) = self.channels.get_mut(kind as usize) {
@@ -575,7 +629,7 @@ pub(crate) struct Description {
 }
 
 /// The topics in the order of [`Kind`].
-pub(crate) fn descriptions() -> [Description; 14] {
+pub(crate) fn descriptions() -> [Description; 15] {
     fn of<M: RosMessage>(topic: &'static str) -> Description {
         Description {
             topic,
@@ -598,13 +652,14 @@ pub(crate) fn descriptions() -> [Description; 14] {
         of::<Log>(topic::LOG),
         of::<Pulse>(topic::OUTPUT),
         of::<TimeReference>(topic::GNSS),
+        of::<BoardRun>(topic::RUN),
     ]
 }
 
 fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
-) -> Result<[Channel; 14], mcap::McapError> {
-    let mut channels = [Channel::default(); 14];
+) -> Result<[Channel; 15], mcap::McapError> {
+    let mut channels = [Channel::default(); 15];
     for (channel, described) in channels.iter_mut().zip(descriptions()) {
         let schema = mcap.add_schema(described.name, "ros2msg", described.schema.as_bytes())?;
         channel.id = mcap.add_channel(schema, described.topic, "cdr", &BTreeMap::new())?;

@@ -174,6 +174,47 @@ fn what_was_dropped_while_the_line_was_cut_shows_as_loss() {
 }
 
 #[test]
+fn what_comes_before_the_hello_of_a_new_run_is_of_the_new_run() {
+    let mut session = Session::new(0);
+    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    session.receive(&frame(&sample(40)));
+    session.cut();
+    session.receive(&frame(&sample(0)));
+    session.receive(&frame(&sample(1)));
+    assert_eq!(events(&mut session).len(), 2);
+    session.receive(&frame(&hello(2, PROTOCOL_VERSION)));
+    let told = events(&mut session);
+    assert_eq!(
+        told[0],
+        Event::Restarted {
+            last: Ticks(5_000_000)
+        }
+    );
+    assert_eq!(told[1], Event::Message(sample(0)));
+    assert_eq!(told[2], Event::Message(sample(1)));
+    assert_eq!(session.counts().lost(), 0);
+}
+
+#[test]
+fn what_comes_before_the_hello_of_the_same_run_is_given_out_once() {
+    let mut session = Session::new(0);
+    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    session.receive(&frame(&sample(40)));
+    session.cut();
+    session.receive(&frame(&sample(44)));
+    session.cut();
+    session.receive(&frame(&sample(46)));
+    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    let samples: Vec<_> = events(&mut session)
+        .into_iter()
+        .filter(|event| matches!(event, Event::Message(DeviceToHost::Imu(_))))
+        .collect();
+    let expected = [40, 44, 46].map(|seq| Event::Message(sample(seq)));
+    assert_eq!(samples, expected);
+    assert_eq!(session.counts().imu.lost, 4);
+}
+
+#[test]
 fn another_version_is_told_whether_or_not_its_hello_is_understood() {
     let mut session = Session::new(0);
     session.receive(&frame(&hello(1, PROTOCOL_VERSION + 8)));

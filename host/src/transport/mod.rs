@@ -13,7 +13,9 @@ pub mod serial;
 
 /// A byte stream to a board, with the clock of its deadlines.
 pub trait Link: Send {
-    /// Time since any fixed moment, for deadlines.
+    /// Time since any fixed moment, for deadlines. The moment is the same for all
+    /// links of a program, so that the board's time can be followed from one to
+    /// the next.
     fn now(&self) -> Duration;
 
     /// Sends all bytes.

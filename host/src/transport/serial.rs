@@ -10,9 +10,9 @@
 
 use std::io::{self, Read, Write};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -101,7 +101,6 @@ pub struct SerialLink {
     gone: Option<LinkError>,
     stop: Arc<AtomicBool>,
     reader: Option<JoinHandle<()>>,
-    opened: Instant,
 }
 
 impl SerialLink {
@@ -137,7 +136,6 @@ impl SerialLink {
             gone: None,
             stop,
             reader: Some(reader),
-            opened: Instant::now(),
         })
     }
 
@@ -153,9 +151,15 @@ impl SerialLink {
     }
 }
 
+/// Time since the program first asked for it: one clock for all links.
+fn program_time() -> Duration {
+    static BEGAN: OnceLock<Instant> = OnceLock::new();
+    BEGAN.get_or_init(Instant::now).elapsed()
+}
+
 impl Link for SerialLink {
     fn now(&self) -> Duration {
-        self.opened.elapsed()
+        program_time()
     }
 
     fn send(&mut self, mut bytes: &[u8]) -> Result<(), LinkError> {

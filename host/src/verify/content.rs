@@ -12,19 +12,39 @@ use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
 use crate::record::alignment::off_grid;
 use crate::recording::messages::{
-    Capture, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference, from_cdr,
+    BoardRun, Capture, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference,
+    from_cdr,
 };
 use crate::recording::reader::ticks_of_nanos;
-use crate::recording::session_file::{Alignment, SessionFile};
+use crate::recording::session_file::{self, Alignment, SessionFile};
 use crate::recording::{RecordingError, topic};
+use crate::session::Stream;
 
-/// The streams that are compared with their topics.
-const STREAMS: [(&str, &str); 4] = [
-    ("status", topic::STATUS),
-    ("pulses", topic::PULSE),
-    ("captures", topic::CAPTURE),
-    ("imu", topic::IMU),
-];
+/// How many streams the board numbers.
+const STREAMS: usize = Stream::ALL.len();
+
+/// The topic in which each message of a stream has one of its own.
+const fn topic_of(stream: Stream) -> Option<&'static str> {
+    match stream {
+        Stream::Status => Some(topic::STATUS),
+        Stream::Pulses => Some(topic::PULSE),
+        Stream::Captures => Some(topic::CAPTURE),
+        Stream::Imu => Some(topic::IMU),
+        Stream::Outputs => Some(topic::OUTPUT),
+        Stream::Pps => Some(topic::GNSS),
+        // It says nothing, and is in the frames of the link alone.
+        Stream::Filler => None,
+    }
+}
+
+/// Whether messages of a topic come in the order of their times.
+fn in_order(name: &str) -> bool {
+    name == topic::TEMPERATURE
+        || Stream::ALL
+            .into_iter()
+            // Pulses of several outputs may fall on one tick.
+            .any(|stream| stream != Stream::Outputs && topic_of(stream) == Some(name))
+}
 
 /// How many messages may be under way between a status and the streams that it
 /// counts: the queues of the board hold at most a few.
@@ -51,7 +71,7 @@ pub struct Outcome {
 
 /// One numbered stream in the frames of the link, and its topic.
 #[derive(Default)]
-struct Stream {
+struct Numbers {
     expected: Option<u32>,
     report: StreamReport,
     /// Times of frames whose message has not come yet.
@@ -67,7 +87,7 @@ struct Counters {
     first_imu: u64,
     last: Status,
     last_imu: u64,
-    missing_at_first: [u64; 4],
+    missing_at_first: [u64; STREAMS],
 }
 
 /// The last pulse.
@@ -91,15 +111,21 @@ struct TopicState {
 pub struct Content {
     alignment: Option<Alignment>,
     recorded_to: Option<Ticks>,
+    /// The same as the session file has it.
+    session_to: Option<Ticks>,
+    /// Later runs as the session file has them.
+    runs_in_file: Vec<session_file::BoardRun>,
+    /// Recorded ticks less the board's in this run.
+    shift: u64,
     imu_interval: Option<u64>,
     topics: BTreeMap<String, TopicState>,
-    streams: [Stream; 4],
+    streams: [Numbers; STREAMS],
     epoch: Option<u32>,
     runs: u64,
     damaged_frames: u64,
     in_step: bool,
     counters: Option<Counters>,
-    dropped: [u64; 4],
+    dropped: [u64; STREAMS],
     pulse: Option<LastPulse>,
     steps: Option<(u64, u64)>,
     last_imu: Option<(Ticks, u32)>,
@@ -116,12 +142,16 @@ impl Content {
     #[must_use]
     pub fn new(session: Option<&SessionFile>) -> Self {
         let finished = session.is_some_and(|session| session.outcome.is_some());
+        let recorded_to = session
+            .filter(|_| finished)
+            .and_then(|session| session.recorded)
+            .map(|span| span.to);
         Self {
             alignment: session.and_then(|session| session.alignment),
-            recorded_to: session
-                .filter(|_| finished)
-                .and_then(|session| session.recorded)
-                .map(|span| span.to),
+            recorded_to,
+            session_to: recorded_to,
+            runs_in_file: session.map_or_else(Vec::new, |session| session.runs.clone()),
+            shift: 0,
             imu_interval: session
                 .and_then(|session| session.imu.as_ref())
                 .map(|imu| u64::from(imu.setup.interval)),
@@ -132,7 +162,7 @@ impl Content {
             damaged_frames: 0,
             in_step: false,
             counters: None,
-            dropped: [0; 4],
+            dropped: [0; STREAMS],
             pulse: None,
             steps: None,
             last_imu: None,
@@ -154,17 +184,18 @@ impl Content {
     ) -> Outcome {
         self.close_run(findings);
         let whole = file.closed && self.gaps == 0;
-        for (stream, (name, _)) in self.streams.iter().zip(STREAMS) {
-            let left = stream.pending.len() as u64;
+        for (numbers, stream) in self.streams.iter().zip(Stream::ALL) {
+            let left = numbers.pending.len() as u64;
             if whole && left > 0 {
                 findings.add_many(Grade::Error, "frame_without_message", None, left, || {
+                    let name = stream.name();
                     format!("the last frames of {name} have no message of their own")
                 });
             }
         }
-        for (index, (stream, (name, _))) in self.streams.iter_mut().zip(STREAMS).enumerate() {
-            let dropped = self.dropped.get(index).copied().unwrap_or_default();
-            stream.report.dropped_by_board = dropped.min(stream.report.missing);
+        self.share_drops();
+        for (stream, of) in self.streams.iter_mut().zip(Stream::ALL) {
+            let name = of.name();
             let lost = stream.report.missing - stream.report.dropped_by_board;
             if stream.report.missing > 0 {
                 let missing = stream.report.missing;
@@ -202,10 +233,11 @@ impl Content {
             span: self.span,
             runs: self.runs,
             damaged_frames: self.damaged_frames,
-            streams: STREAMS
+            streams: Stream::ALL
                 .iter()
                 .zip(&self.streams)
-                .map(|(&(name, _), stream)| (name, stream.report))
+                .filter(|(of, _)| topic_of(**of).is_some())
+                .map(|(of, stream)| (of.name(), stream.report))
                 .collect(),
             topics: self
                 .topics
@@ -245,9 +277,7 @@ impl Content {
             }
         }
         state.expected = Some(header.sequence.wrapping_add(1));
-        let own_time =
-            STREAMS.iter().any(|&(_, topic)| topic == name) || name == topic::TEMPERATURE;
-        if own_time {
+        if in_order(name) {
             if let Some(last) = state.last
                 && at <= last
             {
@@ -294,30 +324,19 @@ impl Content {
     }
 
     fn link_message(&mut self, message: DeviceToHost, findings: &mut Findings) {
-        let (index, seq, at) = match &message {
-            DeviceToHost::Hello(hello) => {
-                self.run(hello.epoch, findings);
-                return;
-            }
-            DeviceToHost::Status(status) => {
-                self.run(status.epoch, findings);
-                (0, status.seq, status.at)
-            }
-            DeviceToHost::Pulse(pulse) => (1, pulse.seq, pulse.at),
-            DeviceToHost::Capture(capture) => (2, capture.seq, capture.at),
+        match &message {
+            DeviceToHost::Hello(hello) => self.run(hello.epoch, findings),
+            DeviceToHost::Status(status) => self.run(status.epoch, findings),
             DeviceToHost::Imu(sample) => {
                 self.imu_frame(sample.at, sample.seq, sample.flags, findings);
-                (3, sample.seq, sample.at)
             }
-            // The further outputs are read, but not counted against the board.
-            DeviceToHost::OutputPulse(_)
-            | DeviceToHost::OutputArrived(_)
-            | DeviceToHost::Pps(_) => {
-                return;
-            }
-            DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) | DeviceToHost::Filler(_) => return,
+            _ => {}
+        }
+        let Some((of, seq, at)) = Stream::of(&message) else {
+            return;
         };
-        if let Some(stream) = self.streams.get_mut(index) {
+        let at = Ticks(at.0.saturating_add(self.shift));
+        if let Some(stream) = self.streams.get_mut(of as usize) {
             let gap = stream
                 .expected
                 .map_or(0, |expected| seq.wrapping_sub(expected));
@@ -330,8 +349,10 @@ impl Content {
             }
             stream.expected = Some(seq.wrapping_add(1));
             stream.report.received += 1;
-            stream.seen = true;
-            stream.pending.push_back(at);
+            if topic_of(of).is_some() {
+                stream.seen = true;
+                stream.pending.push_back(at);
+            }
             if stream.pending.len() > 64 {
                 stream.pending.pop_front();
                 findings.add(Grade::Error, "frame_without_message", Some(at), || {
@@ -383,7 +404,7 @@ impl Content {
     fn status(&mut self, status: Status, findings: &mut Findings) {
         let imu = self
             .streams
-            .get(3)
+            .get(Stream::Imu as usize)
             .and_then(|stream| stream.expected)
             .map_or(0, u64::from);
         let missing = self.missing();
@@ -417,12 +438,44 @@ impl Content {
         }
     }
 
-    fn missing(&self) -> [u64; 4] {
-        [0, 1, 2, 3].map(|index: usize| {
-            self.streams
-                .get(index)
-                .map_or(0, |stream| stream.report.missing)
-        })
+    fn missing(&self) -> [u64; STREAMS] {
+        self.streams.each_ref().map(|stream| stream.report.missing)
+    }
+
+    /// Of what is missing, what the board dropped itself. Pulses per second are
+    /// counted with the further outputs.
+    fn share_drops(&mut self) {
+        let mut left_of_outputs = 0;
+        for ((numbers, of), dropped) in self.streams.iter_mut().zip(Stream::ALL).zip(self.dropped) {
+            let dropped = match of {
+                Stream::Pps => left_of_outputs,
+                _ => dropped,
+            };
+            let report = &mut numbers.report;
+            report.dropped_by_board = dropped.min(report.missing);
+            if of == Stream::Outputs {
+                left_of_outputs = dropped - report.dropped_by_board;
+            }
+        }
+    }
+
+    /// A later run of the board, which goes on in recorded time.
+    fn recorded_run(&mut self, mark: &BoardRun, findings: &mut Findings) {
+        self.run(mark.epoch, findings);
+        self.shift = mark.shift_ticks;
+        // Its grid begins anew, with the session file's word for it.
+        self.recorded_to = self.session_to;
+        let anchor = self
+            .runs_in_file
+            .iter()
+            .find(|run| run.shift == mark.shift_ticks)
+            .and_then(|run| run.anchor);
+        if let (Some(alignment), Some(anchor)) = (&mut self.alignment, anchor) {
+            alignment.anchor = anchor;
+            alignment.arrival = Some(anchor);
+        } else {
+            self.recorded_to = Some(Ticks(0));
+        }
     }
 
     /// The board may have been reset since the last message.
@@ -431,7 +484,7 @@ impl Content {
             self.close_run(findings);
             self.runs += 1;
             findings.add(Grade::Warning, "board_reset", None, || {
-                String::from("the board was reset within the recording: its time begins anew")
+                String::from("the board was reset within the recording")
             });
             for stream in &mut self.streams {
                 stream.expected = None;
@@ -444,7 +497,8 @@ impl Content {
             self.pulse = None;
             self.steps = None;
             self.last_imu = None;
-            // The grid in the session file belongs to one run only.
+            // The alignment in the session file is of one run only.
+            self.shift = 0;
             self.recorded_to = Some(Ticks(0));
         }
         self.epoch = Some(epoch);
@@ -457,20 +511,18 @@ impl Content {
         };
         let grown =
             |f: fn(&Status) -> u32| u64::from(f(&counters.last).wrapping_sub(f(&counters.first)));
-        let dropped = [
-            grown(|status| status.dropped.status),
-            grown(|status| status.dropped.pulses),
-            grown(|status| status.dropped.captures),
-            grown(|status| status.dropped.imu),
-        ];
+        let dropped = Stream::ALL.map(|stream| {
+            let of = |status: &Status| stream.dropped(&status.dropped).unwrap_or_default();
+            u64::from(of(&counters.last).wrapping_sub(of(&counters.first)))
+        });
         let missing = self.missing();
         for index in 0..dropped.len() {
-            let (Some(&dropped), Some(total), Some(&missing), Some(&before), Some((name, _))) = (
+            let (Some(&dropped), Some(total), Some(&missing), Some(&before), Some(of)) = (
                 dropped.get(index),
                 self.dropped.get_mut(index),
                 missing.get(index),
                 counters.missing_at_first.get(index),
-                STREAMS.get(index),
+                Stream::ALL.get(index),
             ) else {
                 continue;
             };
@@ -479,6 +531,7 @@ impl Content {
             // What was dropped last shows with the stream's next message only.
             if dropped > here + 1 && self.gaps == 0 && here > 0 {
                 findings.add(Grade::Note, "drops_not_seen", None, || {
+                    let name = of.name();
                     format!("the board dropped {dropped} {name}, of which {here} show as a gap")
                 });
             }
@@ -496,9 +549,9 @@ impl Content {
     }
 
     /// A message must have a frame of its own, in order.
-    fn came_of(&mut self, index: usize, at: Ticks, findings: &mut Findings) {
+    fn came_of(&mut self, of: Stream, at: Ticks, findings: &mut Findings) {
         let after_gap = self.after_gap;
-        let Some(stream) = self.streams.get_mut(index) else {
+        let Some(stream) = self.streams.get_mut(of as usize) else {
             return;
         };
         match stream.pending.pop_front() {
@@ -628,7 +681,7 @@ impl Sink for Content {
             }),
             topic::IMU => from_cdr::<Imu>(data).map(|imu| {
                 self.stamped(at, imu.header.stamp.nanos(), findings);
-                self.came_of(3, ticks, findings);
+                self.came_of(Stream::Imu, ticks, findings);
                 let values: [f64; 3] = imu.angular_velocity.into();
                 if values.iter().any(|value| !value.is_finite()) {
                     findings.add(Grade::Error, "not_a_number", Some(ticks), || {
@@ -646,12 +699,12 @@ impl Sink for Content {
                         )
                     });
                 }
-                self.came_of(1, ticks, findings);
+                self.came_of(Stream::Pulses, ticks, findings);
                 self.pulse(&pulse, findings);
             }),
             topic::CAPTURE => from_cdr::<Capture>(data).map(|capture| {
                 self.stamped(at, capture.header.stamp.nanos(), findings);
-                self.came_of(2, ticks, findings);
+                self.came_of(Stream::Captures, ticks, findings);
                 if capture.after_loss {
                     findings.add(Grade::Warning, "captures_lost", Some(ticks), || {
                         String::from("an edge on the strobe input was lost, as the board says")
@@ -660,14 +713,17 @@ impl Sink for Content {
             }),
             topic::STATUS => from_cdr::<DiagnosticArray>(data).map(|status| {
                 self.stamped(at, status.header.stamp.nanos(), findings);
-                self.came_of(0, ticks, findings);
+                self.came_of(Stream::Status, ticks, findings);
             }),
             topic::OUTPUT => from_cdr::<Pulse>(data).map(|pulse| {
                 self.stamped(at, pulse.header.stamp.nanos(), findings);
+                self.came_of(Stream::Outputs, ticks, findings);
             }),
             topic::GNSS => from_cdr::<TimeReference>(data).map(|pulse| {
                 self.stamped(at, pulse.header.stamp.nanos(), findings);
+                self.came_of(Stream::Pps, ticks, findings);
             }),
+            topic::RUN => from_cdr::<BoardRun>(data).map(|mark| self.recorded_run(&mark, findings)),
             topic::MARKER => from_cdr::<TimeReference>(data).map(|_| self.markers += 1),
             topic::TEMPERATURE => from_cdr::<Temperature>(data).map(|_| ()),
             topic::LOG => from_cdr::<Log>(data).map(|_| ()),

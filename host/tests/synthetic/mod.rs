@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use protocol::{
     CaptureChannel, DeviceToHost, Dropped, Edge, ImuClock, ImuFlags, ImuSample, ImuState,
-    ImuStatus, LinkCounters, MAX_FRAME, Period, Pulse, Readback, Status, TICK_HZ, Ticks,
-    TrainState, TriggerStatus, encode,
+    ImuStatus, LinkCounters, MAX_FRAME, Output, OutputPulse, Period, Pulse, Readback, Status,
+    TICK_HZ, Ticks, TrainState, TriggerStatus, encode,
 };
 use smartdepthsync::imu::Sample;
 use smartdepthsync::profile::Profile;
@@ -39,6 +39,8 @@ pub(crate) struct Wrong {
     pub(crate) silence: bool,
     /// The program is killed.
     pub(crate) killed: bool,
+    /// There is a further output, and these of its pulses never come.
+    pub(crate) outputs_lost: &'static [u64],
 }
 
 /// A recording as the program writes it, of a board that is not there.
@@ -164,6 +166,9 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
         events.push((ANCHOR.0 + 9_999 + number * u64::from(TICK_HZ), 2, number));
     }
     events.push((ANCHOR.0 + 77_777_777, 3, 0));
+    if !wrong.outputs_lost.is_empty() {
+        events.extend((0..SECONDS).map(|n| (ANCHOR.0 + 333 + n * u64::from(TICK_HZ), 4, n)));
+    }
     events.sort_unstable();
     let (mut samples, mut pulses) = (0_u32, 0_u64);
     for (at, kind, number) in events {
@@ -226,6 +231,22 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                 let status = status(number as u32, at, made, pulses, lost.into());
                 maker.frame(&DeviceToHost::Status(status.clone()));
                 maker.writer.status(&status, "AB").unwrap();
+            }
+            4 if wrong.outputs_lost.contains(&number) => {}
+            4 => {
+                let pulse = Pulse {
+                    seq: number as u32,
+                    train: 1,
+                    number,
+                    at,
+                    aligned: false,
+                    readback: None,
+                };
+                maker.frame(&DeviceToHost::OutputPulse(OutputPulse {
+                    output: Output::Two,
+                    pulse,
+                }));
+                maker.writer.output_pulse(&pulse, "left").unwrap();
             }
             _ => {
                 let capture = protocol::Capture {

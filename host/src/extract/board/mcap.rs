@@ -12,6 +12,9 @@
 //! `/board/gnss` is `/mcu_lidar_ts`, and each clock model is a pair on `/mcu_s10_ts`.
 //! Pulses of the further outputs come as `/output/` and the sensor's name.
 //!
+//! Where the board was reset, each run can be moved against the one before (the
+//! session knew their distance only roughly), and trains go on being numbered.
+//!
 //! Limits: chunks are stored as they are or with LZ4, which is all that our writer
 //! makes.
 
@@ -26,11 +29,13 @@ use mcap::records::{ChunkHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use rayon::prelude::*;
 
-use super::{BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, TimePair};
+use super::{
+    BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, RunMark, TimePair,
+};
 use crate::extract::depth_clock::PulseTime;
 use crate::extract::time::{BoardNanos, SECOND};
 use crate::recording::messages::{
-    self, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
+    self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
 };
 use crate::recording::topic;
 use crate::sync::Wander;
@@ -57,6 +62,7 @@ enum Kind {
     Marker,
     Output,
     Gnss,
+    Run,
 }
 
 impl Kind {
@@ -70,6 +76,7 @@ impl Kind {
             topic::MARKER => Self::Marker,
             topic::OUTPUT => Self::Output,
             topic::GNSS => Self::Gnss,
+            topic::RUN => Self::Run,
             _ => return None,
         })
     }
@@ -111,6 +118,12 @@ pub(super) struct McapStream {
     kinds: HashMap<u16, Kind>,
     names: Names,
     events: VecDeque<BoardEvent>,
+    /// How much later each run is than it stands in the file, ns.
+    moved: Vec<i64>,
+    /// The run that is being read.
+    run: usize,
+    /// Trains of all former runs, and the highest number so far.
+    trains: (u32, u32),
     /// The last sample, until its temperature or the next sample comes.
     waiting: Option<ImuRow>,
     faults: Vec<String>,
@@ -119,7 +132,7 @@ pub(super) struct McapStream {
 }
 
 impl McapStream {
-    pub(super) fn open(path: &Path) -> Result<Self, BoardError> {
+    pub(super) fn open(path: &Path, moved: &[i64]) -> Result<Self, BoardError> {
         let file = File::open(path).map_err(|error| BoardError::Open {
             path: path.to_owned(),
             error,
@@ -141,6 +154,9 @@ impl McapStream {
                 lidar: LIDAR_TOPIC.into(),
             },
             events: VecDeque::new(),
+            moved: moved.to_vec(),
+            run: 0,
+            trains: (0, 0),
             waiting: None,
             faults: Vec::new(),
             fault_count: 0,
@@ -275,8 +291,58 @@ impl McapStream {
         Ok(true)
     }
 
+    /// Puts a message of this run where the run lies.
+    fn place(&mut self, decoded: Decoded) -> Decoded {
+        let by = |run: usize| self.moved.get(run).copied().unwrap_or_default();
+        let move_by = by(self.run);
+        let later = |at: BoardNanos| BoardNanos(at.0.saturating_add(move_by));
+        match decoded {
+            Decoded::Temperature(at, value) => Decoded::Temperature(later(at), value),
+            Decoded::Event(event) => Decoded::Event(match event {
+                BoardEvent::Imu(row) => BoardEvent::Imu(ImuRow {
+                    at: later(row.at),
+                    ..row
+                }),
+                BoardEvent::Pulse(pulse) => {
+                    let train = self.trains.0.saturating_add(pulse.train);
+                    self.trains.1 = self.trains.1.max(train);
+                    BoardEvent::Pulse(PulseTime {
+                        train,
+                        at: later(pulse.at),
+                        ..pulse
+                    })
+                }
+                BoardEvent::Mark(at) => BoardEvent::Mark(later(at)),
+                BoardEvent::Times(pair) => BoardEvent::Times(TimePair {
+                    stamp: later(pair.stamp),
+                    ..pair
+                }),
+                BoardEvent::Clock(model) => {
+                    let seconds = move_by as f64 * 1e-9;
+                    BoardEvent::Clock(crate::sync::ClockModel {
+                        reference: BoardSeconds(model.reference.0 + seconds),
+                        offset: model.offset - seconds,
+                        ..model
+                    })
+                }
+                BoardEvent::Run(mark) => {
+                    self.trains.0 = self.trains.1;
+                    self.run += 1;
+                    let from = mark.from.0.saturating_add(by(self.run));
+                    BoardEvent::Run(RunMark {
+                        from: BoardNanos(from),
+                        last: later(mark.last),
+                        ..mark
+                    })
+                }
+                BoardEvent::Image(image) => BoardEvent::Image(image),
+            }),
+        }
+    }
+
     /// Puts a decoded message into the queue; samples with their temperature.
     fn give(&mut self, decoded: Decoded) {
+        let decoded = self.place(decoded);
         match decoded {
             Decoded::Temperature(at, temperature) => {
                 if let Some(mut row) = self.waiting.take() {
@@ -464,6 +530,14 @@ fn message(
                 seq: sequence,
                 stamp: stamp(&times.header),
                 other: times.time_ref.nanos(),
+            }));
+        }
+        Kind::Run => {
+            let run: BoardRun = from_cdr(data)?;
+            event(BoardEvent::Run(RunMark {
+                from: stamp(&run.header),
+                last: protocol::Ticks(run.last_ticks).into(),
+                sigma_s: run.shift_sigma_s,
             }));
         }
         Kind::Clock => {

@@ -74,6 +74,19 @@ pub enum BoardEvent {
     Clock(ClockModel),
     /// A depth image (bags only).
     Image(BagImage),
+    /// The board was reset: what follows is of another run.
+    Run(RunMark),
+}
+
+/// The beginning of a run of the board after a reset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunMark {
+    /// All of the run lies at or behind this time.
+    pub from: BoardNanos,
+    /// The last time known of the run before.
+    pub last: BoardNanos,
+    /// How well the two runs are related by the session, 1-sigma in s.
+    pub sigma_s: f64,
 }
 
 /// Why a recording cannot be read.
@@ -120,6 +133,9 @@ pub enum BoardError {
 pub enum BoardInput {
     /// Our own `recording.mcap`.
     Mcap(PathBuf),
+    /// The same with its runs moved against each other: what the board said in run
+    /// `n` (0: the first) is later by the n-th number of ns.
+    Moved(PathBuf, Vec<i64>),
     /// A ROS 1 bag of the published system.
     Bag(PathBuf),
 }
@@ -156,7 +172,7 @@ impl BoardInput {
     #[must_use]
     pub fn path(&self) -> &Path {
         match self {
-            Self::Mcap(path) | Self::Bag(path) => path,
+            Self::Mcap(path) | Self::Moved(path, _) | Self::Bag(path) => path,
         }
     }
 
@@ -167,7 +183,8 @@ impl BoardInput {
     /// It cannot be opened or is of another kind.
     pub fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
         match self {
-            Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path)?)),
+            Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path, &[])?)),
+            Self::Moved(path, by) => Ok(Box::new(mcap::McapStream::open(path, by)?)),
             Self::Bag(path) => Ok(Box::new(bag::BagStream::open(path, images)?)),
         }
     }

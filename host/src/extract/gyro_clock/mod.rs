@@ -110,16 +110,18 @@ pub enum GyroClockError<E: std::error::Error + 'static> {
     NoRelation(String),
 }
 
+/// Root mean square of the windows' residuals, s; 0 with none.
+#[must_use]
+pub fn residual_rms(results: &[WindowResult]) -> f64 {
+    let squares: f64 = results.iter().map(|w| w.residual_s * w.residual_s).sum();
+    (squares / results.len().max(1) as f64).sqrt()
+}
+
 impl GyroClock {
     /// Root mean square of the windows' residuals, s; 0 with none.
     #[must_use]
     pub fn residual_rms(&self) -> f64 {
-        let squares: f64 = self
-            .results
-            .iter()
-            .map(|w| w.residual_s * w.residual_s)
-            .sum();
-        (squares / self.results.len().max(1) as f64).sqrt()
+        residual_rms(&self.results)
     }
 
     /// The relation in integers, with a knot each second from `from` to `to` of
@@ -141,16 +143,32 @@ pub fn lay_out<T: ClockNanos>(
     from: BoardNanos,
     to: BoardNanos,
 ) -> PiecewiseMap<T, BoardNanos> {
-    let seconds = (to.0.saturating_sub(from.0) / SECOND).clamp(0, MOST_KNOTS) + 2;
-    PiecewiseMap::from_knots((0..seconds).map(|second| {
-        let board = from.0.saturating_add(second * SECOND);
-        let offset = course.at(BoardSeconds(to_seconds(board))).offset;
-        let offset = (offset * 1e9).round() as i64;
-        (
-            T::from_nanos(board.saturating_add(offset)),
-            BoardNanos(board),
-        )
-    }))
+    // One more: the last line goes on beyond the end.
+    let end = BoardNanos(to.0.saturating_add(2 * SECOND));
+    let all = knots(course, from, end);
+    PiecewiseMap::from_knots(all)
+}
+
+/// The same as pairs of times, the last one at `to`.
+#[must_use]
+pub fn knots<T: ClockNanos>(
+    course: &ClockCourse,
+    from: BoardNanos,
+    to: BoardNanos,
+) -> Vec<(T, BoardNanos)> {
+    let seconds = (to.0.saturating_sub(from.0) / SECOND).clamp(0, MOST_KNOTS);
+    (0..=seconds)
+        .map(|second| from.0.saturating_add(second * SECOND))
+        .chain([to.0])
+        .map(|board| {
+            let offset = course.at(BoardSeconds(to_seconds(board))).offset;
+            let offset = (offset * 1e9).round() as i64;
+            (
+                T::from_nanos(board.saturating_add(offset)),
+                BoardNanos(board),
+            )
+        })
+        .collect()
 }
 
 /// Nanoseconds in seconds; the whole and the rest apart, so that it is rounded once.
@@ -283,7 +301,11 @@ impl Expected {
                 let offset = model.offset_at(at);
                 let distance = (middle - model.reference.0).abs();
                 let drift = (6.0 * offset.sigma).min(MOST_SKEW * distance);
-                (offset.value, (LEAST_MARGIN + drift).min(MOST_MARGIN))
+                let known = 6.0 * model.covariance[0][0].max(0.0).sqrt();
+                (
+                    offset.value,
+                    (LEAST_MARGIN + known + drift).min(MOST_MARGIN),
+                )
             }
         }
     }

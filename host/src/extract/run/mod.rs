@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use index_files::Written;
 
-use super::board::{BoardError, BoardEvent, Images};
+use super::board::{BoardError, BoardEvent, BoardInput, Images};
 use super::frames::FrameTiming;
 use super::image::write_whole;
 use super::image_tables::ImagesError;
@@ -29,8 +29,9 @@ use super::imu_tables::TableWriter;
 use super::inputs::{Inputs, InputsError, Options};
 use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
+use super::phone_clock::PhoneClock;
 use super::progress::Progress;
-use super::report::{BoardReport, Constants, Loss, PairsReport, Report};
+use super::report::{BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report};
 use super::sequence::Sequences;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame};
@@ -124,12 +125,13 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         losses: Vec::new(),
         remarks,
     };
-    let survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
+    let mut survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
     run.judge_board(&survey);
-    let sequences = Sequences::new(survey.marks.clone());
     let mut constants = run.constants();
 
     let phone = run.read_phone(&survey, &constants)?;
+    let joints = run.join_runs(&mut survey, phone.as_ref())?;
+    let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
 
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
@@ -179,6 +181,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
             pulse_period_ns: survey.pulse_period(),
             missing_pulses: survey.missing_pulses(),
             imu: survey.imu,
+            runs: joints,
             marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
         },
         phone: phone
@@ -268,6 +271,52 @@ impl Run<'_> {
                 format!("{count} IMU samples do not lie behind the sample before them"),
             );
         }
+    }
+
+    /// Where the board was reset: puts its runs where the phone's clock has them,
+    /// and says what is known of the time between.
+    fn join_runs(
+        &mut self,
+        survey: &mut Survey,
+        phone: Option<&phone_part::Phone>,
+    ) -> Result<Vec<BoardRunReport>, ExtractError> {
+        if survey.runs.is_empty() {
+            return Ok(Vec::new());
+        }
+        let clock = phone.and_then(|phone| phone.clock.as_ref());
+        if let Some(moves) = clock.and_then(PhoneClock::moves) {
+            let path = self.inputs.board.path().to_owned();
+            self.inputs.board = BoardInput::Moved(path, moves);
+            let again = super::survey::survey(&self.inputs.board, self.progress)?;
+            *survey = again.ok_or(ExtractError::Cancelled)?;
+        }
+        let joints = clock.map(PhoneClock::joints).unwrap_or_default();
+        let mut reports = Vec::new();
+        for (index, mark) in survey.runs.iter().enumerate() {
+            let unmoved = (0, mark.sigma_s, "the computer's clock");
+            let (moved_ns, sigma_s, by) = joints.get(index).copied().unwrap_or(unmoved);
+            reports.push(BoardRunReport {
+                from_ns: mark.from.0,
+                last_before_ns: mark.last.0,
+                moved_ns,
+                sigma_us: sigma_s * 1e6,
+                by,
+            });
+        }
+        for report in &reports {
+            self.lose(
+                "board",
+                format!(
+                    "the board was reset: nothing of it from {:.6} s to {:.6} s at least; the time \
+                     between is known from {} to ± {:.1} µs (1-sigma)",
+                    report.last_before_ns as f64 * 1e-9,
+                    report.from_ns as f64 * 1e-9,
+                    report.by,
+                    report.sigma_us
+                ),
+            );
+        }
+        Ok(reports)
     }
 
     /// Options before what the session says.

@@ -70,9 +70,7 @@ impl Run<'_> {
             self.progress,
         ) {
             Ok(Ok(clock)) => {
-                if let Some(remark) = &clock.remark {
-                    self.remarks.push(remark.clone());
-                }
+                self.remarks.extend(clock.remarks.iter().cloned());
                 Some(clock)
             }
             Ok(Err(why)) => {

@@ -1,0 +1,180 @@
+//! The board is reset while a session records: the session goes on behind a mark,
+//! and the extraction puts both runs on one axis of time, by the truth. All figures
+//! are simulated.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+mod whole_rig;
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use hil_sim::depth_camera::{FrameRecord, Source};
+use hil_sim::k4a_mkv::{K4aSettings, write_frames};
+use hil_sim::time::{SimTime, UNITS_PER_NANO};
+use protocol::ResetCause;
+use smartdepthsync::extract::inputs::Options;
+use smartdepthsync::extract::layout::Format;
+use smartdepthsync::extract::progress::Silent;
+use smartdepthsync::extract::run::{Job, run};
+use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use smartdepthsync::verify::{Verdict, verify};
+use whole_rig::{Session, WholeRig};
+
+/// Virtual time against real time. The host's clock then says little about how long
+/// the board was away, and the session must know that.
+const SPEED: f64 = 4.0;
+
+/// Largest error of a time, µs: two relations of a quarter of a minute of twisting
+/// each.
+const LIMIT_US: f64 = 25.0;
+
+/// Cells of a table as integers, a row for each line but the first.
+fn table(path: &Path, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    text.lines()
+        .skip(1)
+        .map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            columns.iter().map(|&c| cells[c].parse().ok()).collect()
+        })
+        .collect()
+}
+
+/// The largest error of times found against the truth, µs.
+fn largest(errors: impl Iterator<Item = i64>) -> f64 {
+    errors
+        .map(|e| e as f64 * 1e-3)
+        .fold(0.0, |a, e| e.abs().max(a))
+}
+
+fn write_depth(path: &Path, frames: &[FrameRecord]) {
+    let settings = K4aSettings {
+        width: 32,
+        height: 18,
+        infrared: false,
+        imu: false,
+        ..K4aSettings::default()
+    };
+    let file = BufWriter::new(File::create(path).unwrap());
+    write_frames(file, settings, frames, |_, pixels| pixels.fill(700)).unwrap();
+}
+
+#[test]
+fn a_reset_is_marked_and_both_runs_are_extracted() {
+    let rig = WholeRig::new(12, SPEED);
+    let arguments = ["--duration", "38s", "--fetch-video"];
+    let mut session = Session::start(&mut rig.record("reset", &arguments));
+    session.wait_for("recording for");
+    rig.wait_ms(16_000);
+    rig.rig.press_reset();
+    session.wait_for("on its former grid again");
+    let said = session.ends_with(4);
+    assert!(said.contains("the board was reset (reset pin)"), "{said}");
+    assert!(!rig.phone().is_recording());
+
+    let folder = rig.recording("reset");
+    let file = SessionFile::load(&folder).unwrap();
+    assert_eq!(file.outcome, Some(SessionOutcome::Loss));
+    let [mark] = file.runs.as_slice() else {
+        panic!("{:?}", file.runs);
+    };
+    assert_eq!(mark.reset_cause, ResetCause::Pin);
+    assert!(mark.from > mark.last && mark.anchor.unwrap() > mark.from);
+    // A host whose clock does not go like the board's says so.
+    assert!(mark.shift_sigma_us > 10_000.0, "{mark:?}");
+    let checked = verify(&folder).unwrap();
+    assert_eq!(checked.verdict, Verdict::Incomplete, "{checked:?}");
+    assert_eq!(checked.board_runs, 2);
+    let grid = checked.grid.unwrap();
+    assert!(grid.checked > 900 && grid.off == 0, "{grid:?}");
+
+    let WholeRig { rig, folder: all } = rig;
+    let truth = rig.stop().unwrap();
+    write_depth(&folder.join("depth.mkv"), &truth.depth);
+    let out = all.path().join("data");
+    let job = Job {
+        recording: folder,
+        phone: Some(all.path().join("phone")),
+        depth: None,
+        format: Format::Euroc,
+        out: out.clone(),
+        options: Options::default(),
+    };
+    let report = run(&job, &Silent).unwrap();
+    let [run] = report.board.runs.as_slice() else {
+        panic!("{:?}", report.board.runs);
+    };
+    assert_eq!(run.by, "gyroscopes", "{:?}", report.remarks);
+    assert!(run.sigma_us < 20.0, "{run:?}");
+    // The session knew only roughly where the run belongs.
+    assert!(run.moved_ns.abs() > 100_000, "{run:?}");
+
+    let zero = truth.zero.unwrap();
+    let nanos = |at: SimTime| {
+        let units = i128::from(at.units()) - i128::from(zero.units());
+        (units / i128::from(UNITS_PER_NANO)) as i64
+    };
+    // The board's samples, each at the edge next to it.
+    let edges: Vec<i64> = truth
+        .imu
+        .iter()
+        .filter(|record| record.edge)
+        .map(|record| nanos(record.at))
+        .collect();
+    let delay = report.constants.board_imu_delay_ns;
+    let rows = table(&out.join("mav0/imu0/data.csv"), &[0]);
+    let errors: Vec<(i64, i64)> = rows
+        .iter()
+        .map(|row| {
+            let at = row[0].unwrap() + delay;
+            let next = edges.partition_point(|&edge| edge < at);
+            let near = [next.saturating_sub(1), next.min(edges.len() - 1)];
+            let error = near.map(|n| at - edges[n]);
+            (at, error[usize::from(error[1].abs() < error[0].abs())])
+        })
+        .collect();
+    let first = largest(errors.iter().filter(|e| e.0 < run.from_ns).map(|e| e.1));
+    let second = largest(errors.iter().filter(|e| e.0 >= run.from_ns).map(|e| e.1));
+    let later = errors.iter().filter(|e| e.0 >= run.from_ns).count();
+    assert!(later > 8_000 && errors.len() - later > 8_000);
+
+    // The phone's frames, those in the gap left out.
+    let video = truth.videos.last().unwrap();
+    let clock = truth.phone_clock.unwrap();
+    let of_phone = |at: i64| nanos(truth.parts.board.board_at(clock.when_nanos(at).unwrap()));
+    let rows = table(&out.join("phone_frames.csv"), &[2]);
+    assert_eq!(Some(rows.len()), video.count);
+    let color = largest(rows.iter().enumerate().filter_map(|(n, row)| {
+        let at = row[0]?;
+        let known = at < run.last_before_ns || at > run.from_ns;
+        known.then(|| at - of_phone(video.frames.start_ns(n)))
+    }));
+
+    // The depth camera's, of both runs' pulses.
+    let delivered: Vec<_> = truth.depth.iter().filter(|f| f.delivered).collect();
+    let rows = table(&out.join("depth_frames.csv"), &[2, 3]);
+    assert_eq!(rows.len(), delivered.len());
+    let depth: Vec<(i64, i64)> = rows
+        .iter()
+        .zip(&delivered)
+        .filter(|(row, frame)| row[1].is_some() && matches!(frame.source, Source::Pulse { .. }))
+        .map(|(row, frame)| (row[0].unwrap(), row[0].unwrap() - nanos(frame.center)))
+        .collect();
+    let of_second = depth.iter().filter(|d| d.0 > run.from_ns).count();
+    assert!(of_second > 400 && depth.len() - of_second > 400);
+    let depth = largest(depth.into_iter().map(|d| d.1));
+
+    println!(
+        "simulated: run moved by {:+.3} ms (session's sigma {:.1} ms) ± {:.1} µs; samples at most \
+         {first:.3} µs off before and {second:.1} µs after the reset, phone frames {color:.1} µs, \
+         depth frames {depth:.1} µs",
+        run.moved_ns as f64 * 1e-6,
+        mark.shift_sigma_us * 1e-3,
+        run.sigma_us,
+    );
+    assert!(first < 0.1, "{first}");
+    assert!(second < LIMIT_US && second < 5.0 * run.sigma_us + 0.1);
+    assert!(color < LIMIT_US && depth < LIMIT_US);
+}
