@@ -243,8 +243,10 @@ impl Board {
             buffer: Vec::new(),
         };
         let hello = wire.say_hello()?;
-        // What came before lay in some buffer and is nobody's business.
+        // What came before lay in some buffer and is nobody's business; the gap
+        // behind it may have come together with the answer.
         wire.events.clear();
+        while wire.session.next_event().is_some() {}
         wire.session.start_counting();
         Ok(Self { wire, hello })
     }
@@ -650,3 +652,6 @@ const fn command_name(command: &Command) -> &'static str {
         Command::GnssQuery => "gnss status",
     }
 }
+
+#[cfg(test)]
+mod tests;
