@@ -254,6 +254,23 @@ fn rows_become_their_own_reference_when_the_train_wanders() {
 }
 
 #[test]
+fn a_train_that_enters_the_picture_is_not_taken_for_the_scene() {
+    let scene = Scene {
+        lit_from: 0,
+        entering: 20,
+        frames: 60,
+        ..scene(500.0, 10.2, 45.0, 24)
+    };
+    let result = scene.evaluate(&hint(&scene)).unwrap();
+    let error = error_us(&scene, &result);
+    println!("{error:+.3} µs, {:?}, {:?}", result.frames, result.notes);
+    assert!(error.abs() < 0.2, "{error} µs");
+    // At most the frames in question are left out.
+    assert!(result.frames.flicker <= 20, "{:?}", result.frames);
+    assert_eq!(result.frames.used, 16);
+}
+
+#[test]
 fn mains_flicker_is_recognised_and_left_out() {
     // 100 Hz at 30 frames per second: another phase in each of three frames.
     let flickering = |depth| Scene {

@@ -27,6 +27,9 @@ pub(crate) struct Scene {
     pub(crate) lit_from: u64,
     /// And of those only on every n-th.
     pub(crate) lit_every: u64,
+    /// In so many of them at first, only the train's last flash is in the picture, at
+    /// its first rows, and wanders in.
+    pub(crate) entering: u64,
 }
 
 impl Default for Scene {
@@ -44,6 +47,7 @@ impl Default for Scene {
             frames: 20,
             lit_from: 4,
             lit_every: 1,
+            entering: 0,
         }
     }
 }
@@ -55,7 +59,13 @@ impl Scene {
 
     /// Bias of a frame, µs.
     pub(crate) fn truth_us(&self, frame: u64) -> f64 {
-        self.bias_us + self.drift_us_per_min * frame as f64 / self.frame_rate / 60.0
+        let drift = self.drift_us_per_min * frame as f64 / self.frame_rate / 60.0;
+        let entered = frame.saturating_sub(self.lit_from);
+        if entered < self.entering {
+            // Four pitches and half the picture before the middle.
+            return -11_700.0 + 20.0 * entered as f64;
+        }
+        self.bias_us + drift
     }
 
     /// Bias that frame really gets, in whole nanoseconds, µs.

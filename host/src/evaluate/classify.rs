@@ -18,6 +18,8 @@ const REFERENCE_DEGREE: usize = 3;
 const SEEN: f64 = 8.0;
 /// Below this nothing is there.
 const UNSEEN: f64 = 5.0;
+/// Neighbouring rows whose mean tells part of a flash from noise.
+const DARK_ROWS_TOGETHER: usize = 8;
 /// Frames in which a row must be dark to be its own reference.
 const DARK_ROWS: u32 = 4;
 
@@ -164,6 +166,55 @@ pub(super) fn dark_frames(frames: &[StoredFrame], seen: &[Seen]) -> Option<(Basi
     ))
 }
 
+/// Doubts frames that were taken for dark, but have light in rows that are dark in
+/// the frames with flashes: the train's end has only entered the picture. One such
+/// frame would put its flash into the scene of all.
+pub(super) fn doubt_dark(
+    recording: &Recording,
+    frames: &[StoredFrame],
+    seen: &mut [Seen],
+    shape: &Shape,
+    settings: &Settings,
+) {
+    let unlit = unlit_rows(recording, frames, seen, shape, settings);
+    let (rows, scene): (Vec<usize>, Vec<f64>) = unlit
+        .iter()
+        .enumerate()
+        .filter_map(|(row, value)| Some((row, (*value)?)))
+        .unzip();
+    // The scene's brightness and a constant (automatic exposure) are free.
+    let free = Basis::spanning([vec![1.0; scene.len()], scene]);
+    let allowed = light_allowed(seen);
+    for (frame, s) in frames.iter().zip(seen) {
+        if s.class != FrameClass::Dark {
+            continue;
+        }
+        let mut rest: Vec<f64> = rows
+            .iter()
+            .filter_map(|&row| frame.rows.get(row).map(|&v| f64::from(v)))
+            .collect();
+        free.remove_from(&mut rest);
+        // Part of a flash is many rows high; noise is not.
+        let mean = |some: &[f64]| some.iter().sum::<f64>() / some.len() as f64;
+        if rest
+            .chunks(DARK_ROWS_TOGETHER)
+            .any(|some| mean(some).abs() > allowed)
+        {
+            s.class = FrameClass::Unclear;
+        }
+    }
+}
+
+/// How far room light may differ from frame to frame, grey levels.
+fn light_allowed(seen: &[Seen]) -> f64 {
+    let amplitudes: Vec<f64> = seen
+        .iter()
+        .filter(|s| s.class == FrameClass::Used)
+        .map(|s| s.amplitude)
+        .collect();
+    0.5 + 0.06 * median(&amplitudes)
+}
+
 /// Each row's brightness from the frames in which it saw no flash, when every
 /// row has some.
 pub(super) fn dark_rows(
@@ -173,6 +224,21 @@ pub(super) fn dark_rows(
     shape: &Shape,
     settings: &Settings,
 ) -> Option<(Basis, Reference)> {
+    let rows: Option<Vec<f64>> = unlit_rows(recording, frames, seen, shape, settings)
+        .into_iter()
+        .collect();
+    Some((with_reference(rows?), Reference::DarkRows))
+}
+
+/// Each row's mean brightness over the frames in which the row saw no flash, where
+/// there are enough of them.
+fn unlit_rows(
+    recording: &Recording,
+    frames: &[StoredFrame],
+    seen: &[Seen],
+    shape: &Shape,
+    settings: &Settings,
+) -> Vec<Option<f64>> {
     let n = recording.rows.len;
     let mut sum = vec![0.0; n];
     let mut count = vec![0u32; n];
@@ -199,15 +265,10 @@ pub(super) fn dark_rows(
             }
         }
     }
-    if count.iter().any(|&c| c < DARK_ROWS) {
-        return None;
-    }
-    let rows = sum
-        .iter()
+    sum.iter()
         .zip(&count)
-        .map(|(s, &c)| s / f64::from(c))
-        .collect();
-    Some((with_reference(rows), Reference::DarkRows))
+        .map(|(s, &c)| (c >= DARK_ROWS).then(|| s / f64::from(c)))
+        .collect()
 }
 
 /// Frames whose room light is not that of the others.
@@ -273,19 +334,20 @@ pub(super) fn mark_flicker(
             class == FrameClass::Used
         }
     };
-    let usual = mean_of(
-        forms
-            .iter()
-            .zip(&*seen)
-            .filter(|(_, s)| compared(s.class))
-            .map(|(f, _)| f.as_slice()),
-    );
-    let amplitudes: Vec<f64> = seen
-        .iter()
-        .filter(|s| s.class == FrameClass::Used)
-        .map(|s| s.amplitude)
+    // The median: a few frames in which a flash was missed must not make all others
+    // look wrong.
+    let usual: Vec<f64> = (0..plain.columns().len())
+        .map(|k| {
+            let values: Vec<f64> = forms
+                .iter()
+                .zip(&*seen)
+                .filter(|(_, s)| compared(s.class))
+                .filter_map(|(form, _)| form.get(k).copied())
+                .collect();
+            median(&values)
+        })
         .collect();
-    let allowed = 0.5 + 0.06 * median(&amplitudes);
+    let allowed = light_allowed(seen);
     // The constant and a multiple of the usual form are free.
     let free = Basis::spanning([
         {

@@ -21,8 +21,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::classify::{
-    FrameClass, FrameCounts, Reference, Seen, classify, dark_frames, dark_rows, is_train,
-    mark_flicker, mean_of, with_reference,
+    FrameClass, FrameCounts, Reference, Seen, classify, dark_frames, dark_rows, doubt_dark,
+    is_train, mark_flicker, mean_of, with_reference,
 };
 use super::fit::{FrameFit, JointFit, Model, Prior, Priors};
 use super::identity::{Identity, identify, unwrap_track};
@@ -113,6 +113,7 @@ pub fn track(
     let (mut model, mut shape) = first_sight(recording, settings, &plain).ok_or_else(no_flashes)?;
     let mut seen = look(&model, frames, &shape, settings);
     classify(&mut seen, PLAIN_SHARE);
+    doubt_dark(recording, frames, &mut seen, &shape, settings);
     let mut reference = Reference::Polynomial;
 
     let refined = dark_frames(frames, &seen)
@@ -124,6 +125,7 @@ pub fn track(
         }
         let mut again = look(&basis, frames, &shape, settings);
         classify(&mut again, REFERENCE_SHARE);
+        doubt_dark(recording, frames, &mut again, &shape, settings);
         if again.iter().any(|s| s.class == FrameClass::Used) {
             model = basis;
             seen = again;
