@@ -6,10 +6,13 @@
 use std::io::Cursor;
 use std::time::Duration;
 
+use protocol::{Decoder, HostToDevice};
+use smartdepthsync::evaluate::source::{parse_probe, read_timestamps};
 use smartdepthsync::extract::bag::messages::{Image, Imu, Temperature, TimeReference};
 use smartdepthsync::extract::bag::reader::{Bag, BagError};
 use smartdepthsync::extract::mkv::k4a::{Content, Recording};
 use smartdepthsync::extract::phone::csv::Rows;
+use smartdepthsync::extract::video::parse_presentation_times;
 use smartdepthsync::phone::ImuRequest;
 use smartdepthsync::phone::answer::{AnswerDecoder, AnswerEvent};
 use smartdepthsync::phone::file_name::safe_file_name;
@@ -173,4 +176,43 @@ pub(crate) fn session_file(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.json"), data).unwrap();
     let _ = smartdepthsync::recording::session_file::SessionFile::load(folder.path());
+}
+
+/// Any bytes as what comes from the host, in any split, as the firmware decodes it:
+/// the same commands, and no more of them than bytes.
+pub(crate) fn commands(data: &[u8]) {
+    let Some((&step, bytes)) = data.split_first() else {
+        return;
+    };
+    let decoded = |step: usize| {
+        let mut decoder = Decoder::<HostToDevice>::new();
+        let mut all = Vec::new();
+        for mut piece in bytes.chunks(step.max(1)) {
+            while let Some(result) = decoder.next(&mut piece) {
+                all.push(result);
+            }
+            assert!(piece.is_empty());
+        }
+        all
+    };
+    let whole = decoded(usize::MAX);
+    assert!(whole.len() <= bytes.len());
+    assert_eq!(whole, decoded(usize::from(step)));
+}
+
+/// Any bytes as what is known of a video: the answers of `ffprobe`, and the phone's
+/// file of frame times.
+pub(crate) fn video_metadata(data: &[u8]) {
+    if let Ok((_, _, Some(rate))) = parse_probe(data) {
+        assert!(rate.is_finite() && rate > 0.0);
+    }
+    if let Some(times) = parse_presentation_times(&String::from_utf8_lossy(data)) {
+        assert!(times.first() == Some(&0) && times.is_sorted());
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("VID_timestamps.csv");
+    std::fs::write(&file, data).unwrap();
+    if let Ok(times) = read_timestamps(&file) {
+        assert!(times.is_sorted_by(|a, b| a < b));
+    }
 }

@@ -1,6 +1,7 @@
 //! A short, repeatable run of every fuzz target: over its corpus, and over a few
-//! hundred mutations of it. No nightly compiler is needed; the long runs use
-//! `cargo fuzz` (see the book, "Developing").
+//! hundred mutations of it. No nightly compiler is needed. With
+//! `SMARTDEPTHSYNC_FUZZ_SECONDS` in the environment each target runs for so long
+//! instead, on inputs of its own (see the book, "Developing", also for `cargo fuzz`).
 //!
 //! A finding of a long run goes into `host/fuzz/corpus/<target>/`, and is tried
 //! here from then on.
@@ -8,8 +9,11 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use protocol::{DeviceToHost, ImuFlags, ImuSample, MAX_FRAME, Pulse, Ticks, encode};
+use protocol::{
+    Command, DeviceToHost, HostToDevice, ImuFlags, ImuSample, MAX_FRAME, Pulse, Ticks, encode,
+};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
@@ -72,16 +76,28 @@ fn run(target: &str, body: fn(&[u8]), mut seeds: Vec<Vec<u8>>, rounds: u32) {
     for seed in &seeds {
         body(seed);
     }
-    let mut rng = Pcg64::seed_from_u64(0x5eed);
-    for round in 0..rounds {
+    let seconds = std::env::var("SMARTDEPTHSYNC_FUZZ_SECONDS").ok();
+    let seconds = seconds.map(|text| Duration::from_secs(text.parse().unwrap()));
+    let begun = Instant::now();
+    // Another start for every long run, told so that it can be repeated.
+    let start = match seconds {
+        Some(_) => u64::from(std::process::id()) << 20 ^ 0x5eed,
+        None => 0x5eed,
+    };
+    println!("{target}: starts from {start}");
+    let mut rng = Pcg64::seed_from_u64(start);
+    let mut round = 0_u64;
+    while seconds.map_or(round < rounds.into(), |long| begun.elapsed() < long) {
         let data = mutate(&mut rng, &seeds);
         let result = std::panic::catch_unwind(|| body(&data));
         if result.is_err() {
             let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("finding_{target}"));
             fs::write(&kept, &data).unwrap();
-            panic!("{target}, round {round}: kept in {}", kept.display());
+            panic!("{target}, input {round}: kept in {}", kept.display());
         }
+        round += 1;
     }
+    println!("{target}: {round} inputs in {:.0?}", begun.elapsed());
 }
 
 #[test]
@@ -159,4 +175,36 @@ fn session_files() {
     let folder = synthetic::make(parent.path(), synthetic::Wrong::default());
     let seed = fs::read(folder.join("session.json")).unwrap();
     run("session_file", bodies::session_file, vec![seed], 500);
+}
+
+#[test]
+fn commands_to_the_board() {
+    let mut stream = vec![5];
+    let mut buffer = [0; MAX_FRAME];
+    for id in 0..20 {
+        for command in [
+            Command::Hello,
+            Command::Filler {
+                bytes_per_second: 1_000 * id,
+            },
+            Command::TriggerPeriod(protocol::Period::from_ticks(1_600_000)),
+            Command::TriggerStop,
+        ] {
+            let sent = HostToDevice { id, command };
+            stream.extend_from_slice(encode(&sent, &mut buffer).unwrap());
+        }
+    }
+    run("commands", bodies::commands, vec![stream], 3_000);
+}
+
+#[test]
+fn what_is_known_of_a_video() {
+    let seeds = [
+        r#"{"streams":[{"width":1920,"height":1080,"pix_fmt":"yuvj420p","color_range":"pc",
+"avg_frame_rate":"485000/16167","nb_frames":"485","duration":"16.167"}]}"#,
+        "1/90000\n0\n6006\n3003\n9009,\n",
+        "timestamp\n1093470123456\n1093503456789,7\n",
+    ];
+    let seeds = seeds.iter().map(|seed| seed.as_bytes().to_vec()).collect();
+    run("video_metadata", bodies::video_metadata, seeds, 2_000);
 }

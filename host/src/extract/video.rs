@@ -278,17 +278,20 @@ pub fn presentation_times(path: &Path) -> Option<Vec<i64>> {
     parse_presentation_times(&String::from_utf8_lossy(&output.stdout))
 }
 
-/// Lines of integers in units of a fraction `1/90000` that stands in a line of
-/// its own.
-fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
+/// Times in ns from the first, in order, of `ffprobe`'s answer: lines of integers in
+/// units of a fraction such as `1/90000` s that stands in a line of its own. `None`
+/// if there is no fraction, or no times.
+#[must_use]
+pub fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
     let mut base = None;
     let mut times: Vec<i128> = Vec::new();
     for line in text.lines() {
         let line = line.trim().trim_end_matches(',');
         if let Some((num, den)) = line.split_once('/') {
+            // 32 bits each in the file; no product below leaves 128.
             base = Some((
-                num.parse::<i128>().ok()?,
-                den.parse::<i128>().ok().filter(|&den| den > 0)?,
+                i128::from(num.parse::<u32>().ok()?),
+                i128::from(den.parse::<u32>().ok().filter(|&den| den > 0)?),
             ));
         } else if let Ok(time) = line.parse::<i64>() {
             times.push(time.into());

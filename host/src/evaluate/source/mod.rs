@@ -7,6 +7,7 @@ mod video;
 use std::path::{Path, PathBuf};
 
 pub use timestamps::{FrameTimes, read_timestamps};
+pub use video::parse_probe;
 
 use super::EvaluateError;
 use super::frame::{GreyView, MAX_SIDE};

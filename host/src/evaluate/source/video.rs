@@ -240,13 +240,26 @@ fn probe(path: &Path) -> Result<Stream, EvaluateError> {
         let said: String = said.chars().take(300).collect();
         return Err(not_a_video(format!("ffprobe says: {said}{hint}")));
     }
-    let probe: Probe = serde_json::from_slice(&output.stdout)
-        .map_err(|e| not_a_video(format!("ffprobe's answer was not understood: {e}")))?;
-    probe
-        .streams
-        .into_iter()
-        .next()
-        .ok_or_else(|| not_a_video("the file has no video in it".to_owned()))
+    first_stream(&output.stdout).map_err(not_a_video)
+}
+
+/// The first stream in `ffprobe`'s answer.
+fn first_stream(answer: &[u8]) -> Result<Stream, String> {
+    let probe: Probe = serde_json::from_slice(answer)
+        .map_err(|e| format!("ffprobe's answer was not understood: {e}"))?;
+    let first = probe.streams.into_iter().next();
+    first.ok_or_else(|| "the file has no video in it".to_owned())
+}
+
+/// Width and height in pixels, and frames a second where they are stated, of a
+/// video by `ffprobe`'s answer in JSON.
+///
+/// # Errors
+///
+/// Why it was not understood.
+pub fn parse_probe(answer: &[u8]) -> Result<(u64, u64, Option<f64>), String> {
+    let stream = first_stream(answer)?;
+    Ok((stream.width, stream.height, frame_rate(&stream)))
 }
 
 fn start_error(program: &'static str, source: std::io::Error) -> EvaluateError {
