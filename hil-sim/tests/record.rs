@@ -55,7 +55,9 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
     assert_eq!(session.markers.len(), 2);
     let span = session.recorded.unwrap();
     let seconds = (span.to - span.from).as_secs_f64();
-    assert!((20.0..20.5).contains(&seconds), "{seconds}");
+    // Stopped when the host sees that it is time; at 20 times real time a late
+    // scheduler's 50 ms are a second.
+    assert!((20.0..22.0).contains(&seconds), "{seconds}");
     assert_eq!(session.markers[0].at.0 - span.from.0, 3 * 48_000_000);
     for file in &session.files {
         assert!(folder.join(file).metadata().unwrap().len() > 0, "{file}");
