@@ -86,6 +86,10 @@ pub fn find(
         progress.end();
         return Ok(found.map(|found| matched(found, "the user", Vec::new())));
     }
+    if !survey.runs.is_empty() {
+        progress.end();
+        return Ok(Err(MatchError::Reset));
+    }
     let by_pattern = match_frames(&frames, pulses, None);
     progress.end();
     let error = match by_pattern {

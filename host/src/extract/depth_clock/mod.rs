@@ -103,6 +103,13 @@ pub struct DepthMatch {
 /// Why frames and pulses were not matched.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MatchError {
+    /// The board was reset meanwhile, and the camera went on by its own clock.
+    #[error(
+        "the board was reset within the recording, while the camera went on by its own clock: which \
+         pulse belongs to which depth frame is not found safely over that, so depth frames have no \
+         board time; their device times are kept"
+    )]
+    Reset,
     /// Not enough to work with.
     #[error(
         "{frames} depth frames and {pulses} pulses cannot be matched; expected at least {MIN_FRAMES} of each"
