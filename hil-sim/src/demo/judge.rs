@@ -233,7 +233,11 @@ impl Truth {
 
         let phone_ns = |at: Ticks| self.phone.nanos_at(self.board.true_at(base.time(at)));
         let (from, to) = (phone_ns(span.from), phone_ns(span.to));
-        let first = video.frames.complete_at(from);
+        // A frame that had begun before may belong to the way to the grid.
+        let mut first = video.frames.complete_at(from);
+        while video.frames.start_ns(first) < from {
+            first += 1;
+        }
         let count = video
             .frames
             .complete_at(to)

@@ -700,14 +700,24 @@ fn confirm_arrival(rig: &mut Rig<'_>, alignment: &mut Alignment) -> Result<(), S
     .into())
 }
 
+/// Periods from the arrival on the grid to the begin of the recorded span: the depth
+/// camera may make its next frames by its own clock, or mark them as bad, after the
+/// phase was moved.
+const SETTLING_PERIODS: u64 = 15;
+
 /// Records, until the time is up or somebody stops it.
 fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
-    let from = rig.now.max(alignment.arrival.unwrap_or_default());
+    let period = Period(alignment.period_q32);
+    let settled = alignment.arrival.map(|arrival| {
+        let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
+        Ticks(arrival.0.saturating_add(wait))
+    });
+    let from = rig.now.max(settled.unwrap_or_default());
     rig.board.start_counting();
     rig.watch = Some(Watch::new(
         Grid {
             anchor: alignment.anchor,
-            period: Period(alignment.period_q32),
+            period,
         },
         rig.now,
     ));
