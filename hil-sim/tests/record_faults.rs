@@ -227,10 +227,13 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
 #[test]
 fn a_board_that_is_reset_before_the_recording_ends_the_session() {
     let rig = WholeRig::new(6, SPEED);
+    // The slow way to the grid, so that it lasts.
+    let profile = rig.profile().replace("slew_us = 1000", "slew_us = 20");
     let before = &STATES[..STATES.len() - 1];
     for (number, state) in before.iter().copied().enumerate() {
         let name = format!("state_{number}");
-        let mut session = Session::start(&mut rig.record(&name, &["--duration", "60s"]));
+        let mut command = rig.record_with(&name, &profile, &["--duration", "60s"]);
+        let mut session = Session::start(&mut command);
         session.wait_for(state);
         rig.wait_ms(100);
         rig.rig.press_reset();

@@ -389,7 +389,7 @@ fn imu_recordings_are_saved_as_they_came() {
     assert_eq!(read("gyro.csv"), "1,2,3,4\n1,2,3,2000004\n");
     assert_eq!(read("accel.csv"), "0.1,9.81,-0.0001,5\n");
     let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();
-    assert_eq!(json[1]["rate_hz"], 500.0);
+    assert_eq!(json["sensors"][1]["rate_hz"], 500.0);
 }
 
 #[cfg(unix)]

@@ -238,25 +238,37 @@ mod tests {
         assert_eq!(said, format!("$(id) {} 30\n", folder.path().display()));
     }
 
+    /// A recorder that has said `ready`.
+    fn start_ready(command: &[&str], folder: &Path) -> DepthRecorder {
+        let recorder = DepthRecorder::start(&depth(command), folder)
+            .unwrap()
+            .unwrap();
+        while std::fs::read_to_string(folder.join(LOG_FILE)).unwrap() != "ready\n" {
+            wait();
+        }
+        recorder
+    }
+
     #[test]
     fn it_is_asked_to_stop_and_killed_only_if_it_does_not() {
         let folder = tempfile::tempdir().unwrap();
         // A shell may have started the tests with SIGINT ignored, which children inherit.
-        let polite = depth(&["env", "--default-signal=INT", "sleep", "100"]);
-        let recorder = DepthRecorder::start(&polite, folder.path())
-            .unwrap()
-            .unwrap();
+        let polite = [
+            "env",
+            "--default-signal=INT",
+            "sh",
+            "-c",
+            "echo ready; exec sleep 100",
+        ];
+        let recorder = start_ready(&polite, folder.path());
         assert_eq!(recorder.stop(wait), None);
 
-        let deaf = depth(&[
+        let deaf = [
             "sh",
             "-c",
             "trap '' INT; echo ready; sleep 100 & wait; sleep 100",
-        ]);
-        let recorder = DepthRecorder::start(&deaf, folder.path()).unwrap().unwrap();
-        while std::fs::read_to_string(folder.path().join(LOG_FILE)).unwrap() != "ready\n" {
-            wait();
-        }
+        ];
+        let recorder = start_ready(&deaf, folder.path());
         let told = recorder.stop(wait).unwrap();
         assert!(told.contains("killed"), "{told}");
     }
