@@ -15,15 +15,7 @@ const PLOTTING: &str = "matplotlib==3.11.2";
 
 /// Makes the book's figures anew, into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
-    let elf = firmware::build()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    let elf = firmware::build_rig()?;
     let python = tools::ensure_python()?;
     process::run(process::command(&python).args([
         "-m",

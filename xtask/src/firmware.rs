@@ -35,6 +35,21 @@ enum Route {
     Debian { linker: PathBuf },
 }
 
+/// Builds all of the simulated rig: the firmware, the host tool and the simulator.
+/// Gives the path of the ELF.
+pub(crate) fn build_rig() -> Result<PathBuf> {
+    let elf = build()?;
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
+    Ok(elf)
+}
+
 /// Builds the firmware in the release profile and returns its ELF.
 pub(crate) fn build() -> Result<PathBuf> {
     built(&["build", "--release"])

@@ -250,15 +250,7 @@ fn package() -> Result<()> {
 
 fn demo(args: &demo::Args) -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
-    let elf = firmware::build()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    let elf = firmware::build_rig()?;
     demo::run(args, &elf)
 }
 
@@ -278,15 +270,7 @@ fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<(
 }
 
 fn faults(seed: u64, count: u64) -> Result<()> {
-    let elf = firmware::build()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    let elf = firmware::build_rig()?;
     let args = [
         "faults".to_owned(),
         format!("--seed={seed}"),
@@ -296,15 +280,7 @@ fn faults(seed: u64, count: u64) -> Result<()> {
 }
 
 fn frame_sync(launches: u32) -> Result<()> {
-    let elf = firmware::build()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    let elf = firmware::build_rig()?;
     let out = process::target_dir().join("frame-sync");
     let args = [
         "frame-sync".to_owned(),
@@ -318,15 +294,7 @@ fn frame_sync(launches: u32) -> Result<()> {
 
 fn chain(seconds: u32, seeds: u32) -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
-    let elf = firmware::build()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    let elf = firmware::build_rig()?;
     chain_bench::run(&elf, seconds, seeds)
 }
 
