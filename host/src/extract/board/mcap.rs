@@ -37,6 +37,7 @@ use crate::extract::time::{BoardNanos, SECOND};
 use crate::recording::messages::{
     self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
 };
+use crate::recording::scan::records_of;
 use crate::recording::topic;
 use crate::sync::Wander;
 use crate::time::BoardSeconds;
@@ -421,19 +422,6 @@ fn unpack(chunk: Packed) -> Result<Vec<u8>, String> {
         return Err(format!("{from} is damaged: its checksum is wrong"));
     }
     Ok(data)
-}
-
-/// Kind and body of the records in a chunk; ends at the first that is cut off.
-fn records_of(chunk: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
-    let mut rest = chunk;
-    std::iter::from_fn(move || {
-        let (&opcode, after) = rest.split_first()?;
-        let (length, after) = after.split_first_chunk::<8>()?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-        let (body, after) = after.split_at_checked(length)?;
-        rest = after;
-        Some((opcode, body))
-    })
 }
 
 fn decode(chunk: &[u8], kinds: &HashMap<u16, Kind>, names: &Names) -> Outcome {
