@@ -29,6 +29,7 @@ pub mod oscillator;
 pub mod owner_profile;
 pub mod phone;
 pub mod pin;
+pub mod pin_log;
 pub mod pty;
 pub mod random;
 pub mod rig;

@@ -111,6 +111,11 @@ impl Lidar {
         self.seconds.drain(..over).collect()
     }
 
+    /// Takes out all seconds; of the last, not everything may have come.
+    pub fn take_all_seconds(&mut self) -> Vec<LidarSecond> {
+        self.seconds.drain(..).collect()
+    }
+
     /// What went wrong so far.
     #[must_use]
     pub fn faults(&self) -> LidarFaults {

@@ -18,20 +18,44 @@ pub fn owner_profile(config: &RigConfig, phone: &SimPhone) -> Result<String> {
         .context("the rig has no depth camera, so it has no profile")?;
     let center_ns =
         depth.flash_delay.as_nanos() as f64 + depth.mode.flashes().center_offset_ns() as f64;
-    let of_phone = phone.config();
-    let camera = &of_phone.camera;
     Ok(format!(
         "# Constants of a simulated rig, as its owner would have measured them.\n\
          name = \"simulated rig, seed {seed}\"\n\n\
-         [phone]\naddress = \"{address}\"\nrows = {rows}\nreadout_us = {readout:.4}\n\
-         gyro_delay_us = {delay}\n\n\
+         [phone]\n{phone}\n\
          [depth]\nfps = {fps}\ncenter_offset_us = {center}\ncenter_offset_sigma_us = 0.1\n",
         seed = config.seed.0,
-        address = phone.address(),
-        rows = camera.rows,
-        readout = camera.readout_ns() * 1e-3,
-        delay = of_phone.gyroscope.low_pass.delay_s * 1e6,
+        phone = constants(phone),
         fps = depth.fps,
         center = center_ns * 1e-3,
     ))
+}
+
+/// The same for several phones by name; the trigger is aligned to the first.
+///
+/// # Errors
+///
+/// The rig has no depth camera, or there is no phone.
+pub fn owner_profile_of(config: &RigConfig, phones: &[(&str, &SimPhone)]) -> Result<String> {
+    let ((name, first), others) = phones.split_first().context("the rig has no phone")?;
+    let mut text = owner_profile(config, first)?;
+    text = text.replace("[phone]\n", &format!("[phone]\nname = \"{name}\"\n"));
+    for (name, phone) in others {
+        let constants = constants(phone);
+        text += &format!("\n[[phones]]\nname = \"{name}\"\n{constants}");
+    }
+    Ok(text)
+}
+
+/// What is in the table of a phone.
+fn constants(phone: &SimPhone) -> String {
+    let config = phone.config();
+    let camera = &config.camera;
+    format!(
+        "address = \"{address}\"\nrows = {rows}\nreadout_us = {readout:.4}\n\
+         gyro_delay_us = {delay}\n",
+        address = phone.address(),
+        rows = camera.rows,
+        readout = camera.readout_ns() * 1e-3,
+        delay = config.gyroscope.low_pass.delay_s * 1e6,
+    )
 }

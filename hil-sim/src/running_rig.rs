@@ -51,7 +51,7 @@ use crate::depth_camera::FrameRecord;
 use crate::i2c::lock;
 use crate::mpu9150::SampleRecord;
 use crate::oscillator::Oscillator;
-use crate::owner_profile::owner_profile;
+use crate::owner_profile::{owner_profile, owner_profile_of};
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoTruth};
 use crate::pty::Pty;
 use crate::rig::{Rig, RigBuilder};
@@ -134,6 +134,8 @@ pub struct RunTruth {
     pub phone_clock: Option<Oscillator>,
     /// The phone's videos.
     pub videos: Vec<VideoTruth>,
+    /// Clocks and videos of further phones.
+    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// Board time at the end.
     pub end: SimTime,
 }
@@ -142,8 +144,8 @@ pub struct RunTruth {
 pub struct RunningRig {
     parts: RigParts,
     clock: TrueClock,
-    /// Dropped before the board's thread is joined: it waits for true time.
-    phone: Option<SimPhone>,
+    /// Dropped before the board's thread is joined: they wait for true time.
+    phones: Vec<SimPhone>,
     port: PathBuf,
     orders: Sender<Order>,
     shared: Arc<Shared>,
@@ -165,19 +167,31 @@ impl RunningRig {
         phone: Option<(PhoneConfig, u16)>,
         pace: Pace,
     ) -> Result<Self> {
+        Self::with_phones(config, board, phone.into_iter().collect(), pace)
+    }
+
+    /// The same with any number of phones, each with its port.
+    ///
+    /// # Errors
+    ///
+    /// As [`RunningRig::start`].
+    pub fn with_phones(
+        config: RigConfig,
+        board: RigBuilder,
+        phones: Vec<(PhoneConfig, u16)>,
+        pace: Pace,
+    ) -> Result<Self> {
         let parts = config.build()?;
         let clock = TrueClock::new();
-        let phone = match phone {
-            None => None,
-            Some((config, port)) => {
-                let surroundings = Surroundings {
-                    clock: clock.clone(),
-                    motion: Arc::clone(&parts.motion),
-                    light: Arc::new(parts.flashes.clone()),
-                };
-                Some(SimPhone::start(config, surroundings, port)?)
-            }
-        };
+        let mut running = Vec::new();
+        for (config, port) in phones {
+            let surroundings = Surroundings {
+                clock: clock.clone(),
+                motion: Arc::clone(&parts.motion),
+                light: Arc::new(parts.flashes.clone()),
+            };
+            running.push(SimPhone::start(config, surroundings, port)?);
+        }
         let folder = tempfile::Builder::new()
             .prefix("simulated-rig-")
             .tempdir()
@@ -215,7 +229,7 @@ impl RunningRig {
         let rig = Self {
             parts,
             clock,
-            phone,
+            phones: running,
             port,
             orders,
             shared,
@@ -236,7 +250,13 @@ impl RunningRig {
     /// The phone.
     #[must_use]
     pub fn phone(&self) -> Option<&SimPhone> {
-        self.phone.as_ref()
+        self.phones.first()
+    }
+
+    /// All phones.
+    #[must_use]
+    pub fn phones(&self) -> &[SimPhone] {
+        &self.phones
     }
 
     /// The profile that this rig's owner would have, for
@@ -246,8 +266,18 @@ impl RunningRig {
     ///
     /// The rig has no phone or no depth camera.
     pub fn profile(&self) -> Result<String> {
-        let phone = self.phone.as_ref().context("the rig has no phone")?;
+        let phone = self.phone().context("the rig has no phone")?;
         owner_profile(&self.parts.config, phone)
+    }
+
+    /// The same with all phones, by these names; the trigger is aligned to the first.
+    ///
+    /// # Errors
+    ///
+    /// As [`RunningRig::profile`].
+    pub fn profile_of(&self, names: &[&str]) -> Result<String> {
+        let phones: Vec<_> = names.iter().copied().zip(&self.phones).collect();
+        owner_profile_of(&self.parts.config, &phones)
     }
 
     /// The parts and their clocks.
@@ -298,13 +328,15 @@ impl RunningRig {
     /// The firmware has failed, or the phone could not save a file.
     pub fn stop(mut self) -> Result<RunTruth> {
         let ended = self.end();
-        let mut videos = Vec::new();
-        if let Some(phone) = &self.phone {
+        let mut phones = Vec::new();
+        for phone in &self.phones {
             phone
                 .wait_saved()
                 .map_err(|e| anyhow!("the simulated phone: {e}"))?;
-            videos = phone.videos();
+            phones.push((phone.oscillator().clone(), phone.videos()));
         }
+        let mut phones = phones.into_iter();
+        let (phone_clock, videos) = phones.next().unzip();
         ended?;
         let noted = std::mem::take(&mut *self.shared.noted());
         Ok(RunTruth {
@@ -312,8 +344,9 @@ impl RunningRig {
             depth: noted.depth,
             imu: noted.imu,
             zero: noted.zero,
-            phone_clock: self.phone.as_ref().map(|p| p.oscillator().clone()),
-            videos,
+            phone_clock,
+            videos: videos.unwrap_or_default(),
+            others: phones.collect(),
             end: self.now(),
         })
     }

@@ -7,8 +7,11 @@
 mod board_host;
 
 use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
 
 use board_host::{Board, UNITS_PER_TICK, trigger_status};
+use hil_sim::i2c::{Shared, lock};
+use hil_sim::lidar::{Lidar, LidarConfig, LidarFaults};
 use hil_sim::pin::{Level, Pin};
 use hil_sim::rig::Rig;
 use hil_sim::time::SimTime;
@@ -93,11 +96,13 @@ struct Bench {
     board: Board,
     trains: Vec<Train>,
     zero: Option<u64>,
+    lidar: Shared<Lidar>,
 }
 
 impl Bench {
     fn new() -> Self {
-        let mut board = Board::boot(Rig::builder());
+        let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
+        let mut board = Board::boot(Rig::builder().model(Arc::clone(&lidar)));
         for pin in PINS {
             board.rig.log_pin(pin);
         }
@@ -105,6 +110,7 @@ impl Bench {
             board,
             trains: Vec::new(),
             zero: None,
+            lidar,
         }
     }
 
@@ -116,11 +122,10 @@ impl Bench {
         trigger_status(self.output(output, OutputAction::Start(start)))
     }
 
-    /// The camera's train, and all others, each beginning `lead` ticks from now.
-    fn start_all(&mut self, periods: [Period; 3], lead: u64) {
-        let first = Ticks(self.board.now().0 + lead);
+    /// The camera's train, and all others, each beginning at `first`.
+    fn start_all(&mut self, camera: Period, periods: [Period; 3], first: Ticks) {
         let start = TriggerStart {
-            period: picos(CAMERA),
+            period: camera,
             width: WIDTH,
             first_edge: Some(first),
         };
@@ -203,6 +208,22 @@ impl Bench {
         board.pps.clear();
     }
 
+    /// How many pulses of the slowest train have one of each other train within so
+    /// many ticks, by the arithmetic of the edges that were seen.
+    fn coincidences(&self, within: u64) -> usize {
+        let slow = self.trains.iter().max_by_key(|train| train.period.0);
+        let slow = slow.expect("trains run");
+        let near = |train: &Train, at: u64| {
+            let since = (u128::from(at) << 32).saturating_sub(train.from);
+            let k = (since / u128::from(train.period.0)) as u64;
+            (k..=k + 1).any(|k| train.expected(k).abs_diff(at) <= within)
+        };
+        (0..slow.seen / 2)
+            .map(|k| slow.expected(k))
+            .filter(|&at| self.trains.iter().all(|train| near(train, at)))
+            .count()
+    }
+
     /// That none was lost: as many edges as there must have been by now.
     fn check_count(&mut self) {
         let now = self.board.now().0;
@@ -230,11 +251,16 @@ impl Bench {
 /// flood of commands in every other one: every edge, every report.
 fn run_all(seconds: u64) {
     let mut bench = Bench::new();
-    // Every sixth frame of the camera; one that meets the others again and again;
-    // the shortest. All begin together.
-    let sixth = Period(picos(CAMERA).0 * 6);
-    let periods = [sixth, Period::from_ticks(TICK_HZ / 5), picos(1_000_000_001)];
-    bench.start_all(periods, u64::from(TICK_HZ));
+    let mut told = Vec::new();
+    // All begin together on a whole second, so the pulse per second is part of that.
+    // From there on they slip by 1 µs a second against it: the camera and every sixth
+    // of its frames one way, the shortest the other way.
+    let camera = picos(33_333_300_000);
+    let sixth = Period(camera.0 * 6);
+    let periods = [sixth, Period::from_ticks(TICK_HZ / 5), picos(1_000_001_000)];
+    let second = u64::from(TICK_HZ);
+    let first = Ticks((bench.board.now().0 / second + 2) * second);
+    bench.start_all(camera, periods, first);
     for second in 0..seconds {
         let bytes_per_second = if second % 2 == 0 { u32::MAX } else { 0 };
         bench
@@ -246,13 +272,44 @@ fn run_all(seconds: u64) {
                 let action = OutputAction::Query;
                 bench.board.send(Command::Output { output, action });
             }
-            bench.board.run(48);
+            bench.board.run(50);
         }
         bench.board.answers.clear();
         bench.board.statuses.clear();
         bench.check();
+        told.extend(
+            lock(&bench.lidar)
+                .take_seconds()
+                .iter()
+                .map(|second| second.utc),
+        );
     }
+    // The lidar was told every second in time, each one more than the one before. The
+    // last may not be over.
+    let pulses = bench.trains.last().map_or(0, |pps| pps.seen.div_ceil(2));
+    assert_eq!(told.len() as u64 + 1, pulses);
+    assert!(pulses >= seconds - 2, "{pulses}");
+    assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
+    let first = told[0].expect("the first second was told");
+    assert!(
+        told.iter()
+            .zip(first..)
+            .all(|(utc, next)| *utc == Some(next))
+    );
     bench.check_count();
+    for train in &bench.trains {
+        println!(
+            "{}: {} edges compared with the arithmetic, all at 0 ticks",
+            train.pin, train.seen
+        );
+    }
+    let together = bench.coincidences(50 * 48);
+    assert!(together > 40, "{together}");
+    println!(
+        "coincidences of all five within 50 us: {together}; seconds told to the lidar: {}, all in \
+         time",
+        told.len()
+    );
     let status = bench.board.next_status();
     println!(
         "{seconds} s: worst edge to end of handling {:.2} us (outputs), {:.2} us (camera), \

@@ -12,12 +12,17 @@ use std::path::Path;
 
 use hil_sim::depth_camera::FrameRecord;
 use hil_sim::k4a_mkv::{K4aSettings, write_frames};
+use hil_sim::oscillator::Oscillator;
+use hil_sim::phone::VideoTruth;
+use hil_sim::running_rig::RunTruth;
 use hil_sim::time::{SimTime, UNITS_PER_NANO};
 use protocol::ResetCause;
 use smartdepthsync::extract::inputs::Options;
 use smartdepthsync::extract::layout::Format;
 use smartdepthsync::extract::progress::Silent;
+use smartdepthsync::extract::report::BoardRunReport;
 use smartdepthsync::extract::run::{Job, run};
+use smartdepthsync::recording::reader::{Item, Reader};
 use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 use smartdepthsync::verify::{Verdict, verify};
 use whole_rig::{Session, WholeRig};
@@ -47,6 +52,33 @@ fn largest(errors: impl Iterator<Item = i64>) -> f64 {
     errors
         .map(|e| e as f64 * 1e-3)
         .fold(0.0, |a, e| e.abs().max(a))
+}
+
+/// Board time from the first run's zero, ns.
+fn nanos(truth: &RunTruth, at: SimTime) -> i64 {
+    let units = i128::from(at.units()) - i128::from(truth.zero.unwrap().units());
+    (units / i128::from(UNITS_PER_NANO)) as i64
+}
+
+/// The largest error of the frames of a phone's video, those in the gap left out, µs.
+fn frames_off(
+    table_of: &Path,
+    reset: &BoardRunReport,
+    truth: &RunTruth,
+    (clock, videos): (&Oscillator, &[VideoTruth]),
+) -> f64 {
+    let rows = table(table_of, &[2]);
+    let is_it = |video: &&VideoTruth| video.count == Some(rows.len());
+    let video = videos.iter().rev().find(is_it).unwrap();
+    let of_phone = |at: i64| {
+        let at = clock.when_nanos(at).unwrap();
+        nanos(truth, truth.parts.board.board_at(at))
+    };
+    largest(rows.iter().enumerate().filter_map(|(n, row)| {
+        let at = row[0]?;
+        let known = at < reset.last_before_ns || at > reset.from_ns;
+        known.then(|| at - of_phone(video.frames.start_ns(n)))
+    }))
 }
 
 fn write_depth(path: &Path, frames: &[FrameRecord]) {
@@ -111,11 +143,7 @@ fn a_reset_is_marked_and_both_runs_are_extracted() {
     // The session knew only roughly where the run belongs.
     assert!(run.moved_ns.abs() > 100_000, "{run:?}");
 
-    let zero = truth.zero.unwrap();
-    let nanos = |at: SimTime| {
-        let units = i128::from(at.units()) - i128::from(zero.units());
-        (units / i128::from(UNITS_PER_NANO)) as i64
-    };
+    let nanos = |at: SimTime| nanos(&truth, at);
     // The board's samples, each at the edge next to it.
     let edges: Vec<i64> = truth
         .imu
@@ -141,16 +169,9 @@ fn a_reset_is_marked_and_both_runs_are_extracted() {
     assert!(later > 8_000 && errors.len() - later > 8_000);
 
     // The phone's frames, those in the gap left out.
-    let video = truth.videos.last().unwrap();
-    let clock = truth.phone_clock.unwrap();
-    let of_phone = |at: i64| nanos(truth.parts.board.board_at(clock.when_nanos(at).unwrap()));
-    let rows = table(&out.join("phone_frames.csv"), &[2]);
-    assert_eq!(Some(rows.len()), video.count);
-    let color = largest(rows.iter().enumerate().filter_map(|(n, row)| {
-        let at = row[0]?;
-        let known = at < run.last_before_ns || at > run.from_ns;
-        known.then(|| at - of_phone(video.frames.start_ns(n)))
-    }));
+    let clock = truth.phone_clock.as_ref().unwrap();
+    let video = (clock, truth.videos.as_slice());
+    let color = frames_off(&out.join("phone_frames.csv"), run, &truth, video);
 
     // The depth camera's are not guessed.
     let depth = report.depth.as_ref().unwrap();
@@ -168,4 +189,84 @@ fn a_reset_is_marked_and_both_runs_are_extracted() {
     assert!(first < 0.1, "{first}");
     assert!(second < LIMIT_US && second < 5.0 * run.sigma_us + 0.1);
     assert!(color < LIMIT_US);
+}
+
+#[test]
+fn a_further_phone_is_related_anew_and_extracted_over_the_reset() {
+    let rig = WholeRig::with_phones(14, SPEED, 2, |_, _| {});
+    let profile = rig.profile_of(&["left", "right"]);
+    let arguments = ["--duration", "38s", "--second-twist", "--fetch-video"];
+    let mut command = rig.record_with("reset", &profile, &arguments);
+    let mut session = Session::start(&mut command);
+    session.wait_for("recording for");
+    rig.wait_ms(16_000);
+    rig.rig.press_reset();
+    session.wait_for("on its former grid again");
+    session.ends_with(4);
+
+    let folder = rig.recording("reset");
+    let file = SessionFile::load(&folder).unwrap();
+    let [mark] = file.runs.as_slice() else {
+        panic!("{:?}", file.runs);
+    };
+    let right = &file.phones[0];
+    // Where its frames lie is known as badly as the run, its clock as well as the
+    // last twist.
+    let placed = right.placement.unwrap();
+    assert!(placed.offset_sigma_us >= mark.shift_sigma_us, "{placed:?}");
+    let clock = right.clock.unwrap();
+    assert!(clock.reference.0 > mark.from.as_secs_f64(), "{clock:?}");
+    assert!(clock.covariance[0][0].sqrt() < 50e-6, "{clock:?}");
+    let mut sources = Vec::new();
+    for entry in Reader::open(&folder).unwrap() {
+        if let Item::PhoneClock(clock) = entry.unwrap().item {
+            assert_eq!(clock.header.frame_id, "right");
+            sources.push(clock.source);
+        }
+    }
+    let expected = [
+        "twist 1",
+        "after a reset of the board",
+        "twist at the end, after a reset of the board",
+    ];
+    assert_eq!(sources, expected);
+
+    let WholeRig { rig, folder: all } = rig;
+    let truth = rig.stop().unwrap();
+    write_depth(&folder.join("depth.mkv"), &truth.depth);
+    let out = all.path().join("data");
+    let place = |name: &str, storage: &str| (String::from(name), all.path().join(storage));
+    let job = Job {
+        recording: folder,
+        phone: None,
+        depth: None,
+        format: Format::Euroc,
+        out: out.clone(),
+        options: Options {
+            phones: vec![place("left", "phone"), place("right", "phone_1")],
+            ..Options::default()
+        },
+    };
+    let report = run(&job, &Silent).unwrap();
+    let [run] = report.board.runs.as_slice() else {
+        panic!("{:?}", report.board.runs);
+    };
+    assert_eq!(run.by, "gyroscopes", "{:?}", report.remarks);
+    // What the session knew is far off where the run was put.
+    assert!(run.moved_ns.abs() > 100_000, "{run:?}");
+    let clock = report.phones[0].clock.as_ref().unwrap();
+    assert_eq!(clock.source, "gyroscopes", "{:?}", report.remarks);
+    let clock = truth.phone_clock.as_ref().unwrap();
+    let left = (clock, truth.videos.as_slice());
+    let left = frames_off(&out.join("phone_frames.csv"), run, &truth, left);
+    let (clock, videos) = &truth.others[0];
+    let table = out.join("phones/right/phone_frames.csv");
+    let right = frames_off(&table, run, &truth, (clock, videos));
+    println!(
+        "simulated: run moved by {:+.3} ms ± {:.1} µs; frames of the first phone at most {left:.1} µs \
+         off, of the further one {right:.1} µs",
+        run.moved_ns as f64 * 1e-6,
+        run.sigma_us,
+    );
+    assert!(left < LIMIT_US && right < LIMIT_US);
 }

@@ -196,6 +196,13 @@ impl Failure {
         self
     }
 
+    /// The same with what it is about before it.
+    #[must_use]
+    pub fn about(mut self, what: &str) -> Self {
+        self.message = format!("{what}: {}", self.message);
+        self
+    }
+
     /// The exit code.
     #[must_use]
     pub const fn status(&self) -> ExitStatus {

@@ -21,7 +21,11 @@ pub const DEFAULT: &str = include_str!("profile_default.toml");
 pub struct Profile {
     /// What the rig is called.
     pub name: String,
-    /// The phone.
+    /// Name of the phone that the trigger is aligned to. Reading a profile puts
+    /// that phone into `phone`; without this it is `[phone]`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
+    /// The phone; of several the one that the trigger is aligned to.
     pub phone: Phone,
     /// The depth camera.
     pub depth: Depth,
@@ -31,6 +35,9 @@ pub struct Profile {
     pub align: Align,
     /// The measured constant bias.
     pub frame_sync: FrameSync,
+    /// Further phones, each with its own clock; nothing can shift their frames.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<Phone>,
     /// The sensors on the trigger outputs 2 to 4.
     #[serde(default)]
     pub outputs: Vec<TriggerOutput>,
@@ -90,6 +97,9 @@ impl Lidar {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Phone {
+    /// What it is called in the recording.
+    #[serde(default = "Phone::default_name")]
+    pub name: String,
     /// Host and port of the app.
     pub address: String,
     /// Exposure of a row, µs, where the app does not report it.
@@ -112,6 +122,50 @@ pub struct Phone {
     pub learnt: Option<Learnt>,
 }
 
+impl Phone {
+    fn default_name() -> String {
+        String::from("phone")
+    }
+
+    /// From the start of exposure of the first row to that of the row that is
+    /// synchronised, µs.
+    #[must_use]
+    pub fn middle_row_us(&self) -> f64 {
+        let last = f64::from(self.rows.saturating_sub(1).max(1));
+        let middle = self.middle_row.unwrap_or(0.5 * last);
+        self.readout_us * middle / last
+    }
+
+    fn check(&self) -> Result<(), ProfileError> {
+        if crate::recording::folder::check_name(&self.name).is_err() || self.name.contains('=') {
+            return Err(ProfileError::Value {
+                key: "phone.name",
+                found: format!("{:?}", self.name),
+                expected: "a name that can be a folder's, without a slash or '='",
+            });
+        }
+        let micros = "0 to 1000000 (µs)";
+        range("phone.exposure_us", self.exposure_us, 0.0, 1e6, micros)?;
+        range("phone.readout_us", self.readout_us, 0.0, 1e6, micros)?;
+        range("phone.rows", f64::from(self.rows), 2.0, 1e5, "2 to 100000")?;
+        if let Some(row) = self.middle_row {
+            let most = f64::from(self.rows - 1);
+            range("phone.middle_row", row, 0.0, most, "0 to the last row")?;
+        }
+        range("phone.gyro_delay_us", self.gyro_delay_us, 0.0, 1e6, micros)?;
+        range(
+            "phone.gyro_delay_sigma_us",
+            self.gyro_delay_sigma_us,
+            0.0,
+            1e6,
+            micros,
+        )?;
+        let twist = f64::from(self.twist_s);
+        range("phone.twist_s", twist, 3.0, 60.0, "3 to 60 (s)")?;
+        self.learnt.as_ref().map_or(Ok(()), Learnt::check)
+    }
+}
+
 /// What recordings have taught about the phone's clocks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -131,6 +185,36 @@ pub struct Learnt {
     /// The board whose clock the skew is against.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_id: Option<String>,
+}
+
+impl Learnt {
+    fn check(&self) -> Result<(), ProfileError> {
+        let period = "1000000 to 1000000000 (ns)";
+        range(
+            "phone.learnt.frame_period_ns",
+            self.frame_period_ns,
+            1e6,
+            1e9,
+            period,
+        )?;
+        range(
+            "phone.learnt.frame_period_sigma_ns",
+            self.frame_period_sigma_ns,
+            0.0,
+            1e6,
+            "0 to 1000000 (ns)",
+        )?;
+        let skew = "-0.001 to 0.001";
+        range(
+            "phone.learnt.skew",
+            self.skew.unwrap_or(0.0),
+            -1e-3,
+            1e-3,
+            skew,
+        )?;
+        let sigma = self.skew_sigma.unwrap_or(0.0);
+        range("phone.learnt.skew_sigma", sigma, 0.0, 1e-3, "0 to 0.001")
+    }
 }
 
 /// The depth camera.
@@ -294,10 +378,82 @@ impl Profile {
         // Into a table first: a text that is no TOML at all is told with its line.
         let given: toml::Table = text.parse().map_err(syntax)?;
         let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;
+        let mut given = given;
+        complete_phones(&mut given, &whole);
         merge(&mut whole, given);
-        let profile: Self = whole.try_into().map_err(syntax)?;
+        let mut profile: Self = whole.try_into().map_err(syntax)?;
         profile.check()?;
+        if let Some(name) = profile.reference.clone() {
+            profile.set_reference(&name)?;
+        }
         Ok(profile)
+    }
+
+    /// All phones, the one that the trigger is aligned to first.
+    pub fn all_phones(&self) -> impl Iterator<Item = &Phone> {
+        std::iter::once(&self.phone).chain(&self.phones)
+    }
+
+    /// Makes a phone the one that the trigger is aligned to.
+    ///
+    /// # Errors
+    ///
+    /// There is none of that name.
+    pub fn set_reference(&mut self, name: &str) -> Result<(), ProfileError> {
+        if self.phone.name != name {
+            match self.phones.iter_mut().find(|phone| phone.name == name) {
+                Some(phone) => std::mem::swap(phone, &mut self.phone),
+                None => {
+                    return Err(ProfileError::Value {
+                        key: "reference",
+                        found: format!("{name:?}"),
+                        expected: "the name of one of the phones",
+                    });
+                }
+            }
+        }
+        self.reference = (!self.phones.is_empty()).then(|| name.to_owned());
+        Ok(())
+    }
+
+    /// Gives a phone another address: `HOST[:PORT]` to the first, or with its name
+    /// before it, `NAME=HOST[:PORT]`.
+    ///
+    /// # Errors
+    ///
+    /// There is no phone of that name.
+    pub fn set_address(&mut self, text: &str) -> Result<(), ProfileError> {
+        let Some((name, address)) = text.split_once('=') else {
+            text.clone_into(&mut self.phone.address);
+            return Ok(());
+        };
+        let mut phones = std::iter::once(&mut self.phone).chain(&mut self.phones);
+        match phones.find(|phone| phone.name == name) {
+            Some(phone) => {
+                address.clone_into(&mut phone.address);
+                Ok(())
+            }
+            None => Err(ProfileError::Value {
+                key: "phones.name",
+                found: format!("{name:?}"),
+                expected: "the name of one of the phones",
+            }),
+        }
+    }
+
+    fn check_phones(&self) -> Result<(), ProfileError> {
+        for (index, phone) in self.all_phones().enumerate() {
+            phone.check()?;
+            let mut earlier = self.all_phones().take(index);
+            if earlier.any(|other| other.name.eq_ignore_ascii_case(&phone.name)) {
+                return Err(ProfileError::Value {
+                    key: "phones.name",
+                    found: format!("{:?} twice", phone.name),
+                    expected: "a name of its own for each phone",
+                });
+            }
+        }
+        Ok(())
     }
 
     /// What the sensor on a further output is called.
@@ -385,23 +541,10 @@ impl Profile {
     /// synchronised, µs.
     #[must_use]
     pub fn middle_row_us(&self) -> f64 {
-        let last = f64::from(self.phone.rows.saturating_sub(1).max(1));
-        let middle = self.phone.middle_row.unwrap_or(0.5 * last);
-        self.phone.readout_us * middle / last
+        self.phone.middle_row_us()
     }
 
     fn check(&self) -> Result<(), ProfileError> {
-        let range = |key, value: f64, least: f64, most: f64, expected| {
-            if value >= least && value <= most {
-                Ok(())
-            } else {
-                Err(ProfileError::Value {
-                    key,
-                    found: value.to_string(),
-                    expected,
-                })
-            }
-        };
         for (index, sensor) in self.outputs.iter().enumerate() {
             let number = f64::from(sensor.output);
             range("outputs.output", number, 2.0, 4.0, "2, 3 or 4")?;
@@ -446,58 +589,9 @@ impl Profile {
                 expected: "4800, 9600, 19200, 38400, 57600 or 115200 (Bd)",
             });
         }
-        let phone = &self.phone;
         let depth = &self.depth;
         let micros = "0 to 1000000 (µs)";
-        range("phone.exposure_us", phone.exposure_us, 0.0, 1e6, micros)?;
-        range("phone.readout_us", phone.readout_us, 0.0, 1e6, micros)?;
-        range("phone.rows", f64::from(phone.rows), 2.0, 1e5, "2 to 100000")?;
-        if let Some(row) = phone.middle_row {
-            let most = f64::from(phone.rows - 1);
-            range("phone.middle_row", row, 0.0, most, "0 to the last row")?;
-        }
-        range("phone.gyro_delay_us", phone.gyro_delay_us, 0.0, 1e6, micros)?;
-        range(
-            "phone.gyro_delay_sigma_us",
-            phone.gyro_delay_sigma_us,
-            0.0,
-            1e6,
-            micros,
-        )?;
-        range(
-            "phone.twist_s",
-            f64::from(phone.twist_s),
-            3.0,
-            60.0,
-            "3 to 60 (s)",
-        )?;
-        if let Some(learnt) = &phone.learnt {
-            let period = "1000000 to 1000000000 (ns)";
-            range(
-                "phone.learnt.frame_period_ns",
-                learnt.frame_period_ns,
-                1e6,
-                1e9,
-                period,
-            )?;
-            range(
-                "phone.learnt.frame_period_sigma_ns",
-                learnt.frame_period_sigma_ns,
-                0.0,
-                1e6,
-                "0 to 1000000 (ns)",
-            )?;
-            let skew = "-0.001 to 0.001";
-            range(
-                "phone.learnt.skew",
-                learnt.skew.unwrap_or(0.0),
-                -1e-3,
-                1e-3,
-                skew,
-            )?;
-            let sigma = learnt.skew_sigma.unwrap_or(0.0);
-            range("phone.learnt.skew_sigma", sigma, 0.0, 1e-3, "0 to 0.001")?;
-        }
+        self.check_phones()?;
         if ![30, 15, 5].contains(&depth.fps) {
             return Err(ProfileError::Value {
                 key: "depth.fps",
@@ -556,6 +650,45 @@ impl Profile {
             micros,
         )?;
         self.imu_config().map(|_| ())
+    }
+}
+
+fn range(
+    key: &'static str,
+    value: f64,
+    least: f64,
+    most: f64,
+    expected: &'static str,
+) -> Result<(), ProfileError> {
+    if value >= least && value <= most {
+        Ok(())
+    } else {
+        Err(ProfileError::Value {
+            key,
+            found: value.to_string(),
+            expected,
+        })
+    }
+}
+
+/// Gives each of the further phones the defaults of what it leaves out; name and
+/// address it must have itself.
+fn complete_phones(given: &mut toml::Table, default: &toml::Table) {
+    let Some(toml::Value::Table(default)) = default.get("phone") else {
+        return;
+    };
+    let Some(toml::Value::Array(phones)) = given.get_mut("phones") else {
+        return;
+    };
+    for phone in phones {
+        if let toml::Value::Table(own) = phone {
+            let mut whole = default.clone();
+            whole.remove("address");
+            // An empty name is refused where names are checked.
+            whole.insert(String::from("name"), String::new().into());
+            merge(&mut whole, std::mem::take(own));
+            *own = whole;
+        }
     }
 }
 
@@ -652,10 +785,56 @@ mod tests {
             ("[phone]\nreadout_us = nan\n", "phone.readout_us"),
             ("[phone]\nmiddle_row = 1080\n", "phone.middle_row"),
             ("[frame_sync]\nbias_us = inf\n", "frame_sync.bias_us"),
+            ("reference = \"left\"\n", "reference"),
+            ("[phone]\nname = \"a/b\"\n", "phone.name"),
+            ("[[phones]]\naddress = \"x\"\n", "phone.name"),
+            (
+                "[[phones]]\nname = \"Phone\"\naddress = \"x\"\n",
+                "phones.name",
+            ),
+            (
+                "[[phones]]\nname = \"left\"\naddress = \"x\"\nrows = 1\n",
+                "phone.rows",
+            ),
         ] {
             let error = Profile::parse(text, None).unwrap_err().to_string();
             assert!(error.contains(key), "{text}: {error}");
             assert!(error.contains("expected"), "{error}");
         }
+    }
+
+    #[test]
+    fn several_phones_have_defaults_and_one_of_them_is_the_reference() {
+        let text = "[phone]\nname = \"left\"\nrows = 720\n\n\
+                    [[phones]]\nname = \"right\"\naddress = \"10.0.0.8\"\n";
+        let profile = Profile::parse(text, None).unwrap();
+        assert_eq!(
+            (profile.phone.name.as_str(), profile.phone.rows),
+            ("left", 720)
+        );
+        let right = &profile.phones[0];
+        assert_eq!((right.address.as_str(), right.rows), ("10.0.0.8", 1080));
+
+        let other = Profile::parse(&format!("reference = \"right\"\n{text}"), None).unwrap();
+        assert_eq!(other.phone, profile.phones[0]);
+        assert_eq!(other.phones, [profile.phone]);
+        // What a session file keeps reads back as the same.
+        let kept = toml::to_string(&other).unwrap();
+        assert_eq!(Profile::parse(&kept, None).unwrap(), other);
+
+        let mut moved = other.clone();
+        moved.set_address("left=10.0.0.9:7000").unwrap();
+        moved.set_address("10.0.0.10").unwrap();
+        assert_eq!(moved.phones[0].address, "10.0.0.9:7000");
+        assert_eq!(moved.phone.address, "10.0.0.10");
+        assert!(moved.set_address("middle=10.0.0.9").is_err());
+
+        let error = Profile::parse("[[phones]]\nname = \"right\"\n", None).unwrap_err();
+        assert!(error.to_string().contains("address"), "{error}");
+        let alone = Profile::parse("[phone]\nrows = 720\n", None).unwrap();
+        assert_eq!(
+            (alone.phone.name.as_str(), alone.phones.len()),
+            ("phone", 0)
+        );
     }
 }

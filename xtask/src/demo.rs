@@ -13,6 +13,9 @@ pub(crate) struct Args {
     /// The one seed of all randomness: clocks, mounting, motion, noise.
     #[arg(long)]
     seed: Option<u64>,
+    /// The rig: `published`, or `multi` with two phones, four cameras and a lidar.
+    #[arg(long, value_name = "RIG")]
+    rig: Option<String>,
     /// Seconds of board time to record.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u32>,
@@ -41,6 +44,7 @@ pub(crate) fn run(args: &Args, elf: &Path) -> Result<()> {
     };
     let path = |path: &Path| here.join(path).display().to_string();
     option("--seed", args.seed.map(|seed| seed.to_string()));
+    option("--rig", args.rig.clone());
     option("--seconds", args.seconds.map(|seconds| seconds.to_string()));
     option("--json", args.json.as_deref().map(path));
     let out = args

@@ -5,6 +5,17 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use hil_sim::demo::stage::StageOptions;
 use hil_sim::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
+use hil_sim::whole_chain::Programs;
+use hil_sim::whole_chain::several::{self, SeveralPlan};
+
+/// Which rig is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum RigKind {
+    /// A phone and a depth camera.
+    Published,
+    /// Two phones, a depth camera, three more cameras and a lidar.
+    Multi,
+}
 
 /// Options of `demo`.
 #[derive(clap::Args)]
@@ -12,6 +23,9 @@ pub(crate) struct Args {
     /// The one seed of all randomness: clocks, mounting, motion, noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// The published rig, or one of two phones, four cameras and a lidar.
+    #[arg(long, value_enum, default_value_t = RigKind::Published)]
+    rig: RigKind,
     /// Seconds of board time to record.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_SECONDS,
           value_parser = clap::value_parser!(u32).range(i64::from(*SECONDS.start())..=i64::from(*SECONDS.end())))]
@@ -38,6 +52,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    if args.rig == RigKind::Multi {
+        return run_several(args);
+    }
     let done = demo::run(&DemoOptions {
         stage: StageOptions {
             seed: args.seed,
@@ -58,6 +75,35 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         std::fs::write(path, json + "\n")
             .with_context(|| format!("cannot write {}", path.display()))?;
         println!("figures    {}", path.display());
+    }
+    Ok(())
+}
+
+/// Two phones, further cameras and a lidar: each extracted and judged.
+fn run_several(args: &Args) -> Result<()> {
+    let programs = Programs {
+        smartdepthsync: super::session_program(args.program.as_deref())?,
+        elf: args.elf.clone(),
+        speed: args.speed,
+    };
+    let plan = SeveralPlan {
+        seed: args.seed,
+        seconds: args.seconds,
+        small: false,
+    };
+    let out = args.out.join("multi");
+    let figures = several::run(&plan, &programs, &out)?;
+    println!("\n{}", figures.table());
+    println!("recording  {}", figures.recording.display());
+    println!("data set   {}", figures.data.display());
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&figures)?;
+        std::fs::write(path, json + "\n")
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        println!("figures    {}", path.display());
+    }
+    if !figures.good() {
+        anyhow::bail!("a figure is outside its limit");
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use protocol::Ticks;
 use serde::Serialize;
 use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
+use smartdepthsync::recording::session_file::{OtherPhone, SessionFile, Span};
 use smartdepthsync::sync::ClockModel;
 
 use crate::clock::{Clock, Rate};
@@ -29,6 +29,8 @@ pub struct Truth {
     pub phone: Oscillator,
     /// The phone's videos.
     pub videos: Vec<VideoTruth>,
+    /// Clocks and videos of further phones.
+    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
     /// All frames of the depth camera, in order.
     pub depth: Vec<FrameRecord>,
     /// When the board's tick count was zero, to within [`Timebase::NEAR`].
@@ -65,6 +67,27 @@ pub struct Verdict {
     pub lost: u64,
     /// Length of the recorded span, seconds of board time.
     pub recorded_s: f64,
+}
+
+/// What a session said of a further phone, judged.
+#[derive(Clone, Debug, Serialize)]
+pub struct OtherVerdict {
+    /// Its name.
+    pub name: String,
+    /// Its relation from the last twist before the recording, at the beginning of
+    /// the recorded span.
+    pub offset_start: OffsetError,
+    /// The relation that was best known in the end, at the end of the span.
+    pub offset_end: OffsetError,
+    /// Where its frames lay at the beginning of the recorded span: what was said
+    /// minus the truth.
+    pub placement: OffsetError,
+    /// How they moved, by the truth, µs/min.
+    pub drift_us_per_min: f64,
+    /// What was said of that minus the truth, µs/min.
+    pub drift_error_us_per_min: f64,
+    /// Stated 1-sigma of it, µs/min.
+    pub drift_sigma_us_per_min: f64,
 }
 
 /// Relation of the board's tick count to its time.
@@ -178,6 +201,7 @@ impl Truth {
             board: run.parts.board,
             phone: run.phone_clock.context("the rig has no phone")?,
             videos: run.videos,
+            others: run.others,
             depth: run.depth,
             timebase: Timebase::new(zero),
         })
@@ -185,19 +209,25 @@ impl Truth {
 
     /// What the phone's clock truly read at a tick, minus the board's time, in
     /// nanoseconds.
-    fn offset_ns(&self, base: &Timebase, at: Ticks) -> f64 {
+    fn offset_ns(&self, phone: &Oscillator, base: &Timebase, at: Ticks) -> f64 {
         let true_time = self.board.true_at(base.time(at));
-        let phone = i128::from(self.phone.nanos_at(true_time));
+        let phone = i128::from(phone.nanos_at(true_time));
         // 125 / 6 ns a tick: whole nanoseconds and the remainder apart.
         let scaled = i128::from(at.0) * 125;
         (phone - scaled / 6) as f64 - (scaled % 6) as f64 / 6.0
     }
 
     /// How wrong a stated relation is at a tick.
-    fn error_of(&self, model: &ClockModel, base: &Timebase, at: Ticks) -> OffsetError {
+    fn error_of(
+        &self,
+        phone: &Oscillator,
+        model: &ClockModel,
+        base: &Timebase,
+        at: Ticks,
+    ) -> OffsetError {
         let stated = model.offset_at(at.into());
         OffsetError {
-            error_us: stated.value * 1e6 - self.offset_ns(base, at) * 1e-3,
+            error_us: stated.value * 1e6 - self.offset_ns(phone, base, at) * 1e-3,
             sigma_us: stated.sigma * 1e6,
         }
     }
@@ -225,24 +255,8 @@ impl Truth {
             .context("the session has started no video")?
             .phase
             .0;
-        let video = self
-            .videos
-            .iter()
-            .find(|v| (v.start_ns..v.stop_ns.unwrap_or(i64::MAX)).contains(&phase_ns))
-            .context("the phone has recorded no video in this session")?;
-
-        let phone_ns = |at: Ticks| self.phone.nanos_at(self.board.true_at(base.time(at)));
-        let (from, to) = (phone_ns(span.from), phone_ns(span.to));
-        // A frame that had begun before may belong to the way to the grid.
-        let mut first = video.frames.complete_at(from);
-        while video.frames.start_ns(first) < from {
-            first += 1;
-        }
-        let count = video
-            .frames
-            .complete_at(to)
-            .min(video.count.unwrap_or(usize::MAX));
-        let phases = phase_errors(&video.frames, first..count, &self.phone, &self.depth);
+        let video = video_at(&self.videos, phase_ns)?;
+        let phases = self.phases(&self.phone, video, &base, span);
         let phase = summarise(&phases).context("the recorded span has no frames")?;
         // A pair further apart than a quarter of a frame is none.
         let quarter_us = video.frames.period_ns() * 0.25e-3;
@@ -252,8 +266,8 @@ impl Truth {
             .count();
         let lost = session.counts.lost() + unpaired as u64;
         Ok(Verdict {
-            offset_start: self.error_of(&alignment.clock, &base, span.from),
-            offset_end: self.error_of(&clock, &base, span.to),
+            offset_start: self.error_of(&self.phone, &alignment.clock, &base, span.from),
+            offset_end: self.error_of(&self.phone, &clock, &base, span.to),
             phase,
             phases,
             pulses: pulses.len() as u64,
@@ -262,6 +276,109 @@ impl Truth {
             recorded_s: (span.to - span.from).as_secs_f64(),
         })
     }
+
+    /// Phase errors of a phone's frames in the recorded span.
+    fn phases(
+        &self,
+        phone: &Oscillator,
+        video: &VideoTruth,
+        base: &Timebase,
+        span: Span,
+    ) -> Vec<PhaseError> {
+        let phone_ns = |at: Ticks| phone.nanos_at(self.board.true_at(base.time(at)));
+        let from = phone_ns(span.from);
+        // A frame that had begun before may belong to the way to the grid.
+        let mut first = video.frames.complete_at(from);
+        while video.frames.start_ns(first) < from {
+            first += 1;
+        }
+        let count = video
+            .frames
+            .complete_at(phone_ns(span.to))
+            .min(video.count.unwrap_or(usize::MAX));
+        phase_errors(&video.frames, first..count, phone, &self.depth)
+    }
+
+    /// Judges what the recording in `folder` says of the further phones.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be read, or a part that is judged is missing in it.
+    pub fn judge_others(&self, folder: &Path) -> Result<Vec<OtherVerdict>> {
+        let session = SessionFile::load(folder)?;
+        let (pulses, _) = read_streams(folder)?;
+        let base = self.timebase.refined(&pulses, &self.depth)?;
+        let span = session
+            .recorded
+            .context("the session has recorded nothing")?;
+        session
+            .phones
+            .iter()
+            .zip(&self.others)
+            .map(|(said, (clock, videos))| {
+                self.judge_other(said, (clock, videos), &base, span)
+                    .with_context(|| format!("phone {}", said.name))
+            })
+            .collect()
+    }
+
+    fn judge_other(
+        &self,
+        said: &OtherPhone,
+        (phone, videos): (&Oscillator, &[VideoTruth]),
+        base: &Timebase,
+        span: Span,
+    ) -> Result<OtherVerdict> {
+        let before = said
+            .twists
+            .iter()
+            .rfind(|twist| twist.accepted && twist.span.to < span.from)
+            .and_then(|twist| twist.clock)
+            .context("no twist related its clock")?;
+        let clock = said.clock.context("its clock is not related")?;
+        let placed = said.placement.context("its frames are not placed")?;
+        let phase_ns = said.video.context("it has started no video")?.phase.0;
+        let video = video_at(videos, phase_ns)?;
+        let mut phases = self.phases(phone, video, base, span);
+        let period_us = video.frames.period_ns() * 1e-3;
+        let near = |value: f64| value - (value / period_us).round() * period_us;
+        // A frame that falls behind is paired with the next depth frame some time.
+        let mut last = phases.first().map_or(0.0, |phase| phase.error_us);
+        for phase in &mut phases {
+            last += near(phase.error_us - last);
+            phase.error_us = last;
+        }
+        let truth = summarise(&phases).context("the recorded span has no frames")?;
+        let first = phases.first().context("the recorded span has no frames")?;
+        let began = phone
+            .when_nanos(phase_ns)
+            .context("a time before power-on")?;
+        let minutes = (first.at_s - began.as_secs_f64()) / 60.0;
+        let stated = placed.offset_us + placed.drift_us_per_min * minutes;
+        Ok(OtherVerdict {
+            name: said.name.clone(),
+            offset_start: self.error_of(phone, &before, base, span.from),
+            offset_end: self.error_of(phone, &clock, base, span.to),
+            // The truth is depth minus phone.
+            placement: OffsetError {
+                error_us: near(stated + truth.start_us),
+                sigma_us: placed
+                    .offset_sigma_us
+                    .hypot(placed.drift_sigma_us_per_min * minutes),
+            },
+            drift_us_per_min: -truth.drift_us_per_min,
+            drift_error_us_per_min: placed.drift_us_per_min + truth.drift_us_per_min,
+            drift_sigma_us_per_min: placed.drift_sigma_us_per_min,
+        })
+    }
+}
+
+/// The video that was being recorded at a time of the phone.
+fn video_at(videos: &[VideoTruth], phone_ns: i64) -> Result<&VideoTruth> {
+    videos
+        .iter()
+        .find(|v| (v.start_ns..v.stop_ns.unwrap_or(i64::MAX)).contains(&phone_ns))
+        .context("the phone has recorded no video in this session")
 }
 
 #[cfg(test)]
@@ -320,6 +437,7 @@ mod tests {
             board: BoardTime::new(config(0, 20.0), random()),
             phone: Oscillator::new(config(4_000_000_000_000, -30.0), random()),
             videos: Vec::new(),
+            others: Vec::new(),
             depth: Vec::new(),
             timebase: Timebase::new(SimTime::from_nanos(1_000_000)),
         };
@@ -328,12 +446,12 @@ mod tests {
         let skew = (1.0 - 30e-6) / (1.0 + 20e-6) - 1.0;
         let model = ClockModel {
             reference: Ticks(48_000_000 * 40).into(),
-            offset: truth.offset_ns(&base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
+            offset: truth.offset_ns(&truth.phone, &base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 0.0]],
             wander: smartdepthsync::sync::Wander(0.0),
         };
-        let error = truth.error_of(&model, &base, at);
+        let error = truth.error_of(&truth.phone, &model, &base, at);
         // 3 µs of error were put in.
         assert!((error.error_us - 3.0).abs() < 0.01, "{error:?}");
         assert!((error.sigma_us - 1.0).abs() < 1e-6, "{error:?}");

@@ -8,6 +8,8 @@ use serde::Serialize;
 
 use super::{Plan, Programs, Recorded, ask, record};
 use crate::depth_camera::{FrameRecord, Source};
+use crate::oscillator::Oscillator;
+use crate::phone::VideoTruth;
 
 /// Largest error of a phone frame's time, µs.
 pub const PHONE_LIMIT_US: f64 = 10.0;
@@ -28,7 +30,7 @@ pub struct Errors {
 }
 
 impl Errors {
-    fn of(pairs: impl Iterator<Item = (i64, i64)>) -> Self {
+    pub(super) fn of(pairs: impl Iterator<Item = (i64, i64)>) -> Self {
         let mut out = Self::default();
         let mut squares = 0.0;
         for (found, truth) in pairs {
@@ -128,7 +130,7 @@ pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionF
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.
-fn table(path: &Path, columns: &[usize]) -> Result<Vec<Vec<Option<i64>>>> {
+pub(super) fn table(path: &Path, columns: &[usize]) -> Result<Vec<Vec<Option<i64>>>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     Ok(text
@@ -142,7 +144,7 @@ fn table(path: &Path, columns: &[usize]) -> Result<Vec<Vec<Option<i64>>>> {
         .collect())
 }
 
-fn whole(cell: Option<i64>) -> Result<i64> {
+pub(super) fn whole(cell: Option<i64>) -> Result<i64> {
     cell.context("an empty cell where a time was expected")
 }
 
@@ -153,7 +155,42 @@ fn compare(
 ) -> Result<ExtractionFigures> {
     // The phone.
     let video = recorded.truth.videos.last().context("no video")?;
-    let rows = table(&data.join("phone_frames.csv"), &[2, 3])?;
+    let table_of_frames = data.join("phone_frames.csv");
+    let (starts, middles) = phone_frames(recorded, &recorded.truth.phone, video, &table_of_frames)?;
+
+    // The depth camera.
+    let (depth, center_of, rows, free_running) = depth_frames(recorded, data)?;
+    let dropped = dropped_frames(recorded, |frame| pulse_of(recorded, frame), report)?;
+    let pairs = check_pairs(data, &middles, &center_of, &rows)?;
+    Ok(ExtractionFigures {
+        recorded_s: recorded
+            .session
+            .recorded
+            .map_or(0.0, |span| (span.to - span.from).as_secs_f64()),
+        phone_start: Errors::of(starts.into_iter()),
+        phone_middle: Errors::of(middles.into_iter()),
+        phone_sigma_us: report["clock"]["sigma_us"][1]
+            .as_f64()
+            .context("the report states no uncertainty of the phone's times")?,
+        free_running,
+        depth: Errors::of(depth.into_iter()),
+        pairs,
+        dropped,
+    })
+}
+
+/// Times as extracted, each with the true one, ns of board time.
+pub(super) type Times = Vec<(i64, i64)>;
+
+/// Starts of exposure of a phone's frames and middles of exposure of their middle
+/// rows, as its table has them.
+pub(super) fn phone_frames(
+    recorded: &Recorded,
+    phone: &Oscillator,
+    video: &VideoTruth,
+    frames: &Path,
+) -> Result<(Times, Times)> {
+    let rows = table(frames, &[2, 3])?;
     ensure!(
         Some(rows.len()) == video.count,
         "{} phone frames were extracted, {:?} were recorded",
@@ -162,13 +199,32 @@ fn compare(
     );
     let (mut starts, mut middles) = (Vec::new(), Vec::new());
     for (n, row) in rows.iter().enumerate() {
-        let start = recorded.nanos_of_phone(video.frames.start_ns(n))?;
-        let middle = recorded.nanos_of_phone(video.frames.middle_ns(n))?;
+        let start = recorded.nanos_of_phone(phone, video.frames.start_ns(n))?;
+        let middle = recorded.nanos_of_phone(phone, video.frames.middle_ns(n))?;
         starts.push((whole(row[0])?, start));
         middles.push((whole(row[1])?, middle));
     }
+    Ok((starts, middles))
+}
 
-    // The depth camera.
+/// Index of the pulse that made a depth frame.
+fn pulse_of(recorded: &Recorded, frame: &FrameRecord) -> Option<usize> {
+    match frame.source {
+        Source::Pulse { edge, .. } => recorded
+            .pulses
+            .binary_search(&recorded.base.ticks(edge))
+            .ok(),
+        Source::FreeRun => None,
+    }
+}
+
+/// Times of the depth frames with a pulse, their true centres by frame, the rows of
+/// the table, and how many frames the camera made by itself; every pulse is right.
+#[allow(clippy::type_complexity, reason = "taken apart at once")]
+pub(super) fn depth_frames(
+    recorded: &Recorded,
+    data: &Path,
+) -> Result<(Times, BTreeMap<usize, i64>, Vec<Vec<Option<i64>>>, usize)> {
     let delivered: Vec<&FrameRecord> = recorded
         .truth
         .depth
@@ -182,17 +238,10 @@ fn compare(
         rows.len(),
         delivered.len()
     );
-    let pulse_of = |frame: &FrameRecord| match frame.source {
-        Source::Pulse { edge, .. } => recorded
-            .pulses
-            .binary_search(&recorded.base.ticks(edge))
-            .ok(),
-        Source::FreeRun => None,
-    };
     let mut depth = Vec::new();
     let mut center_of = BTreeMap::new();
     for (index, (row, frame)) in rows.iter().zip(&delivered).enumerate() {
-        let Some(pulse) = pulse_of(frame) else {
+        let Some(pulse) = pulse_of(recorded, frame) else {
             continue;
         };
         if row[1] != i64::try_from(pulse).ok() {
@@ -206,23 +255,8 @@ fn compare(
         center_of.insert(index, truth);
     }
 
-    let dropped = dropped_frames(recorded, pulse_of, report)?;
-    let pairs = check_pairs(data, &middles, &center_of, &rows)?;
-    Ok(ExtractionFigures {
-        recorded_s: recorded
-            .session
-            .recorded
-            .map_or(0.0, |span| (span.to - span.from).as_secs_f64()),
-        phone_start: Errors::of(starts.into_iter()),
-        phone_middle: Errors::of(middles.into_iter()),
-        phone_sigma_us: report["clock"]["sigma_us"][1]
-            .as_f64()
-            .context("the report states no uncertainty of the phone's times")?,
-        free_running: delivered.len() - depth.len(),
-        depth: Errors::of(depth.into_iter()),
-        pairs,
-        dropped,
-    })
+    let free_running = delivered.len() - depth.len();
+    Ok((depth, center_of, rows, free_running))
 }
 
 /// Number of dropped frames, if just those are named in the report.

@@ -13,6 +13,7 @@
 pub mod calibration;
 pub mod evaluation;
 pub mod extraction;
+pub mod several;
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -30,7 +31,7 @@ use crate::depth_camera::FrameRecord;
 use crate::k4a_mkv::{self, K4aSettings};
 use crate::motion::gesture::Gesture;
 use crate::motion::{MotionSpec, Step};
-use crate::oscillator::{BoardTime, TrueTime};
+use crate::oscillator::{BoardTime, Oscillator, TrueTime};
 use crate::owner_profile::owner_profile;
 use crate::phone::PhoneConfig;
 use crate::random::Seed;
@@ -307,10 +308,8 @@ impl Recorded {
     }
 
     /// The same of an instant of the phone's clock, ns.
-    fn nanos_of_phone(&self, phone_ns: i64) -> Result<i64> {
-        let at: TrueTime = self
-            .truth
-            .phone
+    fn nanos_of_phone(&self, phone: &Oscillator, phone_ns: i64) -> Result<i64> {
+        let at: TrueTime = phone
             .when_nanos(phone_ns)
             .context("a phone time before power-on")?;
         let board: &BoardTime = &self.truth.board;

@@ -36,21 +36,39 @@ impl WholeRig {
         speed: f64,
         edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
     ) -> Self {
+        Self::with_phones(seed, speed, 1, edit)
+    }
+
+    /// With so many phones, of which only the first is edited.
+    pub(crate) fn with_phones(
+        seed: u64,
+        speed: f64,
+        phones: u64,
+        edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
+    ) -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let seed = Seed(seed);
-        let mut config = RigConfig::published(seed).with_motion("twist".parse().unwrap());
-        let mut phone = PhoneConfig::draw(seed);
-        // A small picture: videos are not what is tested here.
-        phone.camera.rows = 120;
-        phone.camera.columns = 16;
-        phone.storage = Some(folder.path().join("phone"));
-        edit(&mut config, &mut phone);
+        let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
+        let mut phones: Vec<(PhoneConfig, u16)> = (0..phones)
+            .map(|number| {
+                let mut phone = PhoneConfig::draw(Seed(seed + 1_000 * number));
+                // A small picture: videos are not what is tested here.
+                phone.camera.rows = 120;
+                phone.camera.columns = 16;
+                let storage = match number {
+                    0 => String::from("phone"),
+                    further => format!("phone_{further}"),
+                };
+                phone.storage = Some(folder.path().join(storage));
+                (phone, 0)
+            })
+            .collect();
+        edit(&mut config, &mut phones[0].0);
         let pace = Pace {
             speed: Some(speed),
             wait_for_host: false,
         };
         let board = Rig::builder().tolerate_failures();
-        let rig = RunningRig::start(config, board, Some((phone, 0)), pace).unwrap();
+        let rig = RunningRig::with_phones(config, board, phones, pace).unwrap();
         Self { rig, folder }
     }
 
@@ -60,8 +78,16 @@ impl WholeRig {
 
     /// The owner's profile, with a shorter twist and a faster way to the grid.
     pub(crate) fn profile(&self) -> String {
-        let text = self.rig.profile().unwrap();
-        text.replace("[phone]\n", "[phone]\ntwist_s = 6\n") + "\n[align]\nslew_us = 1000\n"
+        Self::hasty(&self.rig.profile().unwrap())
+    }
+
+    /// The same with all phones, by name.
+    pub(crate) fn profile_of(&self, names: &[&str]) -> String {
+        Self::hasty(&self.rig.profile_of(names).unwrap())
+    }
+
+    fn hasty(profile: &str) -> String {
+        profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n") + "\n[align]\nslew_us = 1000\n"
     }
 
     /// Waits for so much board time.

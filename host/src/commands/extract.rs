@@ -25,9 +25,10 @@ pub struct Args {
     /// The recording: its folder, a recording.mcap, or a ROS 1 bag of the published system
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
-    /// The phone's files: a folder, or the video itself; the recording's folder unless given
-    #[arg(long, value_name = "PATH")]
-    phone: Option<PathBuf>,
+    /// The phone's files: a folder, or the video itself; the recording's folder unless
+    /// given. Of several phones with its name; may be given for each
+    #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
+    phone: Vec<PhonePlace>,
     /// The depth camera's recording (.mkv); the one in the recording's folder unless given
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
@@ -74,9 +75,25 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         Some(out) => out.clone(),
         None => default_out(&args.recording, args.format)?,
     };
+    let mut phone = None;
+    let mut phones = Vec::new();
+    for PhonePlace { name, path } in &args.phone {
+        match name {
+            Some(name) => phones.push((name.clone(), path.clone())),
+            None if phone.is_none() => phone = Some(path.clone()),
+            None => {
+                return Err(Failure::new(
+                    ExitStatus::Usage,
+                    "--phone was given twice without a name",
+                )
+                .next_step("of several phones, give --phone NAME=PATH")
+                .into());
+            }
+        }
+    }
     let job = Job {
         recording: args.recording.clone(),
-        phone: args.phone.clone(),
+        phone,
         depth: args.depth.clone(),
         format: args.format,
         out,
@@ -88,6 +105,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             phone_imu_delay_ns: args.phone_imu_delay_us,
             first_pulse: args.depth_first_pulse,
             infrared: args.infrared,
+            phones,
         },
     };
     let bar = Bar::new(context);
@@ -145,6 +163,25 @@ fn default_out(recording: &Path, format: Format) -> anyhow::Result<PathBuf> {
     Ok(base.with_file_name(format!("{stem}-{}", format.name())))
 }
 
+/// Where the files of a phone lie.
+#[derive(Clone, Debug, PartialEq)]
+struct PhonePlace {
+    name: Option<String>,
+    path: PathBuf,
+}
+
+/// `PATH` or `NAME=PATH`; a path that is there is one, whatever is in it.
+fn phone_place(text: &str) -> Result<PhonePlace, std::convert::Infallible> {
+    let (name, path) = match text.split_once('=') {
+        Some((name, path)) if !Path::new(text).exists() => (Some(name.to_owned()), path),
+        _ => (None, text),
+    };
+    Ok(PhonePlace {
+        name,
+        path: PathBuf::from(path),
+    })
+}
+
 /// Microseconds as a decimal number, in whole nanoseconds, without a float.
 fn microseconds(text: &str) -> Result<i64, String> {
     const EXPECTED: &str =
@@ -188,6 +225,10 @@ impl From<ExtractError> for Failure {
             ExtractError::Inputs(InputsError::NotARecording { .. }) => {
                 Self::new(ExitStatus::Usage, text)
                     .next_step("give the folder that `record` made, its recording.mcap, or a bag")
+            }
+            ExtractError::Inputs(InputsError::UnknownPhone { .. }) => {
+                Self::new(ExitStatus::Usage, text)
+                    .next_step("give --phone NAME=PATH as the phone is called in the profile")
             }
             ExtractError::Inputs(_) => Self::new(ExitStatus::Usage, text)
                 .next_step("name the depth recording with --depth"),

@@ -1,5 +1,6 @@
 //! `smartdepthsync monitor`: look at the board while it runs.
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
@@ -11,6 +12,7 @@ use crate::cli::Context;
 use crate::imu::Scale;
 use crate::live_data::{FoxgloveArg, LiveData};
 use crate::outcome::{Failure, Outcome};
+use crate::profile::Profile;
 use crate::record::{Connector as _, SerialConnector};
 use crate::recording::RecordingError;
 use crate::recording::writer::Topics;
@@ -35,6 +37,9 @@ pub struct Args {
     /// How long, in board time: 90s, 5m, 1h; until stopped if not given
     #[arg(long, value_parser = parse_duration)]
     duration: Option<u64>,
+    /// The rig profile, for the names of the sensors on further outputs
+    #[arg(long, value_name = "FILE")]
+    profile: Option<PathBuf>,
     /// Plain lines even on a terminal
     #[arg(long)]
     plain: bool,
@@ -60,6 +65,9 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     gauge.state = String::from("monitor");
     gauge.board.clone_from(&id);
     let mut topics = onlookers.clone().map(Topics::new);
+    if let Some(path) = &args.profile {
+        gauge.name_sensors(&Profile::load(path).map_err(Failure::from)?);
+    }
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen
         .then(|| Screen::open(&context.interrupt))

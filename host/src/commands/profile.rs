@@ -40,6 +40,10 @@ enum Action {
         /// The recording's folder
         #[arg(long, value_name = "FOLDER")]
         recording: PathBuf,
+        /// Of several phones, the one that learns; unless given, the one that the trigger
+        /// was aligned to
+        #[arg(long, value_name = "NAME")]
+        phone: Option<String>,
         /// The app's file of frame timestamps of that recording
         #[arg(long, value_name = "FILE")]
         timestamps: PathBuf,
@@ -78,8 +82,9 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         Action::Learn {
             file,
             recording,
+            phone,
             timestamps,
-        } => teach(file, recording, timestamps, context),
+        } => teach(file, recording, phone.as_deref(), timestamps, context),
     }
 }
 
@@ -96,6 +101,7 @@ fn init(file: &Path, context: &Context) -> anyhow::Result<Outcome> {
 fn teach(
     file: &Path,
     recording: &Path,
+    phone: Option<&str>,
     timestamps: &Path,
     context: &Context,
 ) -> anyhow::Result<Outcome> {
@@ -115,8 +121,21 @@ fn teach(
                 .next_step("give the timestamps of a longer recording, whole as the app wrote them")
         })
         .with_context(|| format!("{}", timestamps.display()))?;
-    let learnt = learn::learnt(&session, &period, jiff::Zoned::now().date());
-    let taught = learn::into_profile(&text, file, &learnt).map_err(Failure::from)?;
+    let own = session.profile.phone.name.clone();
+    let phone = phone.unwrap_or(&own);
+    let known = |name: &str| {
+        Failure::new(
+            ExitStatus::Usage,
+            format!("the recording has no phone called {name:?}"),
+        )
+        .next_step("give --phone as the phone is called in the recording's session.json")
+    };
+    let clocks = session.clocks_of(phone).ok_or_else(|| known(phone))?;
+    let resets = session.runs.len();
+    let board_id = session.board.as_ref().map(|board| board.id.as_str());
+    let today = jiff::Zoned::now().date();
+    let learnt = learn::learnt(clocks, resets, board_id, &period, today);
+    let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
     replace(file, &taught)?;
     let report = Report {
         frames: period.frames,

@@ -13,7 +13,7 @@ use crate::outcome::{Failure, Outcome};
 use crate::profile::Profile;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::recording::folder::check_name;
-use crate::recording::session_file::SessionFile;
+use crate::recording::session_file::{OtherPhone, SessionFile};
 use crate::report::session;
 
 /// Options of `record`.
@@ -25,9 +25,12 @@ pub struct Args {
     /// The rig profile; without it, the published rig's
     #[arg(long, value_name = "FILE")]
     profile: Option<PathBuf>,
-    /// The phone's address, instead of the profile's
-    #[arg(long, value_name = "HOST[:PORT]")]
-    phone: Option<String>,
+    /// A phone's address, instead of the profile's; of several phones with its name
+    #[arg(long, value_name = "[NAME=]HOST[:PORT]")]
+    phone: Vec<String>,
+    /// Of several phones, the one that the trigger is aligned to, instead of the profile's
+    #[arg(long, value_name = "NAME")]
+    reference: Option<String>,
     /// Folder in which the recording's folder is made
     #[arg(long, value_name = "FOLDER", default_value = "recordings")]
     out: PathBuf,
@@ -108,8 +111,11 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         None => Profile::published(),
     }
     .map_err(Failure::from)?;
-    if let Some(phone) = &args.phone {
-        profile.phone.address.clone_from(phone);
+    for phone in &args.phone {
+        profile.set_address(phone).map_err(Failure::from)?;
+    }
+    if let Some(name) = &args.reference {
+        profile.set_reference(name).map_err(Failure::from)?;
     }
     let options = Options {
         out: args.out.clone(),
@@ -188,6 +194,9 @@ fn summary(report: &Report<'_>) -> String {
             alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
         );
     }
+    for phone in &session.phones {
+        let _ = writeln!(text, "{}", phone_line(phone));
+    }
     let counts = session.counts;
     let _ = writeln!(
         text,
@@ -215,6 +224,25 @@ fn summary(report: &Report<'_>) -> String {
             text,
             "             and {} more, in session.json",
             session.problems.len() - 10
+        );
+    }
+    text
+}
+
+fn phone_line(phone: &OtherPhone) -> String {
+    let mut text = format!("phone        {}", phone.name);
+    if let Some(clock) = phone.clock {
+        let sigma = clock.covariance[0][0].max(0.0).sqrt() * 1e6;
+        let _ = write!(text, ": offset {:.6} s ± {sigma:.2} µs", clock.offset);
+    }
+    if let Some(placed) = phone.placement {
+        let _ = write!(
+            text,
+            "; frames {:+.1} ± {:.1} µs from the depth images, moving by {:+.1} ± {:.1} µs/min",
+            placed.offset_us,
+            placed.offset_sigma_us,
+            placed.drift_us_per_min,
+            placed.drift_sigma_us_per_min
         );
     }
     text

@@ -8,8 +8,9 @@ use super::board::BoardInput;
 use super::depth::DepthInput;
 use super::gyro_clock::Prior;
 use super::phone::files::{self, FilesError, PhoneFiles};
+use crate::profile::Phone;
 use crate::recording::MCAP_FILE;
-use crate::recording::session_file::SessionFile;
+use crate::recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 
 /// Values that the user gives; they go before those of the session.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -28,6 +29,47 @@ pub struct Options {
     pub first_pulse: Option<usize>,
     /// Whether infrared images are written too.
     pub infrared: bool,
+    /// Where the files of phones lie, by their names in the rig profile.
+    #[serde(skip)]
+    pub phones: Vec<(String, PathBuf)>,
+}
+
+/// A phone and its files.
+#[derive(Clone, Debug, Default)]
+pub struct PhoneInput {
+    /// Its name in the rig profile, if there is a session.
+    pub name: Option<String>,
+    /// Its files.
+    pub files: Option<PhoneFiles>,
+    /// What the session says about it.
+    pub rig: RigFacts,
+    /// Its folder below the output; the output itself for the phone that the trigger
+    /// was aligned to.
+    pub folder: PathBuf,
+}
+
+impl PhoneInput {
+    /// Whether it is one beside the phone that the trigger was aligned to.
+    #[must_use]
+    pub fn is_other(&self) -> bool {
+        !self.folder.as_os_str().is_empty()
+    }
+
+    /// Its name, if it is such a one.
+    #[must_use]
+    pub fn other_name(&self) -> Option<&str> {
+        let name = self.name.as_deref().unwrap_or_default();
+        self.is_other().then_some(name)
+    }
+
+    /// A text about it, with its name where that is needed.
+    #[must_use]
+    pub fn about(&self, text: &str) -> String {
+        match &self.name {
+            Some(name) if self.is_other() => format!("{name}: {text}"),
+            _ => text.to_owned(),
+        }
+    }
 }
 
 /// What is known about the rig of a recording.
@@ -54,14 +96,16 @@ pub struct Inputs {
     pub name: String,
     /// The board's recording.
     pub board: BoardInput,
-    /// The phone's files.
-    pub phone: Option<PhoneFiles>,
+    /// The phone; of several the one that the trigger was aligned to.
+    pub phone: PhoneInput,
+    /// Further phones.
+    pub others: Vec<PhoneInput>,
     /// The depth recording.
     pub depth: Option<DepthInput>,
     /// The board's unique ID.
     pub board_id: Option<String>,
-    /// What the session says.
-    pub rig: RigFacts,
+    /// Board time of the recorded span, in which the trigger was on its grid, ns.
+    pub recorded: Option<(i64, i64)>,
     /// Worth knowing.
     pub remarks: Vec<String>,
 }
@@ -90,6 +134,14 @@ pub enum InputsError {
     /// The phone's files.
     #[error(transparent)]
     Phone(#[from] FilesError),
+    /// A phone that the session does not know.
+    #[error("the recording has no phone called {name:?}; expected {}", known.join(", "))]
+    UnknownPhone {
+        /// As given.
+        name: String,
+        /// The session's phones.
+        known: Vec<String>,
+    },
     /// Several depth recordings.
     #[error("{path} holds several depth recordings ({}); name one with --depth", names.join(", "))]
     SeveralDepth {
@@ -109,7 +161,8 @@ pub enum InputsError {
 /// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
 const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
-/// Finds everything.
+/// Finds everything. `phones` are places of phones by name, `phone` that of the phone
+/// that the trigger was aligned to.
 ///
 /// # Errors
 ///
@@ -118,6 +171,7 @@ pub fn find(
     recording: &Path,
     phone: Option<&Path>,
     depth: Option<&Path>,
+    phones: &[(String, PathBuf)],
 ) -> Result<Inputs, InputsError> {
     let meta = fs::metadata(recording).map_err(|error| InputsError::Io {
         path: recording.to_owned(),
@@ -133,16 +187,17 @@ pub fn find(
         })?
     };
     let mut remarks = Vec::new();
-    let mut board_id = None;
+    let mut session = None;
     let session_folder = match &board {
         BoardInput::Mcap(path) | BoardInput::Moved(path, _) => path.parent(),
         BoardInput::Bag(_) => None,
     };
     let rig = if let Some(folder) = session_folder {
         match SessionFile::load(folder) {
-            Ok(session) => {
-                board_id = session.board.as_ref().map(|board| board.id.clone());
-                facts_of(&session)
+            Ok(loaded) => {
+                let facts = facts_of(&loaded);
+                session = Some(loaded);
+                facts
             }
             Err(error) => {
                 remarks.push(format!("the session's constants are not known: {error}"));
@@ -160,7 +215,20 @@ pub fn find(
             ..RigFacts::default()
         }
     };
-    let phone = find_phone(folder.then_some(recording), phone)?;
+    let own = folder.then_some(recording);
+    let (phone, others) = match &session {
+        Some(session) => find_phones(session, own, rig, phone, phones)?,
+        None => {
+            known_names(phones, &[])?;
+            let files = find_phone(own, phone)?;
+            let phone = PhoneInput {
+                files,
+                rig,
+                ..PhoneInput::default()
+            };
+            (phone, Vec::new())
+        }
+    };
     let depth = match depth {
         Some(path) => Some(depth_file(path)?),
         None if folder => find_depth(recording)?,
@@ -176,11 +244,85 @@ pub fn find(
         name: name.unwrap_or_else(|| "recording".into()),
         board,
         phone,
+        others,
         depth,
-        board_id,
-        rig,
+        board_id: session
+            .as_ref()
+            .and_then(|session| Some(session.board.as_ref()?.id.clone())),
+        recorded: session.and_then(|session| {
+            let span = session.recorded?;
+            let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();
+            Some((nanos(span.from)?, nanos(span.to)?))
+        }),
         remarks,
     })
+}
+
+fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), InputsError> {
+    match given.iter().find(|(name, _)| !known.contains(name)) {
+        None => Ok(()),
+        Some((name, _)) => Err(InputsError::UnknownPhone {
+            name: name.clone(),
+            known: known.to_vec(),
+        }),
+    }
+}
+
+/// The phones of a session, each with its files.
+fn find_phones(
+    session: &SessionFile,
+    recording: Option<&Path>,
+    rig: RigFacts,
+    phone: Option<&Path>,
+    places: &[(String, PathBuf)],
+) -> Result<(PhoneInput, Vec<PhoneInput>), InputsError> {
+    let names: Vec<String> = session
+        .profile
+        .all_phones()
+        .map(|phone| phone.name.clone())
+        .collect();
+    known_names(places, &names)?;
+    let several = names.len() > 1;
+    let files_of = |name: &str, place: Option<&Path>| {
+        let named = places.iter().find(|(given, _)| given == name);
+        let place = named.map(|(_, place)| place.as_path()).or(place);
+        let own = recording.map(|folder| folder.join(session.phone_folder(name)));
+        // Of several, a phone whose files were never brought has no folder.
+        let own = own.filter(|own| !several || own.is_dir());
+        find_phone(own.as_deref(), place)
+    };
+    let reference = PhoneInput {
+        name: Some(session.profile.phone.name.clone()),
+        files: files_of(&session.profile.phone.name, phone)?,
+        rig,
+        folder: PathBuf::new(),
+    };
+    let mut others = Vec::new();
+    for phone in &session.profile.phones {
+        let said = session.phones.iter().find(|said| said.name == phone.name);
+        others.push(PhoneInput {
+            name: Some(phone.name.clone()),
+            files: files_of(&phone.name, None)?,
+            rig: facts_of_other(phone, said, rig),
+            folder: Path::new(PHONES_FOLDER).join(&phone.name),
+        });
+    }
+    Ok((reference, others))
+}
+
+/// What a session says about a further phone; what is the rig's is as in `rig`.
+fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> RigFacts {
+    let reported = said
+        .and_then(|said| said.video?.exposure_ns)
+        .filter(|&exposure| exposure > 0)
+        .and_then(|exposure| i64::try_from(exposure).ok());
+    RigFacts {
+        exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
+        readout_ns: nanos(2.0 * phone.middle_row_us()),
+        phone_imu_delay_ns: nanos(phone.gyro_delay_us),
+        prior: said.and_then(|said| said.clock).map(Prior::Model),
+        ..rig
+    }
 }
 
 /// The phone's files in the place that the user names, with the video that the

@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 
 use super::image::write_whole;
-use super::report::Report;
+use super::report::{ClockReport, Report};
 use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::profile::{Learnt, ProfileError};
 use crate::record::learn::{REPEATABILITY, into_profile as edited};
@@ -74,13 +74,13 @@ impl From<LearnError> for Failure {
     }
 }
 
-/// What a report teaches.
-///
-/// # Errors
-///
-/// There is too little in it.
-pub fn learnt(report: &Report, date: jiff::civil::Date) -> Result<Learnt, LearnError> {
-    let clock = report.clock.as_ref().ok_or(LearnError::NoFrames)?;
+/// What a clock relation teaches.
+fn learnt(
+    clock: Option<&ClockReport>,
+    board_id: Option<&str>,
+    date: jiff::civil::Date,
+) -> Result<Learnt, LearnError> {
+    let clock = clock.ok_or(LearnError::NoFrames)?;
     let (period, sigma) = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
     if clock.source != "gyroscopes" || clock.used < MIN_WINDOWS {
         return Err(LearnError::TooLittle {
@@ -94,7 +94,7 @@ pub fn learnt(report: &Report, date: jiff::civil::Date) -> Result<Learnt, LearnE
         skew: Some(clock.skew_ppm * 1e-6),
         skew_sigma: Some((clock.skew_sigma_ppm * 1e-6).hypot(REPEATABILITY)),
         learnt: date,
-        board_id: report.board.id.clone(),
+        board_id: board_id.map(str::to_owned),
     })
 }
 
@@ -105,20 +105,31 @@ pub fn learnt(report: &Report, date: jiff::civil::Date) -> Result<Learnt, LearnE
 ///
 /// There is too little to learn from, or the profile cannot be read or written.
 pub fn into_profile(report: &Report, path: &Path) -> Result<String, LearnError> {
-    let learnt = learnt(report, jiff::Zoned::now().date())?;
     let io = |error| LearnError::Io {
         path: path.to_owned(),
         error,
     };
-    let text = std::fs::read_to_string(path).map_err(io)?;
-    let text = edited(&text, path, &learnt)?;
+    let mut text = std::fs::read_to_string(path).map_err(io)?;
+    let others = report.phones.iter();
+    let phones = std::iter::once((report.reference.as_deref(), report.clock.as_ref()))
+        .chain(others.map(|other| (Some(other.name.as_str()), other.clock.as_ref())));
+    let mut lines = Vec::new();
+    for (name, clock) in phones {
+        let learnt = learnt(clock, report.board.id.as_deref(), jiff::Zoned::now().date())?;
+        text = edited(&text, path, name, &learnt)?;
+        lines.push(format!(
+            "learnt into {}{}: frame period {:.3} ns ± {:.3}, skew {:+.4} ppm ± {:.4}",
+            path.display(),
+            match name {
+                Some(name) if !report.phones.is_empty() => format!(", {name}"),
+                _ => String::new(),
+            },
+            learnt.frame_period_ns,
+            learnt.frame_period_sigma_ns,
+            learnt.skew.unwrap_or(0.0) * 1e6,
+            learnt.skew_sigma.unwrap_or(0.0) * 1e6
+        ));
+    }
     write_whole(path, text.as_bytes()).map_err(io)?;
-    Ok(format!(
-        "learnt into {}: frame period {:.3} ns ± {:.3}, skew {:+.4} ppm ± {:.4}",
-        path.display(),
-        learnt.frame_period_ns,
-        learnt.frame_period_sigma_ns,
-        learnt.skew.unwrap_or(0.0) * 1e6,
-        learnt.skew_sigma.unwrap_or(0.0) * 1e6
-    ))
+    Ok(lines.join("\n"))
 }

@@ -6,7 +6,8 @@
 //!   system), [`phone`] (CSV files, [`video`] by ffmpeg), [`depth`] ([`mkv`]).
 //! - Time: [`time`] (integers only), [`gyro_clock`] and [`phone_clock`] (the
 //!   phone's clock over the whole recording), [`depth_clock`] and [`depth_match`]
-//!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`].
+//!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`],
+//!   [`grid`] (frames against the trigger).
 //! - Outputs: [`layout`] (EuRoC, TUM, topics), [`sequence`]s, [`tables`],
 //!   [`imu_tables`], [`image_tables`], [`image`], in a [`workplace`] that can be
 //!   gone on with. [`learn`] puts what a recording teaches into a rig profile.
@@ -21,6 +22,7 @@ pub mod depth;
 pub mod depth_clock;
 pub mod depth_match;
 pub mod frames;
+pub mod grid;
 pub mod gyro_clock;
 pub mod image;
 pub mod image_tables;

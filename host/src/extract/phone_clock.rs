@@ -4,10 +4,13 @@
 //!
 //! Where the board was reset, each run has a relation of its own. The phone's clock
 //! went on meanwhile, so the two relations also say how long the board was away,
-//! better than the session knew: the later run is moved there.
+//! better than the session knew: the later run is moved there. Of several phones it
+//! is the one that the trigger was aligned to that says so; the clocks of the others are
+//! then related to the runs as they were moved.
 
 use super::board::{BoardError, BoardInput};
 use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
+use super::inputs::PhoneInput;
 use super::phone::files::PhoneFiles;
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
@@ -66,8 +69,49 @@ pub enum Stopped {
     Board(BoardError),
 }
 
-/// Finds the relation, for each run of the board by itself. The inner error says in
-/// words why there is none.
+/// What becomes of the board's runs, where there are several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Runs {
+    /// Each is moved to where the phone's clock has it behind the one before.
+    Moved,
+    /// They stay where they are: another phone's clock has put them there.
+    Kept,
+}
+
+/// What is known of a phone's clock before it is looked for, for each run of the
+/// board.
+///
+/// Of a further phone it is what was said of that phone alone: the recording's own
+/// clock models and pairs of times are of the one that the trigger was aligned to.
+/// `moved` is how much later the last run is in `survey` than in the session, ns.
+#[must_use]
+pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
+    let known = survey.clocks(input.other_name());
+    let latest = known.last().copied().flatten().map(Prior::Model);
+    // The session's relation is that of the last run.
+    let said = input.rig.prior.map(|prior| match prior {
+        Prior::Model(model) => Prior::Model(model.with_board_later(moved as f64 * 1e-9)),
+        Prior::Offset(offset, margin) => Prior::Offset(offset - moved as f64 * 1e-9, margin),
+    });
+    let otherwise = if input.is_other() {
+        said
+    } else {
+        recorded_offset(survey)
+    };
+    let last = known.len().saturating_sub(1);
+    let own = |(index, known): (usize, Option<ClockModel>)| {
+        let own = if index == last {
+            said
+        } else {
+            known.map(Prior::Model)
+        };
+        own.or(latest).or(otherwise)
+    };
+    known.into_iter().enumerate().map(own).collect()
+}
+
+/// Finds the relation, for each run of the board by itself; `priors` are those of the
+/// runs ([`priors`]). The inner error says in words why there is none.
 ///
 /// # Errors
 ///
@@ -76,7 +120,7 @@ pub fn find(
     board: &BoardInput,
     files: &PhoneFiles,
     survey: &Survey,
-    prior: Option<Prior>,
+    (priors, runs_are): (&[Option<Prior>], Runs),
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Result<PhoneClock, String>, Stopped> {
@@ -87,14 +131,7 @@ pub fn find(
     let ends = survey.runs.iter().map(|mark| mark.last);
     let ends = ends.chain([BoardNanos(last.saturating_add(BEYOND * SECOND))]);
     for (index, to) in ends.enumerate() {
-        // The session's relation is that of the last run.
-        let own = match survey.former_clocks.get(index) {
-            Some(former) => former.map(Prior::Model),
-            None => prior,
-        };
-        let own = own
-            .or(survey.clock.map(Prior::Model))
-            .or_else(|| recorded_offset(survey));
+        let own = priors.get(index).copied().flatten();
         let run = find_run(board, files, survey, own, constants, (from, to), progress)?;
         match run {
             Ok((run, remark)) => {
@@ -114,7 +151,9 @@ pub fn find(
     if runs.iter().all(|run| run.source == NONE) {
         return Ok(Err(remarks.join("; ")));
     }
-    join(&mut runs, survey);
+    if runs_are == Runs::Moved {
+        join(&mut runs, survey);
+    }
     let map = PiecewiseMap::from_knots(runs.iter().flat_map(RunClock::knots));
     Ok(Ok(PhoneClock {
         map,
@@ -315,15 +354,9 @@ impl PhoneClock {
             .find(|run| run.from.0.saturating_add(run.moved) <= at.0)
             .or(self.runs.first())?;
         let moved = run.moved as f64 * 1e-9;
-        let model = run
-            .course
-            .as_ref()?
-            .at(BoardSeconds(at.0 as f64 * 1e-9 - moved));
-        Some(ClockModel {
-            reference: BoardSeconds(model.reference.0 + moved),
-            offset: model.offset - moved,
-            ..model
-        })
+        let course = run.course.as_ref()?;
+        let model = course.at(BoardSeconds(at.0 as f64 * 1e-9 - moved));
+        Some(model.with_board_later(moved))
     }
 
     /// What the report says about it, over these frames.
@@ -360,5 +393,109 @@ impl PhoneClock {
                 .map(|train| (train.period_s * 1e9, train.period_sigma_s * 1e9)),
             course,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::super::board::{RunMark, TimePair};
+    use super::super::inputs::RigFacts;
+    use super::*;
+    use crate::sync::Wander;
+
+    fn model(offset: f64) -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(10.0),
+            offset,
+            skew: 1e-6,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander(1e-8),
+        }
+    }
+
+    fn prior(offset: f64) -> Option<Prior> {
+        Some(Prior::Model(model(offset)))
+    }
+
+    /// Two runs; of the phone that is aligned to all is known, of "right" as given.
+    fn survey(right: [Option<f64>; 2]) -> Survey {
+        let named = |offset: Option<f64>| {
+            let known = offset.map(|offset| (String::from("right"), model(offset)));
+            known.into_iter().collect()
+        };
+        Survey {
+            times: vec![TimePair {
+                topic: "/mcu_s10_ts".into(),
+                seq: 0,
+                stamp: BoardNanos(0),
+                other: 7 * SECOND,
+            }],
+            runs: vec![RunMark {
+                from: BoardNanos(20 * SECOND),
+                last: BoardNanos(18 * SECOND),
+                sigma_s: 1e-3,
+            }],
+            clock: Some(model(102.0)),
+            former_clocks: vec![Some(model(101.0))],
+            phone_clocks: named(right[1]),
+            former_phone_clocks: vec![named(right[0])],
+            ..Survey::default()
+        }
+    }
+
+    fn input(name: &str, folder: &str, prior: Option<Prior>) -> PhoneInput {
+        PhoneInput {
+            name: Some(String::from(name)),
+            rig: RigFacts {
+                prior,
+                ..RigFacts::default()
+            },
+            folder: PathBuf::from(folder),
+            ..PhoneInput::default()
+        }
+    }
+
+    #[test]
+    fn each_phone_has_its_own_priors_in_each_run() {
+        let survey = survey([Some(201.0), Some(202.0)]);
+        let left = input("left", "", prior(103.0));
+        assert_eq!(priors(&left, &survey, 0), [prior(101.0), prior(103.0)]);
+        let unsaid = input("left", "", None);
+        assert_eq!(priors(&unsaid, &survey, 0), [prior(101.0), prior(102.0)]);
+        let right = input("right", "phones/right", None);
+        assert_eq!(priors(&right, &survey, 0), [prior(201.0), prior(202.0)]);
+    }
+
+    #[test]
+    fn a_further_phone_never_takes_the_clock_of_the_first() {
+        let survey = survey([None, None]);
+        let right = input("right", "phones/right", None);
+        assert_eq!(priors(&right, &survey, 0), [None, None]);
+        // The first takes what there is.
+        let bare = Survey {
+            clock: None,
+            former_clocks: vec![None],
+            ..survey
+        };
+        let pair = Some(Prior::Offset(7.0, RECORDED_MARGIN));
+        assert_eq!(priors(&input("left", "", None), &bare, 0), [pair, pair]);
+        assert_eq!(priors(&right, &bare, 0), [None, None]);
+    }
+
+    #[test]
+    fn what_the_session_says_of_a_further_phone_moves_with_the_last_run() {
+        let survey = survey([Some(201.0), None]);
+        let right = input("right", "phones/right", prior(203.0));
+        let [former, Some(Prior::Model(last))] = priors(&right, &survey, 250_000_000)[..] else {
+            panic!("two runs");
+        };
+        assert_eq!(former, prior(201.0));
+        assert_eq!(last.reference, BoardSeconds(10.25));
+        assert_eq!(last.offset, 202.75);
+        // The same instant of the phone is a quarter of a second later on the board.
+        let phone = model(203.0).to_phone(BoardSeconds(30.0));
+        assert!((last.to_board(phone).0 - 30.25).abs() < 1e-9);
     }
 }

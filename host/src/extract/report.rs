@@ -9,6 +9,7 @@ use std::fmt::Write;
 use serde::Serialize;
 use serde_json::json;
 
+use super::grid::GridReport;
 use super::gyro_clock::WindowResult;
 use super::layout::Format;
 use super::pairs::{Histogram, Spread};
@@ -36,7 +37,10 @@ pub struct Report {
     pub format: Format,
     /// The board.
     pub board: BoardReport,
-    /// The phone, if its files are there.
+    /// Name in the rig profile of the phone that the trigger was aligned to.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
+    /// The phone, if its files are there; of several the reference.
     pub phone: Option<PhoneReport>,
     /// How phone time became board time.
     pub clock: Option<ClockReport>,
@@ -44,6 +48,11 @@ pub struct Report {
     pub depth: Option<DepthReport>,
     /// Pairs of frames.
     pub pairs: Option<PairsReport>,
+    /// The phone's frames against the trigger's grid.
+    pub grid: Option<GridReport>,
+    /// Further phones.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<OtherReport>,
     /// The parts that marks divide the recording into.
     pub sequences: Vec<SequenceReport>,
     /// Constants that went into the times, ns.
@@ -118,6 +127,24 @@ pub struct PhoneReport {
     pub gyro_samples: u64,
     /// Rows of the IMU table.
     pub imu_rows: u64,
+}
+
+/// A phone beside the one that the trigger was aligned to; its files are in
+/// `phones/NAME` of the output.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OtherReport {
+    /// Its name in the rig profile.
+    pub name: String,
+    /// What there was of it.
+    pub phone: Option<PhoneReport>,
+    /// How its time became board time.
+    pub clock: Option<ClockReport>,
+    /// Pairs of its frames with depth frames.
+    pub pairs: Option<PairsReport>,
+    /// Its frames against the trigger's grid, which does not follow it.
+    pub grid: Option<GridReport>,
+    /// Constants that went into its times, ns.
+    pub constants: Constants,
 }
 
 /// How phone time became board time.
@@ -243,20 +270,10 @@ impl Report {
             lines.push(("phone IMU rows", phone.imu_rows.to_string()));
         }
         if let Some(clock) = &self.clock {
-            lines.push((
-                "clock relation",
-                format!(
-                    "from {}: {:.3} ppm ± {:.3}, 1-sigma {:.1} to {:.1} µs, residual {:.1} µs, {} of {} windows",
-                    clock.source,
-                    clock.skew_ppm,
-                    clock.skew_sigma_ppm,
-                    clock.sigma_us[0],
-                    clock.sigma_us[1],
-                    clock.residual_us,
-                    clock.used,
-                    clock.windows
-                ),
-            ));
+            lines.push(("clock relation", clock.line()));
+        }
+        if let Some(grid) = &self.grid {
+            lines.push(("phone against trigger", grid.line()));
         }
         if let Some(depth) = &self.depth {
             lines.push((
@@ -288,6 +305,9 @@ impl Report {
                     us(spread.quartiles_ns[1])
                 ),
             ));
+        }
+        for other in &self.phones {
+            lines.push(("phone", other.line()));
         }
         lines
     }
@@ -384,6 +404,15 @@ impl Report {
                  1-sigma of both.",
             );
         }
+        for other in &self.phones {
+            if let Some(clock) = other.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+                page.section(&format!("Clock of phone {}", other.name));
+                page.figure(
+                    &course_svg(&clock.course),
+                    "As above, for this phone. The trigger does not follow its frames.",
+                );
+            }
+        }
         if self.sequences.len() > 1 {
             page.section("Sequences");
             let rows: Vec<Vec<String>> = self
@@ -405,6 +434,51 @@ impl Report {
             &json!(self.constants),
         );
         page.html()
+    }
+}
+
+impl ClockReport {
+    fn line(&self) -> String {
+        format!(
+            "from {}: {:.3} ppm ± {:.3}, 1-sigma {:.1} to {:.1} µs, residual {:.1} µs, {} of {} windows",
+            self.source,
+            self.skew_ppm,
+            self.skew_sigma_ppm,
+            self.sigma_us[0],
+            self.sigma_us[1],
+            self.residual_us,
+            self.used,
+            self.windows
+        )
+    }
+}
+
+impl GridReport {
+    fn line(&self) -> String {
+        format!(
+            "{:+.1} µs from the depth exposures, moving by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
+            self.offset_us, self.drift_us_per_min, self.residual_us, self.pulses
+        )
+    }
+}
+
+impl OtherReport {
+    fn line(&self) -> String {
+        let mut line = self.name.clone();
+        if let Some(phone) = &self.phone {
+            let _ = write!(
+                line,
+                ": {} timestamps, {} images, {} IMU rows",
+                phone.timestamps, phone.images, phone.imu_rows
+            );
+        }
+        if let Some(clock) = &self.clock {
+            let _ = write!(line, "; clock {}", clock.line());
+        }
+        if let Some(grid) = &self.grid {
+            let _ = write!(line, "; {}", grid.line());
+        }
+        line
     }
 }
 

@@ -1,5 +1,7 @@
 //! The first pass over the board's recording: everything but the samples.
 
+use std::collections::BTreeMap;
+
 use super::board::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair};
 use super::depth_clock::PulseTime;
 use super::progress::Progress;
@@ -21,6 +23,10 @@ pub struct Survey {
     pub runs: Vec<RunMark>,
     /// The last clock model of each run that another followed.
     pub former_clocks: Vec<Option<ClockModel>>,
+    /// The last clock model of each further phone, by its name.
+    pub phone_clocks: BTreeMap<String, ClockModel>,
+    /// The same of each run that another followed.
+    pub former_phone_clocks: Vec<BTreeMap<String, ClockModel>>,
     /// The IMU's samples.
     pub imu: ImuSpan,
     /// Depth images in the recording itself (bags).
@@ -69,6 +75,22 @@ impl ImuSpan {
 }
 
 impl Survey {
+    /// The last clock model that was known in each run of the board: of the phone of
+    /// that name; without one, of the phone that the trigger was aligned to.
+    #[must_use]
+    pub fn clocks(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
+        match other {
+            None => {
+                let former = self.former_clocks.iter().copied();
+                former.chain([self.clock]).collect()
+            }
+            Some(name) => {
+                let all = self.former_phone_clocks.iter().chain([&self.phone_clocks]);
+                all.map(|known| known.get(name).copied()).collect()
+            }
+        }
+    }
+
     /// Median distance of pulses, ns.
     #[must_use]
     pub fn pulse_period(&self) -> Option<i64> {
@@ -114,10 +136,14 @@ pub fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Option<Surv
             BoardEvent::Mark(at) => out.marks.push(at),
             BoardEvent::Times(pair) => out.times.push(pair),
             BoardEvent::Clock(model) => out.clock = Some(model),
+            BoardEvent::PhoneClock(name, model) => {
+                out.phone_clocks.insert(name, model);
+            }
             BoardEvent::Image(_) => out.images += 1,
             BoardEvent::Run(mark) => {
                 out.runs.push(mark);
                 out.former_clocks.push(out.clock);
+                out.former_phone_clocks.push(out.phone_clocks.clone());
             }
         }
         events += 1;

@@ -20,8 +20,8 @@
 
 use protocol::{Period, TICK_HZ, Ticks};
 
-use crate::profile::{Learnt, Profile};
-use crate::recording::session_file::{Alignment, FramePeriodSource, Video};
+use crate::profile::{Learnt, Phone, Profile};
+use crate::recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
 use crate::sync::ClockModel;
 use crate::time::{BoardSeconds, PhoneSeconds};
 
@@ -66,8 +66,8 @@ pub struct Planned {
 /// What the profile has learnt about this phone and this board, where it can be
 /// used.
 #[must_use]
-pub fn skew_prior<'p>(profile: &'p Profile, board_id: &str) -> Option<(f64, f64, &'p Learnt)> {
-    let learnt = profile.phone.learnt.as_ref()?;
+pub fn skew_prior<'p>(phone: &'p Phone, board_id: &str) -> Option<(f64, f64, &'p Learnt)> {
+    let learnt = phone.learnt.as_ref()?;
     if learnt.board_id.as_deref().is_some_and(|id| id != board_id) {
         return None;
     }
@@ -111,7 +111,7 @@ pub fn plan(
 ) -> Result<Planned, AlignmentError> {
     let mut remarks = Vec::new();
     let (frame_period_ns, frame_period_sigma_ns, source) =
-        frame_period(profile, video, &mut remarks);
+        frame_period(&profile.phone, video, &mut remarks);
     let exposure_us = match video.exposure_ns {
         Some(exposure) if exposure > 0 => exposure as f64 * 1e-3,
         _ => {
@@ -167,12 +167,12 @@ pub fn plan(
 /// The learnt frame period where there is one that fits what the phone reports
 /// now; else the reported one.
 fn frame_period(
-    profile: &Profile,
+    phone: &Phone,
     video: &Video,
     remarks: &mut Vec<String>,
 ) -> (f64, Option<f64>, FramePeriodSource) {
     let reported = video.frame_duration_ns;
-    let Some(learnt) = &profile.phone.learnt else {
+    let Some(learnt) = &phone.learnt else {
         remarks.push(String::from(
             "no frame period learnt yet: the phase may drift by tens of µs a minute \
              (`smartdepthsync profile learn`)",
@@ -193,6 +193,44 @@ fn frame_period(
         Some(learnt.frame_period_sigma_ns),
         FramePeriodSource::Learnt,
     )
+}
+
+/// Where the frames of another phone lie against the depth images, whose grid
+/// follows the reference phone.
+///
+/// `phone` is one of the profile's, `clock` its relation to the board, `video` what
+/// it answered. The offset is counted from the depth image that is nearest, as if
+/// there were one to each frame of the reference phone.
+#[must_use]
+pub fn placement(
+    profile: &Profile,
+    phone: &Phone,
+    clock: &ClockModel,
+    video: &Video,
+    alignment: &Alignment,
+) -> Placement {
+    let (period_ns, sigma_ns, _) = frame_period(phone, video, &mut Vec::new());
+    let exposure_us = match video.exposure_ns {
+        Some(exposure) if exposure > 0 => exposure as f64 * 1e-3,
+        _ => phone.exposure_us,
+    };
+    let to_middle = (exposure_us / 2.0 + phone.middle_row_us()) * 1e-6;
+    let middle = clock.to_board(PhoneSeconds(video.phase.seconds().0 + to_middle));
+    let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;
+    let depth = BoardSeconds(alignment.anchor.as_secs_f64() + to_depth);
+    let grid_s = alignment.period_q32 as f64
+        / 4_294_967_296.0
+        / f64::from(TICK_HZ)
+        / f64::from(profile.frame_ratio());
+    let apart = middle.0 - depth.0;
+    let own_s = period_ns * 1e-9 / (1.0 + clock.skew);
+    let period_sigma = sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / period_ns;
+    Placement {
+        offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
+        offset_sigma_us: clock.offset_at(middle).sigma * 1e6,
+        drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
+        drift_sigma_us_per_min: clock.skew_sigma_at(middle).hypot(period_sigma) * 60e6,
+    }
 }
 
 /// How far a tick is from the nearest edge of a grid, in ticks: 0 for a pulse
@@ -293,6 +331,42 @@ mod tests {
     }
 
     #[test]
+    fn another_phone_is_placed_against_the_grid() {
+        let mut profile = Profile::published().unwrap();
+        profile.frame_sync.bias_us = 40.0;
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
+        let other = ClockModel {
+            offset: 71_000.5,
+            skew: -3e-5,
+            ..clock()
+        };
+        let board = clock().to_board(video().phase.seconds()).0 + 2.5e-3 + 7.0 * 33.33e-3;
+        let board = BoardSeconds(board - 7.0 * (33.33e-3 - 33_330_652.542e-9 / (1.0 + 2e-5)));
+        let moved = Video {
+            phase: PhoneNanos((other.to_phone(board).0 * 1e9).round() as i64),
+            frame_duration_ns: (33_330_652.542 / (1.0 + 2e-5) + 100.0) * (1.0 - 3e-5),
+            ..video()
+        };
+        for fps in [30, 5] {
+            profile.depth.fps = fps;
+            let alignment = Alignment {
+                period_q32: alignment.period_q32 * u64::from(profile.frame_ratio()),
+                ..alignment
+            };
+            let placed = placement(&profile, &profile.phone, &other, &moved, &alignment);
+            // To the middle it is 7,503 µs of each phone's own clock. A tick of the
+            // anchor and a few ns of seconds in floats may be off.
+            let offset = 2_500.0 + 7_503.0 * 5e-5;
+            assert!((placed.offset_us - offset).abs() < 0.05, "{placed:?}");
+            let drift = 100.0 / 33_329_986.0 * 60e6;
+            assert!((placed.drift_us_per_min - drift).abs() < 0.1, "{placed:?}");
+            assert!(placed.offset_sigma_us > 3.0 && placed.offset_sigma_us < 20.0);
+            assert!(placed.drift_sigma_us_per_min > 60.0);
+        }
+    }
+
+    #[test]
     fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
         let mut profile = Profile::published().unwrap();
         let fast = plan(&profile, &clock(), &video()).unwrap().alignment;
@@ -356,8 +430,8 @@ mod tests {
     fn a_skew_against_another_board_is_not_taken() {
         let mut profile = Profile::published().unwrap();
         profile.phone.learnt = Some(learnt());
-        assert!(skew_prior(&profile, "AB").is_some());
-        assert!(skew_prior(&profile, "CD").is_none());
+        assert!(skew_prior(&profile.phone, "AB").is_some());
+        assert!(skew_prior(&profile.phone, "CD").is_none());
     }
 
     proptest! {

@@ -11,7 +11,8 @@ use std::path::Path;
 use jiff::civil::Date;
 
 use crate::profile::{Learnt, Profile, ProfileError};
-use crate::recording::session_file::SessionFile;
+use crate::recording::session_file::Twist;
+use crate::sync::ClockModel;
 use crate::time::PhoneNanos;
 
 /// What crystals do from one recording to the next (temperature), relative: a
@@ -192,11 +193,17 @@ fn fit(points: &[(f64, f64)]) -> Line {
 }
 
 /// What a session teaches, with the floor for what changes between recordings.
-/// The skew only from two twists that are at least a minute apart.
+/// The skew only from two twists that are at least a minute apart, and within one
+/// run of the board: `resets` is how often it was reset within the recording.
 #[must_use]
-pub fn learnt(session: &SessionFile, period: &FramePeriod, date: Date) -> Learnt {
-    let accepted: Vec<f64> = session
-        .twists
+pub fn learnt(
+    (twists, clock): (&[Twist], Option<ClockModel>),
+    resets: usize,
+    board_id: Option<&str>,
+    period: &FramePeriod,
+    date: Date,
+) -> Learnt {
+    let accepted: Vec<f64> = twists
         .iter()
         .filter_map(|twist| twist.clock.map(|clock| clock.reference.0))
         .collect();
@@ -205,10 +212,7 @@ pub fn learnt(session: &SessionFile, period: &FramePeriod, date: Date) -> Learnt
         _ => 0.0,
     };
     // Over a reset the two twists are of different runs.
-    let one_run = session.runs.is_empty();
-    let clock = session
-        .clock
-        .filter(|_| one_run && baseline >= MIN_BASELINE_S);
+    let clock = clock.filter(|_| resets == 0 && baseline >= MIN_BASELINE_S);
     let floor_ns = REPEATABILITY * period.period_ns;
     Learnt {
         frame_period_ns: period.period_ns,
@@ -216,29 +220,46 @@ pub fn learnt(session: &SessionFile, period: &FramePeriod, date: Date) -> Learnt
         skew: clock.map(|clock| clock.skew),
         skew_sigma: clock.map(|clock| clock.covariance[1][1].max(0.0).sqrt().hypot(REPEATABILITY)),
         learnt: date,
-        board_id: session.board.as_ref().map(|board| board.id.clone()),
+        board_id: board_id.map(str::to_owned),
     }
 }
 
-/// Puts what was learnt into a profile's text; comments and order stay.
+/// Puts what was learnt into a profile's text; comments and order stay. `name` is
+/// that of the phone; without it, it is `[phone]`.
 ///
 /// # Errors
 ///
 /// The text is no valid profile, or would not be one any more.
-pub fn into_profile(text: &str, path: &Path, learnt: &Learnt) -> Result<String, ProfileError> {
+pub fn into_profile(
+    text: &str,
+    path: &Path,
+    name: Option<&str>,
+    learnt: &Learnt,
+) -> Result<String, ProfileError> {
     let syntax = |reason: String| ProfileError::Syntax {
         path: Some(path.to_owned()),
         reason,
     };
-    Profile::parse(text, Some(path))?;
+    let profile = Profile::parse(text, Some(path))?;
     let mut document: toml_edit::DocumentMut = text
         .parse()
         .map_err(|error: toml_edit::TomlError| syntax(error.to_string()))?;
-    let phone = document
-        .entry("phone")
-        .or_insert(toml_edit::table())
-        .as_table_mut()
-        .ok_or_else(|| syntax(String::from("`phone` is no table")))?;
+    // One phone is meant whatever it was called at the time.
+    let name = name.filter(|_| !profile.phones.is_empty());
+    let is_it = |table: &toml_edit::Table| table.get("name").and_then(|name| name.as_str()) == name;
+    let further = document
+        .get_mut("phones")
+        .and_then(|phones| phones.as_array_of_tables_mut())
+        .filter(|_| name.is_some())
+        .and_then(|phones| phones.iter_mut().find(|table| is_it(table)));
+    let phone = match further {
+        Some(table) => table,
+        None => document
+            .entry("phone")
+            .or_insert(toml_edit::table())
+            .as_table_mut()
+            .ok_or_else(|| syntax(String::from("`phone` is no table")))?,
+    };
     let mut table = toml_edit::Table::new();
     table.insert("frame_period_ns", toml_edit::value(learnt.frame_period_ns));
     table.insert(
@@ -265,7 +286,7 @@ mod tests {
 
     use super::*;
     use crate::profile::DEFAULT;
-    use crate::sync::{ClockModel, Wander};
+    use crate::sync::Wander;
     use crate::time::BoardSeconds;
 
     /// Frames of 33,330,652.54 ns with a deterministic jitter of about 1 µs.
@@ -348,7 +369,6 @@ mod tests {
 
     #[test]
     fn a_profile_keeps_its_comments_and_can_be_read_again() {
-        let mut session = SessionFile::new(String::from("x"), Profile::published().unwrap());
         let clock = |reference| ClockModel {
             reference: BoardSeconds(reference),
             offset: 1.0,
@@ -356,7 +376,7 @@ mod tests {
             covariance: [[1e-12, 0.0], [0.0, 1e-18]],
             wander: Wander(1e-8),
         };
-        let twist = |reference| crate::recording::session_file::Twist {
+        let twist = |reference| Twist {
             phone_gyro: None,
             span: crate::recording::session_file::Span {
                 from: Default::default(),
@@ -368,26 +388,38 @@ mod tests {
             skew_sigma_ppm: None,
             report: serde_json::Value::Null,
         };
-        session.clock = Some(clock(300.0));
-        session.twists = vec![twist(10.0)];
+        let mut twists = vec![twist(10.0)];
         let period = frame_period(&frames(9_000)).unwrap();
-        let one_twist = learnt(&session, &period, date(2026, 1, 31));
+        let last = Some(clock(300.0));
+        let learnt_over = |twists: &[Twist], resets| {
+            learnt((twists, last), resets, None, &period, date(2026, 1, 31))
+        };
+        let learnt = |twists: &[Twist]| learnt_over(twists, 0);
+        let one_twist = learnt(&twists);
         assert_eq!(one_twist.skew, None);
-        session.twists.push(twist(300.0));
-        let two_twists = learnt(&session, &period, date(2026, 1, 31));
+        twists.push(twist(300.0));
+        let two_twists = learnt(&twists);
         assert_eq!(two_twists.skew, Some(3e-6));
         assert!(two_twists.skew_sigma.unwrap() >= REPEATABILITY);
+        // The board was reset between them.
+        assert_eq!(learnt_over(&twists, 1).skew, None);
 
         let path = Path::new("rig.toml");
-        let text = into_profile(DEFAULT, path, &two_twists).unwrap();
+        let text = into_profile(DEFAULT, path, None, &two_twists).unwrap();
         assert!(text.contains("# Where the app (OpenCamera Sensors) listens"));
         let profile = Profile::parse(&text, None).unwrap();
         assert_eq!(profile.phone.learnt, Some(two_twists));
         // A second time replaces the first.
-        let again = into_profile(&text, path, &one_twist).unwrap();
+        let again = into_profile(&text, path, Some("phone"), &one_twist).unwrap();
         assert_eq!(
             Profile::parse(&again, None).unwrap().phone.learnt,
-            Some(one_twist)
+            Some(one_twist.clone())
         );
+        // Of several phones the one of that name learns.
+        let several = format!("{text}\n[[phones]]\nname = \"right\"\naddress = \"x\"\n");
+        let taught = into_profile(&several, path, Some("right"), &one_twist).unwrap();
+        let profile = Profile::parse(&taught, None).unwrap();
+        assert_eq!(profile.phones[0].learnt, Some(one_twist));
+        assert!(profile.phone.learnt.unwrap().skew.is_some());
     }
 }

@@ -12,7 +12,7 @@
 //! - [`alignment`]: the arithmetic of the phase.
 //! - [`watch`]: what is watched while recording.
 //! - [`runs`]: one axis of time when the board is reset meanwhile.
-//! - [`phone_task`], [`recorder`]: phone and depth recorder.
+//! - [`phone_task`], [`phones`], [`recorder`]: phones and depth recorder.
 //! - [`preflight`]: what is looked at before.
 //! - [`operator`]: the person; [`live`]: what is shown to them.
 //! - [`learn`]: what a recording teaches about the phone's clocks.
@@ -23,6 +23,7 @@ pub mod learn;
 pub mod live;
 pub mod operator;
 pub mod phone_task;
+pub mod phones;
 pub mod preflight;
 pub mod recorder;
 mod restart;

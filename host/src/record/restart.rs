@@ -10,7 +10,8 @@
 //!
 //! The phase against the phone's frames then is as good as the shift is known
 //! ([`super::runs::Joint::sigma_s`]), not as good as a twist makes it; the relation of
-//! phone and board is recorded anew with that uncertainty. A second twist at the
+//! each phone and the board is recorded anew with that uncertainty, and so is where
+//! the frames of further phones lie against the depth images. A second twist at the
 //! end belongs to the last run.
 
 use protocol::{
@@ -21,7 +22,7 @@ use super::alignment::off_grid;
 use super::rig::Rig;
 use super::runs::Pair;
 use super::watch::{Finding, Grid, Watch};
-use super::{Stop, further};
+use super::{Stop, further, phones};
 use crate::board::{self, BoardError, reset_cause};
 use crate::imu::Scale;
 use crate::outcome::Failure;
@@ -142,9 +143,11 @@ impl Rig<'_> {
                 joint.sigma_s * 1e6
             ),
         ))?;
-        if let Some(mut clock) = self.clock {
-            clock.covariance[0][0] += joint.sigma_s.powi(2);
-            self.set_clock(clock, "after a reset of the board")?;
+        for place in self.phone_places() {
+            if let Some(mut clock) = self.phone_clock(place) {
+                clock.covariance[0][0] += joint.sigma_s.powi(2);
+                self.set_phone_clock(place, clock, "after a reset of the board")?;
+            }
         }
         if let Some(watch) = &mut self.watch {
             watch.resume(self.now);
@@ -187,6 +190,7 @@ impl Rig<'_> {
                     "the trigger runs on its former grid again",
                 )?;
                 self.save()?;
+                phones::place_others_again(self)?;
                 match further::start(self) {
                     Err(Stop::Failed(failure)) => self.problem(Finding::error(
                         "outputs_not_restarted",

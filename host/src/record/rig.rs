@@ -11,7 +11,8 @@ use protocol::{Arrived, DeviceToHost, ImuSetup, Reply, TICK_HZ, Ticks};
 
 use super::live::{Live, Step};
 use super::operator::Operator;
-use super::phone_task::{Answer, PhoneTask, Request};
+use super::phone_task::PhoneTask;
+use super::phones::Other;
 use super::preflight::{Checks, ImuLook};
 use super::recorder::DepthRecorder;
 use super::restart::{NextScale, Pending};
@@ -22,7 +23,6 @@ use crate::board::{self, Board, BoardError};
 use crate::cli::Context;
 use crate::imu::Scale;
 use crate::outcome::{ExitStatus, Failure};
-use crate::phone::PhoneError;
 use crate::profile::Profile;
 use crate::recording::session_file::{Problem, SessionFile};
 use crate::recording::writer::{Severity, Writer};
@@ -79,8 +79,10 @@ pub struct Rig<'a> {
     pub(super) met: Option<Pair>,
     /// What is to be done after a reset.
     pub(super) pending: Option<Pending>,
-    /// The phone.
+    /// The phone that the trigger is aligned to.
     pub phone: PhoneTask,
+    /// Further phones, in the profile's order.
+    pub others: Vec<Other>,
     /// The person.
     pub operator: Operator,
     /// What is shown to the person.
@@ -172,6 +174,7 @@ impl<'a> Rig<'a> {
             last_sign: board.now(),
             board,
             phone: parts.phone,
+            others: Vec::new(),
             operator: parts.operator,
             live: parts.live,
             depth: None,
@@ -260,6 +263,7 @@ impl<'a> Rig<'a> {
         let enough = self.profile.align.max_offset_sigma_us * ENOUGH;
         self.live.step(step, (length, enough));
         self.live.gauge.reconnects = self.file.reconnects;
+        self.live.gauge.know_phones(&self.file.phones);
         self.live.show(
             self.now,
             &self.folder,
@@ -303,24 +307,6 @@ impl<'a> Rig<'a> {
             other => other,
         }
         .map_err(|error| Failure::from(error).into())
-    }
-
-    /// Asks the phone and pumps until it has answered.
-    ///
-    /// # Errors
-    ///
-    /// As [`Rig::pump`]. What the phone says is in the result.
-    pub fn ask_phone(&mut self, request: Request) -> Result<Result<Answer, PhoneError>, Stop> {
-        self.phone.ask(request);
-        let result = self.pump_until(|rig| rig.phone.answer());
-        if result.is_err() {
-            // Do not leave the request hanging: the next one needs the thread.
-            self.phone.cancel();
-            while self.phone.answer().is_none() {
-                std::thread::sleep(Duration::from_millis(10));
-            }
-        }
-        result
     }
 
     /// Says something, and keeps it in the recording.

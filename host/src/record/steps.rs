@@ -10,6 +10,7 @@ use super::further;
 use super::live::Live;
 use super::operator::{Choice, Operator};
 use super::phone_task::{Answer, PhoneTask, Request};
+use super::phones;
 use super::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME, Verdict};
 use super::recorder::DepthRecorder;
 use super::rig::{Parts, Rig};
@@ -20,11 +21,11 @@ use crate::cli::Context;
 use crate::imu::Scale;
 use crate::outcome::{ExitStatus, Failure, Report};
 use crate::phone::samples::sample_line;
-use crate::phone::{PhoneSample, Sensor, VideoStart};
+use crate::phone::{PhoneSample, Sensor};
 use crate::profile::Profile;
 use crate::recording::folder;
 use crate::recording::session_file::{
-    Alignment, BoardInfo, ImuInfo, Marker, PhoneInfo, SessionFile, Span, Twist, Video,
+    Alignment, BoardInfo, ImuInfo, Marker, OtherPhone, PhoneInfo, SessionFile, Span, Twist, Video,
 };
 use crate::recording::writer::{Severity, Writer};
 use crate::sync::{self, ClockModel, GyroTrack, estimate_offset};
@@ -44,7 +45,9 @@ struct Sides {
     imu: ImuSetup,
     scale: Scale,
     phone: PhoneTask,
-    version: Option<String>,
+    info: PhoneInfo,
+    others: Vec<phones::Other>,
+    kept: Vec<OtherPhone>,
 }
 
 /// Connects to board and phone, and makes the recording's folder once both are
@@ -122,26 +125,16 @@ fn reach(
     }
     let scale = Scale::required(&imu)?;
 
-    let phone = PhoneTask::start(profile.phone.address.clone()).map_err(|error| {
-        Failure::new(ExitStatus::Error, format!("no thread: {error}"))
-            .next_step("close other programs: the system gives no more threads")
-    })?;
-    phone.ask(Request::Probe);
-    let version = loop {
-        match phone.answer() {
-            Some(Ok(Answer::Version(version))) => break Some(version),
-            Some(Ok(_)) => break None,
-            Some(Err(error)) => return Err(Failure::from(error).into()),
-            None if context.interrupt.requested() => return Err(Stop::Interrupted),
-            None => std::thread::sleep(Duration::from_millis(10)),
-        }
-    };
+    let (phone, info) = phones::connect(profile, &profile.phone, context)?;
+    let (others, kept) = phones::connect_others(profile, context)?;
     Ok(Sides {
         board,
         imu,
         scale,
         phone,
-        version,
+        info,
+        others,
+        kept,
     })
 }
 
@@ -160,7 +153,9 @@ fn set_up<'a>(
         imu,
         scale,
         phone,
-        version,
+        info,
+        others,
+        kept,
     } = sides;
     let name = options.name.clone().unwrap_or_else(folder::name_for_now);
     let folder = folder::create(&options.out, &name).map_err(Failure::from)?;
@@ -185,10 +180,9 @@ fn set_up<'a>(
         reset_cause: hello.reset_cause,
     });
     file.imu = Some(ImuInfo { setup: imu, scale });
-    file.phone = Some(PhoneInfo {
-        address: profile.phone.address.clone(),
-        version,
-    });
+    file.phone = Some(info);
+    file.phones = kept;
+    live.gauge.name_sensors(profile);
     live.gauge.board = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let mut rig = Rig::new(Parts {
         context,
@@ -205,6 +199,7 @@ fn set_up<'a>(
         folder,
         file,
     });
+    rig.others = others;
     rig.save()?;
     let text = format!("recording into {}", rig.folder.display());
     rig.tell(Severity::Info, "connected", &text)?;
@@ -233,6 +228,7 @@ pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
         );
     };
     let mut alignment = align(rig, &clock, &video)?;
+    phones::place_others(rig)?;
     confirm_arrival(rig, &mut alignment)?;
     further::start(rig)?;
     record(rig, options, &alignment)
@@ -315,23 +311,31 @@ fn found(rig: &mut Rig<'_>, checks: Checks) -> Result<(), Stop> {
     failure.map_or(Ok(()), |failure| Err(failure.into()))
 }
 
-/// Twists until one passes the gates.
+/// Twists until one passes the gates, of every phone.
 fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
     for attempt in 1.. {
-        let accepted = match twist(rig) {
-            Ok(accepted) => accepted,
+        let clocks = match twist(rig) {
+            Ok(clocks) => clocks,
             Err(Stop::Failed(failure)) if is_repeatable(&failure) && rig.operator.is_present() => {
                 rig.context.say(format!("error: {failure}"));
-                None
+                vec![None]
             }
             Err(stop) => return Err(stop),
         };
-        if let Some(clock) = accepted {
-            rig.set_clock(clock, &format!("twist {attempt}"))?;
-            rig.save()?;
-            if !rig.operator.is_present() {
-                return Ok(());
+        for (place, clock) in clocks.iter().enumerate() {
+            if let Some(clock) = clock {
+                rig.set_phone_clock(place, *clock, &format!("twist {attempt}"))?;
             }
+        }
+        // With nobody there, phones may have got theirs from different twists.
+        let related = rig
+            .phone_places()
+            .all(|place| rig.phone_clock(place).is_some());
+        if related && !rig.operator.is_present() {
+            return rig.save();
+        }
+        if clocks.iter().all(Option::is_some) {
+            rig.save()?;
             match ask(rig, "[Enter] go on, [r] twist again, [q] quit")? {
                 Choice::Repeat => continue,
                 Choice::Quit => return Err(Stop::Interrupted),
@@ -358,8 +362,9 @@ fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
     Ok(())
 }
 
-/// One twist. Gives the relation of the clocks if it passes the gates.
-fn twist(rig: &mut Rig<'_>) -> Result<Option<ClockModel>, Stop> {
+/// One twist, of all phones. Gives the relation of each phone's clock if it passes
+/// the gates, by the phone's place.
+fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
     let length = rig.profile.phone.twist_s;
     rig.operator.forget_typed();
     if rig.operator.is_present() {
@@ -378,19 +383,40 @@ fn twist(rig: &mut Rig<'_>) -> Result<Option<ClockModel>, Stop> {
     rig.gyro = Some(Vec::new());
     let asked = twist_samples(rig, length);
     let board = rig.gyro.take().unwrap_or_default();
-    let phone = asked?;
-    let name = format!("twist_{number}_phone_gyro.csv");
-    save_samples(rig, &name, &phone)?;
-
-    let track = |times: &[Ticks], rates| GyroTrack::from_ticks(times, rates);
+    let samples = asked?;
     let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
     let span = Span {
         from: times.first().copied().unwrap_or_default(),
         to: times.last().copied().unwrap_or_default(),
     };
-    let mcu = track(&times, rates);
-    let phone_times: Vec<_> = phone.iter().map(|sample| sample.time).collect();
-    let phone_rates = phone.iter().map(|sample| sample.xyz).collect();
+    let mcu = GyroTrack::from_ticks(&times, rates);
+    let mut clocks = Vec::new();
+    for (place, samples) in samples.iter().enumerate() {
+        clocks.push(relate(rig, place, number, (&mcu, span), samples)?);
+    }
+    Ok(clocks)
+}
+
+/// Relates the clock of one phone to the board's by a twist.
+fn relate(
+    rig: &mut Rig<'_>,
+    place: usize,
+    number: usize,
+    (mcu, span): (&GyroTrack, Span),
+    samples: &[PhoneSample],
+) -> Result<Option<ClockModel>, Stop> {
+    let phone = rig.phone_profile(place);
+    let folder = rig.file.phone_folder(&phone.name);
+    let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
+    let name = name.to_string_lossy().into_owned();
+    let label = if rig.others.is_empty() {
+        format!("twist {number}")
+    } else {
+        format!("twist {number}, {}", phone.name)
+    };
+    save_samples(rig, &name, samples)?;
+    let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
+    let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
     let phone_track = GyroTrack::from_phone_nanos(&phone_times, phone_rates);
     let delay_us = rig
         .file
@@ -399,18 +425,18 @@ fn twist(rig: &mut Rig<'_>) -> Result<Option<ClockModel>, Stop> {
         .map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = sync::Options {
         mcu_delay_s: f64::from(delay_us) * 1e-6,
-        phone_delay_s: rig.profile.phone.gyro_delay_us * 1e-6,
+        phone_delay_s: phone.gyro_delay_us * 1e-6,
         sigma_limit_s: rig.profile.align.max_offset_sigma_us * 1e-6,
         ..sync::Options::default()
     };
-    let result = estimate_offset(&mcu, &phone_track, &options);
+    let result = estimate_offset(mcu, &phone_track, &options);
     let report = match &result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
     };
     let report = serde_json::to_value(report).unwrap_or(serde_json::Value::Null);
     let estimate = result.as_ref().ok();
-    rig.file.twists.push(Twist {
+    let twist = Twist {
         phone_gyro: Some(name.clone()),
         span,
         accepted: estimate.is_some(),
@@ -418,12 +444,13 @@ fn twist(rig: &mut Rig<'_>) -> Result<Option<ClockModel>, Stop> {
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         report,
-    });
+    };
+    rig.keep_twist(place, twist);
     rig.file.files.push(name);
     match result {
         Ok(estimate) => {
             let text = format!(
-                "twist {number}: offset {:.6} s ± {:.2} µs, skew {:+.3} ± {:.3} ppm",
+                "{label}: offset {:.6} s ± {:.2} µs, skew {:+.3} ± {:.3} ppm",
                 estimate.clock.offset,
                 estimate.offset_sigma_s() * 1e6,
                 estimate.clock.skew * 1e6,
@@ -433,47 +460,46 @@ fn twist(rig: &mut Rig<'_>) -> Result<Option<ClockModel>, Stop> {
             for warning in &estimate.report.warnings {
                 rig.tell(Severity::Info, "twist", warning)?;
             }
-            sharpen(rig, estimate.clock).map(Some)
+            sharpen(rig, place, estimate.clock).map(Some)
         }
         Err(refusal) => {
-            let text = format!("twist {number} refused: {refusal}");
+            let text = format!("{label} refused: {refusal}");
             rig.tell(Severity::Warning, "twist_refused", &text)?;
             Ok(None)
         }
     }
 }
 
-/// The phone's samples of one twist; the board's go into the rig meanwhile.
-fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<PhoneSample>, Stop> {
+/// The phones' samples of one twist, by their places; the board's go into the rig
+/// meanwhile.
+fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
     let request = Request::Gyroscope(Duration::from_secs(length.into()));
+    let requests = rig
+        .phone_places()
+        .map(|place| (place, request.clone()))
+        .collect();
     let bar = spinner(rig);
-    rig.phone.ask(request);
     let mut shown = Instant::now();
-    let answer = rig.pump_until(|rig| {
+    let answers = rig.ask_phones(requests, |rig| {
         if shown.elapsed() > Duration::from_millis(300) {
             shown = Instant::now();
             bar.set_message(motion_hint(rig.gyro.as_deref().unwrap_or_default()));
         }
-        rig.phone.answer()
     });
     bar.finish_and_clear();
-    if answer.is_err() {
-        rig.phone.cancel();
-        while rig.phone.answer().is_none() {
-            std::thread::sleep(Duration::from_millis(10));
-        }
+    let mut samples = Vec::new();
+    for (place, answer) in answers? {
+        let recording = match answer.map_err(|error| rig.phone_failure(place, error))? {
+            Answer::Gyroscope(recording) => recording,
+            other => return Err(odd_answer(&other).into()),
+        };
+        let gyro = recording.samples(Sensor::Gyroscope).unwrap_or_default();
+        samples.push(gyro.to_vec());
     }
-    let recording = match answer?.map_err(Failure::from)? {
-        Answer::Gyroscope(recording) => recording,
-        other => return Err(odd_answer(&other).into()),
-    };
     // The board's samples of the last moment are still on their way.
     let until = rig.now.0.saturating_add(TWIST_MARGIN);
     rig.pump_until(|rig| (rig.now.0 >= until).then_some(()))?;
-    Ok(recording
-        .samples(Sensor::Gyroscope)
-        .unwrap_or_default()
-        .to_vec())
+    Ok(samples)
 }
 
 /// Whether the motion suffices, from the board's samples so far.
@@ -500,8 +526,8 @@ fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
 }
 
 /// Takes the skew that was learnt before into a twist's result.
-fn sharpen(rig: &mut Rig<'_>, clock: ClockModel) -> Result<ClockModel, Stop> {
-    let Some((skew, sigma, _)) = skew_prior(rig.profile, &rig.board_id) else {
+fn sharpen(rig: &mut Rig<'_>, place: usize, clock: ClockModel) -> Result<ClockModel, Stop> {
+    let Some((skew, sigma, _)) = skew_prior(rig.phone_profile(place), &rig.board_id) else {
         return Ok(clock);
     };
     match with_known_skew(&clock, skew, sigma) {
@@ -528,7 +554,9 @@ fn save_samples(rig: &Rig<'_>, name: &str, samples: &[PhoneSample]) -> Result<()
         text.push('\n');
     }
     let path = rig.folder.join(name);
-    std::fs::write(&path, text).map_err(|source| {
+    let folder = path.parent().unwrap_or(&rig.folder);
+    let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, text));
+    written.map_err(|source| {
         Failure::from(crate::recording::RecordingError::Io {
             action: "write",
             path,
@@ -579,50 +607,19 @@ fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
     )
 }
 
-/// Starts the phone's video.
+/// Starts the phones' videos; gives what the phone said that is aligned to.
 fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
-    let mut started = None;
-    step(rig, "the phone's video", |rig| {
-        rig.video_may_run = true;
-        match rig.ask_phone(Request::StartVideo)?.map_err(Failure::from)? {
-            Answer::Started(start) => {
-                started = Some(start);
-                Ok(())
-            }
-            other => Err(odd_answer(&other).into()),
-        }
-    })?;
-    let Some(VideoStart {
-        phase,
-        frame_duration_ns,
-        exposure_ns,
-    }) = started
-    else {
-        return Err(
-            Failure::new(ExitStatus::Phone, "the phone's video was left out")
-                .next_step("record again with the phone: there is nothing to align to without it")
-                .into(),
-        );
+    let what = if rig.others.is_empty() {
+        "the phone's video"
+    } else {
+        "the phones' videos"
     };
-    let video = Video {
-        phase,
-        frame_duration_ns,
-        exposure_ns,
-    };
-    rig.file.video = Some(video);
-    rig.save()?;
-    rig.tell(
-        Severity::Info,
-        "video",
-        &format!(
-            "the phone records: frame period {frame_duration_ns:.3} ns, exposure {}",
-            exposure_ns.map_or(String::from("not reported"), |ns| format!(
-                "{:.3} ms",
-                ns as f64 * 1e-6
-            ))
-        ),
-    )?;
-    Ok(video)
+    step(rig, what, phones::start_videos)?;
+    rig.file.video.ok_or_else(|| {
+        Failure::new(ExitStatus::Phone, "the phone's video was left out")
+            .next_step("record again with the phone: there is nothing to align to without it")
+            .into()
+    })
 }
 
 /// Sends the train onto the phone's frames.
@@ -794,20 +791,7 @@ fn end_of_recording(rig: &mut Rig<'_>) {
 
 /// Stops phone, depth recorder and trigger; what cannot be stopped is told.
 fn stop_devices(rig: &mut Rig<'_>) {
-    if rig.video_may_run {
-        rig.video_may_run = false;
-        let problem = match rig.ask_phone(Request::StopVideo) {
-            Ok(Ok(_)) => None,
-            Ok(Err(error)) => Some(format!(
-                "the phone's video could not be stopped: {error}; stop it on the phone"
-            )),
-            Err(Stop::Failed(failure)) => Some(failure.to_string()),
-            Err(Stop::Interrupted) => None,
-        };
-        if let Some(text) = problem {
-            report(rig, Finding::error("phone_lost", text));
-        }
-    }
+    stop_videos(rig);
     if let Some(recorder) = rig.depth.take() {
         let problem = recorder.stop(|| {
             // Its own failure is told by the next step of closing.
@@ -848,42 +832,95 @@ fn stop_devices(rig: &mut Rig<'_>) {
     }
 }
 
+fn stop_videos(rig: &mut Rig<'_>) {
+    let running = rig.take_running_videos();
+    if running.is_empty() {
+        return;
+    }
+    let requests = running
+        .into_iter()
+        .map(|place| (place, Request::StopVideo))
+        .collect();
+    let mut problems = Vec::new();
+    match rig.ask_phones(requests, |_| {}) {
+        Ok(answers) => {
+            for (place, answer) in answers {
+                if let Err(error) = answer {
+                    problems.push(format!(
+                        "the video of {} could not be stopped: {error}; stop it on the phone",
+                        rig.phone_label(place)
+                    ));
+                }
+            }
+        }
+        Err(Stop::Failed(failure)) => problems.push(failure.to_string()),
+        Err(Stop::Interrupted) => {}
+    }
+    for text in problems {
+        report(rig, Finding::error("phone_lost", text));
+    }
+}
+
 /// What follows a recording that was not broken off.
 fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
     rig.save()?;
     // From here on Ctrl-C leaves the rest out.
     rig.closing = false;
     if options.second_twist {
-        let first = rig.clock;
-        step(rig, "the second twist", |rig| match (twist(rig)?, first) {
-            (Some(second), Some(first)) if !rig.file.runs.is_empty() => {
-                // The first twist is of the run before the reset: its rate holds, its
-                // offset is better known from this one.
-                let sigma = first.covariance[1][1].sqrt();
-                let clock = with_known_skew(&second, first.skew, sigma).unwrap_or(second);
-                rig.set_clock(clock, "twist at the end, after a reset of the board")
-            }
-            (Some(second), Some(first)) => {
-                let joined = first.joined(&second);
-                let text = format!(
-                    "both twists: skew {:+.4} ± {:.4} ppm",
-                    joined.skew * 1e6,
-                    joined.covariance[1][1].sqrt() * 1e6
-                );
-                rig.tell(Severity::Info, "twist", &text)?;
-                rig.set_clock(joined, "twists at begin and end")
-            }
-            _ => Err(
-                Failure::new(ExitStatus::Refused, "the second twist was refused")
-                    .next_step("twist again, faster and about all axes")
-                    .into(),
-            ),
-        })
-        .or_else(|stop| lesser(rig, "second_twist", stop))?;
+        let first: Vec<Option<ClockModel>> = rig
+            .phone_places()
+            .map(|place| rig.phone_clock(place))
+            .collect();
+        step(rig, "the second twist", |rig| second_twist(rig, &first))
+            .or_else(|stop| lesser(rig, "second_twist", stop))?;
     }
     if options.fetch_video {
-        step(rig, "the download", fetch_video)
-            .or_else(|stop| lesser(rig, "video_not_fetched", stop))?;
+        for place in rig.phone_places() {
+            step(rig, "the download", |rig| fetch_video(rig, place))
+                .or_else(|stop| lesser(rig, "video_not_fetched", stop))?;
+        }
+    }
+    Ok(())
+}
+
+/// Twists once more and joins what it says with the first; of each phone by itself.
+fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> Result<(), Stop> {
+    let second = twist(rig)?;
+    let mut refused = false;
+    for (place, clocks) in first.iter().zip(&second).enumerate() {
+        let (Some(first), Some(second)) = clocks else {
+            refused = true;
+            continue;
+        };
+        if !rig.file.runs.is_empty() {
+            // The first twist is of the run before the reset: its rate holds, its
+            // offset is better known from this one.
+            let sigma = first.covariance[1][1].max(0.0).sqrt();
+            let clock = with_known_skew(second, first.skew, sigma).unwrap_or(*second);
+            let source = "twist at the end, after a reset of the board";
+            rig.set_phone_clock(place, clock, source)?;
+            continue;
+        }
+        let joined = first.joined(second);
+        let text = format!(
+            "both twists{}: skew {:+.4} ± {:.4} ppm",
+            if rig.others.is_empty() {
+                String::new()
+            } else {
+                format!(", {}", rig.phone_profile(place).name)
+            },
+            joined.skew * 1e6,
+            joined.covariance[1][1].sqrt() * 1e6
+        );
+        rig.tell(Severity::Info, "twist", &text)?;
+        rig.set_phone_clock(place, joined, "twists at begin and end")?;
+    }
+    if refused {
+        return Err(
+            Failure::new(ExitStatus::Refused, "the second twist was refused")
+                .next_step("twist again, faster and about all axes")
+                .into(),
+        );
     }
     Ok(())
 }
@@ -899,26 +936,28 @@ fn lesser(rig: &mut Rig<'_>, kind: &'static str, stop: Stop) -> Result<(), Stop>
     }
 }
 
-fn fetch_video(rig: &mut Rig<'_>) -> Result<(), Stop> {
+fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
+    let own = rig.file.phone_folder(&rig.phone_profile(place).name);
+    let folder = rig.folder.join(&own);
+    let label = rig.phone_label(place);
     let bar = spinner(rig);
-    rig.phone.ask(Request::FetchVideo(rig.folder.clone()));
-    let answer = rig.pump_until(|rig| {
-        let (done, whole) = rig.phone.progress();
+    let answers = rig.ask_phones(vec![(place, Request::FetchVideo(folder))], |rig| {
+        let (done, whole) = rig.phone_task(place).progress();
         bar.set_message(format!(
-            "downloading the video: {} of {} MB",
+            "downloading the video of {label}: {} of {} MB",
             done / 1_000_000,
             whole / 1_000_000
         ));
-        rig.phone.answer()
     });
     bar.finish_and_clear();
-    if answer.is_err() {
-        rig.phone.cancel();
-    }
-    match answer?.map_err(Failure::from)? {
+    let Some((_, answer)) = answers?.pop() else {
+        return Ok(());
+    };
+    match answer.map_err(|error| rig.phone_failure(place, error))? {
         Answer::Fetched(video) => {
             if let Some(name) = video.path.file_name() {
-                rig.file.files.push(name.to_string_lossy().into_owned());
+                let name = own.join(name).to_string_lossy().into_owned();
+                rig.file.files.push(name);
             }
             rig.tell(
                 Severity::Info,
@@ -992,7 +1031,7 @@ fn report(rig: &mut Rig<'_>, finding: Finding) {
     }
 }
 
-fn odd_answer(answer: &Answer) -> Failure {
+pub(super) fn odd_answer(answer: &Answer) -> Failure {
     Failure::new(
         ExitStatus::Phone,
         format!("the phone answered something else: {answer:?}"),

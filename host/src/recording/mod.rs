@@ -61,6 +61,8 @@ pub mod topic {
     pub const CLOCK: &str = "/session/clock_model";
     /// [`super::messages::BoardRun`]: the board was reset.
     pub const RUN: &str = "/session/board_run";
+    /// [`super::messages::ClockModel`] of a further phone; `frame_id` says whose.
+    pub const PHONE_CLOCK: &str = "/session/phone_clock_model";
     /// [`super::messages::TimeReference`]: markers.
     pub const MARKER: &str = "/session/markers";
     /// [`super::messages::TimeReference`]: wall clock of the host.

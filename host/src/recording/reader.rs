@@ -46,6 +46,8 @@ pub enum Item {
     Link(LinkFrame),
     /// `/session/clock_model`.
     Clock(ClockModel),
+    /// A clock model of a further phone, whose name is the `frame_id`.
+    PhoneClock(ClockModel),
     /// `/session/markers`.
     Marker(TimeReference),
     /// `/session/host_time`.
@@ -241,6 +243,7 @@ fn entry(
         topic::STATUS => from_cdr(data).map(Item::Status),
         topic::LINK => from_cdr(data).map(Item::Link),
         topic::CLOCK => from_cdr(data).map(Item::Clock),
+        topic::PHONE_CLOCK => from_cdr(data).map(Item::PhoneClock),
         topic::MARKER => from_cdr(data).map(Item::Marker),
         topic::HOST_TIME => from_cdr(data).map(Item::HostTime),
         topic::LOG => from_cdr(data).map(Item::Log),

@@ -5,7 +5,7 @@
 //! so a kill leaves the state of the last step, without an outcome.
 
 use std::io::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use protocol::{ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
@@ -20,6 +20,9 @@ use crate::time::PhoneNanos;
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 1;
+
+/// The folder of the phones' folders in a recording of several phones.
+pub const PHONES_FOLDER: &str = "phones";
 
 /// The content of `session.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,6 +59,10 @@ pub struct SessionFile {
     /// The board's runs after the first: each begins with a reset.
     #[serde(default)]
     pub runs: Vec<BoardRun>,
+    /// Further phones; `phone`, `twists`, `clock`, `video` and `alignment` are those
+    /// of the phone that the trigger is aligned to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<OtherPhone>,
     /// The recorded span of board time: from the arrival of the trigger on the
     /// phone's frames to the stop.
     pub recorded: Option<Span>,
@@ -125,6 +132,40 @@ pub struct PhoneInfo {
     pub address: String,
     /// Version of the app, once it has answered.
     pub version: Option<String>,
+}
+
+/// A phone beside the one that the trigger is aligned to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OtherPhone {
+    /// Its name in the profile.
+    pub name: String,
+    /// Its app.
+    pub info: PhoneInfo,
+    /// Every twist, in order, refused ones too.
+    pub twists: Vec<Twist>,
+    /// The relation of its clock to the board's that is best known.
+    pub clock: Option<ClockModel>,
+    /// What it answered when its video began.
+    pub video: Option<Video>,
+    /// Where its frames lie against the trigger's grid; after a reset of the board, as
+    /// far as that is known in the last run.
+    pub placement: Option<Placement>,
+}
+
+/// Where the frames of a phone lie against the trigger's grid, which follows
+/// another phone. As predicted from clocks and frame period; an extraction
+/// measures it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Placement {
+    /// Middle of exposure of the middle row minus that of the nearest depth image,
+    /// at the phone's first frame, µs; within half a period of the grid.
+    pub offset_us: f64,
+    /// 1-sigma of it, µs, without the constants'.
+    pub offset_sigma_us: f64,
+    /// How it changes, µs/min: the two phones' frame periods differ.
+    pub drift_us_per_min: f64,
+    /// 1-sigma of it, µs/min.
+    pub drift_sigma_us_per_min: f64,
 }
 
 /// One twist.
@@ -272,6 +313,7 @@ impl SessionFile {
             video: None,
             alignment: None,
             runs: Vec::new(),
+            phones: Vec::new(),
             recorded: None,
             markers: Vec::new(),
             counts: StreamCounts::default(),
@@ -280,6 +322,27 @@ impl SessionFile {
             problems: Vec::new(),
             files: Vec::new(),
         }
+    }
+
+    /// The folder of a phone's files, relative to the recording's: its own if
+    /// there are several phones.
+    #[must_use]
+    pub fn phone_folder(&self, name: &str) -> PathBuf {
+        if self.profile.phones.is_empty() {
+            PathBuf::new()
+        } else {
+            Path::new(PHONES_FOLDER).join(name)
+        }
+    }
+
+    /// Twists and clock relation of a phone by its name in the profile.
+    #[must_use]
+    pub fn clocks_of(&self, phone: &str) -> Option<(&[Twist], Option<ClockModel>)> {
+        if self.profile.phone.name == phone {
+            return Some((&self.twists, self.clock));
+        }
+        let other = self.phones.iter().find(|other| other.name == phone)?;
+        Some((&other.twists, other.clock))
     }
 
     /// Writes it into the recording's folder; replaces an older one only when

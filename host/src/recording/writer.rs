@@ -87,6 +87,8 @@ pub enum Kind {
     Gnss,
     /// [`topic::RUN`].
     Run,
+    /// [`topic::PHONE_CLOCK`].
+    PhoneClock,
 }
 
 /// How bad something is that is said.
@@ -126,7 +128,7 @@ pub struct McapFile {
     mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
     file: File,
     path: PathBuf,
-    channels: [Channel; 15],
+    channels: [Channel; 16],
     chunk_from: Option<Ticks>,
     chunk_since: Instant,
     synced: Instant,
@@ -409,20 +411,24 @@ impl<O: Output> Topics<O> {
         clock: &ClockRelation,
         source: &str,
     ) -> Result<(), RecordingError> {
-        let [[a, b], [c, d]] = clock.covariance;
-        self.put(
-            Kind::Clock,
-            at,
-            &ClockModel {
-                header: header(clock.reference.ticks(), "board"),
-                reference_s: clock.reference.0,
-                offset_s: clock.offset,
-                skew: clock.skew,
-                covariance: [a, b, c, d],
-                wander: clock.wander.0,
-                source: source.to_owned(),
-            },
-        )
+        let message = clock_message(clock, "board", source);
+        self.put(Kind::Clock, at, &message)
+    }
+
+    /// The same of a further phone, with its name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Topics::imu`].
+    pub fn phone_clock_model(
+        &mut self,
+        at: Ticks,
+        name: &str,
+        clock: &ClockRelation,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        let message = clock_message(clock, name, source);
+        self.put(Kind::PhoneClock, at, &message)
     }
 
     /// The board was reset: a later run begins. `since` is tick 0 of it, `last` the
@@ -629,7 +635,7 @@ pub(crate) struct Description {
 }
 
 /// The topics in the order of [`Kind`].
-pub(crate) fn descriptions() -> [Description; 15] {
+pub(crate) fn descriptions() -> [Description; 16] {
     fn of<M: RosMessage>(topic: &'static str) -> Description {
         Description {
             topic,
@@ -653,13 +659,14 @@ pub(crate) fn descriptions() -> [Description; 15] {
         of::<Pulse>(topic::OUTPUT),
         of::<TimeReference>(topic::GNSS),
         of::<BoardRun>(topic::RUN),
+        of::<ClockModel>(topic::PHONE_CLOCK),
     ]
 }
 
 fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
-) -> Result<[Channel; 15], mcap::McapError> {
-    let mut channels = [Channel::default(); 15];
+) -> Result<[Channel; 16], mcap::McapError> {
+    let mut channels = [Channel::default(); 16];
     for (channel, described) in channels.iter_mut().zip(descriptions()) {
         let schema = mcap.add_schema(described.name, "ros2msg", described.schema.as_bytes())?;
         channel.id = mcap.add_channel(schema, described.topic, "cdr", &BTreeMap::new())?;
@@ -675,6 +682,19 @@ fn header(at: Ticks, frame_id: &str) -> Header {
     Header {
         stamp: stamp(at),
         frame_id: frame_id.to_owned(),
+    }
+}
+
+fn clock_message(clock: &ClockRelation, frame_id: &str, source: &str) -> ClockModel {
+    let [[a, b], [c, d]] = clock.covariance;
+    ClockModel {
+        header: header(clock.reference.ticks(), frame_id),
+        reference_s: clock.reference.0,
+        offset_s: clock.offset,
+        skew: clock.skew,
+        covariance: [a, b, c, d],
+        wander: clock.wander.0,
+        source: source.to_owned(),
     }
 }
 

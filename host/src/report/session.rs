@@ -3,6 +3,7 @@
 //! What was decided comes from `session.json`, the plots from `recording.mcap`,
 //! which is read once from front to back.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use protocol::{Period, Ticks};
@@ -31,7 +32,20 @@ pub struct Curves {
     readback: Envelope,
     load: Envelope,
     temperature: Envelope,
+    /// Pulses of further outputs by the sensor's name: how many, first and last.
+    outputs: BTreeMap<String, (u64, Ticks, Ticks)>,
+    /// Seconds of a lidar: how many, the last with the UTC that it was told, ns; and
+    /// whether all tell one relation.
+    gnss: Option<Gnss>,
     broken_off: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Gnss {
+    seconds: u64,
+    last: Ticks,
+    utc_ns: i64,
+    changed: bool,
 }
 
 impl Curves {
@@ -76,6 +90,28 @@ impl Curves {
                     self.off_grid
                         .add(x, off_grid(alignment.anchor, period, at) as f64);
                 }
+            }
+            Item::Output(pulse) => {
+                let name = pulse.header.frame_id.clone();
+                // A damaged recording may hold any name.
+                if self.outputs.len() < MAX_LISTED || self.outputs.contains_key(&name) {
+                    let seen = self.outputs.entry(name).or_insert((0, at, at));
+                    *seen = (seen.0 + 1, seen.1, at);
+                }
+            }
+            Item::Gnss(second) => {
+                let utc_ns = second.time_ref.nanos();
+                let relation = |at: Ticks, utc: i64| i128::from(utc) - i128::from(at.as_nanos());
+                let (seconds, changed) = self.gnss.map_or((0, false), |gnss| {
+                    let moved = relation(gnss.last, gnss.utc_ns) != relation(at, utc_ns);
+                    (gnss.seconds, gnss.changed || moved)
+                });
+                self.gnss = Some(Gnss {
+                    seconds: seconds + 1,
+                    last: at,
+                    utc_ns,
+                    changed,
+                });
             }
             Item::Status(status) => {
                 let load = status
@@ -191,7 +227,9 @@ pub fn page(session: &SessionFile, curves: &Curves) -> Page {
     streams(&mut page, session);
     clocks(&mut page, session);
     alignment(&mut page, session);
+    other_phones(&mut page, session);
     trigger(&mut page, session, curves);
+    further_sensors(&mut page, session, curves);
     motion(&mut page, curves);
     marks(&mut page, session);
     page.settings("Settings: the rig profile", &json!(session.profile));
@@ -225,12 +263,24 @@ fn facts(session: &SessionFile) -> Vec<(&'static str, String)> {
             ),
         ));
     }
-    if let Some(phone) = &session.phone {
+    let several = !session.phones.is_empty();
+    let others = session
+        .phones
+        .iter()
+        .map(|phone| (&phone.name, &phone.info));
+    let first = session.phone.as_ref();
+    let first = first.map(|info| (&session.profile.phone.name, info));
+    for (name, phone) in first.into_iter().chain(others) {
+        let name = if several {
+            format!("{name}: ")
+        } else {
+            String::new()
+        };
         facts.push((
             "phone",
             match &phone.version {
-                Some(version) => format!("{}, app {version}", phone.address),
-                None => phone.address.clone(),
+                Some(version) => format!("{name}{}, app {version}", phone.address),
+                None => format!("{name}{}", phone.address),
             },
         ));
     }
@@ -281,6 +331,8 @@ fn streams(page: &mut Page, session: &SessionFile) {
             row("IMU samples", counts.imu),
             row("strobe edges", counts.captures),
             row("status", counts.status),
+            row("pulses of further outputs", counts.outputs),
+            row("seconds of a lidar", counts.pps),
         ],
     );
     page.text(&format!(
@@ -439,6 +491,128 @@ fn alignment(page: &mut Page, session: &SessionFile) {
                  measures it.",
             );
         }
+    }
+}
+
+/// Clocks and frames of the phones that the trigger does not follow.
+fn other_phones(page: &mut Page, session: &SessionFile) {
+    if session.phones.is_empty() {
+        return;
+    }
+    page.section("Further phones");
+    page.text(&format!(
+        "The trigger follows {}. The frames of the other phones cannot be shifted: where they lie \
+         against the depth images, and how that changes, is predicted here; the command extract \
+         measures it.",
+        session.profile.phone.name
+    ));
+    let rows: Vec<Vec<String>> = session
+        .phones
+        .iter()
+        .map(|phone| {
+            let used = phone.twists.iter().filter(|twist| twist.accepted).count();
+            let mut row = vec![
+                phone.name.clone(),
+                format!("{used} of {}", phone.twists.len()),
+            ];
+            let dash = || String::from("-");
+            row.extend(match phone.clock {
+                Some(clock) => {
+                    let sigma = |at: usize| clock.covariance[at][at].max(0.0).sqrt() * 1e6;
+                    [
+                        format!("{:.6} ± {:.2} µs", clock.offset, sigma(0)),
+                        format!("{:+.4} ± {:.4}", clock.skew * 1e6, sigma(1)),
+                    ]
+                }
+                None => [dash(), dash()],
+            });
+            row.extend(match phone.placement {
+                Some(placed) => [
+                    format!("{:+.1} ± {:.1}", placed.offset_us, placed.offset_sigma_us),
+                    format!(
+                        "{:+.1} ± {:.1}",
+                        placed.drift_us_per_min, placed.drift_sigma_us_per_min
+                    ),
+                ],
+                None => [dash(), dash()],
+            });
+            row
+        })
+        .collect();
+    page.table(
+        &[
+            "phone",
+            "twists used",
+            "phone minus board, s",
+            "rate, ppm",
+            "frames after the depth images, µs",
+            "moving, µs/min",
+        ],
+        &rows,
+    );
+}
+
+/// The sensors on the further outputs and the lidar, by name.
+fn further_sensors(page: &mut Page, session: &SessionFile, curves: &Curves) {
+    let profile = &session.profile;
+    if curves.outputs.is_empty()
+        && curves.gnss.is_none()
+        && profile.outputs.is_empty()
+        && profile.lidar.is_none()
+    {
+        return;
+    }
+    page.section("Further sensors");
+    let mut rows = Vec::new();
+    let known = profile.outputs.iter().map(|sensor| sensor.name.as_str());
+    let others = curves.outputs.keys().map(String::as_str);
+    let others = others.filter(|name| !known.clone().any(|known| known == *name));
+    for name in known.clone().chain(others) {
+        let set = profile.outputs.iter().find(|sensor| sensor.name == name);
+        let seen = curves.outputs.get(name);
+        rows.push(vec![
+            name.to_owned(),
+            set.map_or(String::from("-"), |set| {
+                format!(
+                    "output {}, every {}. pulse, {} µs later",
+                    set.output, set.every, set.delay_us
+                )
+            }),
+            seen.map_or(0, |seen| seen.0).to_string(),
+            seen.map_or(String::from("-"), |&(_, first, last)| {
+                format!("{:.3} to {:.3}", first.as_secs_f64(), last.as_secs_f64())
+            }),
+        ]);
+    }
+    if !rows.is_empty() {
+        page.table(&["sensor", "trigger", "pulses", "board time, s"], &rows);
+    }
+    let name = profile
+        .lidar
+        .as_ref()
+        .map_or("the lidar", |lidar| lidar.name.as_str());
+    match curves.gnss {
+        Some(gnss) => {
+            let utc = gnss.utc_ns.div_euclid(1_000_000_000);
+            let told =
+                jiff::Timestamp::from_second(utc).map_or(utc.to_string(), |time| time.to_string());
+            page.text(&format!(
+                "{name} was told {} seconds; the last, {told}, began at {:.9} s of board time.",
+                gnss.seconds,
+                gnss.last.as_secs_f64()
+            ));
+            if gnss.changed {
+                page.note(
+                    Level::Warning,
+                    "The relation of what was told to board time changed within the recording.",
+                );
+            }
+        }
+        None if profile.lidar.is_some() => page.note(
+            Level::Warning,
+            &format!("{name} is in the profile, but no second was told."),
+        ),
+        None => {}
     }
 }
 

@@ -70,6 +70,16 @@ pub struct ClockModel {
 }
 
 impl ClockModel {
+    /// The same relation where all of the board's times are later by `seconds`.
+    #[must_use]
+    pub fn with_board_later(self, seconds: f64) -> Self {
+        Self {
+            reference: BoardSeconds(self.reference.0 + seconds),
+            offset: self.offset - seconds,
+            ..self
+        }
+    }
+
     /// The offset (phone − board) at a board time, with a sigma that grows with
     /// the distance from the reference.
     #[must_use]

@@ -12,8 +12,8 @@ use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
 use crate::record::alignment::off_grid;
 use crate::recording::messages::{
-    BoardRun, Capture, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature, TimeReference,
-    from_cdr,
+    BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
+    TimeReference, from_cdr,
 };
 use crate::recording::reader::ticks_of_nanos;
 use crate::recording::session_file::{self, Alignment, SessionFile};
@@ -726,6 +726,7 @@ impl Sink for Content {
             topic::RUN => from_cdr::<BoardRun>(data).map(|mark| self.recorded_run(&mark, findings)),
             topic::MARKER => from_cdr::<TimeReference>(data).map(|_| self.markers += 1),
             topic::TEMPERATURE => from_cdr::<Temperature>(data).map(|_| ()),
+            topic::CLOCK | topic::PHONE_CLOCK => from_cdr::<ClockModel>(data).map(|_| ()),
             topic::LOG => from_cdr::<Log>(data).map(|_| ()),
             topic::TRIGGER | topic::STROBE | topic::HOST_TIME => {
                 from_cdr::<TimeReference>(data).map(|_| ())

@@ -19,6 +19,12 @@ const CHART_MIN: u16 = 20;
 /// Below this width, things stand below each other.
 const WIDE: u16 = 70;
 
+/// Rows that all but chart, sensors and further phones need.
+const SENSORS_MIN: u16 = 16;
+
+/// The same with a twist, whose part must not give any room.
+const TWIST_MIN: u16 = 24;
+
 const GOOD: Style = Style::new().fg(Color::Green);
 const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
 const WARN: Style = Style::new().fg(Color::Yellow);
@@ -38,9 +44,19 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
     let warnings =
         (snapshot.warnings.len() as u16 * 2).clamp(1, if area.height >= 30 { 6 } else { 2 });
     let said = if area.height >= 30 { 4 } else { 2 };
-    let [title, panels, middle, warning, talk, keys] = Layout::vertical([
+    let mut sensors = sensor_lines(snapshot);
+    // They take room from the chart, and in a small terminal have none.
+    let needed = if snapshot.twist.is_some() {
+        TWIST_MIN
+    } else {
+        SENSORS_MIN
+    };
+    let room = area.height.saturating_sub(needed);
+    sensors.truncate(usize::from(room));
+    let [title, panels, rows, middle, warning, talk, keys] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Length(if area.width >= WIDE { 8 } else { 14 }),
+        Constraint::Length(sensors.len() as u16),
         Constraint::Min(0),
         Constraint::Length(warnings + 1),
         Constraint::Length(said),
@@ -49,6 +65,7 @@ pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
     .areas(area);
     frame.render_widget(title_line(snapshot), title);
     draw_panels(frame, snapshot, panels);
+    frame.render_widget(Paragraph::new(sensors), rows);
     if let Some(twist) = &snapshot.twist {
         draw_twist(frame, twist, middle);
     } else if area.height >= CHART_MIN {
@@ -107,6 +124,44 @@ fn fact<'a>(name: &'static str, value: String, style: Style) -> Line<'a> {
         Span::styled(format!("{name:<10}"), DIM),
         Span::styled(value, style),
     ])
+}
+
+/// One line each of the further outputs, the lidar, and the further phones.
+fn sensor_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
+    let row = |name: &str, text: String, style: Style| {
+        let name: String = name.chars().take(16).collect();
+        Line::from(vec![
+            Span::styled(format!(" {name:<17}"), DIM),
+            Span::styled(text, style),
+        ])
+    };
+    let sensors = snapshot.sensors.iter().map(|sensor| {
+        let mut text = format!("{}, {:.2}/s", sensor.at, sensor.rate);
+        if !sensor.state.is_empty() {
+            text.push_str(&format!(", {}", sensor.state));
+        }
+        match (sensor.utc_text(), sensor.pulse) {
+            (Some(utc), _) => text.push_str(&format!(", told {utc}")),
+            (None, Some(pulse)) => text.push_str(&format!(", pulse {pulse}")),
+            (None, None) => {}
+        }
+        if sensor.late > 0 {
+            text.push_str(&format!(", {} LATE", sensor.late));
+        }
+        let style = if sensor.late > 0 { BAD } else { Style::new() };
+        row(&sensor.name, text, style)
+    });
+    let phones = snapshot.phones.iter().map(|phone| {
+        let mut text = match &phone.clock {
+            Some(known) => format!("clocks +-{:.1} us now", known.sigma_us),
+            None => String::from("no twist yet"),
+        };
+        if let Some((offset, sigma)) = phone.placement_us {
+            text.push_str(&format!(", frames {offset:+.0} +-{sigma:.0} us off grid"));
+        }
+        row(&phone.name, text, Style::new())
+    });
+    sensors.chain(phones).collect()
 }
 
 fn trigger_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
@@ -451,7 +506,9 @@ mod tests {
     use ratatui::backend::TestBackend;
 
     use super::*;
-    use crate::view::{Clock, Disk, Losses, Recording, Trigger, Twist, Warning};
+    use crate::view::{
+        Clock, Disk, Losses, OtherPhone, Recording, Sensor, Trigger, Twist, Warning,
+    };
 
     fn busy() -> Snapshot {
         Snapshot {
@@ -495,6 +552,28 @@ mod tests {
                 text: String::from("2 IMU samples lost"),
                 todo: "nothing to do",
             }],
+            sensors: vec![
+                Sensor {
+                    name: String::from("side"),
+                    at: String::from("output 3"),
+                    state: String::from("running"),
+                    rate: 5.0,
+                    pulse: Some(77),
+                    ..Sensor::default()
+                },
+                Sensor {
+                    name: String::from("VLP-16"),
+                    at: String::from("gnss"),
+                    rate: 1.0,
+                    utc: Some(1_795_234_567),
+                    ..Sensor::default()
+                },
+            ],
+            phones: vec![OtherPhone {
+                name: String::from("right phone"),
+                clock: None,
+                placement_us: Some((1_234.0, 5.0)),
+            }],
             said: vec![String::from("mark: door")],
             keys: Keys::Record,
             ..Snapshot::default()
@@ -532,6 +611,9 @@ mod tests {
             "2 IMU samples lost",
             "-> nothing to do",
             "mark: door",
+            "side             output 3, 5.00/s, running, pulse 77",
+            "VLP-16           gnss, 1.00/s, told 2026-11-21 04:16:07 UTC",
+            "frames +1234 +-5 us off grid",
             "m mark",
             "gyroscope",
             "now",

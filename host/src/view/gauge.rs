@@ -2,12 +2,15 @@
 
 use std::collections::VecDeque;
 
-use protocol::{DeviceToHost, ImuState, Period, TICK_HZ, Ticks, TrainState};
+use protocol::{DeviceToHost, ImuState, Output, OutputPulse, Period, TICK_HZ, Ticks, TrainState};
 
-use super::{Clock, Losses, Rates, Snapshot, Trigger, Twist, Warning, todo_for};
+use super::{
+    Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
+};
 use crate::imu::{Sample, Scale};
+use crate::profile::Profile;
 use crate::record::alignment::off_grid;
-use crate::recording::session_file::Alignment;
+use crate::recording::session_file::{self, Alignment};
 use crate::sync::ClockModel;
 
 /// How much of the gyroscope is shown, ticks.
@@ -161,9 +164,96 @@ pub struct Gauge {
     coach: Option<(Coach, f64, f64)>,
     markers: VecDeque<(Ticks, String)>,
     warnings: VecDeque<Warning>,
+    /// Outputs 2 to 4, then the lidar.
+    sensors: [Connected; 4],
+    phones: Vec<OtherPhone>,
+}
+
+/// Place of the lidar among the sensors.
+const LIDAR: usize = 3;
+
+/// Something on a further output.
+#[derive(Clone, Debug, Default)]
+struct Connected {
+    name: Option<String>,
+    rate: Rate,
+    state: Option<TrainState>,
+    pulse: Option<u64>,
+    late: u32,
+    utc: Option<i64>,
+}
+
+impl Connected {
+    /// What is shown of it, if there is anything to it.
+    fn shown(&self, place: usize, now: Ticks) -> Option<Sensor> {
+        let runs = self.state.is_some_and(|state| state != TrainState::Stopped);
+        if self.name.is_none() && self.pulse.is_none() && !runs {
+            return None;
+        }
+        let at = if place == LIDAR {
+            String::from("gnss")
+        } else {
+            format!("output {}", place + 2)
+        };
+        Some(Sensor {
+            name: self.name.clone().unwrap_or_else(|| at.clone()),
+            at,
+            state: self.state.map_or("", state_word).to_owned(),
+            rate: self.rate.per_second(now),
+            pulse: self.pulse,
+            late: self.late,
+            utc: self.utc,
+        })
+    }
+}
+
+const fn state_word(state: TrainState) -> &'static str {
+    match state {
+        TrainState::Stopped => "stopped",
+        TrainState::Running => "running",
+        TrainState::Slewing => "aligning",
+        TrainState::Waiting => "waiting",
+    }
 }
 
 impl Gauge {
+    /// What the sensors of a rig are called.
+    pub fn name_sensors(&mut self, profile: &Profile) {
+        for output in Output::ALL {
+            let number = output.number();
+            let sensor = profile
+                .outputs
+                .iter()
+                .find(|sensor| sensor.output == number);
+            self.sensor(output).name = sensor.map(|sensor| sensor.name.clone());
+        }
+        let lidar = profile.lidar.as_ref();
+        self.sensors[LIDAR].name = lidar.map(|lidar| lidar.name.clone());
+    }
+
+    fn sensor(&mut self, output: Output) -> &mut Connected {
+        &mut self.sensors[match output {
+            Output::Two => 0,
+            Output::Three => 1,
+            Output::Four => 2,
+        }]
+    }
+
+    /// What a session knows of its further phones by now.
+    pub fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
+        let now = crate::time::BoardSeconds::from(self.now);
+        self.phones = phones
+            .iter()
+            .map(|phone| OtherPhone {
+                name: phone.name.clone(),
+                clock: phone.clock.as_ref().map(|clock| clock_at(clock, now)),
+                placement_us: phone
+                    .placement
+                    .map(|placed| (placed.offset_us, placed.offset_sigma_us)),
+            })
+            .collect();
+    }
+
     /// A message of the board.
     pub fn take(&mut self, message: &DeviceToHost, scale: Option<&Scale>) {
         match message {
@@ -192,13 +282,15 @@ impl Gauge {
                 self.load_percent = f64::from(status.cpu_permille) / 10.0;
                 self.imu_running = Some(status.imu.state == ImuState::Running);
                 let trigger = &status.trigger;
-                self.trigger.state = match trigger.state {
-                    TrainState::Stopped => "stopped",
-                    TrainState::Running => "running",
-                    TrainState::Slewing => "aligning",
-                    TrainState::Waiting => "waiting",
+                self.trigger.state = state_word(trigger.state).to_owned();
+                for (output, status) in Output::ALL.into_iter().zip(&status.outputs) {
+                    let sensor = self.sensor(output);
+                    sensor.state = Some(status.state);
+                    sensor.late = status.late;
                 }
-                .to_owned();
+                let lidar = &mut self.sensors[LIDAR];
+                lidar.state = Some(status.gnss.state);
+                lidar.late = status.gnss.late.saturating_add(status.gnss.missed);
                 self.trigger.fps = (trigger.state != TrainState::Stopped)
                     .then(|| trigger.period.as_secs_f64().recip());
                 self.trigger.readback_missing = trigger.readback.missing;
@@ -214,11 +306,22 @@ impl Gauge {
                 // After a reset of the board its time is an earlier one.
                 self.now = hello.now;
             }
+            DeviceToHost::OutputPulse(OutputPulse { output, pulse }) => {
+                self.time(pulse.at);
+                let sensor = self.sensor(*output);
+                sensor.rate.add(pulse.at);
+                sensor.pulse = Some(pulse.number);
+            }
+            DeviceToHost::Pps(pps) => {
+                self.time(pps.at);
+                let lidar = &mut self.sensors[LIDAR];
+                lidar.rate.add(pps.at);
+                lidar.pulse = Some(lidar.pulse.map_or(1, |pulses| pulses.saturating_add(1)));
+                lidar.utc = Some(pps.utc);
+            }
             DeviceToHost::Arrived(_)
             | DeviceToHost::Answer(_)
-            | DeviceToHost::OutputPulse(_)
             | DeviceToHost::OutputArrived(_)
-            | DeviceToHost::Pps(_)
             | DeviceToHost::Filler(_) => {}
         }
     }
@@ -322,15 +425,12 @@ impl Gauge {
                 .map(|(at, rate)| (at.as_secs_f64(), *rate))
                 .collect(),
             trigger,
-            clock: clock.map(|clock| {
-                let offset = clock.offset_at(board_now);
-                Clock {
-                    offset_s: offset.value,
-                    sigma_us: offset.sigma * 1e6,
-                    skew_ppm: clock.skew * 1e6,
-                    age_s: board_now.0 - clock.reference.0,
-                }
-            }),
+            clock: clock.map(|clock| clock_at(clock, board_now)),
+            sensors: (0..)
+                .zip(&self.sensors)
+                .filter_map(|(place, sensor)| sensor.shown(place, self.now))
+                .collect(),
+            phones: self.phones.clone(),
             rates: Rates {
                 imu: self.imu.per_second(self.now),
                 pulses: self.pulses.per_second(self.now),
@@ -348,6 +448,16 @@ impl Gauge {
             warnings: self.warnings.iter().cloned().collect(),
             ..Snapshot::default()
         }
+    }
+}
+
+fn clock_at(clock: &ClockModel, now: crate::time::BoardSeconds) -> Clock {
+    let offset = clock.offset_at(now);
+    Clock {
+        offset_s: offset.value,
+        sigma_us: offset.sigma * 1e6,
+        skew_ppm: clock.skew * 1e6,
+        age_s: now.0 - clock.reference.0,
     }
 }
 
@@ -401,6 +511,53 @@ mod tests {
         }
         assert_eq!(coach.sigma_s(), None);
         assert_eq!(coach.twist(7.0, 10.0).advice(), "twist faster");
+    }
+
+    #[test]
+    fn sensors_are_shown_by_name_once_there_is_something_to_them() {
+        let mut gauge = Gauge::default();
+        let pulse = |k: u64| {
+            DeviceToHost::OutputPulse(OutputPulse {
+                output: Output::Three,
+                pulse: protocol::Pulse {
+                    seq: k as u32,
+                    train: 1,
+                    number: k,
+                    at: Ticks(k * 9_600_000),
+                    aligned: true,
+                    readback: None,
+                },
+            })
+        };
+        for k in 0..11 {
+            gauge.take(&pulse(k), None);
+        }
+        let shown = |gauge: &Gauge| gauge.snapshot(None, None).sensors;
+        let sensors = shown(&gauge);
+        assert_eq!((sensors.len(), sensors[0].name.as_str()), (1, "output 3"));
+        assert!((sensors[0].rate - 5.0).abs() < 1e-9);
+        assert_eq!(sensors[0].pulse, Some(10));
+
+        let text = "[[outputs]]\noutput = 3\nname = \"side\"\nevery = 6\n\
+                    [lidar]\nname = \"VLP-16\"\n";
+        gauge.name_sensors(&Profile::parse(text, None).unwrap());
+        gauge.take(
+            &DeviceToHost::Pps(protocol::Pps {
+                seq: 0,
+                at: Ticks(96_000_000),
+                utc: 1_795_234_567,
+            }),
+            None,
+        );
+        let sensors = shown(&gauge);
+        let names: Vec<&str> = sensors.iter().map(|sensor| sensor.name.as_str()).collect();
+        assert_eq!(names, ["side", "VLP-16"]);
+        assert_eq!(
+            (sensors[0].at.as_str(), sensors[1].at.as_str()),
+            ("output 3", "gnss")
+        );
+        let utc = sensors[1].utc_text().unwrap();
+        assert_eq!(utc, "2026-11-21 04:16:07 UTC");
     }
 
     #[test]

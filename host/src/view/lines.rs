@@ -43,6 +43,17 @@ pub fn line(snapshot: &Snapshot) -> String {
     if let Some(clock) = &snapshot.clock {
         let _ = write!(line, "  clocks ± {:.1} µs", clock.sigma_us);
     }
+    for sensor in &snapshot.sensors {
+        let _ = write!(line, "  {} {:.2}/s", sensor.name, sensor.rate);
+        if let Some(utc) = sensor.utc_text() {
+            let _ = write!(line, " told {utc}");
+        }
+    }
+    for phone in &snapshot.phones {
+        if let Some(clock) = &phone.clock {
+            let _ = write!(line, "  {} ± {:.1} µs", phone.name, clock.sigma_us);
+        }
+    }
     let _ = write!(
         line,
         "  imu {:.0}/s  lost {}  load {:.1} %",

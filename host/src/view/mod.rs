@@ -39,6 +39,12 @@ pub struct Snapshot {
     pub trigger: Trigger,
     /// The relation of the clocks, once there is one.
     pub clock: Option<Clock>,
+    /// What the further trigger outputs and the lidar do, by the sensor's name.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<Sensor>,
+    /// Phones beside the one that the trigger is aligned to.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<OtherPhone>,
     /// Samples and messages a second.
     pub rates: Rates,
     /// What was lost.
@@ -93,6 +99,46 @@ pub struct Clock {
     pub skew_ppm: f64,
     /// Time since its data, s.
     pub age_s: f64,
+}
+
+/// A sensor on a further trigger output, or a lidar.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Sensor {
+    /// What it is called; where it is connected if that is not known.
+    pub name: String,
+    /// Where it is connected: `output 2`, `gnss`.
+    pub at: String,
+    /// State of the train in words; empty before the first status.
+    pub state: String,
+    /// Pulses a second.
+    pub rate: f64,
+    /// Number of its last pulse, or of the pulses per second so far.
+    pub pulse: Option<u64>,
+    /// Edges that came late, and sentences that were left out.
+    pub late: u32,
+    /// The UTC that a lidar was told last, in seconds since 1970.
+    pub utc: Option<i64>,
+}
+
+impl Sensor {
+    /// The UTC as text.
+    #[must_use]
+    pub fn utc_text(&self) -> Option<String> {
+        let time = jiff::Timestamp::from_second(self.utc?).ok()?;
+        Some(time.strftime("%Y-%m-%d %H:%M:%S UTC").to_string())
+    }
+}
+
+/// A phone beside the one that the trigger is aligned to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OtherPhone {
+    /// What it is called.
+    pub name: String,
+    /// Its clock, once it is related.
+    pub clock: Option<Clock>,
+    /// Its frames against the depth images when its video began, as predicted: µs,
+    /// and 1-sigma.
+    pub placement_us: Option<(f64, f64)>,
 }
 
 /// Messages a second, over the last two.

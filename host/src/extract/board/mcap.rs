@@ -60,6 +60,7 @@ enum Kind {
     Trigger,
     Pulse,
     Clock,
+    PhoneClock,
     Marker,
     Output,
     Gnss,
@@ -74,6 +75,7 @@ impl Kind {
             topic::TRIGGER => Self::Trigger,
             topic::PULSE => Self::Pulse,
             topic::CLOCK => Self::Clock,
+            topic::PHONE_CLOCK => Self::PhoneClock,
             topic::MARKER => Self::Marker,
             topic::OUTPUT => Self::Output,
             topic::GNSS => Self::Gnss,
@@ -296,6 +298,7 @@ impl McapStream {
     fn place(&mut self, decoded: Decoded) -> Decoded {
         let by = |run: usize| self.moved.get(run).copied().unwrap_or_default();
         let move_by = by(self.run);
+        let seconds = move_by as f64 * 1e-9;
         let later = |at: BoardNanos| BoardNanos(at.0.saturating_add(move_by));
         match decoded {
             Decoded::Temperature(at, value) => Decoded::Temperature(later(at), value),
@@ -318,13 +321,9 @@ impl McapStream {
                     stamp: later(pair.stamp),
                     ..pair
                 }),
-                BoardEvent::Clock(model) => {
-                    let seconds = move_by as f64 * 1e-9;
-                    BoardEvent::Clock(crate::sync::ClockModel {
-                        reference: BoardSeconds(model.reference.0 + seconds),
-                        offset: model.offset - seconds,
-                        ..model
-                    })
+                BoardEvent::Clock(model) => BoardEvent::Clock(model.with_board_later(seconds)),
+                BoardEvent::PhoneClock(name, model) => {
+                    BoardEvent::PhoneClock(name, model.with_board_later(seconds))
                 }
                 BoardEvent::Run(mark) => {
                     self.trains.0 = self.trains.1;
@@ -447,6 +446,17 @@ fn decode(chunk: &[u8], kinds: &HashMap<u16, Kind>, names: &Names) -> Outcome {
     out
 }
 
+fn relation(model: &ClockModel) -> crate::sync::ClockModel {
+    let [a, b, c, d] = model.covariance;
+    crate::sync::ClockModel {
+        reference: BoardSeconds(model.reference_s),
+        offset: model.offset_s,
+        skew: model.skew,
+        covariance: [[a, b], [c, d]],
+        wander: Wander(model.wander),
+    }
+}
+
 fn message(
     kind: Kind,
     sequence: u32,
@@ -530,14 +540,7 @@ fn message(
         }
         Kind::Clock => {
             let model: ClockModel = from_cdr(data)?;
-            let [a, b, c, d] = model.covariance;
-            let relation = crate::sync::ClockModel {
-                reference: BoardSeconds(model.reference_s),
-                offset: model.offset_s,
-                skew: model.skew,
-                covariance: [[a, b], [c, d]],
-                wander: Wander(model.wander),
-            };
+            let relation = relation(&model);
             let stamp = stamp(&model.header);
             event(BoardEvent::Times(TimePair {
                 topic: names.phone.clone(),
@@ -549,6 +552,11 @@ fn message(
                     .0,
             }));
             event(BoardEvent::Clock(relation));
+        }
+        Kind::PhoneClock => {
+            let model: ClockModel = from_cdr(data)?;
+            let relation = relation(&model);
+            event(BoardEvent::PhoneClock(model.header.frame_id, relation));
         }
     }
     Ok(())

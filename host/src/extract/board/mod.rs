@@ -72,6 +72,8 @@ pub enum BoardEvent {
     Times(TimePair),
     /// A relation of phone and board that the session found.
     Clock(ClockModel),
+    /// The same of a further phone, by its name.
+    PhoneClock(String, ClockModel),
     /// A depth image (bags only).
     Image(BagImage),
     /// The board was reset: what follows is of another run.
@@ -173,6 +175,15 @@ impl BoardInput {
     pub fn path(&self) -> &Path {
         match self {
             Self::Mcap(path) | Self::Moved(path, _) | Self::Bag(path) => path,
+        }
+    }
+
+    /// How much later the last run of the board is than it stands in the file, ns.
+    #[must_use]
+    pub fn last_moved(&self) -> i64 {
+        match self {
+            Self::Moved(_, by) => by.last().copied().unwrap_or_default(),
+            Self::Mcap(_) | Self::Bag(_) => 0,
         }
     }
 

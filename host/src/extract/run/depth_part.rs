@@ -100,7 +100,7 @@ impl Run<'_> {
             .job
             .options
             .depth_center_ns
-            .or(self.inputs.rig.depth_center_ns);
+            .or(self.inputs.phone.rig.depth_center_ns);
         if given.is_some() {
             return;
         }

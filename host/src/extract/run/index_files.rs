@@ -1,5 +1,7 @@
 //! The index files of each sequence, which list what was written.
 
+use std::path::Path;
+
 use super::{ExtractError, Run};
 use crate::extract::board::TimePair;
 use crate::extract::image_tables::{DepthOutcome, VideoOutcome};
@@ -7,12 +9,11 @@ use crate::extract::layout::{Facts, ImageRow, SequenceTables};
 use crate::extract::pairs::Pair;
 use crate::extract::report::SequenceReport;
 use crate::extract::sequence::Sequences;
-use crate::extract::survey::Survey;
 use crate::extract::tables::{ColorFrame, DepthFrame};
 
 /// What there is for all sequences.
 pub(super) struct Written<'a> {
-    pub(super) survey: &'a Survey,
+    pub(super) times: &'a [TimePair],
     pub(super) color: &'a [ColorFrame],
     pub(super) depth: &'a [DepthFrame],
     pub(super) pairs: &'a [Pair],
@@ -21,9 +22,10 @@ pub(super) struct Written<'a> {
 }
 
 impl Run<'_> {
-    /// Writes the index files, one set a sequence.
+    /// Writes the index files, one set a sequence, below a folder of the output.
     pub(super) fn finish_sequences(
         &self,
+        below: &Path,
         sequences: &Sequences,
         written: &Written<'_>,
         facts: &Facts,
@@ -34,7 +36,7 @@ impl Run<'_> {
             let tables = self.tables_of(sequence, sequences, written);
             let folder = sequences.folder(sequence);
             layout
-                .finish(&self.place.out.join(&folder), &tables, facts)
+                .finish(&self.place.out.join(below).join(&folder), &tables, facts)
                 .map_err(|error| self.failed(error))?;
             let folder = folder.display().to_string();
             reports.push(SequenceReport {
@@ -102,13 +104,7 @@ impl Run<'_> {
         };
         tables.pairs = written.pairs.iter().filter_map(place).collect();
         let of_this = |pair: &&TimePair| sequences.at(pair.stamp) == sequence;
-        tables.times = written
-            .survey
-            .times
-            .iter()
-            .filter(of_this)
-            .cloned()
-            .collect();
+        tables.times = written.times.iter().filter(of_this).cloned().collect();
         tables
     }
 }

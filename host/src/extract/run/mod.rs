@@ -14,6 +14,7 @@
 
 mod depth_part;
 mod index_files;
+mod other_phones;
 mod phone_part;
 
 use std::io;
@@ -23,10 +24,11 @@ use index_files::Written;
 
 use super::board::{BoardError, BoardEvent, BoardInput, Images};
 use super::frames::FrameTiming;
+use super::grid::{self, GridReport};
 use super::image::write_whole;
 use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
-use super::inputs::{Inputs, InputsError, Options};
+use super::inputs::{Inputs, InputsError, Options, PhoneInput};
 use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
 use super::phone_clock::PhoneClock;
@@ -112,7 +114,12 @@ struct Run<'a> {
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
-    let inputs = super::inputs::find(&job.recording, job.phone.as_deref(), job.depth.as_deref())?;
+    let inputs = super::inputs::find(
+        &job.recording,
+        job.phone.as_deref(),
+        job.depth.as_deref(),
+        &job.options.phones,
+    )?;
     check_outside(&job.out, &job.recording)?;
     let marks = file_marks(&inputs);
     let place = Workplace::open(&job.out, &marks, (job.format, &job.options))?;
@@ -127,9 +134,10 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
     };
     let mut survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
     run.judge_board(&survey);
-    let mut constants = run.constants();
+    let input = run.inputs.phone.clone();
+    let mut constants = run.constants(&input);
 
-    let phone = run.read_phone(&survey, &constants)?;
+    let phone = run.read_phone(&input, &survey, &constants)?;
     let joints = run.join_runs(&mut survey, phone.as_ref())?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
@@ -139,12 +147,16 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
     let pairs = find_pairs(color, depth_frames, &survey);
     run.write_tables(&survey, color, depth_frames, &pairs)?;
 
-    let video = run.write_phone_images(phone.as_ref(), &sequences)?;
+    let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
     let images = run.write_depth_images(depth.as_ref(), &sequences, depth_frames)?;
     let board_delay = constants.board_imu_delay_ns;
     run.write_board_imu(&sequences, board_delay)?;
-    let phone_imu =
-        run.write_phone_imu(phone.as_ref(), &sequences, constants.phone_imu_delay_ns)?;
+    let phone_imu = run.write_phone_imu(
+        &input,
+        phone.as_ref(),
+        &sequences,
+        constants.phone_imu_delay_ns,
+    )?;
 
     let facts = Facts {
         color_rate: rate_of(color.iter().map(|frame| frame.at)),
@@ -159,16 +171,21 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         color_middle: constants.color_middle_ns,
     };
     let written = Written {
-        survey: &survey,
+        times: &survey.times,
         color,
         depth: depth_frames,
         pairs: &pairs,
         video: video.as_ref(),
         images: images.as_ref(),
     };
-    let sequence_reports = run.finish_sequences(&sequences, &written, &facts)?;
+    let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
+    }
+    let grid = run.against_grid(color, &survey, &constants);
+    let mut phones = Vec::new();
+    for other in run.inputs.others.clone() {
+        phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
     }
 
     let report = Report {
@@ -184,6 +201,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
             runs: joints,
             marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
         },
+        reference: input.name.clone(),
         phone: phone
             .as_ref()
             .map(|phone| phone.report(video.as_ref(), &phone_imu)),
@@ -194,13 +212,9 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
-        pairs: pairs::spread(&pairs).and_then(|spread| {
-            Some(PairsReport {
-                spread,
-                histogram: pairs::histogram(&pairs)?,
-                central: pairs::histogram(&pairs::central(&pairs, &spread))?,
-            })
-        }),
+        pairs: pairs_report(&pairs),
+        grid,
+        phones,
         sequences: sequence_reports,
         constants,
         losses: run.losses.clone(),
@@ -214,7 +228,8 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
 
 fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
     let mut paths: Vec<&Path> = vec![inputs.board.path()];
-    if let Some(phone) = &inputs.phone {
+    let phones = std::iter::once(&inputs.phone).chain(&inputs.others);
+    for phone in phones.filter_map(|phone| phone.files.as_ref()) {
         let files = [&phone.video, &phone.frames, &phone.gyro, &phone.accel];
         paths.extend(files.into_iter().flatten().map(PathBuf::as_path));
     }
@@ -285,6 +300,11 @@ impl Run<'_> {
         }
         let clock = phone.and_then(|phone| phone.clock.as_ref());
         if let Some(moves) = clock.and_then(PhoneClock::moves) {
+            // What the session says of times is about the runs as it had them.
+            if let Some((_, to)) = &mut self.inputs.recorded {
+                let run = survey.runs.iter().filter(|mark| mark.from.0 <= *to).count();
+                *to = to.saturating_add(moves.get(run).copied().unwrap_or_default());
+            }
             let path = self.inputs.board.path().to_owned();
             self.inputs.board = BoardInput::Moved(path, moves);
             let again = super::survey::survey(&self.inputs.board, self.progress)?;
@@ -319,10 +339,11 @@ impl Run<'_> {
         Ok(reports)
     }
 
-    /// Options before what the session says.
-    fn constants(&self) -> Constants {
-        let (options, rig) = (&self.job.options, &self.inputs.rig);
-        let timing = self.timing();
+    /// Options before what the session says; those of the phone are the phone's that
+    /// the trigger was aligned to.
+    fn constants(&self, phone: &PhoneInput) -> Constants {
+        let (options, rig) = (&self.job.options, &phone.rig);
+        let timing = self.timing(phone);
         Constants {
             board_imu_delay_ns: options
                 .board_imu_delay_ns
@@ -330,6 +351,7 @@ impl Run<'_> {
                 .unwrap_or(0),
             phone_imu_delay_ns: options
                 .phone_imu_delay_ns
+                .filter(|_| !phone.is_other())
                 .or(rig.phone_imu_delay_ns)
                 .unwrap_or(0),
             color_middle_ns: timing.to_middle(),
@@ -338,12 +360,30 @@ impl Run<'_> {
         }
     }
 
-    fn timing(&self) -> FrameTiming {
-        let (options, rig) = (&self.job.options, &self.inputs.rig);
+    fn timing(&self, phone: &PhoneInput) -> FrameTiming {
+        let given = |option: Option<i64>| option.filter(|_| !phone.is_other());
         FrameTiming {
-            exposure: options.exposure_ns.or(rig.exposure_ns),
-            readout: options.readout_ns.or(rig.readout_ns),
+            exposure: given(self.job.options.exposure_ns).or(phone.rig.exposure_ns),
+            readout: given(self.job.options.readout_ns).or(phone.rig.readout_ns),
         }
+    }
+
+    /// Where a phone's frames lie against the trigger's grid, over the recorded span.
+    fn against_grid(
+        &self,
+        frames: &[ColorFrame],
+        survey: &Survey,
+        constants: &Constants,
+    ) -> Option<GridReport> {
+        let (from, to) = self.inputs.recorded.unwrap_or((i64::MIN, i64::MAX));
+        let centres: Vec<BoardNanos> = survey
+            .pulses
+            .iter()
+            .filter(|pulse| (from..=to).contains(&pulse.at.0))
+            .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
+            .collect();
+        let middles: Vec<BoardNanos> = frames.iter().map(|frame| frame.at).collect();
+        grid::measure(&middles, &centres)
     }
 
     fn write_tables(
@@ -393,6 +433,15 @@ impl Run<'_> {
         self.progress.end();
         Ok(())
     }
+}
+
+fn pairs_report(pairs: &[Pair]) -> Option<PairsReport> {
+    let spread = pairs::spread(pairs)?;
+    Some(PairsReport {
+        spread,
+        histogram: pairs::histogram(pairs)?,
+        central: pairs::histogram(&pairs::central(pairs, &spread))?,
+    })
 }
 
 fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Vec<Pair> {

@@ -8,10 +8,11 @@ use super::{ExtractError, Run};
 use crate::extract::frames::{Alignment, align};
 use crate::extract::image_tables::{VideoOutcome, write_video};
 use crate::extract::imu_tables::{Joiner, TableWriter, in_board_time};
+use crate::extract::inputs::PhoneInput;
 use crate::extract::phone::csv::{Faults, Rows};
 use crate::extract::phone::files::PhoneFiles;
-use crate::extract::phone_clock::{self, PhoneClock};
-use crate::extract::report::{Constants, PhoneReport};
+use crate::extract::phone_clock::{self, PhoneClock, Runs};
+use crate::extract::report::{Constants, Loss, PhoneReport};
 use crate::extract::sequence::Sequences;
 use crate::extract::survey::{ImuSpan, Survey};
 use crate::extract::tables::{self, ColorFrame};
@@ -38,57 +39,65 @@ pub(super) struct PhoneImu {
 impl Run<'_> {
     pub(super) fn read_phone(
         &mut self,
+        input: &PhoneInput,
         survey: &Survey,
         constants: &Constants,
     ) -> Result<Option<Phone>, ExtractError> {
-        let Some(files) = self.inputs.phone.clone() else {
-            self.lose(
-                "phone",
-                "there are no files of the phone; give their folder with --phone",
-            );
+        let Some(files) = input.files.clone() else {
+            let how = match &input.name {
+                Some(name) if input.is_other() => format!("--phone {name}=PATH"),
+                _ => String::from("--phone"),
+            };
+            let what = format!("there are no files of the phone; give their folder with {how}");
+            self.lose("phone", input.about(&what));
             return Ok(None);
         };
         for what in files.missing() {
-            self.lose("phone", format!("there is no {what}"));
+            self.lose("phone", input.about(&format!("there is no {what}")));
         }
         let mut stamps = Vec::new();
         if let Some(path) = &files.frames {
             match read_stamps(path) {
                 Ok((read, faults)) => {
                     stamps = read;
-                    self.note_faults("frame timestamps", &faults);
+                    self.note_faults(input, "frame timestamps", &faults);
                 }
-                Err(error) => self.lose("phone", format!("reading {}: {error}", path.display())),
+                Err(error) => {
+                    let what = format!("reading {}: {error}", path.display());
+                    self.lose("phone", input.about(&what));
+                }
             }
         }
-        let clock = match phone_clock::find(
-            &self.inputs.board,
-            &files,
-            survey,
-            self.inputs.rig.prior,
-            constants,
-            self.progress,
-        ) {
+        let board = &self.inputs.board;
+        let priors = phone_clock::priors(input, survey, board.last_moved());
+        // Where the board was reset, all phones are on the axis of the first.
+        let runs = if input.is_other() {
+            Runs::Kept
+        } else {
+            Runs::Moved
+        };
+        let how = (priors.as_slice(), runs);
+        let clock = match phone_clock::find(board, &files, survey, how, constants, self.progress) {
             Ok(Ok(clock)) => {
-                self.remarks.extend(clock.remarks.iter().cloned());
+                let about = clock.remarks.iter().map(|remark| input.about(remark));
+                self.remarks.extend(about);
                 Some(clock)
             }
             Ok(Err(why)) => {
-                self.lose("clock", why);
+                self.lose("clock", input.about(&why));
                 None
             }
             Err(phone_clock::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
             Err(phone_clock::Stopped::Board(error)) => return Err(error.into()),
         };
-        let timing = self.timing();
+        let timing = self.timing(input);
         if !timing.is_known() && !stamps.is_empty() {
-            self.remarks.push(
+            self.remarks.push(input.about(
                 "exposure or readout of the phone is not known: its images' times are earlier than the \
-                 middle of exposure by half of what is missing; give --exposure-us and --readout-us"
-                    .into(),
-            );
+                 middle of exposure by half of what is missing; give --exposure-us and --readout-us",
+            ));
         }
-        let alignment = self.align_video(&files, &stamps);
+        let alignment = self.align_video(input, &files, &stamps);
         let mut images = vec![None; stamps.len()];
         for (image, row) in alignment.rows.iter().enumerate() {
             if let Some(slot) = row.and_then(|row| images.get_mut(row)) {
@@ -107,7 +116,12 @@ impl Run<'_> {
     }
 
     /// Which row each frame of the video has.
-    fn align_video(&mut self, files: &PhoneFiles, stamps: &[PhoneNanos]) -> Alignment {
+    fn align_video(
+        &mut self,
+        input: &PhoneInput,
+        files: &PhoneFiles,
+        stamps: &[PhoneNanos],
+    ) -> Alignment {
         let Some(video) = &files.video else {
             return Alignment::default();
         };
@@ -115,7 +129,7 @@ impl Run<'_> {
             Some(times) => {
                 let alignment = align(&times, stamps);
                 if let Some(remark) = &alignment.remark {
-                    self.lose("video", remark.clone());
+                    self.lose("video", input.about(remark));
                 }
                 alignment
             }
@@ -125,26 +139,21 @@ impl Run<'_> {
         }
     }
 
-    fn note_faults(&mut self, what: &str, faults: &Faults) {
+    fn note_faults(&mut self, input: &PhoneInput, what: &str, faults: &Faults) {
         if faults.count > 0 {
             let first = faults.first.join("; ");
-            self.lose(
-                "phone",
-                format!("{} rows of the {what} are left out: {first}", faults.count),
-            );
+            let what = format!("{} rows of the {what} are left out: {first}", faults.count);
+            self.lose("phone", input.about(&what));
         }
     }
 
     pub(super) fn write_phone_images(
         &mut self,
+        input: &PhoneInput,
         phone: Option<&Phone>,
         sequences: &Sequences,
     ) -> Result<Option<VideoOutcome>, ExtractError> {
-        let video = self
-            .inputs
-            .phone
-            .as_ref()
-            .and_then(|files| files.video.clone());
+        let video = input.files.as_ref().and_then(|files| files.video.clone());
         let (Some(phone), Some(video)) = (phone, video) else {
             return Ok(None);
         };
@@ -159,11 +168,16 @@ impl Run<'_> {
                 let folder = self
                     .place
                     .out
+                    .join(&input.folder)
                     .join(sequences.folder(sequences.at(frame.at)));
                 *place = Some(folder.join(layout.color_path(frame.at)));
             }
         }
-        let outcome = match self.place.done::<VideoOutcome>("video") {
+        let step = match &input.name {
+            Some(name) if input.is_other() => format!("video-{name}"),
+            _ => String::from("video"),
+        };
+        let outcome = match self.place.done::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
             None => match Video::open(&video) {
                 Ok(decoder) => {
@@ -171,41 +185,42 @@ impl Run<'_> {
                     // With an error the next run tries again.
                     if outcome.error.is_none() {
                         self.place
-                            .keep("video", &outcome)
+                            .keep(&step, &outcome)
                             .map_err(|error| self.failed(error))?;
                     }
                     outcome
                 }
                 Err(error) => {
-                    self.lose("video", error.to_string());
+                    self.lose("video", input.about(&error.to_string()));
                     return Ok(None);
                 }
             },
         };
         if let Some(error) = &outcome.error {
-            self.lose("video", error.clone());
+            self.lose("video", input.about(error));
         }
         let expected = phone.stamps as u64;
-        if outcome.decoded != expected && !self.losses.iter().any(|loss| loss.part == "video") {
-            self.lose(
-                "video",
-                format!(
-                    "{} frames were decoded and there are {expected} timestamps",
-                    outcome.decoded
-                ),
+        let own = input.about("");
+        let told = |loss: &Loss| loss.part == "video" && loss.what.starts_with(&own);
+        if outcome.decoded != expected && !self.losses.iter().any(told) {
+            let what = format!(
+                "{} frames were decoded and there are {expected} timestamps",
+                outcome.decoded
             );
+            self.lose("video", input.about(&what));
         }
         Ok(Some(outcome))
     }
 
     pub(super) fn write_phone_imu(
         &mut self,
+        input: &PhoneInput,
         phone: Option<&Phone>,
         sequences: &Sequences,
         delay: i64,
     ) -> Result<PhoneImu, ExtractError> {
         let clock = phone.and_then(|phone| phone.clock.as_ref());
-        let files = self.inputs.phone.clone().unwrap_or_default();
+        let files = input.files.clone().unwrap_or_default();
         let (Some(clock), Some(gyro), Some(accel), Some(table)) = (
             clock,
             &files.gyro,
@@ -218,12 +233,14 @@ impl Run<'_> {
         let (mut gyro, mut accel) = match (open(gyro), open(accel)) {
             (Ok(gyro), Ok(accel)) => (gyro, accel),
             (Err(error), _) | (_, Err(error)) => {
-                self.lose("phone", format!("opening the sensor files: {error}"));
+                let what = format!("opening the sensor files: {error}");
+                self.lose("phone", input.about(&what));
                 return Ok(PhoneImu::default());
             }
         };
         self.progress.begin("writing the phone's IMU", 0);
-        let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
+        let out = self.place.out.join(&input.folder);
+        let mut writer = TableWriter::new(table, &out, sequences, delay);
         let mut span = ImuSpan::default();
         let mut joiner = Joiner::new(|| accel.next_sample());
         let read_error = loop {
@@ -249,15 +266,16 @@ impl Run<'_> {
         let rows = writer.finish().map_err(|error| self.failed(error))?;
         self.progress.end();
         if let Some(error) = read_error {
-            self.lose("phone", format!("reading the sensor files: {error}"));
+            let what = format!("reading the sensor files: {error}");
+            self.lose("phone", input.about(&what));
         }
         let (gyro_faults, accel_faults) = (gyro.faults().clone(), accel.faults().clone());
-        self.note_faults("gyroscope", &gyro_faults);
-        self.note_faults("accelerometer", &accel_faults);
+        self.note_faults(input, "gyroscope", &gyro_faults);
+        self.note_faults(input, "accelerometer", &accel_faults);
         if without > 0 {
-            self.remarks.push(format!(
+            self.remarks.push(input.about(&format!(
                 "{without} samples of the phone's gyroscope have no acceleration around them and no row"
-            ));
+            )));
         }
         Ok(PhoneImu {
             gyro: span.samples,

@@ -1,0 +1,129 @@
+//! Where a phone's frames lie against the grid of the trigger.
+//!
+//! The trigger follows one phone. The frames of that one should lie on the grid, and
+//! those of another at a distance that is constant as far as the two phones' frame
+//! periods are the same. Both are measured here, from the extracted times: a straight
+//! line through the distance of each centre of a depth exposure (pulse and constant)
+//! to the nearest frame, followed over the places where another frame becomes the
+//! nearest.
+
+use super::time::BoardNanos;
+
+/// Pulses that a line is fitted through, at least.
+const MIN_PULSES: usize = 10;
+
+/// The frames of a phone against the trigger's grid.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct GridReport {
+    /// Pulses with a frame near them.
+    pub pulses: usize,
+    /// Middle of exposure of the phone's middle row minus the centre of exposure that
+    /// the pulse makes, at the first pulse, from the line, µs.
+    pub offset_us: f64,
+    /// How it changes, µs/min.
+    pub drift_us_per_min: f64,
+    /// Root mean square about the line, µs.
+    pub residual_us: f64,
+}
+
+/// Measures it: frames and centres in board time, in order. `None` for too few.
+#[must_use]
+pub fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
+    let mut steps: Vec<i64> = frames
+        .windows(2)
+        .map(|pair| pair[1].0.saturating_sub(pair[0].0))
+        .collect();
+    let middle = steps.len() / 2;
+    if steps.is_empty() {
+        return None;
+    }
+    let period = *steps.select_nth_unstable(middle).1;
+    if period <= 0 {
+        return None;
+    }
+    let mut points: Vec<(f64, f64)> = Vec::new();
+    let first = centres.first()?.0;
+    for centre in centres {
+        let after = frames.partition_point(|frame| frame < centre);
+        let near = [after.checked_sub(1), Some(after)]
+            .into_iter()
+            .flatten()
+            .filter_map(|place| frames.get(place))
+            .map(|frame| frame.0.saturating_sub(centre.0))
+            .min_by_key(|distance| distance.unsigned_abs());
+        // Before the first frame, behind the last, or where frames are missing.
+        let Some(distance) = near.filter(|distance| distance.abs() <= period / 2 + period / 8)
+        else {
+            continue;
+        };
+        let period = period as f64;
+        let turns = points
+            .last()
+            .map_or(0.0, |last| ((last.1 - distance as f64) / period).round());
+        let seconds = centre.0.saturating_sub(first) as f64 * 1e-9;
+        points.push((seconds, distance as f64 + turns * period));
+    }
+    if points.len() < MIN_PULSES {
+        return None;
+    }
+    let count = points.len() as f64;
+    let mean_x = points.iter().map(|point| point.0).sum::<f64>() / count;
+    let mean_y = points.iter().map(|point| point.1).sum::<f64>() / count;
+    let about = |(x, y): &(f64, f64)| (x - mean_x, y - mean_y);
+    let xx: f64 = points.iter().map(|point| about(point).0.powi(2)).sum();
+    let xy: f64 = points
+        .iter()
+        .map(|point| about(point).0 * about(point).1)
+        .sum();
+    let slope = xy / xx;
+    let squares: f64 = points
+        .iter()
+        .map(|point| (about(point).1 - slope * about(point).0).powi(2))
+        .sum();
+    Some(GridReport {
+        pulses: points.len(),
+        offset_us: (mean_y - slope * mean_x) * 1e-3,
+        drift_us_per_min: slope * 60e-3,
+        residual_us: (squares / count).sqrt() * 1e-3,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn train(first: i64, period: f64, count: usize) -> Vec<BoardNanos> {
+        (0..count)
+            .map(|k| BoardNanos(first + (k as f64 * period).round() as i64))
+            .collect()
+    }
+
+    #[test]
+    fn offset_and_drift_are_found_over_the_turn_of_a_frame() {
+        // 14 ms late and 3 µs a frame slower: after 900 frames another is nearest.
+        let centres = train(5_000_000_000, 33_330_000.0, 1_800);
+        let frames = train(5_014_000_000 - 66_660_000, 33_333_000.0, 1_900);
+        let found = measure(&frames, &centres).unwrap();
+        assert_eq!(found.pulses, 1_800);
+        assert!((found.offset_us - 14_006.0).abs() < 0.1, "{found:?}");
+        let drift = 3.0 / 33.333e-3 * 60.0;
+        assert!((found.drift_us_per_min - drift).abs() < 1.0, "{found:?}");
+        assert!(found.residual_us < 2.0, "{found:?}");
+        // Every sixth frame only, and some frames missing.
+        let sixths: Vec<BoardNanos> = centres.iter().copied().step_by(6).collect();
+        let mut gappy = frames;
+        gappy.drain(500..520);
+        let sparse = measure(&gappy, &sixths).unwrap();
+        assert!(sparse.pulses < 300 && sparse.pulses > 290, "{sparse:?}");
+        assert!((sparse.offset_us - 14_006.0).abs() < 1.0, "{sparse:?}");
+    }
+
+    #[test]
+    fn too_little_is_nothing() {
+        let frames = train(0, 33e6, 50);
+        assert_eq!(measure(&frames, &[]), None);
+        assert_eq!(measure(&frames[..1], &frames), None);
+        assert_eq!(measure(&frames, &train(i64::MAX / 2, 33e6, 50)), None);
+        assert_eq!(measure(&[BoardNanos(5); 20], &frames), None);
+    }
+}
