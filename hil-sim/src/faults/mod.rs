@@ -50,7 +50,7 @@ use smartdepthsync::record::operator::Operator;
 use smartdepthsync::record::phone_task::PhoneTask;
 use smartdepthsync::record::rig::{Parts, Rig as HostRig};
 use smartdepthsync::record::watch::{Grid, Watch};
-use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, steps};
+use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
 use smartdepthsync::recording::session_file::{SessionFile, Span};
 use smartdepthsync::recording::writer::Writer;
 use smartdepthsync::session::StreamCounts;
@@ -271,7 +271,7 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         fetch_video: false,
         foxglove: FoxgloveArg::default(),
     };
-    let result = steps::close(&mut host, &options, result);
+    let result = close::close(&mut host, &options, result);
     let counts = host.board.session().counts();
     let damaged_frames = host.board.session().damaged_frames();
     let (status, next_step) = match &result {

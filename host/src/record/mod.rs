@@ -1,9 +1,10 @@
 //! A session, from the twist to an aligned recording.
 //!
-//! Steps, each of which can be repeated or left: connect (with the checks of
-//! [`preflight`]), twist, start the trigger, start the phone's video, align, confirm the arrival, record, stop,
-//! second twist, fetch the video, summary ([`steps`]). From the connect on, all
-//! that the board sends is recorded ([`rig`]), so the twist is in the file too.
+//! Steps, each of which can be repeated or left: connect, with the checks of
+//! [`preflight`] ([`connect`]), twist, start the trigger, start the phone's video,
+//! align, confirm the arrival, record ([`steps`]), stop, second twist, fetch the video,
+//! summary ([`close`]). From the connect on, all that the board sends is recorded
+//! ([`rig`]), so the twist is in the file too.
 //!
 //! However a session ends (well, by Ctrl-C, by an error in any step), it is
 //! closed in the same way: the phone's video is stopped, the depth recorder is
@@ -18,6 +19,8 @@
 //! - [`learn`]: what a recording teaches about the phone's clocks.
 
 pub mod alignment;
+pub mod close;
+pub mod connect;
 pub mod further;
 pub mod learn;
 pub mod live;
@@ -30,6 +33,7 @@ mod restart;
 pub mod rig;
 pub mod runs;
 pub mod steps;
+mod twist;
 pub mod watch;
 
 use std::path::PathBuf;
@@ -145,7 +149,7 @@ pub fn run(
     context: &Context,
     connector: &mut dyn Connector,
 ) -> Result<Ended, Failure> {
-    let mut rig = match steps::connect(options, profile, context, connector) {
+    let mut rig = match connect::connect(options, profile, context, connector) {
         Ok(rig) => rig,
         Err(Stop::Interrupted) => {
             return Err(Failure::new(
@@ -157,7 +161,7 @@ pub fn run(
         Err(Stop::Failed(failure)) => return Err(failure),
     };
     let result = steps::session(&mut rig, options);
-    let result = steps::close(&mut rig, options, result);
+    let result = close::close(&mut rig, options, result);
     let outcome = match result {
         Err(Stop::Failed(failure)) => {
             rig.file.outcome = Some(SessionOutcome::Failed);
