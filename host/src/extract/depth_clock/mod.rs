@@ -22,7 +22,8 @@
 //! board and never were floats.
 //!
 //! Limits: the frame rate is that of the pulses (not a fraction of it); more than
-//! half of the frames have a pulse in the recording; at least [`MIN_FRAMES`].
+//! half of the frames have a pulse in the recording, or more than half of the pulses
+//! a frame; at least [`MIN_FRAMES`].
 
 pub mod assign;
 pub mod fit;

@@ -288,11 +288,12 @@ impl Grid {
             .map(|(ordinal, _)| ordinal)
     }
 
-    /// Shifts at which at least half of the frames lie within the pulses.
+    /// Shifts at which at least half of the frames lie within the pulses, or as many
+    /// as half of the pulses, if those are fewer: a camera goes on without them.
     fn shifts(&self) -> std::ops::Range<i64> {
         let frames = self.frames.last().map_or(0, |frame| frame.0);
         let pulses = self.pulses.len() as i64;
-        let half = frames / 2;
+        let half = frames.min(pulses) / 2;
         let early = if self.earlier_pulses {
             -half
         } else {

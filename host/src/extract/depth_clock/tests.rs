@@ -256,6 +256,28 @@ fn lost_pulses_doubled_frames_and_free_running_frames_are_named() {
 }
 
 #[test]
+fn frames_may_go_on_for_longer_than_the_pulses() {
+    let pulses = Train {
+        count: 1_970,
+        slew: Some((84, -6_500_000, 100_000)),
+    }
+    .pulses();
+    let (mut frames, truth) = frames(&pulses, 1, 0, 5);
+    let last = frames[frames.len() - 1].0;
+    frames.extend((1..=3_200).map(|i| DeviceNanos(last + i * 33_333_000)));
+    let found = match_frames(&frames, &pulses, None).unwrap();
+    for (frame, &pulse) in found.frames.iter().zip(&truth) {
+        assert_eq!(frame.pulse, Some(pulse));
+    }
+    assert_eq!(found.missing, Vec::<usize>::new());
+    let rest = &found.frames[truth.len()..];
+    assert!(
+        rest.iter()
+            .all(|frame| frame.state == FrameState::AfterLastPulse)
+    );
+}
+
+#[test]
 fn a_camera_that_runs_free_is_said() {
     let pulses = Train {
         count: 3_000,
