@@ -26,7 +26,7 @@ pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 /// How long after TIM2's start TIM1 starts, in clocks of TIM1. The hardware makes
 /// it, and it never changes; the reference manual does not say how long it takes
 /// (RM0090 17.3.20 only says that there is a resynchronisation). This is the
-/// simulated board's; `docs/bring-up.md` says how to measure a real one's.
+/// simulated board's; `docs/outputs.md` says how to measure a real one's.
 pub const OUTPUT_START_DELAY: u32 = 2;
 
 /// An edge of TIM1 that is nearer than this is armed on it, in ticks: 0.6 ms. TIM1

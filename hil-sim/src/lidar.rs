@@ -1,9 +1,11 @@
 //! A lidar that takes its time from a GNSS receiver: pulse per second on PE9,
 //! sentences on PC12.
 //!
-//! It reads its inputs as Velodyne's VLP-16 does: a rising edge begins a second;
-//! the `$GPRMC` that tells which one must have ended within 500 ms of it; the
-//! serial line has 9,600 Bd and is low when idle (user manual, chapter 7). The
+//! It reads its inputs as Velodyne's VLP-16 does: a rising edge begins a second; the
+//! serial line is low when idle (user manual 63-9243 Rev. D, 7.4.3 and appendix G) and
+//! has 9,600 Bd (as published with the lidar connected, see `docs/outputs.md`). The
+//! `$GPRMC` that tells which second it is must have ended within 500 ms of the edge:
+//! the manual's other case, a sentence that comes later, is not modelled. The
 //! sensor decodes the line bit by bit, each in its middle. Both polarities and
 //! other rates are settings, for other makes.
 //!

@@ -54,7 +54,10 @@ fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
                 "right" => right.push(pulse.ticks),
                 other => panic!("{other}"),
             },
-            Item::Gnss(pulse) => seconds.push((entry.at, pulse.time_ref.nanos())),
+            Item::Gnss(pulse) => {
+                assert_eq!(pulse.source, "VLP-16");
+                seconds.push((entry.at, pulse.time_ref.nanos()));
+            }
             _ => {}
         }
     }

@@ -1,6 +1,6 @@
 //! `cargo xtask demo --rig multi`, short: two phones, four cameras and a lidar in one
 //! session, each extracted in board time and judged against the truth. This is the
-//! test of `outputs/NAME.csv` and `outputs/gnss.csv`, too.
+//! test of `outputs/NAME.csv`, too.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod support;
@@ -21,7 +21,7 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
         seconds: 20,
         small: true,
     };
-    let figures = several::run(&plan, &programs, &out.path().join("multi")).unwrap();
+    let figures = several::run(&plan, &programs, &out.path().join("multi"), |_| {}).unwrap();
     println!("{}", figures.table());
     assert!(figures.good(), "{figures:?}");
     assert_eq!((figures.phones.len(), figures.session.len()), (2, 1));

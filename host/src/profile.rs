@@ -65,6 +65,20 @@ pub struct TriggerOutput {
 }
 
 impl TriggerOutput {
+    /// At which pulses of the camera's trigger it has its own, in words.
+    #[must_use]
+    pub fn rule(&self) -> String {
+        let later = if self.delay_us > 0.0 {
+            format!("{} µs after ", self.delay_us)
+        } else {
+            String::from("at ")
+        };
+        match self.every {
+            1 => later + "every pulse",
+            every => format!("{later}one of {every} pulses"),
+        }
+    }
+
     const fn default_width() -> f64 {
         100.0
     }
@@ -466,6 +480,12 @@ impl Profile {
             .map_or_else(|| format!("output {number}"), |sensor| sensor.name.clone())
     }
 
+    /// What the lidar is called; `gnss` if there is none.
+    #[must_use]
+    pub fn lidar_name(&self) -> &str {
+        self.lidar.as_ref().map_or("gnss", |lidar| &lidar.name)
+    }
+
     /// Settings of the board's IMU.
     ///
     /// # Errors
@@ -579,6 +599,15 @@ impl Profile {
                 1e6,
                 "50 to 1000000 (µs)",
             )?;
+        }
+        if let Some(lidar) = &self.lidar
+            && (lidar.name.trim().is_empty() || self.outputs.iter().any(|o| o.name == lidar.name))
+        {
+            return Err(ProfileError::Value {
+                key: "lidar.name",
+                found: format!("{:?}", lidar.name),
+                expected: "a name of its own for each sensor",
+            });
         }
         if let Some(lidar) = &self.lidar
             && crate::commands::gnss::parse_baud(&lidar.baud.to_string()).is_err()
@@ -778,6 +807,11 @@ mod tests {
                 "outputs.every",
             ),
             ("[lidar]\nname = \"v\"\nbaud = 9601\n", "lidar.baud"),
+            ("[lidar]\nname = \"\"\n", "lidar.name"),
+            (
+                "[[outputs]]\noutput = 2\nname = \"a\"\nevery = 1\n[lidar]\nname = \"a\"\n",
+                "lidar.name",
+            ),
             ("[depth]\nfps = 25\n", "depth.fps"),
             ("[depth]\npulse_width_us = 5\n", "depth.pulse_width_us"),
             ("[imu]\nrate_hz = 300\n", "imu.rate_hz"),

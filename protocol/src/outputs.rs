@@ -24,8 +24,9 @@ pub const MIN_OUTPUT_GAP: u32 = 100 * (TICK_HZ / 1_000_000);
 /// The longest pulse per second, in ticks: half a second.
 pub const MAX_PPS_WIDTH: u32 = TICK_HZ / 2;
 
-/// Sentences must have ended this long after their pulse, in ms: what Velodyne's
-/// lidars ask for.
+/// Sentences must have ended this long after the leading edge of their pulse, in ms.
+/// Velodyne's HDL-32E wants them to begin at most so long after the pulse's end (user
+/// manual, "External GPS Time Synchronization").
 pub const NMEA_WINDOW_MS: u32 = 500;
 
 /// How late the board may begin to send them, in ms; it leaves out what would be
@@ -203,7 +204,7 @@ pub struct GnssSettings {
     /// Rate of the serial line.
     pub baud: Baud,
     /// The line is low when idle, as behind an RS-232 driver: what Velodyne's
-    /// lidars want. Otherwise high, as a UART's is.
+    /// VLP-16 wants (user manual 63-9243, 7.4.3). Otherwise high, as a UART's is.
     pub line_inverted: bool,
     /// Which sentences.
     pub sentences: Sentences,

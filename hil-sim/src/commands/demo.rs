@@ -92,10 +92,13 @@ fn run_several(args: &Args) -> Result<()> {
         small: false,
     };
     let out = args.out.join("multi");
-    let figures = several::run(&plan, &programs, &out)?;
+    let figures = several::run(&plan, &programs, &out, |step| println!("{step} ..."))?;
     println!("\n{}", figures.table());
-    println!("recording  {}", figures.recording.display());
-    println!("data set   {}", figures.data.display());
+    let (recording, data) = (&figures.recording, &figures.data);
+    println!("recording  {}", recording.display());
+    println!("  report   {}", recording.join("report.html").display());
+    println!("data set   {}", data.display());
+    println!("  report   {}", data.join("report.html").display());
     if let Some(path) = &args.json {
         let json = serde_json::to_string_pretty(&figures)?;
         std::fs::write(path, json + "\n")

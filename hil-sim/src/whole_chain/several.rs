@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, Result, bail, ensure};
+use protocol::TICK_HZ;
 use serde::Serialize;
 use serde_json::Value;
 use smartdepthsync::recording::session_file::SessionFile;
@@ -39,6 +40,9 @@ const CAMERAS: [(&str, Pin, u8, u32, f64); 3] = [
     ("side", Pin::PE13, 3, 1, 160.0),
     ("top", Pin::PE14, 4, 2, 8_000.5),
 ];
+
+/// How long after the recorded span the depth recorder has stopped, ticks.
+const RECORDER_STOPS: u64 = TICK_HZ as u64;
 
 /// What the phones' seeds are apart.
 const NEXT_SEED: u64 = 1_000;
@@ -194,12 +198,18 @@ impl SeveralFigures {
     }
 }
 
-/// Records, extracts and judges; everything lies below `out` then.
+/// Records, extracts and judges; everything lies below `out` then. What is done next
+/// is told with `tell`.
 ///
 /// # Errors
 ///
 /// A step fails, or a frame has a wrong pulse.
-pub fn run(plan: &SeveralPlan, programs: &Programs, out: &Path) -> Result<SeveralFigures> {
+pub fn run(
+    plan: &SeveralPlan,
+    programs: &Programs,
+    out: &Path,
+    tell: impl Fn(&str),
+) -> Result<SeveralFigures> {
     if out.exists() {
         fs::remove_dir_all(out)
             .with_context(|| format!("cannot remove the former {}", out.display()))?;
@@ -232,6 +242,10 @@ pub fn run(plan: &SeveralPlan, programs: &Programs, out: &Path) -> Result<Severa
     let profile = out.join("rig.toml");
     fs::write(&profile, profile_of(&rig)?)
         .with_context(|| format!("cannot write {}", profile.display()))?;
+    tell(&format!(
+        "recording {} s with two phones, four cameras and a lidar, and fetching the videos",
+        plan.seconds
+    ));
     let output = Command::new(&programs.smartdepthsync)
         .arg("record")
         .arg("--port")
@@ -249,11 +263,21 @@ pub fn run(plan: &SeveralPlan, programs: &Programs, out: &Path) -> Result<Severa
         rig.stop().context("the simulated rig")?;
         bail!("the session failed: {}", said(&output));
     }
-    let truth = Truth::of(rig.stop().context("the simulated rig")?)?;
+    let mut truth = Truth::of(rig.stop().context("the simulated rig")?)?;
     let recording = out.join("recording");
+    let session = SessionFile::load(&recording)?;
+    let pulses = pulses(&recording)?;
+    let base = truth.timebase.refined(&pulses, &truth.depth)?;
+    // As its recorder would have been stopped with the session.
+    let span = session.recorded.context("nothing was recorded")?;
+    let end = span.to.0 + RECORDER_STOPS;
+    truth
+        .depth
+        .retain(|frame| base.ticks(frame.center).0 <= end);
     let depth = recording.join("depth.mkv");
     write_depth(&depth, &truth.depth)
         .with_context(|| format!("cannot write {}", depth.display()))?;
+    tell("extracting everything in board time");
     let data = out.join("data");
     let mut arguments = vec![
         "extract".to_owned(),
@@ -267,12 +291,11 @@ pub fn run(plan: &SeveralPlan, programs: &Programs, out: &Path) -> Result<Severa
     }
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let report = ask(programs, &arguments, &[&recording])?;
-    let pulses = pulses(&recording)?;
-    let base = truth.timebase.refined(&pulses, &truth.depth)?;
+    tell("comparing with the truth");
     let verdict = truth.judge(&recording)?;
     let recorded = Recorded {
         phone: out.join("phones"),
-        session: SessionFile::load(&recording)?,
+        session,
         folder: recording,
         depth,
         profile,
@@ -412,7 +435,7 @@ impl Judge<'_> {
 
     fn lidar(&self, lidar: &mut Lidar) -> Result<LidarFigures> {
         let seconds = lidar.take_all_seconds();
-        let rows = table(&self.data.join("mav0/outputs/gnss.csv"), &[0, 1])?;
+        let rows = table(&self.data.join("mav0/outputs/VLP_16.csv"), &[0, 1])?;
         let (mut off, mut other_utc) = (0, 0);
         for (index, row) in rows.iter().enumerate() {
             let (at, utc) = (whole(row[0])?, whole(row[1])?);

@@ -41,7 +41,7 @@ enum Action {
         #[arg(long)]
         zda: bool,
         /// From the pulse to the first bit of the sentences, ms
-        #[arg(long, value_name = "MS", default_value_t = 50)]
+        #[arg(long, value_name = "MS", default_value_t = NMEA_DELAY_MS)]
         delay_ms: u16,
         /// Length of the pulse, µs
         #[arg(long, value_name = "US", default_value = "20000", value_parser = parse_us_ticks)]
@@ -55,6 +55,11 @@ enum Action {
     /// What it does
     Status,
 }
+
+/// From the pulse to the sentences unless told otherwise, ms. With a pulse of 20 ms
+/// they begin 80 ms after its end and have ended 175 ms after its edge, with `$GPZDA`
+/// 215 ms: what each lidar wants whose figures are in `docs/outputs.md`.
+pub(crate) const NMEA_DELAY_MS: u16 = 100;
 
 /// The rate that a number means.
 ///

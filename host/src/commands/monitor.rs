@@ -65,8 +65,12 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     gauge.state = String::from("monitor");
     gauge.board.clone_from(&id);
     let mut topics = onlookers.clone().map(Topics::new);
-    if let Some(path) = &args.profile {
-        gauge.name_sensors(&Profile::load(path).map_err(Failure::from)?);
+    let profile = match &args.profile {
+        Some(path) => Some(Profile::load(path).map_err(Failure::from)?),
+        None => None,
+    };
+    if let Some(profile) = &profile {
+        gauge.name_sensors(profile);
     }
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen
@@ -88,7 +92,8 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
                 Ok(Some(Event::Message(message))) => {
                     gauge.take(&message, Some(&scale));
                     if let Some(topics) = &mut topics {
-                        show_live(topics, &message, &scale, &id).map_err(Failure::from)?;
+                        show_live(topics, &message, &scale, &id, profile.as_ref())
+                            .map_err(Failure::from)?;
                     }
                 }
                 Ok(Some(Event::Lost { stream, count })) => {
@@ -176,21 +181,27 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     })
 }
 
-/// A message of the board, for those who look on from elsewhere.
+/// A message of the board, for those who look on from elsewhere; sensors by the names
+/// of the profile, if there is one.
 fn show_live(
     topics: &mut Topics<LiveData>,
     message: &DeviceToHost,
     scale: &Scale,
     board: &str,
+    profile: Option<&Profile>,
 ) -> Result<(), RecordingError> {
     match message {
         DeviceToHost::Imu(raw) => topics.imu(&scale.apply(raw)),
         DeviceToHost::Pulse(pulse) => topics.pulse(pulse, None),
         DeviceToHost::Capture(capture) => topics.capture(capture, None),
         DeviceToHost::OutputPulse(output) => {
-            topics.output_pulse(&output.pulse, &format!("output {}", output.output.number()))
+            let name = profile.map_or_else(
+                || format!("output {}", output.output.number()),
+                |profile| profile.output_name(output.output),
+            );
+            topics.output_pulse(&output.pulse, &name)
         }
-        DeviceToHost::Pps(pps) => topics.pps(pps),
+        DeviceToHost::Pps(pps) => topics.pps(pps, profile.map_or("gnss", Profile::lidar_name)),
         DeviceToHost::Status(status) => topics.status(status, board),
         DeviceToHost::Hello(_)
         | DeviceToHost::Answer(_)

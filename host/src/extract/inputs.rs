@@ -104,6 +104,8 @@ pub struct Inputs {
     pub depth: Option<DepthInput>,
     /// The board's unique ID.
     pub board_id: Option<String>,
+    /// What the lidar is called, if there is a session.
+    pub lidar: Option<String>,
     /// Board time of the recorded span, in which the trigger was on its grid, ns.
     pub recorded: Option<(i64, i64)>,
     /// Worth knowing.
@@ -249,6 +251,9 @@ pub fn find(
         board_id: session
             .as_ref()
             .and_then(|session| Some(session.board.as_ref()?.id.clone())),
+        lidar: session
+            .as_ref()
+            .map(|session| session.profile.lidar_name().to_owned()),
         recorded: session.and_then(|session| {
             let span = session.recorded?;
             let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();

@@ -15,7 +15,7 @@ use protocol::{
 use super::Stop;
 use super::rig::Rig;
 use crate::board::{Board, BoardError};
-use crate::commands::gnss::{parse_baud, utc_at_zero_by};
+use crate::commands::gnss::{NMEA_DELAY_MS, parse_baud, utc_at_zero_by};
 use crate::outcome::{ExitStatus, Failure};
 use crate::profile::{Lidar, TriggerOutput};
 use crate::recording::writer::Severity;
@@ -28,9 +28,6 @@ const ATTEMPTS: u32 = 6;
 
 /// Fraction bits of places and periods.
 const FRACTION_BITS: u32 = 32;
-
-/// From the pulse per second to the sentences, ms.
-const NMEA_DELAY_MS: u16 = 50;
 
 /// Length of the pulse per second, ticks: 20 ms.
 const PPS_WIDTH: u32 = TICK_HZ / 50;
@@ -109,8 +106,10 @@ fn start_output(rig: &mut Rig<'_>, sensor: &TriggerOutput) -> Result<(), Stop> {
         Severity::Info,
         "output",
         &format!(
-            "{} on output {} runs at every {} pulses of the trigger, {} µs later",
-            sensor.name, sensor.output, sensor.every, sensor.delay_us
+            "{} on output {} runs: {} of the trigger",
+            sensor.name,
+            sensor.output,
+            sensor.rule()
         ),
     )
 }

@@ -517,7 +517,7 @@ impl<'a> Rig<'a> {
                     writer.log(arrived.at, Severity::Info, "output_arrived", &text),
                 )
             }
-            DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps)),
+            DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps, self.profile.lidar_name())),
             DeviceToHost::Hello(hello) => (
                 hello.now,
                 writer.log(hello.now, Severity::Info, "hello", "the board said hello"),

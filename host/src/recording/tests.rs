@@ -128,7 +128,7 @@ fn everything_comes_back_as_it_was_written() {
         at: Ticks(96_000_000),
         utc: 1_795_234_569,
     };
-    writer.pps(&pps).unwrap();
+    writer.pps(&pps, "VLP-16").unwrap();
     writer.finish().unwrap();
 
     let mut reader = Reader::open(folder.path()).unwrap();
@@ -147,6 +147,7 @@ fn everything_comes_back_as_it_was_written() {
     };
     assert_eq!(entries[13].at, pps.at);
     assert_eq!(second.time_ref.nanos(), pps.utc * 1_000_000_000);
+    assert_eq!(second.source, "VLP-16");
     let Item::Imu(imu) = &entries[0].item else {
         panic!("{:?}", entries[0]);
     };

@@ -312,19 +312,19 @@ impl<O: Output> Topics<O> {
     }
 
     /// A pulse per second: the UTC that begins with it for whoever takes the
-    /// board for a GNSS receiver.
+    /// board for a GNSS receiver; `name` is what the lidar is called.
     ///
     /// # Errors
     ///
     /// As [`Topics::imu`].
-    pub fn pps(&mut self, pps: &protocol::Pps) -> Result<(), RecordingError> {
+    pub fn pps(&mut self, pps: &protocol::Pps, name: &str) -> Result<(), RecordingError> {
         self.put(
             Kind::Gnss,
             pps.at,
             &TimeReference {
                 header: header(pps.at, "board"),
                 time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
-                source: String::from("gnss"),
+                source: name.to_owned(),
             },
         )
     }

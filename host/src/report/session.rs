@@ -573,10 +573,7 @@ fn further_sensors(page: &mut Page, session: &SessionFile, curves: &Curves) {
         rows.push(vec![
             name.to_owned(),
             set.map_or(String::from("-"), |set| {
-                format!(
-                    "output {}, every {}. pulse, {} µs later",
-                    set.output, set.every, set.delay_us
-                )
+                format!("output {}, {}", set.output, set.rule())
             }),
             seen.map_or(0, |seen| seen.0).to_string(),
             seen.map_or(String::from("-"), |&(_, first, last)| {

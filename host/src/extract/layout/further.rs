@@ -1,9 +1,10 @@
 //! Pulses of the further outputs and of the pulse per second, for the layouts that
 //! have no folders of topics.
 //!
-//! `outputs/NAME.csv` (board time of each pulse) and `outputs/gnss.csv` (board time,
-//! and the UTC that a lidar was told for the same instant).
+//! `outputs/NAME.csv` with the board time of each pulse; a lidar's also has the UTC that
+//! it was told for the same instant, and is `outputs/gnss.csv` if its name is not known.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::io;
 use std::path::Path;
@@ -22,10 +23,14 @@ pub(super) fn write(folder: &Path, tables: &SequenceTables) -> io::Result<()> {
         .collect();
     topics.sort_unstable();
     topics.dedup();
+    let mut taken = BTreeSet::new();
     for topic in topics {
         let (name, header) = match topic.strip_prefix(OUTPUT_TOPICS) {
             Some(name) => (name, "#timestamp [ns]\n"),
-            None => ("gnss", "#timestamp [ns],utc [ns]\n"),
+            None => (
+                tables.lidar.as_deref().unwrap_or("gnss"),
+                "#timestamp [ns],utc [ns]\n",
+            ),
         };
         let mut text = String::from(header);
         for pair in tables.times.iter().filter(|pair| &*pair.topic == topic) {
@@ -36,7 +41,10 @@ pub(super) fn write(folder: &Path, tables: &SequenceTables) -> io::Result<()> {
         }
         // The name comes out of a file: only what is harmless in a file name stays.
         let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let name: String = name.chars().take(120).map(harmless).collect();
+        let mut name: String = name.chars().take(120).map(harmless).collect();
+        while !taken.insert(name.clone()) {
+            name.push('_');
+        }
         let path = folder.join("outputs").join(format!("{name}.csv"));
         write_whole(&path, text.as_bytes())?;
     }

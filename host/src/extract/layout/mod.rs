@@ -115,6 +115,8 @@ pub struct SequenceTables {
     pub pairs: Vec<(usize, usize)>,
     /// Pairs of times on the recording's topics.
     pub times: Vec<TimePair>,
+    /// What the lidar is called, if that is known.
+    pub lidar: Option<String>,
 }
 
 /// A format.

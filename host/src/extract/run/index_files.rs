@@ -104,6 +104,7 @@ impl Run<'_> {
         };
         tables.pairs = written.pairs.iter().filter_map(place).collect();
         let of_this = |pair: &&TimePair| sequences.at(pair.stamp) == sequence;
+        tables.lidar.clone_from(&self.inputs.lidar);
         tables.times = written.times.iter().filter(of_this).cloned().collect();
         tables
     }
