@@ -39,6 +39,18 @@ fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
         said.placement.error_us.abs() < 5.0 * said.placement.sigma_us.hypot(1.5),
         "{said:?}"
     );
+    let report = std::fs::read(figures.data.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let named = |name: &str| {
+        let sensors = report["sensors"].as_array().unwrap();
+        let is_it = sensors.iter().find(|sensor| sensor["name"] == name);
+        is_it.unwrap()["pulses"].as_u64().unwrap() as usize
+    };
+    assert_eq!(report["sensors"].as_array().unwrap().len(), 4);
+    assert_eq!(named("VLP-16"), figures.lidar.seconds);
+    for output in &figures.outputs {
+        assert_eq!(named(&output.name), output.pulses);
+    }
     // Files by name, and nothing of one phone in the other's place.
     for path in [
         "mav0/cam0/data.csv",

@@ -191,8 +191,16 @@ impl SeveralFigures {
         }
         text += &format!(
             "{:<14} {:>5} seconds compared with the lidar, {} not at their tick, {} with another \
-             UTC, {:?}\n",
-            "lidar", self.lidar.seconds, self.lidar.off, self.lidar.other_utc, self.lidar.faults
+             UTC, {}\n",
+            "lidar",
+            self.lidar.seconds,
+            self.lidar.off,
+            self.lidar.other_utc,
+            if self.lidar.faults == LidarFaults::default() {
+                String::from("no fault on its inputs")
+            } else {
+                format!("{:?}", self.lidar.faults)
+            }
         );
         text
     }

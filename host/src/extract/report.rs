@@ -53,6 +53,9 @@ pub struct Report {
     /// Further phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
+    /// Sensors on further outputs, and a lidar.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<SensorReport>,
     /// The parts that marks divide the recording into.
     pub sequences: Vec<SequenceReport>,
     /// Constants that went into the times, ns.
@@ -226,6 +229,15 @@ pub struct PairsReport {
     pub central: Histogram,
 }
 
+/// A sensor on a further output, or a lidar.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SensorReport {
+    /// Its name.
+    pub name: String,
+    /// Its pulses; of a lidar, one a second.
+    pub pulses: usize,
+}
+
 /// One part of the recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SequenceReport {
@@ -264,6 +276,9 @@ impl Report {
             ("trigger pulses", self.board.pulses.to_string()),
             ("board IMU samples", self.board.imu.samples.to_string()),
         ];
+        if let Some(reference) = self.reference.as_ref().filter(|_| !self.phones.is_empty()) {
+            lines.push(("trigger follows", reference.clone()));
+        }
         if let Some(phone) = &self.phone {
             lines.push(("phone timestamps", phone.timestamps.to_string()));
             lines.push(("phone images", phone.images.to_string()));
@@ -307,7 +322,11 @@ impl Report {
             ));
         }
         for other in &self.phones {
-            lines.push(("phone", other.line()));
+            lines.push(("further phone", other.line()));
+        }
+        for sensor in &self.sensors {
+            let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
+            lines.push(("further sensor", line));
         }
         lines
     }

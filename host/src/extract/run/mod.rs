@@ -17,12 +17,13 @@ mod index_files;
 mod other_phones;
 mod phone_part;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use index_files::Written;
 
-use super::board::{BoardError, BoardEvent, BoardInput, Images};
+use super::board::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image::write_whole;
@@ -33,7 +34,9 @@ use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
 use super::phone_clock::PhoneClock;
 use super::progress::Progress;
-use super::report::{BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report};
+use super::report::{
+    BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
+};
 use super::sequence::Sequences;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame};
@@ -215,6 +218,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         pairs: pairs_report(&pairs),
         grid,
         phones,
+        sensors: sensors(&survey, run.inputs.lidar.as_deref()),
         sequences: sequence_reports,
         constants,
         losses: run.losses.clone(),
@@ -462,6 +466,25 @@ fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Ve
     phone.sort_by_key(|&(_, at)| at);
     centres.sort_by_key(|&(_, at)| at);
     pairs::find(&phone, &centres, period / 2)
+}
+
+/// What was on the further outputs, and the lidar, with their pulses.
+fn sensors(survey: &Survey, lidar: Option<&str>) -> Vec<SensorReport> {
+    let mut pulses = BTreeMap::<&str, usize>::new();
+    for pair in &survey.times {
+        let name = match &*pair.topic {
+            LIDAR_TOPIC => Some(lidar.unwrap_or("gnss")),
+            topic => topic.strip_prefix(OUTPUT_TOPICS),
+        };
+        if let Some(name) = name {
+            *pulses.entry(name).or_default() += 1;
+        }
+    }
+    let sensor = |(name, pulses): (&str, usize)| SensorReport {
+        name: name.to_owned(),
+        pulses,
+    };
+    pulses.into_iter().map(sensor).collect()
 }
 
 /// Events a second over the whole span.
