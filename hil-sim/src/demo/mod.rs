@@ -90,7 +90,7 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         options.stage.seed,
     );
     let report = options.stage.out.join("report.html");
-    std::fs::write(&report, report::page(&figures, &verdict, twist.as_deref())?)
+    std::fs::write(&report, report::page(&figures, &verdict, twist.as_deref()))
         .with_context(|| format!("cannot write {}", report.display()))?;
     Ok(Demo {
         figures,

@@ -1,12 +1,13 @@
 //! The demonstration's result: a table, JSON, and one HTML page with plots.
 //!
-//! The page has no parts outside of itself: styles and plots (SVG) are in it.
+//! The page is a [`Page`] like the host tool's reports, so a reader finds the same
+//! things in the same order.
 
 use std::fmt::Write as _;
 
-use anyhow::{Result, anyhow};
-use plotters::prelude::*;
 use serde::Serialize;
+use smartdepthsync::report::chart::{self, Data, Series};
+use smartdepthsync::report::{Level, Page};
 
 use super::judge::Verdict;
 
@@ -186,80 +187,59 @@ impl Figures {
 }
 
 /// The page. `twist_svg` is the plot of both gyroscopes, if there is one.
-///
-/// # Errors
-///
-/// The plot of the phase cannot be drawn.
-pub fn page(figures: &Figures, verdict: &Verdict, twist_svg: Option<&str>) -> Result<String> {
-    let rows = rows(figures.lines());
-    let before = figures.before_learning.map_or(String::new(), |before| {
-        format!(
-            "<h2>{}</h2>\n<p>From it the rig profile learnt the period of the phone's frames and \
-             the rate of its clock, to which one twist and the 59 frames that the app averages \
-             are too short.</p>\n<table>\n{}</table>",
-            escape(BEFORE.trim_end_matches(':')),
-            self::rows(before.lines())
-        )
-    });
-    let phase = phase_plot(verdict)?;
-    let twist = twist_svg.unwrap_or("<p>There is no plot of a twist in this run.</p>");
-    Ok(format!(
-        r#"<!doctype html>
-<html lang="en"><head><meta charset="utf-8">
-<meta name="viewport" content="width=device-width">
-<title>SmartDepthSync: demonstration, seed {seed}</title>
-<style>
-body {{ font-family: sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem; }}
-table {{ border-collapse: collapse; }}
-td {{ padding: 0.2rem 1rem 0.2rem 0; border-bottom: 1px solid #ccc; }}
-td:last-child {{ font-variant-numeric: tabular-nums; }}
-svg {{ max-width: 100%; height: auto; }}
-</style></head><body>
-<h1>A session on the simulated rig</h1>
-<p>The firmware ran on a simulated microcontroller; phone, depth camera, IMU and
-their clocks are models. Every figure is simulated and judged against the models'
-truth.</p>
-<table>
-{rows}</table>
-{before}
-<h2>Phase of the frames</h2>
-<p>Middle of exposure of the depth camera minus that of the phone's middle row, in
-true time, for every frame of the recorded span.</p>
-{phase}
-<h2>The twist</h2>
-<p>Both gyroscopes before and after synchronisation, and what is left between
-them.</p>
-{twist}
-</body></html>
-"#,
-        seed = figures.seed,
-    ))
-}
-
-/// Rows of an HTML table.
-fn rows(lines: Vec<(&str, String)>) -> String {
-    let mut rows = String::new();
-    for (name, value) in lines {
-        let _ = writeln!(
-            rows,
-            "<tr><td>{}</td><td>{}</td></tr>",
-            escape(name),
-            escape(&value)
+#[must_use]
+pub fn page(figures: &Figures, verdict: &Verdict, twist_svg: Option<&str>) -> String {
+    let level = if figures.lost == 0 {
+        Level::Good
+    } else {
+        Level::Warning
+    };
+    let lost = match figures.lost {
+        0 => "Nothing was lost.".to_owned(),
+        lost => format!("Lost: {lost} pulses, samples or frames."),
+    };
+    let said = format!(
+        "The frames of phone and depth camera were {:.2} µs apart at the start and drifted by \
+         {:+.2} µs a minute, over {:.1} s. {lost}",
+        figures.phase_error_us.abs(),
+        figures.drift_us_per_min,
+        figures.recorded_s,
+    );
+    let title = format!("A session on the simulated rig, seed {}", figures.seed);
+    let mut page = Page::new(&title, level, &said);
+    page.text(
+        "The firmware ran on a simulated microcontroller; phone, depth camera, IMU and their \
+         clocks are models. Every figure is simulated and judged against the models' truth.",
+    );
+    page.facts(&figures.lines());
+    if let Some(before) = figures.before_learning {
+        page.section(BEFORE.trim_end_matches(':'));
+        page.text(
+            "From it the rig profile learnt the period of the phone's frames and the rate of its \
+             clock, to which one twist and the 59 frames that the app averages are too short.",
         );
+        page.facts(&before.lines());
     }
-    rows
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
+    page.section("Phase of the frames");
+    page.figure(
+        &phase_plot(verdict),
+        "Middle of exposure of the depth camera minus that of the phone's middle row, in true \
+         time, for the frames of the recorded span; with the straight line that is the drift.",
+    );
+    page.section("The twist");
+    match twist_svg {
+        Some(svg) => page.figure(
+            svg,
+            "Both gyroscopes before and after synchronisation, and what is left between them.",
+        ),
+        None => page.text("There is no plot of a twist in this run."),
+    }
+    page.html()
 }
 
 /// Phase over time, thinned to at most some thousand points.
-fn phase_plot(verdict: &Verdict) -> Result<String> {
+fn phase_plot(verdict: &Verdict) -> String {
     const MOST: usize = 3000;
-    let failed = |e: &dyn std::fmt::Display| anyhow!("cannot draw the phase: {e}");
     let begin = verdict.phases.first().map_or(0.0, |p| p.at_s);
     let step = verdict.phases.len().div_ceil(MOST).max(1);
     let points: Vec<(f64, f64)> = verdict
@@ -269,36 +249,22 @@ fn phase_plot(verdict: &Verdict) -> Result<String> {
         .map(|p| (p.at_s - begin, p.error_us))
         .collect();
     let end = points.last().map_or(1.0, |p| p.0.max(1.0));
-    let (low, high) = points.iter().fold((-1.0f64, 1.0f64), |(low, high), p| {
-        (low.min(p.1), high.max(p.1))
-    });
-    let margin = 0.1 * (high - low);
     let line = |t: f64| verdict.phase.start_us + verdict.phase.drift_us_per_min * t / 60.0;
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, (900, 360)).into_drawing_area();
-        area.fill(&WHITE).map_err(|e| failed(&e))?;
-        let mut chart = ChartBuilder::on(&area)
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(64)
-            .build_cartesian_2d(0.0..end, (low - margin)..(high + margin))
-            .map_err(|e| failed(&e))?;
-        chart
-            .configure_mesh()
-            .x_desc("time since the first frame, s")
-            .y_desc("depth minus phone, µs")
-            .draw()
-            .map_err(|e| failed(&e))?;
-        chart
-            .draw_series(points.iter().map(|&p| Circle::new(p, 1, BLUE.filled())))
-            .map_err(|e| failed(&e))?;
-        chart
-            .draw_series(LineSeries::new([(0.0, line(0.0)), (end, line(end))], &RED))
-            .map_err(|e| failed(&e))?;
-        area.present().map_err(|e| failed(&e))?;
-    }
-    Ok(svg)
+    chart::series(
+        "time since the first frame, s",
+        "depth minus phone, µs",
+        -1.0..1.0,
+        &[
+            Series {
+                name: "frames".into(),
+                data: Data::Points(points),
+            },
+            Series {
+                name: "drift".into(),
+                data: Data::Line(vec![(0.0, line(0.0)), (end, line(end))]),
+            },
+        ],
+    )
 }
 
 #[cfg(test)]
@@ -361,11 +327,11 @@ mod tests {
     fn the_page_holds_all_it_needs() {
         let verdict = verdict();
         let figures = Figures::new(&verdict, Some(&verdict), 320.0, 20.0, 7);
-        let page = page(&figures, &verdict, Some("<svg id=\"twist\"></svg>")).unwrap();
+        let page = page(&figures, &verdict, Some("<svg id=\"twist\"></svg>"));
         assert!(page.contains("has learnt nothing"));
         assert!(page.matches("<svg").count() == 2 && page.contains("id=\"twist\""));
-        assert!(!page.contains("src=") && !page.contains("href="));
+        assert!(page.contains("4.00 µs apart") && page.contains("Nothing was lost"));
         // Thinned: far fewer marks than frames.
-        assert!(page.matches("<circle").count() <= 3000);
+        assert!(page.matches("<circle").count() <= 3001);
     }
 }

@@ -27,8 +27,8 @@ pub struct TrainGeometry {
 
 impl TrainGeometry {
     /// Azure Kinect, narrow field of view, and the binned mode of the wide one: 9
-    /// flashes of 125 µs, 1,450 µs between them, 12.8 ms in all (the vendor's hardware
-    /// specification).
+    /// flashes of 125 µs, 1,450 µs between them, 12.8 ms in all (the vendor's page on
+    /// multiple synchronised devices, table of the raw timing).
     pub const NFOV: Self = Self {
         count: 9,
         pitch_us: 1575.0,

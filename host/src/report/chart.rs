@@ -6,6 +6,8 @@
 
 use std::ops::Range;
 
+use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 /// Size of every drawing.
@@ -216,15 +218,20 @@ pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -
     }
 }
 
-fn draw(
-    svg: &mut String,
+/// An area of the backend that writes into text.
+type Area<'svg> = DrawingArea<SVGBackend<'svg>, Shift>;
+
+/// The backend's own error type is not worth naming: it cannot fail.
+type Drawn<T> = Result<T, Box<dyn std::error::Error>>;
+
+/// Empty axes with their labels (x, y).
+fn axes<'area, 'svg>(
+    root: &'area Area<'svg>,
     (x_label, y_label): (&str, &str),
     xs: Range<f64>,
     ys: Range<f64>,
-    all: &[Series],
-) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let mut chart = ChartBuilder::on(&root)
+) -> Drawn<ChartContext<'area, SVGBackend<'svg>, Cartesian2d<RangedCoordf64, RangedCoordf64>>> {
+    let mut chart = ChartBuilder::on(root)
         .margin(10)
         .margin_right(24)
         .x_label_area_size(52)
@@ -240,6 +247,18 @@ fn draw(
         .axis_desc_style(("sans-serif", LABEL))
         .light_line_style(WHITE)
         .draw()?;
+    Ok(chart)
+}
+
+fn draw(
+    svg: &mut String,
+    labels: (&str, &str),
+    xs: Range<f64>,
+    ys: Range<f64>,
+    all: &[Series],
+) -> Drawn<()> {
+    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+    let mut chart = axes(&root, labels, xs, ys)?;
     for (number, series) in all.iter().enumerate() {
         let colour = COLOURS[number % COLOURS.len()];
         match &series.data {
@@ -321,24 +340,10 @@ pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u
     let mut svg = String::new();
     let top = counts.iter().copied().max().unwrap_or(0).max(1) as f64;
     let edge = |index: usize| first + index as f64 * bin;
-    let mut draw = || -> Result<(), Box<dyn std::error::Error>> {
+    let mut draw = || -> Drawn<()> {
         let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        let mut chart = ChartBuilder::on(&root)
-            .margin(10)
-            .margin_right(24)
-            .x_label_area_size(52)
-            .y_label_area_size(84)
-            .build_cartesian_2d(edge(0)..edge(counts.len().max(1)), 0.0..top * 1.05)?;
-        chart
-            .configure_mesh()
-            .x_labels(8)
-            .y_labels(6)
-            .x_desc(x_label)
-            .y_desc(y_label)
-            .label_style(("sans-serif", LABEL))
-            .axis_desc_style(("sans-serif", LABEL))
-            .light_line_style(WHITE)
-            .draw()?;
+        let xs = edge(0)..edge(counts.len().max(1));
+        let mut chart = axes(&root, (x_label, y_label), xs, 0.0..top * 1.05)?;
         chart.draw_series(counts.iter().enumerate().map(|(index, &count)| {
             Rectangle::new(
                 [(edge(index), 0.0), (edge(index + 1), count as f64)],
