@@ -20,6 +20,7 @@ use serde_json::json;
 use tracing_subscriber::filter::LevelFilter;
 
 use crate::commands;
+use crate::log::LogOutput;
 use crate::outcome::{ExitStatus, Failure, Outcome, Report};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
@@ -324,7 +325,7 @@ fn start_log(global: &Global) {
     };
     let builder = tracing_subscriber::fmt()
         .with_max_level(level)
-        .with_writer(io::stderr)
+        .with_writer(LogOutput)
         .with_ansi(io::stderr().is_terminal());
     match global.log_format {
         LogFormat::Text => builder.without_time().with_target(false).init(),

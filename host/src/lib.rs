@@ -16,6 +16,7 @@
 //! - [`extract`]: recordings into datasets with timestamps in board time.
 //! - [`verify`]: checks and repairs recordings.
 //! - [`view`]: what the operator sees while a session runs.
+//! - [`log`]: where log lines go.
 //! - [`cli`], [`commands`], [`outcome`]: the program `smartdepthsync`.
 #![forbid(unsafe_code)]
 
@@ -28,6 +29,7 @@ pub mod extract;
 pub mod gyro_csv;
 pub mod imu;
 pub mod live_data;
+pub mod log;
 pub mod outcome;
 pub mod phone;
 pub mod profile;

@@ -17,6 +17,7 @@ use ratatui::crossterm::terminal::{
 use super::draw::draw;
 use super::{PERIOD, Snapshot};
 use crate::cli::Interrupt;
+use crate::log;
 
 /// How long the terminal is waited for at the end; one that takes nothing must not
 /// keep the program.
@@ -70,6 +71,7 @@ impl Screen {
         let (key_sender, keys) = channel();
         let (done_sender, done) = channel();
         let (theirs, interrupt) = (Arc::clone(&slot), interrupt.clone());
+        log::hold();
         let spawned = std::thread::Builder::new()
             .name(String::from("view"))
             .spawn(move || {
@@ -79,6 +81,7 @@ impl Screen {
                 }
                 let _ = disable_raw_mode();
                 let _ = execute!(stderr(), LeaveAlternateScreen);
+                log::release();
                 let _ = done_sender.send(());
             });
         match spawned {
@@ -90,6 +93,7 @@ impl Screen {
             }),
             Err(_) => {
                 let _ = disable_raw_mode();
+                log::release();
                 None
             }
         }
