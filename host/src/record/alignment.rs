@@ -28,9 +28,13 @@ use crate::time::{BoardSeconds, PhoneSeconds};
 /// How far a learnt value may be from the one measured now, in sigmas of both.
 const CONSISTENT_SIGMAS: f64 = 5.0;
 
+/// 1-sigma of the timestamp of one of the phone's frames, ns: nobody documents it,
+/// and it is reckoned with rather too much than too little.
+const FRAME_JITTER_NS: f64 = 2_000.0;
+
 /// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean
-/// of 59 intervals whose ends have 2 µs of timestamp jitter, √2 · 2000 / 59.
-const VIDEO_START_SIGMA_NS: f64 = 48.0;
+/// of 59 intervals whose ends have that jitter.
+const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / 59.0;
 
 /// The frame periods that can be followed: the board's own bounds.
 const SECONDS: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
@@ -155,13 +159,19 @@ pub fn plan(
             clock: *clock,
             anchor: edge.ticks(),
             period_q32,
-            phase_sigma_us: clock.offset_at(edge).sigma * 1e6,
+            phase_sigma_us: phase_sigma_us(clock, edge),
             drift_sigma_us_per_min: (skew_sigma.powi(2) + period_sigma.powi(2)).sqrt() * 60e6,
             arrival_pulse: None,
             arrival: None,
         },
         remarks,
     })
+}
+
+/// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and
+/// the jitter of the one timestamp that the phone gives.
+fn phase_sigma_us(clock: &ClockModel, at: BoardSeconds) -> f64 {
+    (clock.offset_at(at).sigma * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
 }
 
 /// The learnt frame period where there is one that fits what the phone reports
@@ -308,7 +318,7 @@ mod tests {
         assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
         // 1 ppm of skew, 1.4 ppm of frame period.
         assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
-        assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0).sqrt()).abs() < 0.5);
+        assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 4.0).sqrt()).abs() < 0.05);
         assert!(planned.remarks[0].contains("no frame period learnt"));
     }
 
