@@ -237,7 +237,7 @@ pub fn placement(
     let period_sigma = sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / period_ns;
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
-        offset_sigma_us: clock.offset_at(middle).sigma * 1e6,
+        offset_sigma_us: phase_sigma_us(clock, middle),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
         drift_sigma_us_per_min: clock.skew_sigma_at(middle).hypot(period_sigma) * 60e6,
     }

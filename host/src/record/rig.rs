@@ -582,6 +582,10 @@ impl<'a> Rig<'a> {
         let lost = Instant::now();
         let lost_at = self.now;
         self.problem(Finding::error("link_lost", error.to_string()))?;
+        // Nothing will fill the chunk for a while.
+        if let Some(writer) = &mut self.writer {
+            writer.flush().map_err(Failure::from)?;
+        }
         // A port that fell silent but is still there is opened exclusively: by us.
         self.board.hang_up();
         let patience = if self.closing {
