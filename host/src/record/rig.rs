@@ -236,7 +236,7 @@ impl<'a> Rig<'a> {
         self.tell_findings()?;
         self.restore()?;
         if let Some(writer) = &mut self.writer {
-            writer.tick().map_err(Failure::from)?;
+            writer.tick(self.board.now()).map_err(Failure::from)?;
         }
         self.show();
         if self.last_round.elapsed() >= ROUND {
@@ -624,7 +624,7 @@ impl<'a> Rig<'a> {
                 .into());
             }
             if let Some(writer) = &mut self.writer {
-                writer.tick().map_err(Failure::from)?;
+                writer.tick(self.board.now()).map_err(Failure::from)?;
             }
             std::thread::sleep(RELINK_PAUSE);
         }

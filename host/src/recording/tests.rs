@@ -1,6 +1,7 @@
 //! What is written is read back exactly, also from a file that was cut.
 
 use std::fs;
+use std::time::Duration;
 
 use proptest::prelude::*;
 use protocol::{
@@ -215,6 +216,21 @@ fn a_file_that_is_cut_anywhere_gives_all_whole_chunks() {
         sample(19_999).at.0 - most <= u64::from(TICK_HZ) / 2 + 96_000,
         "{most}"
     );
+}
+
+#[test]
+fn what_waits_is_written_after_half_a_second_of_the_callers_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(folder.path()).unwrap();
+    let entries = || Reader::open(folder.path()).unwrap().count();
+    let begin = Duration::from_secs(77);
+    writer.tick(begin).unwrap();
+    writer.imu(&sample(0)).unwrap();
+    writer.tick(begin + Duration::from_secs(9)).unwrap();
+    writer.tick(begin + Duration::from_millis(9_499)).unwrap();
+    assert_eq!(entries(), 0);
+    writer.tick(begin + Duration::from_millis(9_500)).unwrap();
+    assert_eq!(entries(), 2);
 }
 
 #[test]

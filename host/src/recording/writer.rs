@@ -2,7 +2,7 @@
 //!
 //! A chunk is closed and handed to the system whenever half a second of board
 //! time or of the host's time has passed since the last one, whichever comes
-//! first (a simulated rig may run faster than time). Chunks are built in memory
+//! first (the caller gives the latter: on a simulated rig it is virtual). Chunks are built in memory
 //! and written in one go, so what a kill leaves is whole chunks, and perhaps the
 //! beginning of one. Once a second the file is also pushed to the disk
 //! (`fdatasync`), against power loss; the link has a thread of its own, so a slow
@@ -41,7 +41,8 @@ use crate::time::PhoneNanos;
 /// The longest stretch of board time in one chunk, ticks.
 const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;
 
-/// The longest time on the host's clock before a chunk is closed.
+/// The longest time on the host's clock before a chunk is closed into which nothing
+/// comes any more.
 const CHUNK_TIME: Duration = Duration::from_millis(500);
 
 /// How often the file is pushed to the disk.
@@ -130,7 +131,7 @@ pub struct McapFile {
     path: PathBuf,
     channels: [Channel; 16],
     chunk_from: Option<Ticks>,
-    chunk_since: Instant,
+    waits_since: Option<Duration>,
     synced: Instant,
     dirty: bool,
     mirror: Option<LiveData>,
@@ -159,15 +160,14 @@ impl Writer {
             .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
             .map_err(|source| mcap_error(&path, source))?;
         let channels = make_channels(&mut mcap).map_err(|source| mcap_error(&path, source))?;
-        let now = Instant::now();
         let mut file = McapFile {
             mcap,
             file: copy,
             path,
             channels,
             chunk_from: None,
-            chunk_since: now,
-            synced: now,
+            waits_since: None,
+            synced: Instant::now(),
             dirty: true,
             mirror: None,
             wall: Box::new(SystemTime::now),
@@ -187,13 +187,19 @@ impl Writer {
         self.0.mirror = Some(to);
     }
 
-    /// Closes the chunk if it has waited long enough. Call it when nothing comes.
+    /// Closes the chunk if it has waited long enough, by the clock that `now` is of,
+    /// since this was called first with something in it. Call it often, also when
+    /// nothing comes.
     ///
     /// # Errors
     ///
     /// As [`Topics::imu`].
-    pub fn tick(&mut self) -> Result<(), RecordingError> {
-        if self.0.dirty && self.0.chunk_since.elapsed() >= CHUNK_TIME {
+    pub fn tick(&mut self, now: Duration) -> Result<(), RecordingError> {
+        if !self.0.dirty {
+            return Ok(());
+        }
+        let since = *self.0.waits_since.get_or_insert(now);
+        if now.saturating_sub(since) >= CHUNK_TIME {
             self.0.flush()?;
         }
         Ok(())
@@ -545,7 +551,7 @@ impl McapFile {
             .flush()
             .map_err(|source| mcap_error(&self.path, source))?;
         self.chunk_from = None;
-        self.chunk_since = Instant::now();
+        self.waits_since = None;
         self.dirty = false;
         if self.synced.elapsed() >= SYNC_TIME {
             self.sync()?;
@@ -584,7 +590,7 @@ impl Output for McapFile {
         }
         self.dirty = true;
         let from = *self.chunk_from.get_or_insert(at);
-        if at.0.abs_diff(from.0) >= CHUNK_TICKS || self.chunk_since.elapsed() >= CHUNK_TIME {
+        if at.0.abs_diff(from.0) >= CHUNK_TICKS {
             self.flush()?;
         }
         match &mut self.mirror {
