@@ -20,7 +20,6 @@ const LICENCES: &[&str] = &[
     "BSD-3-Clause",
     "BSL-1.0",
     "bzip2-1.0.6",
-    "ISC",
     "MIT",
     "MPL-2.0",
     "Unicode-3.0",
