@@ -31,10 +31,7 @@ pub(crate) fn run(depth_minutes: u32) -> Result<()> {
     process::cargo([
         "build",
         "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
+        "--workspace",
         "--example",
         "synthetic_recording",
         "--bin",

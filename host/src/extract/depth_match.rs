@@ -1,5 +1,6 @@
 //! Which depth frame has which pulse: the pattern first, and where it does not
-//! decide, what else there is.
+//! decide, what else there is. Over a reset of the board the camera's clock leads
+//! from one run to the next.
 //!
 //! In this order: the pulse that the user gives; the pattern of the pulses; the
 //! camera's own gyroscope against the board's (its recorder writes an IMU track
@@ -8,6 +9,7 @@
 
 use super::board::{BoardError, BoardInput};
 use super::depth::{DepthIndex, DepthInput};
+use super::depth_clock::resets::{OverResets, Reset, match_over_resets};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
@@ -36,10 +38,61 @@ pub struct Matched {
     pub found: DepthMatch,
     /// Worth knowing.
     pub remarks: Vec<String>,
+    /// Frames without a board time, in words.
+    pub losses: Vec<String>,
     by: &'static str,
 }
 
 impl Matched {
+    fn new(found: DepthMatch) -> Self {
+        Self {
+            found,
+            remarks: Vec::new(),
+            losses: Vec::new(),
+            by: "the pattern",
+        }
+    }
+
+    fn by(self, by: &'static str) -> Self {
+        Self { by, ..self }
+    }
+
+    fn over_resets(over: &OverResets) -> Self {
+        let anchor = over.anchor + 1;
+        let carried = over.carried.iter().map(|run| {
+            format!(
+                "the depth camera's clock leads over the reset from run {anchor} of the board to run {}, \
+                 whose depth frames lie {:+.1} µs from where it has them (± {:.1} µs, 1-sigma)",
+                run.run + 1,
+                run.off / 1000.0,
+                run.sigma / 1000.0
+            )
+        });
+        let mut remarks: Vec<String> = carried.collect();
+        if over.in_gaps > 0 {
+            remarks.push(format!(
+                "{} depth frames lie where the board was reset, and no pulse made them: they are timed by \
+                 the camera's clock",
+                over.in_gaps
+            ));
+        }
+        let left_out = over.left_out.iter().filter(|run| run.frames > 0);
+        let losses = left_out.map(|run| {
+            format!(
+                "{} depth frames of run {} of the board have no board time: which pulse each has is not \
+                 found from run {anchor}, and not guessed: {}",
+                run.frames,
+                run.run + 1,
+                run.why
+            )
+        });
+        Self {
+            losses: losses.collect(),
+            remarks,
+            ..Self::new(over.found.clone())
+        }
+    }
+
     /// What decided, in words.
     #[must_use]
     pub fn decided_by(&self) -> String {
@@ -79,32 +132,32 @@ pub fn find(
 ) -> Result<Result<Matched, MatchError>, Stopped> {
     let frames: Vec<DeviceNanos> = index.frames.iter().map(|frame| frame.at).collect();
     let pulses = &survey.pulses;
-    let matched = |found, by, remarks| Matched { found, remarks, by };
+    let resets = resets(survey);
+    let look = |hint| {
+        if resets.is_empty() {
+            return match_frames(&frames, pulses, hint).map(Matched::new);
+        }
+        let over = match_over_resets(&frames, pulses, &resets, hint)?;
+        Ok(Matched::over_resets(&over))
+    };
     progress.begin("matching depth frames to pulses", 0);
-    if let Some(pulse) = first_pulse {
-        let found = match_frames(&frames, pulses, Some(Hint::FirstPulse(pulse)));
-        progress.end();
-        return Ok(found.map(|found| matched(found, "the user", Vec::new())));
-    }
-    if !survey.runs.is_empty() {
-        progress.end();
-        return Ok(Err(MatchError::Reset));
-    }
-    let by_pattern = match_frames(&frames, pulses, None);
+    let found = look(first_pulse.map(Hint::FirstPulse));
     progress.end();
-    let error = match by_pattern {
-        Ok(found) => return Ok(Ok(matched(found, "the pattern", Vec::new()))),
+    if first_pulse.is_some() {
+        return Ok(found.map(|found| found.by("the user")));
+    }
+    let error = match found {
+        Ok(found) => return Ok(Ok(found)),
         Err(error) => error,
     };
-    if let MatchError::Ambiguous(_) = error {
+    if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
         let hint = if index.has_imu {
             camera_hint(board, input, survey, constants, progress)?
         } else {
             None
         };
         if let Some(hint) = hint {
-            let found = match_frames(&frames, pulses, Some(hint));
-            return Ok(found.map(|found| matched(found, "the camera's gyroscope", Vec::new())));
+            return Ok(look(Some(hint)).map(|found| found.by("the camera's gyroscope")));
         }
         if let Some(delta) = recorded_offset(survey)
             && let Some(map) = shift(delta)
@@ -114,8 +167,8 @@ pub fn find(
                 sigma: RECORDED_SIGMA,
                 center: 0,
             };
-            if let Ok(found) = match_frames(&frames, pulses, Some(hint)) {
-                return Ok(Ok(matched(found, "the recorded offset", Vec::new())));
+            if let Ok(found) = look(Some(hint)) {
+                return Ok(Ok(found.by("the recorded offset")));
             }
         }
     }
@@ -124,9 +177,31 @@ pub fn find(
         let remark =
             format!("depth frames have the one offset that was recorded, without pulses: {error}");
         let found = by_offset(&frames, delta, constants.depth_center_ns);
-        return Ok(Ok(matched(found, "the recorded offset", vec![remark])));
+        let found = Matched {
+            remarks: vec![remark],
+            ..Matched::new(found)
+        };
+        return Ok(Ok(found.by("the recorded offset")));
     }
     Ok(Err(error))
+}
+
+/// Where the board's runs after resets begin among the pulses. A run without pulses is
+/// none here; its uncertainty goes to the next.
+fn resets(survey: &Survey) -> Vec<Reset> {
+    let first_at = |at: BoardNanos| survey.pulses.partition_point(|pulse| pulse.at < at);
+    let mut resets: Vec<Reset> = Vec::new();
+    for mark in &survey.runs {
+        let (first_pulse, sigma) = (first_at(mark.from), mark.sigma_s * 1e9);
+        if first_pulse == 0 || first_pulse == survey.pulses.len() {
+            continue;
+        }
+        match resets.last_mut() {
+            Some(last) if last.first_pulse == first_pulse => last.sigma = last.sigma.hypot(sigma),
+            _ => resets.push(Reset { first_pulse, sigma }),
+        }
+    }
+    resets
 }
 
 fn camera_hint(

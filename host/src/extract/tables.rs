@@ -88,6 +88,7 @@ pub fn depth_frames(
             // The pulse itself is exact; without one, the fitted clock has to do.
             let edge = match pulse.and_then(|pulse| pulses.get(pulse)) {
                 Some(pulse) => Some(pulse.at),
+                None if assigned.is_some_and(|a| a.state == FrameState::NotMatched) => None,
                 None => found.and_then(|found| found.clock.apply(stamp.at)),
             };
             DepthFrame {
@@ -157,7 +158,7 @@ pub fn write_depth(path: &Path, frames: &[DepthFrame], pulses: &[PulseTime]) -> 
             Some(FrameState::BeforeFirstPulse) => "before_first_pulse",
             Some(FrameState::AfterLastPulse) => "after_last_pulse",
             Some(FrameState::OffPulse) => "off_pulse",
-            None => "not_matched",
+            Some(FrameState::NotMatched) | None => "not_matched",
         };
         let _ = write!(
             text,

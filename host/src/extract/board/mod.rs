@@ -87,7 +87,8 @@ pub struct RunMark {
     pub from: BoardNanos,
     /// The last time known of the run before.
     pub last: BoardNanos,
-    /// How well the two runs are related by the session, 1-sigma in s.
+    /// How well the two runs are related, 1-sigma in s: as a stream has it by the
+    /// session.
     pub sigma_s: f64,
 }
 

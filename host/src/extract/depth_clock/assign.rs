@@ -23,6 +23,9 @@ pub enum FrameState {
     AfterLastPulse,
     /// It lies between pulses, or where a pulse is missing in the recording.
     OffPulse,
+    /// It is of a run of the board that frames could not be matched to: it has no
+    /// board time.
+    NotMatched,
 }
 
 /// A frame's pulse.

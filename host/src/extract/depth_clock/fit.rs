@@ -103,6 +103,11 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (mean_y - b * mean_x, b)
 }
 
+/// The least squares line `a + b·x` through at least three points.
+pub(super) fn straight(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+    (points.len() >= 3).then(|| line(points))
+}
+
 /// Slope of a line, with points beyond 4 robust sigmas left out by iteration.
 pub(super) fn robust_line(points: &[(f64, f64)]) -> Option<f64> {
     let mut used = points.to_vec();

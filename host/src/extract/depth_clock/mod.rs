@@ -17,6 +17,9 @@
 //!    ([`assign`]); its time in board time is the pulse's edge plus the mode's
 //!    edge-to-centre time, exact to a tick and free of the camera's clock.
 //!
+//! Where the board was reset, each run of it is matched so, and the camera's clock
+//! leads from one to the next ([`resets`]).
+//!
 //! Pulses and frames are compared in f64 nanoseconds relative to the first of
 //! each (exact for 104 days); the timestamps that come out are integers of the
 //! board and never were floats.
@@ -28,6 +31,7 @@
 pub mod assign;
 pub mod fit;
 pub mod pattern;
+pub mod resets;
 
 pub use assign::{Assignment, FrameState};
 
@@ -104,13 +108,6 @@ pub struct DepthMatch {
 /// Why frames and pulses were not matched.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MatchError {
-    /// The board was reset meanwhile, and the camera went on by its own clock.
-    #[error(
-        "the board was reset within the recording, while the camera went on by its own clock: which \
-         pulse belongs to which depth frame is not found safely over that, so depth frames have no \
-         board time; their device times are kept"
-    )]
-    Reset,
     /// Not enough to work with.
     #[error(
         "{frames} depth frames and {pulses} pulses cannot be matched; expected at least {MIN_FRAMES} of each"
@@ -150,6 +147,18 @@ pub enum MatchError {
         .0.shifts, .0.first, .0.last
     )]
     Ambiguous(Ambiguity),
+    /// The board was reset, and frames and runs do not fit together.
+    #[error(
+        "the board was reset in the recording, and which depth frames belong to which of its runs is \
+         not found safely (run {run}: {why}); that is not guessed: give the pulse of the first frame \
+         with --depth-first-pulse"
+    )]
+    OverReset {
+        /// The run that does not fit, from 1.
+        run: usize,
+        /// What does not.
+        why: Box<resets::RunError>,
+    },
     /// Pattern and hint contradict each other.
     #[error(
         "the pattern of the pulses puts the first depth frame at pulse {pattern}, but {by} \
@@ -189,20 +198,42 @@ pub fn match_frames(
     pulses: &[PulseTime],
     hint: Option<Hint>,
 ) -> Result<DepthMatch, MatchError> {
+    match_grid(grid_of(frames, pulses)?, frames, pulses, hint)
+}
+
+/// The same for a camera that streamed before the first of the pulses came.
+fn match_running(
+    frames: &[DeviceNanos],
+    pulses: &[PulseTime],
+    hint: Option<Hint>,
+) -> Result<DepthMatch, MatchError> {
+    let grid = grid_of(frames, pulses)?.of_running_camera();
+    match_grid(grid, frames, pulses, hint)
+}
+
+fn grid_of(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<pattern::Grid, MatchError> {
     if frames.len() < MIN_FRAMES || pulses.len() < MIN_FRAMES {
         return Err(MatchError::TooFew {
             frames: frames.len(),
             pulses: pulses.len(),
         });
     }
-    let grid = pattern::Grid::new(frames, pulses)?;
+    pattern::Grid::new(frames, pulses)
+}
+
+fn match_grid(
+    grid: pattern::Grid,
+    frames: &[DeviceNanos],
+    pulses: &[PulseTime],
+    hint: Option<Hint>,
+) -> Result<DepthMatch, MatchError> {
     let found = pattern::search(&grid);
     if found.scatter > grid.period * 0.1 {
         return Err(MatchError::NotFollowing {
             scatter_us: found.scatter / 1000.0,
         });
     }
-    let (shift, decision) = decide(&grid, &found, frames, hint)?;
+    let (shift, decision) = decide(&grid, &found, hint)?;
     let fitted = grid.fit(shift);
     Ok(assign::assign(
         &grid, shift, &fitted, frames, pulses, decision,
@@ -212,7 +243,6 @@ pub fn match_frames(
 fn decide(
     grid: &pattern::Grid,
     found: &pattern::Found,
-    frames: &[DeviceNanos],
     hint: Option<Hint>,
 ) -> Result<(i64, Decision), MatchError> {
     let hinted = match hint {
@@ -222,7 +252,7 @@ fn decide(
         }
         // A hint that is coarser than a sixth of a period tells nothing reliably.
         Some(Hint::Clock { map, sigma, center }) if sigma < grid.period / 6.0 => grid
-            .shift_by_clock(frames, &map, center)
+            .shift_by_clock(&map, center)
             .map(|shift| (shift, "the camera's gyroscope")),
         Some(Hint::Clock { .. }) => None,
     };

@@ -34,8 +34,10 @@ const NEAR: usize = 64;
 const MAX_FULL: usize = 1000;
 /// How often the best shift may change as more is compared.
 const ROUNDS: usize = 8;
+/// So many frames say what shift a clock relation means.
+const AT_ANCHOR: usize = 1000;
 /// Noise of a device time: one tick, evenly distributed.
-const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
+pub(super) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
 /// Longest recording, ns: a month.
 const MAX_SPAN: f64 = 30.0 * 86_400.0 * 1e9;
 /// Largest ordinal: beyond, times are damaged.
@@ -149,6 +151,15 @@ impl Grid {
         })
     }
 
+    /// The camera streamed before the first of the pulses: frames may lie in front of
+    /// it.
+    pub(super) fn of_running_camera(self) -> Self {
+        Self {
+            earlier_pulses: true,
+            ..self
+        }
+    }
+
     /// Device and board times that distances count from.
     pub(super) fn zeros(&self) -> (DeviceNanos, BoardNanos) {
         (self.device_zero, self.board_zero)
@@ -247,27 +258,27 @@ impl Grid {
         self.ordinals.get(index).copied()
     }
 
-    /// The shift that a clock relation means: the median over all frames.
+    /// The shift that a clock relation means: the median over the frames nearest to
+    /// where it is anchored, as it is known best there.
     pub(super) fn shift_by_clock(
         &self,
-        frames: &[DeviceNanos],
         map: &AffineMap<DeviceNanos, BoardNanos>,
         center: i64,
     ) -> Option<i64> {
-        let mut sorted = frames.to_vec();
-        sorted.sort_unstable();
-        let mut shifts: Vec<f64> = Vec::new();
-        for (&at, frame) in sorted.iter().zip(&self.frames) {
-            let board = map.apply(at).0.saturating_sub(center);
-            let time = board.saturating_sub(self.board_zero.0) as f64;
-            if let Some(ordinal) = self.nearest_ordinal(time) {
-                shifts.push((ordinal - frame.0) as f64);
-            }
-        }
-        if shifts.is_empty() {
-            return None;
-        }
-        Some(median(shifts) as i64)
+        let at = distance(map.anchor().0, self.device_zero.0);
+        let anchor = self.frames.partition_point(|frame| frame.1 < at);
+        let start = anchor
+            .saturating_sub(AT_ANCHOR / 2)
+            .min(self.frames.len().saturating_sub(AT_ANCHOR));
+        let near = self.frames.iter().skip(start).take(AT_ANCHOR);
+        let shifts = near.filter_map(|&(ordinal, time)| {
+            let device = DeviceNanos(self.device_zero.0.saturating_add(time as i64));
+            let board = map.apply(device).0.saturating_sub(center);
+            let pulse = self.nearest_ordinal(distance(board, self.board_zero.0))?;
+            Some((pulse - ordinal) as f64)
+        });
+        let shifts: Vec<f64> = shifts.collect();
+        (!shifts.is_empty()).then(|| median(shifts) as i64)
     }
 
     fn nearest_ordinal(&self, time: f64) -> Option<i64> {

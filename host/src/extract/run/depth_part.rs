@@ -70,6 +70,9 @@ impl Run<'_> {
         match &matched {
             Ok(matched) => {
                 self.remarks.extend(matched.remarks.iter().cloned());
+                for loss in &matched.losses {
+                    self.lose("depth", loss.clone());
+                }
                 let missing = &matched.found.missing;
                 if !missing.is_empty() {
                     let count = missing.len();

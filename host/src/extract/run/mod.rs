@@ -316,9 +316,10 @@ impl Run<'_> {
         }
         let joints = clock.map(PhoneClock::joints).unwrap_or_default();
         let mut reports = Vec::new();
-        for (index, mark) in survey.runs.iter().enumerate() {
+        for (index, mark) in survey.runs.iter_mut().enumerate() {
             let unmoved = (0, mark.sigma_s, "the computer's clock");
             let (moved_ns, sigma_s, by) = joints.get(index).copied().unwrap_or(unmoved);
+            mark.sigma_s = sigma_s;
             reports.push(BoardRunReport {
                 from_ns: mark.from.0,
                 last_before_ns: mark.last.0,
