@@ -121,6 +121,9 @@ pub(super) struct McapStream {
     kinds: HashMap<u16, Kind>,
     names: Names,
     events: VecDeque<BoardEvent>,
+    /// Memory of the last batch's unpacked chunks, for the next one: asking the system for
+    /// it anew costs as much as unpacking.
+    spare: Vec<Vec<u8>>,
     /// How much later each run is than it stands in the file, ns.
     moved: Vec<i64>,
     /// The run that is being read.
@@ -157,6 +160,7 @@ impl McapStream {
                 lidar: LIDAR_TOPIC.into(),
             },
             events: VecDeque::new(),
+            spare: Vec::new(),
             moved: moved.to_vec(),
             run: 0,
             trains: (0, 0),
@@ -262,7 +266,13 @@ impl McapStream {
         if batch.is_empty() {
             return Ok(false);
         }
-        let unpacked: Vec<Result<Vec<u8>, String>> = batch.into_par_iter().map(unpack).collect();
+        self.spare.resize_with(batch.len(), Vec::new);
+        let memory = self.spare.drain(..);
+        let jobs: Vec<(Packed, Vec<u8>)> = batch.into_iter().zip(memory).collect();
+        let unpacked: Vec<Result<Vec<u8>, String>> = jobs
+            .into_par_iter()
+            .map(|(chunk, memory)| unpack(chunk, memory))
+            .collect();
         // Channels may be described in any chunk: take them up in order first.
         for chunk in unpacked.iter().flatten() {
             for (_, data) in records_of(chunk).filter(|(opcode, _)| *opcode == op::CHANNEL) {
@@ -271,15 +281,16 @@ impl McapStream {
         }
         let (kinds, names) = (&self.kinds, &self.names);
         let outcomes: Vec<Outcome> = unpacked
-            .into_par_iter()
+            .par_iter()
             .map(|chunk| match chunk {
-                Ok(chunk) => decode(&chunk, kinds, names),
+                Ok(chunk) => decode(chunk, kinds, names),
                 Err(fault) => Outcome {
-                    fault: Some(fault),
+                    fault: Some(fault.clone()),
                     ..Outcome::default()
                 },
             })
             .collect();
+        self.spare.extend(unpacked.into_iter().flatten());
         for outcome in outcomes {
             if let Some(fault) = outcome.fault {
                 self.fault(fault);
@@ -392,7 +403,8 @@ fn is_bad_magic(error: &McapError) -> bool {
     matches!(error, McapError::BadMagic)
 }
 
-fn unpack(chunk: Packed) -> Result<Vec<u8>, String> {
+/// A chunk's records, in `out` if they are packed.
+fn unpack(chunk: Packed, mut out: Vec<u8>) -> Result<Vec<u8>, String> {
     let header = &chunk.header;
     let seconds = header.message_start_time / SECOND.unsigned_abs();
     let from = format!("the chunk from second {seconds} of board time on");
@@ -402,7 +414,7 @@ fn unpack(chunk: Packed) -> Result<Vec<u8>, String> {
     let data = match header.compression.as_str() {
         "" => chunk.data,
         "lz4" => {
-            let mut out = Vec::new();
+            out.clear();
             lz4_flex::frame::FrameDecoder::new(chunk.data.as_slice())
                 .take(MAX_CHUNK)
                 .read_to_end(&mut out)

@@ -107,20 +107,27 @@ impl Run<'_> {
         if given.is_some() {
             return;
         }
-        let mode = index.mode.as_deref().unwrap_or("unknown");
-        match nominal_center(mode) {
+        let mode = index.mode.as_deref();
+        match mode.and_then(nominal_center) {
             Some(center) => {
                 constants.depth_center_ns = center;
+                let mode = mode.unwrap_or_default();
                 self.remarks.push(format!(
                     "from pulse to centre of exposure: {:.1} µs, half of the infrared train of mode {mode}; \
                      measure it and give --depth-center-us",
                     center as f64 / 1000.0
                 ));
             }
-            None => self.remarks.push(format!(
-                "the time from pulse to centre of exposure of depth mode {mode} is not known: depth \
-                 timestamps are the pulses; give --depth-center-us"
-            )),
+            None => {
+                let mode = match mode {
+                    Some(mode) => format!("there is no known value for depth mode {mode}"),
+                    None => String::from("the depth recording does not say its mode"),
+                };
+                self.remarks.push(format!(
+                    "the time from pulse to centre of exposure is not known ({mode}): depth timestamps \
+                     are the pulses; give --depth-center-us"
+                ));
+            }
         }
     }
 

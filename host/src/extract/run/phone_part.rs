@@ -48,7 +48,10 @@ impl Run<'_> {
                 Some(name) if input.is_other() => format!("--phone {name}=PATH"),
                 _ => String::from("--phone"),
             };
-            let what = format!("there are no files of the phone; give their folder with {how}");
+            let what = format!(
+                "there are no files of the phone (its video .mp4 and beside it the .csv files of frame \
+                 timestamps, gyroscope and accelerometer); give the folder that has them with {how}"
+            );
             self.lose("phone", input.about(&what));
             return Ok(None);
         };
