@@ -140,11 +140,11 @@ pub enum MatchError {
     },
     /// Several shifts by whole periods fit alike.
     #[error(
-        "which pulse made the first depth frame is ambiguous: the pulses are too regular to tell \
-         {} shifts by whole periods apart (first frame at pulse {} to {}); record with the \
-         camera's IMU on, start the depth recorder before the trigger is aligned, or give the \
-         pulse with --depth-first-pulse",
-        .0.shifts, .0.first, .0.last
+        "which pulse made the first depth frame is ambiguous: {}, so {} shifts by whole periods \
+         cannot be told apart (first frame at pulse {} to {}); record with the camera's IMU on, \
+         start the depth recorder before the trigger is aligned and with a slew of 200 µs or \
+         less, or give the pulse with --depth-first-pulse",
+        .0.why(), .0.shifts, .0.first, .0.last
     )]
     Ambiguous(Ambiguity),
     /// The board was reset, and frames and runs do not fit together.
@@ -183,6 +183,19 @@ pub struct Ambiguity {
     pub first: i64,
     /// The same at the largest.
     pub last: i64,
+    /// The trigger moved faster than a camera follows for certain, so that a
+    /// neighbouring shift cannot be ruled out.
+    pub moved_fast: bool,
+}
+
+impl Ambiguity {
+    const fn why(self) -> &'static str {
+        if self.moved_fast {
+            "the trigger moved by more than 200 µs at a time, which a camera may follow a frame late"
+        } else {
+            "the pulses are too regular"
+        }
+    }
 }
 
 /// Matches depth frames to pulses.
@@ -279,6 +292,7 @@ fn decide(
             shifts: found.left.len(),
             first: grid.index_of(found.left.iter().copied().min().unwrap_or(found.best)),
             last: grid.index_of(found.left.iter().copied().max().unwrap_or(found.best)),
+            moved_fast: grid.moved_fast,
         })),
     }
 }

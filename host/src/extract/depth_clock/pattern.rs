@@ -13,6 +13,13 @@
 //! where pulses are regular, all shifts cost the same and none wins by chance. A
 //! frame in front of the first pulse speaks against a shift (the camera waits for
 //! pulses); one behind the last does not (it goes on without them).
+//!
+//! All this takes for granted that the camera follows each pulse. One that comes later
+//! than expected by more than the camera waits for may find a frame already begun: the
+//! frames then follow the move one pulse late, which looks exactly like the next shift.
+//! How long a camera waits is not documented. Where the trigger was moved by more than
+//! [`FOLLOWED`] at a time, the neighbours of the best shift therefore stay in the
+//! running, whatever their χ².
 
 use rayon::prelude::*;
 
@@ -36,6 +43,9 @@ const MAX_FULL: usize = 1000;
 const ROUNDS: usize = 8;
 /// So many frames say what shift a clock relation means.
 const AT_ANCHOR: usize = 1000;
+/// By how much a pulse may come off its expected place for the camera to follow it
+/// for certain, ns: twice the usual slew.
+const FOLLOWED: f64 = 200e3;
 /// Noise of a device time: one tick, evenly distributed.
 pub(super) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
 /// Longest recording, ns: a month.
@@ -60,6 +70,8 @@ pub struct Grid {
     ordinals: Vec<i64>,
     /// Whether pulses were there before the first recorded one.
     earlier_pulses: bool,
+    /// Whether the trigger moved faster than the camera follows for certain.
+    pub(super) moved_fast: bool,
     /// Device time of the first frame.
     device_zero: DeviceNanos,
     /// Board time of the first pulse.
@@ -124,6 +136,7 @@ impl Grid {
         // The median knows the period to a tick of the camera only.
         let frame_period = mean_period(&frame_ordinals, &times).unwrap_or(frame_period);
         let period = mean_period(&ordinals, &pulse_times).unwrap_or(period);
+        let moved_fast = moved_fast(&ordinals, &pulse_times, period);
         let length = ordinals.last().map_or(0, |&last| last + 1);
         // Hostile times must not ask for memory: beyond this, pulses are too far
         // apart to be one recording.
@@ -146,6 +159,7 @@ impl Grid {
             pulses: at_ordinal,
             ordinals,
             earlier_pulses: pulses.first().is_some_and(|pulse| pulse.number > 0),
+            moved_fast,
             device_zero: zero,
             board_zero,
         })
@@ -395,6 +409,18 @@ fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
 /// Compares the shifts.
 #[must_use]
 pub fn search(grid: &Grid) -> Found {
+    let mut found = search_all(grid);
+    if grid.moved_fast {
+        for shift in [found.best - 1, found.best + 1] {
+            if !found.left.contains(&shift) {
+                found.left.push(shift);
+            }
+        }
+    }
+    found
+}
+
+fn search_all(grid: &Grid) -> Found {
     let stride = grid.frames.len().div_ceil(COARSE);
     let start = grid.shifts().start;
     let coarse: Vec<Distances> = grid
@@ -485,6 +511,17 @@ fn steps(times: &[f64]) -> Vec<f64> {
         .map(|pair| pair[1] - pair[0])
         .filter(|step| *step > 0.0)
         .collect()
+}
+
+/// Whether two pulses that follow each other are further from whole periods than the
+/// camera follows for certain.
+fn moved_fast(ordinals: &[i64], times: &[f64], period: f64) -> bool {
+    ordinals.windows(2).zip(times.windows(2)).any(|(o, t)| {
+        let steps = (o[1] - o[0]) as f64;
+        // The period is a mean over the recording: allow for its error in a long pause.
+        let allowed = FOLLOWED + 1e-6 * steps * period;
+        (t[1] - t[0] - steps * period).abs() > allowed
+    })
 }
 
 /// The slope of a robust line through (ordinal, time).

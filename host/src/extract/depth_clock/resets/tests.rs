@@ -39,7 +39,7 @@ impl Default for Settings {
         Self {
             seed: 1,
             first: 500,
-            slew: Some((150, 9_000_000, 500_000)),
+            slew: Some((100, 9_000_000, 150_000)),
             second: 600,
             second_slew: None,
             jump: 300_000,
@@ -297,7 +297,7 @@ fn a_first_run_that_is_too_short_is_matched_backwards() {
     let settings = Settings {
         first: 200,
         slew: None,
-        second_slew: Some((300, -7_000_000, 400_000)),
+        second_slew: Some((300, -7_000_000, 150_000)),
         ..Settings::default()
     };
     let scene = self::scene(&settings);
