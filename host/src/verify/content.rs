@@ -99,6 +99,18 @@ struct LastPulse {
     aligned: bool,
 }
 
+/// Time from an edge to its being counted, at most: far longer than an interrupt waits.
+const COUNTED_WITHIN: u64 = protocol::TICK_HZ as u64 / 1000;
+
+impl LastPulse {
+    /// Whether a status of `at` that counts `made` pulses should have counted this one.
+    /// Pulses are sent before a status that waits, so one that came first may be younger
+    /// than it.
+    const fn is_uncounted(&self, made: u64, at: Ticks) -> bool {
+        self.number >= made && self.at.0.saturating_add(COUNTED_WITHIN) <= at.0
+    }
+}
+
 /// A topic's running number and time.
 #[derive(Default)]
 struct TopicState {
@@ -429,8 +441,7 @@ impl Content {
             && !self.after_gap
         {
             let made = status.trigger.pulses;
-            let came = pulse.number + 1;
-            if came > made {
+            if pulse.is_uncounted(made, status.at) {
                 findings.add(Grade::Error, "pulse_count", Some(status.at), || {
                     format!("pulse {} came, but the board counts {made}", pulse.number)
                 });
@@ -754,5 +765,24 @@ impl Sink for Content {
         self.steps = None;
         self.last_imu = None;
         self.counters = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pulse_younger_than_the_status_behind_it_need_not_be_counted() {
+        let pulse = LastPulse {
+            train: 1,
+            number: 2_203,
+            at: Ticks(480_000),
+            aligned: true,
+        };
+        let later = Ticks(480_000 + COUNTED_WITHIN);
+        assert!(pulse.is_uncounted(2_203, later));
+        assert!(!pulse.is_uncounted(2_204, later));
+        assert!(!pulse.is_uncounted(2_203, Ticks(479_999)));
     }
 }
