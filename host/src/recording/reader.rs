@@ -1,12 +1,12 @@
 //! Reads `recording.mcap`, whole or broken off.
 //!
 //! Records are read front to back with bounded memory (one chunk). A file whose
-//! writer was killed ends in the middle of a record: what stands before is given
+//! writer was killed ends in the middle of a record: the whole chunks before are given
 //! out, then [`Reader::broken_off`] says that the end is missing.
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
@@ -18,6 +18,7 @@ use super::messages::{
     BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
     TimeReference, from_cdr,
 };
+use super::scan::{split_record, unpack_records};
 use super::{MCAP_FILE, RecordingError, topic};
 
 /// The longest record that is taken: far above a chunk of this writer, far below
@@ -86,8 +87,18 @@ pub struct Reader {
     file: BufReader<File>,
     path: PathBuf,
     topics: BTreeMap<u16, String>,
+    chunk: Option<Chunk>,
     broken_off: bool,
     ended: bool,
+}
+
+/// A chunk whose records are being given out.
+struct Chunk {
+    records: Vec<u8>,
+    /// Where the next of them begins.
+    at: usize,
+    /// Whether its checksum is right.
+    intact: bool,
 }
 
 /// Board time of a `log_time` or stamp, exactly.
@@ -118,13 +129,14 @@ impl Reader {
         })?;
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)
-            .with_validate_chunk_crcs(true)
+            .with_emit_chunks(true)
             .with_record_length_limit(MAX_RECORD);
         Ok(Self {
             reader: LinearReader::new_with_options(options),
             file: BufReader::new(file),
             path,
             topics: BTreeMap::new(),
+            chunk: None,
             broken_off: false,
             ended: false,
         })
@@ -139,6 +151,12 @@ impl Reader {
 
     fn step(&mut self) -> Result<Option<Entry>, RecordingError> {
         loop {
+            if let Some(entry) = self.step_in_chunk()? {
+                return Ok(Some(entry));
+            }
+            if self.ended {
+                return Ok(None);
+            }
             let event = match self.reader.next_event() {
                 None => {
                     // Without the record that closes the data the writer was cut.
@@ -165,32 +183,38 @@ impl Reader {
                     })?;
                     self.reader.notify_read(count);
                 }
-                // Nothing else is of use here, and the parser of attachments takes
-                // four bytes for granted.
-                LinearReadEvent::Record { opcode, .. }
-                    if !matches!(opcode, op::CHANNEL | op::MESSAGE) => {}
+                LinearReadEvent::Record { data, opcode } if opcode == op::CHUNK => {
+                    let chunk = unpack(data);
+                    self.chunk = Some(chunk.map_err(|error| self.error(error))?);
+                }
                 LinearReadEvent::Record { data, opcode } => {
-                    let record = mcap::parse_record(opcode, data);
-                    match record {
-                        Ok(Record::Channel(channel)) => {
-                            self.topics.insert(channel.id, channel.topic);
-                        }
-                        Ok(Record::Message { header, data }) => {
-                            let topic = self
-                                .topics
-                                .get(&header.channel_id)
-                                .map_or("", String::as_str);
-                            return entry(&header, topic, &data).map(Some);
-                        }
-                        Ok(_) => {}
-                        Err(error) => {
-                            self.ended = true;
-                            return Err(self.error(error));
-                        }
+                    if let Some(entry) = take_up(&mut self.topics, &self.path, opcode, data)? {
+                        return Ok(Some(entry));
                     }
                 }
             }
         }
+    }
+
+    /// The next message of the chunk at hand; `None` if there is none left in it.
+    fn step_in_chunk(&mut self) -> Result<Option<Entry>, RecordingError> {
+        while let Some(chunk) = &mut self.chunk {
+            let rest = chunk.records.get(chunk.at..).unwrap_or_default();
+            if rest.is_empty() {
+                self.broken_off |= !chunk.intact;
+                self.ended |= !chunk.intact;
+                self.chunk = None;
+                break;
+            }
+            let Some((opcode, body, after)) = split_record(rest) else {
+                return Err(self.error(McapError::UnexpectedEoc));
+            };
+            chunk.at = chunk.records.len() - after.len();
+            if let Some(entry) = take_up(&mut self.topics, &self.path, opcode, body)? {
+                return Ok(Some(entry));
+            }
+        }
+        Ok(None)
     }
 
     fn error(&self, source: McapError) -> RecordingError {
@@ -216,10 +240,60 @@ impl Iterator for Reader {
     }
 }
 
+/// A chunk from the body of its record.
+fn unpack(body: &[u8]) -> Result<Chunk, McapError> {
+    let Record::Chunk { header, data } = mcap::parse_record(op::CHUNK, body)? else {
+        return Err(McapError::UnexpectedEoc);
+    };
+    let records =
+        unpack_records(&header.compression, data, Vec::new()).map_err(|error| {
+            match error.kind() {
+                ErrorKind::Unsupported => McapError::UnsupportedCompression(header.compression),
+                _ => McapError::DecompressionError(error.to_string()),
+            }
+        })?;
+    // 0: the writer made no checksum.
+    let crc = header.uncompressed_crc;
+    Ok(Chunk {
+        intact: crc == 0 || crc32fast::hash(&records) == crc,
+        records,
+        at: 0,
+    })
+}
+
+/// Takes up a record: a channel's topic, or a message, which is given out.
+fn take_up(
+    topics: &mut BTreeMap<u16, String>,
+    path: &Path,
+    opcode: u8,
+    body: &[u8],
+) -> Result<Option<Entry>, RecordingError> {
+    // Nothing else is of use here, and the parser of attachments takes four bytes for
+    // granted.
+    if !matches!(opcode, op::CHANNEL | op::MESSAGE) {
+        return Ok(None);
+    }
+    let record = mcap::parse_record(opcode, body).map_err(|source| RecordingError::Mcap {
+        path: path.to_owned(),
+        source,
+    })?;
+    match record {
+        Record::Channel(channel) => {
+            topics.insert(channel.id, channel.topic);
+            Ok(None)
+        }
+        Record::Message { header, data } => {
+            let topic = topics.get(&header.channel_id).map_or("", String::as_str);
+            entry(&header, topic, &data).map(Some)
+        }
+        _ => Ok(None),
+    }
+}
+
 fn is_end(error: &McapError) -> bool {
     match error {
-        McapError::UnexpectedEof | McapError::BadChunkCrc { .. } => true,
-        McapError::Io(error) => error.kind() == std::io::ErrorKind::UnexpectedEof,
+        McapError::UnexpectedEof => true,
+        McapError::Io(error) => error.kind() == ErrorKind::UnexpectedEof,
         _ => false,
     }
 }

@@ -9,6 +9,7 @@
 //! program writes; a record outside of a chunk that was turned into another valid
 //! one is only noticed by the checksum over the whole file.
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -19,7 +20,7 @@ use mcap::records::{ChunkHeader, Record, op};
 const MAX_RECORD: u64 = 256 << 20;
 
 /// The largest chunk when unpacked.
-const MAX_CHUNK: u64 = 256 << 20;
+pub const MAX_CHUNK: u64 = 256 << 20;
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -342,23 +343,14 @@ fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
         what,
         times: (header.message_start_time, header.message_end_time),
     };
-    let data = match header.compression.as_str() {
-        "" => packed.to_vec(),
-        "lz4" => {
-            let mut out = Vec::new();
-            let unpacked = lz4_flex::frame::FrameDecoder::new(packed)
-                .take(MAX_CHUNK)
-                .read_to_end(&mut out);
-            if let Err(error) = unpacked {
-                return bad(format!("it cannot be unpacked: {error}"));
-            }
-            out
-        }
-        _ => {
+    let data = match unpack_records(&header.compression, Cow::Borrowed(packed), Vec::new()) {
+        Ok(data) => data,
+        Err(error) if error.kind() == io::ErrorKind::Unsupported => {
             return bad(String::from(
                 "it is packed in a way that this program does not write; expected lz4 or nothing",
             ));
         }
+        Err(error) => return bad(format!("it cannot be unpacked: {error}")),
     };
     if data.len() as u64 != header.uncompressed_size {
         return bad(format!(
@@ -373,14 +365,47 @@ fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
     Piece::Chunk(data)
 }
 
+/// The records of a chunk by the name of its compression, in the memory of `out` if
+/// they are packed.
+///
+/// # Errors
+///
+/// [`io::ErrorKind::Unsupported`] for a compression that this program does not write;
+/// else they cannot be unpacked.
+pub fn unpack_records(
+    compression: &str,
+    packed: Cow<'_, [u8]>,
+    mut out: Vec<u8>,
+) -> io::Result<Vec<u8>> {
+    match compression {
+        "" => Ok(packed.into_owned()),
+        "lz4" => {
+            out.clear();
+            lz4_flex::frame::FrameDecoder::new(packed.as_ref())
+                .take(MAX_CHUNK)
+                .read_to_end(&mut out)?;
+            Ok(out)
+        }
+        _ => Err(io::ErrorKind::Unsupported.into()),
+    }
+}
+
+/// Opcode and body of the first of a chunk's records, and what follows; `None` if it
+/// is cut off.
+#[must_use]
+pub fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (&opcode, after) = records.split_first()?;
+    let (length, after) = after.split_first_chunk::<8>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (body, after) = after.split_at_checked(length)?;
+    Some((opcode, body, after))
+}
+
 /// Opcode and body of the records in a chunk; ends at the first that is cut off.
 pub fn records_of(chunk: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     let mut rest = chunk;
     std::iter::from_fn(move || {
-        let (&opcode, after) = rest.split_first()?;
-        let (length, after) = after.split_first_chunk::<8>()?;
-        let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-        let (body, after) = after.split_at_checked(length)?;
+        let (opcode, body, after) = split_record(rest)?;
         rest = after;
         Some((opcode, body))
     })

@@ -20,7 +20,7 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -37,15 +37,13 @@ use crate::extract::time::{BoardNanos, SECOND};
 use crate::recording::messages::{
     self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
 };
-use crate::recording::scan::records_of;
+use crate::recording::scan::{MAX_CHUNK, records_of, unpack_records};
 use crate::recording::topic;
 use crate::sync::Wander;
 use crate::time::BoardSeconds;
 
 /// Longest record: far above a chunk of our writer.
 const MAX_RECORD: usize = 256 << 20;
-/// Largest chunk when unpacked.
-const MAX_CHUNK: u64 = 256 << 20;
 /// Chunks that are decoded at a time, and their bytes at most.
 const BATCH: usize = 64;
 const BATCH_BYTES: usize = 32 << 20;
@@ -404,30 +402,22 @@ fn is_bad_magic(error: &McapError) -> bool {
 }
 
 /// A chunk's records, in `out` if they are packed.
-fn unpack(chunk: Packed, mut out: Vec<u8>) -> Result<Vec<u8>, String> {
+fn unpack(chunk: Packed, out: Vec<u8>) -> Result<Vec<u8>, String> {
     let header = &chunk.header;
     let seconds = header.message_start_time / SECOND.unsigned_abs();
     let from = format!("the chunk from second {seconds} of board time on");
     if header.uncompressed_size > MAX_CHUNK {
         return Err(format!("{from} claims more than any real one holds"));
     }
-    let data = match header.compression.as_str() {
-        "" => chunk.data,
-        "lz4" => {
-            out.clear();
-            lz4_flex::frame::FrameDecoder::new(chunk.data.as_slice())
-                .take(MAX_CHUNK)
-                .read_to_end(&mut out)
-                .map_err(|error| format!("{from} cannot be unpacked: {error}"))?;
-            out
+    let compression = header.compression.as_str();
+    let data = unpack_records(compression, chunk.data.into(), out).map_err(|error| {
+        if error.kind() == io::ErrorKind::Unsupported {
+            let other: String = compression.chars().take(16).collect();
+            format!("{from} is packed with {other:?}; expected lz4 or nothing")
+        } else {
+            format!("{from} cannot be unpacked: {error}")
         }
-        other => {
-            let other: String = other.chars().take(16).collect();
-            return Err(format!(
-                "{from} is packed with {other:?}; expected lz4 or nothing"
-            ));
-        }
-    };
+    })?;
     // 0: the writer made no checksum.
     if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc {
         return Err(format!("{from} is damaged: its checksum is wrong"));
