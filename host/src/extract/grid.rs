@@ -7,6 +7,7 @@
 //! to the nearest frame, followed over the places where another frame becomes the
 //! nearest.
 
+use super::depth_clock::fit::straight;
 use super::time::BoardNanos;
 
 /// Pulses that a line is fitted through, at least.
@@ -66,25 +67,16 @@ pub fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridRepo
     if points.len() < MIN_PULSES {
         return None;
     }
-    let count = points.len() as f64;
-    let mean_x = points.iter().map(|point| point.0).sum::<f64>() / count;
-    let mean_y = points.iter().map(|point| point.1).sum::<f64>() / count;
-    let about = |(x, y): &(f64, f64)| (x - mean_x, y - mean_y);
-    let xx: f64 = points.iter().map(|point| about(point).0.powi(2)).sum();
-    let xy: f64 = points
-        .iter()
-        .map(|point| about(point).0 * about(point).1)
-        .sum();
-    let slope = xy / xx;
+    let (offset, slope) = straight(&points)?;
     let squares: f64 = points
         .iter()
-        .map(|point| (about(point).1 - slope * about(point).0).powi(2))
+        .map(|(x, y)| (y - offset - slope * x).powi(2))
         .sum();
     Some(GridReport {
         pulses: points.len(),
-        offset_us: (mean_y - slope * mean_x) * 1e-3,
+        offset_us: offset * 1e-3,
         drift_us_per_min: slope * 60e-3,
-        residual_us: (squares / count).sqrt() * 1e-3,
+        residual_us: (squares / points.len() as f64).sqrt() * 1e-3,
     })
 }
 

@@ -104,7 +104,7 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
 }
 
 /// The least squares line `a + b·x` through at least three points.
-pub(super) fn straight(points: &[(f64, f64)]) -> Option<(f64, f64)> {
+pub(in crate::extract) fn straight(points: &[(f64, f64)]) -> Option<(f64, f64)> {
     (points.len() >= 3).then(|| line(points))
 }
 
