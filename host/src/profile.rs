@@ -390,9 +390,8 @@ impl Profile {
             reason: error.to_string(),
         };
         // Into a table first: a text that is no TOML at all is told with its line.
-        let given: toml::Table = text.parse().map_err(syntax)?;
+        let mut given: toml::Table = text.parse().map_err(syntax)?;
         let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;
-        let mut given = given;
         complete_phones(&mut given, &whole);
         merge(&mut whole, given);
         let mut profile: Self = whole.try_into().map_err(syntax)?;

@@ -128,6 +128,16 @@ impl Rig<'_> {
         }
     }
 
+    /// Whose something is, behind what it is: its name where there are several.
+    #[must_use]
+    pub fn of_phone(&self, place: usize) -> String {
+        if self.others.is_empty() {
+            String::new()
+        } else {
+            format!(", {}", self.phone_profile(place).name)
+        }
+    }
+
     /// A failure of the phone at a place.
     #[must_use]
     pub fn phone_failure(&self, place: usize, error: PhoneError) -> Failure {

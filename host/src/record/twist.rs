@@ -121,11 +121,7 @@ fn relate(
     let folder = rig.file.phone_folder(&phone.name);
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
     let name = name.to_string_lossy().into_owned();
-    let label = if rig.others.is_empty() {
-        format!("twist {number}")
-    } else {
-        format!("twist {number}, {}", phone.name)
-    };
+    let label = format!("twist {number}{}", rig.of_phone(place));
     save_samples(rig, &name, samples)?;
     let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
     let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
@@ -299,11 +295,7 @@ pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> R
         let joined = first.joined(second);
         let text = format!(
             "both twists{}: skew {:+.4} ± {:.4} ppm",
-            if rig.others.is_empty() {
-                String::new()
-            } else {
-                format!(", {}", rig.phone_profile(place).name)
-            },
+            rig.of_phone(place),
             joined.skew * 1e6,
             joined.covariance[1][1].sqrt() * 1e6
         );
