@@ -27,7 +27,6 @@ use smartdepthsync::recording::reader::{Item, Reader};
 use smartdepthsync::recording::session_file::SessionFile;
 
 use crate::demo::judge::{Timebase, Truth};
-use crate::depth_camera::FrameRecord;
 use crate::k4a_mkv::{self, K4aSettings};
 use crate::motion::gesture::Gesture;
 use crate::motion::{MotionSpec, Step};
@@ -109,6 +108,30 @@ pub struct Recorded {
     pub pulses: Vec<Ticks>,
 }
 
+impl Recorded {
+    /// Writes the depth recording of the frames in the truth, as small images that
+    /// name their frame: what is in them is tested elsewhere.
+    fn write_depth(&self) -> Result<()> {
+        let settings = K4aSettings {
+            width: 32,
+            height: 18,
+            infrared: false,
+            imu: false,
+            ..K4aSettings::default()
+        };
+        let cannot = || format!("cannot write {}", self.depth.display());
+        let file = BufWriter::new(File::create(&self.depth).with_context(cannot)?);
+        let frames = &self.truth.depth;
+        k4a_mkv::write_frames(file, settings, frames, |number, pixels| {
+            for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
+                *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
+            }
+        })
+        .with_context(cannot)?;
+        Ok(())
+    }
+}
+
 /// Makes a recording under `out`.
 ///
 /// A session's patience with the phone is real time, and virtual time stands still
@@ -161,53 +184,59 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
         wait_for_host: true,
     };
     let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
-    let profile = run.join("rig.toml");
     let text = owner_profile(&known, rig.phone().context("the rig has no phone")?)?;
     let text = match &plan.profile {
         None => text,
         Some(path) => moved(path, &text)?,
     };
-    std::fs::write(&profile, text)
-        .with_context(|| format!("cannot write {}", profile.display()))?;
+    let recorded = session(rig, programs, &text, &run, storage, plan.seconds)
+        .with_context(|| format!("seed {}", plan.seed))?;
+    recorded.write_depth()?;
+    Ok(recorded)
+}
+
+/// Runs one session of a rig, with `profile` as its profile and `phone` as the folder
+/// of the phone's files, into the folder `recording` under `out`. The depth recording
+/// is not written yet.
+fn session(
+    rig: RunningRig,
+    programs: &Programs,
+    profile: &str,
+    out: &Path,
+    phone: PathBuf,
+    seconds: u32,
+) -> Result<Recorded> {
+    let path = out.join("rig.toml");
+    std::fs::write(&path, profile).with_context(|| format!("cannot write {}", path.display()))?;
     let output = Command::new(&programs.smartdepthsync)
         .arg("record")
         .arg("--port")
         .arg(rig.port())
         .arg("--profile")
-        .arg(&profile)
+        .arg(&path)
         .arg("--out")
-        .arg(&run)
-        .args(["--name", "recording", "--yes"])
-        .args(["--duration", &format!("{}s", plan.seconds)])
-        .arg("--fetch-video")
+        .arg(out)
+        .args(["--name", "recording", "--yes", "--fetch-video"])
+        .args(["--duration", &format!("{seconds}s")])
         .stdin(Stdio::null())
         .output()
         .with_context(|| cannot_start(&programs.smartdepthsync))?;
     if !output.status.success() {
         // A board that has died is the reason for whatever the session says.
         rig.stop().context("the simulated rig")?;
-        bail!(
-            "the session of seed {} failed: {}",
-            plan.seed,
-            said(&output)
-        );
+        bail!("the session failed: {}", said(&output));
     }
-    let folder = run.join("recording");
+    let folder = out.join("recording");
     let truth = Truth::of(rig.stop().context("the simulated rig")?)?;
-    let depth = folder.join("depth.mkv");
-    write_depth(&depth, &truth.depth)
-        .with_context(|| format!("cannot write {}", depth.display()))?;
-    let session = SessionFile::load(&folder)?;
     let pulses = pulses(&folder)?;
-    let base = truth.timebase.refined(&pulses, &truth.depth)?;
     Ok(Recorded {
+        phone,
+        depth: folder.join("depth.mkv"),
+        profile: path,
+        session: SessionFile::load(&folder)?,
+        base: truth.timebase.refined(&pulses, &truth.depth)?,
         folder,
-        phone: storage,
-        depth,
-        profile,
-        session,
         truth,
-        base,
         pulses,
     })
 }
@@ -228,24 +257,6 @@ fn moved(path: &Path, new: &str) -> Result<String> {
         text.push('\n');
     }
     Ok(text)
-}
-
-/// Small images that name their frame: what is in them is tested elsewhere.
-fn write_depth(path: &Path, frames: &[FrameRecord]) -> Result<()> {
-    let settings = K4aSettings {
-        width: 32,
-        height: 18,
-        infrared: false,
-        imu: false,
-        ..K4aSettings::default()
-    };
-    let file = BufWriter::new(File::create(path)?);
-    k4a_mkv::write_frames(file, settings, frames, |number, pixels| {
-        for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
-            *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
-        }
-    })?;
-    Ok(())
 }
 
 fn pulses(folder: &Path) -> Result<Vec<Ticks>> {

@@ -5,19 +5,17 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use protocol::TICK_HZ;
 use serde::Serialize;
 use serde_json::Value;
-use smartdepthsync::recording::session_file::SessionFile;
 
 use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
 use super::extraction::{table, whole};
-use super::{Programs, Recorded, ask, cannot_start, pulses, said, write_depth};
-use crate::demo::judge::{OtherVerdict, Truth, Verdict};
+use super::{Programs, Recorded, ask, session};
+use crate::demo::judge::{OtherVerdict, Verdict};
 use crate::i2c::lock;
 use crate::lidar::{Lidar, LidarConfig, LidarFaults};
 use crate::motion::MotionSpec;
@@ -247,44 +245,28 @@ pub fn run(
         wait_for_host: true,
     };
     let rig = RunningRig::with_phones(config, board, phones.collect(), pace)?;
-    let profile = out.join("rig.toml");
-    fs::write(&profile, profile_of(&rig)?)
-        .with_context(|| format!("cannot write {}", profile.display()))?;
+    let profile = profile_of(&rig)?;
     tell(&format!(
         "recording {} s with two phones, four cameras and a lidar, and fetching the videos",
         plan.seconds
     ));
-    let output = Command::new(&programs.smartdepthsync)
-        .arg("record")
-        .arg("--port")
-        .arg(rig.port())
-        .arg("--profile")
-        .arg(&profile)
-        .arg("--out")
-        .arg(out)
-        .args(["--name", "recording", "--yes", "--fetch-video"])
-        .args(["--duration", &format!("{}s", plan.seconds)])
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| cannot_start(&programs.smartdepthsync))?;
-    if !output.status.success() {
-        rig.stop().context("the simulated rig")?;
-        bail!("the session failed: {}", said(&output));
-    }
-    let mut truth = Truth::of(rig.stop().context("the simulated rig")?)?;
-    let recording = out.join("recording");
-    let session = SessionFile::load(&recording)?;
-    let pulses = pulses(&recording)?;
-    let base = truth.timebase.refined(&pulses, &truth.depth)?;
+    let mut recorded = session(
+        rig,
+        programs,
+        &profile,
+        out,
+        out.join("phones"),
+        plan.seconds,
+    )?;
     // As its recorder would have been stopped with the session.
-    let span = session.recorded.context("nothing was recorded")?;
+    let span = recorded.session.recorded.context("nothing was recorded")?;
     let end = span.to.0 + RECORDER_STOPS;
-    truth
+    let base = &recorded.base;
+    recorded
+        .truth
         .depth
         .retain(|frame| base.ticks(frame.center).0 <= end);
-    let depth = recording.join("depth.mkv");
-    write_depth(&depth, &truth.depth)
-        .with_context(|| format!("cannot write {}", depth.display()))?;
+    recorded.write_depth()?;
     tell("extracting everything in board time");
     let data = out.join("data");
     let mut arguments = vec![
@@ -293,24 +275,14 @@ pub fn run(
         data.display().to_string(),
     ];
     for name in PHONES {
-        let files = out.join("phones").join(name);
+        let files = recorded.phone.join(name);
         arguments.push("--phone".to_owned());
         arguments.push(format!("{name}={}", files.display()));
     }
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    let report = ask(programs, &arguments, &[&recording])?;
+    let report = ask(programs, &arguments, &[&recorded.folder])?;
     tell("comparing with the truth");
-    let verdict = truth.judge(&recording)?;
-    let recorded = Recorded {
-        phone: out.join("phones"),
-        session,
-        folder: recording,
-        depth,
-        profile,
-        truth,
-        base,
-        pulses,
-    };
+    let verdict = recorded.truth.judge(&recorded.folder)?;
     let figures = Judge {
         recorded: &recorded,
         data: &data,
