@@ -116,22 +116,19 @@ pub fn plan(
     let mut remarks = Vec::new();
     let (frame_period_ns, frame_period_sigma_ns, source) =
         frame_period(&profile.phone, video, &mut remarks);
-    let exposure_us = match video.exposure_ns {
-        Some(exposure) if exposure > 0 => exposure as f64 * 1e-3,
-        _ => {
-            remarks.push(format!(
-                "the app does not report the exposure; the profile's {} µs is used",
-                profile.phone.exposure_us
-            ));
+    let exposure_us = reported_exposure_us(video).unwrap_or_else(|| {
+        remarks.push(format!(
+            "the app does not report the exposure; the profile's {} µs is used",
             profile.phone.exposure_us
-        }
-    };
+        ));
+        profile.phone.exposure_us
+    });
     let middle_row_us = profile.middle_row_us();
     let center_offset_us = profile.depth.center_offset_us;
     let bias_us = profile.frame_sync.bias_us;
 
-    let middle = PhoneSeconds(video.phase.seconds().0 + (exposure_us / 2.0 + middle_row_us) * 1e-6);
-    let edge = BoardSeconds(clock.to_board(middle).0 - (center_offset_us + bias_us) * 1e-6);
+    let middle = middle(clock, video, exposure_us, middle_row_us);
+    let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us) * 1e-6);
     if !(edge.0 > 0.0 && edge.0 < 1e9) {
         return Err(AlignmentError::OutOfRange { board_s: edge.0 });
     }
@@ -145,8 +142,6 @@ pub fn plan(
     // At 30 fps 1.6·10⁶ · 2³² is below 2⁵³: exact to 2⁻³² ticks.
     let period_q32 = (period_s * f64::from(TICK_HZ) * 4_294_967_296.0).round() as u64;
 
-    let skew_sigma = clock.skew_sigma_at(edge);
-    let period_sigma = frame_period_sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns;
     Ok(Planned {
         alignment: Alignment {
             exposure_us,
@@ -160,7 +155,12 @@ pub fn plan(
             anchor: edge.ticks(),
             period_q32,
             phase_sigma_us: phase_sigma_us(clock, edge),
-            drift_sigma_us_per_min: (skew_sigma.powi(2) + period_sigma.powi(2)).sqrt() * 60e6,
+            drift_sigma_us_per_min: drift_sigma_us_per_min(
+                clock,
+                edge,
+                frame_period_ns,
+                frame_period_sigma_ns,
+            ),
             arrival_pulse: None,
             arrival: None,
         },
@@ -168,10 +168,53 @@ pub fn plan(
     })
 }
 
+/// What the app reported of the exposure, µs.
+fn reported_exposure_us(video: &Video) -> Option<f64> {
+    let exposure = video.exposure_ns.filter(|&exposure| exposure > 0)?;
+    Some(exposure as f64 * 1e-3)
+}
+
+/// Board time of the middle of the frame that the phone gave the timestamp of.
+fn middle(clock: &ClockModel, video: &Video, exposure_us: f64, middle_row_us: f64) -> BoardSeconds {
+    let to_middle = (exposure_us / 2.0 + middle_row_us) * 1e-6;
+    clock.to_board(PhoneSeconds(video.phase.seconds().0 + to_middle))
+}
+
 /// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and
 /// the jitter of the one timestamp that the phone gives.
 fn phase_sigma_us(clock: &ClockModel, at: BoardSeconds) -> f64 {
     (clock.offset_at(at).sigma * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
+}
+
+/// 1-sigma of a frame period relative to it; without one it is that of the period
+/// that `video_start` reports.
+fn relative_period_sigma(frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
+    sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns
+}
+
+/// 1-sigma of how frames move against pulses, µs/min: the skew and the frame period.
+fn drift_sigma_us_per_min(
+    clock: &ClockModel,
+    at: BoardSeconds,
+    frame_period_ns: f64,
+    sigma_ns: Option<f64>,
+) -> f64 {
+    let period_sigma = relative_period_sigma(frame_period_ns, sigma_ns);
+    clock.skew_sigma_at(at).hypot(period_sigma) * 60e6
+}
+
+impl Alignment {
+    /// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
+    ///
+    /// Where the grid is right on the phone's frames depends on the offset of the clocks
+    /// *then*, whose uncertainty holds what the skew adds, and on how many frames of
+    /// an uncertain period lie between.
+    #[must_use]
+    pub fn phase_sigma_us_at(&self, at: BoardSeconds) -> f64 {
+        let since = at.0 - self.anchor.as_secs_f64();
+        let period_sigma = relative_period_sigma(self.frame_period_ns, self.frame_period_sigma_ns);
+        phase_sigma_us(&self.clock, at).hypot(since * period_sigma * 1e6)
+    }
 }
 
 /// The learnt frame period where there is one that fits what the phone reports
@@ -220,12 +263,8 @@ pub fn placement(
     alignment: &Alignment,
 ) -> Placement {
     let (period_ns, sigma_ns, _) = frame_period(phone, video, &mut Vec::new());
-    let exposure_us = match video.exposure_ns {
-        Some(exposure) if exposure > 0 => exposure as f64 * 1e-3,
-        _ => phone.exposure_us,
-    };
-    let to_middle = (exposure_us / 2.0 + phone.middle_row_us()) * 1e-6;
-    let middle = clock.to_board(PhoneSeconds(video.phase.seconds().0 + to_middle));
+    let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
+    let middle = middle(clock, video, exposure_us, phone.middle_row_us());
     let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;
     let depth = BoardSeconds(alignment.anchor.as_secs_f64() + to_depth);
     let grid_s = alignment.period_q32 as f64
@@ -234,12 +273,11 @@ pub fn placement(
         / f64::from(profile.frame_ratio());
     let apart = middle.0 - depth.0;
     let own_s = period_ns * 1e-9 / (1.0 + clock.skew);
-    let period_sigma = sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / period_ns;
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
         offset_sigma_us: phase_sigma_us(clock, middle),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
-        drift_sigma_us_per_min: clock.skew_sigma_at(middle).hypot(period_sigma) * 60e6,
+        drift_sigma_us_per_min: drift_sigma_us_per_min(clock, middle, period_ns, sigma_ns),
     }
 }
 
@@ -320,6 +358,27 @@ mod tests {
         assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
         assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 4.0).sqrt()).abs() < 0.05);
         assert!(planned.remarks[0].contains("no frame period learnt"));
+    }
+
+    #[test]
+    fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
+        let profile = Profile::published().unwrap();
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        let anchor = alignment.anchor.as_secs_f64();
+        let at_anchor = alignment.phase_sigma_us_at(BoardSeconds(anchor));
+        // A tick of the anchor is rounded.
+        assert!((at_anchor - alignment.phase_sigma_us).abs() < 1e-6);
+        // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
+        // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
+        let since = 160.0 - anchor;
+        let period_us = since * VIDEO_START_SIGMA_NS / 33_330_652.542 * 1e6;
+        let expected = (9.0 + 60.0_f64.powi(2) + 4.0 + period_us.powi(2)).sqrt();
+        let found = alignment.phase_sigma_us_at(BoardSeconds(160.0));
+        // The clocks' wander adds a little.
+        assert!(
+            (0.0..0.1).contains(&(found - expected)),
+            "{found} {expected}"
+        );
     }
 
     #[test]

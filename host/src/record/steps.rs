@@ -123,11 +123,13 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
         slew: rig.profile.slew(),
     };
     let plan = rig.call(|board| board.align(align))?;
-    rig.file.alignment = Some(Alignment {
+    let alignment = Alignment {
         arrival_pulse: Some(plan.arrival_pulse),
         arrival: Some(plan.arrival),
+        phase_sigma_us: alignment.phase_sigma_us_at(plan.arrival.into()),
         ..alignment
-    });
+    };
+    rig.file.alignment = Some(alignment);
     rig.save()?;
     rig.tell(
         Severity::Info,
@@ -140,11 +142,7 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
             alignment.drift_sigma_us_per_min
         ),
     )?;
-    Ok(Alignment {
-        arrival_pulse: Some(plan.arrival_pulse),
-        arrival: Some(plan.arrival),
-        ..alignment
-    })
+    Ok(alignment)
 }
 
 /// Waits until the board says that the train is on its grid.

@@ -230,7 +230,8 @@ pub struct Alignment {
     pub anchor: Ticks,
     /// Period of the grid in 2⁻³² ticks.
     pub period_q32: u64,
-    /// Predicted 1-sigma of the phase at the anchor, µs, without the constants'.
+    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, without the
+    /// constants'.
     pub phase_sigma_us: f64,
     /// Predicted 1-sigma of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,

@@ -467,13 +467,7 @@ fn alignment(page: &mut Page, session: &SessionFile) {
         ),
     ]);
     if let Some(span) = session.recorded {
-        let anchor = alignment.anchor.as_secs_f64();
-        let line = curve(span.from, span.to, |at| {
-            let minutes = (at.0 - anchor) / 60.0;
-            alignment
-                .phase_sigma_us
-                .hypot(alignment.drift_sigma_us_per_min * minutes)
-        });
+        let line = curve(span.from, span.to, |at| alignment.phase_sigma_us_at(at));
         let svg = chart::series(
             "board time, s",
             "1-sigma of the phase, µs",

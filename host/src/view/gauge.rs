@@ -405,12 +405,7 @@ impl Gauge {
         {
             let off = off_grid(alignment.anchor, Period(alignment.period_q32), at);
             trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
-            let minutes = (board_now.0 - alignment.anchor.as_secs_f64()) / 60.0;
-            trigger.phase_sigma_us = Some(
-                alignment
-                    .phase_sigma_us
-                    .hypot(alignment.drift_sigma_us_per_min * minutes),
-            );
+            trigger.phase_sigma_us = Some(alignment.phase_sigma_us_at(board_now));
         }
         let mut losses = self.losses;
         losses.reconnects = self.reconnects;
