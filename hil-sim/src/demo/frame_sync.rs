@@ -17,7 +17,7 @@ use serde::Serialize;
 use smartdepthsync::evaluate::stats::{mean, quantile, standard_deviation};
 use smartdepthsync::recording::session_file::SessionFile;
 
-use super::judge::Verdict;
+use super::judge::{TwistVerdict, Verdict};
 use super::stage::{Stage, StageOptions};
 
 /// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
@@ -62,6 +62,10 @@ pub struct Launch {
     pub drift_sigma_us_per_min: f64,
     /// Error of the clock offset at the start, µs.
     pub offset_error_us: f64,
+    /// What the session said about it, 1-sigma, µs.
+    pub offset_sigma_us: f64,
+    /// The twist alone.
+    pub twist: TwistVerdict,
     /// Messages, pulses and frames that are missing.
     pub lost: u64,
 }
@@ -87,6 +91,12 @@ pub struct Spread {
     pub phase_sigmas: f64,
     /// The same for the drifts.
     pub drift_sigmas: f64,
+    /// The same for the clock offset at the start.
+    pub offset_sigmas: f64,
+    /// The same for what the twist alone said of the offset.
+    pub twist_offset_sigmas: f64,
+    /// The same for what the twist alone said of the skew.
+    pub twist_skew_sigmas: f64,
 }
 
 /// All launches.
@@ -118,7 +128,10 @@ impl Spread {
     pub fn of(launches: &[Launch]) -> Option<Self> {
         let phases: Vec<f64> = launches.iter().map(|l| l.phase_error_us).collect();
         let drifts: Vec<f64> = launches.iter().map(|l| l.drift_us_per_min.abs()).collect();
-        let rms = |ratios: Vec<f64>| mean(&ratios.iter().map(|r| r * r).collect::<Vec<_>>()).sqrt();
+        let sigmas = |of: fn(&Launch) -> (f64, f64)| {
+            let ratios = launches.iter().map(of).map(|(error, sigma)| error / sigma);
+            mean(&ratios.map(|ratio| ratio * ratio).collect::<Vec<_>>()).sqrt()
+        };
         let most = |values: &[f64]| values.iter().map(|v| v.abs()).fold(0.0, f64::max);
         Some(Self {
             launches: launches.len(),
@@ -128,14 +141,11 @@ impl Spread {
             worst_us: most(&phases),
             drift_us_per_min: mean(&drifts),
             worst_drift_us_per_min: most(&drifts),
-            phase_sigmas: rms(launches
-                .iter()
-                .map(|l| l.phase_error_us / l.phase_sigma_us)
-                .collect()),
-            drift_sigmas: rms(launches
-                .iter()
-                .map(|l| l.drift_us_per_min / l.drift_sigma_us_per_min)
-                .collect()),
+            phase_sigmas: sigmas(|l| (l.phase_error_us, l.phase_sigma_us)),
+            drift_sigmas: sigmas(|l| (l.drift_us_per_min, l.drift_sigma_us_per_min)),
+            offset_sigmas: sigmas(|l| (l.offset_error_us, l.offset_sigma_us)),
+            twist_offset_sigmas: sigmas(|l| (l.twist.offset.error_us, l.twist.offset.sigma_us)),
+            twist_skew_sigmas: sigmas(|l| (l.twist.skew_error_ppm, l.twist.skew_sigma_ppm)),
         })
     }
 }
@@ -156,7 +166,7 @@ impl FrameSync {
                 .map_or("-".to_owned(), |s| format!("{:.digits$}", of(s)))
         };
         type Row = (&'static str, Option<f64>, usize, fn(&Spread) -> f64);
-        let rows: [Row; 9] = [
+        let rows: [Row; 12] = [
             ("launches", None, 0, |s| s.launches as f64),
             ("phase, IQR (µs)", Some(PAPER.0), 2, |s| s.iqr_us),
             ("phase, SD (µs)", Some(PAPER.1), 2, |s| s.sd_us),
@@ -173,6 +183,15 @@ impl FrameSync {
             }),
             ("drift over its stated sigma, RMS", None, 2, |s| {
                 s.drift_sigmas
+            }),
+            ("clock offset over its stated sigma, RMS", None, 2, |s| {
+                s.offset_sigmas
+            }),
+            ("twist's offset over its stated sigma, RMS", None, 2, |s| {
+                s.twist_offset_sigmas
+            }),
+            ("twist's skew over its stated sigma, RMS", None, 2, |s| {
+                s.twist_skew_sigmas
             }),
         ];
         for (name, paper, digits, of) in rows {
@@ -279,6 +298,8 @@ impl Launch {
             drift_us_per_min: verdict.phase.drift_us_per_min,
             drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
             offset_error_us: verdict.offset_start.error_us,
+            offset_sigma_us: verdict.offset_start.sigma_us,
+            twist: verdict.twist,
             lost: verdict.lost,
         })
     }
@@ -286,6 +307,7 @@ impl Launch {
 
 #[cfg(test)]
 mod tests {
+    use super::super::judge::OffsetError;
     use super::*;
 
     fn launch(seed: u64, phase_error_us: f64, drift_us_per_min: f64) -> Launch {
@@ -295,7 +317,16 @@ mod tests {
             phase_sigma_us: 2.0,
             drift_us_per_min,
             drift_sigma_us_per_min: 1.0,
-            offset_error_us: 0.0,
+            offset_error_us: 4.0,
+            offset_sigma_us: 2.0,
+            twist: TwistVerdict {
+                offset: OffsetError {
+                    error_us: -3.0,
+                    sigma_us: 3.0,
+                },
+                skew_error_ppm: 1.5,
+                skew_sigma_ppm: 0.5,
+            },
             lost: 0,
         }
     }
@@ -315,6 +346,8 @@ mod tests {
         assert!((spread.drift_us_per_min - 1.8).abs() < 1e-12);
         assert_eq!(spread.worst_drift_us_per_min, 3.0);
         assert!((spread.phase_sigmas - (55.0_f64 / 5.0 / 4.0).sqrt()).abs() < 1e-12);
+        let twist = (spread.twist_offset_sigmas, spread.twist_skew_sigmas);
+        assert_eq!((spread.offset_sigmas, twist), (2.0, (1.0, 3.0)));
         assert!(Spread::of(&launches[..1]).is_none());
         let table = FrameSync {
             seconds: 300,

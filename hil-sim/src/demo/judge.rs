@@ -6,8 +6,9 @@ use anyhow::{Context, Result, bail};
 use protocol::Ticks;
 use serde::Serialize;
 use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{OtherPhone, SessionFile, Span};
+use smartdepthsync::recording::session_file::{OtherPhone, SessionFile, Span, Twist};
 use smartdepthsync::sync::ClockModel;
+use smartdepthsync::time::BoardSeconds;
 
 use crate::clock::{Clock, Rate};
 use crate::depth_camera::{FrameRecord, Source};
@@ -38,7 +39,7 @@ pub struct Truth {
 }
 
 /// An error with what was said about it, µs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct OffsetError {
     /// Stated minus true, µs.
     pub error_us: f64,
@@ -46,9 +47,22 @@ pub struct OffsetError {
     pub sigma_us: f64,
 }
 
+/// What a twist said of the clocks, judged at its own reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TwistVerdict {
+    /// The offset.
+    pub offset: OffsetError,
+    /// Skew, stated minus true, ppm.
+    pub skew_error_ppm: f64,
+    /// Its stated 1-sigma, ppm.
+    pub skew_sigma_ppm: f64,
+}
+
 /// A session judged.
 #[derive(Clone, Debug)]
 pub struct Verdict {
+    /// The last twist before the recorded span, without what a profile knew.
+    pub twist: TwistVerdict,
     /// The relation of the clocks that the trigger was aligned by, at the
     /// beginning of the recorded span.
     pub offset_start: OffsetError,
@@ -232,6 +246,23 @@ impl Truth {
         }
     }
 
+    /// How wrong a twist's relation is where it is known best, and its skew.
+    fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel, base: &Timebase) -> TwistVerdict {
+        /// Half of the distance over which the true skew is taken, seconds: the
+        /// clock is read in whole nanoseconds.
+        const REACH_S: f64 = 1.0;
+        let error_at = |from_reference: f64| {
+            let at = BoardSeconds(clock.reference.0 + from_reference);
+            self.error_of(phone, clock, base, at.ticks())
+        };
+        let apart_us = error_at(REACH_S).error_us - error_at(-REACH_S).error_us;
+        TwistVerdict {
+            offset: error_at(0.0),
+            skew_error_ppm: apart_us / (2.0 * REACH_S),
+            skew_sigma_ppm: clock.skew_sigma_at(clock.reference) * 1e6,
+        }
+    }
+
     /// Judges the recording in `folder`.
     ///
     /// # Errors
@@ -255,6 +286,7 @@ impl Truth {
             .context("the session has started no video")?
             .phase
             .0;
+        let twist = last_twist(&session.twists, span).context("no twist related the clocks")?;
         let video = video_at(&self.videos, phase_ns)?;
         let phases = self.phases(&self.phone, video, &base, span);
         let phase = summarise(&phases).context("the recorded span has no frames")?;
@@ -266,6 +298,7 @@ impl Truth {
             .count();
         let lost = session.counts.lost() + unpaired as u64;
         Ok(Verdict {
+            twist: self.judge_twist(&self.phone, &twist, &base),
             offset_start: self.error_of(&self.phone, &alignment.clock, &base, span.from),
             offset_end: self.error_of(&self.phone, &clock, &base, span.to),
             phase,
@@ -329,12 +362,7 @@ impl Truth {
         base: &Timebase,
         span: Span,
     ) -> Result<OtherVerdict> {
-        let before = said
-            .twists
-            .iter()
-            .rfind(|twist| twist.accepted && twist.span.to < span.from)
-            .and_then(|twist| twist.clock)
-            .context("no twist related its clock")?;
+        let before = last_twist(&said.twists, span).context("no twist related its clock")?;
         let clock = said.clock.context("its clock is not related")?;
         let placed = said.placement.context("its frames are not placed")?;
         let phase_ns = said.video.context("it has started no video")?.phase.0;
@@ -371,6 +399,14 @@ impl Truth {
             drift_sigma_us_per_min: placed.drift_sigma_us_per_min,
         })
     }
+}
+
+/// What the last accepted twist before a span said.
+fn last_twist(twists: &[Twist], span: Span) -> Option<ClockModel> {
+    twists
+        .iter()
+        .rfind(|twist| twist.accepted && twist.span.to < span.from)
+        .and_then(|twist| twist.clock)
 }
 
 /// The video that was being recorded at a time of the phone.

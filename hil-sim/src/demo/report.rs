@@ -269,7 +269,7 @@ fn phase_plot(verdict: &Verdict) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::judge::OffsetError;
+    use super::super::judge::{OffsetError, TwistVerdict};
     use super::*;
     use crate::frame_phase::{PhaseError, summarise};
 
@@ -287,6 +287,7 @@ mod tests {
             sigma_us: 3.0,
         };
         Verdict {
+            twist: TwistVerdict::default(),
             offset_start: offset,
             offset_end: offset,
             phase: summarise(&phases).unwrap(),

@@ -25,7 +25,10 @@ const PALE_AXES: [RGBColor; 3] = [
 ];
 const LEFT_OUT: RGBColor = RGBColor(150, 0, 170);
 /// Width of the panel right of the data, for the legend, as a share of the data's.
-const LEGEND: f64 = 0.11;
+const LEGEND: f64 = 0.13;
+/// Sizes of the letters: a page shows the plot at two thirds of its width.
+const CAPTION: i32 = 24;
+const LABEL: i32 = 20;
 
 /// What is drawn in a panel under one name.
 struct Series {
@@ -240,17 +243,20 @@ fn panel(area: &Area<'_, '_>, caption: &str, unit: &str, series: &[Series]) -> R
     x.end += LEGEND * (x.end - x.start);
     let mut chart: ChartContext<'_, SVGBackend<'_>, Cartesian2d<RangedCoordf64, RangedCoordf64>> =
         ChartBuilder::on(area)
-            .caption(caption, ("sans-serif", 20))
+            .caption(caption, ("sans-serif", CAPTION))
             .margin(10)
-            .x_label_area_size(35)
-            .y_label_area_size(60)
+            .x_label_area_size(54)
+            .y_label_area_size(86)
             .build_cartesian_2d(x, y)
             .map_err(text)?;
     chart
         .configure_mesh()
         .light_line_style(WHITE)
+        .y_labels(6)
         .x_desc("s")
         .y_desc(unit)
+        .label_style(("sans-serif", LABEL))
+        .axis_desc_style(("sans-serif", LABEL))
         .draw()
         .map_err(text)?;
     for one in series {
@@ -281,6 +287,7 @@ fn panel(area: &Area<'_, '_>, caption: &str, unit: &str, series: &[Series]) -> R
         .position(SeriesLabelPosition::UpperRight)
         .border_style(BLACK)
         .background_style(WHITE.mix(0.8))
+        .label_font(("sans-serif", LABEL))
         .draw()
         .map_err(text)?;
     Ok(())
