@@ -122,15 +122,19 @@ impl Reader {
         } else {
             folder_or_file.to_owned()
         };
-        let file = File::open(&path).map_err(|source| RecordingError::Io {
+        let unreadable = |source| RecordingError::Io {
             action: "read",
             path: path.clone(),
             source,
-        })?;
+        };
+        let file = File::open(&path).map_err(unreadable)?;
+        let length = file.metadata().map_err(unreadable)?.len();
+        // No more memory for a record than the file can fill.
+        let limit = usize::try_from(length).map_or(MAX_RECORD, |length| length.min(MAX_RECORD));
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)
             .with_emit_chunks(true)
-            .with_record_length_limit(MAX_RECORD);
+            .with_record_length_limit(limit);
         Ok(Self {
             reader: LinearReader::new_with_options(options),
             file: BufReader::new(file),
@@ -293,6 +297,8 @@ fn take_up(
 fn is_end(error: &McapError) -> bool {
     match error {
         McapError::UnexpectedEof => true,
+        // Longer than the file, then.
+        McapError::RecordTooLarge { len, .. } => *len <= MAX_RECORD as u64,
         McapError::Io(error) => error.kind() == ErrorKind::UnexpectedEof,
         _ => false,
     }
