@@ -21,6 +21,7 @@
 pub mod alignment;
 pub mod close;
 pub mod connect;
+mod events;
 pub mod further;
 pub mod learn;
 pub mod live;
@@ -29,6 +30,7 @@ pub mod phone_task;
 pub mod phones;
 pub mod preflight;
 pub mod recorder;
+mod relink;
 mod restart;
 pub mod rig;
 pub mod runs;

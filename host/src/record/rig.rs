@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use protocol::{Arrived, DeviceToHost, ImuSetup, Reply, TICK_HZ, Ticks};
+use protocol::{Arrived, ImuSetup, Ticks};
 
 use super::live::{Live, Step};
 use super::operator::Operator;
@@ -29,12 +29,6 @@ use crate::recording::writer::{Severity, Writer};
 use crate::session::Event;
 use crate::sync::ClockModel;
 use crate::transport::LinkError;
-
-/// How long a lost link is waited for at most while a session is being closed.
-const RELINK_TIME_CLOSING: Duration = Duration::from_secs(3);
-
-/// Pause between tries to take up a link.
-const RELINK_PAUSE: Duration = Duration::from_millis(300);
 
 /// A link on which nothing at all comes for so long is as good as lost: a status
 /// comes every second.
@@ -115,14 +109,14 @@ pub struct Rig<'a> {
     pub trigger_started: bool,
     /// The session is being closed: interrupts are no reason to stop any more.
     pub closing: bool,
-    link_patience: Duration,
+    pub(super) link_patience: Duration,
     pub(super) scale: Scale,
     pub(super) next_scale: Option<NextScale>,
     problem_seen: bool,
     pub(super) last_sign: Duration,
     last_round: Instant,
     disk_warned: bool,
-    findings: Vec<Finding>,
+    pub(super) findings: Vec<Finding>,
 }
 
 /// What a new [`Rig`] is made of.
@@ -387,147 +381,6 @@ impl<'a> Rig<'a> {
         }
     }
 
-    fn take(&mut self, event: Event) -> Result<(), Stop> {
-        let now = self.now;
-        let Some(writer) = &mut self.writer else {
-            return Ok(());
-        };
-        let written = match event {
-            Event::Frame(frame) => writer.frame(now, frame),
-            Event::Message(message) => {
-                let message = self.axis.message(message);
-                self.message(message)?;
-                return Ok(());
-            }
-            Event::Lost { stream, count } => {
-                self.live.gauge.lost(count);
-                if let Some(look) = &mut self.look {
-                    look.gap();
-                }
-                if let Some(watch) = &mut self.watch {
-                    watch.lost(stream, count, &mut self.findings);
-                }
-                writer.log(
-                    now,
-                    Severity::Warning,
-                    "lost",
-                    &format!("{count} {stream} lost on the link"),
-                )
-            }
-            Event::Damaged(error) => {
-                self.live.gauge.damaged();
-                writer.log(now, Severity::Warning, "damaged", &error.to_string())
-            }
-            Event::Restarted { .. } => {
-                let recording = self.watch.is_some() || self.closing;
-                let last = now;
-                self.trigger_started = false;
-                self.begin_run()?;
-                if recording {
-                    return Ok(());
-                }
-                return Err(restarted(last).into());
-            }
-            Event::OtherVersion { found } => {
-                return Err(Failure::from(BoardError::OtherVersion { found }).into());
-            }
-            Event::Answer(answer) => {
-                // Calls take their answers themselves.
-                if let Ok(Reply::Pong { received, .. }) = answer.result {
-                    self.axis.answered(answer.id, self.board.now(), received);
-                }
-                Ok(())
-            }
-            Event::Expired { id } => {
-                self.axis.expired(id);
-                Ok(())
-            }
-        };
-        written.map_err(|error| Failure::from(error).into())
-    }
-
-    fn message(&mut self, message: DeviceToHost) -> Result<(), Stop> {
-        self.live.take(&message, &self.scale);
-        let Some(writer) = &mut self.writer else {
-            return Ok(());
-        };
-        let phone_time =
-            |clock: Option<ClockModel>, at| clock.map(|clock| clock.ticks_to_phone(at));
-        let (at, written) = match message {
-            DeviceToHost::Imu(raw) => {
-                if let Some(scale) = self.next_scale.and_then(|next| next.of(&raw)) {
-                    self.next_scale = None;
-                    self.scale = scale;
-                }
-                let sample = self.scale.apply(&raw);
-                if let Some(look) = &mut self.look {
-                    look.add(&sample);
-                }
-                if let Some(gyro) = &mut self.gyro {
-                    gyro.push((sample.at, sample.gyro));
-                }
-                if let Some(watch) = &mut self.watch {
-                    watch.imu(&raw, &mut self.findings);
-                }
-                (raw.at, writer.imu(&sample))
-            }
-            DeviceToHost::Pulse(pulse) => {
-                if let Some(watch) = &mut self.watch {
-                    watch.pulse(&pulse, &mut self.findings);
-                }
-                (
-                    pulse.at,
-                    writer.pulse(&pulse, phone_time(self.clock, pulse.at)),
-                )
-            }
-            DeviceToHost::Capture(capture) => (
-                capture.at,
-                writer.capture(&capture, phone_time(self.clock, capture.at)),
-            ),
-            DeviceToHost::Status(status) => {
-                if let Some(watch) = &mut self.watch {
-                    watch.status(&status, &mut self.findings);
-                }
-                (status.at, writer.status(&status, &self.board_id))
-            }
-            DeviceToHost::Arrived(arrived) => {
-                self.arrived = Some(arrived);
-                let text = format!(
-                    "the trigger arrived at pulse {}, {} ticks from its grid",
-                    arrived.pulse, arrived.remaining.0
-                );
-                (
-                    arrived.at,
-                    writer.log(arrived.at, Severity::Info, "arrived", &text),
-                )
-            }
-            DeviceToHost::OutputPulse(output) => {
-                let name = self.profile.output_name(output.output);
-                (output.pulse.at, writer.output_pulse(&output.pulse, &name))
-            }
-            DeviceToHost::OutputArrived(arrived) => {
-                let text = format!(
-                    "{} arrived at pulse {}, {} ticks from its grid",
-                    self.profile.output_name(arrived.output),
-                    arrived.pulse,
-                    arrived.remaining.0
-                );
-                (
-                    arrived.at,
-                    writer.log(arrived.at, Severity::Info, "output_arrived", &text),
-                )
-            }
-            DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps, self.profile.lidar_name())),
-            DeviceToHost::Hello(hello) => (
-                hello.now,
-                writer.log(hello.now, Severity::Info, "hello", "the board said hello"),
-            ),
-            DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => (self.now, Ok(())),
-        };
-        self.now = self.now.max(at);
-        written.map_err(|error| Failure::from(error).into())
-    }
-
     /// All that had come is taken.
     fn idle(&mut self) -> Result<(), Stop> {
         if let Some(watch) = &mut self.watch {
@@ -576,98 +429,6 @@ impl<'a> Rig<'a> {
         }
         Ok(())
     }
-
-    /// Waits for a lost link and goes on with it.
-    fn take_up_link(&mut self, error: &LinkError) -> Result<(), Stop> {
-        let lost = Instant::now();
-        let lost_at = self.now;
-        self.problem(Finding::error("link_lost", error.to_string()))?;
-        // Nothing will fill the chunk for a while.
-        if let Some(writer) = &mut self.writer {
-            writer.flush().map_err(Failure::from)?;
-        }
-        // A port that fell silent but is still there is opened exclusively: by us.
-        self.board.hang_up();
-        let patience = if self.closing {
-            self.link_patience.min(RELINK_TIME_CLOSING)
-        } else {
-            self.link_patience
-        };
-        loop {
-            if self.context.interrupt.requested() && !self.closing {
-                return Err(Stop::Interrupted);
-            }
-            let again = self
-                .connector
-                .connect(Some(&self.board_id))
-                .and_then(|link| self.board.reconnect(link));
-            match again {
-                Ok(()) => break,
-                Err(BoardError::OtherVersion { found }) => {
-                    return Err(Failure::from(BoardError::OtherVersion { found }).into());
-                }
-                Err(error) => {
-                    tracing::debug!("the link is still away: {error}");
-                    // The port that was tried is held no longer than the try.
-                    self.board.hang_up();
-                }
-            }
-            if lost.elapsed() > patience {
-                return Err(Failure::new(
-                    ExitStatus::LinkLost,
-                    format!(
-                        "the link to the board did not come back within {} s ({error})",
-                        patience.as_secs()
-                    ),
-                )
-                .next_step("check the USB cable; what was recorded before is kept")
-                .into());
-            }
-            if let Some(writer) = &mut self.writer {
-                writer.tick(self.board.now()).map_err(Failure::from)?;
-            }
-            std::thread::sleep(RELINK_PAUSE);
-        }
-        self.last_sign = self.board.now();
-        self.file.reconnects += 1;
-        if self.board.hello().epoch != self.epoch {
-            // What it says of its new run is waiting: before that, its time.
-            self.meet_new_run();
-            if self.watch.is_none() && !self.closing {
-                // Whatever it is asked from here on, it knows nothing of this session.
-                self.trigger_started = false;
-                return Err(restarted(lost_at).into());
-            }
-            // Up to the new run's first messages: who asks on is in the new run.
-            while let Some(event) = self.board.queued_event() {
-                self.take(event)?;
-            }
-            return Ok(());
-        }
-        let now = self.axis.recorded(self.board.hello().now);
-        if let Some(watch) = &mut self.watch {
-            watch.resume(now);
-        }
-        let away = now.0.saturating_sub(lost_at.0) as f64 / f64::from(TICK_HZ);
-        self.tell(
-            Severity::Info,
-            "link_back",
-            &format!("the link is back after {away:.3} s of board time"),
-        )
-    }
-}
-
-/// The board began anew while nothing was recorded that could go on.
-fn restarted(last: Ticks) -> Failure {
-    Failure::new(
-        ExitStatus::LinkLost,
-        format!(
-            "the board was reset {:.3} s after its last one: what was found out about its clock is \
-             void, so the session ends here",
-            last.as_secs_f64()
-        ),
-    )
-    .next_step("`smartdepthsync info` says why it was reset; then record again")
 }
 
 /// Free space for this user on the disk of a folder, bytes; `None` where it
