@@ -162,6 +162,15 @@ fn over_a_reset(seed: u64) {
     // The session knew only roughly where the run belongs.
     assert!(run.moved_ns.abs() > 100_000, "{run:?}");
 
+    // Each run has a grid of its own, on which the frames lie evenly.
+    let (Some(before), [behind]) = (report.grid, report.later_grids.as_slice()) else {
+        panic!("{:?} {:?}", report.grid, report.later_grids);
+    };
+    for grid in [before, *behind] {
+        assert!(grid.pulses > 300 && grid.residual_us < 20.0, "{grid:?}");
+    }
+    println!("{before:?}\n{behind:?}");
+
     let nanos = |at: SimTime| nanos(&truth, at);
     // The board's samples, each at the edge next to it.
     let edges: Vec<i64> = truth

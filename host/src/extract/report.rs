@@ -48,8 +48,11 @@ pub struct Report {
     pub depth: Option<DepthReport>,
     /// Pairs of frames.
     pub pairs: Option<PairsReport>,
-    /// The phone's frames against the trigger's grid.
+    /// The phone's frames against the trigger's grid, up to the first reset of the board.
     pub grid: Option<GridReport>,
+    /// The same behind each reset.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub later_grids: Vec<GridReport>,
     /// Further phones.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherReport>,
@@ -144,8 +147,12 @@ pub struct OtherReport {
     pub clock: Option<ClockReport>,
     /// Pairs of its frames with depth frames.
     pub pairs: Option<PairsReport>,
-    /// Its frames against the trigger's grid, which does not follow it.
+    /// Its frames against the trigger's grid, which does not follow it, up to the first
+    /// reset of the board.
     pub grid: Option<GridReport>,
+    /// The same behind each reset.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub later_grids: Vec<GridReport>,
     /// Constants that went into its times, ns.
     pub constants: Constants,
 }
@@ -289,6 +296,9 @@ impl Report {
         }
         if let Some(grid) = &self.grid {
             lines.push(("phone against trigger", grid.line()));
+        }
+        for grid in &self.later_grids {
+            lines.push(("behind a reset", grid.line()));
         }
         if let Some(depth) = &self.depth {
             lines.push((
@@ -496,6 +506,9 @@ impl OtherReport {
         }
         if let Some(grid) = &self.grid {
             let _ = write!(line, "; {}", grid.line());
+        }
+        for grid in &self.later_grids {
+            let _ = write!(line, "; behind a reset {}", grid.line());
         }
         line
     }

@@ -185,7 +185,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
     }
-    let grid = run.against_grid(color, &survey, &constants);
+    let (grid, later_grids) = run.against_grid(color, &survey, &constants);
     let mut phones = Vec::new();
     for other in run.inputs.others.clone() {
         phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
@@ -217,6 +217,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
             .map(|depth| depth.report(&survey, images.as_ref())),
         pairs: pairs_report(&pairs),
         grid,
+        later_grids,
         phones,
         sensors: sensors(&survey, run.inputs.lidar.as_deref()),
         sequences: sequence_reports,
@@ -373,22 +374,29 @@ impl Run<'_> {
         }
     }
 
-    /// Where a phone's frames lie against the trigger's grid, over the recorded span.
+    /// Where a phone's frames lie against the trigger's grid, over the recorded span, and
+    /// again behind each reset of the board: the grid of a new run is another one.
     fn against_grid(
         &self,
         frames: &[ColorFrame],
         survey: &Survey,
         constants: &Constants,
-    ) -> Option<GridReport> {
+    ) -> (Option<GridReport>, Vec<GridReport>) {
         let (from, to) = self.inputs.recorded.unwrap_or((i64::MIN, i64::MAX));
-        let centres: Vec<BoardNanos> = survey
-            .pulses
-            .iter()
-            .filter(|pulse| (from..=to).contains(&pulse.at.0))
-            .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
-            .collect();
         let middles: Vec<BoardNanos> = frames.iter().map(|frame| frame.at).collect();
-        grid::measure(&middles, &centres)
+        let run_of = |at| survey.runs.partition_point(|run| run.from <= at);
+        let mut runs = survey
+            .pulses
+            .chunk_by(|a, b| run_of(a.at) == run_of(b.at))
+            .map(|pulses| {
+                let centres: Vec<BoardNanos> = pulses
+                    .iter()
+                    .filter(|pulse| (from..=to).contains(&pulse.at.0))
+                    .map(|pulse| BoardNanos(pulse.at.0.saturating_add(constants.depth_center_ns)))
+                    .collect();
+                grid::measure(&middles, &centres)
+            });
+        (runs.next().flatten(), runs.flatten().collect())
     }
 
     fn write_tables(

@@ -57,6 +57,7 @@ impl Run<'_> {
             };
             self.finish_sequences(&input.folder, sequences, &written, &facts)?;
         }
+        let (grid, later_grids) = self.against_grid(color, survey, &constants);
         Ok(OtherReport {
             name: input.name.clone().unwrap_or_default(),
             phone: phone
@@ -67,7 +68,8 @@ impl Run<'_> {
                 Some(clock.report(&phone.frames))
             }),
             pairs: pairs_report(&pairs),
-            grid: self.against_grid(color, survey, &constants),
+            grid,
+            later_grids,
             constants,
         })
     }
