@@ -86,7 +86,7 @@ pub enum Runs {
 /// `moved` is how much later the last run is in `survey` than in the session, ns.
 #[must_use]
 pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
-    let known = survey.clocks(input.other_name());
+    let known = survey.clocks_of(input.other_name());
     let latest = known.last().copied().flatten().map(Prior::Model);
     // The session's relation is that of the last run.
     let said = input.rig.prior.map(|prior| match prior {
@@ -402,6 +402,7 @@ mod tests {
 
     use super::super::board::{RunMark, TimePair};
     use super::super::inputs::RigFacts;
+    use super::super::survey::PhoneClocks;
     use super::*;
     use crate::sync::Wander;
 
@@ -421,9 +422,9 @@ mod tests {
 
     /// Two runs; of the phone that is aligned to all is known, of "right" as given.
     fn survey(right: [Option<f64>; 2]) -> Survey {
-        let named = |offset: Option<f64>| {
-            let known = offset.map(|offset| (String::from("right"), model(offset)));
-            known.into_iter().collect()
+        let clocks = |first: f64, right: Option<f64>| {
+            let right = right.map(|offset| (Some(String::from("right")), model(offset)));
+            [(None, model(first))].into_iter().chain(right).collect()
         };
         Survey {
             times: vec![TimePair {
@@ -437,10 +438,8 @@ mod tests {
                 last: BoardNanos(18 * SECOND),
                 sigma_s: 1e-3,
             }],
-            clock: Some(model(102.0)),
-            former_clocks: vec![Some(model(101.0))],
-            phone_clocks: named(right[1]),
-            former_phone_clocks: vec![named(right[0])],
+            clocks: clocks(102.0, right[1]),
+            former_clocks: vec![clocks(101.0, right[0])],
             ..Survey::default()
         }
     }
@@ -475,8 +474,8 @@ mod tests {
         assert_eq!(priors(&right, &survey, 0), [None, None]);
         // The first takes what there is.
         let bare = Survey {
-            clock: None,
-            former_clocks: vec![None],
+            clocks: PhoneClocks::new(),
+            former_clocks: vec![PhoneClocks::new()],
             ..survey
         };
         let pair = Some(Prior::Offset(7.0, RECORDED_MARGIN));

@@ -8,6 +8,9 @@ use super::progress::Progress;
 use super::time::{BoardNanos, SECOND};
 use crate::sync::ClockModel;
 
+/// Relations of phones' clocks to the board's, by the names of the phones.
+pub type PhoneClocks = BTreeMap<Option<String>, ClockModel>;
+
 /// What the board recorded, in short.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Survey {
@@ -17,16 +20,13 @@ pub struct Survey {
     pub marks: Vec<BoardNanos>,
     /// Pairs of times.
     pub times: Vec<TimePair>,
-    /// The last clock model that was recorded.
-    pub clock: Option<ClockModel>,
+    /// The last relation that was recorded of each phone; without a name, of the one
+    /// that the trigger was aligned to.
+    pub clocks: PhoneClocks,
     /// Runs of the board after resets.
     pub runs: Vec<RunMark>,
-    /// The last clock model of each run that another followed.
-    pub former_clocks: Vec<Option<ClockModel>>,
-    /// The last clock model of each further phone, by its name.
-    pub phone_clocks: BTreeMap<String, ClockModel>,
     /// The same of each run that another followed.
-    pub former_phone_clocks: Vec<BTreeMap<String, ClockModel>>,
+    pub former_clocks: Vec<PhoneClocks>,
     /// The IMU's samples.
     pub imu: ImuSpan,
     /// Depth images in the recording itself (bags).
@@ -78,17 +78,10 @@ impl Survey {
     /// The last clock model that was known in each run of the board: of the phone of
     /// that name; without one, of the phone that the trigger was aligned to.
     #[must_use]
-    pub fn clocks(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
-        match other {
-            None => {
-                let former = self.former_clocks.iter().copied();
-                former.chain([self.clock]).collect()
-            }
-            Some(name) => {
-                let all = self.former_phone_clocks.iter().chain([&self.phone_clocks]);
-                all.map(|known| known.get(name).copied()).collect()
-            }
-        }
+    pub fn clocks_of(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
+        let phone = other.map(str::to_owned);
+        let runs = self.former_clocks.iter().chain([&self.clocks]);
+        runs.map(|known| known.get(&phone).copied()).collect()
     }
 
     /// Median distance of pulses, ns.
@@ -135,15 +128,13 @@ pub fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Option<Surv
             BoardEvent::Pulse(pulse) => out.pulses.push(pulse),
             BoardEvent::Mark(at) => out.marks.push(at),
             BoardEvent::Times(pair) => out.times.push(pair),
-            BoardEvent::Clock(model) => out.clock = Some(model),
-            BoardEvent::PhoneClock(name, model) => {
-                out.phone_clocks.insert(name, model);
+            BoardEvent::Clock(phone, model) => {
+                out.clocks.insert(phone, model);
             }
             BoardEvent::Image(_) => out.images += 1,
             BoardEvent::Run(mark) => {
                 out.runs.push(mark);
-                out.former_clocks.push(out.clock);
-                out.former_phone_clocks.push(out.phone_clocks.clone());
+                out.former_clocks.push(out.clocks.clone());
             }
         }
         events += 1;

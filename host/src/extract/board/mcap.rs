@@ -330,9 +330,8 @@ impl McapStream {
                     stamp: later(pair.stamp),
                     ..pair
                 }),
-                BoardEvent::Clock(model) => BoardEvent::Clock(model.with_board_later(seconds)),
-                BoardEvent::PhoneClock(name, model) => {
-                    BoardEvent::PhoneClock(name, model.with_board_later(seconds))
+                BoardEvent::Clock(phone, model) => {
+                    BoardEvent::Clock(phone, model.with_board_later(seconds))
                 }
                 BoardEvent::Run(mark) => {
                     self.trains.0 = self.trains.1;
@@ -553,12 +552,12 @@ fn message(
                     .nanos()
                     .0,
             }));
-            event(BoardEvent::Clock(relation));
+            event(BoardEvent::Clock(None, relation));
         }
         Kind::PhoneClock => {
             let model: ClockModel = from_cdr(data)?;
             let relation = relation(&model);
-            event(BoardEvent::PhoneClock(model.header.frame_id, relation));
+            event(BoardEvent::Clock(Some(model.header.frame_id), relation));
         }
     }
     Ok(())

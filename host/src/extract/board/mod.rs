@@ -70,10 +70,9 @@ pub enum BoardEvent {
     Mark(BoardNanos),
     /// A pair of times.
     Times(TimePair),
-    /// A relation of phone and board that the session found.
-    Clock(ClockModel),
-    /// The same of a further phone, by its name.
-    PhoneClock(String, ClockModel),
+    /// A relation of phone and board that the session found: of the phone that the
+    /// trigger was aligned to, or of a further one by its name.
+    Clock(Option<String>, ClockModel),
     /// A depth image (bags only).
     Image(BagImage),
     /// The board was reset: what follows is of another run.
