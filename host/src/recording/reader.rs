@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read};
+use std::io::{self, BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
@@ -18,12 +18,8 @@ use super::messages::{
     BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
     TimeReference, from_cdr,
 };
-use super::scan::{split_record, unpack_records};
+use super::scan::{MAX_RECORD, split_record, unpack_records};
 use super::{MCAP_FILE, RecordingError, topic};
-
-/// The longest record that is taken: far above a chunk of this writer, far below
-/// what would exhaust memory.
-const MAX_RECORD: usize = 256 << 20;
 
 /// A message of a recording.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,15 +124,9 @@ impl Reader {
             source,
         };
         let file = File::open(&path).map_err(unreadable)?;
-        let length = file.metadata().map_err(unreadable)?.len();
-        // No more memory for a record than the file can fill.
-        let limit = usize::try_from(length).map_or(MAX_RECORD, |length| length.min(MAX_RECORD));
-        let options = LinearReaderOptions::default()
-            .with_skip_end_magic(true)
-            .with_emit_chunks(true)
-            .with_record_length_limit(limit);
+        let reader = record_reader(&file).map_err(unreadable)?;
         Ok(Self {
-            reader: LinearReader::new_with_options(options),
+            reader,
             file: BufReader::new(file),
             path,
             topics: BTreeMap::new(),
@@ -294,11 +284,28 @@ fn take_up(
     }
 }
 
-fn is_end(error: &McapError) -> bool {
+/// A reader of a file's records, which gives chunks as they are and takes no more memory
+/// for a record than the file can fill.
+///
+/// # Errors
+///
+/// The file's length cannot be told.
+pub fn record_reader(file: &File) -> io::Result<LinearReader> {
+    let limit = file.metadata()?.len().min(MAX_RECORD);
+    let options = LinearReaderOptions::default()
+        .with_skip_end_magic(true)
+        .with_emit_chunks(true)
+        .with_record_length_limit(usize::try_from(limit).unwrap_or(usize::MAX));
+    Ok(LinearReader::new_with_options(options))
+}
+
+/// Whether an error of a [`record_reader`] means that the file ends within a record.
+#[must_use]
+pub fn is_end(error: &McapError) -> bool {
     match error {
         McapError::UnexpectedEof => true,
         // Longer than the file, then.
-        McapError::RecordTooLarge { len, .. } => *len <= MAX_RECORD as u64,
+        McapError::RecordTooLarge { len, .. } => *len <= MAX_RECORD,
         McapError::Io(error) => error.kind() == ErrorKind::UnexpectedEof,
         _ => false,
     }

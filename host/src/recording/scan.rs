@@ -16,8 +16,9 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-/// The longest record that is taken: far above a chunk of this program.
-const MAX_RECORD: u64 = 256 << 20;
+/// The longest record that is taken: far above a chunk of this program, far below what
+/// would exhaust memory.
+pub const MAX_RECORD: u64 = 256 << 20;
 
 /// The largest chunk when unpacked.
 pub const MAX_CHUNK: u64 = 256 << 20;

@@ -26,7 +26,7 @@ use std::sync::Arc;
 
 use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader};
 use rayon::prelude::*;
 
 use super::{
@@ -37,13 +37,12 @@ use crate::extract::time::{BoardNanos, SECOND};
 use crate::recording::messages::{
     self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
 };
+use crate::recording::reader::{is_end, record_reader};
 use crate::recording::scan::{MAX_CHUNK, records_of, unpack_records};
 use crate::recording::topic;
 use crate::sync::Wander;
 use crate::time::BoardSeconds;
 
-/// Longest record: far above a chunk of our writer.
-const MAX_RECORD: usize = 256 << 20;
 /// Chunks that are decoded at a time, and their bytes at most.
 const BATCH: usize = 64;
 const BATCH_BYTES: usize = 32 << 20;
@@ -137,16 +136,13 @@ pub(super) struct McapStream {
 
 impl McapStream {
     pub(super) fn open(path: &Path, moved: &[i64]) -> Result<Self, BoardError> {
-        let file = File::open(path).map_err(|error| BoardError::Open {
+        let unreadable = |error| BoardError::Open {
             path: path.to_owned(),
             error,
-        })?;
-        let options = LinearReaderOptions::default()
-            .with_emit_chunks(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(MAX_RECORD);
+        };
+        let file = File::open(path).map_err(unreadable)?;
         Ok(Self {
-            reader: LinearReader::new_with_options(options),
+            reader: record_reader(&file).map_err(unreadable)?,
             file: BufReader::with_capacity(1 << 20, file),
             path: path.to_owned(),
             position: 0,
@@ -191,11 +187,12 @@ impl McapStream {
                         return Err(self.not_mcap(&error));
                     }
                     let at = self.position;
-                    self.fault(match error {
-                        McapError::UnexpectedEof => format!(
+                    self.fault(if is_end(&error) {
+                        format!(
                             "the recording was not closed: it ends at byte {at}, and at most its last second is missing"
-                        ),
-                        error => format!("the recording cannot be read beyond byte {at}: {error}"),
+                        )
+                    } else {
+                        format!("the recording cannot be read beyond byte {at}: {error}")
                     });
                     return Ok(None);
                 }
