@@ -189,6 +189,16 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
     readable(&rig, "back", SessionOutcome::Good);
     all_is_stopped(&rig, "back");
 
+    // Or while it is to be stopped, which is after 2 s: it is asked again.
+    let mut session = Session::start(&mut rig.record("late", &["--duration", "2s"]));
+    session.wait_for("recording for");
+    rig.phone().leave_network();
+    rig.wait_ms(8_000);
+    rig.phone().join_network().unwrap();
+    session.ends_with(0);
+    readable(&rig, "late", SessionOutcome::Good);
+    all_is_stopped(&rig, "late");
+
     // A download that breaks off: the recording is there, the video is not.
     rig.phone().set_fault(Some(LinkFault::ShortVideo(10)));
     let arguments = ["--duration", "2s", "--fetch-video"];

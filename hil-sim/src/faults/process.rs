@@ -128,8 +128,10 @@ struct Seen {
     killed: Option<SimTime>,
     /// When the disk was full.
     full: Option<SimTime>,
-    /// The phone was not to be reached when the session ended.
-    phone_away: bool,
+    /// When the phone was last not to be reached.
+    phone_away: Option<SimTime>,
+    /// It still records, and is to be reached.
+    phone_records: bool,
 }
 
 /// Runs a plan.
@@ -152,14 +154,7 @@ pub(super) fn run(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Ver
         }
         let recording = place.join(&name);
         let seen = happen(&rig, plan, session, &recording)?;
-        let phone = phone(&rig)?;
-        phone.set_fault(None);
-        if seen.phone_away {
-            phone.join_network().map_err(|error| error.to_string())?;
-        } else if seen.killed.is_none() && phone.is_recording() {
-            return Err(format!("the phone was left recording: {}", seen.said));
-        }
-        stop_phone(phone);
+        stop_phone(phone(&rig)?);
         let truth = rig.stop().map_err(|error| format!("{error:#}"))?;
         return judge(plan, &seen, &recording, &truth);
     }
@@ -261,6 +256,7 @@ fn happen(
     }
     turns.sort_by_key(|turn| std::cmp::Reverse(turn.0));
     let (mut killed, mut full, mut away) = (None, None, 0_u32);
+    let mut last_away = None;
     let begun = Instant::now();
     let status = loop {
         if let Some(status) = session.ended()? {
@@ -270,6 +266,9 @@ fn happen(
             return Err(format!("it does not end: {}", session.said()));
         }
         let now = rig.now();
+        if away > 0 {
+            last_away = Some(now);
+        }
         let Some((_, event, begins)) = turns.pop_if(|turn| turn.0 <= now) else {
             std::thread::sleep(Duration::from_millis(1));
             continue;
@@ -306,13 +305,20 @@ fn happen(
     for reader in session.readers.drain(..) {
         let _ = reader.join();
     }
-    Ok(Seen {
+    let phone = phone(rig)?;
+    let seen = Seen {
         status,
         said: session.said(),
         killed,
         full,
-        phone_away: away > 0,
-    })
+        phone_away: last_away,
+        phone_records: phone.is_recording(),
+    };
+    phone.set_fault(None);
+    if away > 0 {
+        phone.join_network().map_err(|error| error.to_string())?;
+    }
+    Ok(seen)
 }
 
 /// From now on no file of the process may grow beyond what the recording is.
@@ -332,10 +338,25 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     let file = SessionFile::load(recording).map_err(|error| error.to_string())?;
     let kinds: Vec<&str> = file.problems.iter().map(|p| p.kind.as_str()).collect();
     let disturbed = plan.has(Fault::UsbUnplugged) || plan.has(Fault::ResetPressed);
+    // Only a phone that was away while it was to be stopped may be given up, and only
+    // that may be left recording.
+    let missed = kinds.contains(&"phone_lost");
+    let zero = truth.zero.ok_or("the board's zero is not known")?;
+    let to_be_stopped = file.recorded.map_or(SimTime::ZERO, |span| {
+        SimTime::from_units(zero.units() + span.to.0 * UNITS_PER_TICK)
+    });
+    if missed && seen.phone_away.is_none_or(|last| last < to_be_stopped) {
+        return Err(said(format!(
+            "the phone was there and is missed: {kinds:?}"
+        )));
+    }
+    if seen.phone_records && seen.killed.is_none() && !missed {
+        return Err(said("the phone was left recording".to_owned()));
+    }
     let expected = match (seen.killed, seen.full) {
         (Some(_), _) => None,
         (None, Some(_)) => Some(ExitStatus::Storage),
-        (None, None) if disturbed || seen.phone_away => Some(ExitStatus::Loss),
+        (None, None) if disturbed || missed => Some(ExitStatus::Loss),
         (None, None) => Some(ExitStatus::Good),
     };
     let code = expected.map(|status| i32::from(status.code()));
@@ -347,9 +368,6 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     }
     if expected == Some(ExitStatus::Storage) && !seen.said.contains("File too large") {
         return Err(said("it does not say that the disk is full".to_owned()));
-    }
-    if expected == Some(ExitStatus::Loss) && seen.phone_away && !kinds.contains(&"phone_lost") {
-        return Err(said(format!("the phone is away and not missed: {kinds:?}")));
     }
     let resets = usize::from(plan.has(Fault::ResetPressed));
     let ended_early = seen.killed.or(seen.full);
@@ -365,7 +383,6 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     }
     let compared = compare(recording, &file, truth)?;
     if let Some(at) = ended_early {
-        let zero = truth.zero.ok_or("the board's zero is not known")?;
         // While the link or the board is away, nothing comes to be lost.
         let end = at.since(zero).as_secs_f64();
         let missing = end - compared.last_s;

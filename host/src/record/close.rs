@@ -1,6 +1,6 @@
 //! The end of a session, however it went.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::further;
 use super::phone_task::{Answer, Request};
@@ -13,6 +13,15 @@ use crate::board::Board;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recording::writer::Severity;
 use crate::sync::ClockModel;
+
+/// How long after its first failure a phone is asked again to stop its video.
+const STOP_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Pause between two of these tries.
+const STOP_PAUSE: Duration = Duration::from_millis(500);
+
+/// How long the board is listened to at a time.
+const LISTEN: Duration = Duration::from_millis(20);
 
 /// Ends a session, however it went. Gives the result on, or the first failure of
 /// the closing itself if there was none before.
@@ -60,12 +69,7 @@ fn end_of_recording(rig: &mut Rig<'_>) {
 fn stop_devices(rig: &mut Rig<'_>) {
     stop_videos(rig);
     if let Some(recorder) = rig.depth.take() {
-        let problem = recorder.stop(|| {
-            // Its own failure is told by the next step of closing.
-            if rig.pump(Duration::from_millis(20)).is_err() {
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        });
+        let problem = recorder.stop(|| listen(rig, LISTEN));
         if let Some(text) = problem {
             report(rig, Finding::error("depth_recorder_gone", text));
         }
@@ -99,32 +103,51 @@ fn stop_devices(rig: &mut Rig<'_>) {
     }
 }
 
+/// Stops the videos that run. A phone that cannot be reached just then, as when Wi-Fi
+/// stalls, is asked again: to stop twice does no harm, and nobody else will do it.
 fn stop_videos(rig: &mut Rig<'_>) {
-    let running = rig.take_running_videos();
-    if running.is_empty() {
-        return;
-    }
-    let requests = running
-        .into_iter()
-        .map(|place| (place, Request::StopVideo))
-        .collect();
-    let mut problems = Vec::new();
-    match rig.ask_phones(requests, |_| {}) {
-        Ok(answers) => {
-            for (place, answer) in answers {
-                if let Err(error) = answer {
-                    problems.push(format!(
-                        "the video of {} could not be stopped: {error}; stop it on the phone",
-                        rig.phone_label(place)
-                    ));
-                }
+    let mut running = rig.take_running_videos();
+    let mut failing_since = None;
+    while !running.is_empty() {
+        let requests = running
+            .iter()
+            .map(|&place| (place, Request::StopVideo))
+            .collect();
+        let answers = match rig.ask_phones(requests, |_| {}) {
+            Ok(answers) => answers,
+            Err(Stop::Failed(failure)) => {
+                report(rig, Finding::error("phone_lost", failure.to_string()));
+                return;
             }
+            Err(Stop::Interrupted) => return,
+        };
+        let since = *failing_since.get_or_insert_with(Instant::now);
+        running.clear();
+        for (place, answer) in answers {
+            let Err(error) = answer else { continue };
+            if error.exit_status() == ExitStatus::Phone && since.elapsed() < STOP_PATIENCE {
+                running.push(place);
+                continue;
+            }
+            let text = format!(
+                "the video of {} could not be stopped: {error}; stop it on the phone",
+                rig.phone_label(place)
+            );
+            report(rig, Finding::error("phone_lost", text));
         }
-        Err(Stop::Failed(failure)) => problems.push(failure.to_string()),
-        Err(Stop::Interrupted) => {}
+        if !running.is_empty() {
+            listen(rig, STOP_PAUSE);
+        }
     }
-    for text in problems {
-        report(rig, Finding::error("phone_lost", text));
+}
+
+/// Listens to the board for so long; its failures are told by the next step of closing.
+fn listen(rig: &mut Rig<'_>, time: Duration) {
+    let begun = Instant::now();
+    while begun.elapsed() < time {
+        if rig.pump(LISTEN).is_err() {
+            std::thread::sleep(LISTEN);
+        }
     }
 }
 
