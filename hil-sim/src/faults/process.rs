@@ -130,7 +130,7 @@ struct Seen {
     full: Option<SimTime>,
     /// When the phone was last not to be reached.
     phone_away: Option<SimTime>,
-    /// It still records, and is to be reached.
+    /// It still recorded when the session had ended.
     phone_records: bool,
 }
 
