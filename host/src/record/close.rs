@@ -121,12 +121,20 @@ fn stop_videos(rig: &mut Rig<'_>) {
             }
             Err(Stop::Interrupted) => return,
         };
+        let is_first = failing_since.is_none();
         let since = *failing_since.get_or_insert_with(Instant::now);
         running.clear();
         for (place, answer) in answers {
             let Err(error) = answer else { continue };
             if error.exit_status() == ExitStatus::Phone && since.elapsed() < STOP_PATIENCE {
                 running.push(place);
+                if is_first {
+                    rig.context.say(format!(
+                        "the video of {} is not stopped yet: {error}; trying for {} s",
+                        rig.phone_label(place),
+                        STOP_PATIENCE.as_secs()
+                    ));
+                }
                 continue;
             }
             let text = format!(
