@@ -114,12 +114,12 @@ pub fn into_profile(report: &Report, path: &Path) -> Result<String, LearnError> 
     let others = report.phones.iter();
     let phones = std::iter::once((report.reference.as_deref(), report.clock.as_ref()))
         .chain(others.map(|other| (Some(other.name.as_str()), other.clock.as_ref())));
+    let today = jiff::Zoned::now().date();
     let mut lines = Vec::new();
     let mut failures = Vec::new();
     for (name, clock) in phones {
         let shown = name.filter(|_| !report.phones.is_empty());
         let whose = shown.map_or(String::new(), |name| format!(", {name}"));
-        let today = jiff::Zoned::now().date();
         let learnt = match learnt(clock, report.board.id.as_deref(), today) {
             Ok(learnt) => learnt,
             Err(error) => {

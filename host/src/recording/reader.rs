@@ -18,7 +18,7 @@ use super::messages::{
     BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
     TimeReference, from_cdr,
 };
-use super::scan::{MAX_RECORD, split_record, unpack_records};
+use super::scan::{MAX_RECORD, is_intact, split_record, unpack_records};
 use super::{MCAP_FILE, RecordingError, topic};
 
 /// A message of a recording.
@@ -239,20 +239,18 @@ fn unpack(body: &[u8]) -> Result<Chunk, McapError> {
     let Record::Chunk { header, data } = mcap::parse_record(op::CHUNK, body)? else {
         return Err(McapError::UnexpectedEoc);
     };
-    let records =
-        unpack_records(&header.compression, data, Vec::new()).map_err(|error| {
-            match error.kind() {
-                ErrorKind::Unsupported => McapError::UnsupportedCompression(header.compression),
-                _ => McapError::DecompressionError(error.to_string()),
-            }
-        })?;
-    // 0: the writer made no checksum.
-    let crc = header.uncompressed_crc;
-    Ok(Chunk {
-        intact: crc == 0 || crc32fast::hash(&records) == crc,
-        records,
-        at: 0,
-    })
+    let unpacked = unpack_records(&header.compression, data, Vec::new());
+    match unpacked {
+        Ok(records) => Ok(Chunk {
+            intact: is_intact(&header, &records),
+            records,
+            at: 0,
+        }),
+        Err(error) if error.kind() == ErrorKind::Unsupported => {
+            Err(McapError::UnsupportedCompression(header.compression))
+        }
+        Err(error) => Err(McapError::DecompressionError(error.to_string())),
+    }
 }
 
 /// Takes up a record: a channel's topic, or a message, which is given out.

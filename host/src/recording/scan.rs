@@ -360,7 +360,7 @@ fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
             header.uncompressed_size
         ));
     }
-    if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc {
+    if !is_intact(header, &data) {
         return bad(String::from("its checksum is wrong"));
     }
     Piece::Chunk(data)
@@ -389,6 +389,14 @@ pub fn unpack_records(
         }
         _ => Err(io::ErrorKind::Unsupported.into()),
     }
+}
+
+/// Whether the unpacked records of a chunk agree with its checksum, if the writer made
+/// one.
+#[must_use]
+pub fn is_intact(header: &ChunkHeader, records: &[u8]) -> bool {
+    // 0: it made none.
+    header.uncompressed_crc == 0 || crc32fast::hash(records) == header.uncompressed_crc
 }
 
 /// Opcode and body of the first of a chunk's records, and what follows; `None` if it

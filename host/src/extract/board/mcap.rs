@@ -38,7 +38,7 @@ use crate::recording::messages::{
     self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
 };
 use crate::recording::reader::{is_end, record_reader};
-use crate::recording::scan::{MAX_CHUNK, records_of, unpack_records};
+use crate::recording::scan::{MAX_CHUNK, is_intact, records_of, unpack_records};
 use crate::recording::topic;
 use crate::sync::Wander;
 use crate::time::BoardSeconds;
@@ -414,8 +414,7 @@ fn unpack(chunk: Packed, out: Vec<u8>) -> Result<Vec<u8>, String> {
             format!("{from} cannot be unpacked: {error}")
         }
     })?;
-    // 0: the writer made no checksum.
-    if header.uncompressed_crc != 0 && crc32fast::hash(&data) != header.uncompressed_crc {
+    if !is_intact(header, &data) {
         return Err(format!("{from} is damaged: its checksum is wrong"));
     }
     Ok(data)
