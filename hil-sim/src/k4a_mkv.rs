@@ -71,6 +71,20 @@ impl Default for K4aSettings {
     }
 }
 
+impl K4aSettings {
+    /// Small depth images alone, where what is in them is not looked at.
+    #[must_use]
+    pub fn small() -> Self {
+        Self {
+            width: 32,
+            height: 18,
+            infrared: false,
+            imu: false,
+            ..Self::default()
+        }
+    }
+}
+
 /// A sample of the camera's IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct K4aImu {

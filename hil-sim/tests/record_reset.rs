@@ -82,15 +82,11 @@ fn frames_off(
 }
 
 fn write_depth(path: &Path, frames: &[FrameRecord]) {
-    let settings = K4aSettings {
-        width: 32,
-        height: 18,
-        infrared: false,
-        imu: false,
-        ..K4aSettings::default()
-    };
     let file = BufWriter::new(File::create(path).unwrap());
-    write_frames(file, settings, frames, |_, pixels| pixels.fill(700)).unwrap();
+    write_frames(file, K4aSettings::small(), frames, |_, pixels| {
+        pixels.fill(700)
+    })
+    .unwrap();
 }
 
 #[test]

@@ -112,17 +112,10 @@ impl Recorded {
     /// Writes the depth recording of the frames in the truth, as small images that
     /// name their frame: what is in them is tested elsewhere.
     fn write_depth(&self) -> Result<()> {
-        let settings = K4aSettings {
-            width: 32,
-            height: 18,
-            infrared: false,
-            imu: false,
-            ..K4aSettings::default()
-        };
         let cannot = || format!("cannot write {}", self.depth.display());
         let file = BufWriter::new(File::create(&self.depth).with_context(cannot)?);
         let frames = &self.truth.depth;
-        k4a_mkv::write_frames(file, settings, frames, |number, pixels| {
+        k4a_mkv::write_frames(file, K4aSettings::small(), frames, |number, pixels| {
             for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
                 *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
             }
