@@ -342,10 +342,12 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     // that may be left recording.
     let missed = kinds.contains(&"phone_lost");
     let zero = truth.zero.ok_or("the board's zero is not known")?;
-    let to_be_stopped = file.recorded.map_or(SimTime::ZERO, |span| {
-        SimTime::from_units(zero.units() + span.to.0 * UNITS_PER_TICK)
-    });
-    if missed && seen.phone_away.is_none_or(|last| last < to_be_stopped) {
+    let to_be_stopped = file.recorded.map_or(Ticks(0), |span| span.to);
+    if missed
+        && seen
+            .phone_away
+            .is_none_or(|last| ticks_at(zero, last) < to_be_stopped)
+    {
         return Err(said(format!(
             "the phone was there and is missed: {kinds:?}"
         )));
@@ -415,6 +417,11 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     })
 }
 
+/// The board's tick count at a time, if it was zero at `zero`.
+fn ticks_at(zero: SimTime, at: SimTime) -> Ticks {
+    Ticks(at.units().saturating_sub(zero.units()) / UNITS_PER_TICK)
+}
+
 struct Compared {
     samples: u64,
     last_s: f64,
@@ -428,9 +435,7 @@ fn compare(recording: &Path, file: &SessionFile, truth: &RunTruth) -> Result<Com
         .as_ref()
         .ok_or("no scale in the session file")?
         .scale;
-    let tick = |record: &SampleRecord| {
-        Ticks(record.at.units().saturating_sub(zero.units()) / UNITS_PER_TICK)
-    };
+    let tick = |record: &SampleRecord| ticks_at(zero, record.at);
     let mut records = truth.imu.iter().filter(|record| record.edge).peekable();
     let mut compared = Compared {
         samples: 0,
