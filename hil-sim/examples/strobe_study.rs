@@ -10,11 +10,11 @@
 #[path = "../tests/support/strobes.rs"]
 mod strobes;
 
+use evaluate::Settings;
+use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::recording::Recording;
 use hil_sim::rolling_shutter::RollingShutter;
 use hil_sim::video_writer::Quality;
-use smartdepthsync::evaluate::Settings;
-use smartdepthsync::evaluate::precision::{RecordingResult, evaluate_recording};
-use smartdepthsync::evaluate::recording::Recording;
 use strobes::Scene;
 
 fn rms(values: &[f64]) -> f64 {

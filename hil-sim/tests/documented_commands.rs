@@ -2,7 +2,7 @@
 //! mention by itself, is in a program's `--help`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../host/tests/support/documents.rs"]
+#[path = "../../host/cli/tests/support/documents.rs"]
 mod documents;
 mod support;
 

@@ -4,12 +4,12 @@
 #[path = "support/strobes.rs"]
 mod strobes;
 
+use evaluate::classify::Reference;
+use evaluate::frame::Rotation;
+use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::train::TrainGeometry;
+use evaluate::{EvaluateError, Settings, drift};
 use hil_sim::rolling_shutter::{Flicker, Readout, RollingShutter};
-use smartdepthsync::evaluate::classify::Reference;
-use smartdepthsync::evaluate::frame::Rotation;
-use smartdepthsync::evaluate::precision::{RecordingResult, evaluate_recording};
-use smartdepthsync::evaluate::train::TrainGeometry;
-use smartdepthsync::evaluate::{EvaluateError, Settings, drift};
 use strobes::Scene;
 
 /// Row times known to the tool make the tests fast; what it does without is tested

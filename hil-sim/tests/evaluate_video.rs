@@ -7,11 +7,11 @@ mod strobes;
 use std::path::Path;
 use std::process::Command;
 
+use evaluate::precision::{self, Evaluated, evaluate_recording};
+use evaluate::recording::Recording;
+use evaluate::{EvaluateError, Settings, plot, report};
 use hil_sim::rolling_shutter::RollingShutter;
 use hil_sim::video_writer::Quality;
-use smartdepthsync::evaluate::precision::{self, Evaluated, evaluate_recording};
-use smartdepthsync::evaluate::recording::Recording;
-use smartdepthsync::evaluate::{EvaluateError, Settings, plot, report};
 use strobes::Scene;
 
 fn scene(exposure_us: f64, row_time_us: f64, amplitude: f64, bias_us: f64) -> Scene {
@@ -179,7 +179,7 @@ fn the_app_s_timestamps_are_used() {
     };
     let drift = |settings: &Settings| {
         let recording = Recording::read(&video, settings, None, &|| false).unwrap();
-        smartdepthsync::evaluate::drift::evaluate(recording, settings, false)
+        evaluate::drift::evaluate(recording, settings, false)
             .unwrap()
             .result
     };

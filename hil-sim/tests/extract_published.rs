@@ -2,17 +2,17 @@
 //! recordings, extracted and read back by public tools.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../host/tests/support/python.rs"]
+#[path = "../../host/cli/tests/support/python.rs"]
 mod python;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use smartdepthsync::extract::inputs::Options;
-use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::{Progress, Silent};
-use smartdepthsync::extract::report::Report;
-use smartdepthsync::extract::run::{ExtractError, Job, run};
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::{Progress, Silent};
+use extract::report::Report;
+use extract::run::{ExtractError, Job, run};
 
 fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -21,7 +21,7 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn twist() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../host/tests/data/twist")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../host/cli/tests/data/twist")
 }
 
 fn make_bag(folder: &Path, compression: &str) {
@@ -104,7 +104,7 @@ fn the_bag_extracts_to_the_same_numbers() {
 
 /// Phone − board of the real twist by the sync math, in the middle of the data.
 fn whole_twist() -> f64 {
-    use smartdepthsync::sync::{GyroTrack, Options, estimate_offset};
+    use twist_sync::{GyroTrack, Options, estimate_offset};
     let read = |name: &str| {
         let text = std::fs::read_to_string(twist().join(name)).unwrap();
         let mut times = Vec::new();
@@ -126,7 +126,7 @@ fn whole_twist() -> f64 {
     let middle = mcu.epoch_s + 0.5 * mcu.t[mcu.t.len() - 1];
     estimate
         .clock
-        .offset_at(smartdepthsync::time::BoardSeconds(middle))
+        .offset_at(timebase::BoardSeconds(middle))
         .value
 }
 

@@ -3,18 +3,18 @@
 //! that drops frames. All figures here are of simulated recordings.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../host/tests/support/browser.rs"]
+#[path = "../../host/cli/tests/support/browser.rs"]
 mod browser;
 #[path = "support/synthetic.rs"]
 mod synthetic;
 
 use std::path::{Path, PathBuf};
 
-use smartdepthsync::extract::inputs::Options;
-use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::Silent;
-use smartdepthsync::extract::report::Report;
-use smartdepthsync::extract::run::{Job, run};
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::Silent;
+use extract::report::Report;
+use extract::run::{Job, run};
 use synthetic::{Synthetic, Truth, make};
 
 struct Case {

@@ -3,7 +3,7 @@
 //! these commands, that of `trigger latency` by `whole_chain`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../host/tests/support/objects.rs"]
+#[path = "../../host/cli/tests/support/objects.rs"]
 mod objects;
 mod support;
 mod whole_rig;

@@ -11,9 +11,9 @@ use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use smartdepthsync::recording::reader::Reader;
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
-use smartdepthsync::verify::{Verdict, verify};
+use recording::reader::Reader;
+use recording::session_file::{SessionFile, SessionOutcome};
+use verify::{Verdict, verify};
 use whole_rig::WholeRig;
 
 const PATIENCE: Duration = Duration::from_secs(90);

@@ -161,7 +161,7 @@ fn a_phone_that_goes_away_is_noticed() {
 
 #[test]
 fn a_probe_changes_nothing() {
-    use smartdepthsync::phone::{PhoneClient, ServerVersion, Settings};
+    use phone::{PhoneClient, ServerVersion, Settings};
     let bench = Bench::new(25, 20.0, |_| ());
     let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
     assert_eq!(client.version(), None);

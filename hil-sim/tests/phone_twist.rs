@@ -15,9 +15,9 @@ use hil_sim::phone::{PhoneConfig, SimPhone, Surroundings};
 use hil_sim::random::{Seed, Stream};
 use hil_sim::time::SimTime;
 use hil_sim::true_clock::TrueClock;
-use smartdepthsync::phone::{ImuRequest, PhoneClient, Sensor, Settings};
-use smartdepthsync::sync::{GyroTrack, Options, estimate_offset};
-use smartdepthsync::time::BoardSeconds;
+use phone::{ImuRequest, PhoneClient, Sensor, Settings};
+use timebase::BoardSeconds;
+use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// When the phone begins, and for how long, in true seconds.
 const BEGIN: u64 = 3;

@@ -9,11 +9,11 @@ use std::path::Path;
 
 use hil_sim::demo::judge::Truth;
 use hil_sim::mpu9150::SampleRecord;
+use recording::MCAP_FILE;
+use recording::reader::{Item, Reader};
+use recording::session_file::Verdict;
+use recording::session_file::{SessionFile, SessionOutcome};
 use serde_json::Value;
-use smartdepthsync::record::preflight::Verdict;
-use smartdepthsync::recording::MCAP_FILE;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 use whole_rig::{Session, WholeRig, run_python};
 
 #[test]

@@ -11,11 +11,11 @@ use std::io::Write as _;
 use std::process::Command;
 
 use hil_sim::phone::LinkFault;
+use recording::reader::{Item, Reader};
+use recording::session_file::Verdict;
+use recording::session_file::{SessionFile, SessionOutcome};
 use rustix::process::Signal;
 use serde_json::Value;
-use smartdepthsync::record::preflight::Verdict;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 use support::smartdepthsync;
 use whole_rig::{Session, WholeRig};
 

@@ -6,9 +6,9 @@ mod support;
 mod whole_rig;
 
 use hil_sim::random::{Seed, Stream};
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
 use rustix::process::Signal;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
 use whole_rig::{Session, WholeRig};
 
 const TRIALS: usize = 50;

@@ -5,8 +5,8 @@
 mod support;
 mod whole_rig;
 
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
 use whole_rig::{Session, WholeRig};
 
 const FURTHER: &str = r#"

@@ -6,8 +6,8 @@ mod support;
 mod whole_rig;
 
 use hil_sim::demo::judge::Truth;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
 use whole_rig::{Session, WholeRig};
 
 #[test]

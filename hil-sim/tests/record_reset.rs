@@ -10,6 +10,11 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::Silent;
+use extract::report::BoardRunReport;
+use extract::run::{Job, run};
 use hil_sim::depth_camera::{FrameRecord, Source};
 use hil_sim::k4a_mkv::{K4aSettings, write_frames};
 use hil_sim::oscillator::Oscillator;
@@ -17,14 +22,9 @@ use hil_sim::phone::VideoTruth;
 use hil_sim::running_rig::RunTruth;
 use hil_sim::time::{SimTime, UNITS_PER_NANO};
 use protocol::ResetCause;
-use smartdepthsync::extract::inputs::Options;
-use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::Silent;
-use smartdepthsync::extract::report::BoardRunReport;
-use smartdepthsync::extract::run::{Job, run};
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
-use smartdepthsync::verify::{Verdict, verify};
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
+use verify::{Verdict, verify};
 use whole_rig::{Session, WholeRig};
 
 /// Virtual time against real time. The host's clock then says little about how long

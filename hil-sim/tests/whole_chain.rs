@@ -4,7 +4,7 @@
 //! `cargo xtask bench --chain`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../host/tests/support/objects.rs"]
+#[path = "../../host/cli/tests/support/objects.rs"]
 mod objects;
 mod support;
 

@@ -6,22 +6,22 @@
 use std::io::Cursor;
 use std::time::Duration;
 
+use board::session::Session;
+use evaluate::source::{parse_probe, read_timestamps};
+use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
+use extract::bag::reader::{Bag, BagError};
+use extract::mkv::k4a::{Content, Recording};
+use extract::phone::csv::Rows;
+use extract::video::parse_presentation_times;
+use phone::ImuRequest;
+use phone::answer::{AnswerDecoder, AnswerEvent};
+use phone::file_name::safe_file_name;
+use phone::requests::{ImuBody, VideoHeaderBody, VideoStartBody};
 use protocol::{Decoder, HostToDevice};
-use smartdepthsync::evaluate::source::{parse_probe, read_timestamps};
-use smartdepthsync::extract::bag::messages::{Image, Imu, Temperature, TimeReference};
-use smartdepthsync::extract::bag::reader::{Bag, BagError};
-use smartdepthsync::extract::mkv::k4a::{Content, Recording};
-use smartdepthsync::extract::phone::csv::Rows;
-use smartdepthsync::extract::video::parse_presentation_times;
-use smartdepthsync::phone::ImuRequest;
-use smartdepthsync::phone::answer::{AnswerDecoder, AnswerEvent};
-use smartdepthsync::phone::file_name::safe_file_name;
-use smartdepthsync::phone::requests::{ImuBody, VideoHeaderBody, VideoStartBody};
-use smartdepthsync::profile::Profile;
-use smartdepthsync::recording::reader::Reader;
-use smartdepthsync::session::Session;
-use smartdepthsync::verify::repair::repair;
-use smartdepthsync::verify::verify;
+use recording::profile::Profile;
+use recording::reader::Reader;
+use verify::repair::repair;
+use verify::verify;
 
 /// Any bytes as a ROS 1 bag: no panic.
 pub(crate) fn bag(data: &[u8]) {
@@ -175,7 +175,7 @@ pub(crate) fn profile(data: &[u8]) {
 pub(crate) fn session_file(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.json"), data).unwrap();
-    let _ = smartdepthsync::recording::session_file::SessionFile::load(folder.path());
+    let _ = recording::session_file::SessionFile::load(folder.path());
 }
 
 /// Any bytes as what comes from the host, in any split, as the firmware decodes it:

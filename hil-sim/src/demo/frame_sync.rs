@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
+use evaluate::stats::{mean, quantile, standard_deviation};
+use recording::session_file::SessionFile;
 use serde::Serialize;
-use smartdepthsync::evaluate::stats::{mean, quantile, standard_deviation};
-use smartdepthsync::recording::session_file::SessionFile;
 
 use super::judge::{TwistVerdict, Verdict};
 use super::stage::{Stage, StageOptions};

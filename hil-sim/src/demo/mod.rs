@@ -16,8 +16,8 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
 
 use judge::Verdict;
 use report::Figures;
@@ -123,7 +123,7 @@ fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result
     let board = options.stage.out.join("twist_board_gyro.csv");
     std::fs::write(&board, csv).with_context(|| format!("cannot write {}", board.display()))?;
     let plot = options.stage.out.join("twist.svg");
-    let rig = smartdepthsync::profile::Profile::load(profile)?;
+    let rig = recording::profile::Profile::load(profile)?;
     let output = Command::new(&options.stage.program)
         .arg("offset")
         .arg("--mcu")

@@ -5,9 +5,9 @@
 
 use std::fmt::Write as _;
 
+use page::chart::{self, Data, Series};
+use page::{Level, Page};
 use serde::Serialize;
-use smartdepthsync::report::chart::{self, Data, Series};
-use smartdepthsync::report::{Level, Page};
 
 use super::judge::Verdict;
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use frame_sync::alignment::off_grid;
 use protocol::{DeviceToHost, ImuFlags, ResetCause, TICK_HZ, Ticks};
+use recording::reader::{Item, Reader};
 use smartdepthsync::outcome::ExitStatus;
-use smartdepthsync::record::alignment::off_grid;
-use smartdepthsync::recording::reader::{Item, Reader};
 
 use super::plan::{Fault, Plan};
 use super::scene::{Delivered, imu_is_well, time_of};

@@ -37,23 +37,23 @@ use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
+use board::Board;
+use board::imu::Scale;
+use board::session::StreamCounts;
 use protocol::{Period, TICK_HZ, TriggerStart};
+use recording::profile::Profile;
+use recording::session_file::{SessionFile, Span};
+use recording::writer::Writer;
 use serde::Serialize;
-use smartdepthsync::board::Board;
 use smartdepthsync::cli::{Context, Global, Interrupt, LogFormat, Said};
-use smartdepthsync::imu::Scale;
 use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
-use smartdepthsync::profile::Profile;
 use smartdepthsync::record::live::Live;
 use smartdepthsync::record::operator::Operator;
 use smartdepthsync::record::phone_task::PhoneTask;
 use smartdepthsync::record::rig::{Parts, Rig as HostRig};
 use smartdepthsync::record::watch::{Grid, Watch};
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
-use smartdepthsync::recording::session_file::{SessionFile, Span};
-use smartdepthsync::recording::writer::Writer;
-use smartdepthsync::session::StreamCounts;
 
 use crate::board_truth::Train;
 use crate::i2c::lock;
@@ -227,7 +227,7 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
     let link = loop {
         match connector.connect(None) {
             Ok(link) => break link,
-            Err(smartdepthsync::board::BoardError::Open(_)) => {}
+            Err(board::BoardError::Open(_)) => {}
             Err(error) => return Err(error.to_string()),
         }
     };
@@ -329,7 +329,7 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
     };
     stage
         .begin(train)
-        .map_err(smartdepthsync::board::BoardError::from)
+        .map_err(board::BoardError::from)
         .map_err(smartdepthsync::outcome::Failure::from)?;
     host.board.start_counting();
     let from = host.now;

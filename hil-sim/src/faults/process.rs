@@ -17,14 +17,14 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use board::imu::Scale;
 use protocol::{ImuFlags, ImuSample, Ticks};
+use recording::MCAP_FILE;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
-use smartdepthsync::imu::Scale;
 use smartdepthsync::outcome::ExitStatus;
-use smartdepthsync::recording::MCAP_FILE;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
-use smartdepthsync::verify::{Verdict as Checked, verify};
+use verify::{Verdict as Checked, verify};
 
 use super::plan::{Event, Fault, Plan};
 use super::{Programs, Verdict};

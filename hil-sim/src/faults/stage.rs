@@ -9,10 +9,10 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use smartdepthsync::board::{self, BoardError};
+use board::transport::serial::OpenError;
+use board::transport::{Link, LinkError};
+use board::{self, BoardError};
 use smartdepthsync::record::Connector;
-use smartdepthsync::transport::serial::OpenError;
-use smartdepthsync::transport::{Link, LinkError};
 
 use super::plan::Plan;
 use super::scene::{Report, Scene};

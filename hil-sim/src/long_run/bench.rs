@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
+use board::session::{Event, Session, Stream as HostStream};
 use protocol::{Command, DeviceToHost, Period, Reply, Status, TICK_HZ, TriggerStart};
-use smartdepthsync::session::{Event, Session, Stream as HostStream};
 
 use super::{Growth, Interrupt, LongRunError, Options, Report};
 use crate::board_truth::{BoardTruth, Compared, Train, Wrong};

@@ -22,9 +22,9 @@ use std::process::{Command, Output, Stdio};
 
 use anyhow::{Context, Result, bail};
 use protocol::Ticks;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
 use serde_json::Value;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
 
 use crate::demo::judge::{Timebase, Truth};
 use crate::k4a_mkv::{self, K4aSettings};

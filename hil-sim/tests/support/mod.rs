@@ -147,7 +147,7 @@ pub(crate) fn smartdepthsync() -> &'static Path {
         let profile = test.parent().and_then(Path::parent).unwrap();
         let program = profile.join(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX));
         let built = program.metadata().and_then(|m| m.modified());
-        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../host/src");
+        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../host");
         if built.is_ok_and(|built| built > newest(&sources)) {
             return program;
         }

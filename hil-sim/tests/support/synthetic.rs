@@ -14,6 +14,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
+use board::imu::Sample;
 use hil_sim::inertial_channel::{Channel, ChannelConfig, LowPass};
 use hil_sim::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
 use hil_sim::motion::{Motion, MotionSpec, MotionView};
@@ -21,12 +22,11 @@ use hil_sim::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use hil_sim::random::{Random, Seed, Stream};
 use hil_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 use protocol::{ImuFlags, Period, Pulse, TICK_HZ, Ticks};
-use smartdepthsync::imu::Sample;
-use smartdepthsync::profile::Profile;
-use smartdepthsync::recording::session_file::SessionFile;
-use smartdepthsync::recording::writer::Writer;
-use smartdepthsync::sync::{ClockModel, Wander};
-use smartdepthsync::time::BoardSeconds;
+use recording::profile::Profile;
+use recording::session_file::SessionFile;
+use recording::writer::Writer;
+use timebase::BoardSeconds;
+use twist_sync::{ClockModel, Wander};
 
 /// Units of simulated time in a tick of the board.
 const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
@@ -552,7 +552,7 @@ fn write_session(folder: &Path, rig: &Rig) {
     session.save(folder).unwrap();
 }
 
-fn imu_info() -> smartdepthsync::recording::session_file::ImuInfo {
+fn imu_info() -> recording::session_file::ImuInfo {
     use protocol::{
         AccelRange, GyroRange, ImuClock, ImuConfig, ImuSetup, ImuState, ImuStatus, LowPass,
     };
@@ -578,6 +578,6 @@ fn imu_info() -> smartdepthsync::recording::session_file::ImuInfo {
             last_fault: None,
         },
     };
-    let scale = smartdepthsync::imu::Scale::of(&setup).unwrap();
-    smartdepthsync::recording::session_file::ImuInfo { setup, scale }
+    let scale = board::imu::Scale::of(&setup).unwrap();
+    recording::session_file::ImuInfo { setup, scale }
 }

@@ -1,0 +1,612 @@
+//! A board on a link: calls that wait for their answer, and the events between.
+//!
+//! Everything that arrives while a call waits is kept in order and given out by
+//! [`Board::next_event`]. Commands are idempotent, so a call whose answer does
+//! not come sends the command again, under a new id, before it gives up.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use protocol::{
+    AlignPlan, Command, DeviceToHost, GnssReport, GnssSettings, Hello, ImuConfig, ImuSetup, Output,
+    OutputAction, OutputAlign, PROTOCOL_VERSION, Period, Refusal, Reply, ResetCause, Ticks,
+    TriggerAlign, TriggerStart, TriggerStatus,
+};
+
+use crate::session::{Event, Session};
+use crate::transport::serial::{OpenError, SerialLink};
+use crate::transport::{Link, LinkError, ports};
+
+/// How long one try of a command waits for its answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How often a command is sent before it is given up.
+const TRIES: u32 = 3;
+
+/// What can go wrong with a board.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// The port cannot be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// The system does not list its ports.
+    #[error("cannot list the serial ports: {0}")]
+    Ports(String),
+    /// No port given, and none looks like the board.
+    #[error("no board found on any serial port")]
+    NoBoard,
+    /// No port given, and more than one looks like the board.
+    #[error("more than one board found: {}", ports.join(", "))]
+    ManyBoards {
+        /// Their ports.
+        ports: Vec<String>,
+    },
+    /// The link broke.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// Not one byte came from the port.
+    #[error("nothing answers on the port")]
+    Silent,
+    /// Bytes come, but not of this protocol.
+    #[error(
+        "what answers on the port is not a SmartDepthSync board ({bytes} bytes, none of them understood)"
+    )]
+    NotThisBoard {
+        /// Bytes received.
+        bytes: u64,
+    },
+    /// The board speaks another version of the protocol.
+    #[error("the board speaks protocol version {found}, this program version {PROTOCOL_VERSION}")]
+    OtherVersion {
+        /// The board's.
+        found: u16,
+    },
+    /// No answer came, though the board was connected.
+    #[error("the board did not answer `{command}` in time")]
+    NoAnswer {
+        /// Short name of the command.
+        command: &'static str,
+    },
+    /// The board refused.
+    #[error("the board refused `{command}`: {}", explain(refusal))]
+    Refused {
+        /// Short name of the command.
+        command: &'static str,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// The board gave the answer of another command.
+    #[error("the board answered `{command}` with something else")]
+    OddReply {
+        /// Short name of the command.
+        command: &'static str,
+    },
+}
+
+/// A refusal in words.
+#[must_use]
+pub fn explain(refusal: &Refusal) -> String {
+    let micros = |ticks: u32| f64::from(ticks) * 1e6 / f64::from(protocol::TICK_HZ);
+    match *refusal {
+        Refusal::PeriodOutOfRange => String::from("the period must be within 1 ms and 1 s"),
+        Refusal::WidthOutOfRange { min, max } => format!(
+            "the pulse must be {:.3} µs to {:.3} µs wide at this period",
+            micros(min),
+            micros(max)
+        ),
+        Refusal::TimeOutOfRange { now } => format!(
+            "the first edge or the anchor is past, too close, or more than an hour away (board \
+             time is {:.6} s)",
+            now.as_secs_f64()
+        ),
+        Refusal::SlewOutOfRange { max } => format!(
+            "the slew must be at most {:.3} µs a frame at this period",
+            micros(max)
+        ),
+        Refusal::TriggerStopped => String::from("the trigger does not run; start it first"),
+        Refusal::TriggerRunning => {
+            String::from("a trigger with other parameters runs; stop it first")
+        }
+        Refusal::AlignInProgress => {
+            String::from("an align is on its way; wait until it has arrived")
+        }
+        Refusal::ImuSettingOutOfRange => String::from("the IMU has no such setting"),
+        Refusal::WrongKey => String::from("the key of the self test is wrong"),
+        Refusal::GnssRunning => {
+            String::from("the pulse per second runs with other settings; stop it first")
+        }
+        Refusal::GnssStopping => {
+            String::from("the pulse per second is just being stopped; try again in a second")
+        }
+        Refusal::GnssDateOutOfRange => {
+            String::from("the sentences can tell dates from 2000 to 2099 only")
+        }
+        Refusal::GnssWindowExceeded { ends_us } => format!(
+            "the sentences would end {:.1} ms after their pulse; they must within {} ms: take a \
+             shorter delay or a higher rate",
+            f64::from(ends_us) / 1e3,
+            protocol::NMEA_WINDOW_MS
+        ),
+        Refusal::GnssBaudTooHigh => {
+            String::from("a line that is low when idle takes at most 19200 Bd")
+        }
+    }
+}
+
+/// Result of a call to the board.
+pub type Result<T> = std::result::Result<T, BoardError>;
+
+/// A board that has said hello.
+pub struct Board {
+    wire: Wire,
+    hello: Hello,
+}
+
+/// The port to use: the one given, or the only one that looks like the board.
+///
+/// # Errors
+///
+/// No port is given and there is not exactly one board.
+pub fn choose_port(given: Option<&str>) -> Result<String> {
+    if let Some(path) = given {
+        return Ok(path.to_owned());
+    }
+    let mut boards = ports::list()
+        .map_err(|error| BoardError::Ports(error.to_string()))?
+        .into_iter()
+        .filter(|port| port.board)
+        .map(|port| port.path);
+    match (boards.next(), boards.next()) {
+        (None, _) => Err(BoardError::NoBoard),
+        (Some(only), None) => Ok(only),
+        (Some(first), Some(second)) => Err(BoardError::ManyBoards {
+            ports: [first, second].into_iter().chain(boards).collect(),
+        }),
+    }
+}
+
+impl Board {
+    /// Opens the port (or the only board there is) and says hello.
+    ///
+    /// # Errors
+    ///
+    /// The port cannot be opened, or what is behind it is not this board.
+    pub fn open(port: Option<&str>) -> Result<Self> {
+        let path = choose_port(port)?;
+        Self::connect(Box::new(SerialLink::open(&path)?))
+    }
+
+    /// Says hello on a link and checks who answers.
+    ///
+    /// # Errors
+    ///
+    /// See [`BoardError`].
+    pub fn connect(link: Box<dyn Link>) -> Result<Self> {
+        Self::connect_from(link, std::process::id() << 12)
+    }
+
+    /// As [`Board::connect`], with the id of the first command.
+    ///
+    /// # Errors
+    ///
+    /// See [`BoardError`].
+    pub fn connect_from(link: Box<dyn Link>, first_id: u32) -> Result<Self> {
+        let mut wire = Wire {
+            link,
+            session: Session::new(first_id),
+            events: VecDeque::new(),
+            buffer: Vec::new(),
+        };
+        let hello = wire.say_hello()?;
+        // What came before lay in some buffer and is nobody's business; the gap
+        // behind it may have come together with the answer.
+        wire.events.clear();
+        while wire.session.next_event().is_some() {}
+        wire.session.start_counting();
+        Ok(Self { wire, hello })
+    }
+
+    /// Gives the link back, broken as it is: a port that is still there can be
+    /// opened again only by who does not hold it any more.
+    pub fn hang_up(&mut self) {
+        self.wire.session.cut();
+        let now = self.wire.link.now();
+        self.wire.link = Box::new(HungUp { now });
+    }
+
+    /// Goes on with the same session on a new link, after the old one broke.
+    /// What the board dropped meanwhile shows as [`Event::Lost`]; a reset
+    /// meanwhile as [`Event::Restarted`].
+    ///
+    /// # Errors
+    ///
+    /// The board does not answer on the new link either; try again later.
+    pub fn reconnect(&mut self, link: Box<dyn Link>) -> Result<()> {
+        self.wire.session.cut();
+        self.wire.link = link;
+        self.hello = self.wire.say_hello()?;
+        Ok(())
+    }
+
+    /// Who the board is.
+    #[must_use]
+    pub const fn hello(&self) -> &Hello {
+        &self.hello
+    }
+
+    /// Counters of the conversation.
+    #[must_use]
+    pub const fn session(&self) -> &Session {
+        &self.wire.session
+    }
+
+    /// Whether raw frames are given out as [`Event::Frame`].
+    pub const fn keep_frames(&mut self, keep: bool) {
+        self.wire.session.keep_frames(keep);
+    }
+
+    /// Counts the streams anew from their next message on.
+    pub fn start_counting(&mut self) {
+        self.wire.session.start_counting();
+    }
+
+    /// The link's clock.
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.wire.link.now()
+    }
+
+    /// The next event that has come already.
+    pub fn queued_event(&mut self) -> Option<Event> {
+        let wire = &mut self.wire;
+        wire.events
+            .pop_front()
+            .or_else(|| wire.session.next_event())
+    }
+
+    /// The next event; waits for it at most for `wait`.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone. All events that came before are given out first.
+    pub fn next_event(&mut self, wait: Duration) -> Result<Option<Event>> {
+        if let Some(event) = self.queued_event() {
+            return Ok(Some(event));
+        }
+        self.wire.pump(wait)?;
+        Ok(self.wire.session.next_event())
+    }
+
+    /// Sends a command and waits for its answer. Up to three tries.
+    ///
+    /// # Errors
+    ///
+    /// The link is gone, no answer came, or the board refused.
+    pub fn call(&mut self, command: &Command) -> Result<Reply> {
+        self.wire.call(command)
+    }
+
+    /// State of the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn trigger(&mut self) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerQuery)
+    }
+
+    /// Starts the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn start_trigger(&mut self, start: TriggerStart) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerStart(start))
+    }
+
+    /// Stops the trigger.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn stop_trigger(&mut self) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerStop)
+    }
+
+    /// Changes the period from the next edge on.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn set_period(&mut self, period: Period) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::TriggerPeriod(period))
+    }
+
+    /// Moves the train onto a grid.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn align(&mut self, align: TriggerAlign) -> Result<AlignPlan> {
+        match self.call(&Command::TriggerAlign(align))? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(BoardError::OddReply { command: "align" }),
+        }
+    }
+
+    /// A command to one of the further trigger outputs, all but an align.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn output(&mut self, output: Output, action: OutputAction) -> Result<TriggerStatus> {
+        self.call_trigger(&Command::Output { output, action })
+    }
+
+    /// Moves the train of a further output onto a grid.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn align_output(&mut self, output: Output, to: OutputAlign) -> Result<AlignPlan> {
+        let action = OutputAction::Align(to);
+        match self.call(&Command::Output { output, action })? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(BoardError::OddReply { command: "align" }),
+        }
+    }
+
+    /// The pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn gnss(&mut self) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssQuery)
+    }
+
+    /// Starts the pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssStart(settings))
+    }
+
+    /// Stops the pulse per second.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn stop_gnss(&mut self) -> Result<GnssReport> {
+        self.call_gnss(&Command::GnssStop)
+    }
+
+    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
+        match self.call(command)? {
+            Reply::Gnss(report) => Ok(report),
+            _ => Err(BoardError::OddReply { command: "gnss" }),
+        }
+    }
+
+    /// The IMU's setup and state.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn imu(&mut self) -> Result<ImuSetup> {
+        self.call_imu(&Command::ImuQuery)
+    }
+
+    /// Sets the IMU up.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn configure_imu(&mut self, config: ImuConfig) -> Result<ImuSetup> {
+        self.call_imu(&Command::ImuConfigure(config))
+    }
+
+    /// One round trip: the board's time when it took the ping, and how long the
+    /// round trip took on the link's clock.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn ping(&mut self) -> Result<(Ticks, Duration)> {
+        let before = self.wire.link.now();
+        let host_time = u64::try_from(before.as_nanos()).unwrap_or(u64::MAX);
+        match self.call(&Command::Ping { host_time })? {
+            Reply::Pong {
+                host_time: echoed,
+                received,
+                ..
+            } if echoed == host_time => Ok((received, self.wire.link.now().saturating_sub(before))),
+            _ => Err(BoardError::OddReply { command: "ping" }),
+        }
+    }
+
+    /// Asks for the board's time without waiting: the [`Event::Answer`] with this
+    /// id brings a [`Reply::Pong`], or [`Event::Expired`] none.
+    pub fn ask_time(&mut self) -> u32 {
+        let now = self.wire.link.now();
+        let host_time = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
+        let command = Command::Ping { host_time };
+        self.wire.session.send(now, command, ANSWER_TIMEOUT)
+    }
+
+    /// Says hello again: a board that was reset has something new to say.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn hello_again(&mut self) -> Result<&Hello> {
+        self.hello = self.wire.say_hello()?;
+        Ok(&self.hello)
+    }
+
+    fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
+        match self.call(command)? {
+            Reply::Trigger(status) => Ok(status),
+            _ => Err(BoardError::OddReply {
+                command: command_name(command),
+            }),
+        }
+    }
+
+    fn call_imu(&mut self, command: &Command) -> Result<ImuSetup> {
+        match self.call(command)? {
+            Reply::Imu(setup) => Ok(setup),
+            _ => Err(BoardError::OddReply {
+                command: command_name(command),
+            }),
+        }
+    }
+}
+
+/// In place of a link that was given back.
+struct HungUp {
+    now: Duration,
+}
+
+impl HungUp {
+    fn gone() -> LinkError {
+        LinkError::Gone {
+            reason: String::from("hung up"),
+        }
+    }
+}
+
+impl Link for HungUp {
+    fn now(&self) -> Duration {
+        self.now
+    }
+    fn send(&mut self, _: &[u8]) -> std::result::Result<(), LinkError> {
+        Err(Self::gone())
+    }
+    fn receive(&mut self, _: &mut Vec<u8>, _: Duration) -> std::result::Result<(), LinkError> {
+        Err(Self::gone())
+    }
+}
+
+/// A session on its link.
+struct Wire {
+    link: Box<dyn Link>,
+    session: Session,
+    /// What came while a call waited.
+    events: VecDeque<Event>,
+    buffer: Vec<u8>,
+}
+
+impl Wire {
+    fn call(&mut self, command: &Command) -> Result<Reply> {
+        let name = command_name(command);
+        for _ in 0..TRIES {
+            let id = self
+                .session
+                .send(self.link.now(), command.clone(), ANSWER_TIMEOUT);
+            if let Some(result) = self.wait_for(id)? {
+                return result.map_err(|refusal| BoardError::Refused {
+                    command: name,
+                    refusal,
+                });
+            }
+            tracing::debug!(command = name, "no answer, sending it again");
+        }
+        Err(BoardError::NoAnswer { command: name })
+    }
+
+    /// Sends what is to be sent, takes what has come, lets commands expire.
+    fn pump(&mut self, wait: Duration) -> Result<()> {
+        let outgoing = self.session.take_outgoing();
+        if !outgoing.is_empty() {
+            self.link.send(&outgoing)?;
+        }
+        self.buffer.clear();
+        let result = self.link.receive(&mut self.buffer, wait);
+        self.session.receive(&self.buffer);
+        self.session.tick(self.link.now());
+        Ok(result?)
+    }
+
+    /// Waits for one answer; `None` if it expired.
+    fn wait_for(&mut self, id: u32) -> Result<Option<std::result::Result<Reply, Refusal>>> {
+        loop {
+            while let Some(event) = self.session.next_event() {
+                match event {
+                    Event::Answer(answer) if answer.id == id => return Ok(Some(answer.result)),
+                    Event::Expired { id: expired } if expired == id => return Ok(None),
+                    Event::OtherVersion { found } => {
+                        return Err(BoardError::OtherVersion { found });
+                    }
+                    other => self.events.push_back(other),
+                }
+            }
+            self.pump(Duration::from_millis(100))?;
+        }
+    }
+
+    /// The hello that is answered last before the answer is the current one:
+    /// what lay in the system's buffers from before comes earlier.
+    fn say_hello(&mut self) -> Result<Hello> {
+        let before = self.session.bytes();
+        match self.call(&Command::Hello) {
+            Ok(_) => {}
+            Err(BoardError::NoAnswer { .. }) => {
+                let bytes = self.session.bytes() - before;
+                return Err(if bytes == 0 {
+                    BoardError::Silent
+                } else if self.session.frames() == 0 {
+                    BoardError::NotThisBoard { bytes }
+                } else {
+                    BoardError::NoAnswer { command: "hello" }
+                });
+            }
+            Err(error) => return Err(error),
+        }
+        let hello = self.events.iter().rev().find_map(|event| match event {
+            Event::Message(DeviceToHost::Hello(hello)) => Some(hello.clone()),
+            _ => None,
+        });
+        hello.ok_or(BoardError::OddReply { command: "hello" })
+    }
+}
+
+/// Why a board was reset, in words.
+#[must_use]
+pub const fn reset_cause(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::PowerOn => "power on",
+        ResetCause::BrownOut => "brown-out: the supply dipped",
+        ResetCause::Pin => "reset pin",
+        ResetCause::Software => "by the firmware itself",
+        ResetCause::Watchdog => "watchdog: a task was stuck",
+        ResetCause::WindowWatchdog => "window watchdog",
+        ResetCause::LowPower => "illegal low-power entry",
+        ResetCause::Unknown => "unknown cause",
+    }
+}
+
+const fn command_name(command: &Command) -> &'static str {
+    match command {
+        Command::Hello => "hello",
+        Command::Ping { .. } => "ping",
+        Command::TriggerStart(_) => "trigger start",
+        Command::TriggerAlign(_) => "trigger align",
+        Command::TriggerPeriod(_) => "trigger period",
+        Command::TriggerStop => "trigger stop",
+        Command::TriggerQuery => "trigger status",
+        Command::ImuConfigure(_) => "imu configure",
+        Command::ImuQuery => "imu status",
+        Command::Filler { .. } => "filler",
+        Command::SelfTest { .. } => "self test",
+        Command::Output { .. } => "trigger output",
+        Command::GnssStart(_) => "gnss start",
+        Command::GnssStop => "gnss stop",
+        Command::GnssQuery => "gnss status",
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,121 @@
+//! The board as the GNSS receiver of a lidar: which second its pulses begin.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use protocol::{Baud, GnssReport, GnssSettings, Ticks};
+
+use crate::{Board, Result};
+
+/// From the pulse to the sentences unless told otherwise, ms. With a pulse of 20 ms
+/// they begin 80 ms after its end and have ended 175 ms after its edge, with `$GPZDA`
+/// 215 ms: what each lidar wants whose figures are in `docs/outputs.md`.
+pub const NMEA_DELAY_MS: u16 = 100;
+
+/// How far a running epoch may be from this computer's clock to be kept, s: the
+/// nearest second may be the one before or after.
+const SAME_EPOCH_S: u64 = 1;
+
+/// The rate of a serial line from its number in Bd.
+///
+/// # Errors
+///
+/// There is no such rate; the text says which there are.
+pub fn parse_baud(text: &str) -> std::result::Result<Baud, String> {
+    Baud::ALL
+        .into_iter()
+        .find(|baud| baud.hz().to_string() == text)
+        .ok_or_else(|| String::from("expected 4800, 9600, 19200, 38400, 57600 or 115200"))
+}
+
+/// Unix time of the board's tick 0 by this computer's clock, to the nearest second;
+/// `None` if that clock stands before 1970.
+///
+/// # Errors
+///
+/// The board does not answer.
+pub fn utc_at_zero(board: &mut Board) -> Result<Option<i64>> {
+    let wall = SystemTime::now().duration_since(UNIX_EPOCH);
+    let (ticks, round_trip) = board.ping()?;
+    Ok(wall.ok().map(|wall| utc_by(wall, ticks, round_trip)))
+}
+
+/// Unix time of tick 0 if a ping that was sent at `wall` since 1970 and took
+/// `round_trip` found the board at `ticks`.
+fn utc_by(wall: Duration, ticks: Ticks, round_trip: Duration) -> i64 {
+    let utc = wall.as_secs_f64() + round_trip.as_secs_f64() / 2.0;
+    (utc - ticks.as_secs_f64()).round() as i64
+}
+
+/// Starts pulse and sentences. Where they run already with these settings and an epoch
+/// that is at most a second off, nothing changes: a lidar keeps the time it has.
+///
+/// # Errors
+///
+/// The board does not answer or refuses: among others, because it runs with other
+/// settings or another epoch.
+pub fn start(board: &mut Board, settings: GnssSettings) -> Result<GnssReport> {
+    let running = board.gnss()?.settings;
+    board.start_gnss(with_running_epoch(running, settings))
+}
+
+fn with_running_epoch(running: Option<GnssSettings>, settings: GnssSettings) -> GnssSettings {
+    running
+        .filter(|running| {
+            let same_epoch = GnssSettings {
+                utc_at_zero: running.utc_at_zero,
+                ..settings
+            };
+            *running == same_epoch
+                && running.utc_at_zero.abs_diff(settings.utc_at_zero) <= SAME_EPOCH_S
+        })
+        .unwrap_or(settings)
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::Sentences;
+
+    use super::*;
+
+    #[test]
+    fn a_running_epoch_is_kept_only_if_it_is_right_to_a_second() {
+        let settings = GnssSettings {
+            utc_at_zero: 1_700_000_000,
+            baud: Baud::ALL[0],
+            line_inverted: true,
+            sentences: Sentences::Rmc,
+            delay_ms: NMEA_DELAY_MS,
+            pulse_width: 960_000,
+            pulse_inverted: false,
+        };
+        let running_at = |utc_at_zero| GnssSettings {
+            utc_at_zero,
+            ..settings
+        };
+        assert_eq!(with_running_epoch(None, settings), settings);
+        for near in [1_699_999_999, 1_700_000_000, 1_700_000_001] {
+            let running = running_at(near);
+            assert_eq!(with_running_epoch(Some(running), settings), running);
+        }
+        for far in [1_699_999_998, 1_700_000_002, i64::MIN] {
+            let running = running_at(far);
+            assert_eq!(with_running_epoch(Some(running), settings), settings);
+        }
+        let other = GnssSettings {
+            delay_ms: 50,
+            ..settings
+        };
+        assert_eq!(with_running_epoch(Some(other), settings), settings);
+    }
+
+    #[test]
+    fn the_epoch_is_the_nearest_second() {
+        let utc = |millis, ticks| {
+            let wall = Duration::from_millis(millis);
+            utc_by(wall, Ticks(ticks), Duration::from_millis(20))
+        };
+        assert_eq!(utc(1_700_000_010_000, 480_000_000), 1_700_000_000);
+        assert_eq!(utc(1_700_000_010_480, 480_000_000), 1_700_000_000);
+        assert_eq!(utc(1_700_000_010_495, 480_000_000), 1_700_000_001);
+    }
+}

@@ -1,0 +1,345 @@
+//! The board's IMU samples in SI units, and what a stretch of them says about
+//! rate, jitter and noise.
+//!
+//! Samples keep the time of their data-ready edge: the delay of the sensor's
+//! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
+
+use protocol::{ImuFlags, ImuSample, ImuSetup, TICK_HZ, Ticks};
+use serde::{Deserialize, Serialize};
+
+/// Standard gravity, m/s².
+pub const STANDARD_GRAVITY: f64 = 9.806_65;
+
+/// From counts to SI units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Scale {
+    /// rad/s of one count of the gyroscope.
+    pub gyro_rad_s: f64,
+    /// m/s² of one count of the accelerometer.
+    pub accel_m_s2: f64,
+    /// Delay of the gyroscope's low-pass, µs.
+    pub gyro_delay_us: u32,
+    /// Delay of the accelerometer's low-pass, µs.
+    pub accel_delay_us: u32,
+}
+
+/// One sample in SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// Data-ready edge.
+    pub at: Ticks,
+    /// As the board gave them.
+    pub flags: ImuFlags,
+    /// Angular rate, rad/s.
+    pub gyro: [f64; 3],
+    /// Acceleration, m/s².
+    pub accel: [f64; 3],
+    /// Die temperature, °C.
+    pub temperature: f64,
+}
+
+impl Scale {
+    /// The scale of a setup; `None` if the board gave no scale.
+    #[must_use]
+    pub fn of(setup: &ImuSetup) -> Option<Self> {
+        if setup.gyro_lsb_per_dps_times_10 == 0 || setup.accel_lsb_per_g == 0 {
+            return None;
+        }
+        Some(Self {
+            gyro_rad_s: (10.0 / f64::from(setup.gyro_lsb_per_dps_times_10)).to_radians(),
+            accel_m_s2: STANDARD_GRAVITY / f64::from(setup.accel_lsb_per_g),
+            gyro_delay_us: setup.gyro_delay_us,
+            accel_delay_us: setup.accel_delay_us,
+        })
+    }
+
+    /// One sample in SI units.
+    #[must_use]
+    pub fn apply(&self, sample: &ImuSample) -> Sample {
+        Sample {
+            at: sample.at,
+            flags: sample.flags,
+            gyro: sample.gyro.map(|raw| f64::from(raw) * self.gyro_rad_s),
+            accel: sample.accel.map(|raw| f64::from(raw) * self.accel_m_s2),
+            // MPU-9150 register map, 4.18.
+            temperature: f64::from(sample.temperature) / 340.0 + 35.0,
+        }
+    }
+}
+
+/// Mean and spread of a stream of numbers (Welford's algorithm).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Spread {
+    count: u64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Spread {
+    /// Takes one number.
+    pub fn add(&mut self, value: f64) {
+        self.count += 1;
+        let before = value - self.mean;
+        self.mean += before / self.count as f64;
+        self.squares += before * (value - self.mean);
+    }
+
+    /// How many numbers.
+    #[must_use]
+    pub const fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Mean; `None` of nothing.
+    #[must_use]
+    pub fn mean(&self) -> Option<f64> {
+        (self.count > 0).then_some(self.mean)
+    }
+
+    /// Sample standard deviation; `None` of fewer than two numbers.
+    #[must_use]
+    pub fn deviation(&self) -> Option<f64> {
+        (self.count > 1).then(|| (self.squares / (self.count - 1) as f64).sqrt())
+    }
+}
+
+/// What a stretch of samples says.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    first: Option<Ticks>,
+    last: Option<Ticks>,
+    samples: u64,
+    late: u64,
+    saturated: u64,
+    /// Samples behind a loss on the board's side, or the first after a recovery.
+    breaks: u64,
+    interval: Spread,
+    shortest: Option<u64>,
+    longest: Option<u64>,
+    gyro: [Spread; 3],
+    accel: [Spread; 3],
+    temperature: Spread,
+    /// A message is missing before the next sample.
+    gap: bool,
+}
+
+/// The summary as it is reported.
+#[derive(Clone, Debug, Serialize)]
+pub struct SummaryReport {
+    /// Samples received.
+    pub samples: u64,
+    /// From first to last, seconds of board time.
+    pub seconds: f64,
+    /// Samples a second over unbroken intervals.
+    pub rate_hz: Option<f64>,
+    /// Unbroken intervals.
+    pub intervals: u64,
+    /// Mean interval, ticks.
+    pub interval_mean_ticks: Option<f64>,
+    /// Standard deviation of the interval, ticks.
+    pub interval_jitter_ticks: Option<f64>,
+    /// Shortest interval, ticks.
+    pub interval_min_ticks: Option<u64>,
+    /// Longest interval, ticks.
+    pub interval_max_ticks: Option<u64>,
+    /// Standard deviation of each axis, rad/s: noise, if the rig lay still.
+    pub gyro_noise_rad_s: [Option<f64>; 3],
+    /// Mean of each axis, rad/s: bias, if the rig lay still.
+    pub gyro_mean_rad_s: [Option<f64>; 3],
+    /// Standard deviation of each axis, m/s².
+    pub accel_noise_m_s2: [Option<f64>; 3],
+    /// Mean of each axis, m/s².
+    pub accel_mean_m_s2: [Option<f64>; 3],
+    /// Mean temperature of the die, °C.
+    pub temperature_c: Option<f64>,
+    /// Samples whose registers may hold the next sample already.
+    pub late: u64,
+    /// Samples at an end of their range.
+    pub saturated: u64,
+    /// Interruptions on the board's side (lost edges, recoveries).
+    pub breaks: u64,
+}
+
+impl Summary {
+    /// Takes one sample.
+    pub fn add(&mut self, sample: &Sample) {
+        let starts_anew =
+            sample.flags.has(ImuFlags::FIRST) || sample.flags.has(ImuFlags::AFTER_LOSS);
+        self.samples += 1;
+        self.late += u64::from(sample.flags.has(ImuFlags::LATE));
+        self.saturated += u64::from(sample.flags.has(ImuFlags::SATURATED));
+        if let Some(last) = self.last {
+            self.breaks += u64::from(starts_anew);
+            if !starts_anew && !self.gap {
+                let interval = (sample.at - last).unsigned_abs();
+                self.interval.add(interval as f64);
+                self.shortest = Some(self.shortest.map_or(interval, |least| least.min(interval)));
+                self.longest = Some(self.longest.map_or(interval, |most| most.max(interval)));
+            }
+        }
+        self.gap = false;
+        self.first.get_or_insert(sample.at);
+        self.last = Some(sample.at);
+        for axis in 0..3 {
+            self.gyro[axis].add(sample.gyro[axis]);
+            self.accel[axis].add(sample.accel[axis]);
+        }
+        self.temperature.add(sample.temperature);
+    }
+
+    /// Samples are missing before the next one.
+    pub const fn gap(&mut self) {
+        self.gap = true;
+    }
+
+    /// Samples so far.
+    #[must_use]
+    pub const fn samples(&self) -> u64 {
+        self.samples
+    }
+
+    /// Time of the first sample.
+    #[must_use]
+    pub const fn first(&self) -> Option<Ticks> {
+        self.first
+    }
+
+    /// Time of the last sample.
+    #[must_use]
+    pub const fn last(&self) -> Option<Ticks> {
+        self.last
+    }
+
+    /// Whether anything on the board's side is wrong with these samples.
+    #[must_use]
+    pub const fn is_impaired(&self) -> bool {
+        self.late > 0 || self.breaks > 0
+    }
+
+    /// The figures.
+    #[must_use]
+    pub fn report(&self) -> SummaryReport {
+        let mean = self.interval.mean();
+        SummaryReport {
+            samples: self.samples,
+            seconds: match (self.first, self.last) {
+                (Some(first), Some(last)) => (last - first).as_secs_f64(),
+                _ => 0.0,
+            },
+            rate_hz: mean.map(|mean| f64::from(TICK_HZ) / mean),
+            intervals: self.interval.count(),
+            interval_mean_ticks: mean,
+            interval_jitter_ticks: self.interval.deviation(),
+            interval_min_ticks: self.shortest,
+            interval_max_ticks: self.longest,
+            gyro_noise_rad_s: self.gyro.map(|axis| axis.deviation()),
+            gyro_mean_rad_s: self.gyro.map(|axis| axis.mean()),
+            accel_noise_m_s2: self.accel.map(|axis| axis.deviation()),
+            accel_mean_m_s2: self.accel.map(|axis| axis.mean()),
+            temperature_c: self.temperature.mean(),
+            late: self.late,
+            saturated: self.saturated,
+            breaks: self.breaks,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::{AccelRange, GyroRange, ImuClock, ImuConfig, ImuState, ImuStatus, LowPass};
+
+    use super::*;
+
+    fn setup() -> ImuSetup {
+        ImuSetup {
+            config: ImuConfig {
+                divider: 1,
+                low_pass: LowPass::Hz188,
+                gyro_range: GyroRange::Dps500,
+                accel_range: AccelRange::G4,
+            },
+            interval: 96_000,
+            gyro_lsb_per_dps_times_10: 655,
+            accel_lsb_per_g: 8_192,
+            gyro_delay_us: 1_900,
+            accel_delay_us: 2_000,
+            status: ImuStatus {
+                state: ImuState::Running,
+                clock: ImuClock::External,
+                samples: 0,
+                late: 0,
+                overcaptures: 0,
+                recoveries: 0,
+                last_fault: None,
+            },
+        }
+    }
+
+    fn raw(at: u64, flags: ImuFlags, gyro: i16) -> ImuSample {
+        ImuSample {
+            seq: 0,
+            at: Ticks(at),
+            flags,
+            accel: [8_192, 0, -4_096],
+            temperature: -3_400,
+            gyro: [gyro, 0, -655],
+        }
+    }
+
+    #[test]
+    fn counts_become_si_units() {
+        let scale = Scale::of(&setup()).unwrap();
+        let sample = scale.apply(&raw(5, ImuFlags(0), 655));
+        assert!((sample.gyro[0] - 10_f64.to_radians()).abs() < 1e-15);
+        assert!((sample.gyro[2] + 10_f64.to_radians()).abs() < 1e-15);
+        assert!((sample.accel[0] - 9.806_65).abs() < 1e-12);
+        assert!((sample.accel[2] + 9.806_65 / 2.0).abs() < 1e-12);
+        assert!((sample.temperature - 25.0).abs() < 1e-12);
+        let no_scale = ImuSetup {
+            accel_lsb_per_g: 0,
+            ..setup()
+        };
+        assert_eq!(Scale::of(&no_scale), None);
+    }
+
+    #[test]
+    fn intervals_across_a_gap_or_a_recovery_are_left_out() {
+        let scale = Scale::of(&setup()).unwrap();
+        let mut summary = Summary::default();
+        for (at, flags, gap) in [
+            (0, ImuFlags::FIRST, false),
+            (96_000, ImuFlags(0), false),
+            (192_001, ImuFlags::SATURATED, false),
+            (960_000, ImuFlags(0), true),
+            (1_056_000, ImuFlags::LATE, false),
+            (9_000_000, ImuFlags::AFTER_LOSS, false),
+        ] {
+            if gap {
+                summary.gap();
+            }
+            summary.add(&scale.apply(&raw(at, flags, 0)));
+        }
+        let report = summary.report();
+        assert_eq!(report.samples, 6);
+        assert_eq!(report.intervals, 3);
+        assert_eq!(report.interval_min_ticks, Some(96_000));
+        assert_eq!(report.interval_max_ticks, Some(96_001));
+        assert_eq!((report.late, report.saturated, report.breaks), (1, 1, 1));
+        assert!(summary.is_impaired());
+    }
+
+    #[test]
+    fn noise_is_the_sample_deviation() {
+        let scale = Scale::of(&setup()).unwrap();
+        let mut summary = Summary::default();
+        for (index, gyro) in [-3, -1, 1, 3].into_iter().enumerate() {
+            summary.add(&scale.apply(&raw(index as u64 * 96_000, ImuFlags(0), gyro)));
+        }
+        let noise = summary.report().gyro_noise_rad_s[0].unwrap();
+        // Deviation of ±1, ±3 with n − 1 = 3: sqrt(20 / 3) counts.
+        let expected = (20.0_f64 / 3.0).sqrt() * scale.gyro_rad_s;
+        assert!((noise - expected).abs() < 1e-12);
+        assert_eq!(summary.report().rate_hz, Some(500.0));
+        assert_eq!(summary.report().gyro_noise_rad_s[1], Some(0.0));
+    }
+}

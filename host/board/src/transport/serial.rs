@@ -1,0 +1,332 @@
+//! A terminal device as a link.
+//!
+//! A thread does nothing but read the port, into an unbounded queue: a consumer
+//! that is busy (a slow disk, a person at a prompt) never stalls the board. The
+//! queue's growth is bounded by the link's rate, at most about 1 MB/s; at the
+//! rig's usual load it is 30 kB/s.
+//!
+//! The port is opened exclusively (TIOCEXCL and an advisory `flock`), because a
+//! second reader would steal bytes. Root passes TIOCEXCL, but not the lock.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Arc, OnceLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serialport::{ErrorKind, SerialPort};
+
+use super::{Link, LinkError};
+
+/// CDC-ACM ignores the rate, and so does a pseudo-terminal; but a rate of 0
+/// means "hang up" to a terminal.
+const BAUD: u32 = 115_200;
+
+/// How often the reading thread looks whether it is to end.
+const POLL: Duration = Duration::from_millis(50);
+
+/// How long a write may take.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Why a port cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// There is no such file.
+    #[error("there is no port {path}")]
+    NotFound {
+        /// As given.
+        path: String,
+    },
+    /// The user may not open it.
+    #[error("no permission to open {path}")]
+    Permission {
+        /// As given.
+        path: String,
+    },
+    /// Another program has it.
+    #[error("{path} is in use by another program")]
+    Busy {
+        /// As given.
+        path: String,
+    },
+    /// It is a file, a folder, or some other device.
+    #[error("{path} is not a serial port")]
+    NotAPort {
+        /// As given.
+        path: String,
+    },
+    /// Anything else.
+    #[error("cannot open {path}: {reason}")]
+    Other {
+        /// As given.
+        path: String,
+        /// What the system said.
+        reason: String,
+    },
+}
+
+/// A serial port or pseudo-terminal, read by a thread of its own.
+pub struct SerialLink {
+    port: Box<dyn SerialPort>,
+    received: Receiver<io::Result<Vec<u8>>>,
+    gone: Option<LinkError>,
+    stop: Arc<AtomicBool>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl SerialLink {
+    /// Opens a port exclusively and starts to read it. Raises DTR, by which a
+    /// CDC-ACM device knows that somebody listens.
+    ///
+    /// # Errors
+    ///
+    /// See [`OpenError`].
+    pub fn open(path: &str) -> Result<Self, OpenError> {
+        let port = serialport::new(path, BAUD)
+            .timeout(POLL)
+            .dtr_on_open(true)
+            .open()
+            .map_err(|error| why(path, &error))?;
+        let other = |error: String| OpenError::Other {
+            path: path.to_owned(),
+            reason: error,
+        };
+        let reading = port.try_clone().map_err(|error| other(error.to_string()))?;
+        let stop = Arc::new(AtomicBool::new(false));
+        let (sender, received) = channel();
+        let stopped = Arc::clone(&stop);
+        let reader = std::thread::Builder::new()
+            .name(String::from("link reader"))
+            .spawn(move || {
+                read_until_stopped(reading, &stopped, |chunk| sender.send(chunk).is_ok());
+            })
+            .map_err(|error| other(error.to_string()))?;
+        Ok(Self {
+            port,
+            received,
+            gone: None,
+            stop,
+            reader: Some(reader),
+        })
+    }
+
+    fn take(&mut self, chunk: io::Result<Vec<u8>>, into: &mut Vec<u8>) {
+        match chunk {
+            Ok(bytes) => into.extend_from_slice(&bytes),
+            Err(error) => {
+                self.gone = Some(LinkError::Gone {
+                    reason: error.to_string(),
+                });
+            }
+        }
+    }
+}
+
+/// Time since the program first asked for it: one clock for all links.
+fn program_time() -> Duration {
+    static BEGAN: OnceLock<Instant> = OnceLock::new();
+    BEGAN.get_or_init(Instant::now).elapsed()
+}
+
+impl Link for SerialLink {
+    fn now(&self) -> Duration {
+        program_time()
+    }
+
+    fn send(&mut self, mut bytes: &[u8]) -> Result<(), LinkError> {
+        let started = Instant::now();
+        while !bytes.is_empty() {
+            match self.port.write(bytes) {
+                Ok(count) => bytes = bytes.get(count..).unwrap_or_default(),
+                Err(error) if is_passing(&error) => {
+                    if started.elapsed() > WRITE_TIMEOUT {
+                        return Err(LinkError::Stuck);
+                    }
+                }
+                Err(error) => {
+                    return Err(LinkError::Gone {
+                        reason: error.to_string(),
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
+        let before = into.len();
+        if self.gone.is_none() {
+            match self.received.recv_timeout(wait) {
+                Ok(chunk) => self.take(chunk, into),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.gone = Some(LinkError::Gone {
+                        reason: String::from("the reading thread has ended"),
+                    });
+                }
+            }
+            while self.gone.is_none()
+                && let Ok(chunk) = self.received.try_recv()
+            {
+                self.take(chunk, into);
+            }
+        }
+        match &self.gone {
+            Some(error) if into.len() == before => Err(error.clone()),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Drop for SerialLink {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(reader) = self.reader.take() {
+            // It ends within one POLL; a panic in it has nothing to say here.
+            let _ = reader.join();
+        }
+    }
+}
+
+fn read_until_stopped(
+    mut port: Box<dyn SerialPort>,
+    stop: &AtomicBool,
+    mut send: impl FnMut(io::Result<Vec<u8>>) -> bool,
+) {
+    let mut buffer = vec![0; 16 * 1024];
+    while !stop.load(Ordering::Relaxed) {
+        let chunk = match port.read(&mut buffer) {
+            // A terminal that has hung up reads as its end.
+            Ok(0) => Err(io::Error::from(io::ErrorKind::UnexpectedEof)),
+            Ok(count) => Ok(buffer.get(..count).unwrap_or_default().to_vec()),
+            Err(error) if is_passing(&error) => continue,
+            Err(error) => Err(error),
+        };
+        let ends = chunk.is_err();
+        if !send(chunk) || ends {
+            return;
+        }
+    }
+}
+
+fn is_passing(error: &io::Error) -> bool {
+    matches!(
+        error.kind(),
+        io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+    )
+}
+
+fn why(path: &str, error: &serialport::Error) -> OpenError {
+    let owned = path.to_owned();
+    match error.kind() {
+        // The serialport crate gives NoDevice for a port that is locked too.
+        ErrorKind::NoDevice if Path::new(path).exists() => OpenError::Busy { path: owned },
+        ErrorKind::NoDevice | ErrorKind::Io(io::ErrorKind::NotFound) => {
+            OpenError::NotFound { path: owned }
+        }
+        ErrorKind::Io(io::ErrorKind::PermissionDenied) => OpenError::Permission { path: owned },
+        _ if is_plain_file(path) => OpenError::NotAPort { path: owned },
+        _ => OpenError::Other {
+            path: owned,
+            reason: error.to_string(),
+        },
+    }
+}
+
+/// Whether the path is there and cannot be a port. A device that is no terminal
+/// (`/dev/null`) counts: it fails with ENOTTY, which the serialport crate does
+/// not tell from other errors.
+fn is_plain_file(path: &str) -> bool {
+    let name = Path::new(path)
+        .file_name()
+        .map(|name| name.to_string_lossy().into_owned())
+        .unwrap_or_default();
+    std::fs::metadata(path).is_ok() && !name.starts_with("tty") && !path.starts_with("/dev/pts/")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use serialport::TTYPort;
+
+    use super::*;
+
+    fn pair() -> (TTYPort, String) {
+        let (master, slave) = TTYPort::pair().unwrap();
+        let path = slave.name().unwrap();
+        // The pair opens the slave exclusively; hand it over.
+        drop(slave);
+        (master, path)
+    }
+
+    #[test]
+    fn bytes_go_both_ways_through_a_pseudo_terminal() {
+        let (mut master, path) = pair();
+        let mut link = SerialLink::open(&path).unwrap();
+        // Every byte value, untouched by any line discipline.
+        let all: Vec<u8> = (0..=255).collect();
+        link.send(&all).unwrap();
+        let mut there = vec![0; 256];
+        master.read_exact(&mut there).unwrap();
+        assert_eq!(there, all);
+        master.write_all(&all).unwrap();
+        let mut back = Vec::new();
+        while back.len() < 256 {
+            link.receive(&mut back, Duration::from_secs(5)).unwrap();
+        }
+        assert_eq!(back, all);
+        link.receive(&mut back, Duration::from_millis(10)).unwrap();
+        assert_eq!(back.len(), 256);
+    }
+
+    #[test]
+    fn a_second_opener_is_told_that_the_port_is_busy() {
+        let (_master, path) = pair();
+        let first = SerialLink::open(&path).unwrap();
+        assert!(matches!(
+            SerialLink::open(&path),
+            Err(OpenError::Busy { .. })
+        ));
+        drop(first);
+        assert!(SerialLink::open(&path).is_ok());
+    }
+
+    #[test]
+    fn an_end_that_goes_away_is_told_after_its_last_bytes() {
+        let (mut master, path) = pair();
+        let mut link = SerialLink::open(&path).unwrap();
+        master.write_all(b"last").unwrap();
+        let mut bytes = Vec::new();
+        link.receive(&mut bytes, Duration::from_secs(5)).unwrap();
+        assert_eq!(bytes, b"last");
+        drop(master);
+        let error = loop {
+            let mut none = Vec::new();
+            if let Err(error) = link.receive(&mut none, Duration::from_secs(5)) {
+                break error;
+            }
+        };
+        assert!(matches!(error, LinkError::Gone { .. }));
+        assert!(matches!(link.send(b"x"), Err(LinkError::Gone { .. })));
+    }
+
+    #[test]
+    fn paths_that_are_no_port_say_so() {
+        assert!(matches!(
+            SerialLink::open("/dev/smartdepthsync-not-there"),
+            Err(OpenError::NotFound { .. })
+        ));
+        assert!(matches!(
+            SerialLink::open("/dev/null"),
+            Err(OpenError::NotAPort { .. })
+        ));
+        let file = tempfile::NamedTempFile::new().unwrap();
+        assert!(matches!(
+            SerialLink::open(&file.path().to_string_lossy()),
+            Err(OpenError::NotAPort { .. })
+        ));
+    }
+}

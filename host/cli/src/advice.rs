@@ -1,0 +1,240 @@
+//! What to do about the errors of the libraries: exit code and next step.
+//!
+//! A library says what is wrong in a typed error; what the user can do about it is
+//! this program's to say, here, in one place.
+
+use board::BoardError;
+use board::imu::Scale;
+use board::transport::serial::OpenError;
+use extract::learn::LearnError;
+use phone::PhoneError;
+use protocol::ImuSetup;
+use recording::RecordingError;
+use recording::profile::ProfileError;
+
+use crate::outcome::{ExitStatus, Failure, file_step};
+
+/// How to put the firmware of this version on the board.
+const HOW_TO_FLASH: &str = "flash the firmware that belongs to this program: connect a debug \
+                            probe and run `cargo run --release` in `firmware/`";
+
+impl From<BoardError> for Failure {
+    fn from(error: BoardError) -> Self {
+        let message = error.to_string();
+        let (status, next) = match error {
+            BoardError::Open(error) => return error.into(),
+            BoardError::Ports(_) => (ExitStatus::Error, "give the board's port with --port"),
+            BoardError::NoBoard => (
+                ExitStatus::NoPort,
+                "plug the board in, or give its port with --port (a pseudo-terminal of a simulated \
+                 board must be given)",
+            ),
+            BoardError::ManyBoards { .. } => (ExitStatus::NoPort, "choose one with --port"),
+            BoardError::Link(_) => (
+                ExitStatus::LinkLost,
+                "check the USB cable and plug the board in again",
+            ),
+            BoardError::Silent => (
+                ExitStatus::NoAnswer,
+                "press the board's reset button; if it stays silent, flash the firmware: connect a \
+                 debug probe and run `cargo run --release` in `firmware/`",
+            ),
+            BoardError::NotThisBoard { .. } => (
+                ExitStatus::NotThisBoard,
+                "choose another port (`smartdepthsync ports` marks boards), or flash the firmware: \
+                 connect a debug probe and run `cargo run --release` in `firmware/`",
+            ),
+            BoardError::OtherVersion { .. } => (ExitStatus::OtherVersion, HOW_TO_FLASH),
+            BoardError::NoAnswer { .. } | BoardError::OddReply { .. } => (
+                ExitStatus::NoAnswer,
+                "press the board's reset button and try again",
+            ),
+            BoardError::Refused { .. } => (
+                ExitStatus::Refused,
+                "nothing was changed; choose a value within the bounds",
+            ),
+        };
+        Self::new(status, message).next_step(next)
+    }
+}
+
+impl From<OpenError> for Failure {
+    fn from(error: OpenError) -> Self {
+        let message = error.to_string();
+        match error {
+            OpenError::NotFound { .. } => Self::new(ExitStatus::NoPort, message)
+                .next_step("plug the board in; `smartdepthsync ports` lists the ports there are"),
+            OpenError::Permission { path } => {
+                Self::new(ExitStatus::Permission, message).next_step(format!(
+                    "install the udev rule, then plug the board in again: `sudo cp \
+                     host/udev/60-smartdepthsync.rules /etc/udev/rules.d/ && sudo udevadm control \
+                     --reload` (or, until the next boot: `sudo chmod a+rw {path}`)"
+                ))
+            }
+            OpenError::Busy { path } => Self::new(ExitStatus::Busy, message).next_step(format!(
+                "close the other program (`fuser -v {path}` names it; ModemManager leaves the \
+                 board alone once the udev rule is installed)"
+            )),
+            OpenError::NotAPort { .. } => Self::new(ExitStatus::NotThisBoard, message).next_step(
+                "give the board's serial port to --port; `smartdepthsync ports` lists them",
+            ),
+            OpenError::Other { .. } => Self::new(ExitStatus::Error, message)
+                .next_step("unplug the board, plug it in again, and look into `dmesg`"),
+        }
+    }
+}
+
+impl From<PhoneError> for Failure {
+    fn from(error: PhoneError) -> Self {
+        let failure = Self::new(phone_status(&error), error.to_string());
+        match phone_step(&error) {
+            Some(step) => failure.next_step(step),
+            None => failure,
+        }
+    }
+}
+
+/// The exit code that a command ends with after an error of the phone.
+pub(crate) const fn phone_status(error: &PhoneError) -> ExitStatus {
+    match error {
+        PhoneError::Address { .. } | PhoneError::Argument(_) => ExitStatus::Usage,
+        PhoneError::TargetExists { .. } | PhoneError::File { .. } => ExitStatus::Storage,
+        PhoneError::Cancelled { .. } => ExitStatus::Interrupted,
+        _ => ExitStatus::Phone,
+    }
+}
+
+fn phone_step(error: &PhoneError) -> Option<&'static str> {
+    Some(match error {
+        PhoneError::Address { .. } => {
+            "give <host> or <host>:<port>, as the app's dialog shows it at its start"
+        }
+        PhoneError::Connect { .. } => {
+            "open OpenCamera Sensors with its remote control switched on, and see that both are on the same network"
+        }
+        PhoneError::Timeout { request, .. } if *request == "get_video" => {
+            "stop the video first: the app does not answer while it records. A slow network needs a longer --timeout"
+        }
+        PhoneError::Timeout { .. } | PhoneError::SendTimeout { .. } => {
+            "bring the app to the foreground and close other clients: it serves one at a time. A slow network needs a longer --timeout"
+        }
+        PhoneError::TooSlow { .. } => "bring the phone nearer to the access point, or use a cable",
+        PhoneError::Closed { .. } | PhoneError::Connection { .. } => {
+            "see that the app is open and in the foreground, then try again"
+        }
+        PhoneError::VideoTooShort { .. } | PhoneError::VideoTooLong { .. } => {
+            "nothing was saved; try again once the app has finished the file"
+        }
+        PhoneError::VideoTooLarge { .. } => "raise --max-bytes if the video is really that long",
+        PhoneError::UnsupportedVersion { .. } => {
+            "install one of these versions of OpenCamera Sensors"
+        }
+        PhoneError::Refused { request, text, .. } => return refusal_hint(request, text),
+        PhoneError::Malformed { .. } => {
+            "see that it is OpenCamera Sensors that listens on this port, then try again"
+        }
+        PhoneError::Unrequested { .. } => {
+            "connect again, and see that nothing else talks to the app"
+        }
+        PhoneError::TargetExists { .. } => "choose another place with --out, or give --overwrite",
+        PhoneError::File { source, .. } => file_step(source.kind()),
+        PhoneError::NotConnected => "connect again",
+        PhoneError::Argument(_) => "`smartdepthsync help phone` says what is accepted",
+        PhoneError::Cancelled { .. } => "run the command again when you are ready",
+    })
+}
+
+/// What to do about the refusals that the app is known to give.
+fn refusal_hint(request: &str, text: &str) -> Option<&'static str> {
+    if text.starts_with("Error in IMU recording") {
+        Some("stop the video first: the app records its sensors already")
+    } else if request == "video_start" && text.contains("phase info") {
+        Some(
+            "if a video was running, this request has stopped it: try again. Otherwise switch on sync recording of video and IMU in the app, which needs its Camera2 setting",
+        )
+    } else if text.starts_with("Couldn't get last video") {
+        Some("record a video first: the app has none since it was started")
+    } else if text.starts_with("Requested sensor") {
+        Some("ask for other sensors: this phone lacks one of them")
+    } else if text == "Invalid request" && request == "imu" {
+        Some("the app does not know this form of the request: install v.0.1 or v.0.1.1")
+    } else {
+        None
+    }
+}
+
+impl From<ProfileError> for Failure {
+    fn from(error: ProfileError) -> Self {
+        let status = match error {
+            ProfileError::Read { .. } => ExitStatus::Storage,
+            ProfileError::Syntax { .. } | ProfileError::Value { .. } => ExitStatus::Usage,
+        };
+        Self::new(status, error.to_string()).next_step(
+            "`smartdepthsync profile init rig.toml` writes a commented profile to start from",
+        )
+    }
+}
+
+impl From<RecordingError> for Failure {
+    fn from(error: RecordingError) -> Self {
+        let next = if error.is_disk_full() {
+            "free some space; what was recorded before is kept and can be read"
+        } else if matches!(error, RecordingError::Mcap { .. }) {
+            "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
+             what is wrong with one, `smartdepthsync repair` saves what can be read"
+        } else if let RecordingError::Io { source, .. } = &error {
+            file_step(source.kind())
+        } else {
+            "check the folder and its rights"
+        };
+        Self::new(ExitStatus::Storage, error.to_string()).next_step(next)
+    }
+}
+
+impl From<LearnError> for Failure {
+    fn from(error: LearnError) -> Self {
+        let status = match error {
+            LearnError::Io { .. } => ExitStatus::Storage,
+            LearnError::Profile(_) => ExitStatus::Usage,
+            _ => ExitStatus::Refused,
+        };
+        let step = match &error {
+            LearnError::NoFrames => {
+                "extract the recording with the phone's files beside it, or name them with --phone"
+            }
+            LearnError::TooLittle { .. } => {
+                "learn from a recording in which the rig was moved for a minute or more, with the \
+                 phone's gyroscope file"
+            }
+            LearnError::Profile(_) => {
+                "`smartdepthsync profile init rig.toml` writes a profile to start from"
+            }
+            LearnError::Io { error, .. } => file_step(error.kind()),
+        };
+        Self::new(status, error.to_string()).next_step(step)
+    }
+}
+
+/// The scale of the board's IMU, which every command that reads it needs.
+pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
+    Scale::of(setup).ok_or_else(|| {
+        Failure::new(ExitStatus::Error, "the board gave no scale for its IMU").next_step(
+            "flash the firmware of this program's version (docs/flash.md), then try again",
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_address_is_told_its_form() {
+        let error = PhoneError::Address {
+            address: "phone:0".to_owned(),
+            reason: "its port is out of range",
+        };
+        assert!(phone_step(&error).unwrap().contains("<host>:<port>"));
+        assert_eq!(Failure::from(error).status(), ExitStatus::Usage);
+    }
+}

@@ -1,0 +1,191 @@
+//! `smartdepthsync doctor`: is everything there for a recording, and if not,
+//! what to do. The checks are those of a session ([`crate::record::preflight`]).
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use protocol::{DeviceToHost, Period, TICK_HZ, TrainState, TriggerStart};
+
+use super::PortArg;
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::record::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME};
+use board::imu::Scale;
+use board::session::Event;
+use board::{Board, BoardError};
+use phone::{PhoneClient, Settings};
+use recording::profile::Profile;
+use recording::session_file::Verdict;
+
+/// Nothing at all comes for so long: the link is dead.
+const LINK_PATIENCE: Duration = Duration::from_secs(20);
+
+/// Options of `doctor`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    /// The rig profile; without it, the published rig's
+    #[arg(long, value_name = "FILE")]
+    profile: Option<PathBuf>,
+    /// The phone's address, instead of the profile's
+    #[arg(long, value_name = "HOST[:PORT]")]
+    phone: Option<String>,
+    /// Folder for recordings
+    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
+    out: PathBuf,
+    /// Do not try the trigger (no pulses on the wire)
+    #[arg(long)]
+    no_trigger: bool,
+    /// Do not look for the phone
+    #[arg(long)]
+    no_phone: bool,
+}
+
+/// Checks the rig.
+///
+/// # Errors
+///
+/// None but those of printing; what is wrong is in the result.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let mut checks = Checks::default();
+    let profile = match &args.profile {
+        Some(path) => Profile::load(path),
+        None => Profile::published(),
+    };
+    let profile = match profile {
+        Ok(mut profile) => {
+            if let Some(phone) = &args.phone {
+                profile.phone.address.clone_from(phone);
+            }
+            checks.host(&profile, args.profile.is_some(), &args.out);
+            Some(profile)
+        }
+        Err(error) => {
+            checks.bad("profile", error.into());
+            None
+        }
+    };
+    match args.port.open() {
+        Ok(mut board) => {
+            checks.firmware(&board);
+            let looked = check_imu(&mut board, &mut checks, context)
+                .and_then(|()| check_trigger(args, &mut board, &mut checks, context));
+            if let Err(error) = looked {
+                checks.bad("board", error.into());
+            }
+        }
+        Err(failure) => checks.bad("board", failure),
+    }
+    if let Some(profile) = profile.filter(|_| !args.no_phone) {
+        check_phone(&profile, &mut checks, context);
+    }
+    context.print(&checks, || text(&checks))?;
+    if context.interrupt.requested() {
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(match checks.status() {
+        ExitStatus::Good => Outcome::Good,
+        status => Outcome::Told(status),
+    })
+}
+
+/// Takes events for so long in board time. Ends early on Ctrl-C.
+fn listen(
+    board: &mut Board,
+    context: &Context,
+    ticks: u64,
+    mut take: impl FnMut(&Event),
+) -> Result<(), BoardError> {
+    let (now, _) = board.ping()?;
+    let end = now.0.saturating_add(ticks);
+    let mut sign = board.now();
+    while board.session().latest().0 < end && !context.interrupt.requested() {
+        match board.next_event(Duration::from_millis(100))? {
+            Some(event) => {
+                sign = board.now();
+                take(&event);
+            }
+            None if board.now().saturating_sub(sign) > LINK_PATIENCE => {
+                return Err(BoardError::NoAnswer {
+                    command: "any message",
+                });
+            }
+            None => {}
+        }
+    }
+    Ok(())
+}
+
+fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Result<(), BoardError> {
+    let mut look = ImuLook::default();
+    let scale = Scale::of(&board.imu()?);
+    board.start_counting();
+    listen(board, context, IMU_TIME, |event| match (event, &scale) {
+        (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
+            look.add(&scale.apply(sample));
+        }
+        (Event::Lost { .. }, _) => look.gap(),
+        _ => {}
+    })?;
+    checks.imu(&look, &board.imu()?);
+    let session = board.session();
+    checks.link(session.counts().lost(), session.damaged_frames());
+    Ok(())
+}
+
+fn check_trigger(
+    args: &Args,
+    board: &mut Board,
+    checks: &mut Checks,
+    context: &Context,
+) -> Result<(), BoardError> {
+    let before = board.trigger()?;
+    let after = if before.state == TrainState::Stopped && !args.no_trigger {
+        board.start_trigger(TriggerStart {
+            period: Period::from_ticks(TICK_HZ / 30),
+            width: 12 * TICK_HZ / 1_000_000,
+            first_edge: None,
+        })?;
+        let listened = listen(board, context, TRIGGER_TIME, |_| {});
+        let after = board.stop_trigger()?;
+        listened?;
+        after
+    } else {
+        before
+    };
+    checks.readback(&after);
+    Ok(())
+}
+
+fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
+    let interrupt = context.interrupt.clone();
+    let settings = Settings {
+        margin: Duration::from_secs(5),
+        stop: phone::StopSignal::new(move || interrupt.requested()),
+        ..Settings::default()
+    };
+    let version =
+        PhoneClient::connect(&profile.phone.address, settings).and_then(|mut phone| phone.probe());
+    match version {
+        Ok(version) => checks.phone(&version.to_string(), &profile.phone.address),
+        Err(error) => checks.bad("phone", Failure::from(error)),
+    }
+}
+
+fn text(checks: &Checks) -> String {
+    let mut text = String::new();
+    for check in &checks.checks {
+        let mark = match check.verdict {
+            Verdict::Good => "ok  ",
+            Verdict::Warning => "warn",
+            Verdict::Bad => "BAD ",
+        };
+        let _ = writeln!(text, "{mark}  {:<18} {}", check.name, check.found);
+        if let Some(step) = &check.next_step {
+            let _ = writeln!(text, "      {:<18} -> {step}", "");
+        }
+    }
+    text
+}

@@ -1,0 +1,560 @@
+//! `smartdepthsync evaluate precision|drift`: frame sync measured from strobes on video.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::{Subcommand, ValueEnum};
+use jiff::civil::Date;
+use serde::Serialize;
+
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use evaluate::calibrate::{read_bias, write_bias};
+use evaluate::drift::{self, Drift, EvaluatedDrift};
+use evaluate::frame::{Region, Rotation};
+use evaluate::precision::{self, Evaluated, Precision, Spread};
+use evaluate::recording::Recording;
+use evaluate::report::{self, counts_text, identity_text, reference_text};
+use evaluate::stats::mean;
+use evaluate::train::TrainGeometry;
+use evaluate::{EvaluateError, Settings, plot};
+
+/// Arguments of `evaluate`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Bias from perfect sync, and its spread over recordings
+    Precision(PrecisionArgs),
+    /// Drift over one long recording
+    Drift(DriftArgs),
+}
+
+/// Which pipeline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Method {
+    /// Fit of the whole train
+    Fit,
+    /// Also the published pipeline (peak picking), beside the fit
+    Paper,
+}
+
+#[derive(Debug, clap::Args)]
+struct CommonArgs {
+    /// Strobe train: nfov, wfov, a mode such as WFOV_2X2BINNED, or COUNT,PITCH_US,DURATION_US
+    #[arg(long, default_value = "nfov", value_name = "TRAIN")]
+    train: TrainGeometry,
+    /// Degrees by which the image is turned clockwise against the sensor's read-out
+    #[arg(long, default_value = "0", value_name = "0|90|180|270")]
+    rotation: Rotation,
+    /// Part of the image to look at, in pixels
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT")]
+    region: Option<Region>,
+    /// Row, from 0, whose exposure perfect sync refers to [default: the middle]
+    #[arg(long, value_name = "ROW")]
+    middle_row: Option<f64>,
+    /// Exposure of a row in µs, if known to 2 %
+    #[arg(long, value_name = "US")]
+    exposure: Option<f64>,
+    /// Row time in µs, if known to 0.5 %
+    #[arg(long, value_name = "US")]
+    row_time: Option<f64>,
+    /// Expected bias in µs; decides which flash is which where the picture does not
+    #[arg(long, value_name = "US", allow_negative_numbers = true)]
+    near: Option<f64>,
+    /// Delay of the light path from strobe to LED in µs, subtracted
+    #[arg(
+        long,
+        default_value_t = 0.0,
+        value_name = "US",
+        allow_negative_numbers = true
+    )]
+    path_delay: f64,
+    /// Use frames with changing room light all the same
+    #[arg(long)]
+    keep_flicker: bool,
+    /// Start at this second of the recording
+    #[arg(long, value_name = "SECONDS")]
+    from: Option<f64>,
+    /// Stop at this second of the recording
+    #[arg(long, value_name = "SECONDS")]
+    to: Option<f64>,
+    /// Pipeline
+    #[arg(long, value_enum, default_value_t = Method::Fit)]
+    method: Method,
+    /// Write the plots to this SVG file
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Write a report with all pictures to this HTML file
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+}
+
+#[derive(Debug, clap::Args)]
+struct PrecisionArgs {
+    /// Recordings' folders, videos, or folders of images; each is one recording
+    #[arg(required = true, value_name = "VIDEO_OR_FRAMES")]
+    inputs: Vec<PathBuf>,
+    /// Frames with flashes to use of each recording, the last ones
+    #[arg(long, default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    frames: u16,
+    /// Write the bias into this rig profile
+    #[arg(long, value_name = "PROFILE")]
+    calibrate: Option<PathBuf>,
+    /// Bias in µs that was subtracted while recording [default: as the recording's session
+    /// says, else the profile's]
+    #[arg(
+        long,
+        value_name = "US",
+        requires = "calibrate",
+        allow_negative_numbers = true
+    )]
+    applied_bias: Option<f64>,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+#[derive(Debug, clap::Args)]
+struct DriftArgs {
+    /// Recording's folder, video, or folder of images
+    #[arg(value_name = "VIDEO_OR_FRAMES")]
+    input: PathBuf,
+    /// File with one integer of nanoseconds a frame [default: the one beside the video]
+    #[arg(long, value_name = "FILE")]
+    timestamps: Option<PathBuf>,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+impl CommonArgs {
+    fn settings(&self, timestamps: Option<PathBuf>) -> Result<Settings, EvaluateError> {
+        let settings = Settings {
+            train: self.train,
+            rotation: self.rotation,
+            region: self.region,
+            middle_row: self.middle_row,
+            exposure_us: self.exposure,
+            row_time_us: self.row_time,
+            row_time_hint_us: None,
+            exposure_hint_us: None,
+            near_us: self.near.unwrap_or(0.0),
+            path_delay_us: self.path_delay,
+            keep_flicker: self.keep_flicker,
+            from_s: self.from,
+            to_s: self.to,
+            timestamps,
+        };
+        settings.check()?;
+        Ok(settings)
+    }
+}
+
+/// How long it took, and where.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Timing {
+    /// From start to result, seconds.
+    total_s: f64,
+    /// Of it spent waiting for the decoder or the disk, seconds.
+    waiting_for_input_s: f64,
+}
+
+/// What was written into the rig profile.
+#[derive(Debug, Clone, Serialize)]
+struct Calibrated {
+    profile: PathBuf,
+    /// Bias that was subtracted while recording, µs; mean over recordings.
+    applied_bias_us: f64,
+    /// New bias, µs.
+    bias_us: f64,
+    /// Its standard uncertainty, µs.
+    bias_sigma_us: f64,
+    /// Date.
+    measured: Date,
+}
+
+#[derive(Serialize)]
+struct PrecisionOutput<'a> {
+    settings: &'a Settings,
+    #[serde(flatten)]
+    precision: &'a Precision,
+    calibrated: Option<Calibrated>,
+    timing: Timing,
+}
+
+#[derive(Serialize)]
+struct DriftOutput<'a> {
+    settings: &'a Settings,
+    #[serde(flatten)]
+    drift: &'a Drift,
+    timing: Timing,
+}
+
+/// Runs `evaluate`.
+///
+/// # Errors
+///
+/// Nothing could be measured, or a file cannot be read or written.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    match &args.what {
+        What::Precision(args) => run_precision(args, context),
+        What::Drift(args) => run_drift(args, context),
+    }
+}
+
+impl From<EvaluateError> for Failure {
+    fn from(error: EvaluateError) -> Self {
+        use EvaluateError as E;
+        let status = match &error {
+            E::Train(_)
+            | E::Rotation(_)
+            | E::RegionSyntax(_)
+            | E::RegionOutside { .. }
+            | E::Setting(_) => ExitStatus::Usage,
+            E::Io { .. } | E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
+                ExitStatus::Storage
+            }
+            E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => {
+                ExitStatus::Refused
+            }
+            _ => ExitStatus::Error,
+        };
+        Self::new(status, error.to_string()).next_step(next_step(&error))
+    }
+}
+
+/// What to do about an evaluation that could not be made.
+fn next_step(error: &EvaluateError) -> &'static str {
+    use EvaluateError as E;
+    match error {
+        E::Train(_) | E::Rotation(_) | E::RegionSyntax(_) | E::Setting(_) => {
+            "change the option; `smartdepthsync help evaluate` explains each"
+        }
+        E::RegionOutside { .. } | E::TooFewRows { .. } | E::Unsupported { .. } => {
+            "give a --region inside the picture, or leave it out"
+        }
+        E::FrameSize { .. } => "evaluate recordings of one camera mode at a time",
+        E::NoFfmpeg(_) | E::RunFfmpeg { .. } => {
+            "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder of \
+             images"
+        }
+        E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
+            "give a video, or a folder of png, jpg or pgm images, one a frame"
+        }
+        E::Io { source, .. } => file_step(source.kind()),
+        E::Timestamps { .. } => {
+            "give the app's `..._timestamps.csv`: one integer of nanoseconds a line"
+        }
+        E::NoFrames { .. } => "choose another --from and --to within the recording",
+        E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => {
+            "look at the video: the re-transmitter's flashes must be in view, on a picture that is \
+             otherwise still"
+        }
+        E::Profile { .. } => {
+            "`smartdepthsync profile init rig.toml` writes a profile to start from"
+        }
+        E::Plot(_) => "leave --plot and --report out, and report this",
+    }
+}
+
+fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
+    std::fs::write(path, text).map_err(|error| Failure::file("write", path, &error).into())
+}
+
+fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outcome> {
+    let started = Instant::now();
+    let settings = args.common.settings(None).map_err(Failure::from)?;
+    // A profile that cannot be read is found out before hours of work.
+    let profile_bias = match &args.calibrate {
+        Some(profile) => read_bias(profile).map_err(Failure::from)?,
+        None => 0.0,
+    };
+    let count = args.inputs.len();
+    let mut done = 0;
+    let mut waited = 0.0;
+    let (result, shown) = precision::evaluate(
+        &args.inputs,
+        &settings,
+        usize::from(args.frames),
+        args.common.method == Method::Paper,
+        &|| context.interrupt.requested(),
+        &mut |path, result, waited_here| {
+            done += 1;
+            waited += waited_here.as_secs_f64();
+            if count > 1 {
+                let said = match result {
+                    Ok(r) => format!("{:+.3} ± {:.3} µs", r.bias_us, r.sigma_us),
+                    Err(reason) => format!("left out: {reason}"),
+                };
+                context.say(format!("{done}/{count} {}: {said}", path.display()));
+            }
+        },
+    )
+    .map_err(Failure::from)?;
+    let Some(shown) = shown else {
+        if context.interrupt.requested() {
+            return Ok(Outcome::Interrupted);
+        }
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            format!(
+                "none of {count} recordings could be evaluated; the first: {}",
+                result
+                    .left_out
+                    .first()
+                    .map_or("no reason", |l| l.reason.as_str())
+            ),
+        )
+        .next_step("mend what the reason names; with -v every recording's reason is told")
+        .into());
+    };
+    if let Some(path) = &args.common.plot {
+        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us)?;
+        write_file(path, &svg)?;
+    }
+    if let Some(path) = &args.common.report {
+        write_file(path, &report::precision(&result, &shown, &settings)?)?;
+    }
+    let calibrated = match &args.calibrate {
+        Some(profile) => Some(calibrate(profile, profile_bias, args, &result)?),
+        None => None,
+    };
+    let output = PrecisionOutput {
+        settings: &settings,
+        precision: &result,
+        calibrated: calibrated.clone(),
+        timing: Timing {
+            total_s: started.elapsed().as_secs_f64(),
+            waiting_for_input_s: waited,
+        },
+    };
+    context.print(&output, || {
+        precision_text(&result, &shown, calibrated.as_ref())
+    })?;
+    Ok(if context.interrupt.requested() {
+        Outcome::Interrupted
+    } else if result.left_out.is_empty() {
+        Outcome::Good
+    } else {
+        Outcome::Loss
+    })
+}
+
+/// Adds the measured bias to the one that was applied, and writes it.
+fn calibrate(
+    profile: &Path,
+    profile_bias: f64,
+    args: &PrecisionArgs,
+    result: &Precision,
+) -> anyhow::Result<Calibrated> {
+    // What each recording left over, and what had been subtracted from it.
+    let applied: Vec<f64> = result
+        .recordings
+        .iter()
+        .map(|r| {
+            args.applied_bias
+                .or(r.applied_bias_us)
+                .unwrap_or(profile_bias)
+        })
+        .collect();
+    let whole: Vec<f64> = result
+        .recordings
+        .iter()
+        .zip(&applied)
+        .map(|(r, applied)| r.bias_us + applied)
+        .collect();
+    let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
+    let bias = Spread::of(&whole, &sigmas).context("no bias was measured")?;
+    let open = result.recordings.iter().any(|r| !r.identity.unique);
+    if open && args.common.near.is_none() {
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            format!(
+                "the profile was not changed: the frames do not show where the train ends, so the bias is known only up to whole pitches of {} µs",
+                args.common.train.pitch_us
+            ),
+        )
+        .next_step(format!(
+            "record with the trigger moved by some milliseconds (a `frame_sync.bias_us` that is about {:.0} µs off) so that an end of the train comes into the picture; or, if the bias is known to half a pitch, give it with --near",
+            2.5 * args.common.train.pitch_us
+        ))
+        .into());
+    }
+    let new = Calibrated {
+        profile: profile.to_owned(),
+        applied_bias_us: mean(&applied),
+        bias_us: bias.mean_us,
+        bias_sigma_us: bias.mean_sigma_us,
+        measured: jiff::Zoned::now().date(),
+    };
+    write_bias(profile, new.bias_us, new.bias_sigma_us, new.measured).map_err(Failure::from)?;
+    Ok(new)
+}
+
+fn precision_text(
+    result: &Precision,
+    shown: &Evaluated,
+    calibrated: Option<&Calibrated>,
+) -> String {
+    let mut text = String::new();
+    for r in &result.recordings {
+        let _ = writeln!(
+            text,
+            "{}\n  bias       {:+.3} ± {:.3} µs (1 σ), row {:.2}\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs, flash {:.1} grey levels\n  flashes    {}\n  frames     {}",
+            r.path.display(),
+            r.bias_us,
+            r.sigma_us,
+            r.row,
+            r.row_time_us,
+            r.row_time_sigma_us,
+            r.exposure_us,
+            r.amplitude,
+            identity_text(&r.identity),
+            counts_text(&r.frames),
+        );
+        if let Some(p) = &r.paper {
+            let _ = writeln!(
+                text,
+                "  published  bias {}, row time {}",
+                p.bias_us
+                    .map_or("none".to_owned(), |b| format!("{b:+.1} µs")),
+                p.row_time_us
+                    .map_or("none".to_owned(), |t| format!("{t:.3} µs")),
+            );
+        }
+        for note in &r.notes {
+            let _ = writeln!(text, "  note       {note}");
+        }
+    }
+    for l in &result.left_out {
+        let _ = writeln!(text, "{}\n  left out   {}", l.path.display(), l.reason);
+    }
+    let _ = writeln!(
+        text,
+        "scene taken from {}",
+        reference_text(shown.track.reference)
+    );
+    if let Some(s) = &result.bias {
+        spread_text(&mut text, "all", s);
+        let _ = writeln!(
+            text,
+            "  row time   {:.4} ± {:.4} µs",
+            result.row_time_us, result.row_time_sigma_us
+        );
+    }
+    if let Some(s) = &result.paper_bias {
+        spread_text(&mut text, "published pipeline, all", s);
+    }
+    if let Some(c) = calibrated {
+        let _ = writeln!(
+            text,
+            "written to {}: frame_sync.bias_us = {:.3} ± {:.3} µs (applied while recording: {:.3} µs)",
+            c.profile.display(),
+            c.bias_us,
+            c.bias_sigma_us,
+            c.applied_bias_us
+        );
+    }
+    text
+}
+
+fn spread_text(text: &mut String, name: &str, s: &Spread) {
+    let _ = writeln!(
+        text,
+        "{name} {} recording{}\n  bias       mean {:+.3}{} µs, median {:+.3} µs",
+        s.count,
+        if s.count == 1 { "" } else { "s" },
+        s.mean_us,
+        // The published pipeline says nothing about the uncertainty of one recording.
+        if s.mean_sigma_us > 0.0 {
+            format!(" ± {:.3}", s.mean_sigma_us)
+        } else {
+            String::new()
+        },
+        s.median_us
+    );
+    if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
+        (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
+    {
+        let _ = writeln!(
+            text,
+            "  spread     IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"
+        );
+    }
+}
+
+fn run_drift(args: &DriftArgs, context: &Context) -> anyhow::Result<Outcome> {
+    let started = Instant::now();
+    let settings = args
+        .common
+        .settings(args.timestamps.clone())
+        .map_err(Failure::from)?;
+    let recording = Recording::read(&args.input, &settings, None, &|| {
+        context.interrupt.requested()
+    })
+    .map_err(Failure::from)?;
+    let waiting_for_input_s = recording.waited.as_secs_f64();
+    let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)
+        .map_err(Failure::from)?;
+    if let Some(path) = &args.common.plot {
+        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us)?;
+        write_file(path, &svg)?;
+    }
+    if let Some(path) = &args.common.report {
+        write_file(path, &report::drift(&evaluated, &settings)?)?;
+    }
+    let output = DriftOutput {
+        settings: &settings,
+        drift: &evaluated.result,
+        timing: Timing {
+            total_s: started.elapsed().as_secs_f64(),
+            waiting_for_input_s,
+        },
+    };
+    context.print(&output, || drift_text(&evaluated))?;
+    Ok(if context.interrupt.requested() {
+        Outcome::Interrupted
+    } else {
+        Outcome::Good
+    })
+}
+
+fn drift_text(drift: &EvaluatedDrift) -> String {
+    let r = &drift.result;
+    let mut text = format!(
+        "{}\n  drift      {:+.4} ± {:.4} µs/min (1 σ) over {:.1} s\n  bias       {:+.3} µs at the start, {:+.3} µs at the end\n  frames     {}; {:.3} µs about the line, {} far off it left out\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs\n  flashes    {}\n  scene      taken from {}\n",
+        r.path.display(),
+        r.drift_us_per_min,
+        r.drift_sigma_us_per_min,
+        r.span_s,
+        r.bias_at_start_us,
+        r.bias_at_end_us,
+        counts_text(&r.frames),
+        r.residual_sd_us,
+        r.outliers,
+        r.row_time_us,
+        r.row_time_sigma_us,
+        r.exposure_us,
+        identity_text(&r.identity),
+        reference_text(r.reference),
+    );
+    if let Some(window) = report::window_text(r) {
+        let _ = writeln!(text, "  window     {window}");
+    }
+    if let Some(p) = &r.paper {
+        let _ = writeln!(
+            text,
+            "  published  {:+.4} ± {:.4} µs/min from {} frames, row time {:.4} µs",
+            p.drift_us_per_min, p.drift_sigma_us_per_min, p.frames, p.row_time_us
+        );
+    }
+    for note in &r.notes {
+        let _ = writeln!(text, "  note       {note}");
+    }
+    text
+}

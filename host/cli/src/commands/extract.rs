@@ -1,0 +1,375 @@
+//! `smartdepthsync extract`: a recording into a data set in board time.
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use crate::cli::{Context, Interrupt};
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use extract::inputs::{InputsError, Options};
+use extract::layout::Format;
+use extract::learn;
+use extract::phone::files::FilesError;
+use extract::progress::Progress;
+use extract::run::{ExtractError, Job, run as extract};
+use extract::workplace::WorkplaceError;
+
+/// Turn a recording into a data set whose timestamps are all in board time.
+///
+/// Reads the board's recording, the phone's files and the depth recording, and
+/// writes a folder in a format that people load. Inputs are never written to. A
+/// run that was stopped goes on where it was when it is repeated.
+/// The formats as the command line names them.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum FormatArg {
+    /// EuRoC / ASL: `mav0/cam0`, `imu0`, `imu1`, `depth0`.
+    Euroc,
+    /// TUM RGB-D: `rgb`, `depth`, `associations.txt`.
+    Tum,
+    /// One folder a topic, as the published extractor has it.
+    Topics,
+}
+
+impl From<FormatArg> for Format {
+    fn from(format: FormatArg) -> Self {
+        match format {
+            FormatArg::Euroc => Self::Euroc,
+            FormatArg::Tum => Self::Tum,
+            FormatArg::Topics => Self::Topics,
+        }
+    }
+}
+
+/// Options of `extract`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The recording: its folder, a recording.mcap, or a ROS 1 bag of the published system
+    #[arg(value_name = "RECORDING")]
+    recording: PathBuf,
+    /// The phone's files: a folder, or the video itself; the recording's folder unless
+    /// given. Of several phones with its name; may be given for each
+    #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
+    phone: Vec<PhonePlace>,
+    /// The depth camera's recording (.mkv); the one in the recording's folder unless given
+    #[arg(long, value_name = "FILE")]
+    depth: Option<PathBuf>,
+    /// The format
+    #[arg(long, value_enum, default_value_t = FormatArg::Euroc)]
+    format: FormatArg,
+    /// The output folder; RECORDING-FORMAT beside the recording unless given
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Write infrared images too
+    #[arg(long)]
+    infrared: bool,
+    /// Exposure of a row of the phone's camera
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    exposure_us: Option<i64>,
+    /// From the first to the last row of the phone's camera
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    readout_us: Option<i64>,
+    /// From the trigger pulse to the centre of exposure of the depth image
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    depth_center_us: Option<i64>,
+    /// Low-pass delay of the board's IMU, subtracted from its times (0 for none)
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    imu_delay_us: Option<i64>,
+    /// Low-pass delay of the phone's gyroscope
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    phone_imu_delay_us: Option<i64>,
+    /// The pulse of the first depth frame (its row in pulses.csv), where nothing else tells
+    #[arg(long, value_name = "N")]
+    depth_first_pulse: Option<usize>,
+    /// Write the learnt frame period and clock skew into this rig profile
+    #[arg(long, value_name = "PROFILE")]
+    learn: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// There is no recording, the output folder cannot be used, or a file cannot be
+/// written. Missing and damaged parts end in [`Outcome::Loss`].
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let out = match &args.out {
+        Some(out) => out.clone(),
+        None => default_out(&args.recording, args.format.into())?,
+    };
+    let mut phone = None;
+    let mut phones = Vec::new();
+    for PhonePlace { name, path } in &args.phone {
+        match name {
+            Some(name) => phones.push((name.clone(), path.clone())),
+            None if phone.is_none() => phone = Some(path.clone()),
+            None => {
+                return Err(Failure::new(
+                    ExitStatus::Usage,
+                    "--phone was given twice without a name",
+                )
+                .next_step("of several phones, give --phone NAME=PATH")
+                .into());
+            }
+        }
+    }
+    let job = Job {
+        recording: args.recording.clone(),
+        phone,
+        depth: args.depth.clone(),
+        format: args.format.into(),
+        out,
+        options: Options {
+            exposure_ns: args.exposure_us,
+            readout_ns: args.readout_us,
+            depth_center_ns: args.depth_center_us,
+            board_imu_delay_ns: args.imu_delay_us,
+            phone_imu_delay_ns: args.phone_imu_delay_us,
+            first_pulse: args.depth_first_pulse,
+            infrared: args.infrared,
+            phones,
+        },
+    };
+    let bar = Bar::new(context);
+    let report = match extract(&job, &bar) {
+        Ok(report) => report,
+        Err(ExtractError::Cancelled) => {
+            context.say("stopped; run the same command again to go on");
+            return Ok(Outcome::Interrupted);
+        }
+        Err(error) => return Err(Failure::from(error).into()),
+    };
+    if let Some(profile) = &args.learn {
+        let text = learn::into_profile(&report, profile).map_err(Failure::from)?;
+        context.say(text);
+    }
+    context.print(&report, || {
+        format!("{}written to {}", report.text(), job.out.display())
+    })?;
+    Ok(if report.losses.is_empty() {
+        Outcome::Good
+    } else {
+        Outcome::Loss
+    })
+}
+
+/// `RECORDING-FORMAT` beside the recording.
+fn default_out(recording: &Path, format: Format) -> anyhow::Result<PathBuf> {
+    let full = recording.canonicalize().map_err(|error| {
+        Failure::new(
+            ExitStatus::Storage,
+            format!("reading {}: {error}", recording.display()),
+        )
+        .next_step("give the folder of a recording, or a bag")
+    })?;
+    // A file in a recording's folder stands for the folder.
+    let is_own = full
+        .file_name()
+        .is_some_and(|name| name == recording::MCAP_FILE);
+    let base = match full.parent() {
+        Some(folder) if is_own => folder.to_owned(),
+        _ => full,
+    };
+    let name = base
+        .file_name()
+        .ok_or_else(|| {
+            Failure::new(ExitStatus::Usage, "the recording has no name")
+                .next_step("give the output folder with --out")
+        })?
+        .to_string_lossy()
+        .into_owned();
+    let stem = [".bag.active", ".bag", ".mcap"]
+        .iter()
+        .find_map(|ending| name.strip_suffix(ending))
+        .unwrap_or(&name);
+    Ok(base.with_file_name(format!("{stem}-{}", format.name())))
+}
+
+/// Where the files of a phone lie.
+#[derive(Clone, Debug, PartialEq)]
+struct PhonePlace {
+    name: Option<String>,
+    path: PathBuf,
+}
+
+/// `PATH` or `NAME=PATH`; a path that is there is one, whatever is in it.
+fn phone_place(text: &str) -> Result<PhonePlace, std::convert::Infallible> {
+    let (name, path) = match text.split_once('=') {
+        Some((name, path)) if !Path::new(text).exists() => (Some(name.to_owned()), path),
+        _ => (None, text),
+    };
+    Ok(PhonePlace {
+        name,
+        path: PathBuf::from(path),
+    })
+}
+
+/// Microseconds as a decimal number, in whole nanoseconds, without a float.
+fn microseconds(text: &str) -> Result<i64, String> {
+    const EXPECTED: &str =
+        "expected microseconds with at most three digits after the point, up to 1 s";
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(rest) => (-1, rest),
+        None => (1, text),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let is_number = |part: &str| part.bytes().all(|byte| byte.is_ascii_digit());
+    if whole.is_empty()
+        || whole.len() > 7
+        || fraction.len() > 3
+        || !is_number(whole)
+        || !is_number(fraction)
+    {
+        return Err(EXPECTED.into());
+    }
+    let nanos: i64 = format!("{whole}{fraction:0<3}")
+        .parse()
+        .map_err(|_| EXPECTED)?;
+    if nanos > 1_000_000_000 {
+        return Err(EXPECTED.into());
+    }
+    Ok(sign * nanos)
+}
+
+impl From<ExtractError> for Failure {
+    fn from(error: ExtractError) -> Self {
+        let text = error.to_string();
+        match error {
+            ExtractError::Inputs(
+                InputsError::Io { error, .. } | InputsError::Phone(FilesError::Io { error, .. }),
+            )
+            | ExtractError::Workplace(WorkplaceError::Io { error, .. }) => {
+                Self::new(ExitStatus::Storage, text).next_step(file_step(error.kind()))
+            }
+            ExtractError::Inputs(InputsError::Phone(_)) => {
+                Self::new(ExitStatus::Usage, text).next_step("name the video itself with --phone")
+            }
+            ExtractError::Inputs(InputsError::NotARecording { .. }) => {
+                Self::new(ExitStatus::Usage, text)
+                    .next_step("give the folder that `record` made, its recording.mcap, or a bag")
+            }
+            ExtractError::Inputs(InputsError::UnknownPhone { .. }) => {
+                Self::new(ExitStatus::Usage, text)
+                    .next_step("give --phone NAME=PATH as the phone is called in the profile")
+            }
+            ExtractError::Inputs(_) => Self::new(ExitStatus::Usage, text)
+                .next_step("name the depth recording with --depth"),
+            ExtractError::Workplace(_) => Self::new(ExitStatus::Usage, text)
+                .next_step("give another folder with --out, or remove this one"),
+            ExtractError::Board(_) => Self::new(ExitStatus::Storage, text)
+                .next_step("check that the file is a recording and that it was copied in full"),
+            ExtractError::Write { .. } | ExtractError::Images(_) => {
+                Self::new(ExitStatus::Storage, text).next_step(
+                    "make room or check the rights, and run it again: it goes on where it stopped",
+                )
+            }
+            ExtractError::Cancelled => Self::new(ExitStatus::Interrupted, text)
+                .next_step("run the same command again to go on"),
+        }
+    }
+}
+
+/// A progress bar for each long step.
+struct Bar {
+    shown: bool,
+    interrupt: Interrupt,
+    bar: Mutex<Option<ProgressBar>>,
+}
+
+impl Bar {
+    fn new(context: &Context) -> Self {
+        Self {
+            shown: context.shows_progress(),
+            interrupt: context.interrupt.clone(),
+            bar: Mutex::new(None),
+        }
+    }
+
+    fn with(&self, act: impl FnOnce(&ProgressBar)) {
+        if let Ok(bar) = self.bar.lock()
+            && let Some(bar) = bar.as_ref()
+        {
+            act(bar);
+        }
+    }
+}
+
+impl Progress for Bar {
+    fn begin(&self, what: &str, total: u64) {
+        self.end();
+        let target = if self.shown {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let template = if total > 0 {
+            "{msg} {wide_bar} {percent:>3} % {eta:>4}"
+        } else {
+            "{msg} {spinner}"
+        };
+        let style =
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let bar =
+            ProgressBar::with_draw_target((total > 0).then_some(total), target).with_style(style);
+        bar.set_message(what.to_owned());
+        if let Ok(mut slot) = self.bar.lock() {
+            *slot = Some(bar);
+        }
+    }
+
+    fn at(&self, position: u64) {
+        self.with(|bar| bar.set_position(position));
+    }
+
+    fn end(&self) {
+        self.with(ProgressBar::finish_and_clear);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.interrupt.requested()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn microseconds_are_read_without_floats() {
+        assert_eq!(microseconds("6362.5"), Ok(6_362_500));
+        assert_eq!(microseconds("0"), Ok(0));
+        assert_eq!(microseconds("-0.001"), Ok(-1));
+        assert_eq!(microseconds("1000000"), Ok(1_000_000_000));
+        for bad in [
+            "",
+            ".",
+            "1e3",
+            "1.2345",
+            "1000000.001",
+            "99999999",
+            "x",
+            "--1",
+            "1.-2",
+        ] {
+            assert!(microseconds(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_output_lies_beside_the_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = folder.path().canonicalize().unwrap().join("walk");
+        std::fs::create_dir(&recording).unwrap();
+        let out = default_out(&recording, Format::Tum).unwrap();
+        assert_eq!(out, recording.with_file_name("walk-tum"));
+        let bag = recording.with_file_name("old.bag");
+        std::fs::write(&bag, "").unwrap();
+        assert_eq!(
+            default_out(&bag, Format::Euroc).unwrap(),
+            bag.with_file_name("old-euroc")
+        );
+        let own = recording.join("recording.mcap");
+        std::fs::write(&own, "").unwrap();
+        assert_eq!(default_out(&own, Format::Tum).unwrap(), out);
+    }
+}

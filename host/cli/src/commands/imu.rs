@@ -1,0 +1,452 @@
+//! `smartdepthsync imu`: stream the board's IMU, judge it, write it to a file.
+
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use protocol::{
+    AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuState, LowPass, TICK_HZ, Ticks,
+};
+use serde::Serialize;
+
+use super::PortArg;
+use crate::advice::imu_scale;
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure, Outcome};
+use board::imu::{Sample, Scale, Summary, SummaryReport};
+use board::session::{Event, Stream};
+use board::{Board, BoardError};
+
+/// How long, in board time, samples may stay away before it is given up. The
+/// board recovers a sensor within a second.
+const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
+
+/// How long, on the link's clock, nothing at all may come.
+const LINK_PATIENCE: Duration = Duration::from_secs(20);
+
+/// Options of `imu`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    /// How long, in seconds of board time
+    #[arg(long, value_name = "SECONDS", default_value_t = 10,
+          value_parser = clap::value_parser!(u32).range(1..=86_400))]
+    seconds: u32,
+    /// Write the samples to this file, in SI units with board time
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+/// Settings to change first; what is not given stays.
+#[derive(Clone, Copy, Debug, Default, clap::Args)]
+pub struct Settings {
+    /// Samples a second: 1000 divided by a whole number up to 256
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
+    rate: Option<u8>,
+    /// Low-pass of the sensor, Hz
+    #[arg(long, value_name = "HZ", value_parser = parse_low_pass)]
+    low_pass: Option<LowPass>,
+    /// Full scale of the gyroscope, °/s
+    #[arg(long, value_name = "DPS", value_parser = parse_gyro_range)]
+    gyro_range: Option<GyroRange>,
+    /// Full scale of the accelerometer, g
+    #[arg(long, value_name = "G", value_parser = parse_accel_range)]
+    accel_range: Option<AccelRange>,
+}
+
+impl Settings {
+    /// The settings that are given, over those that are set.
+    fn over(self, set: ImuConfig) -> ImuConfig {
+        ImuConfig {
+            divider: self.rate.unwrap_or(set.divider),
+            low_pass: self.low_pass.unwrap_or(set.low_pass),
+            gyro_range: self.gyro_range.unwrap_or(set.gyro_range),
+            accel_range: self.accel_range.unwrap_or(set.accel_range),
+        }
+    }
+}
+
+fn parse_rate(text: &str) -> Result<u8, String> {
+    text.parse::<u32>()
+        .ok()
+        .filter(|&rate| rate > 0 && 1_000 % rate == 0)
+        .and_then(|rate| u8::try_from(1_000 / rate - 1).ok())
+        .ok_or_else(|| String::from("expected 1000 divided by a whole number up to 256: 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10, 8, 5 or 4"))
+}
+
+fn parse_low_pass(text: &str) -> Result<LowPass, String> {
+    Ok(match text {
+        "188" => LowPass::Hz188,
+        "98" => LowPass::Hz98,
+        "42" => LowPass::Hz42,
+        "20" => LowPass::Hz20,
+        "10" => LowPass::Hz10,
+        "5" => LowPass::Hz5,
+        _ => return Err(String::from("expected 188, 98, 42, 20, 10 or 5")),
+    })
+}
+
+fn parse_gyro_range(text: &str) -> Result<GyroRange, String> {
+    Ok(match text {
+        "250" => GyroRange::Dps250,
+        "500" => GyroRange::Dps500,
+        "1000" => GyroRange::Dps1000,
+        "2000" => GyroRange::Dps2000,
+        _ => return Err(String::from("expected 250, 500, 1000 or 2000")),
+    })
+}
+
+fn parse_accel_range(text: &str) -> Result<AccelRange, String> {
+    Ok(match text {
+        "2" => AccelRange::G2,
+        "4" => AccelRange::G4,
+        "8" => AccelRange::G8,
+        "16" => AccelRange::G16,
+        _ => return Err(String::from("expected 2, 4, 8 or 16")),
+    })
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Report {
+    clock: ImuClock,
+    scale: Scale,
+    nominal_interval_ticks: u32,
+    #[serde(flatten)]
+    summary: SummaryReport,
+    /// Samples that the board made and that did not arrive.
+    missed: u64,
+    csv: Option<PathBuf>,
+}
+
+/// Streams the IMU.
+///
+/// # Errors
+///
+/// The board cannot be reached, its IMU gives nothing, or the file cannot be
+/// written.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let mut csv = args.csv.as_deref().map(Csv::create).transpose()?;
+    let mut board = args.port.open()?;
+    let mut setup = board.imu().map_err(Failure::from)?;
+    let wanted = args.settings.over(setup.config);
+    if wanted != setup.config {
+        setup = board.configure_imu(wanted).map_err(Failure::from)?;
+    }
+    let scale = imu_scale(&setup)?;
+    let mut summary = Summary::default();
+    let ended = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
+    if let Some(csv) = csv {
+        csv.finish()?;
+    }
+    // The clock is only known once samples have come.
+    setup = board.imu().map_err(Failure::from)?;
+    let report = Report {
+        clock: setup.status.clock,
+        scale,
+        nominal_interval_ticks: setup.interval,
+        summary: summary.report(),
+        missed: board.session().counts().of(Stream::Imu).lost,
+        csv: args.csv.clone(),
+    };
+    context.print(&report, || report.text())?;
+    let impaired = report.missed > 0 || summary.is_impaired();
+    Ok(match ended {
+        Ended::Interrupted => Outcome::Interrupted,
+        Ended::Complete if impaired => Outcome::Loss,
+        Ended::Complete => Outcome::Good,
+    })
+}
+
+enum Ended {
+    Complete,
+    Interrupted,
+}
+
+fn stream(
+    args: &Args,
+    board: &mut Board,
+    context: &Context,
+    scale: &Scale,
+    summary: &mut Summary,
+    csv: &mut Option<Csv>,
+) -> anyhow::Result<Ended> {
+    let bar = progress_bar(context, u64::from(args.seconds));
+    let mut last_sign = board.session().latest();
+    let mut quiet_since = board.now();
+    loop {
+        if context.interrupt.requested() {
+            bar.finish_and_clear();
+            return Ok(Ended::Interrupted);
+        }
+        let event = board
+            .next_event(Duration::from_millis(100))
+            .map_err(Failure::from)?;
+        if event.is_some() {
+            quiet_since = board.now();
+        } else if board.now().saturating_sub(quiet_since) > LINK_PATIENCE {
+            return Err(Failure::from(BoardError::NoAnswer {
+                command: "IMU samples",
+            })
+            .into());
+        }
+        match event {
+            Some(Event::Message(DeviceToHost::Imu(raw))) => {
+                let sample = scale.apply(&raw);
+                let first = *summary.first().get_or_insert(sample.at);
+                if (sample.at - first).0 >= i64::from(args.seconds) * i64::from(TICK_HZ) {
+                    bar.finish_and_clear();
+                    return Ok(Ended::Complete);
+                }
+                summary.add(&sample);
+                last_sign = sample.at;
+                if let Some(csv) = csv {
+                    csv.write(&sample)?;
+                }
+                if summary.samples().is_multiple_of(50) {
+                    show(&bar, summary);
+                }
+            }
+            Some(Event::Lost {
+                stream: Stream::Imu,
+                ..
+            }) => summary.gap(),
+            Some(Event::Restarted { .. }) => {
+                return Err(
+                    Failure::new(ExitStatus::LinkLost, "the board was reset meanwhile")
+                        .next_step("`smartdepthsync info` says why")
+                        .into(),
+                );
+            }
+            _ => {
+                let silent = (board.session().latest() - last_sign).0;
+                if silent > PATIENCE_TICKS as i64 {
+                    return Err(no_samples(board).into());
+                }
+            }
+        }
+    }
+}
+
+fn no_samples(board: &mut Board) -> Failure {
+    let setup = match board.imu() {
+        Ok(setup) => setup,
+        Err(error) => return error.into(),
+    };
+    let fault = setup
+        .status
+        .last_fault
+        .map_or(String::from("no fault reported"), |fault| {
+            format!("{fault:?}")
+        });
+    let state = match setup.status.state {
+        ImuState::Starting => "being set up",
+        ImuState::Running => "running",
+        ImuState::Failed => "failed",
+    };
+    Failure::new(
+        ExitStatus::Error,
+        format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
+    )
+    .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V")
+}
+
+fn progress_bar(context: &Context, seconds: u64) -> ProgressBar {
+    let target = if context.shows_progress() {
+        ProgressDrawTarget::stderr()
+    } else {
+        ProgressDrawTarget::hidden()
+    };
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} s  {msg}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::with_draw_target(Some(seconds), target).with_style(style)
+}
+
+fn show(bar: &ProgressBar, summary: &Summary) {
+    let report = summary.report();
+    bar.set_position(report.seconds as u64);
+    bar.set_message(format!(
+        "{:.1} Hz, jitter {:.1} ticks, {:.1} °C",
+        report.rate_hz.unwrap_or_default(),
+        report.interval_jitter_ticks.unwrap_or_default(),
+        report.temperature_c.unwrap_or_default()
+    ));
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let summary = &self.summary;
+        let mut text = String::new();
+        let clock = match self.clock {
+            ImuClock::External => "19.2 MHz from the board: exact in board time",
+            ImuClock::Internal => "the sensor's own: up to 1 % off",
+            ImuClock::Unknown => "not known yet",
+        };
+        let _ = writeln!(
+            text,
+            "samples      {} in {:.3} s, {} missed, {} late, {} saturated, {} interruptions",
+            summary.samples,
+            summary.seconds,
+            self.missed,
+            summary.late,
+            summary.saturated,
+            summary.breaks
+        );
+        let _ = writeln!(text, "clock        {clock}");
+        if let (Some(rate), Some(mean)) = (summary.rate_hz, summary.interval_mean_ticks) {
+            let _ = writeln!(text, "rate         {rate:.6} Hz");
+            let _ = writeln!(
+                text,
+                "interval     {mean:.3} ticks (nominal {}), jitter {:.3} ticks, {} to {}",
+                self.nominal_interval_ticks,
+                summary.interval_jitter_ticks.unwrap_or_default(),
+                summary.interval_min_ticks.unwrap_or_default(),
+                summary.interval_max_ticks.unwrap_or_default()
+            );
+        }
+        let axes = |values: &[Option<f64>; 3]| {
+            values.map(|value| value.map_or(String::from("-"), |value| format!("{value:.6}")))
+        };
+        for (name, unit, noise, mean) in [
+            (
+                "gyroscope",
+                "rad/s",
+                &summary.gyro_noise_rad_s,
+                &summary.gyro_mean_rad_s,
+            ),
+            (
+                "accelerometer",
+                "m/s²",
+                &summary.accel_noise_m_s2,
+                &summary.accel_mean_m_s2,
+            ),
+        ] {
+            let _ = writeln!(
+                text,
+                "{name:<13}mean {} {unit}, deviation {} {unit}",
+                axes(mean).join(" "),
+                axes(noise).join(" ")
+            );
+        }
+        if let Some(temperature) = summary.temperature_c {
+            let _ = writeln!(text, "temperature  {temperature:.2} °C");
+        }
+        if let Some(csv) = &self.csv {
+            let _ = writeln!(text, "written to   {}", csv.display());
+        }
+        text
+    }
+}
+
+/// The samples as a CSV file. See `docs/formats.md`.
+struct Csv {
+    writer: csv::Writer<BufWriter<File>>,
+    path: PathBuf,
+}
+
+/// The columns.
+const HEADER: [&str; 10] = [
+    "ticks",
+    "time_s",
+    "gyro_x_rad_s",
+    "gyro_y_rad_s",
+    "gyro_z_rad_s",
+    "accel_x_m_s2",
+    "accel_y_m_s2",
+    "accel_z_m_s2",
+    "temperature_c",
+    "flags",
+];
+
+impl Csv {
+    fn create(path: &Path) -> Result<Self, Failure> {
+        let failed = |error: &dyn std::fmt::Display| cannot_write(path, error);
+        let file = File::create(path).map_err(|error| failed(&error))?;
+        let mut writer = csv::Writer::from_writer(BufWriter::new(file));
+        writer
+            .write_record(HEADER)
+            .map_err(|error| failed(&error))?;
+        Ok(Self {
+            writer,
+            path: path.to_owned(),
+        })
+    }
+
+    fn write(&mut self, sample: &Sample) -> Result<(), Failure> {
+        let [gx, gy, gz] = sample.gyro;
+        let [ax, ay, az] = sample.accel;
+        let mut record = vec![sample.at.0.to_string(), seconds(sample.at)];
+        record.extend([gx, gy, gz].map(|value| format!("{value:.9}")));
+        record.extend([ax, ay, az].map(|value| format!("{value:.7}")));
+        record.push(format!("{:.3}", sample.temperature));
+        record.push(sample.flags.0.to_string());
+        self.writer
+            .write_record(&record)
+            .map_err(|error| cannot_write(&self.path, &error))
+    }
+
+    fn finish(mut self) -> Result<(), Failure> {
+        self.writer
+            .flush()
+            .map_err(|error| cannot_write(&self.path, &error))
+    }
+}
+
+fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> Failure {
+    Failure::new(
+        ExitStatus::Storage,
+        format!("cannot write {}: {error}", path.display()),
+    )
+    .next_step("check the folder, its rights and the free space")
+}
+
+/// Board time in seconds with nine places, from integers.
+fn seconds(at: Ticks) -> String {
+    let nanos = at.as_nanos();
+    format!("{}.{:09}", nanos / 1_000_000_000, nanos % 1_000_000_000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_those_of_the_sensor() {
+        assert_eq!(parse_rate("500"), Ok(1));
+        assert_eq!(parse_rate("1000"), Ok(0));
+        assert_eq!(parse_rate("4"), Ok(249));
+        for text in ["0", "300", "2", "1001", "-5", ""] {
+            assert!(parse_rate(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn board_time_in_seconds_keeps_every_tick() {
+        assert_eq!(seconds(Ticks(48_000_000 * 90)), "90.000000000");
+        assert_eq!(seconds(Ticks(1)), "0.000000021");
+        assert_ne!(seconds(Ticks(1 << 50)), seconds(Ticks((1 << 50) + 1)));
+    }
+
+    #[test]
+    fn a_setting_that_is_not_given_stays() {
+        let set = ImuConfig {
+            divider: 1,
+            low_pass: LowPass::Hz188,
+            gyro_range: GyroRange::Dps500,
+            accel_range: AccelRange::G4,
+        };
+        assert_eq!(Settings::default().over(set), set);
+        let changed = Settings {
+            gyro_range: Some(GyroRange::Dps1000),
+            ..Settings::default()
+        };
+        assert_eq!(changed.over(set).gyro_range, GyroRange::Dps1000);
+        assert_eq!(changed.over(set).divider, 1);
+    }
+}

@@ -1,0 +1,207 @@
+//! `smartdepthsync info`: who the board is and how it fares.
+
+use std::fmt::Write as _;
+use std::time::Duration;
+
+use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Status, TICK_HZ};
+use serde::Serialize;
+
+use super::PortArg;
+use crate::cli::Context;
+use crate::outcome::{Failure, Outcome};
+use board::session::Event;
+use board::{Board, BoardError, reset_cause};
+
+/// Options of `info`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    /// Then print the board's status messages for this many seconds of board time
+    #[arg(long, value_name = "SECONDS", default_value_t = 0)]
+    watch: u32,
+}
+
+/// What `info --json` prints.
+#[derive(Debug, Serialize)]
+struct Info {
+    board_id: String,
+    firmware_version: String,
+    git_revision: Option<String>,
+    git_dirty: bool,
+    protocol_version: u16,
+    tick_hz: u32,
+    now_ticks: u64,
+    uptime_s: f64,
+    epoch: u32,
+    reset_cause: ResetCause,
+    last_panic: Option<String>,
+    round_trip_us: f64,
+    status: Vec<StatusReport>,
+}
+
+/// One status message.
+#[derive(Debug, Serialize)]
+struct StatusReport {
+    at_ticks: u64,
+    uptime_s: f64,
+    cpu_percent: f64,
+    stack_used: u32,
+    stack_size: u32,
+    /// Since the board's reset; without a host everything is dropped.
+    dropped: protocol::Dropped,
+    link: LinkCounters,
+    connects: u32,
+    trigger_latency_us: f64,
+    strobe_overcaptures: u32,
+    imu: protocol::ImuStatus,
+}
+
+/// Prints who the board is.
+///
+/// # Errors
+///
+/// The board cannot be reached.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let mut board = args.port.open()?;
+    let (_, round_trip) = board.ping().map_err(Failure::from)?;
+    let mut info = Info::new(board.hello(), round_trip);
+    if !context.global.json {
+        context.print(&info, || info.text())?;
+    }
+    let outcome = watch(args.watch, &mut board, context, &mut info.status)?;
+    if context.global.json {
+        context.print(&info, String::new)?;
+    }
+    Ok(outcome)
+}
+
+fn watch(
+    seconds: u32,
+    board: &mut Board,
+    context: &Context,
+    reports: &mut Vec<StatusReport>,
+) -> anyhow::Result<Outcome> {
+    let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
+    let mut silent_since = board.now();
+    let mut before = None;
+    while board.session().latest().0 < end {
+        if context.interrupt.requested() {
+            return Ok(Outcome::Interrupted);
+        }
+        match board
+            .next_event(Duration::from_millis(100))
+            .map_err(Failure::from)?
+        {
+            Some(Event::Message(DeviceToHost::Status(status))) => {
+                silent_since = board.now();
+                let report = StatusReport::from(&status);
+                if !context.global.json {
+                    context.print(&report, || report.text(before))?;
+                }
+                before.get_or_insert(report.dropped.total());
+                reports.push(report);
+            }
+            Some(_) => {}
+            // It comes once a second of board time; a simulated board may be slower.
+            None if board.now().saturating_sub(silent_since) > Duration::from_secs(20) => {
+                return Err(Failure::from(BoardError::NoAnswer {
+                    command: "status message",
+                })
+                .into());
+            }
+            None => {}
+        }
+    }
+    let lost = board.session().counts().lost() > 0 || board.session().damaged_frames() > 0;
+    Ok(if lost { Outcome::Loss } else { Outcome::Good })
+}
+
+impl Info {
+    fn new(hello: &Hello, round_trip: Duration) -> Self {
+        let (major, minor, patch) = hello.firmware_version;
+        Self {
+            board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
+            firmware_version: format!("{major}.{minor}.{patch}"),
+            git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
+            git_dirty: hello.git_dirty,
+            protocol_version: hello.protocol_version,
+            tick_hz: hello.tick_hz,
+            now_ticks: hello.now.0,
+            uptime_s: hello.now.as_secs_f64(),
+            epoch: hello.epoch,
+            reset_cause: hello.reset_cause,
+            last_panic: hello.last_panic.as_ref().map(ToString::to_string),
+            round_trip_us: round_trip.as_secs_f64() * 1e6,
+            status: Vec::new(),
+        }
+    }
+
+    fn text(&self) -> String {
+        let dirty = if self.git_dirty {
+            ", with uncommitted changes"
+        } else {
+            ""
+        };
+        let mut text = String::new();
+        let _ = writeln!(text, "board       {}", self.board_id);
+        let _ = writeln!(
+            text,
+            "firmware    {} ({}{dirty}), protocol {}",
+            self.firmware_version,
+            self.git_revision.as_deref().unwrap_or("revision unknown"),
+            self.protocol_version
+        );
+        let _ = writeln!(
+            text,
+            "time        {:.6} s since reset ({} ticks of {} Hz)",
+            self.uptime_s, self.now_ticks, self.tick_hz
+        );
+        let _ = writeln!(text, "last reset  {}", reset_cause(self.reset_cause));
+        if let Some(panic) = &self.last_panic {
+            let _ = writeln!(text, "last panic  {panic}");
+        }
+        let _ = writeln!(text, "round trip  {:.0} µs", self.round_trip_us);
+        text
+    }
+}
+
+impl From<&Status> for StatusReport {
+    fn from(status: &Status) -> Self {
+        Self {
+            at_ticks: status.at.0,
+            uptime_s: status.at.as_secs_f64(),
+            cpu_percent: f64::from(status.cpu_permille) / 10.0,
+            stack_used: status.stack_used,
+            stack_size: status.stack_size,
+            dropped: status.dropped,
+            link: status.link,
+            connects: status.connects,
+            trigger_latency_us: f64::from(status.trigger_latency) * 1e6 / f64::from(TICK_HZ),
+            strobe_overcaptures: status.strobe_overcaptures,
+            imu: status.imu,
+        }
+    }
+}
+
+impl StatusReport {
+    /// In words. `before` is what had been dropped by the first status: all that
+    /// was made while no host was connected, which is no loss to this one.
+    fn text(&self, before: Option<u64>) -> String {
+        let dropped = self.dropped.total();
+        let dropped = match before {
+            Some(before) => format!("dropped {}", dropped.saturating_sub(before)),
+            None if dropped == 0 => String::from("dropped 0"),
+            None => format!("dropped 0 ({dropped} before)"),
+        };
+        format!(
+            "{:>10.3} s  CPU {:>4.1} %  stack {}/{} bytes  {dropped}  IMU {:?}, {} samples",
+            self.uptime_s,
+            self.cpu_percent,
+            self.stack_used,
+            self.stack_size,
+            self.imu.state,
+            self.imu.samples
+        )
+    }
+}

@@ -1,0 +1,299 @@
+//! `smartdepthsync offset`: the clock relation of two gyroscope recordings.
+
+mod plot;
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use serde::Serialize;
+
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure, Outcome};
+use phone::gyro_csv::{self, GyroFile};
+use twist_sync::estimate::Report;
+use twist_sync::{Action, Estimate, Fault, FaultKind, Gate, Options, Stream, estimate_offset};
+
+/// Options of `offset`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The board's gyroscope: CSV with a header (time in seconds; x, y, z in rad/s), or in
+    /// the phone app's form (no header: x, y, z, integer nanoseconds)
+    #[arg(long, value_name = "FILE")]
+    pub mcu: PathBuf,
+    /// The phone's gyroscope, in either form
+    #[arg(long, value_name = "FILE")]
+    pub phone: PathBuf,
+    /// Draw both gyroscopes before and after, the residual and what was left out
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
+    /// Delay of the board gyroscope's low-pass in µs (MPU-9150: 1900 at DLPF 188 Hz)
+    #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = delay, allow_negative_numbers = true)]
+    pub mcu_delay_us: f64,
+    /// Delay of the phone gyroscope's low-pass in µs, from the rig's profile
+    #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = delay, allow_negative_numbers = true)]
+    pub phone_delay_us: f64,
+    /// Refuse an offset with a larger 1-sigma, µs
+    #[arg(long, value_name = "US", default_value_t = 100.0, value_parser = positive)]
+    pub max_sigma_us: f64,
+    /// −3 dB frequency of the zero-phase low-pass, Hz
+    #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = low_pass)]
+    pub low_pass_hz: f64,
+    /// Degree of the splines
+    #[arg(long, value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
+    pub spline_degree: String,
+    /// Do not look for faults of the streams, to see what they do to the result
+    #[arg(long)]
+    pub keep_faults: bool,
+}
+
+fn finite(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(x) if x.is_finite() => Ok(x),
+        _ => Err("expected a number".to_owned()),
+    }
+}
+
+fn delay(text: &str) -> Result<f64, String> {
+    match finite(text)? {
+        x if x.abs() <= 1e6 => Ok(x),
+        _ => Err("expected microseconds, at most 1000000".to_owned()),
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match finite(text)? {
+        x if x > 0.0 => Ok(x),
+        _ => Err("expected a number above 0".to_owned()),
+    }
+}
+
+fn low_pass(text: &str) -> Result<f64, String> {
+    match finite(text)? {
+        x if (5.0..=100.0).contains(&x) => Ok(x),
+        _ => Err("expected 5 to 100 Hz".to_owned()),
+    }
+}
+
+impl Args {
+    fn options(&self) -> Options {
+        Options {
+            low_pass_hz: self.low_pass_hz,
+            spline_degree: self.spline_degree.parse().unwrap_or(5),
+            mcu_delay_s: self.mcu_delay_us * 1e-6,
+            phone_delay_s: self.phone_delay_us * 1e-6,
+            sigma_limit_s: self.max_sigma_us * 1e-6,
+            handle_faults: !self.keep_faults,
+            ..Options::default()
+        }
+    }
+}
+
+/// What `offset --json` prints. Without an accepted estimate its numbers are null.
+#[derive(Debug, Serialize)]
+struct Output {
+    accepted: bool,
+    /// Why not, if it is not accepted.
+    refusal: Option<String>,
+    /// Board time at which the offset holds.
+    reference_s: Option<f64>,
+    /// Phone − board at the reference.
+    offset_s: Option<f64>,
+    offset_sigma_s: Option<f64>,
+    skew_ppm: Option<f64>,
+    skew_sigma_ppm: Option<f64>,
+    /// Phone axes = calibration · board axes.
+    calibration: Option<[[f64; 3]; 3]>,
+    /// Bias of the phone against the board, in the phone's axes, rad/s.
+    bias: Option<[f64; 3]>,
+    residual_rms: Option<f64>,
+    motion_rms: Option<f64>,
+    overlap_s: Option<f64>,
+    /// Delays that were subtracted from the timestamps. The gyroscopes cannot
+    /// see them: an error in their difference is an error of the offset.
+    mcu_delay_s: f64,
+    phone_delay_s: f64,
+    faults: Vec<Fault>,
+    gates: Vec<Gate>,
+    warnings: Vec<String>,
+    mcu: Input,
+    phone: Input,
+}
+
+#[derive(Debug, Serialize)]
+struct Input {
+    file: String,
+    form: String,
+    samples: usize,
+    duration_s: f64,
+}
+
+impl Input {
+    fn new(path: &Path, file: &GyroFile) -> Self {
+        let t = &file.track.t;
+        Self {
+            file: path.display().to_string(),
+            form: file.form.to_string(),
+            samples: t.len(),
+            duration_s: t.last().copied().unwrap_or(0.0),
+        }
+    }
+}
+
+/// Relates the clocks of two recordings.
+///
+/// # Errors
+///
+/// A file cannot be read or is damaged, or the plot cannot be written. A refused
+/// estimate is no error but [`Outcome::Refused`].
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let options = args.options();
+    let mcu = read(&args.mcu)?;
+    let phone = read(&args.phone)?;
+    let result = estimate_offset(&mcu.track, &phone.track, &options);
+    if let Some(path) = &args.plot {
+        let svg = plot::svg(&mcu.track, &phone.track, &result, &options)
+            .context("cannot draw the plot")?;
+        std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
+        context.say(format!("plot: {}", path.display()));
+    }
+    let outcome = if result.is_ok() {
+        Outcome::Good
+    } else {
+        Outcome::Refused
+    };
+    let (estimate, report, refusal): (Option<Estimate>, Report, Option<String>) = match result {
+        Ok(estimate) => {
+            let report = estimate.report.clone();
+            (Some(estimate), report, None)
+        }
+        Err(refusal) => {
+            let text = refusal.report.failures();
+            (None, refusal.report, Some(text))
+        }
+    };
+    let output = Output {
+        accepted: estimate.is_some(),
+        refusal,
+        reference_s: estimate.as_ref().map(|e| e.clock.reference.0),
+        offset_s: estimate.as_ref().map(|e| e.clock.offset),
+        offset_sigma_s: estimate.as_ref().map(Estimate::offset_sigma_s),
+        skew_ppm: estimate.as_ref().map(|e| e.clock.skew * 1e6),
+        skew_sigma_ppm: estimate.as_ref().map(|e| e.skew_sigma() * 1e6),
+        calibration: estimate.as_ref().map(|e| e.calibration),
+        bias: estimate.as_ref().map(|e| e.bias),
+        residual_rms: report.residual_rms,
+        motion_rms: report.motion_rms,
+        overlap_s: report.overlap_s,
+        mcu_delay_s: options.mcu_delay_s,
+        phone_delay_s: options.phone_delay_s,
+        faults: report.faults,
+        gates: report.gates,
+        warnings: report.warnings,
+        mcu: Input::new(&args.mcu, &mcu),
+        phone: Input::new(&args.phone, &phone),
+    };
+    context.print(&output, || text(&output))?;
+    Ok(outcome)
+}
+
+fn read(path: &Path) -> anyhow::Result<GyroFile> {
+    gyro_csv::read_file(path).map_err(|error| {
+        match error {
+            gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),
+            other => Failure::new(ExitStatus::Error, format!("{}: {other}", path.display()))
+                .next_step(
+                    "give CSV with a header (time in seconds; x, y, z in rad/s), or the phone \
+                     app's x,y,z,nanoseconds",
+                ),
+        }
+        .into()
+    })
+}
+
+fn text(output: &Output) -> String {
+    let mut out = String::new();
+    for (name, input) in [("board", &output.mcu), ("phone", &output.phone)] {
+        let _ = writeln!(
+            out,
+            "{name}: {} samples, {:.2} s, {} ({})",
+            input.samples, input.duration_s, input.file, input.form
+        );
+    }
+    for fault in &output.faults {
+        let _ = writeln!(out, "fault: {}", fault_text(fault));
+    }
+    for warning in &output.warnings {
+        let _ = writeln!(out, "warning: {warning}");
+    }
+    match (output.offset_s, output.reference_s) {
+        (Some(offset), Some(reference)) => {
+            let _ = writeln!(
+                out,
+                "offset (phone − board): {offset:.9} s ± {:.2} µs at board time {reference:.6} s",
+                output.offset_sigma_s.unwrap_or(f64::NAN) * 1e6,
+            );
+            let _ = writeln!(
+                out,
+                "skew: {:+.2} ppm ± {:.2} ppm",
+                output.skew_ppm.unwrap_or(f64::NAN),
+                output.skew_sigma_ppm.unwrap_or(f64::NAN)
+            );
+            let _ = writeln!(
+                out,
+                "residual: {:.2} mrad/s rms of {:.2} rad/s rms motion, {:.1} s in common",
+                output.residual_rms.unwrap_or(f64::NAN) * 1e3,
+                output.motion_rms.unwrap_or(f64::NAN),
+                output.overlap_s.unwrap_or(f64::NAN)
+            );
+            let _ = writeln!(
+                out,
+                "low-pass delays taken into account: board {:.0} µs, phone {:.0} µs (the gyroscopes cannot see an error in these)",
+                output.mcu_delay_s * 1e6,
+                output.phone_delay_s * 1e6
+            );
+            out.push_str("accepted\n");
+        }
+        _ => {
+            let _ = writeln!(
+                out,
+                "REFUSED: {}",
+                output.refusal.as_deref().unwrap_or("no estimate")
+            );
+        }
+    }
+    out
+}
+
+fn fault_text(fault: &Fault) -> String {
+    let stream = match fault.stream {
+        Stream::Mcu => "board",
+        Stream::Phone => "phone",
+    };
+    let kind = match fault.kind {
+        FaultKind::NotFinite => "values that are no numbers",
+        FaultKind::TimestampOrder => "timestamps out of order",
+        FaultKind::TimestampOutlier => "single timestamps off",
+        FaultKind::TimestampSawtooth => "jumps of a sawtooth in the timestamps",
+        FaultKind::TimestampStep => "samples in a stretch with displaced timestamps",
+        FaultKind::Gap => "gaps",
+        FaultKind::Clipped => "clipped samples",
+        FaultKind::CopiedSample => "samples that are copies of their neighbour",
+        FaultKind::DisplacedClass => "samples of a recurring class that belong to another time",
+        FaultKind::Outlier => "single samples that do not fit",
+    };
+    let done = match fault.action {
+        Action::LeftOut => "left out",
+        Action::Corrected => "corrected",
+        Action::Noted => "nothing done",
+    };
+    let mut text = format!("{stream}: {} {kind}", fault.count);
+    if let Some(period) = fault.period {
+        let _ = write!(text, ", every {period} samples");
+    }
+    if let Some(displacement) = fault.displacement_s {
+        let _ = write!(text, ", {:+.0} µs", displacement * 1e6);
+    }
+    let _ = write!(text, "; {done}");
+    text
+}

@@ -1,0 +1,421 @@
+//! `smartdepthsync phone imu|start|stop|get-video`: the app's four requests, one at a time.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Subcommand;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::cli::Context;
+use crate::outcome::{Failure, Outcome};
+use phone::requests::MAX_IMU_DURATION;
+use phone::samples::sample_line;
+use phone::{
+    ImuRequest, PhoneClient, PhoneError, SensorRecording, Settings, StopSignal, VideoTarget,
+};
+
+/// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(flatten)]
+    connection: ConnectionArgs,
+    #[command(subcommand)]
+    request: Request,
+}
+
+/// How to reach the phone.
+#[derive(Clone, Debug, clap::Args)]
+struct ConnectionArgs {
+    /// The phone's address, as the app's dialog shows it; port 6969 unless given
+    #[arg(long, global = true, value_name = "HOST[:PORT]")]
+    phone: Option<String>,
+    /// Patience with the phone beyond the time that a request takes by its nature
+    #[arg(long, global = true, value_name = "SECONDS", default_value = "15", value_parser = seconds)]
+    timeout: Duration,
+}
+
+/// One of the app's requests.
+#[derive(Debug, Subcommand)]
+enum Request {
+    /// Record the phone's motion sensors for a while
+    Imu(ImuArgs),
+    /// Start a video; prints the phase and duration of its frames
+    Start,
+    /// Stop the video
+    Stop,
+    /// Download the last video
+    GetVideo(GetVideoArgs),
+}
+
+/// Options of `phone imu`.
+#[derive(Debug, clap::Args)]
+struct ImuArgs {
+    /// How long to record
+    #[arg(long, default_value = "10", value_parser = imu_seconds)]
+    seconds: Duration,
+    /// Record the accelerometer too
+    #[arg(long)]
+    accel: bool,
+    /// Record the magnetometer too
+    #[arg(long)]
+    magnetic: bool,
+    /// Do not record the gyroscope
+    #[arg(long)]
+    no_gyro: bool,
+    /// Save gyro.csv, accel.csv, magnetic.csv in this folder, as the app writes them
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+    /// Replace files that are there already
+    #[arg(long)]
+    overwrite: bool,
+}
+
+/// Options of `phone get-video`.
+#[derive(Debug, clap::Args)]
+struct GetVideoArgs {
+    /// Folder for the video (it keeps a safe form of its name), or the file to write
+    #[arg(long, value_name = "PATH", default_value = ".")]
+    out: PathBuf,
+    /// Replace a file that is there already
+    #[arg(long)]
+    overwrite: bool,
+    /// Largest video that is accepted, in bytes
+    #[arg(long, value_name = "BYTES", default_value_t = 64 << 30)]
+    max_bytes: u64,
+    /// How long the app may take to finish the file before it sends it
+    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
+    ready: Duration,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// The phone cannot be reached, does not keep to its protocol, or refuses; or
+/// a file cannot be written. All are [`Failure`]s.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    match carry_out(args, context) {
+        Ok(()) => Ok(Outcome::Good),
+        Err(Ended::Phone(error)) => Err(Failure::from(error).into()),
+        Err(Ended::Other(error)) => Err(error),
+    }
+}
+
+/// Why a request did not come to its end.
+enum Ended {
+    Phone(PhoneError),
+    Other(anyhow::Error),
+}
+
+impl From<PhoneError> for Ended {
+    fn from(error: PhoneError) -> Self {
+        Self::Phone(error)
+    }
+}
+
+impl From<anyhow::Error> for Ended {
+    fn from(error: anyhow::Error) -> Self {
+        Self::Other(error)
+    }
+}
+
+fn carry_out(args: &Args, context: &Context) -> Result<(), Ended> {
+    let address = args.connection.phone.as_deref().ok_or_else(|| {
+        PhoneError::Argument(
+            "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
+        )
+    })?;
+    let interrupt = context.interrupt.clone();
+    let mut settings = Settings {
+        connect: args.connection.timeout.min(Duration::from_secs(5)),
+        margin: args.connection.timeout,
+        stop: StopSignal::new(move || interrupt.requested()),
+        ..Settings::default()
+    };
+    if let Request::GetVideo(video) = &args.request {
+        settings.max_video = video.max_bytes;
+        settings.video_ready = video.ready;
+    }
+    if let Request::Imu(imu) = &args.request {
+        check_imu(imu)?;
+    }
+    let mut client = PhoneClient::connect(address, settings)?;
+    match &args.request {
+        Request::Imu(imu) => record_imu(&mut client, imu, context),
+        Request::Start => start(&mut client, context),
+        Request::Stop => stop(&mut client, context),
+        Request::GetVideo(video) => get_video(&mut client, video, context),
+    }
+}
+
+/// What a recording of one sensor was like.
+#[derive(Debug, Serialize)]
+struct SensorSummary {
+    sensor: String,
+    unit: &'static str,
+    samples: usize,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+    rate_hz: Option<f64>,
+    interval_mean_us: Option<f64>,
+    interval_sd_us: Option<f64>,
+    interval_max_us: Option<f64>,
+    rms: [f64; 3],
+    file: Option<PathBuf>,
+}
+
+impl SensorSummary {
+    fn of(recording: &SensorRecording, file: Option<PathBuf>) -> Self {
+        let samples = &recording.samples;
+        let intervals: Vec<f64> = samples
+            .windows(2)
+            .filter_map(|pair| match pair {
+                [a, b] => Some(b.time.0.saturating_sub(a.time.0) as f64 * 1e-3),
+                _ => None,
+            })
+            .collect();
+        let n = intervals.len() as f64;
+        let mean = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / n);
+        let sd =
+            mean.map(|mean| (intervals.iter().map(|i| (i - mean).powi(2)).sum::<f64>() / n).sqrt());
+        let mut rms = [0.0; 3];
+        for (axis, rms) in rms.iter_mut().enumerate() {
+            let squares: f64 = samples
+                .iter()
+                .filter_map(|s| s.xyz.get(axis))
+                .map(|v| v * v)
+                .sum();
+            *rms = (squares / samples.len().max(1) as f64).sqrt();
+        }
+        Self {
+            sensor: recording.sensor.to_string(),
+            unit: recording.sensor.unit(),
+            samples: samples.len(),
+            first_ns: samples.first().map(|s| s.time.0),
+            last_ns: samples.last().map(|s| s.time.0),
+            rate_hz: mean.filter(|&m| m > 0.0).map(|m| 1e6 / m),
+            interval_mean_us: mean,
+            interval_sd_us: sd,
+            interval_max_us: intervals.iter().copied().reduce(f64::max),
+            rms,
+            file,
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!("{}: {} samples", self.sensor, self.samples);
+        if let (Some(rate), Some(sd), Some(max)) =
+            (self.rate_hz, self.interval_sd_us, self.interval_max_us)
+        {
+            text.push_str(&format!(
+                ", {rate:.2} Hz (interval SD {sd:.1} us, longest {max:.1} us)"
+            ));
+        }
+        let [x, y, z] = self.rms;
+        text.push_str(&format!(", RMS {x:.4} {y:.4} {z:.4} {}", self.unit));
+        if let Some(file) = &self.file {
+            text.push_str(&format!(", saved as {}", file.display()));
+        }
+        text
+    }
+}
+
+fn imu_request(args: &ImuArgs) -> ImuRequest {
+    ImuRequest {
+        duration: args.seconds,
+        accelerometer: args.accel,
+        gyroscope: !args.no_gyro,
+        magnetometer: args.magnetic,
+    }
+}
+
+/// Refuses what cannot become a recording before the phone is bothered.
+fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
+    let request = imu_request(args);
+    request.line()?;
+    let Some(folder) = &args.out else {
+        return Ok(());
+    };
+    if !folder.is_dir() {
+        return Err(PhoneError::File {
+            action: "save in",
+            path: folder.clone(),
+            source: std::io::Error::from(std::io::ErrorKind::NotADirectory),
+        });
+    }
+    for sensor in phone::Sensor::ALL {
+        let path = folder.join(sensor.file_suffix());
+        if request.wants(sensor) && !args.overwrite && path.symlink_metadata().is_ok() {
+            return Err(PhoneError::TargetExists { path });
+        }
+    }
+    Ok(())
+}
+
+fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Result<(), Ended> {
+    let request = imu_request(args);
+    let bar = if context.shows_progress() {
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} recording on the phone {msg}") {
+            bar.set_style(style.clone());
+        }
+        bar.set_message(format!("for {:.1} s", args.seconds.as_secs_f64()));
+        bar.enable_steady_tick(Duration::from_millis(200));
+        bar
+    } else {
+        ProgressBar::hidden()
+    };
+    let recording = client.imu(request);
+    bar.finish_and_clear();
+    let mut summaries = Vec::new();
+    for recording in &recording?.recordings {
+        let file = match &args.out {
+            Some(folder) => Some(save_samples(folder, recording, args.overwrite)?),
+            None => None,
+        };
+        summaries.push(SensorSummary::of(recording, file));
+    }
+    /// What `--json` prints.
+    #[derive(Serialize)]
+    struct Summaries<'a> {
+        sensors: &'a [SensorSummary],
+    }
+    let printed = Summaries {
+        sensors: &summaries,
+    };
+    context.print(&printed, || {
+        summaries
+            .iter()
+            .map(SensorSummary::text)
+            .collect::<Vec<_>>()
+            .join("\n")
+    })?;
+    Ok(())
+}
+
+/// Writes the samples in the app's own form; the file appears only when whole.
+fn save_samples(
+    folder: &Path,
+    recording: &SensorRecording,
+    overwrite: bool,
+) -> Result<PathBuf, PhoneError> {
+    let path = folder.join(recording.sensor.file_suffix());
+    let failed = |source| PhoneError::File {
+        action: "write to",
+        path: path.clone(),
+        source,
+    };
+    let file = phone::new_file_in(folder).map_err(failed)?;
+    let mut out = std::io::BufWriter::new(file);
+    for sample in &recording.samples {
+        writeln!(out, "{}", sample_line(sample)).map_err(failed)?;
+    }
+    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+    phone::put_in_place(file, &path, overwrite)?;
+    Ok(path)
+}
+
+fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {
+    #[derive(Serialize)]
+    struct Started {
+        app_version: Option<&'static str>,
+        phase_ns: i64,
+        frame_duration_ns: f64,
+        exposure_ns: Option<u64>,
+    }
+    let start = client.start_video()?;
+    let started = Started {
+        app_version: client.version().map(|v| v.as_str()),
+        phase_ns: start.phase.0,
+        frame_duration_ns: start.frame_duration_ns,
+        exposure_ns: start.exposure_ns,
+    };
+    context.print(&started, || {
+        let exposure = match started.exposure_ns {
+            Some(ns) => format!("{:.1} us", ns as f64 * 1e-3),
+            None => "not reported".to_owned(),
+        };
+        format!(
+            "video started\n  phase           {} ns of the phone's clock\n  frame duration  {:.3} us ({:.4} fps)\n  exposure        {exposure}",
+            started.phase_ns,
+            started.frame_duration_ns * 1e-3,
+            1e9 / started.frame_duration_ns,
+        )
+    })?;
+    Ok(())
+}
+
+fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {
+    client.stop_video()?;
+    context.print(&serde_json::json!({ "stopped": true }), || {
+        "video stopped".to_owned()
+    })?;
+    Ok(())
+}
+
+fn get_video(
+    client: &mut PhoneClient,
+    args: &GetVideoArgs,
+    context: &Context,
+) -> Result<(), Ended> {
+    #[derive(Serialize)]
+    struct Saved<'a> {
+        path: &'a Path,
+        bytes: u64,
+        phone_name: &'a str,
+        seconds: f64,
+    }
+    let target = if args.out.is_dir() {
+        VideoTarget::Folder(args.out.clone())
+    } else {
+        VideoTarget::File(args.out.clone())
+    };
+    let bar = if context.shows_progress() {
+        let bar = ProgressBar::new(0);
+        if let Ok(style) = ProgressStyle::with_template(
+            "{bar:30} {bytes}/{total_bytes} {bytes_per_sec}, {eta} left",
+        ) {
+            bar.set_style(style);
+        }
+        bar
+    } else {
+        ProgressBar::hidden()
+    };
+    let begin = Instant::now();
+    let saved = client.get_video(&target, args.overwrite, &mut |received, size| {
+        bar.set_length(size);
+        bar.set_position(received);
+    });
+    bar.finish_and_clear();
+    let saved = saved?;
+    let report = Saved {
+        path: &saved.path,
+        bytes: saved.size,
+        phone_name: &saved.phone_name,
+        seconds: begin.elapsed().as_secs_f64(),
+    };
+    context.print(&report, || {
+        format!("{}: {} bytes", saved.path.display(), saved.size)
+    })?;
+    Ok(())
+}
+
+fn seconds(text: &str) -> Result<Duration, String> {
+    text.parse::<f64>()
+        .ok()
+        .filter(|s| (0.01..=86_400.0).contains(s))
+        .map(Duration::from_secs_f64)
+        .ok_or_else(|| "expected seconds, 0.01 to 86400".to_owned())
+}
+
+fn imu_seconds(text: &str) -> Result<Duration, String> {
+    let most = MAX_IMU_DURATION.as_secs_f64();
+    text.parse::<f64>()
+        .ok()
+        .filter(|s| (0.001..=most).contains(s))
+        // The app counts whole milliseconds.
+        .map(|s| Duration::from_millis((s * 1e3).round() as u64))
+        .ok_or_else(|| format!("expected seconds, 0.001 to {most}"))
+}

@@ -1,0 +1,190 @@
+//! `smartdepthsync profile`: make, check and teach a rig profile.
+
+use std::fs::File;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Subcommand;
+use serde::Serialize;
+
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure, Outcome};
+use frame_sync::learn::{self, FramePeriod};
+use recording::profile::{DEFAULT, Learnt, Profile};
+use recording::session_file::SessionFile;
+
+/// Options of `profile`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Write a commented profile to start from; never overwrites
+    Init {
+        /// The file to write
+        file: PathBuf,
+    },
+    /// Check a profile and print it with all defaults filled in
+    Check {
+        /// The profile
+        file: PathBuf,
+    },
+    /// Learn the phone's frame period, and from two twists its clock's rate
+    Learn {
+        /// The profile to write into; its comments stay
+        file: PathBuf,
+        /// The recording's folder
+        #[arg(long, value_name = "FOLDER")]
+        recording: PathBuf,
+        /// Of several phones, the one that learns; unless given, the one that the trigger
+        /// was aligned to
+        #[arg(long, value_name = "NAME")]
+        phone: Option<String>,
+        /// The app's file of frame timestamps of that recording
+        #[arg(long, value_name = "FILE")]
+        timestamps: PathBuf,
+    },
+}
+
+/// What `profile init --json` prints.
+#[derive(Debug, Serialize)]
+struct Made<'a> {
+    profile: &'a Path,
+}
+
+/// What `profile learn --json` prints.
+#[derive(Debug, Serialize)]
+struct Report {
+    learnt: Learnt,
+    frames: usize,
+    missing_frames: u64,
+    timestamp_jitter_ns: f64,
+}
+
+/// Runs `profile`.
+///
+/// # Errors
+///
+/// A file cannot be read or written, or nothing can be learnt.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    match &args.action {
+        Action::Init { file } => init(file, context),
+        Action::Check { file } => {
+            let profile = Profile::load(file).map_err(Failure::from)?;
+            let text = toml::to_string_pretty(&profile).context("the profile has no TOML form")?;
+            context.print(&profile, || text)?;
+            Ok(Outcome::Good)
+        }
+        Action::Learn {
+            file,
+            recording,
+            phone,
+            timestamps,
+        } => teach(file, recording, phone.as_deref(), timestamps, context),
+    }
+}
+
+fn init(file: &Path, context: &Context) -> anyhow::Result<Outcome> {
+    File::create_new(file)
+        .and_then(|mut created| created.write_all(DEFAULT.as_bytes()))
+        .map_err(|error| Failure::file("write", file, &error))?;
+    context.print(&Made { profile: file }, || {
+        format!("wrote {}; set the phone's address in it", file.display())
+    })?;
+    Ok(Outcome::Good)
+}
+
+fn teach(
+    file: &Path,
+    recording: &Path,
+    phone: Option<&str>,
+    timestamps: &Path,
+    context: &Context,
+) -> anyhow::Result<Outcome> {
+    let text = read(file)?;
+    let session = SessionFile::load(recording).map_err(Failure::from)?;
+    let times = learn::parse_timestamps(&read(timestamps)?)
+        .map_err(|error| {
+            Failure::new(ExitStatus::Error, error.to_string()).next_step(
+                "give the app's `..._timestamps.csv` of that recording: one integer of \
+                 nanoseconds a line",
+            )
+        })
+        .with_context(|| format!("{}", timestamps.display()))?;
+    let period = learn::frame_period(&times)
+        .map_err(|error| {
+            Failure::new(ExitStatus::Refused, error.to_string())
+                .next_step("give the timestamps of a longer recording, whole as the app wrote them")
+        })
+        .with_context(|| format!("{}", timestamps.display()))?;
+    let own = session.profile.phone.name.clone();
+    let phone = phone.unwrap_or(&own);
+    let known = |name: &str| {
+        Failure::new(
+            ExitStatus::Usage,
+            format!("the recording has no phone called {name:?}"),
+        )
+        .next_step("give --phone as the phone is called in the recording's session.json")
+    };
+    let clocks = session.clocks_of(phone).ok_or_else(|| known(phone))?;
+    let resets = session.runs.len();
+    let board_id = session.board.as_ref().map(|board| board.id.as_str());
+    let today = jiff::Zoned::now().date();
+    let learnt = learn::learnt(clocks, resets, board_id, &period, today);
+    let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
+    replace(file, &taught)?;
+    let report = Report {
+        frames: period.frames,
+        missing_frames: period.missing,
+        timestamp_jitter_ns: period.jitter_ns,
+        learnt,
+    };
+    context.print(&report, || report.text(&period, file))?;
+    Ok(Outcome::Good)
+}
+
+impl Report {
+    fn text(&self, period: &FramePeriod, file: &Path) -> String {
+        let learnt = &self.learnt;
+        let skew = match (learnt.skew, learnt.skew_sigma) {
+            (Some(skew), Some(sigma)) => {
+                format!("skew          {:+.4} ± {:.4} ppm", skew * 1e6, sigma * 1e6)
+            }
+            _ => String::from(
+                "skew          not learnt: it takes two twists at least a minute apart \
+                 (`record --second-twist`)",
+            ),
+        };
+        format!(
+            "frame period  {:.4} ± {:.4} ns, from {} frames ({} missing), jitter {:.0} ns\n{skew}\nwritten to    {}",
+            learnt.frame_period_ns,
+            learnt.frame_period_sigma_ns,
+            period.frames,
+            period.missing,
+            period.jitter_ns,
+            file.display()
+        )
+    }
+}
+
+fn read(path: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(path).map_err(|error| Failure::file("read", path, &error))
+}
+
+/// Replaces a file only when the new one is whole.
+fn replace(path: &Path, text: &str) -> Result<(), Failure> {
+    let failed = |error: &std::io::Error| Failure::file("write", path, error);
+    let folder = path
+        .parent()
+        .filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or_else(|| Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|error| failed(&error))?;
+    file.write_all(text.as_bytes())
+        .map_err(|error| failed(&error))?;
+    file.persist(path).map_err(|error| failed(&error.error))?;
+    Ok(())
+}

@@ -1,0 +1,266 @@
+//! `smartdepthsync record`: from the twist to an aligned recording.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use protocol::TICK_HZ;
+use serde::Serialize;
+
+use crate::cli::Context;
+use crate::live_data::FoxgloveArg;
+use crate::outcome::{Failure, Outcome};
+use crate::record::{self, Ended, Options, SerialConnector};
+use crate::session_report;
+use recording::folder::check_name;
+use recording::profile::Profile;
+use recording::session_file::{OtherPhone, SessionFile};
+
+/// Options of `record`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The board's serial port; may be left out if exactly one board is plugged in
+    #[arg(long, value_name = "PATH")]
+    port: Option<String>,
+    /// The rig profile; without it, the published rig's
+    #[arg(long, value_name = "FILE")]
+    profile: Option<PathBuf>,
+    /// A phone's address, instead of the profile's; of several phones with its name
+    #[arg(long, value_name = "[NAME=]HOST[:PORT]")]
+    phone: Vec<String>,
+    /// Of several phones, the one that the trigger is aligned to, instead of the profile's
+    #[arg(long, value_name = "NAME")]
+    reference: Option<String>,
+    /// Folder in which the recording's folder is made
+    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
+    out: PathBuf,
+    /// Name of the recording's folder [default: date and time]
+    #[arg(long, value_parser = check_name)]
+    name: Option<String>,
+    /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
+    #[arg(long, value_parser = parse_duration)]
+    duration: Option<u64>,
+    /// Ask nobody: go on where all is well, end where it is not
+    #[arg(long)]
+    yes: bool,
+    /// How long a lost USB link to the board is waited for, in real time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
+    link_patience: u64,
+    /// Plain lines instead of the live view
+    #[arg(long)]
+    plain: bool,
+    /// Set a mark so long after the begin; may be given more than once
+    #[arg(long, value_name = "AFTER", value_parser = parse_duration)]
+    marker: Vec<u64>,
+    /// Twist once more at the end: a far better skew, and what `profile learn` needs
+    #[arg(long)]
+    second_twist: bool,
+    /// Download the phone's video at the end
+    #[arg(long)]
+    fetch_video: bool,
+    #[command(flatten)]
+    foxglove: FoxgloveArg,
+}
+
+/// A duration such as `90s`, `5m`, `1h`, `1.5m` or seconds without a unit, as
+/// whole ticks.
+///
+/// # Errors
+///
+/// It is none, or not within 0 and a week.
+pub fn parse_duration(text: &str) -> Result<u64, String> {
+    let expected = || String::from("expected a duration such as 90s, 5m or 1h, at most a week");
+    let (number, unit) = match text.char_indices().last() {
+        Some((at, 's')) => (text.get(..at), 1),
+        Some((at, 'm')) => (text.get(..at), 60),
+        Some((at, 'h')) => (text.get(..at), 3_600),
+        _ => (Some(text), 1),
+    };
+    let number = number.ok_or_else(expected)?;
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    let digits = format!("{whole}{fraction}");
+    if digits.is_empty() || digits.len() > 15 || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
+        return Err(expected());
+    }
+    let scale = 10_u128.pow(u32::try_from(fraction.len()).map_err(|_| expected())?);
+    let digits: u128 = digits.parse().map_err(|_| expected())?;
+    let ticks = digits * unit * u128::from(TICK_HZ) / scale;
+    u64::try_from(ticks)
+        .ok()
+        .filter(|&ticks| ticks <= record::seconds(7 * 24 * 3_600))
+        .ok_or_else(expected)
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Report<'a> {
+    folder: PathBuf,
+    report: Option<PathBuf>,
+    #[serde(flatten)]
+    session: &'a SessionFile,
+}
+
+/// Records.
+///
+/// # Errors
+///
+/// A step failed; what was recorded before is kept.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let mut profile = match &args.profile {
+        Some(path) => Profile::load(path),
+        None => Profile::published(),
+    }
+    .map_err(Failure::from)?;
+    for phone in &args.phone {
+        profile.set_address(phone).map_err(Failure::from)?;
+    }
+    if let Some(name) = &args.reference {
+        profile.set_reference(name).map_err(Failure::from)?;
+    }
+    let options = Options {
+        out: args.out.clone(),
+        name: args.name.clone(),
+        duration: args.duration,
+        own_profile: args.profile.is_some(),
+        link_patience: Duration::from_secs_f64(args.link_patience as f64 / f64::from(TICK_HZ)),
+        plain: args.plain,
+        yes: args.yes,
+        markers: args.marker.clone(),
+        second_twist: args.second_twist,
+        fetch_video: args.fetch_video,
+        foxglove: args.foxglove.clone(),
+    };
+    let mut connector = SerialConnector {
+        port: args.port.clone(),
+    };
+    let Ended {
+        result,
+        folder,
+        file,
+    } = record::run(&options, &profile, context, &mut connector)?;
+    // The recording is there, whatever becomes of its report.
+    let html = match session_report::write(&folder, &file) {
+        Ok(path) => Some(path),
+        Err(error) => {
+            context.say(format!("warning: there is no report: {error}"));
+            None
+        }
+    };
+    match result {
+        Ok(outcome) => {
+            let report = Report {
+                folder,
+                report: html,
+                session: &file,
+            };
+            context.print(&report, || summary(&report))?;
+            Ok(outcome)
+        }
+        Err(failure) => {
+            context.say(format!("what was recorded is in {}", folder.display()));
+            Err(failure.into())
+        }
+    }
+}
+
+fn summary(report: &Report<'_>) -> String {
+    let session = report.session;
+    let mut text = format!("recording    {}\n", report.folder.display());
+    if let Some(html) = &report.report {
+        let _ = writeln!(text, "report       {}", html.display());
+    }
+    let seconds = |ticks: u64| ticks as f64 / f64::from(TICK_HZ);
+    if let Some(span) = session.recorded {
+        let _ = writeln!(
+            text,
+            "length       {:.3} s of board time",
+            seconds(span.to.0.saturating_sub(span.from.0))
+        );
+    }
+    if let Some(clock) = session.clock {
+        let _ = writeln!(
+            text,
+            "clocks       offset {:.6} s ± {:.2} µs, skew {:+.4} ± {:.4} ppm",
+            clock.offset,
+            clock.covariance[0][0].max(0.0).sqrt() * 1e6,
+            clock.skew * 1e6,
+            clock.covariance[1][1].max(0.0).sqrt() * 1e6
+        );
+    }
+    if let Some(alignment) = session.alignment {
+        let _ = writeln!(
+            text,
+            "alignment    phase ± {:.1} µs, drift ± {:.1} µs/min (1-sigma, as predicted)",
+            alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
+        );
+    }
+    for phone in &session.phones {
+        let _ = writeln!(text, "{}", phone_line(phone));
+    }
+    let counts = session.counts;
+    let _ = writeln!(
+        text,
+        "received     {} pulses, {} IMU samples, {} strobe edges; {} messages lost, {} frames damaged, {} reconnects",
+        counts.pulses.received,
+        counts.imu.received,
+        counts.captures.received,
+        counts.lost(),
+        session.damaged_frames,
+        session.reconnects
+    );
+    if !session.markers.is_empty() {
+        let _ = writeln!(text, "marks        {}", session.markers.len());
+    }
+    for problem in session.problems.iter().take(10) {
+        let _ = writeln!(
+            text,
+            "problem      {:.3} s: {}",
+            problem.at.as_secs_f64(),
+            problem.text
+        );
+    }
+    if session.problems.len() > 10 {
+        let _ = writeln!(
+            text,
+            "             and {} more, in session.json",
+            session.problems.len() - 10
+        );
+    }
+    text
+}
+
+fn phone_line(phone: &OtherPhone) -> String {
+    let mut text = format!("phone        {}", phone.name);
+    if let Some(clock) = phone.clock {
+        let sigma = clock.covariance[0][0].max(0.0).sqrt() * 1e6;
+        let _ = write!(text, ": offset {:.6} s ± {sigma:.2} µs", clock.offset);
+    }
+    if let Some(placed) = phone.placement {
+        let _ = write!(
+            text,
+            "; frames {:+.1} ± {:.1} µs from the depth images, moving by {:+.1} ± {:.1} µs/min",
+            placed.offset_us,
+            placed.offset_sigma_us,
+            placed.drift_us_per_min,
+            placed.drift_sigma_us_per_min
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_exact_ticks() {
+        assert_eq!(parse_duration("5m"), Ok(300 * 48_000_000));
+        assert_eq!(parse_duration("90"), Ok(90 * 48_000_000));
+        assert_eq!(parse_duration("90s"), Ok(90 * 48_000_000));
+        assert_eq!(parse_duration("1.5h"), Ok(5_400 * 48_000_000));
+        assert_eq!(parse_duration("0.5"), Ok(24_000_000));
+        for text in ["", "m", "-1s", "5 m", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
+            assert!(parse_duration(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! `smartdepthsync repair`: a whole recording of what can be read of another.
+
+use std::path::PathBuf;
+
+use crate::cli::Context;
+use crate::outcome::{Failure, Outcome};
+use verify::repair::{Repaired, repair};
+
+/// Write what can be read of a damaged or unfinished recording as a new, whole
+/// one. The recording itself is never changed.
+///
+/// Ends with exit code 0 if nothing had to be left out, 4 if something had to, 13
+/// if nothing can be read, or OUT is there already.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The recording: its folder, or a recording.mcap
+    #[arg(value_name = "RECORDING")]
+    recording: PathBuf,
+    /// The new recording, which must not be there yet: a folder for a folder, a file for a file
+    #[arg(value_name = "OUT")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// There is no such recording, or the new one cannot be written.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let result = repair(&args.recording, &args.out).map_err(Failure::from)?;
+    context.print(&result, || text(&result))?;
+    Ok(if result.lost {
+        Outcome::Loss
+    } else {
+        Outcome::Good
+    })
+}
+
+fn text(result: &Repaired) -> String {
+    let before = &result.before;
+    format!(
+        "taken over   {} messages in {} chunks, {} files beside it\n\
+         left out     {} damaged chunks, {} damaged bytes{}\n\n{}",
+        before.messages,
+        before.chunks,
+        result.copied.len(),
+        before.bad_chunks,
+        before.skipped_bytes,
+        match before.cut_off_at {
+            Some(at) => format!(", {} bytes of a last part", before.bytes - at),
+            None => String::new(),
+        },
+        result.after.text()
+    )
+}

@@ -1,0 +1,33 @@
+//! `smartdepthsync verify`: is a recording whole.
+
+use std::path::PathBuf;
+
+use crate::cli::Context;
+use crate::outcome::{Failure, Outcome};
+use verify::{Verdict, verify};
+
+/// Check a recording: checksums, the board's numbers and counters, the pulses'
+/// grid, times that go on. Nothing is written.
+///
+/// Ends with exit code 0 if the recording is whole, 4 if something is missing or
+/// damaged, 13 if it cannot be read at all.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The recording: its folder, or a recording.mcap
+    #[arg(value_name = "RECORDING")]
+    recording: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// There is no such recording.
+pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+    let report = verify(&args.recording).map_err(Failure::from)?;
+    context.print(&report, || report.text())?;
+    Ok(match report.verdict {
+        Verdict::Whole => Outcome::Good,
+        Verdict::Incomplete | Verdict::Damaged => Outcome::Loss,
+    })
+}

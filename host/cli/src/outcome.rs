@@ -1,0 +1,329 @@
+//! How a command ends: the exit codes, in one place, and errors that know theirs.
+//!
+//! A command returns `anyhow::Result<Outcome>`. An [`Outcome`] is a command that
+//! did its work, perhaps with loss; an error ends in the exit code of the first
+//! [`Failure`] in its chain, or [`ExitStatus::Error`] without one. Errors of the
+//! library convert into [`Failure`]s, so commands simply use `?`.
+//!
+//! Every error says what to do next: its own next step, else what the system's reason
+//! for a file suggests, else what its exit code does.
+//!
+//! `docs/exit-codes.md` is the table for users; a test compares it with
+//! [`ExitStatus::ALL`].
+
+use std::fmt;
+use std::io::{self, ErrorKind};
+use std::path::Path;
+use std::process::ExitCode;
+
+/// The exit codes of `smartdepthsync`. The numbers never change their meaning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ExitStatus {
+    /// Everything that was asked for was done.
+    Good = 0,
+    /// An error without a code of its own.
+    Error = 1,
+    /// The command line is wrong.
+    Usage = 2,
+    /// A result missed a quality gate, or the board refused a value; nothing
+    /// was changed.
+    Refused = 3,
+    /// Finished, with loss: the result is there, but something is missing in it.
+    Loss = 4,
+    /// No such port, or no board found.
+    NoPort = 5,
+    /// The port is there, but this user may not open it.
+    Permission = 6,
+    /// Another program has the port.
+    Busy = 7,
+    /// What answers on the port is not this board.
+    NotThisBoard = 8,
+    /// The board speaks another protocol version.
+    OtherVersion = 9,
+    /// The board did not answer in time.
+    NoAnswer = 10,
+    /// The link to the board was lost and did not come back.
+    LinkLost = 11,
+    /// The phone cannot be reached, went away, or answered with an error.
+    Phone = 12,
+    /// Disk full, or a file that cannot be read or written.
+    Storage = 13,
+    /// The depth recorder cannot be started.
+    DepthRecorder = 14,
+    /// Stopped by Ctrl-C or a termination signal; what there was is kept.
+    Interrupted = 130,
+}
+
+impl ExitStatus {
+    /// All codes, for the table in the documents.
+    pub const ALL: [Self; 16] = [
+        Self::Good,
+        Self::Error,
+        Self::Usage,
+        Self::Refused,
+        Self::Loss,
+        Self::NoPort,
+        Self::Permission,
+        Self::Busy,
+        Self::NotThisBoard,
+        Self::OtherVersion,
+        Self::NoAnswer,
+        Self::LinkLost,
+        Self::Phone,
+        Self::Storage,
+        Self::DepthRecorder,
+        Self::Interrupted,
+    ];
+
+    /// The number.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// What to do about an error of which no more is known.
+    #[must_use]
+    pub const fn next_step(self) -> &'static str {
+        match self {
+            Self::Good | Self::Loss => "read the result: it says what is missing",
+            Self::Error => {
+                "run it again with -vv, which says more; if it stays so, report it with that log"
+            }
+            Self::Usage => "`smartdepthsync help COMMAND` says what is expected",
+            Self::Refused => "nothing was changed: change what the message names, then repeat it",
+            Self::NoPort => "plug the board in; `smartdepthsync ports` lists the ports there are",
+            Self::Permission => {
+                "install the udev rule (docs/install.md) and plug the board in again"
+            }
+            Self::Busy => "close the other program that has the port",
+            Self::NotThisBoard => {
+                "choose another port with --port; `smartdepthsync ports` marks boards"
+            }
+            Self::OtherVersion => "flash the firmware of this program's version (docs/flash.md)",
+            Self::NoAnswer => "press the board's reset button and try again",
+            Self::LinkLost => "check the USB cable and plug the board in again",
+            Self::Phone => {
+                "bring the app to the foreground with its remote control on, in the same network"
+            }
+            Self::Storage => "check the path, the rights and the free space",
+            Self::DepthRecorder => "check `[depth.recorder]` in the rig profile",
+            Self::Interrupted => "run the command again when you are ready",
+        }
+    }
+}
+
+impl From<ExitStatus> for ExitCode {
+    fn from(status: ExitStatus) -> Self {
+        Self::from(status.code())
+    }
+}
+
+/// How a command ended that came to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Everything that was asked for was done.
+    Good,
+    /// Finished, with loss.
+    Loss,
+    /// The result is there, but below a quality gate.
+    Refused,
+    /// The user stopped it early; what there was is kept.
+    Interrupted,
+    /// What is wrong is in the result that was printed; nothing more is to be
+    /// said.
+    Told(ExitStatus),
+}
+
+impl From<Outcome> for ExitStatus {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Good => Self::Good,
+            Outcome::Loss => Self::Loss,
+            Outcome::Refused => Self::Refused,
+            Outcome::Interrupted => Self::Interrupted,
+            Outcome::Told(status) => status,
+        }
+    }
+}
+
+/// An error that knows its exit code and what the user can do.
+///
+/// ```
+/// use smartdepthsync::outcome::{ExitStatus, Failure};
+///
+/// let failure = Failure::new(ExitStatus::NoPort, "/dev/ttyACM7 does not exist")
+///     .next_step("run `smartdepthsync ports` to see which ports there are");
+/// assert_eq!(failure.status(), ExitStatus::NoPort);
+/// ```
+#[derive(Debug)]
+pub struct Failure {
+    status: ExitStatus,
+    message: String,
+    next_step: Option<String>,
+}
+
+impl Failure {
+    /// An error with its exit code. `message` says what was expected and what
+    /// was found.
+    #[must_use]
+    pub fn new(status: ExitStatus, message: impl Into<String>) -> Self {
+        Self {
+            status,
+            message: message.into(),
+            next_step: None,
+        }
+    }
+
+    /// A file or folder that cannot be used: `action` is what was tried, such as
+    /// "read".
+    #[must_use]
+    pub fn file(action: &str, path: &Path, error: &io::Error) -> Self {
+        let message = format!("cannot {action} {}: {error}", path.display());
+        Self::new(ExitStatus::Storage, message).next_step(file_step(error.kind()))
+    }
+
+    /// Whether it says what to do.
+    #[must_use]
+    pub const fn has_next_step(&self) -> bool {
+        self.next_step.is_some()
+    }
+
+    /// What the user can do about it.
+    #[must_use]
+    pub fn next_step(mut self, step: impl Into<String>) -> Self {
+        self.next_step = Some(step.into());
+        self
+    }
+
+    /// The same with what it is about before it.
+    #[must_use]
+    pub fn about(mut self, what: &str) -> Self {
+        self.message = format!("{what}: {}", self.message);
+        self
+    }
+
+    /// The exit code.
+    #[must_use]
+    pub const fn status(&self) -> ExitStatus {
+        self.status
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Failure {}
+
+/// What to do about a file that cannot be used, for the system's reason.
+#[must_use]
+pub const fn file_step(reason: ErrorKind) -> &'static str {
+    match reason {
+        ErrorKind::NotFound => "check the path: there is no such file or folder",
+        ErrorKind::PermissionDenied => "check its owner and rights: you may not use it",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space and run it again",
+        ErrorKind::ReadOnlyFilesystem => "choose another place: this disk cannot be written",
+        ErrorKind::IsADirectory => "give a file: this is a folder",
+        ErrorKind::NotADirectory => "give a folder, and check the path: a part of it is a file",
+        ErrorKind::AlreadyExists => "choose a name that is not taken",
+        ErrorKind::InvalidData => "give another file: this one is not text",
+        _ => "check the path, the rights and the disk",
+    }
+}
+
+/// What is said about an error: its code, its text with all causes, and what to
+/// do next.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Report {
+    /// Exit code.
+    pub status: ExitStatus,
+    /// The error and its causes, joined by `: `.
+    pub message: String,
+    /// What the user can do.
+    pub next_step: Option<String>,
+}
+
+impl Report {
+    /// Looks through the chain of causes for the first [`Failure`]. There always is a
+    /// next step.
+    #[must_use]
+    pub fn of(error: &anyhow::Error) -> Self {
+        let failure = error
+            .chain()
+            .find_map(|cause| cause.downcast_ref::<Failure>());
+        let mut message = String::new();
+        for cause in error.chain() {
+            let cause = cause.to_string();
+            // Many errors print their source themselves: say it once.
+            if message.ends_with(&cause) {
+                continue;
+            }
+            if !message.is_empty() {
+                message.push_str(": ");
+            }
+            message.push_str(&cause);
+        }
+        let status = failure.map_or(ExitStatus::Error, Failure::status);
+        let file = error
+            .chain()
+            .find_map(|cause| cause.downcast_ref::<io::Error>());
+        let next_step = failure
+            .and_then(|failure| failure.next_step.clone())
+            .or_else(|| file.map(|error| file_step(error.kind()).to_owned()))
+            .unwrap_or_else(|| status.next_step().to_owned());
+        Self {
+            status,
+            message,
+            next_step: Some(next_step),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use anyhow::Context as _;
+
+    use super::*;
+
+    #[test]
+    fn the_code_is_found_below_context() {
+        let failure = Failure::new(ExitStatus::Busy, "it is open").next_step("close it");
+        let error = Err::<(), _>(failure).context("cannot connect").unwrap_err();
+        let report = Report::of(&error);
+        assert_eq!(report.status, ExitStatus::Busy);
+        assert_eq!(report.message, "cannot connect: it is open");
+        assert_eq!(report.next_step.as_deref(), Some("close it"));
+    }
+
+    #[test]
+    fn an_error_without_a_code_is_a_plain_error() {
+        let report = Report::of(&anyhow::anyhow!("odd"));
+        assert_eq!(report.status, ExitStatus::Error);
+        assert!(report.next_step.unwrap().contains("-vv"));
+    }
+
+    #[test]
+    fn every_error_has_a_next_step() {
+        let error = anyhow::Error::from(io::Error::from(ErrorKind::StorageFull)).context("saving");
+        let step = Report::of(&error).next_step.unwrap();
+        assert!(step.contains("free some space"), "{step}");
+        for status in ExitStatus::ALL {
+            let report = Report::of(&Failure::new(status, "odd").into());
+            assert_eq!(report.next_step.as_deref(), Some(status.next_step()));
+        }
+    }
+
+    #[test]
+    fn the_documented_table_has_every_code() {
+        let page = include_str!("../../../docs/exit-codes.md");
+        for status in ExitStatus::ALL {
+            let row = format!("| {} | `{status:?}` |", status.code());
+            assert!(page.contains(&row), "docs/exit-codes.md lacks {row}");
+        }
+        let rows = page.lines().filter(|line| line.contains("| `")).count();
+        assert_eq!(rows, ExitStatus::ALL.len(), "a row for a code that is gone");
+    }
+}

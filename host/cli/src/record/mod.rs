@@ -1,0 +1,196 @@
+//! A session, from the twist to an aligned recording.
+//!
+//! Steps, each of which can be repeated or left: connect, with the checks of
+//! [`preflight`] ([`connect`]), twist, start the trigger, start the phone's video,
+//! align, confirm the arrival, record ([`steps`]), stop, second twist, fetch the video,
+//! summary ([`close`]). From the connect on, all that the board sends is recorded
+//! ([`rig`]), so the twist is in the file too.
+//!
+//! However a session ends (well, by Ctrl-C, by an error in any step), it is
+//! closed in the same way: the phone's video is stopped, the depth recorder is
+//! asked to stop, the trigger is stopped, the files are finished.
+//!
+//! - [`watch`]: what is watched while recording.
+//! - [`runs`]: one axis of time when the board is reset meanwhile.
+//! - [`phone_task`], [`phones`], [`recorder`]: phones and depth recorder.
+//! - [`preflight`]: what is looked at before.
+//! - [`operator`]: the person; [`live`]: what is shown to them.
+
+pub mod close;
+pub mod connect;
+mod events;
+pub mod further;
+pub mod live;
+pub mod operator;
+pub mod phone_task;
+pub mod phones;
+pub mod preflight;
+pub mod recorder;
+mod relink;
+mod restart;
+pub mod rig;
+pub mod runs;
+pub mod steps;
+mod twist;
+pub mod watch;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use protocol::TICK_HZ;
+
+use crate::cli::Context;
+use crate::live_data::FoxgloveArg;
+use crate::outcome::{Failure, Outcome};
+use board::BoardError;
+use board::transport::serial::SerialLink;
+use board::transport::{Link, ports};
+use recording::profile::Profile;
+use recording::session_file::{SessionFile, SessionOutcome};
+
+/// What a session is asked to do.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Folder in which the recording's folder is made.
+    pub out: PathBuf,
+    /// Name of the recording's folder; date and time if not given.
+    pub name: Option<String>,
+    /// How long to record in ticks of board time; until stopped if not given.
+    pub duration: Option<u64>,
+    /// The profile is the user's own, not the published rig's.
+    pub own_profile: bool,
+    /// How long a lost link to the board is waited for, in real time.
+    pub link_patience: Duration,
+    /// Plain lines even on a terminal.
+    pub plain: bool,
+    /// Ask nobody: go on where all is well, give up where it is not.
+    pub yes: bool,
+    /// Marks to be set by themselves: ticks after the begin of the recording.
+    pub markers: Vec<u64>,
+    /// Twist once more at the end.
+    pub second_twist: bool,
+    /// Download the phone's video at the end.
+    pub fetch_video: bool,
+    /// Live data for Foxglove, if wanted.
+    pub foxglove: FoxgloveArg,
+}
+
+/// Opens links to the board, the first time and after a loss.
+pub trait Connector {
+    /// A link to the board; to the one with this ID, if it is given.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened (now).
+    fn connect(&mut self, board_id: Option<&str>) -> board::Result<Box<dyn Link>>;
+}
+
+/// The board on a serial port, found again under whatever name it comes back.
+#[derive(Clone, Debug)]
+pub struct SerialConnector {
+    /// As the user gave it.
+    pub port: Option<String>,
+}
+
+impl Connector for SerialConnector {
+    fn connect(&mut self, board_id: Option<&str>) -> board::Result<Box<dyn Link>> {
+        // A board that was unplugged may come back under another name.
+        let renamed = board_id.and_then(|id| {
+            ports::list().ok()?.into_iter().find_map(|port| {
+                let serial = port.usb.as_ref()?.serial_number.as_deref()?;
+                (port.board && serial == id).then_some(port.path)
+            })
+        });
+        let path = match renamed {
+            Some(path) => path,
+            None => board::choose_port(self.port.as_deref())?,
+        };
+        Ok(Box::new(SerialLink::open(&path).map_err(BoardError::from)?))
+    }
+}
+
+/// Why a step does not go on.
+#[derive(Debug)]
+pub enum Stop {
+    /// The user wants it.
+    Interrupted,
+    /// Something failed.
+    Failed(Failure),
+}
+
+impl From<Failure> for Stop {
+    fn from(failure: Failure) -> Self {
+        Self::Failed(failure)
+    }
+}
+
+/// A session that has ended, with whatever it left.
+#[derive(Debug)]
+pub struct Ended {
+    /// How it ended.
+    pub result: Result<Outcome, Failure>,
+    /// The recording's folder.
+    pub folder: PathBuf,
+    /// What was decided.
+    pub file: SessionFile,
+}
+
+/// Runs a session.
+///
+/// # Errors
+///
+/// It failed before there was a folder: board or phone cannot be reached, or no
+/// folder can be made. Later failures are in [`Ended::result`].
+pub fn run(
+    options: &Options,
+    profile: &Profile,
+    context: &Context,
+    connector: &mut dyn Connector,
+) -> Result<Ended, Failure> {
+    let mut rig = match connect::connect(options, profile, context, connector) {
+        Ok(rig) => rig,
+        Err(Stop::Interrupted) => {
+            return Err(Failure::new(
+                crate::outcome::ExitStatus::Interrupted,
+                "stopped before anything was recorded",
+            )
+            .next_step("start it again when you are ready"));
+        }
+        Err(Stop::Failed(failure)) => return Err(failure),
+    };
+    let result = steps::session(&mut rig, options);
+    let result = close::close(&mut rig, options, result);
+    let outcome = match result {
+        Err(Stop::Failed(failure)) => {
+            rig.file.outcome = Some(SessionOutcome::Failed);
+            Err(failure)
+        }
+        Err(Stop::Interrupted) => {
+            rig.file.outcome = Some(SessionOutcome::Interrupted);
+            Ok(Outcome::Interrupted)
+        }
+        Ok(()) if rig.has_problems() => {
+            rig.file.outcome = Some(SessionOutcome::Loss);
+            Ok(Outcome::Loss)
+        }
+        Ok(()) => {
+            rig.file.outcome = Some(SessionOutcome::Good);
+            Ok(Outcome::Good)
+        }
+    };
+    let saved = rig.file.save(&rig.folder).map_err(Failure::from);
+    let folder = rig.folder.clone();
+    let file = rig.file.clone();
+    drop(rig);
+    Ok(Ended {
+        result: outcome.and_then(|outcome| saved.map(|()| outcome)),
+        folder,
+        file,
+    })
+}
+
+/// Seconds of board time as ticks.
+#[must_use]
+pub const fn seconds(seconds: u64) -> u64 {
+    seconds.saturating_mul(TICK_HZ as u64)
+}

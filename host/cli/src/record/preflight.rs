@@ -1,0 +1,533 @@
+//! What is looked at before a recording: profile, disk, programs, board, IMU,
+//! trigger read-back and phone; and for whatever is not good, what to do.
+//!
+//! `smartdepthsync doctor` prints all of it. A session looks at the same in its
+//! connect step, with the rig in somebody's hands: so the noise of the IMU is
+//! judged in motion too ([`ImuLook`]). The read-back of the trigger is judged on
+//! the train that the session starts anyway, so that a depth camera which waits
+//! already for its first pulse gets none that is not recorded.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use protocol::{ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
+use serde::Serialize;
+
+use super::rig::free_space;
+use crate::outcome::{ExitStatus, Failure, Report as ErrorReport};
+use board::Board;
+use board::imu::{Sample, Spread, Summary};
+use recording::profile::Profile;
+use recording::session_file::{Check, Verdict};
+
+/// How long the IMU is looked at, ticks.
+pub const IMU_TIME: u64 = TICK_HZ as u64;
+
+/// For how long the trigger's read-back is looked at, ticks.
+pub const TRIGGER_TIME: u64 = TICK_HZ as u64 / 2;
+
+/// More noise than this is a bad sensor or supply, rad/s. The data sheet gives
+/// 0.06 °/s rms = 0.001 rad/s at 100 Hz.
+const GYRO_NOISE_LIMIT: f64 = 0.01;
+
+/// How far the acceleration of a rig at rest may be from gravity: a part of it.
+/// The data sheet gives ±3 % of scale and ±80 mg of zero offset.
+const GRAVITY_TOLERANCE: f64 = 0.15;
+
+/// Free space below which a recording may not fit, bytes.
+const DISK_LOW: u64 = 2_000_000_000;
+
+/// A learnt skew or a measured bias older than this should be measured again, days.
+const OLD_DAYS: i32 = 90;
+
+const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V";
+
+/// Checks, in the order in which they were made.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Checks {
+    /// All of them.
+    pub checks: Vec<Check>,
+    #[serde(skip)]
+    failed: Option<ExitStatus>,
+}
+
+impl Checks {
+    /// The exit code of the first bad one.
+    #[must_use]
+    pub fn status(&self) -> ExitStatus {
+        self.failed.unwrap_or(ExitStatus::Good)
+    }
+
+    /// The first bad one as an error.
+    #[must_use]
+    pub fn failure(&self) -> Option<Failure> {
+        let bad = self.checks.iter().find(|c| c.verdict == Verdict::Bad)?;
+        let failure = Failure::new(self.status(), format!("{}: {}", bad.name, bad.found));
+        Some(match &bad.next_step {
+            Some(next) => failure.next_step(next),
+            None => failure,
+        })
+    }
+
+    /// It is as it should be.
+    pub fn good(&mut self, name: &str, found: impl Into<String>) {
+        self.add(name, Verdict::Good, found.into(), None);
+    }
+
+    /// It could be better.
+    pub fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
+        self.add(name, Verdict::Warning, found.into(), Some(next.to_owned()));
+    }
+
+    /// A recording will not work.
+    pub fn bad(&mut self, name: &str, failure: Failure) {
+        self.failed.get_or_insert(failure.status());
+        let report = ErrorReport::of(&failure.into());
+        self.add(name, Verdict::Bad, report.message, report.next_step);
+    }
+
+    fn add(&mut self, name: &str, verdict: Verdict, found: String, next: Option<String>) {
+        self.checks.push(Check {
+            name: name.to_owned(),
+            verdict,
+            found,
+            next_step: next,
+        });
+    }
+
+    /// What does not need the board: profile, disk, ffmpeg, depth recorder.
+    /// `given` says whether the profile is the user's own, `out` where recordings
+    /// are to go.
+    pub fn host(&mut self, profile: &Profile, given: bool, out: &Path) {
+        self.profile(profile, given);
+        self.disk(out);
+        self.ffmpeg();
+        self.recorder(profile);
+    }
+
+    fn profile(&mut self, profile: &Profile, given: bool) {
+        let today = jiff::Zoned::now().date();
+        let age = |date: jiff::civil::Date| today.since(date).map_or(0, |span| span.get_days());
+        if given {
+            self.good("profile", profile.name.clone());
+        } else {
+            self.warn(
+                "profile",
+                "none given: the published rig's",
+                "`smartdepthsync profile init rig.toml`, and give it with --profile",
+            );
+        }
+        match &profile.phone.learnt {
+            None => self.warn(
+                "learnt clocks",
+                "nothing: the phase may drift by tens of µs a minute",
+                "record with --second-twist, then `smartdepthsync profile learn`",
+            ),
+            Some(learnt) if age(learnt.learnt) > OLD_DAYS => self.warn(
+                "learnt clocks",
+                format!("from {}", learnt.learnt),
+                "crystals age: learn again",
+            ),
+            Some(learnt) => self.good(
+                "learnt clocks",
+                format!(
+                    "frame period {:.3} ns, skew {}, from {}",
+                    learnt.frame_period_ns,
+                    learnt
+                        .skew
+                        .map_or(String::from("not learnt"), |skew| format!(
+                            "{:+.3} ppm",
+                            skew * 1e6
+                        )),
+                    learnt.learnt
+                ),
+            ),
+        }
+        match profile.frame_sync.bias_measured {
+            None => self.warn(
+                "constant bias",
+                "not measured: there may be ms between the cameras",
+                "measure it: `smartdepthsync evaluate precision ... --calibrate`",
+            ),
+            Some(date) if age(date) > OLD_DAYS => self.warn(
+                "constant bias",
+                format!("measured on {date}"),
+                "measure it again after changes of the rig",
+            ),
+            Some(date) => self.good(
+                "constant bias",
+                format!("{:+.1} µs, measured on {date}", profile.frame_sync.bias_us),
+            ),
+        }
+    }
+
+    fn disk(&mut self, out: &Path) {
+        // The folder may not be there yet: the nearest one above it is.
+        let place = out
+            .ancestors()
+            .map(|folder| {
+                if folder.as_os_str().is_empty() {
+                    Path::new(".")
+                } else {
+                    folder
+                }
+            })
+            .find(|folder| folder.exists())
+            .unwrap_or_else(|| Path::new("."));
+        match free_space(place) {
+            Some(free) if free < DISK_LOW => self.warn(
+                "disk",
+                format!("{} MB are free", free / 1_000_000),
+                "free some space: an hour takes about 150 MB, videos several GB",
+            ),
+            Some(free) => self.good("disk", format!("{} GB are free", free / 1_000_000_000)),
+            None => self.warn(
+                "disk",
+                "free space is not known",
+                "see that there is enough",
+            ),
+        }
+    }
+
+    fn ffmpeg(&mut self) {
+        let version = Command::new("ffmpeg")
+            .arg("-version")
+            .stdin(Stdio::null())
+            .stderr(Stdio::null())
+            .output();
+        match version {
+            Ok(output) if output.status.success() => {
+                let text = String::from_utf8_lossy(&output.stdout);
+                let first = text.lines().next().unwrap_or_default();
+                let short: Vec<&str> = first.split_whitespace().take(3).collect();
+                self.good("ffmpeg", short.join(" "));
+            }
+            _ => self.warn(
+                "ffmpeg",
+                "not found",
+                "extract and evaluate need it: install ffmpeg",
+            ),
+        }
+    }
+
+    fn recorder(&mut self, profile: &Profile) {
+        let Some(program) = profile.depth.recorder.command.first() else {
+            self.good("depth recorder", "none in the profile: start it yourself");
+            return;
+        };
+        let found = if program.contains('/') {
+            Path::new(program).is_file()
+        } else {
+            std::env::var_os("PATH").is_some_and(|path| {
+                std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+            })
+        };
+        if found {
+            self.good("depth recorder", program.clone());
+        } else {
+            self.bad(
+                "depth recorder",
+                Failure::new(
+                    ExitStatus::DepthRecorder,
+                    format!("the program `{program}` is not found"),
+                )
+                .next_step("install it, or change `command` in `[depth.recorder]`"),
+            );
+        }
+    }
+
+    /// The board and its firmware, as it said when it was connected.
+    pub fn firmware(&mut self, board: &Board) {
+        let hello = board.hello();
+        let (major, minor, patch) = hello.firmware_version;
+        self.good(
+            "board",
+            format!(
+                "{}, firmware {major}.{minor}.{patch}, up {:.1} s",
+                protocol::usb::serial_number(&hello.board_id),
+                hello.now.as_secs_f64()
+            ),
+        );
+        if let Some(panic) = &hello.last_panic {
+            self.warn(
+                "last panic",
+                panic.to_string(),
+                "report it; the board has restarted since",
+            );
+        }
+    }
+
+    /// The IMU, after a look at its samples. `setup` is what the board says then.
+    pub fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
+        let report = look.summary.report();
+        if setup.status.state != ImuState::Running || report.samples == 0 {
+            let fault = setup
+                .status
+                .last_fault
+                .map_or(String::from("no fault reported"), |fault| {
+                    format!("{fault:?}")
+                });
+            self.bad(
+                "IMU",
+                Failure::new(
+                    ExitStatus::Refused,
+                    format!("no samples ({:?}, {fault})", setup.status.state),
+                )
+                .next_step(IMU_WIRING),
+            );
+            return;
+        }
+        self.good(
+            "IMU",
+            format!(
+                "{} samples, {:.3} Hz, jitter {:.2} ticks",
+                report.samples,
+                report.rate_hz.unwrap_or_default(),
+                report.interval_jitter_ticks.unwrap_or_default()
+            ),
+        );
+        match setup.status.clock {
+            ImuClock::External => self.good("IMU clock", "19.2 MHz from the board"),
+            ImuClock::Internal => self.warn(
+                "IMU clock",
+                "its own: samples are up to 1 % off their nominal distance",
+                "wire PA8 to the sensor's CLKIN",
+            ),
+            ImuClock::Unknown => self.warn("IMU clock", "not known yet", IMU_WIRING),
+        }
+        let at_rest = report
+            .gyro_noise_rad_s
+            .iter()
+            .flatten()
+            .all(|&axis| axis <= GYRO_NOISE_LIMIT);
+        if at_rest {
+            let noise = report
+                .gyro_noise_rad_s
+                .iter()
+                .flatten()
+                .fold(0.0_f64, |most, &axis| most.max(axis));
+            self.good("IMU noise", format!("{noise:.5} rad/s"));
+            self.gravity(report.accel_mean_m_s2);
+            return;
+        }
+        match look.noise_in_motion() {
+            Some(noise) if noise <= GYRO_NOISE_LIMIT => self.good(
+                "IMU noise",
+                format!("about {noise:.4} rad/s (the rig moves)"),
+            ),
+            noise => self.warn(
+                "IMU noise",
+                noise.map_or(String::from("not measured: the rig moves"), |noise| {
+                    format!("{noise:.4} rad/s")
+                }),
+                "keep the rig still while this runs; if it was still, the sensor or its supply is bad",
+            ),
+        }
+    }
+
+    /// The accelerometer at rest feels gravity, and nothing else.
+    fn gravity(&mut self, mean: [Option<f64>; 3]) {
+        let norm = mean
+            .iter()
+            .flatten()
+            .map(|axis| axis * axis)
+            .sum::<f64>()
+            .sqrt();
+        let found = format!("{norm:.2} m/s² at rest");
+        let off = (norm / board::imu::STANDARD_GRAVITY - 1.0).abs();
+        if off > GRAVITY_TOLERANCE {
+            self.warn(
+                "accelerometer",
+                found,
+                "it should be about 9.81: the sensor is damaged, or another one than expected",
+            );
+        } else {
+            self.good("accelerometer", found);
+        }
+    }
+
+    /// The link, after so much was lost and damaged while the IMU was looked at.
+    pub fn link(&mut self, lost: u64, damaged: u32) {
+        if lost > 0 || damaged > 0 {
+            self.warn(
+                "link",
+                format!("{lost} messages lost, {damaged} frames damaged"),
+                "use another USB port or cable, without a hub",
+            );
+        } else {
+            self.good("link", "nothing lost");
+        }
+    }
+
+    /// The trigger's read-back, from the state of a train.
+    pub fn readback(&mut self, status: &TriggerStatus) {
+        let readback = &status.readback;
+        match (readback.seen, readback.missing, readback.delay) {
+            (0, 0, _) => self.warn(
+                "trigger read-back",
+                format!("not wired ({} pulses made)", status.pulses),
+                "wire the trigger behind its buffer to PA3 to have every pulse proved",
+            ),
+            (seen, 0, delay) => self.good(
+                "trigger read-back",
+                format!(
+                    "{seen} pulses seen, delay {} ticks",
+                    delay.unwrap_or_default()
+                ),
+            ),
+            (seen, missing, _) => self.bad(
+                "trigger read-back",
+                Failure::new(
+                    ExitStatus::Refused,
+                    format!(
+                        "{missing} of {} pulses missing",
+                        seen.saturating_add(missing)
+                    ),
+                )
+                .next_step("check the buffer and the wire from PA5 to PA3"),
+            ),
+        }
+    }
+
+    /// The phone, after it has answered.
+    pub fn phone(&mut self, version: &str, address: &str) {
+        self.good("phone", format!("app {version} at {address}"));
+    }
+}
+
+/// A look at the IMU's samples.
+#[derive(Clone, Debug, Default)]
+pub struct ImuLook {
+    summary: Summary,
+    /// The last three rates, the latest first, and how many there are.
+    before: ([[f64; 3]; 3], usize),
+    third: [Spread; 3],
+}
+
+impl ImuLook {
+    /// Takes a sample.
+    pub fn add(&mut self, sample: &Sample) {
+        self.summary.add(sample);
+        let (before, count) = &mut self.before;
+        if *count == before.len() {
+            for axis in 0..3 {
+                let [one, two, three] = before.map(|rate| rate[axis]);
+                self.third[axis].add(sample.gyro[axis] - 3.0 * one + 3.0 * two - three);
+            }
+        }
+        *before = [sample.gyro, before[0], before[1]];
+        *count = (*count + 1).min(before.len());
+    }
+
+    /// Samples are missing before the next one.
+    pub const fn gap(&mut self) {
+        self.summary.gap();
+        self.before.1 = 0;
+    }
+
+    /// Noise of the gyroscope while it turns, rad/s: that of the worst axis.
+    ///
+    /// The third difference of samples 2 ms apart takes out what a hand can do
+    /// (5 rad/s at 10 Hz leave 0.002 rad/s) and leaves white noise times the root
+    /// of 1 + 9 + 9 + 1. The sensor's low-pass takes some of that too, so it is an
+    /// estimate to within a factor of two.
+    #[must_use]
+    pub fn noise_in_motion(&self) -> Option<f64> {
+        self.third
+            .iter()
+            .filter_map(Spread::deviation)
+            .map(|deviation| deviation / 20.0_f64.sqrt())
+            .reduce(f64::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use protocol::{ImuFlags, Ticks};
+
+    use super::*;
+
+    fn look(rate: impl Fn(f64) -> f64) -> ImuLook {
+        let mut look = ImuLook::default();
+        for index in 0..500_u64 {
+            let at = index as f64 * 2e-3;
+            look.add(&Sample {
+                at: Ticks(index * 96_000),
+                flags: ImuFlags(0),
+                gyro: [rate(at), 0.0, 0.5 * rate(at)],
+                accel: [0.0, 0.0, 9.81],
+                temperature: 25.0,
+            });
+        }
+        look
+    }
+
+    #[test]
+    fn noise_is_told_from_motion() {
+        let hand = |at: f64| 5.0 * (std::f64::consts::TAU * 3.0 * at).sin();
+        let still = look(hand).noise_in_motion().unwrap();
+        assert!(still < 1e-3, "{still}");
+        // A square wave from sample to sample: the worst noise that there is.
+        let noisy = look(|at| {
+            hand(at)
+                + if ((at * 500.0) as u64).is_multiple_of(2) {
+                    0.1
+                } else {
+                    -0.1
+                }
+        });
+        let noise = noisy.noise_in_motion().unwrap();
+        assert!((0.1..0.2).contains(&noise), "{noise}");
+        assert_eq!(ImuLook::default().noise_in_motion(), None);
+    }
+
+    #[test]
+    fn a_gap_is_no_noise() {
+        let mut look = ImuLook::default();
+        for (index, rate) in [0.0, 0.0, 0.0, 0.0, 4.0, 4.0, 4.0, 4.0]
+            .into_iter()
+            .enumerate()
+        {
+            if index == 4 {
+                look.gap();
+            }
+            look.add(&Sample {
+                at: Ticks(index as u64 * 96_000),
+                flags: ImuFlags(0),
+                gyro: [rate; 3],
+                accel: [0.0; 3],
+                temperature: 25.0,
+            });
+        }
+        assert_eq!(look.noise_in_motion(), Some(0.0));
+    }
+
+    #[test]
+    fn the_first_bad_check_is_the_failure() {
+        let mut checks = Checks::default();
+        assert!(checks.failure().is_none());
+        checks.good("a", "b");
+        checks.warn("c", "d", "e");
+        assert!(checks.failure().is_none());
+        assert_eq!(checks.checks[1].line(), "c: d -> e");
+        let bad = |text| Failure::new(ExitStatus::DepthRecorder, text).next_step("do this");
+        checks.bad("f", bad("first"));
+        checks.bad("g", Failure::new(ExitStatus::Refused, "second"));
+        let failure = checks.failure().unwrap();
+        assert_eq!(failure.status(), ExitStatus::DepthRecorder);
+        assert_eq!(failure.to_string(), "f: first");
+        assert!(failure.has_next_step());
+    }
+
+    #[test]
+    fn an_accelerometer_without_gravity_is_told() {
+        let verdict = |norm: f64| {
+            let mut checks = Checks::default();
+            checks.gravity([Some(norm), Some(0.0), Some(0.0)]);
+            checks.checks[0].verdict
+        };
+        assert_eq!(verdict(9.6), Verdict::Good);
+        assert_eq!(verdict(4.9), Verdict::Warning);
+        assert_eq!(verdict(0.0), Verdict::Warning);
+    }
+}

@@ -1,0 +1,275 @@
+//! The depth recorder: any command, started without a shell and watched.
+//!
+//! It runs in a process group of its own, so a Ctrl-C at the terminal reaches
+//! this program only, which then stops the recorder in its turn. Its output goes
+//! into a file in the recording's folder. It is asked to stop with a signal and
+//! killed if it does not end in time.
+
+use std::fs::File;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus as ProcessStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::outcome::{ExitStatus, Failure};
+use recording::profile::{Depth, StopSignal};
+
+/// Name of the file that keeps what it says.
+pub const LOG_FILE: &str = "depth_recorder.log";
+
+/// A depth recorder that runs.
+pub struct DepthRecorder {
+    child: Child,
+    name: String,
+    stop: StopSignal,
+    patience: Duration,
+    ended: bool,
+}
+
+impl DepthRecorder {
+    /// Starts the profile's command; `None` if there is none.
+    ///
+    /// # Errors
+    ///
+    /// There is no such program, or it may not be run.
+    pub fn start(depth: &Depth, folder: &Path) -> Result<Option<Self>, Failure> {
+        let Some((program, arguments)) = depth.recorder.command.split_first() else {
+            return Ok(None);
+        };
+        let failed = |reason: String| {
+            Failure::new(
+                ExitStatus::DepthRecorder,
+                format!("cannot start the depth recorder `{program}`: {reason}"),
+            )
+            .next_step(
+                "install it, or change `command` in `[depth.recorder]` of the rig profile; an \
+                 empty list records without it",
+            )
+        };
+        let log = File::create(folder.join(LOG_FILE)).map_err(|error| failed(error.to_string()))?;
+        let log_too = log.try_clone().map_err(|error| failed(error.to_string()))?;
+        let mut command = Command::new(program);
+        command
+            .args(arguments.iter().map(|text| fill_in(text, depth, folder)))
+            .stdin(Stdio::null())
+            .stdout(log)
+            .stderr(log_too);
+        #[cfg(unix)]
+        {
+            use std::os::unix::process::CommandExt as _;
+            command.process_group(0);
+        }
+        let child = command.spawn().map_err(|error| failed(error.to_string()))?;
+        Ok(Some(Self {
+            child,
+            name: program.clone(),
+            stop: depth.recorder.stop,
+            patience: Duration::from_secs(depth.recorder.stop_timeout_s.into()),
+            ended: false,
+        }))
+    }
+
+    /// How it ended, the first time that it is seen to have ended by itself.
+    pub fn gone(&mut self) -> Option<String> {
+        if self.ended {
+            return None;
+        }
+        match self.child.try_wait() {
+            Ok(None) => None,
+            Ok(Some(status)) => {
+                self.ended = true;
+                Some(format!(
+                    "the depth recorder `{}` ended by itself ({status}); what it said is in {LOG_FILE}",
+                    self.name
+                ))
+            }
+            Err(error) => {
+                self.ended = true;
+                Some(format!(
+                    "the depth recorder `{}` cannot be watched: {error}",
+                    self.name
+                ))
+            }
+        }
+    }
+
+    /// Asks it to stop, waits, and kills it if it does not. `while_waiting` is
+    /// called meanwhile. Gives a text if something was wrong with how it ended.
+    pub fn stop(mut self, mut while_waiting: impl FnMut()) -> Option<String> {
+        if self.ended {
+            return None;
+        }
+        self.ask_to_stop();
+        let asked = Instant::now();
+        while asked.elapsed() < self.patience {
+            match self.child.try_wait() {
+                Ok(None) => while_waiting(),
+                Ok(Some(status)) => {
+                    self.ended = true;
+                    return (!asked_for(status, self.stop)).then(|| {
+                        format!("the depth recorder `{}` ended with {status}", self.name)
+                    });
+                }
+                Err(_) => break,
+            }
+        }
+        // Dropping it kills it.
+        Some(format!(
+            "the depth recorder `{}` did not stop within {} s and was killed; its file may be \
+             incomplete",
+            self.name,
+            self.patience.as_secs()
+        ))
+    }
+
+    #[cfg(unix)]
+    fn ask_to_stop(&self) {
+        self.signal(match self.stop {
+            StopSignal::Interrupt => rustix::process::Signal::INT,
+            StopSignal::Terminate => rustix::process::Signal::TERM,
+        });
+    }
+
+    /// To the whole group, as a Ctrl-C at a terminal does.
+    #[cfg(unix)]
+    fn signal(&self, signal: rustix::process::Signal) {
+        use rustix::process::{Pid, kill_process_group};
+        let group = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
+        if let Some(group) = group
+            && let Err(error) = kill_process_group(group, signal)
+        {
+            tracing::warn!("cannot signal the depth recorder: {error}");
+        }
+    }
+
+    #[cfg(not(unix))]
+    fn ask_to_stop(&self) {}
+}
+
+impl Drop for DepthRecorder {
+    /// Nothing that we started outlives us.
+    fn drop(&mut self) {
+        if !self.ended {
+            #[cfg(unix)]
+            self.signal(rustix::process::Signal::KILL);
+            // Fails only if it has ended already.
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// Whether it ended as a program does that was asked to.
+fn asked_for(status: ProcessStatus, stop: StopSignal) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::ExitStatusExt as _;
+        let number = match stop {
+            StopSignal::Interrupt => 2,
+            StopSignal::Terminate => 15,
+        };
+        status.success() || status.signal() == Some(number) || status.code() == Some(128 + number)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = stop;
+        status.success()
+    }
+}
+
+fn fill_in(text: &str, depth: &Depth, folder: &Path) -> String {
+    text.replace("{folder}", &folder.to_string_lossy())
+        .replace("{fps}", &depth.fps.to_string())
+        .replace("{mode}", &depth.mode)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use recording::profile::Profile;
+
+    fn depth(command: &[&str]) -> Depth {
+        let mut depth = Profile::published().unwrap().depth;
+        depth.recorder.command = command.iter().map(|&text| text.to_owned()).collect();
+        depth.recorder.stop_timeout_s = 2;
+        depth
+    }
+
+    fn wait() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+
+    #[test]
+    fn without_a_command_there_is_none() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(
+            DepthRecorder::start(&depth(&[]), folder.path())
+                .unwrap()
+                .is_none()
+        );
+    }
+
+    #[test]
+    fn a_program_that_is_not_there_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let depth = depth(&["no-such-k4arecorder"]);
+        let Err(failure) = DepthRecorder::start(&depth, folder.path()) else {
+            panic!("started");
+        };
+        assert_eq!(failure.status(), ExitStatus::DepthRecorder);
+        assert!(failure.to_string().contains("no-such-k4arecorder"));
+    }
+
+    #[test]
+    fn arguments_are_passed_without_a_shell() {
+        let folder = tempfile::tempdir().unwrap();
+        let depth = depth(&["echo", "$(id) {folder}", "{fps}"]);
+        let mut recorder = DepthRecorder::start(&depth, folder.path())
+            .unwrap()
+            .unwrap();
+        let told = loop {
+            if let Some(text) = recorder.gone() {
+                break text;
+            }
+            wait();
+        };
+        assert!(told.contains("ended by itself"), "{told}");
+        assert_eq!(recorder.gone(), None);
+        let said = std::fs::read_to_string(folder.path().join(LOG_FILE)).unwrap();
+        assert_eq!(said, format!("$(id) {} 30\n", folder.path().display()));
+    }
+
+    /// A recorder that has said `ready`.
+    fn start_ready(command: &[&str], folder: &Path) -> DepthRecorder {
+        let recorder = DepthRecorder::start(&depth(command), folder)
+            .unwrap()
+            .unwrap();
+        while std::fs::read_to_string(folder.join(LOG_FILE)).unwrap() != "ready\n" {
+            wait();
+        }
+        recorder
+    }
+
+    #[test]
+    fn it_is_asked_to_stop_and_killed_only_if_it_does_not() {
+        let folder = tempfile::tempdir().unwrap();
+        // A shell may have started the tests with SIGINT ignored, which children inherit.
+        let polite = [
+            "env",
+            "--default-signal=INT",
+            "sh",
+            "-c",
+            "echo ready; exec sleep 100",
+        ];
+        let recorder = start_ready(&polite, folder.path());
+        assert_eq!(recorder.stop(wait), None);
+
+        let deaf = [
+            "sh",
+            "-c",
+            "trap '' INT; echo ready; sleep 100 & wait; sleep 100",
+        ];
+        let recorder = start_ready(&deaf, folder.path());
+        let told = recorder.stop(wait).unwrap();
+        assert!(told.contains("killed"), "{told}");
+    }
+}

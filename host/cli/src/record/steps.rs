@@ -1,0 +1,332 @@
+//! The steps of a session.
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
+
+use super::connect::{check_readback, preflight};
+use super::further;
+use super::operator::Choice;
+use super::phone_task::Answer;
+use super::phones;
+use super::recorder::DepthRecorder;
+use super::rig::Rig;
+use super::twist::first_twist;
+use super::watch::{Finding, Grid, Watch};
+use super::{Options, Stop, seconds};
+use crate::outcome::{ExitStatus, Failure};
+use board::Board;
+use frame_sync::alignment::phase_sigma_us_at;
+use frame_sync::alignment::plan;
+use recording::session_file::{Alignment, Marker, Span, Video};
+use recording::writer::Severity;
+use twist_sync::ClockModel;
+
+/// How much longer than planned an arrival may take, ticks.
+const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
+
+/// The session from the twist to the end of the recording.
+///
+/// # Errors
+///
+/// A step failed, or the user wants to stop.
+pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
+    step(rig, "the checks", |rig| preflight(rig, options))?;
+    first_twist(rig)?;
+    step(rig, "the depth recorder", start_depth_recorder)?;
+    step(rig, "the trigger", |rig| {
+        start_trigger(rig)?;
+        check_readback(rig)
+    })?;
+    let video = phone_video(rig)?;
+    let Some(clock) = rig.clock else {
+        return Err(
+            Failure::new(ExitStatus::Refused, "there is no relation of the clocks")
+                .next_step("the twist was left out or refused: record again, and twist faster")
+                .into(),
+        );
+    };
+    let mut alignment = align(rig, &clock, &video)?;
+    phones::place_others(rig)?;
+    confirm_arrival(rig, &mut alignment)?;
+    further::start(rig)?;
+    record(rig, options, &alignment)
+}
+
+fn start_depth_recorder(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    rig.depth = DepthRecorder::start(&rig.profile.depth, &rig.folder)?;
+    if rig.depth.is_some() {
+        rig.tell(Severity::Info, "depth_recorder", "the depth recorder runs")?;
+    }
+    Ok(())
+}
+
+/// Starts the train at the best period that is known so far.
+fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    let width = rig.profile.pulse_width();
+    let nominal = Period::from_ticks(TICK_HZ / rig.profile.depth.fps);
+    let period = match (&rig.profile.phone.learnt, rig.clock) {
+        (Some(learnt), Some(clock)) => {
+            let picos = learnt.frame_period_ns * 1e3 / (1.0 + clock.skew)
+                * f64::from(rig.profile.frame_ratio());
+            Period::from_picos(picos.round() as u64)
+                .filter(|period| period.in_bounds())
+                .unwrap_or(nominal)
+        }
+        _ => nominal,
+    };
+    let status = rig.call(Board::trigger)?;
+    if status.state != TrainState::Stopped {
+        rig.call(Board::stop_trigger)?;
+    }
+    rig.trigger_started = true;
+    rig.call(|board| {
+        board.start_trigger(TriggerStart {
+            period,
+            width,
+            first_edge: None,
+        })
+    })?;
+    rig.tell(
+        Severity::Info,
+        "trigger",
+        &format!("the trigger runs with a period of {period}"),
+    )
+}
+
+/// Starts the phones' videos; gives what the phone said that is aligned to.
+fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
+    let what = if rig.others.is_empty() {
+        "the phone's video"
+    } else {
+        "the phones' videos"
+    };
+    step(rig, what, phones::start_videos)?;
+    rig.file.video.ok_or_else(|| {
+        Failure::new(ExitStatus::Phone, "the phone's video was left out")
+            .next_step("record again with the phone: there is nothing to align to without it")
+            .into()
+    })
+}
+
+/// Sends the train onto the phone's frames.
+fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
+    let planned = plan(rig.profile, clock, video).map_err(|error| {
+        Failure::new(ExitStatus::Refused, error.to_string())
+            .next_step("set the profile's values to the camera's mode, or twist longer")
+    })?;
+    for remark in &planned.remarks {
+        rig.tell(Severity::Info, "align", remark)?;
+    }
+    let alignment = planned.alignment;
+    let align = TriggerAlign {
+        anchor: alignment.anchor,
+        period: Period(alignment.period_q32),
+        slew: rig.profile.slew(),
+    };
+    let plan = rig.call(|board| board.align(align))?;
+    let alignment = Alignment {
+        arrival_pulse: Some(plan.arrival_pulse),
+        arrival: Some(plan.arrival),
+        phase_sigma_us: phase_sigma_us_at(&alignment, plan.arrival.into()),
+        ..alignment
+    };
+    rig.file.alignment = Some(alignment);
+    rig.save()?;
+    rig.tell(
+        Severity::Info,
+        "align",
+        &format!(
+            "aligning: {:+.1} µs over {} frames; phase ± {:.1} µs, drift ± {:.1} µs/min (1-sigma)",
+            plan.shift.as_secs_f64() * 1e6,
+            plan.frames,
+            alignment.phase_sigma_us,
+            alignment.drift_sigma_us_per_min
+        ),
+    )?;
+    Ok(alignment)
+}
+
+/// Waits until the board says that the train is on its grid.
+fn confirm_arrival(rig: &mut Rig<'_>, alignment: &mut Alignment) -> Result<(), Stop> {
+    let (Some(pulse), Some(arrival)) = (alignment.arrival_pulse, alignment.arrival) else {
+        return Ok(());
+    };
+    let bar = spinner(rig);
+    bar.set_message("waiting for the trigger to arrive on the phone's frames");
+    let latest = arrival.0.saturating_add(ARRIVAL_MARGIN);
+    let confirmed = rig.pump_until(|rig| match rig.arrived {
+        Some(arrived) if arrived.pulse >= pulse => Some(true),
+        _ => (rig.now.0 > latest).then_some(false),
+    });
+    bar.finish_and_clear();
+    if confirmed? {
+        return rig.save();
+    }
+    // The message may have been lost on the link; the state of the train was not.
+    let status = rig.call(Board::trigger)?;
+    if status.state == TrainState::Running && status.pulses > pulse {
+        return rig.problem(Finding::warning(
+            "arrival_unconfirmed",
+            "the board did not report the arrival, but its train runs on the grid",
+        ));
+    }
+    Err(Failure::new(
+        ExitStatus::NoAnswer,
+        format!(
+            "the trigger did not arrive at pulse {pulse} ({:?})",
+            status.state
+        ),
+    )
+    .next_step("look at `smartdepthsync trigger status`, then record again")
+    .into())
+}
+
+/// Periods from the arrival on the grid to the begin of the recorded span: the depth
+/// camera may make its next frames by its own clock, or mark them as bad, after the
+/// phase was moved.
+const SETTLING_PERIODS: u64 = 15;
+
+/// Records, until the time is up or somebody stops it.
+fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result<(), Stop> {
+    let period = Period(alignment.period_q32);
+    let settled = alignment.arrival.map(|arrival| {
+        let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
+        Ticks(arrival.0.saturating_add(wait))
+    });
+    let from = rig.now.max(settled.unwrap_or_default());
+    rig.board.start_counting();
+    rig.watch = Some(Watch::new(
+        Grid {
+            anchor: alignment.anchor,
+            period,
+        },
+        rig.now,
+    ));
+    rig.file.recorded = Some(Span { from, to: from });
+    rig.save()?;
+    let end = options.duration.map(|ticks| from.0.saturating_add(ticks));
+    let how_long = options.duration.map_or(String::new(), |ticks| {
+        format!(" for {:.0} s", ticks as f64 / f64::from(TICK_HZ))
+    });
+    let keys = if rig.context.said.is_diverted() {
+        "m sets a mark, q stops"
+    } else {
+        "Enter sets a mark, Ctrl-C stops"
+    };
+    let text = format!("recording{how_long}; {keys}");
+    rig.tell(Severity::Info, "recording", &text)?;
+    rig.operator.forget_typed();
+    let bar = recording_bar(rig, options.duration);
+    let mut due: Vec<u64> = options.markers.clone();
+    due.sort_unstable_by(|a, b| b.cmp(a));
+    let result = rig.pump_until(|rig| {
+        bar.set_position((rig.now.0.saturating_sub(from.0)) / u64::from(TICK_HZ));
+        while let Some(&next) = due.last()
+            && rig.now.0 >= from.0.saturating_add(next)
+        {
+            due.pop();
+            if let Err(stop) = mark(rig, Ticks(from.0 + next), None) {
+                return Some(Err(stop));
+            }
+        }
+        match rig.operator.mark() {
+            Some(Some(label)) => {
+                let label = (!label.is_empty()).then_some(label);
+                if let Err(stop) = mark(rig, rig.now, label) {
+                    return Some(Err(stop));
+                }
+            }
+            Some(None) => return Some(Ok(())),
+            None => {}
+        }
+        end.is_some_and(|end| rig.now.0 >= end).then_some(Ok(()))
+    });
+    bar.finish_and_clear();
+    result?
+}
+
+fn mark(rig: &mut Rig<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
+    let label = label.unwrap_or_else(|| format!("marker {}", rig.file.markers.len() + 1));
+    let phone = rig.clock.map(|clock| clock.ticks_to_phone(at));
+    if let Some(writer) = &mut rig.writer {
+        writer.marker(at, phone, &label).map_err(Failure::from)?;
+    }
+    rig.live.gauge.marker(at, &label);
+    rig.file.markers.push(Marker {
+        at,
+        label: label.clone(),
+    });
+    rig.save()?;
+    rig.tell(Severity::Info, "marker", &format!("mark: {label}"))
+}
+
+/// Runs a step; if it fails in a way that may pass, and somebody is there, it
+/// can be repeated or left out.
+pub(super) fn step(
+    rig: &mut Rig<'_>,
+    name: &str,
+    mut run: impl FnMut(&mut Rig<'_>) -> Result<(), Stop>,
+) -> Result<(), Stop> {
+    loop {
+        let failure = match run(rig) {
+            Err(Stop::Failed(failure)) if is_repeatable(&failure) => failure,
+            other => return other,
+        };
+        if !rig.operator.is_present() {
+            return Err(failure.into());
+        }
+        rig.context.say(format!("error: {failure}"));
+        let prompt = format!("{name}: [Enter] or [r] try again, [s] leave it out, [q] quit");
+        match ask(rig, &prompt)? {
+            Choice::Continue | Choice::Repeat => {}
+            Choice::Skip => return Ok(()),
+            Choice::Quit => return Err(Stop::Interrupted),
+        }
+    }
+}
+
+/// Whether trying again may help.
+pub(super) fn is_repeatable(failure: &Failure) -> bool {
+    matches!(
+        failure.status(),
+        ExitStatus::Phone | ExitStatus::Refused | ExitStatus::DepthRecorder
+    )
+}
+
+pub(super) fn ask(rig: &mut Rig<'_>, prompt: &str) -> Result<Choice, Stop> {
+    rig.context.say(prompt);
+    rig.pump_until(|rig| rig.operator.answer())
+}
+
+pub(super) fn odd_answer(answer: &Answer) -> Failure {
+    Failure::new(
+        ExitStatus::Phone,
+        format!("the phone answered something else: {answer:?}"),
+    )
+    .next_step("restart the app and try again")
+}
+
+pub(super) fn spinner(rig: &Rig<'_>) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(None, target(rig));
+    bar.set_style(ProgressStyle::default_spinner());
+    bar
+}
+
+fn recording_bar(rig: &Rig<'_>, duration: Option<u64>) -> ProgressBar {
+    let length = duration.map(|ticks| ticks / seconds(1));
+    let style = ProgressStyle::with_template(if length.is_some() {
+        "{bar:30} {pos}/{len} s"
+    } else {
+        "{spinner} {pos} s"
+    })
+    .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::with_draw_target(length, target(rig)).with_style(style)
+}
+
+fn target(rig: &Rig<'_>) -> ProgressDrawTarget {
+    if rig.context.shows_progress() {
+        ProgressDrawTarget::stderr()
+    } else {
+        ProgressDrawTarget::hidden()
+    }
+}

@@ -1,0 +1,313 @@
+//! The twist: it relates the clock of each phone to the board's.
+
+use std::time::{Duration, Instant};
+
+use protocol::{TICK_HZ, Ticks};
+
+use super::Stop;
+use super::operator::Choice;
+use super::phone_task::{Answer, Request};
+use super::rig::Rig;
+use super::steps::{ask, is_repeatable, odd_answer, spinner};
+use crate::outcome::{ExitStatus, Failure};
+use frame_sync::alignment::{skew_prior, with_known_skew};
+use phone::samples::sample_line;
+use phone::{PhoneSample, Sensor};
+use recording::session_file::{Span, Twist};
+use recording::writer::Severity;
+use twist_sync::{ClockModel, GyroTrack, Options, estimate_offset};
+
+/// How often a twist is tried when nobody is there to decide.
+const TWIST_TRIES: usize = 3;
+
+/// How much longer than the phone's recording the board's is taken, ticks.
+const TWIST_MARGIN: u64 = TICK_HZ as u64 / 4;
+
+/// Twists until one passes the gates, of every phone.
+pub(super) fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    for attempt in 1.. {
+        let clocks = match twist(rig) {
+            Ok(clocks) => clocks,
+            Err(Stop::Failed(failure)) if is_repeatable(&failure) && rig.operator.is_present() => {
+                rig.context.say(format!("error: {failure}"));
+                vec![None]
+            }
+            Err(stop) => return Err(stop),
+        };
+        for (place, clock) in clocks.iter().enumerate() {
+            if let Some(clock) = clock {
+                rig.set_phone_clock(place, *clock, &format!("twist {attempt}"))?;
+            }
+        }
+        // With nobody there, phones may have got theirs from different twists.
+        let related = rig
+            .phone_places()
+            .all(|place| rig.phone_clock(place).is_some());
+        if related && !rig.operator.is_present() {
+            return rig.save();
+        }
+        if clocks.iter().all(Option::is_some) {
+            rig.save()?;
+            match ask(rig, "[Enter] go on, [r] twist again, [q] quit")? {
+                Choice::Repeat => continue,
+                Choice::Quit => return Err(Stop::Interrupted),
+                Choice::Continue | Choice::Skip => return Ok(()),
+            }
+        }
+        rig.save()?;
+        if rig.operator.is_present() {
+            match ask(rig, "[Enter] or [r] twist again, [q] quit")? {
+                Choice::Quit | Choice::Skip => return Err(Stop::Interrupted),
+                Choice::Continue | Choice::Repeat => {}
+            }
+        } else if attempt >= TWIST_TRIES {
+            return Err(Failure::new(
+                ExitStatus::Refused,
+                format!("none of {TWIST_TRIES} twists gave a trustworthy relation of the clocks"),
+            )
+            .next_step(
+                "twist faster, about all three axes, with phone and board fixed to each other",
+            )
+            .into());
+        }
+    }
+    Ok(())
+}
+
+/// One twist, of all phones. Gives the relation of each phone's clock if it passes
+/// the gates, by the phone's place.
+fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
+    let length = rig.profile.phone.twist_s;
+    rig.operator.forget_typed();
+    if rig.operator.is_present() {
+        let prompt =
+            format!("Twist the rig for {length} s about all axes. [Enter] to begin, [q] to quit");
+        if ask(rig, &prompt)? == Choice::Quit {
+            return Err(Stop::Interrupted);
+        }
+    }
+    let number = rig.file.twists.len() + 1;
+    rig.tell(
+        Severity::Info,
+        "twist",
+        &format!("twist {number}: twist now, for {length} s"),
+    )?;
+    rig.gyro = Some(Vec::new());
+    let asked = twist_samples(rig, length);
+    let board = rig.gyro.take().unwrap_or_default();
+    let samples = asked?;
+    let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
+    let span = Span {
+        from: times.first().copied().unwrap_or_default(),
+        to: times.last().copied().unwrap_or_default(),
+    };
+    let mcu = GyroTrack::from_ticks(&times, rates);
+    let mut clocks = Vec::new();
+    for (place, samples) in samples.iter().enumerate() {
+        clocks.push(relate(rig, place, number, (&mcu, span), samples)?);
+    }
+    Ok(clocks)
+}
+
+/// Relates the clock of one phone to the board's by a twist.
+fn relate(
+    rig: &mut Rig<'_>,
+    place: usize,
+    number: usize,
+    (mcu, span): (&GyroTrack, Span),
+    samples: &[PhoneSample],
+) -> Result<Option<ClockModel>, Stop> {
+    let phone = rig.phone_profile(place);
+    let folder = rig.file.phone_folder(&phone.name);
+    let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
+    let name = name.to_string_lossy().into_owned();
+    let label = format!("twist {number}{}", rig.of_phone(place));
+    save_samples(rig, &name, samples)?;
+    let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
+    let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
+    let phone_track = GyroTrack::from_phone_nanos(&phone_times, phone_rates);
+    let delay_us = rig
+        .file
+        .imu
+        .as_ref()
+        .map_or(0, |imu| imu.scale.gyro_delay_us);
+    let options = Options {
+        mcu_delay_s: f64::from(delay_us) * 1e-6,
+        phone_delay_s: phone.gyro_delay_us * 1e-6,
+        sigma_limit_s: rig.profile.align.max_offset_sigma_us * 1e-6,
+        ..Options::default()
+    };
+    let result = estimate_offset(mcu, &phone_track, &options);
+    let report = match &result {
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
+    };
+    let report = serde_json::to_value(report).unwrap_or(serde_json::Value::Null);
+    let estimate = result.as_ref().ok();
+    let twist = Twist {
+        phone_gyro: Some(name.clone()),
+        span,
+        accepted: estimate.is_some(),
+        clock: estimate.map(|estimate| estimate.clock),
+        offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
+        skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
+        report,
+    };
+    rig.keep_twist(place, twist);
+    rig.file.files.push(name);
+    match result {
+        Ok(estimate) => {
+            let text = format!(
+                "{label}: offset {:.6} s ± {:.2} µs, skew {:+.3} ± {:.3} ppm",
+                estimate.clock.offset,
+                estimate.offset_sigma_s() * 1e6,
+                estimate.clock.skew * 1e6,
+                estimate.skew_sigma() * 1e6
+            );
+            rig.tell(Severity::Info, "twist", &text)?;
+            for warning in &estimate.report.warnings {
+                rig.tell(Severity::Info, "twist", warning)?;
+            }
+            sharpen(rig, place, estimate.clock).map(Some)
+        }
+        Err(refusal) => {
+            let text = format!("{label} refused: {refusal}");
+            rig.tell(Severity::Warning, "twist_refused", &text)?;
+            Ok(None)
+        }
+    }
+}
+
+/// The phones' samples of one twist, by their places; the board's go into the rig
+/// meanwhile.
+fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
+    let request = Request::Gyroscope(Duration::from_secs(length.into()));
+    let requests = rig
+        .phone_places()
+        .map(|place| (place, request.clone()))
+        .collect();
+    let bar = spinner(rig);
+    let mut shown = Instant::now();
+    let answers = rig.ask_phones(requests, |rig| {
+        if shown.elapsed() > Duration::from_millis(300) {
+            shown = Instant::now();
+            bar.set_message(motion_hint(rig.gyro.as_deref().unwrap_or_default()));
+        }
+    });
+    bar.finish_and_clear();
+    let mut samples = Vec::new();
+    for (place, answer) in answers? {
+        let recording = match answer.map_err(|error| rig.phone_failure(place, error))? {
+            Answer::Gyroscope(recording) => recording,
+            other => return Err(odd_answer(&other).into()),
+        };
+        let gyro = recording.samples(Sensor::Gyroscope).unwrap_or_default();
+        samples.push(gyro.to_vec());
+    }
+    // The board's samples of the last moment are still on their way.
+    let until = rig.now.0.saturating_add(TWIST_MARGIN);
+    rig.pump_until(|rig| (rig.now.0 >= until).then_some(()))?;
+    Ok(samples)
+}
+
+/// Whether the motion suffices, from the board's samples so far.
+fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
+    let count = samples.len().max(1) as f64;
+    let mut rms = [0.0; 3];
+    for axis in 0..3 {
+        let sum: f64 = samples.iter().map(|(_, rate)| rate[axis].powi(2)).sum();
+        rms[axis] = (sum / count).sqrt();
+    }
+    let mut sorted = rms;
+    sorted.sort_by(f64::total_cmp);
+    let hint = if sorted[2] < 0.5 {
+        "twist faster"
+    } else if sorted[1] < 0.3 {
+        "twist about another axis too"
+    } else {
+        "good"
+    };
+    format!(
+        "x {:.1}  y {:.1}  z {:.1} rad/s rms: {hint}",
+        rms[0], rms[1], rms[2]
+    )
+}
+
+/// Takes the skew that was learnt before into a twist's result.
+fn sharpen(rig: &mut Rig<'_>, place: usize, clock: ClockModel) -> Result<ClockModel, Stop> {
+    let Some((skew, sigma, _)) = skew_prior(rig.phone_profile(place), &rig.board_id) else {
+        return Ok(clock);
+    };
+    match with_known_skew(&clock, skew, sigma) {
+        Some(sharper) => Ok(sharper),
+        None => {
+            rig.tell(
+                Severity::Warning,
+                "learnt_skew",
+                &format!(
+                    "the learnt skew of {:+.3} ppm does not fit this twist's {:+.3} ppm; it is not used",
+                    skew * 1e6,
+                    clock.skew * 1e6
+                ),
+            )?;
+            Ok(clock)
+        }
+    }
+}
+
+fn save_samples(rig: &Rig<'_>, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {
+    let mut text = String::new();
+    for sample in samples {
+        text.push_str(&sample_line(sample));
+        text.push('\n');
+    }
+    let path = rig.folder.join(name);
+    let folder = path.parent().unwrap_or(&rig.folder);
+    let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, text));
+    written.map_err(|source| {
+        Failure::from(recording::RecordingError::Io {
+            action: "write",
+            path,
+            source,
+        })
+        .into()
+    })
+}
+
+/// Twists once more and joins what it says with the first; of each phone by itself.
+pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> Result<(), Stop> {
+    let second = twist(rig)?;
+    let mut refused = false;
+    for (place, clocks) in first.iter().zip(&second).enumerate() {
+        let (Some(first), Some(second)) = clocks else {
+            refused = true;
+            continue;
+        };
+        if !rig.file.runs.is_empty() {
+            // The first twist is of the run before the reset: its rate holds, its
+            // offset is better known from this one.
+            let sigma = first.covariance[1][1].max(0.0).sqrt();
+            let clock = with_known_skew(second, first.skew, sigma).unwrap_or(*second);
+            let source = "twist at the end, after a reset of the board";
+            rig.set_phone_clock(place, clock, source)?;
+            continue;
+        }
+        let joined = first.joined(second);
+        let text = format!(
+            "both twists{}: skew {:+.4} ± {:.4} ppm",
+            rig.of_phone(place),
+            joined.skew * 1e6,
+            joined.covariance[1][1].sqrt() * 1e6
+        );
+        rig.tell(Severity::Info, "twist", &text)?;
+        rig.set_phone_clock(place, joined, "twists at begin and end")?;
+    }
+    if refused {
+        return Err(
+            Failure::new(ExitStatus::Refused, "the second twist was refused")
+                .next_step("twist again, faster and about all axes")
+                .into(),
+        );
+    }
+    Ok(())
+}

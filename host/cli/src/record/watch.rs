@@ -1,0 +1,351 @@
+//! What is watched while recording. Pure: messages in, findings out.
+//!
+//! A state that lasts (pulses stay away, the IMU gives nothing) is told once
+//! when it begins and once when it ends.
+
+use protocol::{ImuFlags, ImuSample, ImuState, Period, Pulse, Status, TICK_HZ, Ticks};
+
+use board::session::Stream;
+use frame_sync::alignment::off_grid;
+use recording::writer::Severity;
+
+/// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
+const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
+
+/// Something that was noticed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// A stable word.
+    pub kind: &'static str,
+    /// How bad it is. Anything but information makes the outcome "with loss".
+    pub severity: Severity,
+    /// In words.
+    pub text: String,
+}
+
+impl Finding {
+    /// A warning.
+    #[must_use]
+    pub fn warning(kind: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            kind,
+            severity: Severity::Warning,
+            text: text.into(),
+        }
+    }
+
+    /// An error.
+    #[must_use]
+    pub fn error(kind: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            kind,
+            severity: Severity::Error,
+            text: text.into(),
+        }
+    }
+
+    fn info(kind: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            kind,
+            severity: Severity::Info,
+            text: text.into(),
+        }
+    }
+}
+
+/// The grid that pulses must be on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Grid {
+    /// One edge.
+    pub anchor: Ticks,
+    /// Distance of edges.
+    pub period: Period,
+}
+
+/// The board's counters when the watch began.
+#[derive(Clone, Copy, Debug)]
+struct Baseline {
+    late: u32,
+    readback_missing: u32,
+    imu_late: u32,
+    overcaptures: u32,
+    recoveries: u32,
+}
+
+/// The state of the watch.
+#[derive(Debug)]
+pub struct Watch {
+    grid: Grid,
+    next_number: Option<u64>,
+    last_pulse: Ticks,
+    pulses_away: bool,
+    off_grid: bool,
+    last_imu: Ticks,
+    imu_away: bool,
+    baseline: Option<Baseline>,
+}
+
+impl Watch {
+    /// Begins to watch at a board time, with a train that is on its grid.
+    #[must_use]
+    pub const fn new(grid: Grid, now: Ticks) -> Self {
+        Self {
+            grid,
+            next_number: None,
+            last_pulse: now,
+            pulses_away: false,
+            off_grid: false,
+            last_imu: now,
+            imu_away: false,
+            baseline: None,
+        }
+    }
+
+    /// The grid.
+    #[must_use]
+    pub const fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// A pulse.
+    pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
+        if self.pulses_away {
+            self.pulses_away = false;
+            findings.push(Finding::info("pulses_back", "pulses come again"));
+        }
+        if let Some(expected) = self.next_number
+            && pulse.number != expected
+        {
+            findings.push(Finding::error(
+                "pulses_missing",
+                format!("pulse {} came where {expected} was expected", pulse.number),
+            ));
+        }
+        self.next_number = Some(pulse.number.wrapping_add(1));
+        self.last_pulse = pulse.at;
+        let off = off_grid(self.grid.anchor, self.grid.period, pulse.at);
+        match (off != 0, self.off_grid) {
+            (true, false) => findings.push(Finding::error(
+                "phase_off",
+                format!("pulse {} is {off} ticks off its grid", pulse.number),
+            )),
+            (false, true) => {
+                findings.push(Finding::info(
+                    "phase_back",
+                    "pulses are on their grid again",
+                ));
+            }
+            _ => {}
+        }
+        self.off_grid = off != 0;
+    }
+
+    /// An IMU sample.
+    pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
+        if self.imu_away {
+            self.imu_away = false;
+            findings.push(Finding::info("imu_back", "IMU samples come again"));
+        }
+        self.last_imu = sample.at;
+        if sample.flags.has(ImuFlags::AFTER_LOSS) {
+            findings.push(Finding::warning(
+                "imu_gap",
+                "the board lost a data-ready edge of the IMU",
+            ));
+        }
+        if sample.flags.has(ImuFlags::FIRST) {
+            findings.push(Finding::warning("imu_gap", "the IMU was set up again"));
+        }
+    }
+
+    /// Messages of a stream are missing.
+    pub fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
+        let kind = match stream {
+            Stream::Pulses => {
+                self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
+                "pulse_messages_lost"
+            }
+            Stream::Imu => "imu_gap",
+            Stream::Captures => "captures_lost",
+            Stream::Status => "status_lost",
+            Stream::Outputs => "output_pulses_lost",
+            Stream::Pps => "pps_lost",
+            Stream::Filler => return,
+        };
+        findings.push(Finding::warning(kind, format!("{count} {stream} lost")));
+    }
+
+    /// A status.
+    pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
+        let now = Baseline {
+            late: status.trigger.late,
+            readback_missing: status.trigger.readback.missing,
+            imu_late: status.imu.late,
+            overcaptures: status.strobe_overcaptures,
+            recoveries: status.imu.recoveries,
+        };
+        if let Some(before) = self.baseline {
+            let mut grown = |kind, before: u32, now: u32, what: &str| {
+                if now > before {
+                    findings.push(Finding::warning(kind, format!("{} {what}", now - before)));
+                }
+            };
+            grown(
+                "trigger_late",
+                before.late,
+                now.late,
+                "trigger edges came late",
+            );
+            grown(
+                "readback_missing",
+                before.readback_missing,
+                now.readback_missing,
+                "pulses were not seen on the trigger wire",
+            );
+            grown(
+                "imu_late",
+                before.imu_late,
+                now.imu_late,
+                "IMU samples were read late",
+            );
+            grown(
+                "captures_lost",
+                before.overcaptures,
+                now.overcaptures,
+                "edges on the strobe input were lost",
+            );
+            grown(
+                "imu_recovered",
+                before.recoveries,
+                now.recoveries,
+                "times the IMU was set up again after a fault",
+            );
+        }
+        self.baseline = Some(now);
+        if status.imu.state == ImuState::Failed && !self.imu_away {
+            self.imu_away = true;
+            findings.push(Finding::error(
+                "imu_gone",
+                match status.imu.last_fault {
+                    Some(fault) => format!("the IMU does not answer ({fault:?})"),
+                    None => String::from("the IMU does not answer"),
+                },
+            ));
+        }
+    }
+
+    /// Board time goes on. Call it when all messages up to then were taken.
+    pub fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
+        let patience = 3 * u64::from(self.grid.period.ticks());
+        if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
+            self.pulses_away = true;
+            findings.push(Finding::error("pulses_missing", "no pulses come any more"));
+        }
+        if !self.imu_away && now.0.saturating_sub(self.last_imu.0) > IMU_PATIENCE {
+            self.imu_away = true;
+            findings.push(Finding::error("imu_gap", "no IMU samples come any more"));
+        }
+    }
+
+    /// The link was lost until now: what was missed then shows by its numbers,
+    /// not as silence.
+    pub const fn resume(&mut self, now: Ticks) {
+        self.last_pulse = now;
+        self.last_imu = now;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: Grid = Grid {
+        anchor: Ticks(1_000_000),
+        period: Period::from_ticks(1_600_000),
+    };
+
+    fn watch() -> Watch {
+        Watch::new(GRID, GRID.anchor)
+    }
+
+    fn pulse(number: u64) -> Pulse {
+        Pulse {
+            seq: 0,
+            train: 1,
+            number,
+            at: GRID.period.edge(GRID.anchor, number as i64),
+            aligned: true,
+            readback: None,
+        }
+    }
+
+    fn kinds(findings: &[Finding]) -> Vec<&'static str> {
+        findings.iter().map(|finding| finding.kind).collect()
+    }
+
+    #[test]
+    fn a_good_train_gives_no_findings() {
+        let mut watch = watch();
+        let mut findings = Vec::new();
+        for number in 0..1_000 {
+            watch.pulse(&pulse(number), &mut findings);
+            watch.last_imu = pulse(number).at;
+            watch.time(pulse(number).at, &mut findings);
+        }
+        assert_eq!(findings, []);
+    }
+
+    #[test]
+    fn a_jump_of_the_number_and_a_pulse_off_its_grid_are_told_once() {
+        let mut watch = watch();
+        let mut findings = Vec::new();
+        watch.pulse(&pulse(0), &mut findings);
+        watch.pulse(&pulse(2), &mut findings);
+        for number in 3..6 {
+            let mut off = pulse(number);
+            off.at = Ticks(off.at.0 + 1);
+            watch.pulse(&off, &mut findings);
+        }
+        watch.pulse(&pulse(6), &mut findings);
+        assert_eq!(
+            kinds(&findings),
+            ["pulses_missing", "phase_off", "phase_back"]
+        );
+    }
+
+    #[test]
+    fn messages_lost_on_the_link_are_not_told_as_missing_pulses_too() {
+        let mut watch = watch();
+        let mut findings = Vec::new();
+        watch.pulse(&pulse(0), &mut findings);
+        watch.lost(Stream::Pulses, 3, &mut findings);
+        watch.pulse(&pulse(4), &mut findings);
+        assert_eq!(kinds(&findings), ["pulse_messages_lost"]);
+    }
+
+    #[test]
+    fn silence_is_told_when_it_begins_and_when_it_ends() {
+        let mut watch = watch();
+        let mut findings = Vec::new();
+        for second in 1..10 {
+            watch.time(Ticks(GRID.anchor.0 + second * 48_000_000), &mut findings);
+        }
+        assert_eq!(kinds(&findings), ["pulses_missing", "imu_gap"]);
+        findings.clear();
+        watch.pulse(&pulse(300), &mut findings);
+        let sample = ImuSample {
+            seq: 0,
+            at: pulse(300).at,
+            flags: ImuFlags::FIRST,
+            accel: [0; 3],
+            temperature: 0,
+            gyro: [0; 3],
+        };
+        watch.imu(&sample, &mut findings);
+        assert_eq!(kinds(&findings), ["pulses_back", "imu_back", "imu_gap"]);
+        findings.clear();
+        watch.resume(Ticks(GRID.anchor.0 + 900 * 48_000_000));
+        watch.time(Ticks(GRID.anchor.0 + 900 * 48_000_000 + 1), &mut findings);
+        assert_eq!(findings, []);
+    }
+}

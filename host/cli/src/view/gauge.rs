@@ -1,0 +1,569 @@
+//! Messages in, the latest state out.
+
+use frame_sync::alignment::phase_sigma_us_at;
+use std::collections::VecDeque;
+
+use protocol::{DeviceToHost, ImuState, Output, OutputPulse, Period, TICK_HZ, Ticks, TrainState};
+
+use super::{
+    Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
+};
+use board::imu::{Sample, Scale};
+use frame_sync::alignment::off_grid;
+use recording::profile::Profile;
+use recording::session_file::{self, Alignment};
+use twist_sync::ClockModel;
+
+/// How much of the gyroscope is shown, ticks.
+const SHOWN: u64 = 10 * TICK_HZ as u64;
+
+/// Distance of the points that are shown, ticks: 40 ms.
+const POINT: u64 = TICK_HZ as u64 / 25;
+
+/// Rates are those over this time, ticks.
+const RATE_TIME: u64 = 2 * TICK_HZ as u64;
+
+/// Noise of both gyroscopes together in one sample of the board, rad/s: the
+/// MPU-9150's 0.005 °/s/√Hz over 188 Hz, and the same of the phone's.
+const NOISE: f64 = 1.7e-3;
+
+/// Samples that are averaged before the slope of the motion is taken.
+const BLOCK: usize = 10;
+
+/// How many warnings, marks and lines are kept.
+const KEPT: usize = 8;
+
+/// How the expected uncertainty of a twist falls as motion comes in.
+///
+/// For a known motion ω(t) the bound of the offset is `σ² = n² / Σ |ω′|²` over the
+/// samples, with `n` the noise of both gyroscopes in one sample (see the book,
+/// "Sync math"). The slope is taken between means of ten samples, so that noise
+/// adds little to it; what noise adds on the average is taken off.
+#[derive(Clone, Debug, Default)]
+pub struct Coach {
+    block: Vec<(Ticks, [f64; 3])>,
+    last: Option<(f64, [f64; 3])>,
+    information: f64,
+    squares: [f64; 3],
+    count: u64,
+    first: Option<Ticks>,
+    latest: Ticks,
+}
+
+impl Coach {
+    /// A sample of the board's gyroscope, rad/s.
+    pub fn add(&mut self, at: Ticks, rate: [f64; 3]) {
+        self.first.get_or_insert(at);
+        self.latest = at;
+        self.count += 1;
+        for (sum, value) in self.squares.iter_mut().zip(rate) {
+            *sum += value * value;
+        }
+        self.block.push((at, rate));
+        if self.block.len() < BLOCK {
+            return;
+        }
+        let n = self.block.len() as f64;
+        let mut mean = [0.0; 3];
+        let mut time = 0.0;
+        for (at, rate) in self.block.drain(..) {
+            time += at.as_secs_f64() / n;
+            for (mean, value) in mean.iter_mut().zip(rate) {
+                *mean += value / n;
+            }
+        }
+        if let Some((before, rates)) = self.last {
+            let step = time - before;
+            // Blocks that do not follow each other say nothing about the slope.
+            if step > 0.0 && step < 0.2 {
+                let power: f64 = mean
+                    .iter()
+                    .zip(rates)
+                    .map(|(now, before)| ((now - before) / step).powi(2))
+                    .sum();
+                let noise = 3.0 * 2.0 * NOISE * NOISE / n / (step * step);
+                self.information += (power - noise).max(0.0) * n / (NOISE * NOISE);
+            }
+        }
+        self.last = Some((time, mean));
+    }
+
+    /// Expected 1-sigma of the offset from the motion so far, s.
+    #[must_use]
+    pub fn sigma_s(&self) -> Option<f64> {
+        // Below this there is no motion at all: a millisecond.
+        (self.information > 1e6).then(|| self.information.sqrt().recip())
+    }
+
+    fn twist(&self, length_s: f64, enough_us: f64) -> Twist {
+        let count = self.count.max(1) as f64;
+        let elapsed = self
+            .first
+            .map_or(0.0, |first| self.latest.as_secs_f64() - first.as_secs_f64());
+        Twist {
+            elapsed_s: elapsed,
+            length_s,
+            sigma_us: self.sigma_s().map(|sigma| sigma * 1e6),
+            enough_us,
+            rms: self.squares.map(|sum| (sum / count).sqrt()),
+        }
+    }
+}
+
+/// Times of the messages of one stream, to count them.
+#[derive(Clone, Debug, Default)]
+struct Rate(VecDeque<Ticks>);
+
+impl Rate {
+    fn add(&mut self, at: Ticks) {
+        self.0.push_back(at);
+        while self
+            .0
+            .front()
+            .is_some_and(|first| at.0.saturating_sub(first.0) > RATE_TIME)
+        {
+            self.0.pop_front();
+        }
+    }
+
+    fn per_second(&self, now: Ticks) -> f64 {
+        let recent = self
+            .0
+            .iter()
+            .filter(|at| now.0.saturating_sub(at.0) <= RATE_TIME)
+            .count();
+        match (self.0.front(), self.0.back()) {
+            (Some(first), Some(last)) if recent > 1 && last.0 > first.0 => {
+                (recent - 1) as f64 * f64::from(TICK_HZ) / (last.0 - first.0) as f64
+            }
+            _ => 0.0,
+        }
+    }
+}
+
+/// The latest state of everything.
+#[derive(Clone, Debug, Default)]
+pub struct Gauge {
+    /// What the session does.
+    pub state: String,
+    /// The board's ID.
+    pub board: String,
+    /// How often the link was lost.
+    pub reconnects: u32,
+    now: Ticks,
+    gyro: VecDeque<(Ticks, [f64; 3])>,
+    trigger: Trigger,
+    last_pulse: Option<Ticks>,
+    imu: Rate,
+    pulses: Rate,
+    captures: Rate,
+    load_percent: f64,
+    temperature: Option<f64>,
+    imu_running: Option<bool>,
+    losses: Losses,
+    dropped: Option<(u64, u64)>,
+    coach: Option<(Coach, f64, f64)>,
+    markers: VecDeque<(Ticks, String)>,
+    warnings: VecDeque<Warning>,
+    /// Outputs 2 to 4, then the lidar.
+    sensors: [Connected; 4],
+    phones: Vec<OtherPhone>,
+}
+
+/// Place of the lidar among the sensors.
+const LIDAR: usize = 3;
+
+/// Something on a further output.
+#[derive(Clone, Debug, Default)]
+struct Connected {
+    name: Option<String>,
+    rate: Rate,
+    state: Option<TrainState>,
+    pulse: Option<u64>,
+    late: u32,
+    utc: Option<i64>,
+}
+
+impl Connected {
+    /// What is shown of it, if there is anything to it.
+    fn shown(&self, place: usize, now: Ticks) -> Option<Sensor> {
+        let runs = self.state.is_some_and(|state| state != TrainState::Stopped);
+        if self.name.is_none() && self.pulse.is_none() && !runs {
+            return None;
+        }
+        let at = if place == LIDAR {
+            String::from("gnss")
+        } else {
+            format!("output {}", place + 2)
+        };
+        Some(Sensor {
+            name: self.name.clone().unwrap_or_else(|| at.clone()),
+            at,
+            state: self.state.map_or("", state_word).to_owned(),
+            rate: self.rate.per_second(now),
+            pulse: self.pulse,
+            late: self.late,
+            utc: self.utc,
+        })
+    }
+}
+
+const fn state_word(state: TrainState) -> &'static str {
+    match state {
+        TrainState::Stopped => "stopped",
+        TrainState::Running => "running",
+        TrainState::Slewing => "aligning",
+        TrainState::Waiting => "waiting",
+    }
+}
+
+impl Gauge {
+    /// What the sensors of a rig are called.
+    pub fn name_sensors(&mut self, profile: &Profile) {
+        for output in Output::ALL {
+            let number = output.number();
+            let sensor = profile
+                .outputs
+                .iter()
+                .find(|sensor| sensor.output == number);
+            self.sensor(output).name = sensor.map(|sensor| sensor.name.clone());
+        }
+        let lidar = profile.lidar.as_ref();
+        self.sensors[LIDAR].name = lidar.map(|lidar| lidar.name.clone());
+    }
+
+    fn sensor(&mut self, output: Output) -> &mut Connected {
+        &mut self.sensors[match output {
+            Output::Two => 0,
+            Output::Three => 1,
+            Output::Four => 2,
+        }]
+    }
+
+    /// What a session knows of its further phones by now.
+    pub fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
+        let now = timebase::BoardSeconds::from(self.now);
+        self.phones = phones
+            .iter()
+            .map(|phone| OtherPhone {
+                name: phone.name.clone(),
+                clock: phone.clock.as_ref().map(|clock| clock_at(clock, now)),
+                placement_us: phone
+                    .placement
+                    .map(|placed| (placed.offset_us, placed.offset_sigma_us)),
+            })
+            .collect();
+    }
+
+    /// A message of the board.
+    pub fn take(&mut self, message: &DeviceToHost, scale: Option<&Scale>) {
+        match message {
+            DeviceToHost::Imu(raw) => {
+                self.time(raw.at);
+                self.imu.add(raw.at);
+                if let Some(scale) = scale {
+                    self.sample(&scale.apply(raw));
+                }
+            }
+            DeviceToHost::Pulse(pulse) => {
+                self.time(pulse.at);
+                self.pulses.add(pulse.at);
+                self.trigger.pulse = Some(pulse.number);
+                self.trigger.readback_ns = pulse
+                    .readback
+                    .map(|ticks| f64::from(ticks) * 1e9 / f64::from(TICK_HZ));
+                self.last_pulse = Some(pulse.at);
+            }
+            DeviceToHost::Capture(capture) => {
+                self.time(capture.at);
+                self.captures.add(capture.at);
+            }
+            DeviceToHost::Status(status) => {
+                self.time(status.at);
+                self.load_percent = f64::from(status.cpu_permille) / 10.0;
+                self.imu_running = Some(status.imu.state == ImuState::Running);
+                let trigger = &status.trigger;
+                self.trigger.state = state_word(trigger.state).to_owned();
+                for (output, status) in Output::ALL.into_iter().zip(&status.outputs) {
+                    let sensor = self.sensor(output);
+                    sensor.state = Some(status.state);
+                    sensor.late = status.late;
+                }
+                let lidar = &mut self.sensors[LIDAR];
+                lidar.state = Some(status.gnss.state);
+                lidar.late = status.gnss.late.saturating_add(status.gnss.missed);
+                self.trigger.fps = (trigger.state != TrainState::Stopped)
+                    .then(|| trigger.period.as_secs_f64().recip());
+                self.trigger.readback_missing = trigger.readback.missing;
+                self.trigger.late = trigger.late;
+                if trigger.state == TrainState::Stopped {
+                    self.trigger.readback_ns = None;
+                }
+                let sum = status.dropped.total();
+                let first = self.dropped.map_or(sum, |(first, _)| first.min(sum));
+                self.dropped = Some((first, sum));
+            }
+            DeviceToHost::Hello(hello) => {
+                // After a reset of the board its time is an earlier one.
+                self.now = hello.now;
+            }
+            DeviceToHost::OutputPulse(OutputPulse { output, pulse }) => {
+                self.time(pulse.at);
+                let sensor = self.sensor(*output);
+                sensor.rate.add(pulse.at);
+                sensor.pulse = Some(pulse.number);
+            }
+            DeviceToHost::Pps(pps) => {
+                self.time(pps.at);
+                let lidar = &mut self.sensors[LIDAR];
+                lidar.rate.add(pps.at);
+                lidar.pulse = Some(lidar.pulse.map_or(1, |pulses| pulses.saturating_add(1)));
+                lidar.utc = Some(pps.utc);
+            }
+            DeviceToHost::Arrived(_)
+            | DeviceToHost::Answer(_)
+            | DeviceToHost::OutputArrived(_)
+            | DeviceToHost::Filler(_) => {}
+        }
+    }
+
+    fn time(&mut self, at: Ticks) {
+        self.now = self.now.max(at);
+    }
+
+    fn sample(&mut self, sample: &Sample) {
+        self.temperature = Some(sample.temperature);
+        if let Some((coach, ..)) = &mut self.coach {
+            coach.add(sample.at, sample.gyro);
+        }
+        if self
+            .gyro
+            .back()
+            .is_some_and(|(last, _)| sample.at.0.abs_diff(last.0) < POINT)
+        {
+            return;
+        }
+        self.gyro.push_back((sample.at, sample.gyro));
+        while self
+            .gyro
+            .front()
+            .is_some_and(|(first, _)| sample.at.0.abs_diff(first.0) > SHOWN)
+        {
+            self.gyro.pop_front();
+        }
+    }
+
+    /// Messages that are missing.
+    pub const fn lost(&mut self, count: u32) {
+        self.losses.messages = self.losses.messages.saturating_add(count as u64);
+    }
+
+    /// A damaged frame.
+    pub const fn damaged(&mut self) {
+        self.losses.damaged = self.losses.damaged.saturating_add(1);
+    }
+
+    /// What was lost is counted from here on.
+    pub fn start_counting(&mut self) {
+        self.losses = Losses::default();
+        self.dropped = None;
+    }
+
+    /// A mark of the user.
+    pub fn marker(&mut self, at: Ticks, label: &str) {
+        keep(&mut self.markers, (at, label.to_owned()));
+    }
+
+    /// Something went wrong. `kind` is its stable word.
+    pub fn warning(&mut self, kind: &str, text: &str) {
+        keep(
+            &mut self.warnings,
+            Warning {
+                at: self.now,
+                text: text.to_owned(),
+                todo: todo_for(kind),
+            },
+        );
+    }
+
+    /// A twist begins: so long in s, and what is enough in µs.
+    pub fn begin_twist(&mut self, length_s: f64, enough_us: f64) {
+        self.coach = Some((Coach::default(), length_s, enough_us));
+    }
+
+    /// It has ended.
+    pub fn end_twist(&mut self) {
+        self.coach = None;
+    }
+
+    /// The latest state, with what only the session knows.
+    #[must_use]
+    pub fn snapshot(&self, clock: Option<&ClockModel>, alignment: Option<&Alignment>) -> Snapshot {
+        let board_now = timebase::BoardSeconds::from(self.now);
+        let mut trigger = self.trigger.clone();
+        if let (Some(alignment), Some(at)) = (alignment, self.last_pulse)
+            && alignment.arrival.is_some_and(|arrival| at >= arrival)
+        {
+            let off = off_grid(alignment.anchor, Period(alignment.period_q32), at);
+            trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
+            trigger.phase_sigma_us = Some(phase_sigma_us_at(alignment, board_now));
+        }
+        let mut losses = self.losses;
+        losses.reconnects = self.reconnects;
+        losses.dropped = self.dropped.map_or(0, |(first, last)| last - first);
+        Snapshot {
+            state: self.state.clone(),
+            board: self.board.clone(),
+            now: self.now,
+            gyro: self
+                .gyro
+                .iter()
+                .map(|(at, rate)| (at.as_secs_f64(), *rate))
+                .collect(),
+            trigger,
+            clock: clock.map(|clock| clock_at(clock, board_now)),
+            sensors: (0..)
+                .zip(&self.sensors)
+                .filter_map(|(place, sensor)| sensor.shown(place, self.now))
+                .collect(),
+            phones: self.phones.clone(),
+            rates: Rates {
+                imu: self.imu.per_second(self.now),
+                pulses: self.pulses.per_second(self.now),
+                captures: self.captures.per_second(self.now),
+                load_percent: self.load_percent,
+                temperature: self.temperature,
+                imu_running: self.imu_running,
+            },
+            losses,
+            twist: self
+                .coach
+                .as_ref()
+                .map(|(coach, length, enough)| coach.twist(*length, *enough)),
+            markers: self.markers.iter().cloned().collect(),
+            warnings: self.warnings.iter().cloned().collect(),
+            ..Snapshot::default()
+        }
+    }
+}
+
+fn clock_at(clock: &ClockModel, now: timebase::BoardSeconds) -> Clock {
+    let offset = clock.offset_at(now);
+    Clock {
+        offset_s: offset.value,
+        sigma_us: offset.sigma * 1e6,
+        skew_ppm: clock.skew * 1e6,
+        age_s: now.0 - clock.reference.0,
+    }
+}
+
+fn keep<T>(list: &mut VecDeque<T>, item: T) {
+    list.push_back(item);
+    while list.len() > KEPT {
+        list.pop_front();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A hand's twist: a few rad/s about three axes.
+    fn twist(seconds: u32, scale: f64) -> Coach {
+        let mut coach = Coach::default();
+        for k in 0..seconds * 500 {
+            let t = f64::from(k) / 500.0;
+            let rate = [
+                scale * (7.0 * t).sin(),
+                scale * 0.7 * (5.0 * t).cos(),
+                scale * 0.4 * (9.0 * t).sin(),
+            ];
+            coach.add(Ticks(u64::from(k) * 96_000), rate);
+        }
+        coach
+    }
+
+    #[test]
+    fn the_expected_sigma_is_the_bound_and_falls_with_motion() {
+        // Mean of |ω′|²: half of the squares of amplitude times frequency.
+        let power =
+            0.5 * ((3.0 * 7.0_f64).powi(2) + (2.1 * 5.0_f64).powi(2) + (1.2 * 9.0_f64).powi(2));
+        let expected = NOISE / (power * 7.0 * 500.0).sqrt();
+        let sigma = twist(7, 3.0).sigma_s().unwrap();
+        assert!((sigma / expected - 1.0).abs() < 0.05, "{sigma} {expected}");
+        // A few µs, as the simulated twists of the sync bench give.
+        assert!((1e-6..4e-6).contains(&sigma), "{sigma}");
+        assert!(twist(2, 3.0).sigma_s().unwrap() > sigma);
+        assert!(twist(7, 0.3).sigma_s().unwrap() > 8.0 * sigma);
+    }
+
+    #[test]
+    fn rest_is_no_motion() {
+        let mut coach = Coach::default();
+        for k in 0..5_000_u64 {
+            // Noise of the size of the sensor's.
+            let noise = if k % 2 == 0 { 1e-3 } else { -1e-3 };
+            coach.add(Ticks(k * 96_000), [noise, -noise, noise]);
+        }
+        assert_eq!(coach.sigma_s(), None);
+        assert_eq!(coach.twist(7.0, 10.0).advice(), "twist faster");
+    }
+
+    #[test]
+    fn sensors_are_shown_by_name_once_there_is_something_to_them() {
+        let mut gauge = Gauge::default();
+        let pulse = |k: u64| {
+            DeviceToHost::OutputPulse(OutputPulse {
+                output: Output::Three,
+                pulse: protocol::Pulse {
+                    seq: k as u32,
+                    train: 1,
+                    number: k,
+                    at: Ticks(k * 9_600_000),
+                    aligned: true,
+                    readback: None,
+                },
+            })
+        };
+        for k in 0..11 {
+            gauge.take(&pulse(k), None);
+        }
+        let shown = |gauge: &Gauge| gauge.snapshot(None, None).sensors;
+        let sensors = shown(&gauge);
+        assert_eq!((sensors.len(), sensors[0].name.as_str()), (1, "output 3"));
+        assert!((sensors[0].rate - 5.0).abs() < 1e-9);
+        assert_eq!(sensors[0].pulse, Some(10));
+
+        let text = "[[outputs]]\noutput = 3\nname = \"side\"\nevery = 6\n\
+                    [lidar]\nname = \"VLP-16\"\n";
+        gauge.name_sensors(&Profile::parse(text, None).unwrap());
+        gauge.take(
+            &DeviceToHost::Pps(protocol::Pps {
+                seq: 0,
+                at: Ticks(96_000_000),
+                utc: 1_795_234_567,
+            }),
+            None,
+        );
+        let sensors = shown(&gauge);
+        let names: Vec<&str> = sensors.iter().map(|sensor| sensor.name.as_str()).collect();
+        assert_eq!(names, ["side", "VLP-16"]);
+        assert_eq!(
+            (sensors[0].at.as_str(), sensors[1].at.as_str()),
+            ("output 3", "gnss")
+        );
+        let utc = sensors[1].utc_text().unwrap();
+        assert_eq!(utc, "2026-11-21 04:16:07 UTC");
+    }
+
+    #[test]
+    fn rates_are_those_of_the_last_seconds() {
+        let mut rate = Rate::default();
+        for k in 0..3_000_u64 {
+            rate.add(Ticks(k * 96_000));
+        }
+        let now = Ticks(2_999 * 96_000);
+        assert!((rate.per_second(now) - 500.0).abs() < 0.01);
+        assert_eq!(rate.per_second(Ticks(now.0 + 10 * 48_000_000)), 0.0);
+    }
+}

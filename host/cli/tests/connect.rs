@@ -1,0 +1,178 @@
+//! The program as a process, against ports of all kinds: what `info` and
+//! `ports` print, and how each way to fail ends.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(unix)]
+
+mod support;
+
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt as _;
+use std::process::Command;
+
+use protocol::{DeviceToHost, HostToDevice, usb};
+use serde_json::Value;
+use support::{StandIn, code, frame, hello, polite, run, text};
+
+#[test]
+fn info_tells_who_the_board_is() {
+    let board = StandIn::new(polite);
+    let output = run(&["info", "--port", &board.path, "--json"]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    let info: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(info["board_id"], "AB0102030405060708090A0B");
+    assert_eq!(info["firmware_version"], "1.2.3");
+    assert_eq!(info["git_revision"], "0123456789ab");
+    assert_eq!(info["git_dirty"], true);
+    assert_eq!(info["now_ticks"], 4_320_000_000_u64);
+    assert_eq!(info["reset_cause"], "Watchdog");
+    assert_eq!(info["last_panic"], "trigger.rs:12: odd");
+
+    let output = run(&["info", "--port", &board.path]);
+    let printed = text(&output.stdout);
+    assert!(printed.contains("90.000000 s since reset"), "{printed}");
+    assert!(printed.contains("trigger.rs:12: odd"), "{printed}");
+}
+
+#[test]
+fn a_path_that_is_no_port_says_so() {
+    let missing = run(&["info", "--port", "/dev/ttyACM-not-there"]);
+    assert_eq!(code(&missing), 5);
+    assert!(text(&missing.stderr).contains("smartdepthsync ports"));
+
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let no_port = run(&["info", "--port", &file.path().to_string_lossy()]);
+    assert_eq!(code(&no_port), 8, "{no_port:?}");
+}
+
+#[test]
+fn a_silent_port_gives_no_answer() {
+    let silent = StandIn::new(|_: HostToDevice| Vec::new());
+    let output = run(&["info", "--port", &silent.path]);
+    assert_eq!(code(&output), 10);
+    assert!(text(&output.stderr).contains("reset button"));
+}
+
+#[test]
+fn another_device_is_not_this_board() {
+    let modem = StandIn::new(|_: HostToDevice| b"\r\nERROR\r\n\0".to_vec());
+    let output = run(&["info", "--port", &modem.path]);
+    assert_eq!(code(&output), 8);
+    assert!(text(&output.stderr).contains("not a SmartDepthSync board"));
+}
+
+#[test]
+fn another_protocol_version_says_how_to_flash() {
+    let newer = StandIn::new(|_: HostToDevice| {
+        let mut hello = hello();
+        hello.protocol_version = 900;
+        frame(&DeviceToHost::Hello(hello))
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("recordings");
+    let out = out.to_str().unwrap();
+    for arguments in [&["info"][..], &["record", "--yes", "--out", out]] {
+        let output = run(&[arguments, &["--port", &newer.path]].concat());
+        assert_eq!(code(&output), 9);
+        let told = text(&output.stderr);
+        assert!(told.contains("version 900"), "{told}");
+        assert!(told.contains("cargo run --release"), "{told}");
+    }
+    assert!(!folder.path().join("recordings").exists());
+}
+
+#[test]
+fn a_port_in_use_is_busy() {
+    let board = StandIn::new(polite);
+    let _holder = serialport::new(&board.path, 115_200).open().unwrap();
+    let output = run(&["info", "--port", &board.path, "--json"]);
+    assert_eq!(code(&output), 7, "{output:?}");
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(told["error"]["exit_code"], 7);
+    assert_eq!(told["error"]["name"], "Busy");
+    assert!(told["error"]["next_step"].is_string());
+}
+
+#[test]
+fn a_port_without_permission_names_the_udev_rule() {
+    let board = StandIn::new(polite);
+    std::fs::set_permissions(&board.path, Permissions::from_mode(0o000)).unwrap();
+    // Root may open anything, so root runs a copy of the program as nobody.
+    let place = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(place.path(), Permissions::from_mode(0o755)).unwrap();
+    let copy = place.path().join("smartdepthsync");
+    std::fs::copy(assert_cmd::cargo::cargo_bin!("smartdepthsync"), &copy).unwrap();
+    let mut command = if rustix::process::geteuid().is_root() {
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid", "65534", "--regid", "65534", "--clear-groups"]);
+        command.arg(copy);
+        command
+    } else {
+        Command::new(copy)
+    };
+    let output = command
+        .args(["info", "--port", &board.path])
+        .output()
+        .unwrap();
+    assert_eq!(code(&output), 6, "{output:?}");
+    assert!(text(&output.stderr).contains("60-smartdepthsync.rules"));
+}
+
+#[test]
+fn a_board_that_goes_away_while_watched_is_a_lost_link() {
+    let mut left = 2;
+    let board = StandIn::new(move |command: HostToDevice| {
+        left -= 1;
+        if left < 0 {
+            Vec::new()
+        } else {
+            polite(command)
+        }
+    });
+    let child = support::program(&["info", "--port", &board.path, "--watch", "1000"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    drop(board);
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(code(&output), 11, "{output:?}");
+    assert!(text(&output.stderr).contains("USB cable"));
+}
+
+#[test]
+fn ports_is_a_list_and_boards_has_its_own_code() {
+    let output = run(&["ports", "--json"]);
+    assert_eq!(code(&output), 0);
+    let ports: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let boards = ports["ports"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|port| port["board"] == true)
+        .count();
+    let output = run(&["ports", "--boards"]);
+    assert_eq!(code(&output), if boards == 0 { 5 } else { 0 });
+}
+
+#[test]
+fn a_wrong_command_line_has_the_code_of_usage() {
+    assert_eq!(code(&run(&[])), 2);
+    assert_eq!(code(&run(&["info", "--no-such-option"])), 2);
+    assert_eq!(code(&run(&["--version"])), 0);
+    assert_eq!(code(&run(&["help", "info"])), 0);
+}
+
+#[test]
+fn the_udev_rule_names_this_board() {
+    let rule = include_str!("../../udev/60-smartdepthsync.rules");
+    let rule: Vec<&str> = rule.lines().filter(|line| !line.starts_with('#')).collect();
+    assert_eq!(rule.len(), 1);
+    for part in [
+        format!("ATTRS{{idVendor}}==\"{:04x}\"", usb::VENDOR_ID),
+        format!("ATTRS{{idProduct}}==\"{:04x}\"", usb::PRODUCT_ID),
+        format!("ATTRS{{product}}==\"{}\"", usb::PRODUCT),
+    ] {
+        assert!(rule[0].contains(&part), "the rule lacks {part}");
+    }
+}

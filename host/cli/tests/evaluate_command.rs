@@ -1,0 +1,311 @@
+//! `smartdepthsync evaluate` as a process: files in, JSON and pictures out.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use evaluate::train::{Shape, TrainGeometry, row_light};
+use serde_json::Value;
+
+#[path = "support/browser.rs"]
+mod browser;
+#[path = "support/objects.rs"]
+mod objects;
+
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+}
+
+/// Frames of 64 columns and 1,080 rows of 10.2 µs; the first three without flashes.
+fn frames(folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
+    frames_of(12, folder, bias_us, flash)
+}
+
+/// The same, so many.
+fn frames_of(count: u32, folder: &Path, bias_us: f64, flash: f64) -> PathBuf {
+    std::fs::create_dir_all(folder).unwrap();
+    let shape = Shape {
+        bias_us,
+        row_time_us: 10.2,
+        exposure_us: 250.0,
+    };
+    for frame in 0..count {
+        let image = image::GrayImage::from_fn(64, 1080, |x, y| {
+            let light = row_light(&TrainGeometry::NFOV, &shape, f64::from(y) - 539.5).value;
+            let lit = if frame < 3 { 0.0 } else { flash * light };
+            // Differs from pixel to pixel, so that rounding averages out.
+            let mixed = (x * 7919 + y * 104_729 + frame * 1_299_709).wrapping_mul(2_654_435_761);
+            let noise = f64::from(mixed >> 16) / 65_536.0 * 4.0;
+            image::Luma([(30.0 + lit + noise) as u8])
+        });
+        // One frame each 33.3 ms, named by its time.
+        let name = format!(
+            "{}.pgm",
+            5_000_000_000_000u64 + u64::from(frame) * 33_333_333
+        );
+        image.save(folder.join(name)).unwrap();
+    }
+    folder.to_owned()
+}
+
+struct Ran {
+    code: i32,
+    out: String,
+    err: String,
+}
+
+fn run(args: &[&str]) -> Ran {
+    let output = program().args(args).output().unwrap();
+    Ran {
+        code: output.status.code().unwrap(),
+        out: String::from_utf8(output.stdout).unwrap(),
+        err: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+#[test]
+fn precision_of_image_folders_with_all_outputs() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let inputs: Vec<String> = [("a", 100.0), ("b", 104.0), ("c", 98.0)]
+        .iter()
+        .map(|(name, bias)| {
+            let folder = frames(&dir.path().join(name), *bias, 40.0);
+            folder.to_str().unwrap().to_owned()
+        })
+        .collect();
+    let (plot, html) = (path("plot.svg"), path("report.html"));
+    let mut args = vec!["--json", "evaluate", "precision", "--method", "paper"];
+    args.extend(["--plot", &plot, "--report", &html]);
+    args.extend(inputs.iter().map(String::as_str));
+    let ran = run(&args);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let json: Value = serde_json::from_str(&ran.out).unwrap();
+    objects::check("evaluate precision", &[&json]);
+    for (recording, truth) in json["recordings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .zip([100.0, 104.0, 98.0])
+    {
+        let bias = recording["bias_us"].as_f64().unwrap();
+        assert!((bias - truth).abs() < 0.3, "{recording}");
+        assert_eq!(recording["frames"]["without_flashes"], 3);
+        assert_eq!(recording["frames"]["used"], 9);
+        assert!(recording["paper"]["bias_us"].is_number());
+    }
+    let mean = json["bias"]["mean_us"].as_f64().unwrap();
+    assert!((mean - 302.0 / 3.0).abs() < 0.2, "{mean}");
+    assert!((json["bias"]["iqr_us"].as_f64().unwrap() - 3.0).abs() < 0.3);
+    let row_time = json["row_time_us"].as_f64().unwrap();
+    assert!((row_time / 10.2 - 1.0).abs() < 1e-3);
+    assert!(json["timing"]["waiting_for_input_s"].as_f64().unwrap() >= 0.0);
+    let svg = std::fs::read_to_string(&plot).unwrap();
+    assert!(svg.contains("Bias over 3 launches"));
+    browser::check(
+        Path::new(&html),
+        "evaluate",
+        &[
+            "data:image/png;base64,",
+            "flash 5, row ",
+            "after the middle of the phone",
+        ],
+    );
+
+    let text = run(&["evaluate", "precision", &inputs[0]]);
+    assert_eq!(text.code, 0);
+    assert!(
+        text.out.contains("bias") && text.out.contains("row time"),
+        "{}",
+        text.out
+    );
+    assert!(
+        text.out.contains("open: the frames do not show"),
+        "{}",
+        text.out
+    );
+}
+
+#[test]
+fn calibration_adds_to_what_was_applied_and_refuses_the_open() {
+    let dir = tempfile::tempdir().unwrap();
+    let profile = dir.path().join("rig.toml");
+    std::fs::write(
+        &profile,
+        "# rig\n[frame_sync]\nbias_us = -4000.0 # first guess\n",
+    )
+    .unwrap();
+    let profile = profile.to_str().unwrap();
+    let read = || -> toml::Table { std::fs::read_to_string(profile).unwrap().parse().unwrap() };
+
+    // The train's ends are out of view.
+    let open = frames(&dir.path().join("open"), 12.0, 40.0);
+    let open = open.to_str().unwrap();
+    let ran = run(&["evaluate", "precision", "--calibrate", profile, open]);
+    assert_eq!(ran.code, 3, "{}", ran.err);
+    assert!(ran.err.contains("--near"), "{}", ran.err);
+    assert_eq!(read()["frame_sync"]["bias_us"].as_float(), Some(-4000.0));
+    // Known to half a pitch: accepted.
+    let ran = run(&[
+        "evaluate",
+        "precision",
+        "--near",
+        "0",
+        "--applied-bias",
+        "7.5",
+        "--calibrate",
+        profile,
+        open,
+    ]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let bias = read()["frame_sync"]["bias_us"].as_float().unwrap();
+    assert!((bias - 19.5).abs() < 0.3, "{bias}");
+
+    // With an end in view the frames say it themselves; the profile's bias was applied.
+    let moved = frames(&dir.path().join("moved"), 4012.0, 40.0);
+    let ran = run(&[
+        "evaluate",
+        "precision",
+        "--calibrate",
+        profile,
+        moved.to_str().unwrap(),
+    ]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let table = &read()["frame_sync"];
+    let bias = table["bias_us"].as_float().unwrap();
+    assert!((bias - 4031.5).abs() < 0.5, "{bias}");
+    assert!(table["bias_sigma_us"].as_float().unwrap() < 0.5);
+    assert!(table["bias_measured"].as_datetime().is_some());
+    let text = std::fs::read_to_string(profile).unwrap();
+    assert!(text.starts_with("# rig\n") && text.contains("# first guess"));
+
+    // A profile that is not there is found out before the work.
+    let ran = run(&["evaluate", "precision", "--calibrate", "none.toml", open]);
+    assert_ne!(ran.code, 0);
+    assert!(ran.err.contains("none.toml"), "{}", ran.err);
+}
+
+#[test]
+fn drift_of_an_image_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = frames(dir.path(), -50.0, 40.0);
+    // Nine frames with flashes are too few for a line.
+    let ran = run(&["evaluate", "drift", folder.to_str().unwrap()]);
+    assert_eq!(ran.code, 3, "{}", ran.err);
+    assert!(ran.err.contains("at least 10"), "{}", ran.err);
+
+    let more = frames_of(20, &dir.path().join("more"), -50.0, 40.0);
+    let ran = run(&["--json", "evaluate", "drift", more.to_str().unwrap()]);
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    let json: Value = serde_json::from_str(&ran.out).unwrap();
+    objects::check("evaluate drift", &[&json]);
+    // All frames are alike.
+    let drift = json["drift_us_per_min"].as_f64().unwrap();
+    assert!(drift.abs() < 100.0, "{json:#}");
+}
+
+#[test]
+fn wrong_command_lines_and_inputs_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let empty = dir.path().to_str().unwrap();
+    for (args, code, words) in [
+        (vec!["evaluate", "precision"], 2, "VIDEO_OR_FRAMES"),
+        (
+            vec!["evaluate", "precision", "--train", "x", empty],
+            2,
+            "nfov",
+        ),
+        (
+            vec!["evaluate", "precision", "--rotation", "45", empty],
+            2,
+            "90",
+        ),
+        (
+            vec!["evaluate", "precision", "--region", "1,2", empty],
+            2,
+            "X,Y",
+        ),
+        (
+            vec!["evaluate", "drift", "--from", "3", "--to", "2", empty],
+            2,
+            "before the end",
+        ),
+        (
+            vec!["evaluate", "drift", "--row-time", "nan", empty],
+            2,
+            "row time",
+        ),
+        (vec!["evaluate", "precision", empty], 13, "no images"),
+        (
+            vec!["evaluate", "precision", "no such file"],
+            13,
+            "no such file",
+        ),
+    ] {
+        let ran = run(&args);
+        assert_eq!(ran.code, code, "{args:?}: {}", ran.err);
+        assert!(ran.err.contains(words), "{args:?}: {}", ran.err);
+    }
+    let video = dir.path().join("v.mp4");
+    std::fs::write(&video, "x").unwrap();
+    let output = program()
+        .args(["evaluate", "precision"])
+        .arg(&video)
+        .env("PATH", "")
+        .output()
+        .unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    assert!(err.contains("apt install ffmpeg"), "{err}");
+}
+
+/// 4K at 60 frames per second: a clear answer, and memory that does not grow with
+/// the video.
+#[test]
+#[cfg(target_os = "linux")]
+fn four_k_sixty_in_bounded_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let video = dir.path().join("4k60.mp4");
+    let made = Command::new("ffmpeg")
+        .args(["-v", "error", "-f", "lavfi", "-i"])
+        .arg("color=c=gray:s=3840x2160:r=60:d=1.5,noise=alls=8:allf=t")
+        .args([
+            "-c:v",
+            "libx264",
+            "-preset",
+            "ultrafast",
+            "-pix_fmt",
+            "yuv420p",
+        ])
+        .arg(&video)
+        .status()
+        .expect("ffmpeg, which the project's test command installs");
+    assert!(made.success());
+    let mut child = program()
+        .args(["evaluate", "precision"])
+        .arg(&video)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak_kib = 0u64;
+    while child.try_wait().unwrap().is_none() {
+        let text = std::fs::read_to_string(&status).unwrap_or_default();
+        let now = text
+            .lines()
+            .find_map(|l| l.strip_prefix("VmHWM:"))
+            .and_then(|l| l.trim().trim_end_matches(" kB").parse().ok());
+        peak_kib = peak_kib.max(now.unwrap_or(0));
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let output = child.wait_with_output().unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    println!("peak {peak_kib} KiB");
+    assert_eq!(output.status.code(), Some(3), "{err}");
+    assert!(
+        err.contains("no strobe flashes in any of 90 frames"),
+        "{err}"
+    );
+    assert!((1..100 * 1024).contains(&peak_kib), "peak {peak_kib} KiB");
+}

@@ -1,0 +1,232 @@
+//! `smartdepthsync extract` as a process: exit codes, output, the video by ffmpeg.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use board::imu::Sample;
+use protocol::{ImuFlags, Pulse, Ticks};
+use recording::profile::{DEFAULT, Profile};
+use recording::session_file::SessionFile;
+use recording::writer::Writer;
+use serde_json::Value;
+use timebase::BoardSeconds;
+use twist_sync::{ClockModel, Wander};
+
+const TICK: u64 = 48_000_000;
+/// Phone − board, s; without any skew.
+const OFFSET: i64 = 900_000;
+const PERIOD_NS: i64 = 33_333_333;
+
+/// A recording of three seconds with pulses, samples at rest and a session.
+fn recording(parent: &Path) -> PathBuf {
+    let folder = parent.join("walk");
+    fs::create_dir(&folder).unwrap();
+    let mut writer = Writer::create(&folder).unwrap();
+    for number in 0..90_u64 {
+        let at = Ticks(TICK + number * 1_600_000);
+        writer
+            .pulse(
+                &Pulse {
+                    seq: number as u32,
+                    train: 1,
+                    number,
+                    at,
+                    aligned: true,
+                    readback: None,
+                },
+                None,
+            )
+            .unwrap();
+        for sample in 0..16 {
+            writer
+                .imu(&Sample {
+                    at: Ticks(at.0 + sample * 96_000),
+                    flags: ImuFlags::default(),
+                    gyro: [0.001, 0.002, -0.003],
+                    accel: [0.0, 0.0, 9.81],
+                    temperature: 36.5,
+                })
+                .unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    let mut session = SessionFile::new("walk".into(), Profile::published().unwrap());
+    session.clock = Some(ClockModel {
+        reference: BoardSeconds(2.0),
+        offset: OFFSET as f64,
+        skew: 0.0,
+        covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+        wander: Wander::default(),
+    });
+    session.save(&folder).unwrap();
+    folder
+}
+
+/// The phone's video of `frames` frames, and `rows` timestamps.
+fn phone(folder: &Path, frames: u32, rows: i64) {
+    let place = folder.join("phone/20260131_140327");
+    fs::create_dir_all(&place).unwrap();
+    let name = "VID_20260131_140327";
+    let made = Command::new("ffmpeg")
+        .args([
+            "-v",
+            "error",
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc2=size=64x48:rate=30",
+        ])
+        .args(["-frames:v", &frames.to_string(), "-pix_fmt", "yuv420p"])
+        .arg(folder.join(format!("phone/{name}.mp4")))
+        .status()
+        .expect("this test needs ffmpeg: sudo apt-get install ffmpeg");
+    assert!(made.success());
+    let stamps: String = (0..rows)
+        .map(|row| format!("{}\n", (OFFSET + 1) * 1_000_000_000 + row * PERIOD_NS))
+        .collect();
+    fs::write(place.join(format!("{name}_timestamps.csv")), stamps).unwrap();
+}
+
+fn extract(arguments: &[&str], folder: &Path, path: Option<&str>) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
+    command.arg("extract").arg(folder).args(arguments);
+    if let Some(path) = path {
+        command.env("PATH", path);
+    }
+    command.output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
+        panic!(
+            "{error}: {}{}",
+            String::from_utf8_lossy(&output.stdout),
+            String::from_utf8_lossy(&output.stderr)
+        )
+    })
+}
+
+fn losses(report: &Value) -> String {
+    report["losses"].to_string()
+}
+
+#[test]
+fn a_video_becomes_images_named_by_board_time() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = recording(parent.path());
+    phone(&folder, 60, 60);
+    let output = extract(&["--json"], &folder, None);
+    // There is neither depth nor a gyroscope of the phone: finished, with loss.
+    assert_eq!(output.status.code(), Some(4), "{output:?}");
+    let report = json(&output);
+    assert_eq!(report["phone"]["images"], 60);
+    assert!(
+        !losses(&report).contains("\"video\""),
+        "{}",
+        losses(&report)
+    );
+    assert_eq!(report["clock"]["source"], "session");
+    assert_eq!(report["board"]["imu"]["samples"], 90 * 16);
+
+    let out = parent.path().join("walk-euroc/mav0/cam0");
+    let list = fs::read_to_string(out.join("data.csv")).unwrap();
+    let rows: Vec<&str> = list.lines().skip(1).collect();
+    assert_eq!(rows.len(), 60);
+    // Half of the profile's exposure and readout behind the timestamp.
+    let middle = (10_000_000 + 11_006_000) / 2;
+    for (index, row) in (0..).zip(&rows) {
+        let expected = 1_000_000_000 + index * PERIOD_NS + middle;
+        assert_eq!(*row, format!("{expected},{expected}.png"));
+        let image = fs::read(out.join("data").join(format!("{expected}.png"))).unwrap();
+        assert_eq!(&image[..8], b"\x89PNG\r\n\x1a\n");
+        let size = |at: usize| u32::from_be_bytes(image[at..at + 4].try_into().unwrap());
+        assert_eq!((size(16), size(20)), (64, 48));
+    }
+    let html = fs::read_to_string(parent.path().join("walk-euroc/report.html")).unwrap();
+    assert!(html.contains("Something is missing or damaged"));
+
+    // Again: the same, at once. In another format into the same folder: refused.
+    let again = extract(&["--json"], &folder, None);
+    assert_eq!(json(&again), report);
+    let out = parent.path().join("walk-euroc");
+    let mixed = extract(
+        &["--format", "tum", "--out", out.to_str().unwrap()],
+        &folder,
+        None,
+    );
+    assert_eq!(mixed.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&mixed.stderr).contains("other options"));
+}
+
+#[test]
+fn a_video_short_of_frames_is_said() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = recording(parent.path());
+    phone(&folder, 58, 60);
+    let report = json(&extract(&["--json", "--format", "topics"], &folder, None));
+    assert_eq!(report["phone"]["images"], 58);
+    let said = losses(&report);
+    assert!(
+        said.contains("58 frames") && said.contains("60 timestamps"),
+        "{said}"
+    );
+}
+
+#[test]
+fn without_ffmpeg_everything_else_is_there() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = recording(parent.path());
+    phone(&folder, 30, 30);
+    let nowhere = parent.path().join("nowhere");
+    let output = extract(&["--json"], &folder, nowhere.to_str());
+    assert_eq!(output.status.code(), Some(4), "{output:?}");
+    let report = json(&output);
+    assert!(
+        losses(&report).contains("ffmpeg is needed"),
+        "{}",
+        losses(&report)
+    );
+    let out = parent.path().join("walk-euroc");
+    assert!(out.join("mav0/imu0/data.csv").exists());
+    assert!(out.join("phone_frames.csv").exists());
+    assert!(!out.join("mav0/cam0").exists());
+    // With ffmpeg again, the next run completes it.
+    let report = json(&extract(&["--json"], &folder, None));
+    assert_eq!(report["phone"]["images"], 30);
+    assert!(out.join("mav0/cam0/data.csv").exists());
+}
+
+#[test]
+fn what_is_no_recording_is_said() {
+    let parent = tempfile::tempdir().unwrap();
+    let empty = parent.path().join("empty");
+    fs::create_dir(&empty).unwrap();
+    let output = extract(&[], &empty, None);
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        said.contains("expected a folder with recording.mcap"),
+        "{said}"
+    );
+    let file = parent.path().join("broken.mcap");
+    fs::write(&file, "this is no recording at all").unwrap();
+    let output = extract(&[], &file, None);
+    assert_eq!(output.status.code(), Some(13), "{output:?}");
+    let output = extract(&[], &parent.path().join("nothing"), None);
+    assert_eq!(output.status.code(), Some(13), "{output:?}");
+}
+
+#[test]
+fn learning_needs_more_than_a_twist() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = recording(parent.path());
+    phone(&folder, 30, 30);
+    let profile = parent.path().join("rig.toml");
+    fs::write(&profile, DEFAULT).unwrap();
+    let output = extract(&["--learn", profile.to_str().unwrap()], &folder, None);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    assert!(String::from_utf8_lossy(&output.stderr).contains("from session"));
+    assert_eq!(fs::read_to_string(&profile).unwrap(), DEFAULT);
+}

@@ -1,0 +1,77 @@
+//! The report of a recording, opened in a browser.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::process::Command;
+
+use board::session::{StreamCount, StreamCounts};
+use protocol::Ticks;
+use recording::session_file::{Marker, Problem, SessionFile, SessionOutcome, Span, Twist};
+
+#[path = "support/browser.rs"]
+mod browser;
+mod synthetic;
+
+use synthetic::{SECONDS, Wrong, make};
+
+#[test]
+fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    let mut session = SessionFile::load(&folder).unwrap();
+    let clock = session.alignment.unwrap().clock;
+    session.clock = Some(clock);
+    session.twists.push(Twist {
+        phone_gyro: Some(String::from("twist_1_phone_gyro.csv")),
+        span: Span {
+            from: Ticks(48_000_000),
+            to: Ticks(48_000_000 * 8),
+        },
+        accepted: true,
+        clock: Some(clock),
+        offset_sigma_us: Some(2.4),
+        skew_sigma_ppm: Some(0.98),
+        report: serde_json::Value::Null,
+    });
+    session.counts = StreamCounts {
+        pulses: StreamCount {
+            received: SECONDS * 30,
+            lost: 0,
+        },
+        imu: StreamCount {
+            received: SECONDS * 500,
+            lost: 2,
+        },
+        ..StreamCounts::default()
+    };
+    session.outcome = Some(SessionOutcome::Loss);
+    session.problems.push(Problem {
+        at: Ticks(48_000_000 * 5),
+        kind: String::from("imu_gap"),
+        text: String::from("2 IMU samples lost <b>here</b>"),
+    });
+    session.markers.push(Marker {
+        at: Ticks(48_000_000 * 4),
+        label: String::from("a door that has a very long name, as people write them"),
+    });
+    session.save(&folder).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(["--json", "report"])
+        .arg(&folder)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let written: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(written["verdict"].as_str().unwrap().contains("2 messages"));
+    browser::check(
+        &folder.join("report.html"),
+        "record",
+        &[
+            "With remarks",
+            "2 IMU samples lost &lt;b&gt;here&lt;/b&gt;",
+            "off the grid, ticks",
+            "rad/s",
+            "a door that has a very long name",
+            "frame_sync.bias_us",
+        ],
+    );
+}

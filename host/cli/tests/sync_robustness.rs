@@ -1,0 +1,457 @@
+//! The clock estimate on faulty, odd and hopeless streams: whatever is wrong with
+//! them, a result is either right within its sigma or refused.
+//!
+//! Each case takes a simulated twist and damages it in one way. What must be
+//! refused is refused always; of the rest none may be wrong by more than 5.5
+//! of its own sigmas, and those marked so must be accepted every time.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use rayon::prelude::*;
+use twist_sync::simulate::{self, MCU, Motion, PHONE, Sensor, Twist, TwistSpec};
+use twist_sync::spline::Spline;
+use twist_sync::{GyroTrack, Options, estimate_offset};
+
+/// Twists per case.
+const TRIALS: u64 = 5;
+/// An error beyond so many sigmas is wrong.
+const WRONG: f64 = 5.5;
+
+/// What has to come of a case.
+#[derive(Clone, Copy, PartialEq, Debug)]
+enum Expect {
+    Accepted,
+    /// Accepted or refused, but not wrong.
+    Either,
+    Refused,
+}
+use Expect::{Accepted, Either, Refused};
+
+type Damage = Box<dyn Fn(&mut Twist, u64) + Sync>;
+
+struct Case {
+    name: &'static str,
+    spec: TwistSpec,
+    damage: Damage,
+    expect: Expect,
+}
+
+/// A twist of the base scenario with damage.
+fn damaged(
+    name: &'static str,
+    expect: Expect,
+    damage: impl Fn(&mut Twist, u64) + Sync + 'static,
+) -> Case {
+    Case {
+        name,
+        spec: TwistSpec::default(),
+        damage: Box::new(damage),
+        expect,
+    }
+}
+
+/// Another twist than that of the base scenario.
+fn other(name: &'static str, expect: Expect, change: fn(&mut TwistSpec)) -> Case {
+    let mut spec = TwistSpec::default();
+    change(&mut spec);
+    Case {
+        name,
+        spec,
+        damage: Box::new(|_, _| {}),
+        expect,
+    }
+}
+
+/// A number in [0, 1) that is the same for the same key.
+fn random(key: u64) -> f64 {
+    let mut x = key.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    x ^= x >> 29;
+    x = x.wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    x ^= x >> 32;
+    (x % 1_000_003) as f64 / 1_000_003.0
+}
+
+/// Gives the chosen samples the content of another time, `by_s` earlier.
+fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
+    let spline = Spline::interpolate(&track.t, &track.w, 5).unwrap();
+    for k in 3..track.t.len() - 3 {
+        if chosen(k) {
+            track.w[k] = spline.value(track.t[k] - by_s);
+        }
+    }
+}
+
+/// Every `period`th sample of the phone belongs to another time.
+fn class(name: &'static str, expect: Expect, period: usize, by_s: f64) -> Case {
+    damaged(name, expect, move |twist, seed| {
+        displace(&mut twist.phone, by_s, |k| {
+            k % period == seed as usize % period
+        });
+    })
+}
+
+/// The phone's stamps are off by `by_s` in this part of the recording.
+fn step(name: &'static str, expect: Expect, from: f64, to: f64, by_s: f64) -> Case {
+    damaged(name, expect, move |twist, _| {
+        let n = twist.phone.len() as f64;
+        for t in &mut twist.phone.t[(n * from) as usize..(n * to) as usize] {
+            *t += by_s;
+        }
+    })
+}
+
+/// The phone's rates are changed, sample by sample.
+fn rates(
+    name: &'static str,
+    expect: Expect,
+    change: impl Fn(&mut [f64; 3], f64) + Sync + 'static,
+) -> Case {
+    damaged(name, expect, move |twist, _| {
+        for (w, t) in twist.phone.w.iter_mut().zip(&twist.phone.t) {
+            change(w, *t);
+        }
+    })
+}
+
+fn displaced_and_copied() -> Vec<Case> {
+    vec![
+        class("every 7th sample by 0.9 ms", Accepted, 7, 0.9e-3),
+        class("every 16th sample by -1.1 ms", Accepted, 16, -1.1e-3),
+        class("every 5th sample by 1 ms", Accepted, 5, 1e-3),
+        class("every 4th sample by 1 ms", Accepted, 4, 1e-3),
+        class("every 3rd sample by 1 ms", Accepted, 3, 1e-3),
+        class("every 100th sample by 1 ms", Accepted, 100, 1e-3),
+        // Which half is right, nobody can say.
+        class("every other sample by 1 ms", Refused, 2, 1e-3),
+        class("every other sample by 0.3 ms", Refused, 2, 0.3e-3),
+        damaged("two neighbours of ten by 1 ms", Accepted, |twist, seed| {
+            displace(&mut twist.phone, 1e-3, |k| (k + seed as usize) % 10 < 2);
+        }),
+        damaged("every 10.37th sample by 1 ms", Accepted, |twist, seed| {
+            displace(&mut twist.phone, 1e-3, |k| {
+                ((k as f64 + seed as f64) / 10.37).fract() < 0.0965
+            });
+        }),
+        damaged("5 % at random by 1 ms", Accepted, |twist, seed| {
+            displace(&mut twist.phone, 1e-3, |k| {
+                random(k as u64 * 977 + seed) < 0.05
+            });
+        }),
+        damaged("10 % at random are copies", Accepted, |twist, seed| {
+            for k in 1..twist.phone.len() {
+                if random(k as u64 * 977 + seed) < 0.10 {
+                    twist.phone.w[k] = twist.phone.w[k - 1];
+                }
+            }
+        }),
+        damaged("every 10th copies the next", Accepted, |twist, seed| {
+            for k in (seed as usize % 10..twist.phone.len() - 1).step_by(10) {
+                twist.phone.w[k] = twist.phone.w[k + 1];
+            }
+        }),
+        damaged("each sample twice", Accepted, |twist, _| {
+            for k in 0..twist.phone.len() {
+                twist.phone.w[k] = twist.phone.w[k - k % 2];
+            }
+        }),
+        damaged("each sample three times", Accepted, |twist, _| {
+            for k in 0..twist.phone.len() {
+                twist.phone.w[k] = twist.phone.w[k - k % 3];
+            }
+        }),
+        other("faulty board stream", Accepted, |s| {
+            s.mcu.faulty = true;
+            s.mcu.sawtooth_s = Some((57e-6, 1.1));
+        }),
+        other("both streams faulty", Accepted, |s| {
+            s.mcu.faulty = true;
+            s.phone.faulty = true;
+        }),
+    ]
+}
+
+fn timestamps() -> Vec<Case> {
+    let every_tenth = |by_s: f64| {
+        move |twist: &mut Twist, seed: u64| {
+            for t in twist
+                .phone
+                .t
+                .iter_mut()
+                .skip(seed as usize % 10)
+                .step_by(10)
+            {
+                *t += by_s;
+            }
+        }
+    };
+    vec![
+        damaged("every 10th stamp +1 ms", Accepted, every_tenth(1e-3)),
+        damaged("every 10th stamp -1.2 ms", Accepted, every_tenth(-1.2e-3)),
+        step("step of 5 ms at 70 %", Accepted, 0.7, 1.0, 5e-3),
+        step("step of 1 ms at 75 %", Accepted, 0.75, 1.0, 1e-3),
+        step("step of 30 ms at 80 %", Either, 0.8, 1.0, 30e-3),
+        step("step of 100 ms in the middle", Refused, 0.5, 1.0, 0.1),
+        step("step of 1 ms in the middle", Refused, 0.5, 1.0, 1e-3),
+        step("step of 0.3 ms in the middle", Refused, 0.5, 1.0, 0.3e-3),
+        step("block off by 3 ms", Accepted, 0.4, 0.55, 3e-3),
+        damaged(
+            "five short blocks off by 1.5 ms",
+            Accepted,
+            |twist, seed| {
+                for j in 0..5 {
+                    let from = (random(seed * 5 + j) * 4000.0) as usize + 200;
+                    for t in twist.phone.t.iter_mut().skip(from).take(20) {
+                        *t += 1.5e-3;
+                    }
+                }
+            },
+        ),
+        damaged("stamps with 0.3 ms of noise", Accepted, |twist, seed| {
+            for (k, t) in twist.phone.t.iter_mut().enumerate() {
+                *t += (random(k as u64 + seed * 10_007) - 0.5) * 1e-3;
+            }
+        }),
+        other("samples with 0.3 ms of jitter", Accepted, |s| {
+            s.phone.jitter_s = 0.3e-3;
+        }),
+        other("sawtooth and jitter", Accepted, |s| {
+            s.phone.jitter_s = 20e-6;
+            s.phone.sawtooth_s = Some((57e-6, 0.5));
+        }),
+        other("sawtooth of 0.05 s", Accepted, |s| {
+            s.phone.sawtooth_s = Some((57e-6, 0.05));
+        }),
+        other("sawtooth of 3.3 s", Accepted, |s| {
+            s.phone.sawtooth_s = Some((57e-6, 3.3));
+        }),
+        other("sawtooth of 7 s", Accepted, |s| {
+            s.phone.sawtooth_s = Some((57e-6, 7.0));
+        }),
+    ]
+}
+
+fn sensors() -> Vec<Case> {
+    let clipped = Some(4.363);
+    vec![
+        other("phone at 100 Hz", Accepted, |s| s.phone.rate_hz = 100.0),
+        other("1 kHz and 200 Hz", Accepted, |s| {
+            s.mcu.rate_hz = 1000.0;
+            s.phone.rate_hz = 200.0;
+        }),
+        other("five times the noise", Accepted, |s| {
+            s.mcu.noise = 7e-3;
+            s.phone.noise = 6e-3;
+        }),
+        other("filters of 188 and 20 Hz", Accepted, |s| {
+            s.mcu.filter_hz = Some(188.0);
+            s.phone.filter_hz = Some(20.0);
+        }),
+        other("20 % lost", Accepted, |s| s.phone.lost = 0.2),
+        Case {
+            name: "both clipped hard",
+            spec: TwistSpec {
+                motion: Motion::Twist(8.0, 10.0),
+                mcu: Sensor {
+                    range: clipped,
+                    ..MCU
+                },
+                phone: Sensor {
+                    range: clipped,
+                    ..PHONE
+                },
+                ..TwistSpec::default()
+            },
+            damage: Box::new(|_, _| {}),
+            expect: Accepted,
+        },
+        other("clipped, one axis", Accepted, |s| {
+            s.motion = Motion::SingleAxis(5.0, 8.0);
+            s.mcu.range = Some(4.363);
+        }),
+        Case {
+            name: "clipped before the noise",
+            spec: TwistSpec {
+                motion: Motion::Twist(5.0, 7.0),
+                mcu: Sensor {
+                    range: clipped,
+                    lsb: 0.0,
+                    ..MCU
+                },
+                ..TwistSpec::default()
+            },
+            damage: Box::new(|twist, seed| {
+                for (k, w) in twist.mcu.w.iter_mut().enumerate() {
+                    for (axis, rate) in w.iter_mut().enumerate() {
+                        *rate += 2e-3 * (random((k * 3 + axis) as u64 + seed * 7919) - 0.5);
+                    }
+                }
+            }),
+            expect: Either,
+        },
+        other("coarse steps of the values", Accepted, |s| {
+            s.mcu.lsb = 5e-3;
+            s.phone.lsb = 8.7e-3;
+        }),
+        rates("large bias", Accepted, |w, _| {
+            w[0] += 0.3;
+            w[1] -= 0.2;
+        }),
+        rates("bias that drifts", Accepted, |w, t| w[0] += 0.01 * t / 9.0),
+        rates("mirrored axis", Accepted, |w, _| w[2] = -w[2]),
+        rates("scale off by 5 %", Accepted, |w, _| {
+            *w = w.map(|x| 1.05 * x)
+        }),
+        rates("not linear by 0.5 %", Accepted, |w, _| {
+            *w = w.map(|x| x * (1.0 + 0.005 * x.abs() / 4.0));
+        }),
+        damaged("forty spikes", Accepted, |twist, seed| {
+            for j in 0..40 {
+                let k = (random(seed * 41 + j) * 4400.0) as usize;
+                twist.phone.w[k][1] += 3.0;
+            }
+        }),
+    ]
+}
+
+fn motions() -> Vec<Case> {
+    vec![
+        other("0.3 rad/s", Accepted, |s| {
+            s.motion = Motion::Twist(0.3, 0.3)
+        }),
+        other("0.1 rad/s", Either, |s| s.motion = Motion::Twist(0.1, 0.1)),
+        other("1.1 rad/s about one axis", Accepted, |s| {
+            s.motion = Motion::SingleAxis(1.1, 1.1);
+        }),
+        other("4 s", Accepted, |s| s.duration_s = 4.0),
+        other("3.5 s, the phone 0.9 s late", Accepted, |s| {
+            s.duration_s = 3.5;
+            s.phone_starts_s = 0.9;
+        }),
+        other("3 of 9 s in common", Accepted, |s| s.phone_starts_s = 6.0),
+        other("1.5 of 9 s in common", Refused, |s| s.phone_starts_s = 7.5),
+        other("2 of 9 s, one axis", Accepted, |s| {
+            s.phone_starts_s = 7.0;
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+        }),
+        other("half in common, one axis", Accepted, |s| {
+            s.phone_starts_s = 4.5;
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+        }),
+        other("nothing in common", Refused, |s| s.phone_starts_s = 12.0),
+        other("nothing in common, one axis", Refused, |s| {
+            s.phone_starts_s = 12.0;
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+        }),
+        other("carried around", Accepted, |s| {
+            s.motion = Motion::Natural(0.3, 1.0);
+        }),
+        other("carried around slowly", Either, |s| {
+            s.motion = Motion::Natural(0.1, 0.2);
+        }),
+        other("unrelated, carried around", Refused, |s| {
+            s.motion = Motion::Natural(0.3, 1.0);
+            s.unrelated = true;
+        }),
+        other("unrelated, short, one axis", Refused, |s| {
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+            s.unrelated = true;
+            s.duration_s = 4.0;
+        }),
+        other("unrelated, 0.2 rad/s", Refused, |s| {
+            s.motion = Motion::Twist(0.2, 0.3);
+            s.unrelated = true;
+        }),
+        damaged("the phone lay still", Refused, |twist, seed| {
+            let still = TwistSpec {
+                motion: Motion::Still,
+                ..TwistSpec::default()
+            };
+            twist.phone = simulate::twist(&still, seed).phone;
+        }),
+        damaged("one period again and again", Refused, |twist, seed| {
+            let frequency = 1.0 + random(seed);
+            let rate = |t: f64| 3.0 * (std::f64::consts::TAU * frequency * t).sin();
+            for (k, w) in twist.mcu.w.iter_mut().enumerate() {
+                let (v, e) = (rate(twist.mcu.t[k]), random(k as u64 + seed) - 0.5);
+                *w = [v + 1e-3 * e, 0.3 * v + 1e-3 * e, -0.2 * v - 1e-3 * e];
+            }
+            for (k, w) in twist.phone.w.iter_mut().enumerate() {
+                let (v, e) = (rate(twist.phone.t[k] + 0.3), random(31 * k as u64 + seed));
+                *w = [0.3 * v - 1e-3 * e, v + 1e-3 * e, -0.2 * v + 1e-3 * e];
+            }
+        }),
+        damaged("not fixed to each other", Refused, |twist, seed| {
+            let frequency = random(seed) * 6.0 + 2.0;
+            for (w, t) in twist.phone.w.iter_mut().zip(&twist.phone.t) {
+                for (axis, rate) in w.iter_mut().enumerate() {
+                    *rate += 0.15 * (frequency * t + axis as f64).sin();
+                }
+            }
+        }),
+    ]
+}
+
+/// Runs a case; what is wrong with its results.
+fn judge(case: &Case) -> Vec<String> {
+    let options = Options {
+        mcu_delay_s: simulate::filter_delay_s(&case.spec.mcu),
+        phone_delay_s: simulate::filter_delay_s(&case.spec.phone),
+        ..Options::default()
+    };
+    let mut wrong = Vec::new();
+    let (mut accepted, mut squares, mut largest) = (0, 0.0, 0.0_f64);
+    for seed in 0..TRIALS {
+        let mut twist = simulate::twist(&case.spec, seed * 1000 + 3);
+        (case.damage)(&mut twist, seed);
+        match estimate_offset(&twist.mcu, &twist.phone, &options) {
+            Ok(estimate) => {
+                let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference.0);
+                let sigmas = error.abs() / estimate.offset_sigma_s();
+                accepted += 1;
+                squares += error * error;
+                largest = largest.max(sigmas);
+                if case.expect == Refused || sigmas > WRONG {
+                    wrong.push(format!(
+                        "{}: seed {seed}: accepted with {:+.1} µs of error, {sigmas:.1} sigmas",
+                        case.name,
+                        error * 1e6
+                    ));
+                }
+            }
+            Err(refusal) if case.expect == Accepted => {
+                wrong.push(format!("{}: seed {seed}: refused: {refusal}", case.name));
+            }
+            Err(_) => {}
+        }
+    }
+    println!(
+        "{:32} accepted {accepted} of {TRIALS}, rms error {:7.2} µs, at most {largest:.2} sigmas",
+        case.name,
+        (squares / f64::from(accepted.max(1))).sqrt() * 1e6
+    );
+    wrong
+}
+
+fn check(cases: Vec<Case>) {
+    let wrong: Vec<String> = cases.par_iter().flat_map(judge).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn displaced_and_copied_samples() {
+    check(displaced_and_copied());
+}
+
+#[test]
+fn damaged_timestamps() {
+    check(timestamps());
+}
+
+#[test]
+fn other_sensors() {
+    check(sensors());
+}
+
+#[test]
+fn other_motions() {
+    check(motions());
+}

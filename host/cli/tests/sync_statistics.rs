@@ -1,0 +1,256 @@
+//! Statistics of the clock estimate on simulated twists, scenario by scenario.
+//!
+//! All figures are of simulated recordings. The number of trials per scenario is
+//! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use rayon::prelude::*;
+use twist_sync::simulate::{self, Scenario, Twist, TwistSpec};
+use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
+
+fn trials() -> u64 {
+    std::env::var("SYNC_TRIALS")
+        .ok()
+        .and_then(|s| s.parse().ok())
+        .unwrap_or(40)
+}
+
+fn options(spec: &TwistSpec) -> Options {
+    Options {
+        mcu_delay_s: simulate::filter_delay_s(&spec.mcu),
+        phone_delay_s: simulate::filter_delay_s(&spec.phone),
+        ..Options::default()
+    }
+}
+
+fn error_s(estimate: &Estimate, twist: &Twist) -> f64 {
+    estimate.clock.offset - twist.offset_at(estimate.clock.reference.0)
+}
+
+fn run(scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
+    let options = options(&scenario.spec);
+    // Seeds are far apart, so that each trial has its own boot times.
+    (0..trials())
+        .into_par_iter()
+        .map(|trial| {
+            let twist = simulate::twist(&scenario.spec, 1000 * trial + 7);
+            let result = estimate_offset(&twist.mcu, &twist.phone, &options);
+            (twist, result)
+        })
+        .collect()
+}
+
+#[test]
+fn every_scenario_meets_its_figures() {
+    let mut failures = Vec::new();
+    for scenario in simulate::scenarios() {
+        let results = run(&scenario);
+        let mut accepted = 0;
+        let (mut squares, mut normalised) = (0.0, 0.0);
+        for (trial, (twist, result)) in results.iter().enumerate() {
+            match (result, scenario.rmse_us) {
+                (Ok(estimate), Some(_)) => {
+                    let error = error_s(estimate, twist);
+                    let z = error / estimate.offset_sigma_s();
+                    accepted += 1;
+                    squares += error * error;
+                    normalised += z * z;
+                    if z.abs() > 6.0 {
+                        failures.push(format!(
+                            "{}: trial {trial}: wrong and accepted, {:.2} µs at sigma {:.2} µs",
+                            scenario.name,
+                            error * 1e6,
+                            estimate.offset_sigma_s() * 1e6
+                        ));
+                    }
+                }
+                (Ok(_), None) => failures.push(format!(
+                    "{}: trial {trial}: accepted what must be refused",
+                    scenario.name
+                )),
+                (Err(refusal), Some(_)) => failures.push(format!(
+                    "{}: trial {trial}: refused: {refusal}",
+                    scenario.name
+                )),
+                (Err(refusal), None) => {
+                    if refusal.report.gates.iter().all(|g| g.passed) {
+                        failures.push(format!(
+                            "{}: trial {trial}: refused without a reason",
+                            scenario.name
+                        ));
+                    }
+                }
+            }
+        }
+        let Some(limit) = scenario.rmse_us else {
+            println!("{:28} all {} refused", scenario.name, results.len());
+            continue;
+        };
+        let rmse = (squares / f64::from(accepted.max(1))).sqrt() * 1e6;
+        let z = (normalised / f64::from(accepted.max(1))).sqrt();
+        println!(
+            "{:28} rmse {rmse:6.2} µs, error/sigma {z:.2}",
+            scenario.name
+        );
+        if rmse > limit {
+            failures.push(format!("{}: rmse {rmse:.2} µs > {limit} µs", scenario.name));
+        }
+        // 40 trials scatter by 11 %: the bounds of the full study, widened by 2 sigma.
+        let slack = 2.0 / (2.0 * trials() as f64).sqrt();
+        if scenario.honest && !(0.8 - slack..1.25 + slack).contains(&z) {
+            failures.push(format!("{}: error over sigma {z:.2}", scenario.name));
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+#[test]
+fn exchanging_the_inputs_negates_the_offset() {
+    (0..8_u64).into_par_iter().for_each(|trial| {
+        for scenario in simulate::scenarios().iter().filter(|s| s.rmse_us.is_some()) {
+            let twist = simulate::twist(&scenario.spec, 1000 * trial + 11);
+            let there = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+            let back = estimate_offset(&twist.phone, &twist.mcu, &Options::default()).unwrap();
+            let at_same_instant = there.clock.to_phone(there.clock.reference).0;
+            assert!(
+                (at_same_instant - back.clock.reference.0).abs() < 1e-6,
+                "{}",
+                scenario.name
+            );
+            assert!(
+                (there.clock.offset + back.clock.offset).abs() < 1e-9,
+                "{}: {} {}",
+                scenario.name,
+                there.clock.offset,
+                back.clock.offset
+            );
+        }
+    });
+}
+
+/// The two roles in the fit are not the same thing: the answer must be.
+#[test]
+fn the_roles_of_the_streams_do_not_matter() {
+    for trial in 0..20 {
+        let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 13);
+        let there = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+        // The stream with more samples is the model: cut the one, then the other.
+        let cut = |track: &GyroTrack| track.between(track.epoch_s + 0.02, f64::INFINITY);
+        let a = estimate_offset(&cut(&twist.mcu), &twist.phone, &Options::default()).unwrap();
+        let b = estimate_offset(&twist.mcu, &cut(&twist.phone), &Options::default()).unwrap();
+        for other in [a, b] {
+            let moved = other.clock.offset_at(there.clock.reference).value - there.clock.offset;
+            assert!(moved.abs() < 1e-6, "{moved}");
+        }
+    }
+}
+
+#[test]
+fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
+    for trial in 0..12 {
+        let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 17);
+        let base = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+        let moved = |mcu: &GyroTrack, options: &Options| {
+            let other = estimate_offset(mcu, &twist.phone, options).unwrap();
+            let shift = other.clock.offset_at(base.clock.reference).value - base.clock.offset;
+            shift / other.offset_sigma_s()
+        };
+        for spline_degree in [3, 7] {
+            let z = moved(
+                &twist.mcu,
+                &Options {
+                    spline_degree,
+                    ..Options::default()
+                },
+            );
+            assert!(z.abs() < 1.0, "degree {spline_degree}: {z}");
+        }
+        for low_pass_hz in [15.0, 20.0, 35.0, 50.0] {
+            let z = moved(
+                &twist.mcu,
+                &Options {
+                    low_pass_hz,
+                    ..Options::default()
+                },
+            );
+            assert!(z.abs() < 1.0, "{low_pass_hz} Hz: {z}");
+        }
+        let half = GyroTrack {
+            epoch_s: twist.mcu.epoch_s,
+            t: twist.mcu.t.iter().copied().step_by(2).collect(),
+            w: twist.mcu.w.iter().copied().step_by(2).collect(),
+        };
+        let z = moved(&half, &Options::default());
+        assert!(z.abs() < 1.6, "every other sample: {z}");
+    }
+}
+
+#[test]
+fn the_faults_of_the_phone_are_named() {
+    let scenarios = simulate::scenarios();
+    let scenario = scenarios
+        .iter()
+        .find(|s| s.name == "faulty phone stream")
+        .unwrap();
+    for trial in 0..10 {
+        let twist = simulate::twist(&scenario.spec, 1000 * trial + 19);
+        let estimate = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+        let find = |kind| {
+            estimate
+                .report
+                .faults
+                .iter()
+                .find(|f| f.kind == kind)
+                .unwrap_or_else(|| panic!("{kind:?} not found: {:?}", estimate.report.faults))
+        };
+        assert_eq!(find(FaultKind::CopiedSample).period, Some(10.0));
+        let class = find(FaultKind::DisplacedClass);
+        assert_eq!(class.period, Some(10.0));
+        assert!((class.displacement_s.unwrap() - 1e-3).abs() < 0.2e-3);
+        let sawtooth = find(FaultKind::TimestampSawtooth);
+        assert!((sawtooth.displacement_s.unwrap() - 57e-6).abs() < 5e-6);
+    }
+}
+
+#[test]
+fn the_real_twist_is_stable_and_its_faults_are_found() {
+    let read = |name: &str| {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests/data/twist")
+            .join(name);
+        phone::gyro_csv::read_file(&path).unwrap().track
+    };
+    let mcu = read("mcu_gyro_data.csv");
+    let phone = read("smartphone_gyro_data.csv");
+    let estimate = estimate_offset(&mcu, &phone, &Options::default()).unwrap();
+    // Between −3 and +3 sigma of what independent variants agree on.
+    assert!(
+        (estimate
+            .clock
+            .offset_at(timebase::BoardSeconds(1267.0))
+            .value
+            - 947_848.638_471)
+            .abs()
+            < 60e-6
+    );
+    assert!(estimate.offset_sigma_s() < 40e-6);
+    let kinds: Vec<FaultKind> = estimate.report.faults.iter().map(|f| f.kind).collect();
+    for kind in [
+        FaultKind::CopiedSample,
+        FaultKind::DisplacedClass,
+        FaultKind::TimestampSawtooth,
+    ] {
+        assert!(kinds.contains(&kind), "{kind:?} missing in {kinds:?}");
+    }
+    let faulty = estimate_offset(
+        &mcu,
+        &phone,
+        &Options {
+            handle_faults: false,
+            ..Options::default()
+        },
+    )
+    .unwrap();
+    let moved = faulty.clock.offset_at(estimate.clock.reference).value - estimate.clock.offset;
+    assert!(moved < -80e-6, "the faults move the answer by {moved}");
+}

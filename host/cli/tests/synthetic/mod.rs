@@ -1,0 +1,282 @@
+//! A recording as the program writes it, of a board that is not there: frames and
+//! messages that fit each other, pulses on their grid, a session file.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, dead_code)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use board::imu::Sample;
+use protocol::{
+    CaptureChannel, DeviceToHost, Dropped, Edge, ImuClock, ImuFlags, ImuSample, ImuState,
+    ImuStatus, LinkCounters, MAX_FRAME, Output, OutputPulse, Period, Pulse, Readback, Status,
+    TICK_HZ, Ticks, TrainState, TriggerStatus, encode,
+};
+use recording::profile::Profile;
+use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
+use recording::writer::Writer;
+use timebase::BoardSeconds;
+use twist_sync::{ClockModel, Wander};
+
+/// Length in seconds.
+pub(crate) const SECONDS: u64 = 6;
+const PERIOD: Period = Period((1_599_873 << 32) + 0x1234_5678);
+const ANCHOR: Ticks = Ticks(48_000_777);
+
+/// What is to be wrong with a recording.
+#[derive(Clone, Copy, Default)]
+pub(crate) struct Wrong {
+    /// This IMU sample never comes.
+    pub(crate) sample_lost: Option<u64>,
+    /// The board says that it dropped it.
+    pub(crate) board_knows: bool,
+    /// This pulse comes this much late.
+    pub(crate) pulse_late: Option<(u64, u64)>,
+    /// This message differs from its frame.
+    pub(crate) message_differs: bool,
+    /// The IMU is silent here although no number is missing.
+    pub(crate) silence: bool,
+    /// The program is killed.
+    pub(crate) killed: bool,
+    /// There is a further output, and these of its pulses never come.
+    pub(crate) outputs_lost: &'static [u64],
+}
+
+/// A recording as the program writes it, of a board that is not there.
+struct Maker {
+    writer: Writer,
+    now: Ticks,
+}
+
+impl Maker {
+    fn frame(&mut self, message: &DeviceToHost) {
+        let mut buffer = [0; MAX_FRAME];
+        let frame = encode(message, &mut buffer).unwrap();
+        let body = frame[..frame.len() - 1].to_vec();
+        self.writer.frame(self.now, body).unwrap();
+    }
+}
+
+fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Status {
+    Status {
+        seq,
+        at,
+        epoch: 9,
+        dropped: Dropped {
+            imu: dropped,
+            ..Dropped::default()
+        },
+        link: LinkCounters::default(),
+        connects: 1,
+        cpu_permille: 34,
+        stack_used: 1,
+        stack_size: 2,
+        trigger: TriggerStatus {
+            state: TrainState::Running,
+            train: 1,
+            period: PERIOD,
+            width: 576,
+            pulses,
+            next_edge: Ticks(1),
+            next_fraction: 0,
+            late: 0,
+            readback: Readback {
+                seen: 0,
+                missing: 0,
+                stray: 0,
+                delay: None,
+            },
+        },
+        trigger_latency: 5,
+        trigger_busy: 6,
+        strobe_overcaptures: 0,
+        strobe_floods: 0,
+        imu: ImuStatus {
+            state: ImuState::Running,
+            clock: ImuClock::External,
+            samples,
+            late: 0,
+            overcaptures: 0,
+            recoveries: 0,
+            last_fault: None,
+        },
+        outputs: [protocol::OutputStatus::IDLE; 3],
+        output_latency: 0,
+        gnss: protocol::GnssStatus::IDLE,
+    }
+}
+
+pub(crate) fn session() -> SessionFile {
+    let mut session = SessionFile::new(String::from("walk"), Profile::published().unwrap());
+    let clock = ClockModel {
+        reference: BoardSeconds(12.5),
+        offset: 94_000.25,
+        skew: -1.5e-5,
+        covariance: [[1e-12, 2e-19], [2e-19, 1e-14]],
+        wander: Wander(5e-8),
+    };
+    session.alignment = Some(Alignment {
+        exposure_us: 4_000.0,
+        middle_row_us: 5_503.0,
+        center_offset_us: 6_362.5,
+        bias_us: 0.0,
+        frame_period_ns: 33_330_652.0,
+        frame_period_sigma_ns: None,
+        frame_period_source: FramePeriodSource::VideoStart,
+        clock,
+        anchor: ANCHOR,
+        period_q32: PERIOD.0,
+        phase_sigma_us: 3.0,
+        drift_sigma_us_per_min: 10.0,
+        arrival_pulse: Some(0),
+        arrival: Some(ANCHOR),
+    });
+    session.recorded = Some(Span {
+        from: ANCHOR,
+        to: Ticks(ANCHOR.0 + SECONDS * u64::from(TICK_HZ)),
+    });
+    session.outcome = Some(SessionOutcome::Good);
+    session
+}
+
+/// Writes a recording into `parent/walk`.
+pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
+    let folder = parent.join("walk");
+    fs::create_dir(&folder).unwrap();
+    let mut maker = Maker {
+        writer: Writer::create(&folder).unwrap(),
+        now: ANCHOR,
+    };
+    // All events in the order of their times.
+    let mut events: Vec<(u64, u8, u64)> = Vec::new();
+    for number in 0..SECONDS * 500 {
+        events.push((ANCHOR.0 + 5_000 + number * 96_000, 0, number));
+    }
+    for number in 0..SECONDS * 30 {
+        let mut at = PERIOD.edge(ANCHOR, number as i64).0;
+        if let Some((late, by)) = wrong.pulse_late
+            && late == number
+        {
+            at += by;
+        }
+        events.push((at, 1, number));
+    }
+    for number in 0..=SECONDS {
+        events.push((ANCHOR.0 + 9_999 + number * u64::from(TICK_HZ), 2, number));
+    }
+    events.push((ANCHOR.0 + 77_777_777, 3, 0));
+    if !wrong.outputs_lost.is_empty() {
+        events.extend((0..SECONDS).map(|n| (ANCHOR.0 + 333 + n * u64::from(TICK_HZ), 4, n)));
+    }
+    events.sort_unstable();
+    let (mut samples, mut pulses) = (0_u32, 0_u64);
+    for (at, kind, number) in events {
+        let at = Ticks(at);
+        match kind {
+            0 => {
+                samples += 1;
+                if wrong.sample_lost == Some(number)
+                    || (wrong.silence && (1_000..1_020).contains(&number))
+                {
+                    continue;
+                }
+                let gone = if wrong.silence && number >= 1_020 {
+                    20
+                } else {
+                    0
+                };
+                let raw = ImuSample {
+                    seq: (number - gone) as u32,
+                    at,
+                    flags: ImuFlags(0),
+                    accel: [0, 0, 8_192],
+                    temperature: 0,
+                    gyro: [(number % 600) as i16, -5, 9],
+                };
+                maker.frame(&DeviceToHost::Imu(raw));
+                let shift = u64::from(wrong.message_differs && number == 700);
+                let sample = Sample {
+                    at: Ticks(at.0 + shift),
+                    flags: raw.flags,
+                    gyro: [f64::from(raw.gyro[0]) * 1e-3, 0.1, 0.2],
+                    accel: [0.0, 0.0, 9.8],
+                    temperature: 31.0,
+                };
+                maker.writer.imu(&sample).unwrap();
+            }
+            1 => {
+                pulses += 1;
+                let pulse = Pulse {
+                    seq: number as u32,
+                    train: 1,
+                    number,
+                    at,
+                    aligned: true,
+                    readback: Some(4),
+                };
+                maker.frame(&DeviceToHost::Pulse(pulse));
+                maker.writer.pulse(&pulse, None).unwrap();
+            }
+            2 => {
+                let lost = wrong
+                    .sample_lost
+                    .is_some_and(|lost| wrong.board_knows && u64::from(samples) > lost);
+                let made = samples
+                    - if wrong.silence && samples > 1_020 {
+                        20
+                    } else {
+                        0
+                    };
+                let status = status(number as u32, at, made, pulses, lost.into());
+                maker.frame(&DeviceToHost::Status(status.clone()));
+                maker.writer.status(&status, "AB").unwrap();
+            }
+            4 if wrong.outputs_lost.contains(&number) => {}
+            4 => {
+                let pulse = Pulse {
+                    seq: number as u32,
+                    train: 1,
+                    number,
+                    at,
+                    aligned: false,
+                    readback: None,
+                };
+                maker.frame(&DeviceToHost::OutputPulse(OutputPulse {
+                    output: Output::Two,
+                    pulse,
+                }));
+                maker.writer.output_pulse(&pulse, "left").unwrap();
+            }
+            _ => {
+                let capture = protocol::Capture {
+                    seq: 0,
+                    channel: CaptureChannel::Strobe,
+                    edge: Edge::Rising,
+                    at,
+                    after_loss: false,
+                };
+                maker.frame(&DeviceToHost::Capture(capture));
+                maker.writer.capture(&capture, None).unwrap();
+            }
+        }
+        maker.now = at;
+    }
+    let mut session = session();
+    if wrong.silence {
+        session.imu = None;
+    }
+    if wrong.killed {
+        session.outcome = None;
+        session.recorded = Some(Span {
+            from: ANCHOR,
+            to: ANCHOR,
+        });
+        maker.writer.flush().unwrap();
+        std::mem::forget(maker);
+    } else {
+        maker.writer.finish().unwrap();
+    }
+    fs::write(folder.join("twist_1_phone_gyro.csv"), "0,0,0,1\n").unwrap();
+    session.files.push(String::from("twist_1_phone_gyro.csv"));
+    session.save(&folder).unwrap();
+    folder
+}

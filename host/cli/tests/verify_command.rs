@@ -1,0 +1,355 @@
+//! `verify` finds every damage and every contradiction that is put into a
+//! recording; `repair` saves what can be read, and never touches the original.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use protocol::TICK_HZ;
+use rand::{Rng as _, RngExt as _, SeedableRng as _};
+use recording::reader::Reader;
+use recording::session_file::{SessionFile, SessionOutcome};
+use verify::repair::repair;
+use verify::{Report, Verdict, verify};
+
+mod synthetic;
+
+use synthetic::{SECONDS, Wrong, make};
+
+const MCAP: &str = "recording.mcap";
+
+fn kinds(report: &Report) -> Vec<&'static str> {
+    report.findings.iter().map(|finding| finding.kind).collect()
+}
+
+fn run(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+fn json(output: &Output) -> serde_json::Value {
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    let path = folder.to_str().unwrap();
+    let checked = run(&["verify", path, "--json"]);
+    assert_eq!(checked.status.code(), Some(0), "{checked:?}");
+    let report = json(&checked);
+    assert_eq!(report["verdict"], "whole", "{report}");
+    assert_eq!(report["form"], 1);
+    assert_eq!(report["streams"]["imu"]["received"], SECONDS * 500);
+    assert_eq!(report["streams"]["pulses"]["missing"], 0);
+    assert_eq!(report["grid"]["checked"], SECONDS * 30);
+    assert_eq!(report["grid"]["off"], 0);
+    assert_eq!(report["file"]["closed"], true);
+    assert_eq!(report["board_runs"], 1);
+
+    let out = parent.path().join("again");
+    let repaired = run(&["repair", path, out.to_str().unwrap()]);
+    assert_eq!(repaired.status.code(), Some(0), "{repaired:?}");
+    assert!(String::from_utf8_lossy(&repaired.stdout).contains("whole"));
+    let entries =
+        |folder: &Path| -> Vec<_> { Reader::open(folder).unwrap().map(Result::unwrap).collect() };
+    assert_eq!(entries(&folder), entries(&out));
+    assert!(out.join("twist_1_phone_gyro.csv").exists());
+
+    // Never over something that is there.
+    let before = fs::read(folder.join(MCAP)).unwrap();
+    let onto_itself = run(&["repair", path, path]);
+    assert_eq!(onto_itself.status.code(), Some(13), "{onto_itself:?}");
+    assert_eq!(fs::read(folder.join(MCAP)).unwrap(), before);
+}
+
+#[test]
+fn a_recording_of_a_killed_program_is_repaired_to_its_last_chunk() {
+    let parent = tempfile::tempdir().unwrap();
+    let wrong = Wrong {
+        killed: true,
+        ..Wrong::default()
+    };
+    let folder = make(parent.path(), wrong);
+    let mcap = folder.join(MCAP);
+    let bytes = fs::read(&mcap).unwrap();
+    // And the last chunk was half written.
+    fs::write(&mcap, &bytes[..bytes.len() - 10_000]).unwrap();
+    let checked = run(&["verify", folder.to_str().unwrap(), "--json"]);
+    assert_eq!(checked.status.code(), Some(4), "{checked:?}");
+    let report = json(&checked);
+    assert_eq!(report["verdict"], "incomplete", "{report}");
+    let out = parent.path().join("saved");
+    let result = repair(&folder, &out).unwrap();
+    assert!(result.lost);
+    assert!(result.after.file.closed);
+    assert_ne!(result.after.verdict, Verdict::Damaged, "{:?}", result.after);
+    let session = SessionFile::load(&out).unwrap();
+    assert_eq!(session.outcome, Some(SessionOutcome::Loss));
+    assert_eq!(session.problems[0].kind, "repaired");
+    let span = session.recorded.unwrap();
+    let length = span.to.0 - span.from.0;
+    // Chunks are half a second long.
+    let missing = (SECONDS * u64::from(TICK_HZ)).saturating_sub(length);
+    assert!(missing <= u64::from(TICK_HZ), "{missing}");
+    // The original is as it was.
+    assert_eq!(fs::read(&mcap).unwrap().len(), bytes.len() - 10_000);
+    assert_eq!(SessionFile::load(&folder).unwrap().outcome, None);
+}
+
+/// Where the records outside of chunks begin and end.
+fn boundaries(bytes: &[u8]) -> Vec<usize> {
+    let mut at = 8;
+    let mut all = vec![0, 8];
+    while let Some(length) = bytes.get(at + 1..at + 9) {
+        let length = u64::from_le_bytes(length.try_into().unwrap()) as usize;
+        if at + 9 + length + 8 > bytes.len() {
+            break;
+        }
+        at += 9 + length;
+        all.push(at);
+    }
+    all
+}
+
+#[test]
+fn a_file_that_is_cut_anywhere_is_told_and_repaired() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    let bytes = fs::read(folder.join(MCAP)).unwrap();
+    let whole: Vec<_> = Reader::open(&folder).unwrap().map(Result::unwrap).collect();
+    let mut cuts: Vec<usize> = boundaries(&bytes)
+        .into_iter()
+        .flat_map(|at| [at.saturating_sub(1), at, at + 1, at + 9, at + 30])
+        .chain((0..20).map(|part| bytes.len() * part / 20))
+        .chain([bytes.len() - 1, bytes.len() - 8, bytes.len() - 9])
+        .filter(|&cut| cut < bytes.len())
+        .collect();
+    cuts.sort_unstable();
+    cuts.dedup();
+    assert!(cuts.len() > 100, "{}", cuts.len());
+    let mut most = 0;
+    for (number, &cut) in cuts.iter().enumerate() {
+        let place = parent.path().join(format!("cut_{number}.mcap"));
+        fs::write(&place, &bytes[..cut]).unwrap();
+        let out = parent.path().join(format!("cut_{number}_out.mcap"));
+        let Ok(report) = verify(&place) else {
+            assert!(cut < 8, "cut at {cut}");
+            assert!(repair(&place, &out).is_err());
+            assert!(!out.exists());
+            continue;
+        };
+        assert_ne!(report.verdict, Verdict::Whole, "cut at {cut}");
+        let result = repair(&place, &out).unwrap();
+        assert!(result.after.file.closed, "cut at {cut}");
+        assert_ne!(
+            result.after.verdict,
+            Verdict::Damaged,
+            "cut at {cut}: {result:?}"
+        );
+        let saved: Vec<_> = Reader::open(&out).unwrap().map(Result::unwrap).collect();
+        assert!(whole.starts_with(&saved), "cut at {cut}");
+        assert!(saved.len() >= most, "cut at {cut}");
+        most = saved.len();
+        fs::remove_file(&out).unwrap();
+        fs::remove_file(&place).unwrap();
+    }
+    assert_eq!(most, whole.len());
+}
+
+#[test]
+fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    let bytes = fs::read(folder.join(MCAP)).unwrap();
+    let chunks = verify(&folder).unwrap().file.chunks;
+    let all = Reader::open(&folder).unwrap().count();
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(11);
+    let mut places: Vec<usize> = (0..80).map(|_| rng.random_range(0..bytes.len())).collect();
+    // The heads of all records, which no chunk's checksum covers.
+    for (number, at) in boundaries(&bytes).into_iter().enumerate() {
+        // Of the small records between chunks every fifth.
+        if bytes.get(at) != Some(&6) && number % 5 > 0 {
+            continue;
+        }
+        places.extend((at..at + 9).step_by(3));
+    }
+    places.extend(bytes.len() - 40..bytes.len());
+    places.retain(|&place| place < bytes.len());
+    let place = parent.path().join("flipped.mcap");
+    for (number, at) in places.into_iter().enumerate() {
+        let bit = rng.next_u32() % 8;
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 1 << bit;
+        fs::write(&place, &flipped).unwrap();
+        let report = verify(&place).unwrap();
+        assert_ne!(report.verdict, Verdict::Whole, "bit {bit} of byte {at}");
+        let lost = chunks - report.file.chunks;
+        assert!(lost <= 1, "bit {bit} of byte {at}: {lost} chunks lost");
+        if number % 4 > 0 {
+            continue;
+        }
+        let out = parent.path().join("flipped_out.mcap");
+        let result = repair(&place, &out).unwrap();
+        let saved = Reader::open(&out).unwrap().map(Result::unwrap).count();
+        // A chunk is half a second: 500 samples in four kinds of messages, and few others.
+        assert!(
+            saved + 1_100 > all,
+            "bit {bit} of byte {at}: {saved} of {all}"
+        );
+        assert!(result.after.file.closed);
+        fs::remove_file(&out).unwrap();
+    }
+}
+
+#[test]
+fn random_bytes_never_panic() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    let bytes = fs::read(folder.join(MCAP)).unwrap();
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(5);
+    for round in 0..120 {
+        let mut content = if round % 3 == 0 {
+            let mut noise = vec![0; rng.random_range(0..4_000)];
+            rng.fill_bytes(&mut noise);
+            [b"\x89MCAP0\r\n".as_slice(), &noise].concat()
+        } else {
+            // Parts of a real one in the wrong order.
+            let mut mixed = bytes[..8].to_vec();
+            for _ in 0..6 {
+                let from = rng.random_range(0..bytes.len());
+                let to = (from + rng.random_range(0..30_000)).min(bytes.len());
+                mixed.extend_from_slice(&bytes[from..to]);
+            }
+            mixed
+        };
+        for _ in 0..rng.random_range(0..20) {
+            let at = rng.random_range(0..content.len());
+            content[at] = rng.random();
+        }
+        let place = parent.path().join("noise.mcap");
+        fs::write(&place, &content).unwrap();
+        let out = parent.path().join("noise_out.mcap");
+        if verify(&place).is_ok() {
+            let result = repair(&place, &out).unwrap();
+            assert!(result.after.file.closed);
+            fs::remove_file(&out).unwrap();
+        }
+        for entry in Reader::open(&place).unwrap() {
+            let _ = entry;
+        }
+    }
+}
+
+#[test]
+fn what_the_board_dropped_is_told_from_what_the_link_lost() {
+    for board_knows in [false, true] {
+        let parent = tempfile::tempdir().unwrap();
+        let wrong = Wrong {
+            sample_lost: Some(1_234),
+            board_knows,
+            ..Wrong::default()
+        };
+        let report = verify(&make(parent.path(), wrong)).unwrap();
+        assert_eq!(report.verdict, Verdict::Incomplete, "{report:?}");
+        let imu = report.streams["imu"];
+        assert_eq!(imu.missing, 1);
+        assert_eq!(imu.dropped_by_board, u64::from(board_knows));
+        assert_eq!(kinds(&report), ["messages_missing"]);
+    }
+}
+
+#[test]
+fn a_loss_on_the_further_outputs_is_counted() {
+    let parent = tempfile::tempdir().unwrap();
+    let wrong = Wrong {
+        outputs_lost: &[2, 3],
+        ..Wrong::default()
+    };
+    let report = verify(&make(parent.path(), wrong)).unwrap();
+    assert_eq!(report.verdict, Verdict::Incomplete, "{report:?}");
+    let outputs = report.streams["outputs"];
+    assert_eq!((outputs.received, outputs.missing), (SECONDS - 2, 2));
+    assert_eq!(kinds(&report), ["messages_missing"]);
+}
+
+#[test]
+fn a_pulse_off_its_grid_by_one_tick_is_found() {
+    let parent = tempfile::tempdir().unwrap();
+    let wrong = Wrong {
+        pulse_late: Some((77, 1)),
+        ..Wrong::default()
+    };
+    let folder = make(parent.path(), wrong);
+    let report = verify(&folder).unwrap();
+    assert_eq!(report.verdict, Verdict::Damaged);
+    assert_eq!(kinds(&report), ["off_grid"]);
+    assert_eq!(report.grid.unwrap().worst_ticks, 1);
+    // Without the session's grid the steps must do.
+    fs::remove_dir_all(&folder).unwrap();
+    let wrong = Wrong {
+        pulse_late: Some((77, 3)),
+        ..Wrong::default()
+    };
+    fs::remove_file(make(parent.path(), wrong).join("session.json")).unwrap();
+    assert_eq!(
+        kinds(&verify(&folder).unwrap()),
+        ["no_session_file", "grid"]
+    );
+}
+
+#[test]
+fn a_message_that_is_not_its_frame_is_found() {
+    let parent = tempfile::tempdir().unwrap();
+    let wrong = Wrong {
+        message_differs: true,
+        ..Wrong::default()
+    };
+    let report = verify(&make(parent.path(), wrong)).unwrap();
+    assert_eq!(report.verdict, Verdict::Damaged);
+    assert_eq!(kinds(&report), ["message_differs"]);
+}
+
+#[test]
+fn what_the_session_names_must_be_there() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = make(parent.path(), Wrong::default());
+    fs::remove_file(folder.join("twist_1_phone_gyro.csv")).unwrap();
+    let report = verify(&folder).unwrap();
+    assert_eq!(kinds(&report), ["file_missing"]);
+    fs::write(folder.join("session.json"), "{").unwrap();
+    let report = verify(&folder).unwrap();
+    assert_eq!(report.verdict, Verdict::Damaged);
+    assert_eq!(kinds(&report), ["session_file_damaged"]);
+}
+
+#[test]
+fn what_is_no_recording_is_refused() {
+    let parent = tempfile::tempdir().unwrap();
+    let place = parent.path().join("notes.txt");
+    fs::write(&place, "this is no recording at all").unwrap();
+    for args in [
+        ["verify", place.to_str().unwrap(), "--json"],
+        ["verify", "/no/such/recording", "--json"],
+    ] {
+        let output = run(&args);
+        assert_eq!(output.status.code(), Some(13), "{output:?}");
+        assert!(json(&output)["error"]["next_step"].is_string());
+    }
+    // An attachment that is too short for its own checksum.
+    let hostile = [
+        b"\x89MCAP0\r\n".as_slice(),
+        &[9, 2, 0, 0, 0, 0, 0, 0, 0, 1, 2],
+    ]
+    .concat();
+    fs::write(&place, hostile).unwrap();
+    let report = verify(&place).unwrap();
+    assert!(report.file.cut_off_at.is_some());
+    for entry in Reader::open(&place).unwrap() {
+        let _ = entry;
+    }
+}

@@ -1,0 +1,230 @@
+//! Which flash is which.
+//!
+//! A frame that shows only the inner part of a train fits as well with the train
+//! moved by whole pitches. First all frames are put on one continuous track, then
+//! the track as a whole is moved to where the train's ends fit. Without an end in
+//! view several places remain; they are all stated, and the one nearest to the
+//! expected place is taken. The exposure is open in the same way: one that is
+//! longer by a pitch moves the bands by half a pitch and changes nothing else but
+//! the level.
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::Settings;
+use super::fit::{FrameFit, Model};
+use super::stats::mean;
+use super::track::spread;
+use super::train::Shape;
+
+/// Frames asked which flash is which.
+const FRAMES: usize = 16;
+/// How much better (χ²) one assignment of flashes must fit than another.
+const DECIDED: f64 = 25.0;
+/// Longest exposure thought of, µs.
+const MAX_EXPOSURE_US: f64 = 8500.0;
+/// How near the level over dark frames must be to a whole number of flashes.
+const LEVEL_TOLERANCE: f64 = 0.3;
+
+/// Which flash is which.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Identity {
+    /// Whether the frames decide it.
+    pub unique: bool,
+    /// All that fit; the first is the one taken.
+    pub candidates: Vec<Candidate>,
+}
+
+/// One assignment of flashes to bands.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Candidate {
+    /// Mean centre of the train over the used frames, µs.
+    pub bias_us: f64,
+    /// Exposure that belongs to it, µs.
+    pub exposure_us: f64,
+}
+
+/// Puts the frames on one track: between neighbours the train moves as little as
+/// the recent course allows, never by a whole pitch unseen.
+pub(super) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) {
+    let mut recent: Vec<(f64, f64)> = Vec::new();
+    for (fit, &time) in fits.iter_mut().zip(times) {
+        if let (Some(&(t0, b0)), Some(&(t1, b1))) = (recent.first(), recent.last()) {
+            let slope = if t1 > t0 { (b1 - b0) / (t1 - t0) } else { 0.0 };
+            let expected = b1 + slope * (time - t1);
+            let pitches = ((expected - fit.bias_us) / pitch_us).round();
+            fit.bias_us += pitches * pitch_us;
+        }
+        recent.push((time, fit.bias_us));
+        if recent.len() > 12 {
+            recent.remove(0);
+        }
+    }
+}
+
+/// What was decided, and the exposure that belongs to it.
+pub(super) struct Chosen {
+    pub(super) identity: Identity,
+    pub(super) exposure_us: f64,
+}
+
+/// One way to read the frames: an exposure longer by `extra` pitches, and the
+/// track moved by `pitches` whole pitches (and half a one for odd `extra`).
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Reading {
+    extra: i32,
+    pitches: i32,
+}
+
+impl Reading {
+    fn shift_us(self, pitch_us: f64) -> f64 {
+        (f64::from(self.pitches) + 0.5 * f64::from(self.extra.rem_euclid(2))) * pitch_us
+    }
+}
+
+/// Decides which flash is which and moves the track there.
+///
+/// `excess` is the mean brightness of the frames over that of frames without
+/// flashes, if there are any.
+pub(super) fn identify(
+    model: &Model,
+    profiles: &[&[f32]],
+    fits: &mut [FrameFit],
+    shape: &Shape,
+    excess: Option<f64>,
+    settings: &Settings,
+) -> Chosen {
+    let pitch = settings.train.pitch_us;
+    let reach = settings.train.count as i32 - 1;
+    let asked = spread(fits.len(), FRAMES);
+    let center = mean(&fits.iter().map(|f| f.bias_us).collect::<Vec<_>>());
+    let expected = settings.near_us + settings.path_delay_us;
+    let exposure = |extra: i32| shape.exposure_us + f64::from(extra) * pitch;
+    let readings: Vec<Reading> = extras(fits, shape, excess, settings)
+        .into_iter()
+        .flat_map(|extra| {
+            let half = 0.5 * f64::from(extra.rem_euclid(2));
+            let nearest = ((expected - center) / pitch - half).round() as i32;
+            (nearest - reach..=nearest + reach).map(move |pitches| Reading { extra, pitches })
+        })
+        .collect();
+    let detrended: Vec<(Vec<f64>, &FrameFit)> = asked
+        .iter()
+        .filter_map(|&i| Some((model.detrend(profiles.get(i)?), fits.get(i)?)))
+        .collect();
+    // χ² of each reading, mean over frames: neighbouring rows' errors and errors
+    // that all frames share count only once.
+    let scores: Vec<f64> = readings
+        .par_iter()
+        .map(|reading| {
+            let values: Vec<f64> = detrended
+                .iter()
+                .map(|(y, fit)| {
+                    let moved = Shape {
+                        bias_us: fit.bias_us + reading.shift_us(pitch),
+                        exposure_us: exposure(reading.extra),
+                        ..*shape
+                    };
+                    let noise = fit.rss / y.len().max(1) as f64;
+                    (model.rss_at(y, &moved) - fit.rss) / (noise * fit.inflation).max(1e-12)
+                })
+                .collect();
+            mean(&values)
+        })
+        .collect();
+    let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut fitting: Vec<Reading> = readings
+        .iter()
+        .zip(&scores)
+        .filter(|(_, s)| **s <= best + DECIDED)
+        .map(|(&r, _)| r)
+        .collect();
+    // The shortest exposure, then the place nearest to the expected one.
+    let distance = |r: &Reading| (center + r.shift_us(pitch) - expected).abs();
+    fitting
+        .sort_by(|a, b| (a.extra.cmp(&b.extra)).then_with(|| distance(a).total_cmp(&distance(b))));
+    let taken = fitting.first().copied().unwrap_or(Reading {
+        extra: 0,
+        pitches: 0,
+    });
+    for fit in fits.iter_mut() {
+        fit.bias_us += taken.shift_us(pitch);
+    }
+    Chosen {
+        exposure_us: exposure(taken.extra),
+        identity: Identity {
+            unique: fitting.len() == 1,
+            candidates: fitting
+                .iter()
+                .map(|r| Candidate {
+                    bias_us: center + r.shift_us(pitch) - settings.path_delay_us,
+                    exposure_us: exposure(r.extra),
+                })
+                .collect(),
+        },
+    }
+}
+
+/// By how many pitches the exposure may be longer than the fitted one.
+///
+/// A row exposed for one pitch more sees one flash more, wherever it is: inside
+/// the train nothing but the level changes, and the bands move by half a pitch.
+/// The level tells, when there are frames without flashes to compare with.
+fn extras(fits: &[FrameFit], shape: &Shape, excess: Option<f64>, settings: &Settings) -> Vec<i32> {
+    let pitch = settings.train.pitch_us;
+    let exposure = |extra: i32| shape.exposure_us + f64::from(extra) * pitch;
+    let possible: Vec<i32> = (-8..=8)
+        .filter(|&j| exposure(j) > 0.0 && (j <= 0 || exposure(j) <= MAX_EXPOSURE_US))
+        .filter(|&j| {
+            settings
+                .exposure_us
+                .or(settings.exposure_hint_us)
+                .is_none_or(|known| (exposure(j) - known).abs() < 0.25 * pitch)
+        })
+        .collect();
+    let amplitude = mean(&fits.iter().map(|f| f.amplitude).collect::<Vec<_>>());
+    let light = mean(&fits.iter().map(|f| f.mean_light).collect::<Vec<_>>());
+    if let Some(excess) = excess.filter(|_| amplitude > 0.0) {
+        let more = (excess - light) / amplitude;
+        let whole = more.round();
+        if (more - whole).abs() < LEVEL_TOLERANCE && possible.contains(&(whole as i32)) {
+            return vec![whole as i32];
+        }
+    }
+    if possible.is_empty() {
+        vec![0]
+    } else {
+        possible
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::{TrainGeometry, row_light};
+
+    /// The statement that [`extras`] rests on.
+    #[test]
+    fn an_exposure_longer_by_a_pitch_is_one_flash_more_half_a_pitch_away() {
+        let train = TrainGeometry::NFOV;
+        for exposure_us in [60.0, 300.0, 1100.0] {
+            let short = Shape {
+                bias_us: 20.0,
+                row_time_us: 10.2,
+                exposure_us,
+            };
+            let long = Shape {
+                bias_us: 20.0 + 0.5 * train.pitch_us,
+                exposure_us: exposure_us + train.pitch_us,
+                ..short
+            };
+            // Only rows that are well inside the train.
+            for row in -200..200 {
+                let p = f64::from(row);
+                let a = row_light(&train, &short, p).value;
+                let b = row_light(&train, &long, p).value;
+                assert!((b - a - 1.0).abs() < 1e-9, "{exposure_us}, row {row}");
+            }
+        }
+    }
+}

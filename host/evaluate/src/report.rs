@@ -1,0 +1,446 @@
+//! The report of a measurement as a [`Page`].
+
+use std::fmt::Write as _;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use serde_json::json;
+
+use super::classify::{FrameCounts, Reference};
+use super::drift::{Drift, EvaluatedDrift};
+use super::identity::Identity;
+use super::plot::{self, flash_rows};
+use super::precision::{Evaluated, Precision, Spread, middle_row};
+use super::recording::Recording;
+use super::track::Track;
+use super::{EvaluateError, Settings};
+use page::{Level, Page};
+
+/// A picture narrower than this has its labels beside it, pixels.
+const LABEL_WIDTH: usize = 300;
+
+/// Report of a precision measurement.
+pub fn precision(
+    result: &Precision,
+    shown: &Evaluated,
+    settings: &Settings,
+) -> Result<String, EvaluateError> {
+    let (level, verdict) = precision_verdict(result);
+    let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
+    let mut facts = Vec::new();
+    if let Some(bias) = &result.bias {
+        spread_rows(&mut facts, "bias from perfect sync", bias);
+    }
+    facts.push((
+        String::from("row time"),
+        format!(
+            "{:.4} ± {:.4} µs",
+            result.row_time_us, result.row_time_sigma_us
+        ),
+    ));
+    if let Some(paper) = &result.paper_bias {
+        spread_rows(&mut facts, "published pipeline: bias", paper);
+        if let Some(t) = result.paper_row_time_us {
+            facts.push((
+                String::from("published pipeline: row time"),
+                format!("{t:.4} µs"),
+            ));
+        }
+    }
+    page.facts(&facts);
+    page.section("Recordings");
+    let rows: Vec<Vec<String>> = result
+        .recordings
+        .iter()
+        .map(|r| {
+            vec![
+                short(&r.path),
+                format!("{:.3}", r.bias_us),
+                format!("{:.3}", r.sigma_us),
+                format!("{:.2}", r.row),
+                format!("{:.4}", r.row_time_us),
+                String::from(if r.identity.unique { "decided" } else { "open" }),
+                format!("{} of {}", r.frames.used, r.frames.read),
+            ]
+        })
+        .collect();
+    page.table(
+        &[
+            "recording",
+            "bias, µs",
+            "1 σ, µs",
+            "row",
+            "row time, µs",
+            "which flash",
+            "frames used",
+        ],
+        &rows,
+    );
+    for r in &result.recordings {
+        let name = short(&r.path);
+        if !r.identity.unique {
+            let open = format!(
+                "{name}: which flash is which is {}",
+                identity_text(&r.identity)
+            );
+            page.note(Level::Warning, &open);
+        }
+        notes(&mut page, &name, &r.notes);
+    }
+    for l in &result.left_out {
+        let text = format!("{} is left out: {}", l.path.display(), l.reason);
+        page.note(Level::Bad, &text);
+    }
+    page.section("Frame with the rows found");
+    picture(&mut page, &shown.recording, &shown.track, settings)?;
+    page.section("Row profile and launches");
+    page.figure(
+        &plot::precision(result, shown, &settings.train, settings.path_delay_us)?,
+        "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
+         recordings, their biases.",
+    );
+    page.settings("Settings", &json!(settings));
+    Ok(page.html())
+}
+
+fn precision_verdict(result: &Precision) -> (Level, String) {
+    let open = result.recordings.iter().any(|r| !r.identity.unique);
+    let level = if open || !result.left_out.is_empty() {
+        Level::Warning
+    } else {
+        Level::Good
+    };
+    let mut text = match &result.bias {
+        Some(bias) => format!(
+            "The depth camera is exposed {:.1} ± {:.1} µs {} the middle of the phone's frame \
+             ({}).",
+            bias.mean_us.abs(),
+            bias.mean_sigma_us,
+            if bias.mean_us < 0.0 {
+                "before"
+            } else {
+                "after"
+            },
+            if bias.count == 1 {
+                String::from("one recording")
+            } else {
+                format!("mean of {} recordings", bias.count)
+            }
+        ),
+        None => String::from("No recording gave a bias."),
+    };
+    if open {
+        text.push_str(
+            " Which flash is which is open: the bias may be off by whole pitches (see below).",
+        );
+    }
+    if !result.left_out.is_empty() {
+        let _ = write!(
+            text,
+            " Left out, because it could not be used: {}.",
+            result.left_out.len()
+        );
+    }
+    (level, text)
+}
+
+/// Report of a drift measurement.
+pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, EvaluateError> {
+    let r = &drift.result;
+    let level = if r.identity.unique && r.notes.is_empty() {
+        Level::Good
+    } else {
+        Level::Warning
+    };
+    let verdict = format!(
+        "Over {:.1} s the exposures move against each other by {:+.2} ± {:.2} µs a minute, from \
+         {:+.1} µs at the start to {:+.1} µs at the end.",
+        r.span_s,
+        r.drift_us_per_min,
+        r.drift_sigma_us_per_min,
+        r.bias_at_start_us,
+        r.bias_at_end_us
+    );
+    let mut page = Page::new("Frame sync: drift", level, &verdict);
+    let mut facts = Vec::new();
+    let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
+    fact("recording", r.path.display().to_string());
+    fact(
+        "drift",
+        format!(
+            "{:+.4} ± {:.4} µs/min (1 σ)",
+            r.drift_us_per_min, r.drift_sigma_us_per_min
+        ),
+    );
+    fact(
+        "bias",
+        format!(
+            "{:+.3} µs at the start, {:+.3} µs at the end, {:.1} s later",
+            r.bias_at_start_us, r.bias_at_end_us, r.span_s
+        ),
+    );
+    fact(
+        "frames about the line",
+        format!("{:.3} µs (standard deviation)", r.residual_sd_us),
+    );
+    fact(
+        "row time",
+        format!("{:.4} ± {:.4} µs", r.row_time_us, r.row_time_sigma_us),
+    );
+    fact("which flash", identity_text(&r.identity));
+    if let Some(window) = window_text(r) {
+        fact("window", window);
+    }
+    fact("frames", counts_text(&r.frames));
+    fact("scene taken from", reference_text(r.reference).to_owned());
+    if let Some(p) = &r.paper {
+        fact(
+            "published pipeline",
+            format!(
+                "{:+.4} ± {:.4} µs/min from {} frames, row time {:.4} µs",
+                p.drift_us_per_min, p.drift_sigma_us_per_min, p.frames, p.row_time_us
+            ),
+        );
+    }
+    page.facts(&facts);
+    notes(&mut page, &r.path.display().to_string(), &r.notes);
+    page.section("Frame with the rows found");
+    picture(&mut page, &drift.recording, &drift.track, settings)?;
+    page.section("Row profile and drift");
+    page.figure(
+        &plot::drift(drift, &settings.train, settings.path_delay_us)?,
+        "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
+         against time with the fitted line.",
+    );
+    page.settings("Settings", &json!(settings));
+    Ok(page.html())
+}
+
+/// Which flash is which, in words.
+pub fn identity_text(identity: &Identity) -> String {
+    if identity.unique {
+        return "decided by the train's ends".to_owned();
+    }
+    let Some(first) = identity.candidates.first() else {
+        return "open".to_owned();
+    };
+    let candidates: Vec<String> = identity
+        .candidates
+        .iter()
+        .map(|c| format!("{:+.1}", c.bias_us))
+        .collect();
+    let exposures = identity
+        .candidates
+        .iter()
+        .any(|c| (c.exposure_us - first.exposure_us).abs() > 1.0);
+    format!(
+        "open: the frames do not show the train's ends; {} µs fit equally well, the first is taken (nearest to the expected bias{})",
+        candidates.join(", "),
+        if exposures {
+            ", shortest exposure; the true exposure, given with --exposure, decides between them"
+        } else {
+            ""
+        }
+    )
+}
+
+/// The part of the recording that was found by itself, in words.
+pub fn window_text(drift: &Drift) -> Option<String> {
+    let [from, to] = drift.window_s?;
+    Some(format!(
+        "{from:.1} s to {to:.1} s of the recording, found by itself: before or after that the \
+         train is being aligned or runs free (others: --from, --to)"
+    ))
+}
+
+/// What became of the frames, in words.
+pub fn counts_text(c: &FrameCounts) -> String {
+    let mut text = format!("{} used of {}", c.used, c.read);
+    for (count, what) in [
+        (c.read - c.examined.min(c.read), "not examined"),
+        (c.spare, "not needed"),
+        (c.without_flashes, "without flashes"),
+        (c.flicker, "with changing room light"),
+        (c.unclear, "unclear"),
+    ] {
+        if count > 0 {
+            let _ = write!(text, ", {count} {what}");
+        }
+    }
+    text
+}
+
+/// What the scene's own brightness was taken from, in words.
+pub const fn reference_text(reference: Reference) -> &'static str {
+    match reference {
+        Reference::DarkFrames(_) => "frames without flashes",
+        Reference::DarkRows => "rows while they saw no flash",
+        Reference::Polynomial => "a smooth curve (no frames without flashes)",
+    }
+}
+
+/// The last two parts of a path: a recording's name and its video's.
+fn short(path: &Path) -> String {
+    let parts: Vec<_> = path.components().collect();
+    let last: PathBuf = parts.iter().skip(parts.len().saturating_sub(2)).collect();
+    last.display().to_string()
+}
+
+fn spread_rows(facts: &mut Vec<(String, String)>, name: &str, s: &Spread) {
+    // The published pipeline says nothing about the uncertainty of one recording.
+    let sigma = if s.mean_sigma_us > 0.0 {
+        format!(" ± {:.3}", s.mean_sigma_us)
+    } else {
+        String::new()
+    };
+    let rest = match s.count {
+        1 => String::from("one recording"),
+        count => format!("median {:+.3} µs, {count} recordings", s.median_us),
+    };
+    facts.push((
+        name.to_owned(),
+        format!("mean {:+.3}{sigma} µs, {rest}", s.mean_us),
+    ));
+    if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
+        (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
+    {
+        facts.push((
+            String::from("spread over recordings"),
+            format!("IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"),
+        ));
+    }
+}
+
+fn notes(page: &mut Page, path: &str, notes: &[String]) {
+    for note in notes {
+        page.note(Level::Warning, &format!("{path}: {note}"));
+    }
+}
+
+/// The frame with lines where the flashes were found.
+fn picture(
+    page: &mut Page,
+    recording: &Recording,
+    track: &Track,
+    settings: &Settings,
+) -> Result<(), EvaluateError> {
+    let picture = &recording.picture;
+    let (w, h) = (picture.width, picture.height);
+    let png_error = |e: image::ImageError| EvaluateError::Plot(e.to_string());
+    let mut png = Cursor::new(Vec::new());
+    image::write_buffer_with_format(
+        &mut png,
+        &picture.pixels,
+        w as u32,
+        h as u32,
+        image::ExtendedColorType::L8,
+        image::ImageFormat::Png,
+    )
+    .map_err(png_error)?;
+    let own = track.points.iter().find(|p| p.index == picture.index);
+    // Beside a picture that is too narrow for them the labels have room.
+    let beside = w < LABEL_WIDTH;
+    let whole = if beside { w + LABEL_WIDTH } else { w };
+    let mut svg = format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {whole} {h}\" width=\"{whole}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
+        STANDARD.encode(png.get_ref())
+    );
+    // Type in proportion to the picture, so that it can be read at any size.
+    let size = if beside {
+        (0.022 * h as f64).max(12.0)
+    } else {
+        (0.03 * w.min(h) as f64).max(12.0)
+    };
+    // Places in the reduced picture: the centre of a row's pixels.
+    let place = |row: f64| {
+        let (line, vertical) = recording.reducer.image_line(row);
+        ((line + 0.5) / picture.reduction as f64, vertical)
+    };
+    let across = |row: f64, from: f64, to: f64| {
+        let (at, vertical) = place(row);
+        if vertical {
+            format!(
+                "x1=\"{at:.2}\" y1=\"{:.1}\" x2=\"{at:.2}\" y2=\"{:.1}\"",
+                from * h as f64,
+                to * h as f64
+            )
+        } else {
+            format!(
+                "x1=\"{:.1}\" y1=\"{at:.2}\" x2=\"{:.1}\" y2=\"{at:.2}\"",
+                from * w as f64,
+                to * w as f64
+            )
+        }
+    };
+    // Where the flashes of another frame lie says nothing about this one.
+    let rows = own.map(|p| {
+        let bias = p.bias_us + settings.path_delay_us;
+        flash_rows(recording, track, &settings.train, bias)
+    });
+    for (number, row) in rows.unwrap_or_default() {
+        // Only at the edges, so that the bands stay visible.
+        for (from, to) in [(0.0, 0.18), (0.82, 1.0)] {
+            let _ = writeln!(
+                svg,
+                "<line {} stroke=\"#ff6a3d\" stroke-width=\"1.2\"/>",
+                across(row, from, to)
+            );
+        }
+        let (at, vertical) = place(row);
+        let (x, y) = match (vertical, beside) {
+            (true, _) => (at + 3.0, 14.0),
+            (false, true) => (w as f64 + 6.0, at + 0.35 * size),
+            (false, false) => (4.0, at - 3.0),
+        };
+        let _ = writeln!(
+            svg,
+            "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"{size:.0}\">flash {number}, row {row:.2}</text>"
+        );
+    }
+    if beside {
+        let (at, _) = place(middle_row(recording));
+        let _ = writeln!(
+            svg,
+            "<text x=\"{}\" y=\"{:.1}\" fill=\"#0072b2\" font-family=\"sans-serif\" font-size=\"{size:.0}\">middle row</text>",
+            w + LABEL_WIDTH * 2 / 3,
+            at + 0.35 * size
+        );
+    }
+    let _ = writeln!(
+        svg,
+        "<line {} stroke=\"#39a0ff\" stroke-width=\"1.2\" stroke-dasharray=\"6 4\"/>",
+        across(middle_row(recording), 0.0, 1.0)
+    );
+    svg.push_str("</svg>\n");
+    page.picture(
+        &svg,
+        &format!(
+            "Frame {} of the recording. Dashed: the middle row.",
+            picture.index
+        ),
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_name_only_what_there_is() {
+        let counts = FrameCounts {
+            read: 30,
+            examined: 30,
+            used: 16,
+            spare: 10,
+            without_flashes: 4,
+            ..FrameCounts::default()
+        };
+        assert_eq!(
+            counts_text(&counts),
+            "16 used of 30, 10 not needed, 4 without flashes"
+        );
+    }
+}

@@ -1,0 +1,202 @@
+//! What the board recorded, from our own recordings and from the published
+//! system's bags, as one stream of events in board time.
+//!
+//! A stream is read front to back and can be opened again ([`BoardInput::open`]):
+//! the extraction goes over it more than once instead of keeping it in memory.
+
+mod bag;
+mod mcap;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::depth_clock::PulseTime;
+use super::time::BoardNanos;
+use twist_sync::ClockModel;
+
+/// Topics of further outputs begin so; the sensor's name follows.
+pub const OUTPUT_TOPICS: &str = "/output/";
+
+/// Pulses per second with the UTC that a lidar was told.
+pub const LIDAR_TOPIC: &str = "/mcu_lidar_ts";
+
+/// One sample of the board's IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuRow {
+    /// The data-ready edge; the filter's delay is not subtracted.
+    pub at: BoardNanos,
+    /// rad/s.
+    pub gyro: [f64; 3],
+    /// m/s².
+    pub accel: [f64; 3],
+    /// °C.
+    pub temperature: Option<f64>,
+}
+
+/// A pair of times of one instant.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TimePair {
+    /// The topic that it came on.
+    pub topic: Arc<str>,
+    /// Counted by the publisher.
+    pub seq: u32,
+    /// Board time.
+    pub stamp: BoardNanos,
+    /// The other time, in ns.
+    pub other: i64,
+}
+
+/// A depth image of a bag.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BagImage {
+    /// Its stamp: the depth camera's clock, as the driver gives it.
+    pub stamp: i64,
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Big-endian 16-bit pixels in mm.
+    pub pixels: Vec<u8>,
+}
+
+/// Something that the board recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub enum BoardEvent {
+    /// A sample of the IMU.
+    Imu(ImuRow),
+    /// A trigger pulse.
+    Pulse(PulseTime),
+    /// The beginning of a sequence.
+    Mark(BoardNanos),
+    /// A pair of times.
+    Times(TimePair),
+    /// A relation of phone and board that the session found: of the phone that the
+    /// trigger was aligned to, or of a further one by its name.
+    Clock(Option<String>, ClockModel),
+    /// A depth image (bags only).
+    Image(BagImage),
+    /// The board was reset: what follows is of another run.
+    Run(RunMark),
+}
+
+/// The beginning of a run of the board after a reset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RunMark {
+    /// All of the run lies at or behind this time.
+    pub from: BoardNanos,
+    /// The last time known of the run before.
+    pub last: BoardNanos,
+    /// How well the two runs are related, 1-sigma in s: as a stream has it by the
+    /// session.
+    pub sigma_s: f64,
+}
+
+/// Why a recording cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum BoardError {
+    /// It cannot be opened.
+    #[error("opening {path}: {error}")]
+    Open {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// A bag that cannot be read.
+    #[error("{path}: {error}")]
+    Bag {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: super::bag::reader::BagError,
+    },
+    /// The file is no MCAP file.
+    #[error("{path} is no MCAP recording: {what}")]
+    NotMcap {
+        /// Which.
+        path: PathBuf,
+        /// What the reader said.
+        what: String,
+    },
+    /// A topic with another type than the published system's.
+    #[error("topic {topic} has type {found}; expected {expected}")]
+    OtherType {
+        /// The topic.
+        topic: String,
+        /// Its type.
+        found: String,
+        /// The published system's type.
+        expected: &'static str,
+    },
+}
+
+/// Where the board's recording lies.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum BoardInput {
+    /// Our own `recording.mcap`.
+    Mcap(PathBuf),
+    /// The same with its runs moved against each other: what the board said in run
+    /// `n` (0: the first) is later by the n-th number of ns.
+    Moved(PathBuf, Vec<i64>),
+    /// A ROS 1 bag of the published system.
+    Bag(PathBuf),
+}
+
+/// Events one after the other.
+pub trait BoardStream: Send {
+    /// The next event; `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails. Damage is no error: see [`BoardStream::damage`].
+    fn next_event(&mut self) -> Result<Option<BoardEvent>, BoardError>;
+
+    /// What could not be read so far, in words.
+    fn damage(&self) -> Vec<String>;
+
+    /// Bytes read so far.
+    fn position(&self) -> u64;
+}
+
+/// What is wanted of a stream: images are large.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Images {
+    /// Images with pixels.
+    Pixels,
+    /// Images with their stamps only.
+    Stamps,
+    /// No images.
+    Skip,
+}
+
+impl BoardInput {
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Mcap(path) | Self::Moved(path, _) | Self::Bag(path) => path,
+        }
+    }
+
+    /// How much later the last run of the board is than it stands in the file, ns.
+    #[must_use]
+    pub fn last_moved(&self) -> i64 {
+        match self {
+            Self::Moved(_, by) => by.last().copied().unwrap_or_default(),
+            Self::Mcap(_) | Self::Bag(_) => 0,
+        }
+    }
+
+    /// Opens the recording at its beginning.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened or is of another kind.
+    pub fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
+        match self {
+            Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path, &[])?)),
+            Self::Moved(path, by) => Ok(Box::new(mcap::McapStream::open(path, by)?)),
+            Self::Bag(path) => Ok(Box::new(bag::BagStream::open(path, images)?)),
+        }
+    }
+}

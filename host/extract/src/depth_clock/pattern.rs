@@ -1,0 +1,554 @@
+//! At which shift by whole periods the frames fit the pulses.
+//!
+//! Frames and pulses both get ordinals: time differences rounded to whole
+//! periods and summed up, so that a lost frame or pulse is a step of two. A
+//! *shift* says which pulse ordinal belongs to frame ordinal 0. For a shift, the
+//! distances frame − pulse (modulo a period, as a jump of the phase by half a
+//! period may be counted either way; unwrapped along time) must be a slow
+//! function of time ([`fit::smooth`]); what remains is noise of the camera's tick,
+//! or a sign that the shift is wrong: where the phase was moved, a wrong shift
+//! leaves the difference of the phases.
+//!
+//! Shifts are compared by χ² over the frames that have a pulse in both, so that
+//! where pulses are regular, all shifts cost the same and none wins by chance. A
+//! frame in front of the first pulse speaks against a shift (the camera waits for
+//! pulses); one behind the last does not (it goes on without them).
+//!
+//! All this takes for granted that the camera follows each pulse. One that comes later
+//! than expected by more than the camera waits for may find a frame already begun: the
+//! frames then follow the move one pulse late, which looks exactly like the next shift.
+//! How long a camera waits is not documented. Where the trigger was moved by more than
+//! [`FOLLOWED`] at a time, the neighbours of the best shift therefore stay in the
+//! running, whatever their χ².
+
+use rayon::prelude::*;
+
+use super::fit::{self, Smooth, median};
+use super::{DEVICE_TICK_NS, MIN_FRAMES, MatchError, PulseTime};
+use crate::time::{AffineMap, BoardNanos, DeviceNanos};
+
+/// χ² by which every other shift must fit worse.
+const DECISIVE: f64 = 30.0;
+/// χ² of one frame at most.
+const CAP: f64 = 100.0;
+/// χ² of a frame in front of the first pulse.
+const TOO_EARLY: f64 = 9.0;
+/// Frames in the first, coarse comparison.
+const COARSE: usize = 300;
+/// Shifts near the best that are always compared in full.
+const NEAR: usize = 64;
+/// At most this many shifts are compared in full.
+const MAX_FULL: usize = 1000;
+/// How often the best shift may change as more is compared.
+const ROUNDS: usize = 8;
+/// So many frames say what shift a clock relation means.
+const AT_ANCHOR: usize = 1000;
+/// By how much a pulse may come off its expected place for the camera to follow it
+/// for certain, ns: twice the usual slew.
+const FOLLOWED: f64 = 200e3;
+/// Noise of a device time: one tick, evenly distributed.
+pub(super) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
+/// Longest recording, ns: a month.
+const MAX_SPAN: f64 = 30.0 * 86_400.0 * 1e9;
+/// Largest ordinal: beyond, times are damaged.
+const MAX_ORDINAL: i64 = 1 << 40;
+/// How far the two rates may be apart.
+const MAX_RATE_DIFFERENCE: f64 = 0.002;
+
+/// Frames and pulses with their ordinals.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    /// Distance of pulses, ns.
+    pub(super) period: f64,
+    /// Distance of frames, ns of the device.
+    frame_period: f64,
+    /// (ordinal, distance from the first frame in ns of the device), in time order.
+    frames: Vec<(i64, f64)>,
+    /// Pulse index at each ordinal, distance from the first pulse in ns.
+    pulses: Vec<Option<(usize, f64)>>,
+    /// Ordinal of each pulse.
+    ordinals: Vec<i64>,
+    /// Whether pulses were there before the first recorded one.
+    earlier_pulses: bool,
+    /// Whether the trigger moved faster than the camera follows for certain.
+    pub(super) moved_fast: bool,
+    /// Device time of the first frame.
+    device_zero: DeviceNanos,
+    /// Board time of the first pulse.
+    board_zero: BoardNanos,
+}
+
+/// What the search found.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// The best shift.
+    pub best: i64,
+    /// All shifts that it cannot be told apart from, itself among them.
+    pub left: Vec<i64>,
+    /// χ² of the next best less that of the best.
+    pub margin: f64,
+    /// Robust standard deviation at the best shift, ns.
+    pub scatter: f64,
+}
+
+/// A fit at one shift.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// Frame − pulse (as distances, frame scaled by the ratio of the periods)
+    /// against the frame's scaled distance.
+    pub smooth: Smooth,
+    /// Robust standard deviation, ns.
+    pub scatter: f64,
+}
+
+impl Grid {
+    /// Gives everything its ordinal.
+    ///
+    /// # Errors
+    ///
+    /// The camera does not run at the rate of the pulses.
+    pub fn new(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<Self, MatchError> {
+        let mut order: Vec<DeviceNanos> = frames.to_vec();
+        order.sort_unstable();
+        // A stamp that is days away from the others is damaged; it must not
+        // stretch the fit over all that time.
+        let middle = order.get(order.len() / 2).copied().unwrap_or_default();
+        order.retain(|at| distance(at.0, middle.0).abs() <= MAX_SPAN / 2.0);
+        let zero = order.first().copied().unwrap_or_default();
+        let board_zero = pulses.first().map_or(BoardNanos(0), |pulse| pulse.at);
+        let times: Vec<f64> = order.iter().map(|at| distance(at.0, zero.0)).collect();
+        let pulse_times: Vec<f64> = pulses
+            .iter()
+            .map(|pulse| distance(pulse.at.0, board_zero.0))
+            .collect();
+        let frame_period = median(steps(&times));
+        let period = median(steps(&pulse_times));
+        // Negated so that a period that is not a number fails too.
+        let plausible = (frame_period / period - 1.0).abs() < MAX_RATE_DIFFERENCE;
+        if !plausible {
+            return Err(MatchError::OtherRate {
+                frame_period_us: frame_period / 1e3,
+                pulse_period_us: period / 1e3,
+            });
+        }
+        let frame_ordinals = ordinals(&times, frame_period);
+        let ordinals = ordinals(&pulse_times, period);
+        // The median knows the period to a tick of the camera only.
+        let frame_period = mean_period(&frame_ordinals, &times).unwrap_or(frame_period);
+        let period = mean_period(&ordinals, &pulse_times).unwrap_or(period);
+        let moved_fast = moved_fast(&ordinals, &pulse_times, period);
+        let length = ordinals.last().map_or(0, |&last| last + 1);
+        // Hostile times must not ask for memory: beyond this, pulses are too far
+        // apart to be one recording.
+        let length = usize::try_from(length)
+            .unwrap_or(0)
+            .min(pulses.len() * 64 + 1_000_000);
+        let mut at_ordinal = vec![None; length];
+        for (index, (&ordinal, &time)) in ordinals.iter().zip(&pulse_times).enumerate() {
+            if let Some(slot) = usize::try_from(ordinal)
+                .ok()
+                .and_then(|o| at_ordinal.get_mut(o))
+            {
+                *slot = Some((index, time));
+            }
+        }
+        Ok(Self {
+            period,
+            frame_period,
+            frames: frame_ordinals.into_iter().zip(times).collect(),
+            pulses: at_ordinal,
+            ordinals,
+            earlier_pulses: pulses.first().is_some_and(|pulse| pulse.number > 0),
+            moved_fast,
+            device_zero: zero,
+            board_zero,
+        })
+    }
+
+    /// The camera streamed before the first of the pulses: frames may lie in front of
+    /// it.
+    pub(super) fn of_running_camera(self) -> Self {
+        Self {
+            earlier_pulses: true,
+            ..self
+        }
+    }
+
+    /// Device and board times that distances count from.
+    pub(super) fn zeros(&self) -> (DeviceNanos, BoardNanos) {
+        (self.device_zero, self.board_zero)
+    }
+
+    /// Distance of the last frame from the first, ns of the device.
+    pub(super) fn end(&self) -> f64 {
+        self.frames.last().map_or(0.0, |frame| frame.1)
+    }
+
+    /// Board ns a device ns, from the periods.
+    pub(super) fn ratio(&self) -> f64 {
+        self.period / self.frame_period
+    }
+
+    fn pulse(&self, ordinal: i64) -> Option<f64> {
+        let slot = usize::try_from(ordinal).ok()?;
+        self.pulses
+            .get(slot)
+            .copied()
+            .flatten()
+            .map(|pulse| pulse.1)
+    }
+
+    /// (scaled distance of the frame, frame − pulse, whole periods taken off) of
+    /// the frames that have a pulse at a shift.
+    ///
+    /// The frames are gone through in order of time, and each takes the number of
+    /// periods that puts it next to those before it.
+    fn points(&self, shift: i64, stride: usize) -> Vec<(f64, f64, f64)> {
+        let ratio = self.ratio();
+        let mut near = None;
+        let mut points = Vec::with_capacity(self.frames.len() / stride + 1);
+        for frame in self.frames.iter().step_by(stride) {
+            let Some(pulse) = self.pulse(frame.0 + shift) else {
+                continue;
+            };
+            let x = frame.1 * ratio;
+            let raw = x - pulse;
+            let near = near.get_or_insert(raw - (raw / self.period).round() * self.period);
+            let turns = ((raw - *near) / self.period).round();
+            let y = raw - turns * self.period;
+            *near += 0.25 * (y - *near);
+            points.push((x, y, turns));
+        }
+        points
+    }
+
+    /// What to add to `scaled − smooth(scaled)` to get the pulse's distance: the
+    /// whole periods, as they are at the first frames.
+    pub(super) fn base(&self, shift: i64) -> f64 {
+        let turns = self
+            .points(shift, 1)
+            .iter()
+            .take(15)
+            .map(|point| point.2)
+            .collect();
+        -median(turns) * self.period
+    }
+
+    /// The fit at a shift, over all frames.
+    #[must_use]
+    pub fn fit(&self, shift: i64) -> Fitted {
+        self.fit_points(&self.points(shift, 1))
+    }
+
+    fn fit_points(&self, points: &[(f64, f64, f64)]) -> Fitted {
+        let pairs: Vec<(f64, f64)> = points.iter().map(|&(x, y, _)| (x, y)).collect();
+        let Some(smooth) = fit::smooth(&pairs, TICK_SIGMA) else {
+            return Fitted {
+                smooth: Smooth::default(),
+                scatter: f64::INFINITY,
+            };
+        };
+        let distances = pairs
+            .iter()
+            .map(|&(x, y)| (y - smooth.at(x)).abs())
+            .collect();
+        Fitted {
+            smooth,
+            scatter: 1.4826 * median(distances),
+        }
+    }
+
+    /// Index of the pulse at an ordinal, or of the next one where none is; negative
+    /// in front of the first.
+    pub(super) fn index_of(&self, ordinal: i64) -> i64 {
+        if ordinal < 0 {
+            return ordinal;
+        }
+        self.ordinals.partition_point(|&o| o < ordinal) as i64
+    }
+
+    /// The shift at which frame ordinal 0 has this pulse.
+    pub(super) fn shift_of_pulse(&self, index: usize) -> Option<i64> {
+        self.ordinals.get(index).copied()
+    }
+
+    /// The shift that a clock relation means: the median over the frames nearest to
+    /// where it is anchored, as it is known best there.
+    pub(super) fn shift_by_clock(
+        &self,
+        map: &AffineMap<DeviceNanos, BoardNanos>,
+        center: i64,
+    ) -> Option<i64> {
+        let at = distance(map.anchor().0, self.device_zero.0);
+        let anchor = self.frames.partition_point(|frame| frame.1 < at);
+        let start = anchor
+            .saturating_sub(AT_ANCHOR / 2)
+            .min(self.frames.len().saturating_sub(AT_ANCHOR));
+        let near = self.frames.iter().skip(start).take(AT_ANCHOR);
+        let shifts = near.filter_map(|&(ordinal, time)| {
+            let device = DeviceNanos(self.device_zero.0.saturating_add(time as i64));
+            let board = map.apply(device).0.saturating_sub(center);
+            let pulse = self.nearest_ordinal(distance(board, self.board_zero.0))?;
+            Some((pulse - ordinal) as f64)
+        });
+        let shifts: Vec<f64> = shifts.collect();
+        (!shifts.is_empty()).then(|| median(shifts) as i64)
+    }
+
+    fn nearest_ordinal(&self, time: f64) -> Option<i64> {
+        // Pulses are in time order, with gaps: search among those that are there.
+        let after = self
+            .ordinals
+            .partition_point(|&ordinal| self.pulse(ordinal).is_some_and(|pulse| pulse < time));
+        let candidates = [after.checked_sub(1), Some(after)];
+        candidates
+            .into_iter()
+            .flatten()
+            .filter_map(|index| {
+                let ordinal = *self.ordinals.get(index)?;
+                Some((ordinal, (self.pulse(ordinal)? - time).abs()))
+            })
+            .filter(|&(_, distance)| distance < self.period * 0.5)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(ordinal, _)| ordinal)
+    }
+
+    /// Shifts at which at least half of the frames lie within the pulses, or as many
+    /// as half of the pulses, if those are fewer: a camera goes on without them.
+    fn shifts(&self) -> std::ops::Range<i64> {
+        let frames = self.frames.last().map_or(0, |frame| frame.0);
+        let pulses = self.pulses.len() as i64;
+        let half = frames.min(pulses) / 2;
+        let early = if self.earlier_pulses {
+            -half
+        } else {
+            -(half.min(30))
+        };
+        early..(pulses - half).max(early + 1)
+    }
+
+    /// Distance of each frame from its pulse at a shift.
+    fn distances(&self, shift: i64, stride: usize) -> Distances {
+        let points = self.points(shift, stride);
+        if points.len() < MIN_FRAMES {
+            return Distances::default();
+        }
+        let fitted = self.fit_points(&points);
+        let mut points = points.into_iter();
+        let frames = self.frames.iter().step_by(stride).map(|frame| {
+            let ordinal = frame.0 + shift;
+            if self.pulse(ordinal).is_none() {
+                let early = ordinal < 0 && !self.earlier_pulses;
+                return if early {
+                    Frame::TooEarly
+                } else {
+                    Frame::NoPulse
+                };
+            }
+            points.next().map_or(Frame::NoPulse, |(x, y, _)| {
+                Frame::Distance((y - fitted.smooth.at(x)) as f32)
+            })
+        });
+        Distances {
+            frames: frames.collect(),
+            scatter: fitted.scatter,
+        }
+    }
+}
+
+/// A frame at one shift.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Frame {
+    /// It lies in front of the first pulse that the camera can have seen.
+    TooEarly,
+    /// There is no recorded pulse.
+    NoPulse,
+    /// Distance from the pulse on the fitted clock, ns.
+    Distance(f32),
+}
+
+impl Frame {
+    fn cost(self, sigma: f64) -> Option<f64> {
+        match self {
+            Self::TooEarly => Some(TOO_EARLY),
+            Self::NoPulse => None,
+            Self::Distance(distance) => {
+                let ratio = f64::from(distance) / sigma;
+                Some((ratio * ratio).min(CAP))
+            }
+        }
+    }
+}
+
+#[derive(Clone, Debug, Default)]
+struct Distances {
+    frames: Vec<Frame>,
+    scatter: f64,
+}
+
+/// By how much `other` fits worse than `best`, over the frames that both have.
+fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
+    if other.frames.is_empty() {
+        return f64::INFINITY;
+    }
+    best.frames
+        .iter()
+        .zip(&other.frames)
+        .map(|(best, other)| match (best, other) {
+            // Impossible at one of the shifts, without a pulse at the other.
+            (Frame::NoPulse, Frame::TooEarly) => TOO_EARLY,
+            (Frame::TooEarly, Frame::NoPulse) => -TOO_EARLY,
+            _ => match (best.cost(sigma), other.cost(sigma)) {
+                (Some(best), Some(other)) => other - best,
+                _ => 0.0,
+            },
+        })
+        .sum()
+}
+
+/// Compares the shifts.
+#[must_use]
+pub fn search(grid: &Grid) -> Found {
+    let mut found = search_all(grid);
+    if grid.moved_fast {
+        for shift in [found.best - 1, found.best + 1] {
+            if !found.left.contains(&shift) {
+                found.left.push(shift);
+            }
+        }
+    }
+    found
+}
+
+fn search_all(grid: &Grid) -> Found {
+    let stride = grid.frames.len().div_ceil(COARSE);
+    let start = grid.shifts().start;
+    let coarse: Vec<Distances> = grid
+        .shifts()
+        .into_par_iter()
+        .map(|shift| grid.distances(shift, stride))
+        .collect();
+    // The noise is not known before the shift is: take the smallest scatter of
+    // all, and never less than the tick's.
+    let by_scatter = |a: &&Distances, b: &&Distances| a.scatter.total_cmp(&b.scatter);
+    let smallest = coarse
+        .iter()
+        .filter(|c| !c.frames.is_empty())
+        .min_by(by_scatter);
+    let sigma = smallest.map_or(TICK_SIGMA, |c| c.scatter.max(TICK_SIGMA));
+    let is_smallest = |c: &Distances| smallest.is_some_and(|s| std::ptr::eq(s, c));
+    let mut best = coarse.iter().position(is_smallest).unwrap_or(0);
+    let mut costs = Vec::new();
+    for _ in 0..ROUNDS {
+        costs = coarse
+            .par_iter()
+            .map(|c| worse(&coarse[best], c, sigma))
+            .collect();
+        match costs.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)) {
+            Some((better, cost)) if *cost < 0.0 && better != best => best = better,
+            _ => break,
+        }
+    }
+    let close = |limit: f64, near: usize| -> Vec<i64> {
+        costs
+            .iter()
+            .enumerate()
+            .filter(|&(index, cost)| *cost < limit || index.abs_diff(best) <= near)
+            .map(|(index, _)| start + index as i64)
+            .collect()
+    };
+    let best = start + best as i64;
+    let full = close(2.0 * DECISIVE, NEAR);
+    if full.len() > MAX_FULL {
+        // A train so regular that comparing them all in full cannot decide.
+        return Found {
+            best,
+            left: close(DECISIVE, 0),
+            margin: 0.0,
+            scatter: grid.fit(best).scatter,
+        };
+    }
+    compare_in_full(grid, &full, best, sigma)
+}
+
+/// Compares the shifts that are left over all frames.
+fn compare_in_full(grid: &Grid, shifts: &[i64], mut best: i64, sigma: f64) -> Found {
+    let mut costs: Vec<(i64, f64)> = Vec::new();
+    for _ in 0..ROUNDS {
+        let reference = grid.distances(best, 1);
+        costs = shifts
+            .par_iter()
+            .map(|&shift| (shift, worse(&reference, &grid.distances(shift, 1), sigma)))
+            .collect();
+        match costs.iter().min_by(|a, b| a.1.total_cmp(&b.1)) {
+            Some(&(shift, cost)) if cost < 0.0 && shift != best => best = shift,
+            _ => break,
+        }
+    }
+    let others = costs.iter().filter(|(shift, _)| *shift != best);
+    let margin = others.map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min);
+    let left = costs
+        .iter()
+        .filter(|(shift, cost)| *shift == best || *cost < DECISIVE)
+        .map(|(shift, _)| *shift)
+        .collect();
+    Found {
+        best,
+        left,
+        margin,
+        scatter: grid.fit(best).scatter,
+    }
+}
+
+/// `a − b` of two times in ns, without overflow.
+pub(super) fn distance(a: i64, b: i64) -> f64 {
+    (i128::from(a) - i128::from(b)) as f64
+}
+
+fn steps(times: &[f64]) -> Vec<f64> {
+    times
+        .windows(2)
+        .map(|pair| pair[1] - pair[0])
+        .filter(|step| *step > 0.0)
+        .collect()
+}
+
+/// Whether two pulses that follow each other are further from whole periods than the
+/// camera follows for certain.
+fn moved_fast(ordinals: &[i64], times: &[f64], period: f64) -> bool {
+    ordinals.windows(2).zip(times.windows(2)).any(|(o, t)| {
+        let steps = (o[1] - o[0]) as f64;
+        // The period is a mean over the recording: allow for its error in a long pause.
+        let allowed = FOLLOWED + 1e-6 * steps * period;
+        (t[1] - t[0] - steps * period).abs() > allowed
+    })
+}
+
+/// The slope of a robust line through (ordinal, time).
+fn mean_period(ordinals: &[i64], times: &[f64]) -> Option<f64> {
+    let points: Vec<(f64, f64)> = ordinals
+        .iter()
+        .map(|&o| o as f64)
+        .zip(times.iter().copied())
+        .collect();
+    let period = fit::robust_line(&points)?;
+    (period.is_finite() && period > 0.0).then_some(period)
+}
+
+/// Time differences in whole periods, summed up. Times closer than a quarter of
+/// a period get the same ordinal.
+fn ordinals(times: &[f64], period: f64) -> Vec<i64> {
+    let mut ordinal = 0_i64;
+    let mut last = times.first().copied().unwrap_or(0.0);
+    times
+        .iter()
+        .map(|&time| {
+            let step = (time - last) / period;
+            if step > 0.25 {
+                ordinal = (ordinal + (step.round() as i64).clamp(1, MAX_ORDINAL)).min(MAX_ORDINAL);
+                last = time;
+            }
+            ordinal
+        })
+        .collect()
+}

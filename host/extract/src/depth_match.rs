@@ -1,0 +1,290 @@
+//! Which depth frame has which pulse: the pattern first, and where it does not
+//! decide, what else there is. Over a reset of the board the camera's clock leads
+//! from one run to the next.
+//!
+//! In this order: the pulse that the user gives; the pattern of the pulses; the
+//! camera's own gyroscope against the board's (its recorder writes an IMU track
+//! unless told not to), which gives the offset of the clocks far better than half
+//! a period; the recorded offset of the published system.
+
+use super::board::{BoardError, BoardInput};
+use super::depth::{DepthIndex, DepthInput};
+use super::depth_clock::resets::{OverResets, Reset, match_over_resets};
+use super::depth_clock::{
+    Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
+};
+use super::gyro_clock::{Delays, GyroClockError, relate};
+use super::progress::Progress;
+use super::report::Constants;
+use super::streams::{self, StreamError};
+use super::survey::Survey;
+use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use timebase::BoardSeconds;
+
+/// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
+/// is not documented and is a few milliseconds at most.
+const CAMERA_SIGMA: f64 = 2.5e6;
+/// 1-sigma of the published system's recorded offset, ns: set by hand to a few
+/// milliseconds.
+const RECORDED_SIGMA: f64 = 3e6;
+/// Of the windows of the camera's gyroscope, each this many is used: the relation
+/// is needed to milliseconds only.
+const EVERY: usize = 3;
+
+/// Frames with their pulses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Matched {
+    /// The frames.
+    pub found: DepthMatch,
+    /// Worth knowing.
+    pub remarks: Vec<String>,
+    /// Frames without a board time, in words.
+    pub losses: Vec<String>,
+    by: &'static str,
+}
+
+impl Matched {
+    fn new(found: DepthMatch) -> Self {
+        Self {
+            found,
+            remarks: Vec::new(),
+            losses: Vec::new(),
+            by: "the pattern",
+        }
+    }
+
+    fn by(self, by: &'static str) -> Self {
+        Self { by, ..self }
+    }
+
+    fn over_resets(over: &OverResets) -> Self {
+        let anchor = over.anchor + 1;
+        let carried = over.carried.iter().map(|run| {
+            format!(
+                "the depth camera's clock leads over the reset from run {anchor} of the board to run {}, \
+                 whose depth frames lie {:+.1} µs from where it has them (± {:.1} µs, 1-sigma)",
+                run.run + 1,
+                run.off / 1000.0,
+                run.sigma / 1000.0
+            )
+        });
+        let mut remarks: Vec<String> = carried.collect();
+        if over.in_gaps > 0 {
+            remarks.push(format!(
+                "{} depth frames lie where the board was reset, and no pulse made them: they are timed by \
+                 the camera's clock",
+                over.in_gaps
+            ));
+        }
+        let left_out = over.left_out.iter().filter(|run| run.frames > 0);
+        let losses = left_out.map(|run| {
+            format!(
+                "{} depth frames of run {} of the board have no board time: which pulse each has is not \
+                 found from run {anchor}, and not guessed: {}",
+                run.frames,
+                run.run + 1,
+                run.why
+            )
+        });
+        Self {
+            losses: losses.collect(),
+            remarks,
+            ..Self::new(over.found.clone())
+        }
+    }
+
+    /// What decided, in words.
+    #[must_use]
+    pub fn decided_by(&self) -> String {
+        match self.found.decision {
+            Decision::Pattern { margin } if margin.is_finite() => {
+                format!("the pattern of the pulses (χ² margin {margin:.0})")
+            }
+            Decision::Pattern { .. } => "the pattern of the pulses".into(),
+            Decision::Hint { left } => format!("{} (of {left} possible shifts)", self.by),
+        }
+    }
+}
+
+/// Why matching ended.
+#[derive(Debug)]
+pub enum Stopped {
+    /// The user stopped it.
+    Cancelled,
+    /// The board's recording cannot be read.
+    Board(BoardError),
+}
+
+/// Matches depth frames to pulses.
+///
+/// # Errors
+///
+/// Stopped, or the board's recording cannot be read. The inner error says why
+/// frames and pulses were not matched.
+pub fn find(
+    board: &BoardInput,
+    input: &DepthInput,
+    index: &DepthIndex,
+    survey: &Survey,
+    constants: &Constants,
+    first_pulse: Option<usize>,
+    progress: &dyn Progress,
+) -> Result<Result<Matched, MatchError>, Stopped> {
+    let frames: Vec<DeviceNanos> = index.frames.iter().map(|frame| frame.at).collect();
+    let pulses = &survey.pulses;
+    let resets = resets(survey);
+    let look = |hint| {
+        if resets.is_empty() {
+            return match_frames(&frames, pulses, hint).map(Matched::new);
+        }
+        let over = match_over_resets(&frames, pulses, &resets, hint)?;
+        Ok(Matched::over_resets(&over))
+    };
+    progress.begin("matching depth frames to pulses", 0);
+    let found = look(first_pulse.map(Hint::FirstPulse));
+    progress.end();
+    if first_pulse.is_some() {
+        return Ok(found.map(|found| found.by("the user")));
+    }
+    let error = match found {
+        Ok(found) => return Ok(Ok(found)),
+        Err(error) => error,
+    };
+    if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
+        let hint = if index.has_imu {
+            camera_hint(board, input, survey, constants, progress)?
+        } else {
+            None
+        };
+        if let Some(hint) = hint {
+            return Ok(look(Some(hint)).map(|found| found.by("the camera's gyroscope")));
+        }
+        if let Some(delta) = recorded_offset(survey)
+            && let Some(map) = shift(delta)
+        {
+            let hint = Hint::Clock {
+                map,
+                sigma: RECORDED_SIGMA,
+                center: 0,
+            };
+            if let Ok(found) = look(Some(hint)) {
+                return Ok(Ok(found.by("the recorded offset")));
+            }
+        }
+    }
+    // The published system's own way: one recorded offset for all frames.
+    if let Some(delta) = recorded_offset(survey) {
+        let remark =
+            format!("depth frames have the one offset that was recorded, without pulses: {error}");
+        let found = by_offset(&frames, delta, constants.depth_center_ns);
+        let found = Matched {
+            remarks: vec![remark],
+            ..Matched::new(found)
+        };
+        return Ok(Ok(found.by("the recorded offset")));
+    }
+    Ok(Err(error))
+}
+
+/// Where the board's runs after resets begin among the pulses. A run without pulses is
+/// none here; its uncertainty goes to the next.
+fn resets(survey: &Survey) -> Vec<Reset> {
+    let first_at = |at: BoardNanos| survey.pulses.partition_point(|pulse| pulse.at < at);
+    let mut resets: Vec<Reset> = Vec::new();
+    for mark in &survey.runs {
+        let (first_pulse, sigma) = (first_at(mark.from), mark.sigma_s * 1e9);
+        if first_pulse == 0 || first_pulse == survey.pulses.len() {
+            continue;
+        }
+        match resets.last_mut() {
+            Some(last) if last.first_pulse == first_pulse => last.sigma = last.sigma.hypot(sigma),
+            _ => resets.push(Reset { first_pulse, sigma }),
+        }
+    }
+    resets
+}
+
+fn camera_hint(
+    board: &BoardInput,
+    input: &DepthInput,
+    survey: &Survey,
+    constants: &Constants,
+    progress: &dyn Progress,
+) -> Result<Option<Hint>, Stopped> {
+    let delays = Delays {
+        board: constants.board_imu_delay_ns as f64 * 1e-9,
+        other: 0.0,
+    };
+    let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
+    progress.begin(
+        "relating the depth camera's clock by its gyroscope",
+        last.saturating_sub(first).unsigned_abs(),
+    );
+    let related = relate(
+        &|| streams::board(board, progress),
+        &|| streams::camera(input, progress),
+        None,
+        delays,
+        EVERY,
+        &|at| progress.at(at.0.saturating_sub(first).unsigned_abs()),
+    );
+    progress.end();
+    match related {
+        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        // Without a relation the pulses stay ambiguous, which is what is said.
+        Err(_) => Ok(None),
+        Ok(clock) => {
+            let (from, to) = clock.course.span();
+            let at = 0.5 * (from.0 + to.0);
+            let model = clock.course.at(BoardSeconds(at));
+            let board = (at * 1e9).round() as i64;
+            let offset = (model.offset * 1e9).round() as i64;
+            let map = AffineMap::new(
+                DeviceNanos(board.saturating_add(offset)),
+                BoardNanos(board),
+                1.0 / (1.0 + model.skew) - 1.0,
+            );
+            Ok(map.map(|map| Hint::Clock {
+                map,
+                sigma: CAMERA_SIGMA,
+                center: constants.depth_center_ns,
+            }))
+        }
+    }
+}
+
+/// Board − depth stamp by the published system's `/depth_to_mcu_offset`.
+fn recorded_offset(survey: &Survey) -> Option<i64> {
+    let is_it = |topic: &str| topic.ends_with("depth_to_mcu_offset");
+    let pair = survey.times.iter().find(|pair| is_it(&pair.topic))?;
+    pair.stamp.0.checked_sub(pair.other)
+}
+
+fn shift(delta: i64) -> Option<AffineMap<DeviceNanos, BoardNanos>> {
+    AffineMap::new(DeviceNanos(0), BoardNanos(delta), 0.0)
+}
+
+/// All frames by one offset. The edge-to-centre time is in the offset already, so
+/// that it is taken off here and put on again with the tables.
+fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
+    let first = frames.iter().copied().min().unwrap_or_default();
+    let knot = |at: i64| {
+        let board = at.saturating_add(delta).saturating_sub(center);
+        (DeviceNanos(at), BoardNanos(board))
+    };
+    let off = Assignment {
+        state: FrameState::OffPulse,
+        pulse: None,
+        residual: 0,
+    };
+    DepthMatch {
+        frames: vec![off; frames.len()],
+        missing: Vec::new(),
+        decision: Decision::Hint { left: 0 },
+        rate_error: 0.0,
+        rate_sigma: 0.0,
+        residual: 0.0,
+        clock: PiecewiseMap::from_knots([knot(first.0), knot(first.0.saturating_add(SECOND))]),
+    }
+}

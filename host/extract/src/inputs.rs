@@ -1,0 +1,483 @@
+//! What there is to extract from, and what the session says about it.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::board::BoardInput;
+use super::depth::DepthInput;
+use super::gyro_clock::Prior;
+use super::phone::files::{self, FilesError, PhoneFiles};
+use recording::MCAP_FILE;
+use recording::profile::Phone;
+use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
+
+/// Values that the user gives; they go before those of the session.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Options {
+    /// Exposure of a row of the phone, ns.
+    pub exposure_ns: Option<i64>,
+    /// From the first to the last row of the phone, ns.
+    pub readout_ns: Option<i64>,
+    /// From the trigger pulse to the depth timestamp, ns.
+    pub depth_center_ns: Option<i64>,
+    /// Low-pass delay of the board's IMU, ns.
+    pub board_imu_delay_ns: Option<i64>,
+    /// Low-pass delay of the phone's gyroscope, ns.
+    pub phone_imu_delay_ns: Option<i64>,
+    /// Index of the first depth frame's pulse.
+    pub first_pulse: Option<usize>,
+    /// Whether infrared images are written too.
+    pub infrared: bool,
+    /// Where the files of phones lie, by their names in the rig profile.
+    #[serde(skip)]
+    pub phones: Vec<(String, PathBuf)>,
+}
+
+/// A phone and its files.
+#[derive(Clone, Debug, Default)]
+pub struct PhoneInput {
+    /// Its name in the rig profile, if there is a session.
+    pub name: Option<String>,
+    /// Its files.
+    pub files: Option<PhoneFiles>,
+    /// What the session says about it.
+    pub rig: RigFacts,
+    /// Its folder below the output; the output itself for the phone that the trigger
+    /// was aligned to.
+    pub folder: PathBuf,
+}
+
+impl PhoneInput {
+    /// Whether it is one beside the phone that the trigger was aligned to.
+    #[must_use]
+    pub fn is_other(&self) -> bool {
+        !self.folder.as_os_str().is_empty()
+    }
+
+    /// Its name, if it is such a one.
+    #[must_use]
+    pub fn other_name(&self) -> Option<&str> {
+        let name = self.name.as_deref().unwrap_or_default();
+        self.is_other().then_some(name)
+    }
+
+    /// A text about it, with its name where that is needed.
+    #[must_use]
+    pub fn about(&self, text: &str) -> String {
+        match &self.name {
+            Some(name) if self.is_other() => format!("{name}: {text}"),
+            _ => text.to_owned(),
+        }
+    }
+}
+
+/// What is known about the rig of a recording.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RigFacts {
+    /// Exposure of a row of the phone, ns.
+    pub exposure_ns: Option<i64>,
+    /// From the first to the last row of the phone, ns.
+    pub readout_ns: Option<i64>,
+    /// From the trigger pulse to the depth timestamp, ns.
+    pub depth_center_ns: Option<i64>,
+    /// Low-pass delay of the board's IMU, ns.
+    pub board_imu_delay_ns: Option<i64>,
+    /// Low-pass delay of the phone's gyroscope, ns.
+    pub phone_imu_delay_ns: Option<i64>,
+    /// What the session knows about the clocks.
+    pub prior: Option<Prior>,
+}
+
+/// Everything that is read.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// Name of the recording.
+    pub name: String,
+    /// The board's recording.
+    pub board: BoardInput,
+    /// The phone; of several the one that the trigger was aligned to.
+    pub phone: PhoneInput,
+    /// Further phones.
+    pub others: Vec<PhoneInput>,
+    /// The depth recording.
+    pub depth: Option<DepthInput>,
+    /// The board's unique ID.
+    pub board_id: Option<String>,
+    /// What the lidar is called, if there is a session.
+    pub lidar: Option<String>,
+    /// Board time of the recorded span, in which the trigger was on its grid, ns.
+    pub recorded: Option<(i64, i64)>,
+    /// Worth knowing.
+    pub remarks: Vec<String>,
+}
+
+/// Why there is nothing to extract from.
+#[derive(Debug, thiserror::Error)]
+pub enum InputsError {
+    /// It cannot be read.
+    #[error("reading {path}: {error}")]
+    Io {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// It is no recording.
+    #[error(
+        "{path} is no recording: expected a folder with recording.mcap, or a ROS 1 bag (.bag), found {found}"
+    )]
+    NotARecording {
+        /// Which.
+        path: PathBuf,
+        /// What is there.
+        found: String,
+    },
+    /// The phone's files.
+    #[error(transparent)]
+    Phone(#[from] FilesError),
+    /// A phone that the session does not know.
+    #[error("the recording has no phone called {name:?}; expected {}", known.join(", "))]
+    UnknownPhone {
+        /// As given.
+        name: String,
+        /// The session's phones.
+        known: Vec<String>,
+    },
+    /// Several depth recordings.
+    #[error("{path} holds several depth recordings ({}); name one with --depth", names.join(", "))]
+    SeveralDepth {
+        /// Where.
+        path: PathBuf,
+        /// Their names.
+        names: Vec<String>,
+    },
+    /// The file given as depth recording is of another kind.
+    #[error("{path} is no depth recording: expected a file that ends in .mkv")]
+    NotDepth {
+        /// Which.
+        path: PathBuf,
+    },
+}
+
+/// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
+const PUBLISHED_DELAY_NS: i64 = 1_900_000;
+
+/// Finds everything. `phones` are places of phones by name, `phone` that of the phone
+/// that the trigger was aligned to.
+///
+/// # Errors
+///
+/// There is no recording, or it is not clear what belongs to it.
+pub fn find(
+    recording: &Path,
+    phone: Option<&Path>,
+    depth: Option<&Path>,
+    phones: &[(String, PathBuf)],
+) -> Result<Inputs, InputsError> {
+    let meta = fs::metadata(recording).map_err(|error| InputsError::Io {
+        path: recording.to_owned(),
+        error,
+    })?;
+    let folder = meta.is_dir();
+    let board = if folder {
+        find_board(recording)?
+    } else {
+        board_file(recording).ok_or_else(|| InputsError::NotARecording {
+            path: recording.to_owned(),
+            found: "another kind of file".into(),
+        })?
+    };
+    let mut remarks = Vec::new();
+    let mut session = None;
+    let session_folder = match &board {
+        BoardInput::Mcap(path) | BoardInput::Moved(path, _) => path.parent(),
+        BoardInput::Bag(_) => None,
+    };
+    let rig = if let Some(folder) = session_folder {
+        match SessionFile::load(folder) {
+            Ok(loaded) => {
+                let facts = facts_of(&loaded);
+                session = Some(loaded);
+                facts
+            }
+            Err(error) => {
+                remarks.push(format!("the session's constants are not known: {error}"));
+                RigFacts::default()
+            }
+        }
+    } else {
+        remarks.push(
+            "a bag of the published system says nothing about its settings: the IMU's low-pass delay is \
+             taken as 1.9 ms, its register setting; exposure and readout of the phone are given by options"
+                .into(),
+        );
+        RigFacts {
+            board_imu_delay_ns: Some(PUBLISHED_DELAY_NS),
+            ..RigFacts::default()
+        }
+    };
+    let own = folder.then_some(recording);
+    let (phone, others) = match &session {
+        Some(session) => find_phones(session, own, rig, phone, phones)?,
+        None => {
+            known_names(phones, &[])?;
+            let files = find_phone(own, phone)?;
+            let phone = PhoneInput {
+                files,
+                rig,
+                ..PhoneInput::default()
+            };
+            (phone, Vec::new())
+        }
+    };
+    let depth = match depth {
+        Some(path) => Some(depth_file(path)?),
+        None if folder => find_depth(recording)?,
+        None => None,
+    };
+    let name = match recording.canonicalize() {
+        Ok(path) => path
+            .file_name()
+            .map(|name| name.to_string_lossy().into_owned()),
+        Err(_) => None,
+    };
+    Ok(Inputs {
+        name: name.unwrap_or_else(|| "recording".into()),
+        board,
+        phone,
+        others,
+        depth,
+        board_id: session
+            .as_ref()
+            .and_then(|session| Some(session.board.as_ref()?.id.clone())),
+        lidar: session
+            .as_ref()
+            .map(|session| session.profile.lidar_name().to_owned()),
+        recorded: session.and_then(|session| {
+            let span = session.recorded?;
+            let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();
+            Some((nanos(span.from)?, nanos(span.to)?))
+        }),
+        remarks,
+    })
+}
+
+fn known_names(given: &[(String, PathBuf)], known: &[String]) -> Result<(), InputsError> {
+    match given.iter().find(|(name, _)| !known.contains(name)) {
+        None => Ok(()),
+        Some((name, _)) => Err(InputsError::UnknownPhone {
+            name: name.clone(),
+            known: known.to_vec(),
+        }),
+    }
+}
+
+/// The phones of a session, each with its files.
+fn find_phones(
+    session: &SessionFile,
+    recording: Option<&Path>,
+    rig: RigFacts,
+    phone: Option<&Path>,
+    places: &[(String, PathBuf)],
+) -> Result<(PhoneInput, Vec<PhoneInput>), InputsError> {
+    let names: Vec<String> = session
+        .profile
+        .all_phones()
+        .map(|phone| phone.name.clone())
+        .collect();
+    known_names(places, &names)?;
+    let several = names.len() > 1;
+    let files_of = |name: &str, place: Option<&Path>| {
+        let named = places.iter().find(|(given, _)| given == name);
+        let place = named.map(|(_, place)| place.as_path()).or(place);
+        let own = recording.map(|folder| folder.join(session.phone_folder(name)));
+        // Of several, a phone whose files were never brought has no folder.
+        let own = own.filter(|own| !several || own.is_dir());
+        find_phone(own.as_deref(), place)
+    };
+    let reference = PhoneInput {
+        name: Some(session.profile.phone.name.clone()),
+        files: files_of(&session.profile.phone.name, phone)?,
+        rig,
+        folder: PathBuf::new(),
+    };
+    let mut others = Vec::new();
+    for phone in &session.profile.phones {
+        let said = session.phones.iter().find(|said| said.name == phone.name);
+        others.push(PhoneInput {
+            name: Some(phone.name.clone()),
+            files: files_of(&phone.name, None)?,
+            rig: facts_of_other(phone, said, rig),
+            folder: Path::new(PHONES_FOLDER).join(&phone.name),
+        });
+    }
+    Ok((reference, others))
+}
+
+/// What a session says about a further phone; what is the rig's is as in `rig`.
+fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> RigFacts {
+    let reported = said
+        .and_then(|said| said.video?.exposure_ns)
+        .filter(|&exposure| exposure > 0)
+        .and_then(|exposure| i64::try_from(exposure).ok());
+    RigFacts {
+        exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
+        readout_ns: nanos(2.0 * phone.middle_row_us()),
+        phone_imu_delay_ns: nanos(phone.gyro_delay_us),
+        prior: said.and_then(|said| said.clock).map(Prior::Model),
+        ..rig
+    }
+}
+
+/// The phone's files in the place that the user names, with the video that the
+/// session has fetched into the recording's folder; else all of them there.
+fn find_phone(
+    recording: Option<&Path>,
+    place: Option<&Path>,
+) -> Result<Option<PhoneFiles>, FilesError> {
+    let Some(place) = place else {
+        return recording.map_or(Ok(None), |folder| files::find(folder, None));
+    };
+    let own = recording.and_then(|folder| files::find(folder, None).ok().flatten());
+    let fetched = own.filter(|own| own.video.is_some());
+    let name = fetched.as_ref().map(|own| own.name.as_str());
+    let found = files::find(place, name)?;
+    Ok(found.map(|found| PhoneFiles {
+        video: found
+            .video
+            .clone()
+            .or_else(|| fetched.and_then(|own| own.video)),
+        ..found
+    }))
+}
+
+fn ends_with(path: &Path, endings: &[&str]) -> bool {
+    let name = path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_ascii_lowercase();
+    endings.iter().any(|ending| name.ends_with(ending))
+}
+
+fn board_file(path: &Path) -> Option<BoardInput> {
+    if ends_with(path, &[".mcap"]) {
+        Some(BoardInput::Mcap(path.to_owned()))
+    } else if ends_with(path, &[".bag", ".bag.active"]) {
+        Some(BoardInput::Bag(path.to_owned()))
+    } else {
+        None
+    }
+}
+
+/// What a session says, in whole nanoseconds. Values out of reason are left out.
+fn facts_of(session: &SessionFile) -> RigFacts {
+    let profile = &session.profile;
+    let alignment = session.alignment.as_ref();
+    let center = alignment.map_or(profile.depth.center_offset_us, |a| a.center_offset_us);
+    let bias = alignment.map_or(profile.frame_sync.bias_us, |a| a.bias_us);
+    let exposure = match (alignment, session.video.and_then(|video| video.exposure_ns)) {
+        (Some(alignment), _) => nanos(alignment.exposure_us),
+        (None, Some(exposure)) => i64::try_from(exposure).ok(),
+        (None, None) => nanos(profile.phone.exposure_us),
+    };
+    RigFacts {
+        exposure_ns: exposure,
+        // The image's time is that of the row that is synchronised: half of a
+        // readout is taken to it.
+        readout_ns: match alignment {
+            Some(alignment) => nanos(2.0 * alignment.middle_row_us),
+            None => nanos(profile.phone.readout_us),
+        },
+        // A measured bias says that the depth image is exposed later than its
+        // nominal centre, against the phone's middle row.
+        depth_center_ns: nanos(center + bias),
+        board_imu_delay_ns: session
+            .imu
+            .as_ref()
+            .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
+        phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
+        prior: session.clock.map(Prior::Model),
+    }
+}
+
+/// Microseconds in whole nanoseconds, within ±1 s.
+fn nanos(us: f64) -> Option<i64> {
+    let within = us.is_finite() && us.abs() <= 1e6;
+    within.then(|| (us * 1000.0).round() as i64)
+}
+
+fn entries(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
+    let fail = |error| InputsError::Io {
+        path: folder.to_owned(),
+        error,
+    };
+    let mut paths = Vec::new();
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        paths.push(entry.map_err(fail)?.path());
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+fn names(paths: &[PathBuf]) -> Vec<String> {
+    let name = |path: &PathBuf| {
+        path.file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
+    paths.iter().map(name).collect()
+}
+
+fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
+    let own = folder.join(MCAP_FILE);
+    if own.is_file() {
+        return Ok(BoardInput::Mcap(own));
+    }
+    let bags: Vec<PathBuf> = entries(folder)?
+        .into_iter()
+        .filter(|path| path.is_file() && matches!(board_file(path), Some(BoardInput::Bag(_))))
+        .collect();
+    match bags.as_slice() {
+        [bag] => Ok(BoardInput::Bag(bag.clone())),
+        [] => Err(InputsError::NotARecording {
+            path: folder.to_owned(),
+            found: "neither".into(),
+        }),
+        several => Err(InputsError::NotARecording {
+            path: folder.to_owned(),
+            found: format!("several bags ({}): name one", names(several).join(", ")),
+        }),
+    }
+}
+
+fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
+    fs::metadata(path).map_err(|error| InputsError::Io {
+        path: path.to_owned(),
+        error,
+    })?;
+    if ends_with(path, &[".mkv"]) {
+        Ok(DepthInput::Mkv(path.to_owned()))
+    } else {
+        Err(InputsError::NotDepth {
+            path: path.to_owned(),
+        })
+    }
+}
+
+fn find_depth(folder: &Path) -> Result<Option<DepthInput>, InputsError> {
+    let files: Vec<PathBuf> = entries(folder)?
+        .into_iter()
+        .filter(|path| path.is_file() && ends_with(path, &[".mkv"]))
+        .collect();
+    match files.as_slice() {
+        [] => Ok(None),
+        [file] => Ok(Some(DepthInput::Mkv(file.clone()))),
+        several => Err(InputsError::SeveralDepth {
+            path: folder.to_owned(),
+            names: names(several),
+        }),
+    }
+}

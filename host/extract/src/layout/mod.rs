@@ -1,0 +1,190 @@
+//! The formats that people load: where each file goes and what is in it.
+//!
+//! A [`Layout`] knows names, headers and rows; it opens no input and decides
+//! nothing about time. Paths are relative to a sequence's folder. Index files
+//! list only images that were written.
+
+mod euroc;
+mod further;
+mod topics;
+mod tum;
+
+use std::borrow::Cow;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::board::{ImuRow, TimePair};
+use super::phone::csv::Sample;
+use super::time::BoardNanos;
+
+/// Which format.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Format {
+    /// EuRoC / ASL: `mav0/cam0`, `imu0`, `imu1`, `depth0`.
+    Euroc,
+    /// TUM RGB-D: `rgb`, `depth`, `associations.txt`.
+    Tum,
+    /// One folder a topic, as the published extractor has it.
+    Topics,
+}
+
+impl Format {
+    /// Its name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Euroc => "euroc",
+            Self::Tum => "tum",
+            Self::Topics => "topics",
+        }
+    }
+
+    /// Its layout.
+    #[must_use]
+    pub fn layout(self) -> &'static dyn Layout {
+        match self {
+            Self::Euroc => &euroc::Euroc,
+            Self::Tum => &tum::Tum,
+            Self::Topics => &topics::Topics,
+        }
+    }
+}
+
+/// A stream of samples as a CSV file.
+#[derive(Clone, Copy, Debug)]
+pub struct ImuTable {
+    /// Where, relative to a sequence's folder.
+    pub path: &'static str,
+    /// First line with its line end; may be empty.
+    pub header: &'static str,
+    /// Whether the low-pass delay is subtracted from the times.
+    pub subtract_delay: bool,
+    /// Appends a row.
+    pub row: fn(&mut String, &ImuRow),
+}
+
+/// A written image.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ImageRow {
+    /// Board time.
+    pub at: BoardNanos,
+    /// The stamp that it had in its own clock, ns.
+    pub own: i64,
+    /// Its file, relative to the sequence's folder.
+    pub path: PathBuf,
+}
+
+/// What is known about the data, for the files beside it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Facts {
+    /// Phone frames a second.
+    pub color_rate: Option<f64>,
+    /// Depth frames a second.
+    pub depth_rate: Option<f64>,
+    /// Samples a second of the board's IMU.
+    pub board_imu_rate: Option<f64>,
+    /// Samples a second of the phone's gyroscope.
+    pub phone_imu_rate: Option<f64>,
+    /// Width and height of the phone's images.
+    pub color_size: Option<(u32, u32)>,
+    /// Width and height of depth and infrared.
+    pub depth_size: Option<(u32, u32)>,
+    /// Low-pass delay that is subtracted from the board's IMU times, ns.
+    pub board_imu_delay: i64,
+    /// The same of the phone.
+    pub phone_imu_delay: i64,
+    /// From the pulse to the depth timestamp, ns.
+    pub depth_center: i64,
+    /// From the phone's frame timestamp to the image's time, ns.
+    pub color_middle: i64,
+}
+
+/// What a sequence's index files are made of.
+#[derive(Clone, Debug, Default)]
+pub struct SequenceTables {
+    /// The phone's images in order of time.
+    pub color: Vec<ImageRow>,
+    /// Depth images in order of time.
+    pub depth: Vec<ImageRow>,
+    /// Infrared images in order of time.
+    pub infrared: Vec<ImageRow>,
+    /// Pairs as indices into `color` and `depth`.
+    pub pairs: Vec<(usize, usize)>,
+    /// Pairs of times on the recording's topics.
+    pub times: Vec<TimePair>,
+    /// What the lidar is called, if that is known.
+    pub lidar: Option<String>,
+}
+
+/// A format.
+pub trait Layout: Sync {
+    /// A phone image.
+    fn color_path(&self, at: BoardNanos) -> PathBuf;
+
+    /// A depth image.
+    fn depth_path(&self, at: BoardNanos) -> PathBuf;
+
+    /// An infrared image; `None` if the format has no place for it.
+    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf>;
+
+    /// Depth in the format's unit from big-endian millimetres, and how many pixels
+    /// did not fit.
+    fn depth_pixels<'a>(&self, millimetres: &'a [u8]) -> (Cow<'a, [u8]>, u64) {
+        (Cow::Borrowed(millimetres), 0)
+    }
+
+    /// The board's IMU.
+    fn board_imu(&self) -> ImuTable;
+
+    /// The phone's IMU; `None` if the format has no place for it.
+    fn phone_imu(&self) -> Option<ImuTable>;
+
+    /// Writes what stands beside the data of a sequence.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    fn finish(&self, folder: &Path, tables: &SequenceTables, facts: &Facts) -> io::Result<()>;
+}
+
+/// The camera's calibration goes beside the depth images.
+#[must_use]
+pub fn calibration_path(format: Format) -> &'static str {
+    match format {
+        Format::Euroc => "mav0/depth0/calibration.json",
+        Format::Tum => "calibration.json",
+        Format::Topics => "_azure_depth_image_raw/calibration.json",
+    }
+}
+
+/// A sample of the phone as a row.
+#[must_use]
+pub fn phone_row(at: BoardNanos, gyro: &Sample, accel: [f64; 3]) -> ImuRow {
+    ImuRow {
+        at,
+        gyro: gyro.value,
+        accel,
+        temperature: None,
+    }
+}
+
+/// Appends numbers with commas, each in its shortest form that reads back to the
+/// same number.
+fn push_numbers(row: &mut String, numbers: &[f64]) {
+    use std::fmt::Write;
+    for number in numbers {
+        row.push(',');
+        // Writing into a String cannot fail.
+        let _ = write!(row, "{number}");
+    }
+}
+
+/// `name.extension` of a relative path with forward slashes, as the formats have it.
+fn slashed(path: &Path) -> String {
+    let parts: Vec<String> = path
+        .components()
+        .map(|part| part.as_os_str().to_string_lossy().into_owned())
+        .collect();
+    parts.join("/")
+}

@@ -1,0 +1,145 @@
+//! The published extractor's layout: one folder a topic, `/` replaced by `_`.
+//!
+//! | folder | content |
+//! |---|---|
+//! | `_mcu_imu/imu.csv` | `timestamp,ox,oy,oz,ax,ay,az,temperature`, no header |
+//! | `_mcu_cameras_ts`, `_mcu_lidar_ts`, `_mcu_s10_ts`, `_depth_to_mcu_offset`, `_sequences_ts` | `time_ref.csv`: `seq,timestamp,time_ref` |
+//! | `_azure_depth_image_raw`, `_azure_ir_image_raw` | PNG, 16 bits, mm, named by ns |
+//! | `smartphone_video_frames` | PNG, named by ns |
+//! | `_smartphone_imu/imu.csv` | as `_mcu_imu`, without the temperature (an addition) |
+//!
+//! As there, image folders have a `transformation_metainf.csv` with the stamp
+//! that each image had in its own clock, and the IMU's stamps are the data-ready
+//! edges with no delay subtracted. Unlike there, depth is PNG and not NumPy.
+
+use std::fmt::Write;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_numbers};
+use crate::board::ImuRow;
+use crate::image::write_whole;
+use crate::time::BoardNanos;
+
+pub(super) struct Topics;
+
+const COLOR: &str = "smartphone_video_frames";
+const DEPTH: &str = "_azure_depth_image_raw";
+const INFRARED: &str = "_azure_ir_image_raw";
+
+fn imu_row(row: &mut String, sample: &ImuRow) {
+    let _ = write!(row, "{}", sample.at.0);
+    push_numbers(row, &sample.gyro);
+    push_numbers(row, &sample.accel);
+    row.push(',');
+    if let Some(temperature) = sample.temperature {
+        let _ = write!(row, "{temperature}");
+    }
+    row.push('\n');
+}
+
+fn phone_imu_row(row: &mut String, sample: &ImuRow) {
+    let _ = write!(row, "{}", sample.at.0);
+    push_numbers(row, &sample.gyro);
+    push_numbers(row, &sample.accel);
+    row.push('\n');
+}
+
+fn image(folder: &str, at: BoardNanos) -> PathBuf {
+    PathBuf::from(format!("{folder}/{}.png", at.0))
+}
+
+impl Layout for Topics {
+    fn color_path(&self, at: BoardNanos) -> PathBuf {
+        image(COLOR, at)
+    }
+
+    fn depth_path(&self, at: BoardNanos) -> PathBuf {
+        image(DEPTH, at)
+    }
+
+    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(image(INFRARED, at))
+    }
+
+    fn board_imu(&self) -> ImuTable {
+        ImuTable {
+            path: "_mcu_imu/imu.csv",
+            header: "",
+            subtract_delay: false,
+            row: imu_row,
+        }
+    }
+
+    fn phone_imu(&self) -> Option<ImuTable> {
+        Some(ImuTable {
+            path: "_smartphone_imu/imu.csv",
+            header: "",
+            subtract_delay: false,
+            row: phone_imu_row,
+        })
+    }
+
+    fn finish(&self, folder: &Path, tables: &SequenceTables, _facts: &Facts) -> io::Result<()> {
+        transformation(&folder.join(COLOR), &tables.color)?;
+        transformation(&folder.join(DEPTH), &tables.depth)?;
+        transformation(&folder.join(INFRARED), &tables.infrared)?;
+        let mut topics: Vec<&str> = tables.times.iter().map(|pair| &*pair.topic).collect();
+        topics.sort_unstable();
+        topics.dedup();
+        for topic in topics {
+            let mut text = String::new();
+            for pair in tables.times.iter().filter(|pair| &*pair.topic == topic) {
+                let _ = writeln!(text, "{},{},{}", pair.seq, pair.stamp.0, pair.other);
+            }
+            let name = topic_folder(topic);
+            write_whole(&folder.join(name).join("time_ref.csv"), text.as_bytes())?;
+        }
+        Ok(())
+    }
+}
+
+/// The folder of a topic. The name comes out of a file: only what is harmless in
+/// a file name stays.
+fn topic_folder(topic: &str) -> String {
+    let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    topic.chars().take(120).map(harmless).collect()
+}
+
+fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let mut text = String::from("seq,old_stamp,new_stamp\n");
+    for (seq, row) in rows.iter().enumerate() {
+        let _ = writeln!(text, "{seq},{},{}", row.own, row.at.0);
+    }
+    write_whole(&folder.join("transformation_metainf.csv"), text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_are_folders_and_nothing_else() {
+        assert_eq!(topic_folder("/mcu_cameras_ts"), "_mcu_cameras_ts");
+        assert_eq!(topic_folder("/../../etc/passwd"), "_______etc_passwd");
+    }
+
+    #[test]
+    fn rows_have_the_published_columns() {
+        let mut row = String::new();
+        let sample = ImuRow {
+            at: BoardNanos(1_264_250_902_773),
+            gyro: [0.002_203_644_719_694, -0.5, 1e-7],
+            accel: [9.81, 0.0, -1.0],
+            temperature: Some(36.5),
+        };
+        imu_row(&mut row, &sample);
+        assert_eq!(
+            row,
+            "1264250902773,0.002203644719694,-0.5,0.0000001,9.81,0,-1,36.5\n"
+        );
+    }
+}

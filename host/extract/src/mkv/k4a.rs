@@ -1,0 +1,406 @@
+//! An Azure Kinect recording: depth, infrared and IMU in the camera's own time.
+//!
+//! Device time = block time + the tag `K4A_START_OFFSET_NS`. A recorder that
+//! crashed has written neither this tag nor the segment information. The time
+//! unit is then taken as 1,000 ns (what this recorder always uses), and the
+//! offset is found again from the IMU track, whose records carry absolute device
+//! times of their own. Without an IMU track the device times are relative
+//! ([`StartOffset::Lost`]): enough to match them to pulses by their pattern.
+//!
+//! Depth and infrared are `b16g`: 16 bits a pixel, big-endian; depth in
+//! millimetres, 0 = none.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::Path;
+
+use super::header::{Header, Track};
+use super::reader::{Cluster, Damage, Frame, Mkv, MkvError};
+use crate::time::DeviceNanos;
+
+/// The recorder's unit of time.
+const RECORDER_SCALE: u64 = 1_000;
+/// Largest image side that is accepted.
+const MAX_SIDE: u64 = 8192;
+/// Bytes of one IMU record.
+const IMU_RECORD: usize = 40;
+/// How many clusters are searched for a first IMU record.
+const IMU_SEARCH: usize = 200;
+
+/// Why a file is no depth recording.
+#[derive(Debug, thiserror::Error)]
+pub enum K4aError {
+    /// It cannot be opened.
+    #[error("opening it: {0}")]
+    Open(std::io::Error),
+    /// It is no readable Matroska file.
+    #[error(transparent)]
+    Mkv(#[from] MkvError),
+    /// There is no depth track.
+    #[error(
+        "no depth track: expected a track named DEPTH with codec V_MS/VFW/FOURCC and format b16g, \
+         found {found}; record with a depth mode other than OFF and PASSIVE_IR"
+    )]
+    NoDepth {
+        /// The tracks that there are.
+        found: String,
+    },
+    /// The depth track is not as the camera writes it.
+    #[error("the depth track {what}")]
+    BadTrack {
+        /// What is wrong.
+        what: String,
+    },
+}
+
+/// Where the zero of the block times lies in device time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartOffset {
+    /// From the tag.
+    Tag(i64),
+    /// The tag is lost; from the device times in the IMU track.
+    Imu(i64),
+    /// Lost: device times count from the first block.
+    Lost,
+}
+
+impl StartOffset {
+    /// In nanoseconds.
+    #[must_use]
+    pub fn nanos(self) -> i64 {
+        match self {
+            Self::Tag(nanos) | Self::Imu(nanos) => nanos,
+            Self::Lost => 0,
+        }
+    }
+}
+
+/// One sample of the camera's own IMU.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraImu {
+    /// Device time of the acceleration.
+    pub accel_at: DeviceNanos,
+    /// m/s².
+    pub accel: [f32; 3],
+    /// Device time of the angular rate.
+    pub gyro_at: DeviceNanos,
+    /// rad/s.
+    pub gyro: [f32; 3],
+}
+
+/// An image, as it lies in the file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RawImage {
+    /// Device time: the centre of exposure.
+    pub at: DeviceNanos,
+    /// Size in bytes.
+    pub size: usize,
+    /// Big-endian pixels, row by row; empty when only times were asked for.
+    pub bytes: Vec<u8>,
+}
+
+/// What one cluster holds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// Depth images.
+    pub depth: Vec<RawImage>,
+    /// Infrared images.
+    pub ir: Vec<RawImage>,
+    /// IMU samples.
+    pub imu: Vec<CameraImu>,
+    /// False if the cluster's checksum is wrong: at least one of its frames is damaged.
+    pub intact: bool,
+}
+
+/// What to read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Content {
+    /// Times and IMU samples, no pixels.
+    Times,
+    /// Times, IMU samples and pixels.
+    Pixels,
+}
+
+/// An open depth recording.
+pub struct Recording<R> {
+    mkv: Mkv<R>,
+    depth: u64,
+    ir: Option<u64>,
+    imu: Option<u64>,
+    width: u32,
+    height: u32,
+    scale: i64,
+    offset: StartOffset,
+}
+
+impl Recording<BufReader<File>> {
+    /// Opens a file.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read or is no depth recording.
+    pub fn open(path: &Path) -> Result<Self, K4aError> {
+        let file = File::open(path).map_err(K4aError::Open)?;
+        let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
+        if recording.offset == StartOffset::Lost && recording.imu.is_some() {
+            // The tag is lost: look for an IMU record, in a reader of its own.
+            let file = File::open(path).map_err(K4aError::Open)?;
+            let mut search = Self::new(BufReader::new(file))?;
+            let found = search.search_offset().map_err(K4aError::Open)?;
+            return Ok(Self {
+                offset: found.map_or(StartOffset::Lost, StartOffset::Imu),
+                ..recording
+            });
+        }
+        Ok(recording)
+    }
+}
+
+impl<R: Read + Seek> Recording<R> {
+    /// Takes a reader at its beginning. The start offset comes from the tag only.
+    ///
+    /// # Errors
+    ///
+    /// It is no depth recording.
+    pub fn new(reader: R) -> Result<Self, K4aError> {
+        let mkv = Mkv::open(reader)?;
+        let header = mkv.header();
+        let depth = find_track(header, "DEPTH", "K4A_DEPTH_TRACK")
+            .filter(|track| is_b16g(track))
+            .ok_or_else(|| K4aError::NoDepth {
+                found: describe(&header.tracks),
+            })?;
+        let (width, height) = image_size(depth)?;
+        let number = depth.number;
+        let ir = find_track(header, "IR", "K4A_IR_TRACK")
+            .filter(|track| is_b16g(track) && image_size(track).ok() == Some((width, height)))
+            .map(|track| track.number);
+        let imu = find_track(header, "IMU", "K4A_IMU_TRACK")
+            .filter(|track| track.codec == "S_K4A/IMU")
+            .map(|track| track.number);
+        let scale = header.scale.unwrap_or(RECORDER_SCALE);
+        let scale = i64::try_from(scale).map_err(|_| K4aError::BadTrack {
+            what: format!("has a time unit of {scale} ns, which no recorder writes"),
+        })?;
+        let offset = header
+            .tag("K4A_START_OFFSET_NS")
+            .and_then(|value| value.trim().parse().ok())
+            .map_or(StartOffset::Lost, StartOffset::Tag);
+        Ok(Self {
+            depth: number,
+            ir,
+            imu,
+            width,
+            height,
+            scale,
+            offset,
+            mkv,
+        })
+    }
+
+    /// Width and height of the images in pixels.
+    #[must_use]
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
+    /// Bytes of a whole image.
+    #[must_use]
+    pub fn image_bytes(&self) -> usize {
+        self.width as usize * self.height as usize * 2
+    }
+
+    /// Where device time begins.
+    #[must_use]
+    pub fn start_offset(&self) -> StartOffset {
+        self.offset
+    }
+
+    /// Whether there is an infrared track.
+    #[must_use]
+    pub fn has_ir(&self) -> bool {
+        self.ir.is_some()
+    }
+
+    /// Whether there is an IMU track.
+    #[must_use]
+    pub fn has_imu(&self) -> bool {
+        self.imu.is_some()
+    }
+
+    /// Whether the recorder closed the file: it has its information, its index
+    /// and its size.
+    #[must_use]
+    pub fn was_closed(&self) -> bool {
+        let header = self.mkv.header();
+        header.scale.is_some() && header.has_size
+    }
+
+    /// The value of a tag (`K4A_DEPTH_MODE`, `K4A_DEVICE_SERIAL_NUMBER`, ...).
+    #[must_use]
+    pub fn tag(&self, name: &str) -> Option<&str> {
+        self.mkv.header().tag(name)
+    }
+
+    /// The camera's calibration, as the camera gave it.
+    #[must_use]
+    pub fn calibration(&self) -> Option<&[u8]> {
+        let attachments = &self.mkv.header().attachments;
+        let found = attachments
+            .iter()
+            .find(|(name, _)| name == "calibration.json")?;
+        Some(&found.1)
+    }
+
+    /// What could not be read so far.
+    #[must_use]
+    pub fn damage(&self) -> &[Damage] {
+        self.mkv.damage()
+    }
+
+    /// Position and length in bytes.
+    #[must_use]
+    pub fn progress(&self) -> (u64, u64) {
+        self.mkv.progress()
+    }
+
+    /// What the next cluster holds; `None` at the end.
+    ///
+    /// # Errors
+    ///
+    /// Reading fails.
+    pub fn next_batch(&mut self, content: Content) -> std::io::Result<Option<Batch>> {
+        let (depth, ir, imu) = (self.depth, self.ir, self.imu);
+        let wanted = |track| match content {
+            Content::Times => Some(track) == imu,
+            // All of it, so that the checksum can be verified.
+            Content::Pixels => track == depth || Some(track) == ir || Some(track) == imu,
+        };
+        let Some(cluster) = self.mkv.next_cluster(&wanted)? else {
+            return Ok(None);
+        };
+        Ok(Some(self.sort_out(cluster)))
+    }
+
+    fn sort_out(&self, cluster: Cluster) -> Batch {
+        let mut batch = Batch {
+            intact: cluster.crc_ok != Some(false),
+            ..Batch::default()
+        };
+        for frame in cluster.frames {
+            if Some(frame.track) == self.imu {
+                batch.imu.extend(imu_record(&frame.data));
+            } else if frame.track == self.depth {
+                batch.depth.push(self.image(frame));
+            } else if Some(frame.track) == self.ir {
+                batch.ir.push(self.image(frame));
+            }
+        }
+        batch
+    }
+
+    fn image(&self, frame: Frame) -> RawImage {
+        let nanos = frame.time.saturating_mul(self.scale);
+        RawImage {
+            at: DeviceNanos(nanos.saturating_add(self.offset.nanos())),
+            size: frame.size,
+            bytes: frame.data,
+        }
+    }
+
+    /// Device time minus block time from the first IMU record: a block's time is
+    /// that of its first record's acceleration.
+    fn search_offset(&mut self) -> std::io::Result<Option<i64>> {
+        let imu = self.imu;
+        for _ in 0..IMU_SEARCH {
+            let Some(cluster) = self.mkv.next_cluster(&|track| Some(track) == imu)? else {
+                return Ok(None);
+            };
+            let first = cluster.frames.iter().find(|frame| Some(frame.track) == imu);
+            if let Some(record) =
+                first.and_then(|frame| Some((frame.time, imu_record(&frame.data)?)))
+            {
+                let (time, sample) = record;
+                return Ok(sample
+                    .accel_at
+                    .0
+                    .checked_sub(time.saturating_mul(self.scale)));
+            }
+        }
+        Ok(None)
+    }
+}
+
+fn find_track<'a>(header: &'a Header, name: &str, tag: &str) -> Option<&'a Track> {
+    let uid = header
+        .tag(tag)
+        .and_then(|uid| uid.trim().parse::<u64>().ok());
+    let tracks = &header.tracks;
+    tracks
+        .iter()
+        .find(|track| Some(track.uid) == uid)
+        .or_else(|| tracks.iter().find(|track| track.name == name))
+}
+
+/// Format of the BITMAPINFOHEADER that is the codec's set-up data.
+fn fourcc(track: &Track) -> Option<[u8; 4]> {
+    track.codec_private.get(16..20)?.try_into().ok()
+}
+
+fn is_b16g(track: &Track) -> bool {
+    track.codec == "V_MS/VFW/FOURCC" && fourcc(track) == Some(*b"b16g")
+}
+
+fn image_size(track: &Track) -> Result<(u32, u32), K4aError> {
+    let header = |at: usize| -> Option<u64> {
+        let bytes = track.codec_private.get(at..at + 4)?.try_into().ok()?;
+        Some(u32::from_le_bytes(bytes).into())
+    };
+    let size = track.pixels.or_else(|| Some((header(4)?, header(8)?)));
+    let valid = |side: u64| (1..=MAX_SIDE).contains(&side);
+    match size {
+        Some((width, height)) if valid(width) && valid(height) => Ok((width as u32, height as u32)),
+        Some((width, height)) => Err(K4aError::BadTrack {
+            what: format!("claims images of {width} × {height}; expected sides of 1 to {MAX_SIDE}"),
+        }),
+        None => Err(K4aError::BadTrack {
+            what: "does not say the size of its images".into(),
+        }),
+    }
+}
+
+fn describe(tracks: &[Track]) -> String {
+    let names: Vec<String> = tracks
+        .iter()
+        .take(8)
+        .map(|track| {
+            let clip = |text: &str| text.chars().take(24).collect::<String>();
+            format!("{:?} ({})", clip(&track.name), clip(&track.codec))
+        })
+        .collect();
+    names.join(", ")
+}
+
+/// {u64 acceleration time, 3 × f32, u64 angular rate time, 3 × f32}, little-endian.
+fn imu_record(data: &[u8]) -> Option<CameraImu> {
+    if data.len() != IMU_RECORD {
+        return None;
+    }
+    let time = |at: usize| -> Option<DeviceNanos> {
+        let nanos = u64::from_le_bytes(data.get(at..at + 8)?.try_into().ok()?);
+        Some(DeviceNanos(i64::try_from(nanos).ok()?))
+    };
+    let axes = |at: usize| -> Option<[f32; 3]> {
+        let mut axes = [0.0; 3];
+        for (axis, bytes) in axes.iter_mut().zip(data.get(at..at + 12)?.chunks_exact(4)) {
+            *axis = f32::from_le_bytes(bytes.try_into().ok()?);
+        }
+        Some(axes)
+    };
+    Some(CameraImu {
+        accel_at: time(0)?,
+        accel: axes(8)?,
+        gyro_at: time(20)?,
+        gyro: axes(28)?,
+    })
+}

@@ -1,0 +1,501 @@
+//! The phone's clock in board time: from both gyroscopes over the whole
+//! recording; else from what the session found; else from the recorded offset of
+//! the published system.
+//!
+//! Where the board was reset, each run has a relation of its own. The phone's clock
+//! went on meanwhile, so the two relations also say how long the board was away,
+//! better than the session knew: the later run is moved there. Of several phones it
+//! is the one that the trigger was aligned to that says so; the clocks of the others are
+//! then related to the runs as they were moved.
+
+use super::board::{BoardError, BoardInput};
+use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
+use super::inputs::PhoneInput;
+use super::phone::files::PhoneFiles;
+use super::progress::Progress;
+use super::report::{ClockReport, Constants};
+use super::streams::{self, StreamError};
+use super::survey::Survey;
+use super::tables::ColorFrame;
+use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
+use frame_sync::train::FrameTrain;
+use timebase::BoardSeconds;
+use twist_sync::ClockModel;
+use twist_sync::smoother::ClockCourse;
+
+/// How far a recorded offset may be off, s.
+const RECORDED_MARGIN: f64 = 0.5;
+/// How far the relation is laid out beyond the recording, s.
+const BEYOND: i64 = 60;
+
+/// Source of a relation that there is none of.
+const NONE: &str = "none";
+
+/// A relation of phone and board.
+#[derive(Clone, Debug)]
+pub struct PhoneClock {
+    /// Phone time to board time, the runs of the board being where
+    /// [`PhoneClock::moves`] puts them.
+    pub map: PiecewiseMap<PhoneNanos, BoardNanos>,
+    /// Worth knowing.
+    pub remarks: Vec<String>,
+    runs: Vec<RunClock>,
+    middle: BoardNanos,
+}
+
+/// The relation in one run of the board.
+#[derive(Clone, Debug)]
+struct RunClock {
+    /// From here on, as the recording has it.
+    from: BoardNanos,
+    /// Until here.
+    to: BoardNanos,
+    source: &'static str,
+    gyros: Option<GyroClock>,
+    course: Option<ClockCourse>,
+    /// Without a course: phone less board, ns.
+    offset: i64,
+    /// How much later it is than the recording has it, ns.
+    moved: i64,
+    /// 1-sigma of its distance to the run before, s.
+    joint_sigma_s: f64,
+}
+
+/// Why looking for it ended.
+#[derive(Debug)]
+pub enum Stopped {
+    /// The user stopped it.
+    Cancelled,
+    /// The board's recording cannot be read.
+    Board(BoardError),
+}
+
+/// What becomes of the board's runs, where there are several.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Runs {
+    /// Each is moved to where the phone's clock has it behind the one before.
+    Moved,
+    /// They stay where they are: another phone's clock has put them there.
+    Kept,
+}
+
+/// What is known of a phone's clock before it is looked for, for each run of the
+/// board.
+///
+/// Of a further phone it is what was said of that phone alone: the recording's own
+/// clock models and pairs of times are of the one that the trigger was aligned to.
+/// `moved` is how much later the last run is in `survey` than in the session, ns.
+#[must_use]
+pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
+    let known = survey.clocks_of(input.other_name());
+    let latest = known.last().copied().flatten().map(Prior::Model);
+    // The session's relation is that of the last run.
+    let said = input.rig.prior.map(|prior| match prior {
+        Prior::Model(model) => Prior::Model(model.with_board_later(moved as f64 * 1e-9)),
+        Prior::Offset(offset, margin) => Prior::Offset(offset - moved as f64 * 1e-9, margin),
+    });
+    let otherwise = if input.is_other() {
+        said
+    } else {
+        recorded_offset(survey)
+    };
+    let last = known.len().saturating_sub(1);
+    let own = |(index, known): (usize, Option<ClockModel>)| {
+        let own = if index == last {
+            said
+        } else {
+            known.map(Prior::Model)
+        };
+        own.or(latest).or(otherwise)
+    };
+    known.into_iter().enumerate().map(own).collect()
+}
+
+/// Finds the relation, for each run of the board by itself; `priors` are those of the
+/// runs ([`priors`]). The inner error says in words why there is none.
+///
+/// # Errors
+///
+/// Stopped, or the board's recording cannot be read.
+pub fn find(
+    board: &BoardInput,
+    files: &PhoneFiles,
+    survey: &Survey,
+    (priors, runs_are): (&[Option<Prior>], Runs),
+    constants: &Constants,
+    progress: &dyn Progress,
+) -> Result<Result<PhoneClock, String>, Stopped> {
+    let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
+    let mut runs = Vec::new();
+    let mut remarks = Vec::new();
+    let mut from = BoardNanos(first.saturating_sub(BEYOND * SECOND));
+    let ends = survey.runs.iter().map(|mark| mark.last);
+    let ends = ends.chain([BoardNanos(last.saturating_add(BEYOND * SECOND))]);
+    for (index, to) in ends.enumerate() {
+        let own = priors.get(index).copied().flatten();
+        let run = find_run(board, files, survey, own, constants, (from, to), progress)?;
+        match run {
+            Ok((run, remark)) => {
+                runs.push(run);
+                remarks.extend(remark);
+            }
+            Err(why) if survey.runs.is_empty() => return Ok(Err(why)),
+            Err(why) => {
+                remarks.push(why);
+                runs.push(RunClock::new((from, to), NONE));
+            }
+        }
+        if let Some(mark) = survey.runs.get(index) {
+            from = mark.from;
+        }
+    }
+    if runs.iter().all(|run| run.source == NONE) {
+        return Ok(Err(remarks.join("; ")));
+    }
+    if runs_are == Runs::Moved {
+        join(&mut runs, survey);
+    }
+    let map = PiecewiseMap::from_knots(runs.iter().flat_map(RunClock::knots));
+    Ok(Ok(PhoneClock {
+        map,
+        remarks,
+        runs,
+        middle: BoardNanos(first.midpoint(last)),
+    }))
+}
+
+/// The phone's clock goes on while the board is reset: by it, each run is put where
+/// it belongs behind the one before.
+fn join(runs: &mut [RunClock], survey: &Survey) {
+    for index in 1..runs.len() {
+        let (before, rest) = runs.split_at_mut(index);
+        let (Some(before), Some(run)) = (before.last(), rest.first_mut()) else {
+            continue;
+        };
+        run.moved = before.moved;
+        let mark = survey.runs.iter().find(|mark| mark.from == run.from);
+        run.joint_sigma_s = mark.map_or(0.0, |mark| mark.sigma_s);
+        let (Some(was), Some(is)) = (&before.gyros, &run.gyros) else {
+            continue;
+        };
+        let at = BoardSeconds(run.from.0 as f64 * 1e-9);
+        let is = is.course.at(at);
+        let step = is.offset - was.course.at(at).offset;
+        // The step changes what the former run's clock says by its rate.
+        let was = was.course.at(BoardSeconds(at.0 + step));
+        let step = ((is.offset - was.offset) * 1e9).round() as i64;
+        // Never into the former run.
+        let least = before.to.0.saturating_sub(run.from.0);
+        run.moved = before.moved.saturating_add(step.max(least));
+        run.joint_sigma_s = (is.covariance[0][0] + was.covariance[0][0]).max(0.0).sqrt();
+    }
+}
+
+/// The relation within one run; with it, what is worth knowing.
+fn find_run(
+    board: &BoardInput,
+    files: &PhoneFiles,
+    survey: &Survey,
+    prior: Option<Prior>,
+    constants: &Constants,
+    span: (BoardNanos, BoardNanos),
+    progress: &dyn Progress,
+) -> Result<Result<(RunClock, Option<String>), String>, Stopped> {
+    let Some(gyro) = &files.gyro else {
+        return Ok(from_prior(
+            prior,
+            span,
+            "there is no gyroscope file of the phone",
+        ));
+    };
+    if survey.imu.samples == 0 {
+        return Ok(from_prior(
+            prior,
+            span,
+            "the board's recording has no IMU samples",
+        ));
+    }
+    let delays = Delays {
+        board: constants.board_imu_delay_ns as f64 * 1e-9,
+        other: constants.phone_imu_delay_ns as f64 * 1e-9,
+    };
+    progress.begin(
+        "relating the phone's clock",
+        span.1.0.saturating_sub(span.0.0).unsigned_abs(),
+    );
+    let related = relate(
+        &|| streams::board_between(board, span, progress),
+        &|| streams::phone(gyro),
+        prior,
+        delays,
+        1,
+        &|at| progress.at(at.0.saturating_sub(span.0.0).unsigned_abs()),
+    );
+    progress.end();
+    match related {
+        Ok(gyros) => Ok(Ok((
+            RunClock {
+                course: Some(gyros.course.clone()),
+                gyros: Some(gyros),
+                ..RunClock::new(span, "gyroscopes")
+            },
+            None,
+        ))),
+        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        Err(error) => Ok(from_prior(prior, span, &error.to_string())),
+    }
+}
+
+/// The published system's `/mcu_s10_ts`: the last pair of times.
+fn recorded_offset(survey: &Survey) -> Option<Prior> {
+    let is_it = |topic: &str| topic.ends_with("mcu_s10_ts");
+    let pair = survey.times.iter().rev().find(|pair| is_it(&pair.topic))?;
+    let offset = pair.other.checked_sub(pair.stamp.0)?;
+    Some(Prior::Offset(offset as f64 * 1e-9, RECORDED_MARGIN))
+}
+
+fn from_prior(
+    prior: Option<Prior>,
+    span: (BoardNanos, BoardNanos),
+    why: &str,
+) -> Result<(RunClock, Option<String>), String> {
+    match prior {
+        None => Err(format!("phone time cannot be related to board time: {why}")),
+        Some(Prior::Model(model)) => {
+            let course = ClockCourse::from_estimates(&[model], model.wander)
+                .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
+            let run = RunClock {
+                course: Some(course),
+                ..RunClock::new(span, "session")
+            };
+            let remark = format!(
+                "the clock relation is the session's, from the twist alone, and not from the whole \
+                 recording: {why}"
+            );
+            Ok((run, Some(remark)))
+        }
+        Some(Prior::Offset(offset, _)) => {
+            let run = RunClock {
+                offset: (offset * 1e9).round() as i64,
+                ..RunClock::new(span, "bag")
+            };
+            let remark = format!(
+                "the clock relation is the one offset that was recorded, without the drift of the \
+                 clocks: {why}"
+            );
+            Ok((run, Some(remark)))
+        }
+    }
+}
+
+impl RunClock {
+    fn new((from, to): (BoardNanos, BoardNanos), source: &'static str) -> Self {
+        Self {
+            from,
+            to,
+            source,
+            gyros: None,
+            course: None,
+            offset: 0,
+            moved: 0,
+            joint_sigma_s: 0.0,
+        }
+    }
+
+    /// Pairs of times, the run being where it was moved to.
+    fn knots(&self) -> Vec<(PhoneNanos, BoardNanos)> {
+        let plain = |at: BoardNanos| (PhoneNanos(at.0.saturating_add(self.offset)), at);
+        if self.source == NONE {
+            return Vec::new();
+        }
+        let knots = match &self.course {
+            Some(course) => super::gyro_clock::knots(course, self.from, self.to),
+            None => vec![plain(self.from), plain(self.to)],
+        };
+        let later = |(phone, at): (PhoneNanos, BoardNanos)| {
+            (phone, BoardNanos(at.0.saturating_add(self.moved)))
+        };
+        knots.into_iter().map(later).collect()
+    }
+}
+
+impl PhoneClock {
+    /// How much later each run of the board is than the recording has it, ns;
+    /// nothing if all are where they should be.
+    #[must_use]
+    pub fn moves(&self) -> Option<Vec<i64>> {
+        let moves: Vec<i64> = self.runs.iter().map(|run| run.moved).collect();
+        moves.iter().any(|&by| by != 0).then_some(moves)
+    }
+
+    /// For each run after the first: how much later it is than the recording has
+    /// it, ns, 1-sigma of its distance to the run before in s, and by what.
+    #[must_use]
+    pub fn joints(&self) -> Vec<(i64, f64, &'static str)> {
+        let joint = |pair: &[RunClock]| {
+            let by_gyros = pair.iter().all(|run| run.gyros.is_some());
+            let by = if by_gyros {
+                "gyroscopes"
+            } else {
+                "the computer's clock"
+            };
+            pair.last().map(|run| (run.moved, run.joint_sigma_s, by))
+        };
+        self.runs.windows(2).filter_map(joint).collect()
+    }
+
+    /// The relation at a board time, with its uncertainty.
+    #[must_use]
+    pub fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
+        let run = self
+            .runs
+            .iter()
+            .rev()
+            .find(|run| run.from.0.saturating_add(run.moved) <= at.0)
+            .or(self.runs.first())?;
+        let moved = run.moved as f64 * 1e-9;
+        let course = run.course.as_ref()?;
+        let model = course.at(BoardSeconds(at.0 as f64 * 1e-9 - moved));
+        Some(model.with_board_later(moved))
+    }
+
+    /// What the report says about it, over these frames.
+    #[must_use]
+    pub fn report(&self, frames: &[ColorFrame]) -> ClockReport {
+        let middle = self.model_at(self.middle);
+        let sigmas = frames
+            .iter()
+            .step_by(30)
+            .filter_map(|frame| self.model_at(frame.at))
+            .map(|model| model.covariance[0][0].max(0.0).sqrt() * 1e6);
+        let range = sigmas.fold(None, |range: Option<[f64; 2]>, sigma| {
+            let [low, high] = range.unwrap_or([sigma, sigma]);
+            Some([low.min(sigma), high.max(sigma)])
+        });
+        let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
+        let gyros = || self.runs.iter().filter_map(|run| run.gyros.as_ref());
+        let sum = |of: fn(&GyroClock) -> usize| gyros().map(of).sum();
+        let course: Vec<_> = gyros()
+            .flat_map(|gyros| gyros.results.iter().copied())
+            .collect();
+        ClockReport {
+            source: self.runs.first().map_or(NONE, |run| run.source),
+            windows: sum(|gyros| gyros.windows),
+            used: sum(|gyros| gyros.course.used),
+            contradicting: sum(|gyros| gyros.course.contradicting),
+            offset_s: middle.map_or(0.0, |model| model.offset),
+            skew_ppm: middle.map_or(0.0, |model| model.skew * 1e6),
+            skew_sigma_ppm: middle
+                .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
+            sigma_us: range.unwrap_or([0.0, 0.0]),
+            residual_us: residual_rms(&course) * 1e6,
+            frame_period_ns: FrameTrain::from_timestamps(&phone)
+                .map(|train| (train.period_s * 1e9, train.period_sigma_s * 1e9)),
+            course,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use super::super::board::{RunMark, TimePair};
+    use super::super::inputs::RigFacts;
+    use super::super::survey::PhoneClocks;
+    use super::*;
+    use twist_sync::Wander;
+
+    fn model(offset: f64) -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(10.0),
+            offset,
+            skew: 1e-6,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander(1e-8),
+        }
+    }
+
+    fn prior(offset: f64) -> Option<Prior> {
+        Some(Prior::Model(model(offset)))
+    }
+
+    /// Two runs; of the phone that is aligned to all is known, of "right" as given.
+    fn survey(right: [Option<f64>; 2]) -> Survey {
+        let clocks = |first: f64, right: Option<f64>| {
+            let right = right.map(|offset| (Some(String::from("right")), model(offset)));
+            [(None, model(first))].into_iter().chain(right).collect()
+        };
+        Survey {
+            times: vec![TimePair {
+                topic: "/mcu_s10_ts".into(),
+                seq: 0,
+                stamp: BoardNanos(0),
+                other: 7 * SECOND,
+            }],
+            runs: vec![RunMark {
+                from: BoardNanos(20 * SECOND),
+                last: BoardNanos(18 * SECOND),
+                sigma_s: 1e-3,
+            }],
+            clocks: clocks(102.0, right[1]),
+            former_clocks: vec![clocks(101.0, right[0])],
+            ..Survey::default()
+        }
+    }
+
+    fn input(name: &str, folder: &str, prior: Option<Prior>) -> PhoneInput {
+        PhoneInput {
+            name: Some(String::from(name)),
+            rig: RigFacts {
+                prior,
+                ..RigFacts::default()
+            },
+            folder: PathBuf::from(folder),
+            ..PhoneInput::default()
+        }
+    }
+
+    #[test]
+    fn each_phone_has_its_own_priors_in_each_run() {
+        let survey = survey([Some(201.0), Some(202.0)]);
+        let left = input("left", "", prior(103.0));
+        assert_eq!(priors(&left, &survey, 0), [prior(101.0), prior(103.0)]);
+        let unsaid = input("left", "", None);
+        assert_eq!(priors(&unsaid, &survey, 0), [prior(101.0), prior(102.0)]);
+        let right = input("right", "phones/right", None);
+        assert_eq!(priors(&right, &survey, 0), [prior(201.0), prior(202.0)]);
+    }
+
+    #[test]
+    fn a_further_phone_never_takes_the_clock_of_the_first() {
+        let survey = survey([None, None]);
+        let right = input("right", "phones/right", None);
+        assert_eq!(priors(&right, &survey, 0), [None, None]);
+        // The first takes what there is.
+        let bare = Survey {
+            clocks: PhoneClocks::new(),
+            former_clocks: vec![PhoneClocks::new()],
+            ..survey
+        };
+        let pair = Some(Prior::Offset(7.0, RECORDED_MARGIN));
+        assert_eq!(priors(&input("left", "", None), &bare, 0), [pair, pair]);
+        assert_eq!(priors(&right, &bare, 0), [None, None]);
+    }
+
+    #[test]
+    fn what_the_session_says_of_a_further_phone_moves_with_the_last_run() {
+        let survey = survey([Some(201.0), None]);
+        let right = input("right", "phones/right", prior(203.0));
+        let [former, Some(Prior::Model(last))] = priors(&right, &survey, 250_000_000)[..] else {
+            panic!("two runs");
+        };
+        assert_eq!(former, prior(201.0));
+        assert_eq!(last.reference, BoardSeconds(10.25));
+        assert_eq!(last.offset, 202.75);
+        // The same instant of the phone is a quarter of a second later on the board.
+        let phone = model(203.0).to_phone(BoardSeconds(30.0));
+        assert!((last.to_board(phone).0 - 30.25).abs() < 1e-9);
+    }
+}

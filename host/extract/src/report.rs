@@ -1,0 +1,551 @@
+//! The report of an extraction: `report.json` for programs, `report.html` for
+//! people, with the same content.
+//!
+//! Nothing in it depends on when or how often the extraction ran, so that
+//! repeating it gives the same files.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+use serde_json::json;
+
+use super::grid::GridReport;
+use super::gyro_clock::WindowResult;
+use super::layout::Format;
+use super::pairs::{Histogram, Spread};
+use super::survey::ImuSpan;
+use page::chart::{self, Data, Series};
+use page::{Level, Page};
+
+/// Something that is missing or damaged.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Loss {
+    /// Which part: `board`, `phone`, `video`, `depth`, `clock`, `pairs`.
+    pub part: &'static str,
+    /// What is missing, and what that means.
+    pub what: String,
+}
+
+/// Everything there is to say.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// Version of this form.
+    pub version: u32,
+    /// Name of the recording.
+    pub recording: String,
+    /// The format.
+    pub format: Format,
+    /// The board.
+    pub board: BoardReport,
+    /// Name in the rig profile of the phone that the trigger was aligned to.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
+    /// The phone, if its files are there; of several the reference.
+    pub phone: Option<PhoneReport>,
+    /// How phone time became board time.
+    pub clock: Option<ClockReport>,
+    /// The depth camera, if its recording is there.
+    pub depth: Option<DepthReport>,
+    /// Pairs of frames.
+    pub pairs: Option<PairsReport>,
+    /// The phone's frames against the trigger's grid, up to the first reset of the board.
+    pub grid: Option<GridReport>,
+    /// The same behind each reset.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub later_grids: Vec<GridReport>,
+    /// Further phones.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<OtherReport>,
+    /// Sensors on further outputs, and a lidar.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub sensors: Vec<SensorReport>,
+    /// The parts that marks divide the recording into.
+    pub sequences: Vec<SequenceReport>,
+    /// Constants that went into the times, ns.
+    pub constants: Constants,
+    /// What is missing or damaged. Empty: all is there.
+    pub losses: Vec<Loss>,
+    /// Worth knowing, but no loss.
+    pub remarks: Vec<String>,
+}
+
+/// Constants that went into the times.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Constants {
+    /// Low-pass delay subtracted from the board's IMU times (not in the topics
+    /// layout), ns.
+    pub board_imu_delay_ns: i64,
+    /// The same of the phone, ns.
+    pub phone_imu_delay_ns: i64,
+    /// From the phone's frame timestamp to the middle of exposure of the middle
+    /// row, ns.
+    pub color_middle_ns: i64,
+    /// From the trigger pulse to the depth timestamp, ns.
+    pub depth_center_ns: i64,
+}
+
+/// The board's part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BoardReport {
+    /// The board's unique ID, if the session knows it.
+    pub id: Option<String>,
+    /// Pulses.
+    pub pulses: usize,
+    /// Median distance of pulses, ns.
+    pub pulse_period_ns: Option<i64>,
+    /// Pulses missing in the recording: train, first number, how many.
+    pub missing_pulses: Vec<(u32, u64, u64)>,
+    /// Samples of the IMU.
+    pub imu: ImuSpan,
+    /// Runs of the board after a reset within the recording.
+    pub runs: Vec<BoardRunReport>,
+    /// Marks, ns.
+    pub marks_ns: Vec<i64>,
+}
+
+/// A run of the board after a reset.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BoardRunReport {
+    /// It begins at or behind this time, ns.
+    pub from_ns: i64,
+    /// The last time known of the run before, ns.
+    pub last_before_ns: i64,
+    /// How much later it is in the data set than in the recording, ns.
+    pub moved_ns: i64,
+    /// 1-sigma of its distance to the run before, µs.
+    pub sigma_us: f64,
+    /// What that is known from.
+    pub by: &'static str,
+}
+
+/// The phone's part.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct PhoneReport {
+    /// Name of the video.
+    pub name: String,
+    /// Frame timestamps.
+    pub timestamps: usize,
+    /// Frames of the video as decoded.
+    pub video_frames: Option<u64>,
+    /// Images written.
+    pub images: u64,
+    /// Samples of the gyroscope.
+    pub gyro_samples: u64,
+    /// Rows of the IMU table.
+    pub imu_rows: u64,
+}
+
+/// A phone beside the one that the trigger was aligned to; its files are in
+/// `phones/NAME` of the output.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OtherReport {
+    /// Its name in the rig profile.
+    pub name: String,
+    /// What there was of it.
+    pub phone: Option<PhoneReport>,
+    /// How its time became board time.
+    pub clock: Option<ClockReport>,
+    /// Pairs of its frames with depth frames.
+    pub pairs: Option<PairsReport>,
+    /// Its frames against the trigger's grid, which does not follow it, up to the first
+    /// reset of the board.
+    pub grid: Option<GridReport>,
+    /// The same behind each reset.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub later_grids: Vec<GridReport>,
+    /// Constants that went into its times, ns.
+    pub constants: Constants,
+}
+
+/// How phone time became board time.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockReport {
+    /// `gyroscopes`, `session` (the twist's model) or `bag` (the recorded offset).
+    pub source: &'static str,
+    /// Windows with data.
+    pub windows: usize,
+    /// Windows that were used.
+    pub used: usize,
+    /// Windows that contradict the rest.
+    pub contradicting: usize,
+    /// Phone − board at the middle of the recording, s.
+    pub offset_s: f64,
+    /// Rate of the phone's clock against the board's, ppm.
+    pub skew_ppm: f64,
+    /// 1-sigma of the rate, ppm.
+    pub skew_sigma_ppm: f64,
+    /// Smallest and largest 1-sigma of the offset over the frames, µs.
+    pub sigma_us: [f64; 2],
+    /// Root mean square of the windows against the course, µs.
+    pub residual_us: f64,
+    /// Distance of frames in the phone's own time, ns, with 1-sigma.
+    pub frame_period_ns: Option<(f64, f64)>,
+    /// The windows.
+    pub course: Vec<WindowResult>,
+}
+
+/// The depth camera's part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct DepthReport {
+    /// Frames in the file.
+    pub frames: usize,
+    /// Frames with a pulse of their own.
+    pub matched: usize,
+    /// What decided which pulse is whose; empty if the frames were not matched.
+    pub decided_by: String,
+    /// Why they were not matched.
+    pub not_matched: Option<String>,
+    /// Rate of the camera's clock against the board's, ppm, with 1-sigma.
+    pub rate_ppm: Option<(f64, f64)>,
+    /// Robust scatter of frame time against pulse, µs.
+    pub residual_us: Option<f64>,
+    /// Pulses without a frame (numbers), between the first and the last frame.
+    pub missing: Vec<u64>,
+    /// Doubled frames.
+    pub doubled: Vec<usize>,
+    /// Frames off any recorded pulse.
+    pub off_pulse: Vec<usize>,
+    /// Frames behind the last pulse.
+    pub after_last_pulse: usize,
+    /// Frames without a whole image.
+    pub broken: Vec<usize>,
+    /// Frames whose part of the file has a wrong checksum.
+    pub damaged: Vec<usize>,
+    /// Frames without any depth.
+    pub empty: Vec<usize>,
+    /// Pixels beyond the format's range.
+    pub out_of_range: u64,
+    /// Images written.
+    pub images: u64,
+    /// Infrared images written.
+    pub infrared: u64,
+    /// Mode of the camera.
+    pub mode: Option<String>,
+    /// Serial number of the camera.
+    pub serial: Option<String>,
+}
+
+/// Pairs of frames.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PairsReport {
+    /// Phone − depth.
+    pub spread: Spread,
+    /// Phone − depth, all of them.
+    pub histogram: Histogram,
+    /// Those near to the median ([`super::pairs::central`]).
+    pub central: Histogram,
+}
+
+/// A sensor on a further output, or a lidar.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SensorReport {
+    /// Its name.
+    pub name: String,
+    /// Its pulses; of a lidar, one a second.
+    pub pulses: usize,
+}
+
+/// One part of the recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct SequenceReport {
+    /// Its folder; `.` if there are no marks.
+    pub folder: String,
+    /// Phone images.
+    pub color: usize,
+    /// Depth images.
+    pub depth: usize,
+    /// Pairs.
+    pub pairs: usize,
+}
+
+impl Report {
+    /// The report as text for a terminal.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        for (name, value) in self.lines() {
+            let _ = writeln!(out, "{name:<22} {value}");
+        }
+        for loss in &self.losses {
+            let _ = writeln!(out, "missing ({}): {}", loss.part, loss.what);
+        }
+        for remark in &self.remarks {
+            let _ = writeln!(out, "note: {remark}");
+        }
+        out
+    }
+
+    /// Name and value of what matters most.
+    fn lines(&self) -> Vec<(&'static str, String)> {
+        let mut lines = vec![
+            ("recording", self.recording.clone()),
+            ("format", self.format.name().into()),
+            ("trigger pulses", self.board.pulses.to_string()),
+            ("board IMU samples", self.board.imu.samples.to_string()),
+        ];
+        if let Some(reference) = self.reference.as_ref().filter(|_| !self.phones.is_empty()) {
+            lines.push(("trigger follows", reference.clone()));
+        }
+        if let Some(phone) = &self.phone {
+            lines.push(("phone timestamps", phone.timestamps.to_string()));
+            lines.push(("phone images", phone.images.to_string()));
+            lines.push(("phone IMU rows", phone.imu_rows.to_string()));
+        }
+        if let Some(clock) = &self.clock {
+            lines.push(("clock relation", clock.line()));
+        }
+        if let Some(grid) = &self.grid {
+            lines.push(("phone against trigger", grid.line()));
+        }
+        for grid in &self.later_grids {
+            lines.push(("behind a reset", grid.line()));
+        }
+        if let Some(depth) = &self.depth {
+            lines.push((
+                "depth frames",
+                format!("{}, {} on a pulse", depth.frames, depth.matched),
+            ));
+            lines.push(("depth images", depth.images.to_string()));
+            if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
+                lines.push((
+                    "depth clock",
+                    format!(
+                        "{rate:.3} ppm ± {sigma:.3}, scatter {residual:.1} µs, decided by {}",
+                        depth.decided_by
+                    ),
+                ));
+            }
+            lines.push(("pulses without a frame", depth.missing.len().to_string()));
+        }
+        if let Some(pairs) = &self.pairs {
+            let us = |ns: i64| format!("{:.1}", ns as f64 / 1000.0);
+            let spread = &pairs.spread;
+            lines.push((
+                "pairs",
+                format!(
+                    "{}, phone − depth: median {} µs, quartiles {} to {} µs",
+                    spread.count,
+                    us(spread.median_ns),
+                    us(spread.quartiles_ns[0]),
+                    us(spread.quartiles_ns[1])
+                ),
+            ));
+        }
+        for other in &self.phones {
+            lines.push(("further phone", other.line()));
+        }
+        for sensor in &self.sensors {
+            let line = format!("{}: {} pulses", sensor.name, sensor.pulses);
+            lines.push(("further sensor", line));
+        }
+        lines
+    }
+
+    /// How well it went, in words.
+    #[must_use]
+    pub fn verdict(&self) -> (Level, String) {
+        let pairs = self.pairs.as_ref().map_or(String::new(), |pairs| {
+            format!(
+                " {} pairs of frames; phone − depth is {:.1} µs in the median.",
+                pairs.spread.count,
+                pairs.spread.median_ns as f64 / 1000.0
+            )
+        });
+        match self.losses.first() {
+            None => (
+                Level::Good,
+                format!(
+                    "Everything is there and has its time in board time: {} trigger pulses, {} IMU \
+                     samples.{pairs}",
+                    self.board.pulses, self.board.imu.samples
+                ),
+            ),
+            Some(loss) => (
+                Level::Warning,
+                format!(
+                    "Something is missing or damaged: {} ({}){}. What is there has its time in board \
+                     time.{pairs}",
+                    loss.what,
+                    loss.part,
+                    match self.losses.len() {
+                        1 => String::new(),
+                        n => format!(", and {} more (below)", n - 1),
+                    }
+                ),
+            ),
+        }
+    }
+
+    /// The report as a page without anything from outside.
+    #[must_use]
+    pub fn html(&self) -> String {
+        let (level, verdict) = self.verdict();
+        let title = format!("Extraction of {}", self.recording);
+        let mut page = Page::new(&title, level, &verdict);
+        page.facts(&self.lines());
+        if !self.losses.is_empty() {
+            page.section("Missing or damaged");
+            let rows: Vec<Vec<String>> = self
+                .losses
+                .iter()
+                .map(|loss| vec![loss.part.to_owned(), loss.what.clone()])
+                .collect();
+            page.table(&["part", "what is missing, and what that means"], &rows);
+        }
+        if !self.remarks.is_empty() {
+            page.section("Remarks");
+            for remark in &self.remarks {
+                page.note(Level::Good, remark);
+            }
+        }
+        if let Some(pairs) = &self.pairs {
+            page.section("Time difference of the pairs");
+            let histogram = &pairs.central;
+            let svg = chart::histogram(
+                "phone − depth, µs",
+                "pairs",
+                histogram.first_ns as f64 / 1000.0,
+                histogram.bin_ns as f64 / 1000.0,
+                &histogram.counts,
+            );
+            let mut caption = String::from(
+                "Middle of exposure of the phone's frame minus that of the depth image it is paired \
+                 with, both in board time.",
+            );
+            let shown: u64 = histogram.counts.iter().sum();
+            let outside = (pairs.spread.count as u64).saturating_sub(shown);
+            if outside > 0 {
+                let [least, most] = pairs.spread.range_ns.map(|ns| ns as f64 / 1e6);
+                let _ = write!(
+                    caption,
+                    " {outside} of {} pairs are further off than is shown ({least:.3} to {most:.3} ms \
+                     in all), as pairs are before the trigger has arrived on the phone's frames.",
+                    pairs.spread.count
+                );
+            }
+            page.figure(&svg, &caption);
+        }
+        if let Some(clock) = self.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+            page.section("Clock of the phone");
+            page.figure(
+                &course_svg(&clock.course),
+                "What the two gyroscopes say in each window against the smoothed course, with \
+                 1-sigma of both.",
+            );
+        }
+        for other in &self.phones {
+            if let Some(clock) = other.clock.as_ref().filter(|clock| clock.course.len() > 1) {
+                page.section(&format!("Clock of phone {}", other.name));
+                page.figure(
+                    &course_svg(&clock.course),
+                    "As above, for this phone. The trigger does not follow its frames.",
+                );
+            }
+        }
+        if self.sequences.len() > 1 {
+            page.section("Sequences");
+            let rows: Vec<Vec<String>> = self
+                .sequences
+                .iter()
+                .map(|part| {
+                    vec![
+                        part.folder.clone(),
+                        part.color.to_string(),
+                        part.depth.to_string(),
+                        part.pairs.to_string(),
+                    ]
+                })
+                .collect();
+            page.table(&["folder", "phone", "depth", "pairs"], &rows);
+        }
+        page.settings(
+            "Settings: constants that went into the times, ns",
+            &json!(self.constants),
+        );
+        page.html()
+    }
+}
+
+impl ClockReport {
+    fn line(&self) -> String {
+        format!(
+            "from {}: {:.3} ppm ± {:.3}, 1-sigma {:.1} to {:.1} µs, residual {:.1} µs, {} of {} windows",
+            self.source,
+            self.skew_ppm,
+            self.skew_sigma_ppm,
+            self.sigma_us[0],
+            self.sigma_us[1],
+            self.residual_us,
+            self.used,
+            self.windows
+        )
+    }
+}
+
+impl GridReport {
+    fn line(&self) -> String {
+        format!(
+            "{:+.1} µs from the depth exposures, moving by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
+            self.offset_us, self.drift_us_per_min, self.residual_us, self.pulses
+        )
+    }
+}
+
+impl OtherReport {
+    fn line(&self) -> String {
+        let mut line = self.name.clone();
+        if let Some(phone) = &self.phone {
+            let _ = write!(
+                line,
+                ": {} timestamps, {} images, {} IMU rows",
+                phone.timestamps, phone.images, phone.imu_rows
+            );
+        }
+        if let Some(clock) = &self.clock {
+            let _ = write!(line, "; clock {}", clock.line());
+        }
+        if let Some(grid) = &self.grid {
+            let _ = write!(line, "; {}", grid.line());
+        }
+        for grid in &self.later_grids {
+            let _ = write!(line, "; behind a reset {}", grid.line());
+        }
+        line
+    }
+}
+
+/// Windows against the course, with the course's own band.
+fn course_svg(course: &[WindowResult]) -> String {
+    let band = |sign: f64| {
+        Data::Line(
+            course
+                .iter()
+                .map(|window| (window.board_s, sign * window.course_sigma_s * 1e6))
+                .collect(),
+        )
+    };
+    let windows = course
+        .iter()
+        .map(|window| {
+            (
+                window.board_s,
+                window.residual_s * 1e6,
+                window.sigma_s * 1e6,
+            )
+        })
+        .collect();
+    let series = |name: &str, data| Series {
+        name: name.to_owned(),
+        data,
+    };
+    chart::series(
+        "board time, s",
+        "window − course, µs",
+        -1.0..1.0,
+        &[
+            series("windows", Data::Bars(windows)),
+            series("+1-sigma of the course", band(1.0)),
+            series("−1-sigma", band(-1.0)),
+        ],
+    )
+}

@@ -1,0 +1,111 @@
+//! The index files of each sequence, which list what was written.
+
+use std::path::Path;
+
+use super::{ExtractError, Run};
+use crate::board::TimePair;
+use crate::image_tables::{DepthOutcome, VideoOutcome};
+use crate::layout::{Facts, ImageRow, SequenceTables};
+use crate::pairs::Pair;
+use crate::report::SequenceReport;
+use crate::sequence::Sequences;
+use crate::tables::{ColorFrame, DepthFrame};
+
+/// What there is for all sequences.
+pub(super) struct Written<'a> {
+    pub(super) times: &'a [TimePair],
+    pub(super) color: &'a [ColorFrame],
+    pub(super) depth: &'a [DepthFrame],
+    pub(super) pairs: &'a [Pair],
+    pub(super) video: Option<&'a VideoOutcome>,
+    pub(super) images: Option<&'a DepthOutcome>,
+}
+
+impl Run<'_> {
+    /// Writes the index files, one set a sequence, below a folder of the output.
+    pub(super) fn finish_sequences(
+        &self,
+        below: &Path,
+        sequences: &Sequences,
+        written: &Written<'_>,
+        facts: &Facts,
+    ) -> Result<Vec<SequenceReport>, ExtractError> {
+        let layout = self.job.format.layout();
+        let mut reports = Vec::new();
+        for sequence in 0..sequences.count() {
+            let tables = self.tables_of(sequence, sequences, written);
+            let folder = sequences.folder(sequence);
+            layout
+                .finish(&self.place.out.join(below).join(&folder), &tables, facts)
+                .map_err(|error| self.failed(error))?;
+            let folder = folder.display().to_string();
+            reports.push(SequenceReport {
+                folder: if folder.is_empty() {
+                    ".".into()
+                } else {
+                    folder
+                },
+                color: tables.color.len(),
+                depth: tables.depth.len(),
+                pairs: tables.pairs.len(),
+            });
+        }
+        Ok(reports)
+    }
+
+    fn tables_of(
+        &self,
+        sequence: usize,
+        sequences: &Sequences,
+        written: &Written<'_>,
+    ) -> SequenceTables {
+        let layout = self.job.format.layout();
+        let decoded = written.video.map_or(0, |video| video.decoded);
+        let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
+        let mut tables = SequenceTables::default();
+        // Places in this sequence's lists, by place in the whole tables.
+        let mut color_places = vec![None; written.color.len()];
+        let mut depth_places = vec![None; written.depth.len()];
+        for (index, frame) in written.color.iter().enumerate() {
+            let there = frame.image.is_some_and(|image| (image as u64) < decoded);
+            if there && sequences.at(frame.at) == sequence {
+                color_places[index] = Some(tables.color.len());
+                tables.color.push(ImageRow {
+                    at: frame.at,
+                    own: frame.phone.0,
+                    path: layout.color_path(frame.at),
+                });
+            }
+        }
+        for (index, frame) in written.depth.iter().enumerate() {
+            let (Some(images), Some(at)) = (written.images, frame.at) else {
+                continue;
+            };
+            let there = frame.is_used() && !listed(&images.broken, index);
+            if !there || sequences.at(at) != sequence {
+                continue;
+            }
+            depth_places[index] = Some(tables.depth.len());
+            let row = |path| ImageRow {
+                at,
+                own: frame.device.0,
+                path,
+            };
+            tables.depth.push(row(layout.depth_path(at)));
+            let infrared = layout.infrared_path(at);
+            if let Some(path) = infrared.filter(|_| listed(&images.infrared, index)) {
+                tables.infrared.push(row(path));
+            }
+        }
+        let place = |pair: &Pair| {
+            let color = *color_places.get(pair.color)?;
+            let depth = *depth_places.get(pair.depth)?;
+            color.zip(depth)
+        };
+        tables.pairs = written.pairs.iter().filter_map(place).collect();
+        let of_this = |pair: &&TimePair| sequences.at(pair.stamp) == sequence;
+        tables.lidar.clone_from(&self.inputs.lidar);
+        tables.times = written.times.iter().filter(of_this).cloned().collect();
+        tables
+    }
+}

@@ -1,0 +1,76 @@
+//! Further phones: the same tables, images and samples as of the phone that the
+//! trigger was aligned to, each in `phones/NAME` of the output.
+
+use super::index_files::Written;
+use super::{ExtractError, Run, find_pairs, pairs_report, rate_of};
+use crate::inputs::PhoneInput;
+use crate::layout::Facts;
+use crate::report::OtherReport;
+use crate::sequence::Sequences;
+use crate::survey::Survey;
+use crate::tables::{self, DepthFrame};
+
+impl Run<'_> {
+    /// Extracts one of them.
+    pub(super) fn other_phone(
+        &mut self,
+        input: &PhoneInput,
+        survey: &Survey,
+        sequences: &Sequences,
+        depth: &[DepthFrame],
+    ) -> Result<OtherReport, ExtractError> {
+        let constants = self.constants(input);
+        let phone = self.read_phone(input, survey, &constants)?;
+        let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
+        let pairs = find_pairs(color, depth, survey);
+        let folder = self.place.out.join(&input.folder);
+        let write = || -> std::io::Result<()> {
+            if !color.is_empty() {
+                tables::write_color(&folder.join("phone_frames.csv"), color)?;
+            }
+            if !pairs.is_empty() {
+                tables::write_pairs(&folder.join("pairs.csv"), &pairs, color, depth)?;
+            }
+            Ok(())
+        };
+        write().map_err(|error| self.failed(error))?;
+        let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
+        let delay = constants.phone_imu_delay_ns;
+        let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;
+        if phone.is_some() {
+            let facts = Facts {
+                color_rate: rate_of(color.iter().map(|frame| frame.at)),
+                phone_imu_rate: imu.rate,
+                color_size: video.as_ref().and_then(|video| video.size),
+                phone_imu_delay: delay,
+                color_middle: constants.color_middle_ns,
+                ..Facts::default()
+            };
+            // Depth, board and the pairs of images stand with the first phone.
+            let written = Written {
+                times: &[],
+                color,
+                depth: &[],
+                pairs: &[],
+                video: video.as_ref(),
+                images: None,
+            };
+            self.finish_sequences(&input.folder, sequences, &written, &facts)?;
+        }
+        let (grid, later_grids) = self.against_grid(color, survey, &constants);
+        Ok(OtherReport {
+            name: input.name.clone().unwrap_or_default(),
+            phone: phone
+                .as_ref()
+                .map(|phone| phone.report(video.as_ref(), &imu)),
+            clock: phone.as_ref().and_then(|phone| {
+                let clock = phone.clock.as_ref()?;
+                Some(clock.report(&phone.frames))
+            }),
+            pairs: pairs_report(&pairs),
+            grid,
+            later_grids,
+            constants,
+        })
+    }
+}

@@ -1,0 +1,311 @@
+//! The phone's part of an extraction: timestamps, clock, images, samples.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::{Path, PathBuf};
+
+use super::{ExtractError, Run};
+use crate::frames::{Alignment, align};
+use crate::image_tables::{VideoOutcome, write_video};
+use crate::imu_tables::{Joiner, TableWriter, in_board_time};
+use crate::inputs::PhoneInput;
+use crate::phone::csv::{Faults, Rows};
+use crate::phone::files::PhoneFiles;
+use crate::phone_clock::{self, PhoneClock, Runs};
+use crate::report::{Constants, Loss, PhoneReport};
+use crate::sequence::Sequences;
+use crate::survey::{ImuSpan, Survey};
+use crate::tables::{self, ColorFrame};
+use crate::time::PhoneNanos;
+use crate::video::{Video, presentation_times};
+
+/// The phone's part after reading.
+pub(super) struct Phone {
+    name: String,
+    /// Rows of timestamps.
+    stamps: usize,
+    pub(super) frames: Vec<ColorFrame>,
+    pub(super) clock: Option<PhoneClock>,
+}
+
+/// The phone's samples in short.
+#[derive(Default)]
+pub(super) struct PhoneImu {
+    gyro: u64,
+    rows: u64,
+    pub(super) rate: Option<f64>,
+}
+
+impl Run<'_> {
+    pub(super) fn read_phone(
+        &mut self,
+        input: &PhoneInput,
+        survey: &Survey,
+        constants: &Constants,
+    ) -> Result<Option<Phone>, ExtractError> {
+        let Some(files) = input.files.clone() else {
+            let how = match &input.name {
+                Some(name) if input.is_other() => format!("--phone {name}=PATH"),
+                _ => String::from("--phone"),
+            };
+            let what = format!(
+                "there are no files of the phone (its video .mp4 and beside it the .csv files of frame \
+                 timestamps, gyroscope and accelerometer); give the folder that has them with {how}"
+            );
+            self.lose("phone", input.about(&what));
+            return Ok(None);
+        };
+        for what in files.missing() {
+            self.lose("phone", input.about(&format!("there is no {what}")));
+        }
+        let mut stamps = Vec::new();
+        if let Some(path) = &files.frames {
+            match read_stamps(path) {
+                Ok((read, faults)) => {
+                    stamps = read;
+                    self.note_faults(input, "frame timestamps", &faults);
+                }
+                Err(error) => {
+                    let what = format!("reading {}: {error}", path.display());
+                    self.lose("phone", input.about(&what));
+                }
+            }
+        }
+        let board = &self.inputs.board;
+        let priors = phone_clock::priors(input, survey, board.last_moved());
+        // Where the board was reset, all phones are on the axis of the first.
+        let runs = if input.is_other() {
+            Runs::Kept
+        } else {
+            Runs::Moved
+        };
+        let how = (priors.as_slice(), runs);
+        let clock = match phone_clock::find(board, &files, survey, how, constants, self.progress) {
+            Ok(Ok(clock)) => {
+                let about = clock.remarks.iter().map(|remark| input.about(remark));
+                self.remarks.extend(about);
+                Some(clock)
+            }
+            Ok(Err(why)) => {
+                self.lose("clock", input.about(&why));
+                None
+            }
+            Err(phone_clock::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
+            Err(phone_clock::Stopped::Board(error)) => return Err(error.into()),
+        };
+        let timing = self.timing(input);
+        if !timing.is_known() && !stamps.is_empty() {
+            self.remarks.push(input.about(
+                "exposure or readout of the phone is not known: its images' times are earlier than the \
+                 middle of exposure by half of what is missing; give --exposure-us and --readout-us",
+            ));
+        }
+        let alignment = self.align_video(input, &files, &stamps);
+        let mut images = vec![None; stamps.len()];
+        for (image, row) in alignment.rows.iter().enumerate() {
+            if let Some(slot) = row.and_then(|row| images.get_mut(row)) {
+                *slot = Some(image);
+            }
+        }
+        let frames = clock.as_ref().map_or_else(Vec::new, |clock| {
+            tables::color_frames(&stamps, &images, &clock.map, timing)
+        });
+        Ok(Some(Phone {
+            name: files.name.clone(),
+            stamps: stamps.len(),
+            frames,
+            clock,
+        }))
+    }
+
+    /// Which row each frame of the video has.
+    fn align_video(
+        &mut self,
+        input: &PhoneInput,
+        files: &PhoneFiles,
+        stamps: &[PhoneNanos],
+    ) -> Alignment {
+        let Some(video) = &files.video else {
+            return Alignment::default();
+        };
+        match presentation_times(video) {
+            Some(times) => {
+                let alignment = align(&times, stamps);
+                if let Some(remark) = &alignment.remark {
+                    self.lose("video", input.about(remark));
+                }
+                alignment
+            }
+            // Without ffprobe, or without times in the file: in order, and the
+            // count is compared when the frames are decoded.
+            None => Alignment::in_order(stamps.len(), stamps.len()),
+        }
+    }
+
+    fn note_faults(&mut self, input: &PhoneInput, what: &str, faults: &Faults) {
+        if faults.count > 0 {
+            let first = faults.first.join("; ");
+            let what = format!("{} rows of the {what} are left out: {first}", faults.count);
+            self.lose("phone", input.about(&what));
+        }
+    }
+
+    pub(super) fn write_phone_images(
+        &mut self,
+        input: &PhoneInput,
+        phone: Option<&Phone>,
+        sequences: &Sequences,
+    ) -> Result<Option<VideoOutcome>, ExtractError> {
+        let video = input.files.as_ref().and_then(|files| files.video.clone());
+        let (Some(phone), Some(video)) = (phone, video) else {
+            return Ok(None);
+        };
+        if phone.frames.is_empty() {
+            return Ok(None);
+        }
+        let layout = self.job.format.layout();
+        let last = phone.frames.iter().filter_map(|frame| frame.image).max();
+        let mut places: Vec<Option<PathBuf>> = vec![None; last.map_or(0, |last| last + 1)];
+        for frame in &phone.frames {
+            if let Some(place) = frame.image.and_then(|image| places.get_mut(image)) {
+                let folder = self
+                    .place
+                    .out
+                    .join(&input.folder)
+                    .join(sequences.folder(sequences.at(frame.at)));
+                *place = Some(folder.join(layout.color_path(frame.at)));
+            }
+        }
+        let step = match &input.name {
+            Some(name) if input.is_other() => format!("video-{name}"),
+            _ => String::from("video"),
+        };
+        let outcome = match self.place.done::<VideoOutcome>(&step) {
+            Some(outcome) => outcome,
+            None => match Video::open(&video) {
+                Ok(decoder) => {
+                    let outcome = write_video(decoder, &places, self.progress)?;
+                    // With an error the next run tries again.
+                    if outcome.error.is_none() {
+                        self.place
+                            .keep(&step, &outcome)
+                            .map_err(|error| self.failed(error))?;
+                    }
+                    outcome
+                }
+                Err(error) => {
+                    self.lose("video", input.about(&error.to_string()));
+                    return Ok(None);
+                }
+            },
+        };
+        if let Some(error) = &outcome.error {
+            self.lose("video", input.about(error));
+        }
+        let expected = phone.stamps as u64;
+        let own = input.about("");
+        let told = |loss: &Loss| loss.part == "video" && loss.what.starts_with(&own);
+        if outcome.decoded != expected && !self.losses.iter().any(told) {
+            let what = format!(
+                "{} frames were decoded and there are {expected} timestamps",
+                outcome.decoded
+            );
+            self.lose("video", input.about(&what));
+        }
+        Ok(Some(outcome))
+    }
+
+    pub(super) fn write_phone_imu(
+        &mut self,
+        input: &PhoneInput,
+        phone: Option<&Phone>,
+        sequences: &Sequences,
+        delay: i64,
+    ) -> Result<PhoneImu, ExtractError> {
+        let clock = phone.and_then(|phone| phone.clock.as_ref());
+        let files = input.files.clone().unwrap_or_default();
+        let (Some(clock), Some(gyro), Some(accel), Some(table)) = (
+            clock,
+            &files.gyro,
+            &files.accel,
+            self.job.format.layout().phone_imu(),
+        ) else {
+            return Ok(PhoneImu::default());
+        };
+        let open = |path: &Path| File::open(path).map(|file| Rows::new(BufReader::new(file)));
+        let (mut gyro, mut accel) = match (open(gyro), open(accel)) {
+            (Ok(gyro), Ok(accel)) => (gyro, accel),
+            (Err(error), _) | (_, Err(error)) => {
+                let what = format!("opening the sensor files: {error}");
+                self.lose("phone", input.about(&what));
+                return Ok(PhoneImu::default());
+            }
+        };
+        self.progress.begin("writing the phone's IMU", 0);
+        let out = self.place.out.join(&input.folder);
+        let mut writer = TableWriter::new(table, &out, sequences, delay);
+        let mut span = ImuSpan::default();
+        let mut joiner = Joiner::new(|| accel.next_sample());
+        let read_error = loop {
+            let sample = match gyro.next_sample() {
+                Ok(Some(sample)) => sample,
+                Ok(None) => break None,
+                Err(error) => break Some(error),
+            };
+            span.add(sample.at.0);
+            if span.samples.is_multiple_of(8192) && self.progress.cancelled() {
+                return Err(ExtractError::Cancelled);
+            }
+            let value = match joiner.at(sample.at) {
+                Ok(Some(value)) => value,
+                Ok(None) => continue,
+                Err(error) => break Some(error),
+            };
+            if let Some(row) = in_board_time(&clock.map, &sample, value) {
+                writer.push(row).map_err(|error| self.failed(error))?;
+            }
+        };
+        let without = joiner.without_accel;
+        let rows = writer.finish().map_err(|error| self.failed(error))?;
+        self.progress.end();
+        if let Some(error) = read_error {
+            let what = format!("reading the sensor files: {error}");
+            self.lose("phone", input.about(&what));
+        }
+        let (gyro_faults, accel_faults) = (gyro.faults().clone(), accel.faults().clone());
+        self.note_faults(input, "gyroscope", &gyro_faults);
+        self.note_faults(input, "accelerometer", &accel_faults);
+        if without > 0 {
+            self.remarks.push(input.about(&format!(
+                "{without} samples of the phone's gyroscope have no acceleration around them and no row"
+            )));
+        }
+        Ok(PhoneImu {
+            gyro: span.samples,
+            rows,
+            rate: span.rate(),
+        })
+    }
+}
+
+impl Phone {
+    pub(super) fn report(&self, video: Option<&VideoOutcome>, imu: &PhoneImu) -> PhoneReport {
+        PhoneReport {
+            name: self.name.clone(),
+            timestamps: self.stamps,
+            video_frames: video.map(|video| video.decoded),
+            images: video.map_or(0, |video| video.written),
+            gyro_samples: imu.gyro,
+            imu_rows: imu.rows,
+        }
+    }
+}
+
+fn read_stamps(path: &Path) -> io::Result<(Vec<PhoneNanos>, Faults)> {
+    let mut rows = Rows::new(BufReader::new(File::open(path)?));
+    let mut stamps = Vec::new();
+    while let Some(stamp) = rows.next_frame()? {
+        stamps.push(stamp);
+    }
+    Ok((stamps, rows.faults().clone()))
+}

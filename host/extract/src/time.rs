@@ -1,0 +1,354 @@
+//! Times of the extraction: integers of nanoseconds, one type a clock.
+//!
+//! Design: the clocks are types of their own ([`BoardNanos`], [`DeviceNanos`],
+//! [`PhoneNanos`]), and [`AffineMap`] is the only way across. A map is made once
+//! from the floats of a fit; from then on a timestamp is converted by integer
+//! arithmetic alone, so that no timestamp ever passes through a float (an f64
+//! of seconds since 1970 resolves 238 ns only).
+//!
+//! A map is `to = to₀ + d + ⌊d · r⌉` with `d = from − from₀`. The rate error `r`
+//! is fixed point with 62 fraction bits, so that one second of distance is
+//! rounded by 10⁻¹⁰ ns and a century by less than a nanosecond. Rates are limited
+//! to ±10 %: no two clocks of a rig are further apart.
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use protocol::units::Ticks;
+use serde::{Deserialize, Serialize};
+
+pub use timebase::PhoneNanos;
+
+/// Nanoseconds in a second.
+pub const SECOND: i64 = 1_000_000_000;
+
+/// Largest rate error that a map accepts (dimensionless).
+pub const MAX_RATE: f64 = 0.1;
+
+const FRACTION_BITS: u32 = 62;
+
+macro_rules! nanos {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(
+            Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize,
+            Deserialize,
+        )]
+        #[serde(transparent)]
+        pub struct $name(pub i64);
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{} ns", self.0)
+            }
+        }
+
+        impl ClockNanos for $name {
+            fn from_nanos(nanos: i64) -> Self {
+                Self(nanos)
+            }
+            fn nanos(self) -> i64 {
+                self.0
+            }
+        }
+    };
+}
+
+/// An instant of some clock in whole nanoseconds.
+pub trait ClockNanos: Copy {
+    /// From nanoseconds.
+    fn from_nanos(nanos: i64) -> Self;
+    /// In nanoseconds.
+    fn nanos(self) -> i64;
+}
+
+nanos!(
+    /// An instant of board time, in nanoseconds since the board's reset.
+    ///
+    /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
+    BoardNanos
+);
+
+nanos!(
+    /// An instant of the depth camera's own clock, in nanoseconds.
+    DeviceNanos
+);
+
+impl ClockNanos for PhoneNanos {
+    fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+    fn nanos(self) -> i64 {
+        self.0
+    }
+}
+
+impl From<Ticks> for BoardNanos {
+    /// Rounds to nearest; saturates after 292 years.
+    fn from(ticks: Ticks) -> Self {
+        Self(i64::try_from(ticks.as_nanos()).unwrap_or(i64::MAX))
+    }
+}
+
+/// An affine relation of two clocks in integer arithmetic.
+///
+/// The inverse ([`AffineMap::inverse`]) returns to the same nanosecond ±1.
+pub struct AffineMap<From, To> {
+    from: i64,
+    to: i64,
+    /// Rate of `To` against `From`, minus one, with [`FRACTION_BITS`] fraction bits.
+    rate: i64,
+    clocks: PhantomData<(From, To)>,
+}
+
+impl<F, T> Clone for AffineMap<F, T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<F, T> Copy for AffineMap<F, T> {}
+
+impl<F, T> PartialEq for AffineMap<F, T> {
+    fn eq(&self, other: &Self) -> bool {
+        (self.from, self.to, self.rate) == (other.from, other.to, other.rate)
+    }
+}
+
+impl<F, T> fmt::Debug for AffineMap<F, T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("AffineMap")
+            .field("from", &self.from)
+            .field("to", &self.to)
+            .field("rate_ppm", &(self.rate_error() * 1e6))
+            .finish()
+    }
+}
+
+impl<F: ClockNanos, T: ClockNanos> AffineMap<F, T> {
+    /// The map on which `from` and `to` are the same instant and `To` runs
+    /// `1 + rate_error` times as fast as `From`.
+    ///
+    /// `None` if the rate error is not a number or beyond ±[`MAX_RATE`].
+    #[must_use]
+    pub fn new(from: F, to: T, rate_error: f64) -> Option<Self> {
+        if rate_error.is_nan() || rate_error.abs() > MAX_RATE {
+            return None;
+        }
+        Some(Self {
+            from: from.nanos(),
+            to: to.nanos(),
+            rate: (rate_error * (1_i64 << FRACTION_BITS) as f64) as i64,
+            clocks: PhantomData,
+        })
+    }
+
+    /// The instant on the other clock. Saturates at the ends of 64 bits.
+    #[must_use]
+    pub fn apply(&self, from: F) -> T {
+        let distance = i128::from(from.nanos()) - i128::from(self.from);
+        let half = 1_i128 << (FRACTION_BITS - 1);
+        let stretch = (distance * i128::from(self.rate) + half) >> FRACTION_BITS;
+        T::from_nanos(saturate(i128::from(self.to) + distance + stretch))
+    }
+
+    /// The map the other way round.
+    #[must_use]
+    pub fn inverse(&self) -> AffineMap<T, F> {
+        // 1/(1+r) − 1 = −r/(1+r), in fixed point.
+        let one = 1_i128 << FRACTION_BITS;
+        let rate = i128::from(self.rate);
+        let inverse = -((rate << FRACTION_BITS) / (one + rate));
+        AffineMap {
+            from: self.to,
+            to: self.from,
+            rate: saturate(inverse),
+            clocks: PhantomData,
+        }
+    }
+
+    /// The instant of `From` at which the map is anchored.
+    #[must_use]
+    pub fn anchor(&self) -> F {
+        F::from_nanos(self.from)
+    }
+}
+
+impl<F, T> AffineMap<F, T> {
+    /// Rate of `To` against `From`, minus one (for display).
+    #[must_use]
+    pub fn rate_error(&self) -> f64 {
+        self.rate as f64 / (1_i64 << FRACTION_BITS) as f64
+    }
+}
+
+/// A relation of two clocks in pieces: straight lines between knots, in integer
+/// arithmetic. Outside of the knots the first and the last line go on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PiecewiseMap<F, T> {
+    knots: Vec<(F, T)>,
+}
+
+impl<F, T> Default for PiecewiseMap<F, T> {
+    /// No knots: nothing is mapped.
+    fn default() -> Self {
+        Self { knots: Vec::new() }
+    }
+}
+
+impl<F: ClockNanos, T: ClockNanos> PiecewiseMap<F, T> {
+    /// From pairs of the same instant. Pairs that do not lie behind the one before
+    /// on both clocks are left out.
+    #[must_use]
+    pub fn from_knots(pairs: impl IntoIterator<Item = (F, T)>) -> Self {
+        let mut knots: Vec<(F, T)> = Vec::new();
+        for (from, to) in pairs {
+            let later = knots
+                .last()
+                .is_none_or(|(f, t)| from.nanos() > f.nanos() && to.nanos() > t.nanos());
+            if later {
+                knots.push((from, to));
+            }
+        }
+        Self { knots }
+    }
+
+    /// The instant on the other clock; `None` without two knots. Saturates at the
+    /// ends of 64 bits.
+    #[must_use]
+    pub fn apply(&self, from: F) -> Option<T> {
+        if self.knots.len() < 2 {
+            return None;
+        }
+        let after = self
+            .knots
+            .partition_point(|(f, _)| f.nanos() <= from.nanos());
+        let left = after.saturating_sub(1).min(self.knots.len() - 2);
+        let ((f0, t0), (f1, t1)) = (self.knots[left], self.knots[left + 1]);
+        let distance = i128::from(from.nanos()) - i128::from(f0.nanos());
+        let run = i128::from(f1.nanos()) - i128::from(f0.nanos());
+        let rise = i128::from(t1.nanos()) - i128::from(t0.nanos());
+        // |distance| and rise are below 2⁶⁵ each, and their product below 2¹³⁰ only
+        // for times that no clock has: saturate there.
+        let scaled = distance.saturating_mul(rise).saturating_add(run / 2);
+        let to = i128::from(t0.nanos()) + scaled.div_euclid(run);
+        Some(T::from_nanos(saturate(to)))
+    }
+
+    /// First and last knot.
+    #[must_use]
+    pub fn span(&self) -> Option<(F, F)> {
+        Some((self.knots.first()?.0, self.knots.last()?.0))
+    }
+}
+
+fn saturate(value: i128) -> i64 {
+    value.clamp(i128::from(i64::MIN), i128::from(i64::MAX)) as i64
+}
+
+/// Nanoseconds as decimal seconds with `digits` digits after the point (at most
+/// 9), rounded to nearest, by integer arithmetic: `1264.250903`.
+#[must_use]
+pub fn decimal_seconds(nanos: i64, digits: u32) -> String {
+    let digits = digits.min(9);
+    let step = 10_i128.pow(9 - digits);
+    let units = (i128::from(nanos) + step / 2).div_euclid(step);
+    let scale = 10_i128.pow(digits);
+    let sign = if units < 0 { "-" } else { "" };
+    let units = units.abs();
+    if digits == 0 {
+        return format!("{sign}{units}");
+    }
+    format!(
+        "{sign}{}.{:0width$}",
+        units / scale,
+        units % scale,
+        width = digits as usize
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    type Map = AffineMap<PhoneNanos, BoardNanos>;
+
+    #[test]
+    fn a_map_is_exact_over_days() {
+        // 40 ppm over ten days: 34.56 s, to the nanosecond.
+        let day = 86_400 * SECOND;
+        let map = Map::new(
+            PhoneNanos(949_113 * SECOND),
+            BoardNanos(1_264 * SECOND),
+            40e-6,
+        )
+        .unwrap();
+        let there = map.apply(PhoneNanos(949_113 * SECOND + 10 * day));
+        assert_eq!(there.0, 1_264 * SECOND + 10 * day + 34_560_000_000);
+    }
+
+    #[test]
+    fn rates_out_of_reason_are_refused() {
+        assert!(Map::new(PhoneNanos(0), BoardNanos(0), f64::NAN).is_none());
+        assert!(Map::new(PhoneNanos(0), BoardNanos(0), 0.2).is_none());
+        assert!(Map::new(PhoneNanos(0), BoardNanos(0), -0.1).is_some());
+    }
+
+    #[test]
+    fn pieces_join_and_go_on_outside() {
+        let map = PiecewiseMap::from_knots([
+            (PhoneNanos(1_000), BoardNanos(0)),
+            (PhoneNanos(2_000), BoardNanos(1_001)),
+            (PhoneNanos(1_500), BoardNanos(5_000)),
+            (PhoneNanos(3_000), BoardNanos(2_000)),
+        ]);
+        let at = |phone| map.apply(PhoneNanos(phone)).unwrap().0;
+        assert_eq!(
+            [at(1_000), at(1_500), at(2_000), at(3_000)],
+            [0, 501, 1_001, 2_000]
+        );
+        assert_eq!([at(0), at(4_000)], [-1_001, 2_999]);
+        assert_eq!(
+            PiecewiseMap::<PhoneNanos, BoardNanos>::default().apply(PhoneNanos(1)),
+            None
+        );
+    }
+
+    #[test]
+    fn seconds_are_written_without_floats() {
+        assert_eq!(decimal_seconds(1_264_250_902_773, 6), "1264.250903");
+        assert_eq!(decimal_seconds(999_999_500, 6), "1.000000");
+        assert_eq!(decimal_seconds(-1, 9), "-0.000000001");
+        assert_eq!(decimal_seconds(-1, 6), "0.000000");
+        assert_eq!(decimal_seconds(1_500_000_000, 0), "2");
+        assert_eq!(decimal_seconds(i64::MAX, 9), "9223372036.854775807");
+    }
+
+    proptest! {
+        #[test]
+        fn the_inverse_returns(
+            from in -SECOND * 1_000_000..SECOND * 1_000_000,
+            to in -SECOND * 1_000_000..SECOND * 1_000_000,
+            rate in -0.05..0.05f64,
+            t in -SECOND * 1_000_000..SECOND * 1_000_000,
+        ) {
+            let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
+            let back = map.inverse().apply(map.apply(PhoneNanos(t)));
+            prop_assert!((back.0 - t).abs() <= 1);
+        }
+
+        #[test]
+        fn no_time_panics(from: i64, to: i64, rate in -0.1..0.1f64, t: i64) {
+            let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
+            let _ = map.inverse().apply(map.apply(PhoneNanos(t)));
+            let _ = decimal_seconds(t, 6);
+            let pieces = PiecewiseMap::from_knots([
+                (PhoneNanos(from), BoardNanos(to)),
+                (PhoneNanos(t), BoardNanos(i64::MAX)),
+            ]);
+            let _ = pieces.apply(PhoneNanos(to));
+        }
+    }
+}

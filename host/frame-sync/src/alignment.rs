@@ -1,0 +1,520 @@
+//! Where the trigger must be sent so that the depth camera is exposed in the
+//! middle of the phone's frames. Pure arithmetic.
+//!
+//! ```text
+//! phone time of the middle   m = phase + exposure/2 + start of the row − start of the first row
+//! board time of it           b = clock⁻¹(m)
+//! trigger edge               e = b − center_offset − bias
+//! period on the board        p = frame period / (1 + skew) · (phone frames to a depth frame)
+//! ```
+//!
+//! `phase` is the timestamp of one frame, the start of exposure of its first
+//! row. `center_offset` is from the trigger's edge to the middle of exposure of
+//! the depth image; `bias` is what `evaluate --calibrate` measured to be left
+//! over, depth minus phone.
+//!
+//! The phase depends on the offset of the clocks at the time of that frame,
+//! the drift on frame period and skew. A single twist gives the skew to about
+//! 1 ppm, and `video_start` the frame period to about 1 ppm: each 60 µs/min. So
+//! both are taken from the profile once they have been learnt.
+
+use protocol::{Period, TICK_HZ, Ticks};
+
+use recording::profile::{Learnt, Phone, Profile};
+use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
+use timebase::{BoardSeconds, PhoneSeconds};
+use twist_sync::ClockModel;
+
+/// How far a learnt value may be from the one measured now, in sigmas of both.
+const CONSISTENT_SIGMAS: f64 = 5.0;
+
+/// 1-sigma of the timestamp of one of the phone's frames, ns: nobody documents it,
+/// and it is reckoned with rather too much than too little.
+const FRAME_JITTER_NS: f64 = 2_000.0;
+
+/// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean
+/// of 59 intervals whose ends have that jitter.
+const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / 59.0;
+
+/// The frame periods that can be followed: the board's own bounds.
+const SECONDS: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
+
+/// Why there is no alignment.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AlignmentError {
+    /// The phone's frame period is not one that the trigger can make.
+    #[error("the phone reports a frame period of {period_ns} ns, expected 1 ms to 1 s")]
+    FramePeriod {
+        /// As reported or learnt, times the frames to a depth frame.
+        period_ns: f64,
+    },
+    /// The result is before the board's reset or not a number.
+    #[error(
+        "the phone's frame lies at {board_s} s of board time: the clock relation is of another session"
+    )]
+    OutOfRange {
+        /// Where the arithmetic led.
+        board_s: f64,
+    },
+}
+
+/// An alignment and what to know about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Planned {
+    /// The alignment.
+    pub alignment: Alignment,
+    /// Remarks for the user.
+    pub remarks: Vec<String>,
+}
+
+/// What the profile has learnt about this phone and this board, where it can be
+/// used.
+#[must_use]
+pub fn skew_prior<'p>(phone: &'p Phone, board_id: &str) -> Option<(f64, f64, &'p Learnt)> {
+    let learnt = phone.learnt.as_ref()?;
+    if learnt.board_id.as_deref().is_some_and(|id| id != board_id) {
+        return None;
+    }
+    Some((learnt.skew?, learnt.skew_sigma?, learnt))
+}
+
+/// Takes a skew known from before into a relation of the clocks.
+///
+/// The Kalman update with a measurement of the skew alone: the offset moves with
+/// it as their covariance says. `None` if the two contradict each other.
+#[must_use]
+pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<ClockModel> {
+    let p = clock.covariance;
+    let innovation = skew - clock.skew;
+    let variance = p[1][1] + sigma * sigma;
+    if !variance.is_normal() || innovation.abs() > CONSISTENT_SIGMAS * variance.sqrt() {
+        return None;
+    }
+    let gain = [p[0][1] / variance, p[1][1] / variance];
+    let cross = p[0][1] * (1.0 - gain[1]);
+    Some(ClockModel {
+        offset: clock.offset + gain[0] * innovation,
+        skew: clock.skew + gain[1] * innovation,
+        covariance: [
+            [p[0][0] - gain[0] * p[0][1], cross],
+            [cross, p[1][1] * (1.0 - gain[1])],
+        ],
+        ..*clock
+    })
+}
+
+/// Plans the alignment.
+///
+/// # Errors
+///
+/// The phone's figures lead nowhere.
+pub fn plan(
+    profile: &Profile,
+    clock: &ClockModel,
+    video: &Video,
+) -> Result<Planned, AlignmentError> {
+    let mut remarks = Vec::new();
+    let (frame_period_ns, frame_period_sigma_ns, source) =
+        frame_period(&profile.phone, video, &mut remarks);
+    let exposure_us = reported_exposure_us(video).unwrap_or_else(|| {
+        remarks.push(format!(
+            "the app does not report the exposure; the profile's {} µs is used",
+            profile.phone.exposure_us
+        ));
+        profile.phone.exposure_us
+    });
+    let middle_row_us = profile.middle_row_us();
+    let center_offset_us = profile.depth.center_offset_us;
+    let bias_us = profile.frame_sync.bias_us;
+
+    let middle = middle(clock, video, exposure_us, middle_row_us);
+    let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us) * 1e-6);
+    if !(edge.0 > 0.0 && edge.0 < 1e9) {
+        return Err(AlignmentError::OutOfRange { board_s: edge.0 });
+    }
+    let ratio = f64::from(profile.frame_ratio());
+    let period_s = frame_period_ns * 1e-9 * ratio / (1.0 + clock.skew);
+    if !SECONDS.contains(&period_s) {
+        return Err(AlignmentError::FramePeriod {
+            period_ns: frame_period_ns * ratio,
+        });
+    }
+    // At 30 fps 1.6·10⁶ · 2³² is below 2⁵³: exact to 2⁻³² ticks.
+    let period_q32 = (period_s * f64::from(TICK_HZ) * 4_294_967_296.0).round() as u64;
+
+    Ok(Planned {
+        alignment: Alignment {
+            exposure_us,
+            middle_row_us,
+            center_offset_us,
+            bias_us,
+            frame_period_ns,
+            frame_period_sigma_ns,
+            frame_period_source: source,
+            clock: *clock,
+            anchor: edge.ticks(),
+            period_q32,
+            phase_sigma_us: phase_sigma_us(clock, edge),
+            drift_sigma_us_per_min: drift_sigma_us_per_min(
+                clock,
+                edge,
+                frame_period_ns,
+                frame_period_sigma_ns,
+            ),
+            arrival_pulse: None,
+            arrival: None,
+        },
+        remarks,
+    })
+}
+
+/// What the app reported of the exposure, µs.
+fn reported_exposure_us(video: &Video) -> Option<f64> {
+    let exposure = video.exposure_ns.filter(|&exposure| exposure > 0)?;
+    Some(exposure as f64 * 1e-3)
+}
+
+/// Board time of the middle of the frame that the phone gave the timestamp of.
+fn middle(clock: &ClockModel, video: &Video, exposure_us: f64, middle_row_us: f64) -> BoardSeconds {
+    let to_middle = (exposure_us / 2.0 + middle_row_us) * 1e-6;
+    clock.to_board(PhoneSeconds(video.phase.seconds().0 + to_middle))
+}
+
+/// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and
+/// the jitter of the one timestamp that the phone gives.
+fn phase_sigma_us(clock: &ClockModel, at: BoardSeconds) -> f64 {
+    (clock.offset_at(at).sigma * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
+}
+
+/// 1-sigma of a frame period relative to it; without one it is that of the period
+/// that `video_start` reports.
+fn relative_period_sigma(frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
+    sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns
+}
+
+/// 1-sigma of how frames move against pulses, µs/min: the skew and the frame period.
+fn drift_sigma_us_per_min(
+    clock: &ClockModel,
+    at: BoardSeconds,
+    frame_period_ns: f64,
+    sigma_ns: Option<f64>,
+) -> f64 {
+    let period_sigma = relative_period_sigma(frame_period_ns, sigma_ns);
+    clock.skew_sigma_at(at).hypot(period_sigma) * 60e6
+}
+
+/// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
+///
+/// Where the grid is right on the phone's frames depends on the offset of the clocks
+/// *then*, whose uncertainty holds what the skew adds, and on how many frames of
+/// an uncertain period lie between.
+#[must_use]
+pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
+    let since = at.0 - alignment.anchor.as_secs_f64();
+    let period_sigma =
+        relative_period_sigma(alignment.frame_period_ns, alignment.frame_period_sigma_ns);
+    phase_sigma_us(&alignment.clock, at).hypot(since * period_sigma * 1e6)
+}
+
+/// The learnt frame period where there is one that fits what the phone reports
+/// now; else the reported one.
+fn frame_period(
+    phone: &Phone,
+    video: &Video,
+    remarks: &mut Vec<String>,
+) -> (f64, Option<f64>, FramePeriodSource) {
+    let reported = video.frame_duration_ns;
+    let Some(learnt) = &phone.learnt else {
+        remarks.push(String::from(
+            "no frame period learnt yet: the phase may drift by tens of µs a minute \
+             (`smartdepthsync profile learn`)",
+        ));
+        return (reported, None, FramePeriodSource::VideoStart);
+    };
+    let sigma = learnt.frame_period_sigma_ns.hypot(VIDEO_START_SIGMA_NS);
+    if (learnt.frame_period_ns - reported).abs() > CONSISTENT_SIGMAS * sigma {
+        remarks.push(format!(
+            "the learnt frame period of {} ns does not fit the {reported} ns that the phone \
+             reports now (another mode?); the reported one is used",
+            learnt.frame_period_ns
+        ));
+        return (reported, None, FramePeriodSource::VideoStart);
+    }
+    (
+        learnt.frame_period_ns,
+        Some(learnt.frame_period_sigma_ns),
+        FramePeriodSource::Learnt,
+    )
+}
+
+/// Where the frames of another phone lie against the depth images, whose grid
+/// follows the reference phone.
+///
+/// `phone` is one of the profile's, `clock` its relation to the board, `video` what
+/// it answered. The offset is counted from the depth image that is nearest, as if
+/// there were one to each frame of the reference phone.
+#[must_use]
+pub fn placement(
+    profile: &Profile,
+    phone: &Phone,
+    clock: &ClockModel,
+    video: &Video,
+    alignment: &Alignment,
+) -> Placement {
+    let (period_ns, sigma_ns, _) = frame_period(phone, video, &mut Vec::new());
+    let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
+    let middle = middle(clock, video, exposure_us, phone.middle_row_us());
+    let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;
+    let depth = BoardSeconds(alignment.anchor.as_secs_f64() + to_depth);
+    let grid_s = alignment.period_q32 as f64
+        / 4_294_967_296.0
+        / f64::from(TICK_HZ)
+        / f64::from(profile.frame_ratio());
+    let apart = middle.0 - depth.0;
+    let own_s = period_ns * 1e-9 / (1.0 + clock.skew);
+    Placement {
+        offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
+        offset_sigma_us: phase_sigma_us(clock, middle),
+        drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
+        drift_sigma_us_per_min: drift_sigma_us_per_min(clock, middle, period_ns, sigma_ns),
+    }
+}
+
+/// How far a tick is from the nearest edge of a grid, in ticks: 0 for a pulse
+/// that is where it was sent.
+#[must_use]
+pub fn off_grid(anchor: Ticks, period: Period, at: Ticks) -> i64 {
+    let distance = i128::from(at.0) - i128::from(anchor.0);
+    let raw = i128::from(period.0.max(1));
+    // The nearest edge, and its neighbours: floors may move it by one.
+    let near = (distance << 32).div_euclid(raw);
+    (-1..=1)
+        .filter_map(|step| i64::try_from(near + step).ok())
+        .map(|k| (at - period.edge(anchor, k)).0)
+        .min_by_key(|difference| difference.unsigned_abs())
+        .unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::civil::date;
+    use proptest::prelude::*;
+
+    use super::*;
+    use timebase::PhoneNanos;
+    use twist_sync::Wander;
+
+    fn clock() -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 36_000.000_25,
+            skew: 2e-5,
+            covariance: [[9e-12, 0.0], [0.0, 1e-12]],
+            wander: Wander(1e-8),
+        }
+    }
+
+    fn video() -> Video {
+        Video {
+            phase: PhoneNanos(36_110_000_000_000),
+            frame_duration_ns: 33_330_652.542,
+            exposure_ns: Some(4_000_000),
+        }
+    }
+
+    fn learnt() -> Learnt {
+        Learnt {
+            frame_period_ns: 33_330_650.0,
+            frame_period_sigma_ns: 0.02,
+            skew: Some(2.05e-5),
+            skew_sigma: Some(2e-8),
+            learnt: date(2026, 1, 31),
+            board_id: Some(String::from("AB")),
+        }
+    }
+
+    #[test]
+    fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
+        let mut profile = Profile::published().unwrap();
+        profile.frame_sync.bias_us = -120.0;
+        let planned = plan(&profile, &clock(), &video()).unwrap();
+        let alignment = planned.alignment;
+        // Back from the edge to the phone's time: the same instant.
+        let middle_board = BoardSeconds(alignment.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
+        let middle_phone = clock().to_phone(middle_board).0;
+        let wanted = 36_110.0 + (2_000.0 + 5_503.0) * 1e-6;
+        assert!(
+            (middle_phone - wanted).abs() < 12e-9,
+            "{middle_phone} {wanted}"
+        );
+
+        // The period in board ticks: the phone's seconds are shorter than the board's.
+        let ticks = alignment.period_q32 as f64 / 4_294_967_296.0;
+        let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
+        assert!((ticks - expected).abs() < 1e-8);
+        assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
+        // 1 ppm of skew, 1.4 ppm of frame period.
+        assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
+        assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 4.0).sqrt()).abs() < 0.05);
+        assert!(planned.remarks[0].contains("no frame period learnt"));
+    }
+
+    #[test]
+    fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
+        let profile = Profile::published().unwrap();
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        let anchor = alignment.anchor.as_secs_f64();
+        let at_anchor = phase_sigma_us_at(&alignment, BoardSeconds(anchor));
+        // A tick of the anchor is rounded.
+        assert!((at_anchor - alignment.phase_sigma_us).abs() < 1e-6);
+        // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
+        // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
+        let since = 160.0 - anchor;
+        let period_us = since * VIDEO_START_SIGMA_NS / 33_330_652.542 * 1e6;
+        let expected = (9.0 + 60.0_f64.powi(2) + 4.0 + period_us.powi(2)).sqrt();
+        let found = phase_sigma_us_at(&alignment, BoardSeconds(160.0));
+        // The clocks' wander adds a little.
+        assert!(
+            (0.0..0.1).contains(&(found - expected)),
+            "{found} {expected}"
+        );
+    }
+
+    #[test]
+    fn a_learnt_period_is_used_unless_it_does_not_fit() {
+        let mut profile = Profile::published().unwrap();
+        profile.phone.learnt = Some(learnt());
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
+        assert_eq!(alignment.frame_period_ns, 33_330_650.0);
+
+        let mut other = video();
+        other.frame_duration_ns = 33_333_333.0;
+        let planned = plan(&profile, &clock(), &other).unwrap();
+        assert_eq!(
+            planned.alignment.frame_period_source,
+            FramePeriodSource::VideoStart
+        );
+        assert!(planned.remarks[0].contains("does not fit"));
+    }
+
+    #[test]
+    fn another_phone_is_placed_against_the_grid() {
+        let mut profile = Profile::published().unwrap();
+        profile.frame_sync.bias_us = 40.0;
+        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
+        // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
+        let other = ClockModel {
+            offset: 71_000.5,
+            skew: -3e-5,
+            ..clock()
+        };
+        let board = clock().to_board(video().phase.seconds()).0 + 2.5e-3 + 7.0 * 33.33e-3;
+        let board = BoardSeconds(board - 7.0 * (33.33e-3 - 33_330_652.542e-9 / (1.0 + 2e-5)));
+        let moved = Video {
+            phase: PhoneNanos((other.to_phone(board).0 * 1e9).round() as i64),
+            frame_duration_ns: (33_330_652.542 / (1.0 + 2e-5) + 100.0) * (1.0 - 3e-5),
+            ..video()
+        };
+        for fps in [30, 5] {
+            profile.depth.fps = fps;
+            let alignment = Alignment {
+                period_q32: alignment.period_q32 * u64::from(profile.frame_ratio()),
+                ..alignment
+            };
+            let placed = placement(&profile, &profile.phone, &other, &moved, &alignment);
+            // To the middle it is 7,503 µs of each phone's own clock. A tick of the
+            // anchor and a few ns of seconds in floats may be off.
+            let offset = 2_500.0 + 7_503.0 * 5e-5;
+            assert!((placed.offset_us - offset).abs() < 0.05, "{placed:?}");
+            let drift = 100.0 / 33_329_986.0 * 60e6;
+            assert!((placed.drift_us_per_min - drift).abs() < 0.1, "{placed:?}");
+            assert!(placed.offset_sigma_us > 3.0 && placed.offset_sigma_us < 20.0);
+            assert!(placed.drift_sigma_us_per_min > 60.0);
+        }
+    }
+
+    #[test]
+    fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
+        let mut profile = Profile::published().unwrap();
+        let fast = plan(&profile, &clock(), &video()).unwrap().alignment;
+        profile.depth.fps = 5;
+        let slow = plan(&profile, &clock(), &video()).unwrap().alignment;
+        assert_eq!(slow.anchor, fast.anchor);
+        assert!(slow.period_q32.abs_diff(6 * fast.period_q32) <= 4);
+    }
+
+    #[test]
+    fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
+        let profile = Profile::published().unwrap();
+        for exposure_ns in [None, Some(0)] {
+            let video = Video {
+                exposure_ns,
+                ..video()
+            };
+            let planned = plan(&profile, &clock(), &video).unwrap();
+            assert_eq!(planned.alignment.exposure_us, 10_000.0);
+            assert!(planned.remarks.iter().any(|text| text.contains("exposure")));
+        }
+    }
+
+    #[test]
+    fn nonsense_from_the_phone_is_told() {
+        let profile = Profile::published().unwrap();
+        for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9] {
+            let video = Video {
+                frame_duration_ns,
+                ..video()
+            };
+            assert!(matches!(
+                plan(&profile, &clock(), &video),
+                Err(AlignmentError::FramePeriod { .. })
+            ));
+        }
+        let early = Video {
+            phase: PhoneNanos(0),
+            ..video()
+        };
+        assert!(matches!(
+            plan(&profile, &clock(), &early),
+            Err(AlignmentError::OutOfRange { .. })
+        ));
+    }
+
+    #[test]
+    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
+        let mut wide = clock();
+        wide.covariance = [[9e-12, 1e-12], [1e-12, 1e-12]];
+        let sharp = with_known_skew(&wide, 2.05e-5, 2e-8).unwrap();
+        assert!((sharp.skew - 2.05e-5).abs() < 1e-9);
+        assert!(sharp.covariance[1][1].sqrt() < 2.1e-8);
+        // Correlation 1/3: the offset moves by cov/var of the skew's change.
+        assert!((sharp.offset - wide.offset - 0.5e-6).abs() < 1e-8);
+        assert!(sharp.covariance[0][0] < wide.covariance[0][0]);
+        assert_eq!(with_known_skew(&wide, 3e-5, 2e-8), None);
+    }
+
+    #[test]
+    fn a_skew_against_another_board_is_not_taken() {
+        let mut profile = Profile::published().unwrap();
+        profile.phone.learnt = Some(learnt());
+        assert!(skew_prior(&profile.phone, "AB").is_some());
+        assert!(skew_prior(&profile.phone, "CD").is_none());
+    }
+
+    proptest! {
+        #[test]
+        fn every_edge_of_a_grid_is_on_it(
+            anchor in 1_u64 << 40..1 << 41,
+            raw in Period::MIN.0..Period::MAX.0,
+            k in -10_000_i64..1_000_000,
+            off in -200_i64..200,
+        ) {
+            let period = Period(raw);
+            let edge = period.edge(Ticks(anchor), k);
+            prop_assert_eq!(off_grid(Ticks(anchor), period, edge), 0);
+            let moved = Ticks(edge.0.saturating_add_signed(off));
+            prop_assert_eq!(off_grid(Ticks(anchor), period, moved), off);
+        }
+    }
+}

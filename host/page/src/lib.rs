@@ -1,0 +1,352 @@
+//! One self-contained HTML page for people: a verdict in words, then facts,
+//! plots, tables, warnings and settings.
+//!
+//! `record`, `extract` and `evaluate` fill the same [`Page`], so a reader finds
+//! the same things in the same order everywhere. The file has everything in it
+//! (style, SVG, pictures) and no script: it works without a network, years later,
+//! and printed on A4.
+//!
+//! - Text from outside (file names, what a phone says) is escaped here, in one
+//!   place; only [`Page::figure`] and [`Page::picture`] take markup, from our own drawings.
+//! - Wide tables and drawings scroll by themselves on a narrow screen, so the page
+//!   never does.
+//! - Nothing in a page depends on when it was made: the same input gives the same
+//!   bytes.
+//!
+//! [`chart`] draws; [`session`] is the report of a recording.
+
+pub mod chart;
+
+use std::fmt::Write as _;
+
+use serde_json::Value;
+
+/// How well it went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Level {
+    /// Nothing to be done.
+    Good,
+    /// Usable; something should be known.
+    Warning,
+    /// Not usable as it is, or in part only.
+    Bad,
+}
+
+impl Level {
+    const fn class(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Warning => "warning",
+            Self::Bad => "bad",
+        }
+    }
+
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Good => "Good",
+            Self::Warning => "With remarks",
+            Self::Bad => "Not good",
+        }
+    }
+}
+
+const STYLE: &str = "\
+:root{color-scheme:light}\
+*{box-sizing:border-box}\
+body{font:16px/1.5 system-ui,sans-serif;color:#1b1b1b;background:#fff;max-width:58rem;margin:0 auto;padding:1rem;overflow-wrap:anywhere}\
+h1{font-size:1.5rem;line-height:1.25;margin:.5rem 0}\
+h2{font-size:1.15rem;margin:2rem 0 .5rem;padding-top:.5rem;border-top:1px solid #ccc}\
+.verdict{border-left:.5rem solid;padding:.75rem 1rem;margin:1rem 0;background:#f4f4f4}\
+.verdict b{display:block;font-size:1.15rem}\
+.good{border-color:#1a7f37}.warning{border-color:#b26a00}.bad{border-color:#b3261e}\
+.note{border-left:.25rem solid;padding:.4rem .8rem;margin:.4rem 0;background:#f7f7f7}\
+.wide{overflow-x:auto}\
+table{border-collapse:collapse;margin:.5rem 0;min-width:50%}\
+td,th{padding:.3rem .8rem .3rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
+th{font-weight:600}td.n,th.n{text-align:right}\
+.facts th{width:13rem;font-weight:400;color:#555}.facts td{overflow-wrap:anywhere}\
+figure{margin:1rem 0}figure .wide>svg{display:block;width:100%;min-width:30rem;height:auto}\
+figure.picture svg{max-width:100%;height:auto;max-height:40rem}\
+figcaption{color:#555;font-size:.9rem;margin-top:.3rem}\
+details summary{cursor:pointer}\
+footer{margin-top:2rem;color:#555;font-size:.85rem}\
+@media(max-width:40rem){body{padding:.75rem}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
+@page{size:A4;margin:15mm}\
+@media print{body{font-size:10pt;max-width:none;padding:0}figure,table,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
+figure .wide>svg{min-width:0}.wide{overflow:visible}}";
+
+/// A page that is being filled, from top to bottom.
+#[derive(Clone, Debug)]
+pub struct Page {
+    title: String,
+    body: String,
+}
+
+impl Page {
+    /// A page with its verdict: what it is about, how well it went, and what that
+    /// means in one or two sentences.
+    #[must_use]
+    pub fn new(title: &str, level: Level, verdict: &str) -> Self {
+        let mut page = Self {
+            title: title.to_owned(),
+            body: String::new(),
+        };
+        let _ = writeln!(
+            page.body,
+            "<h1>{}</h1>\n<p class=\"verdict {}\"><b>{}</b>{}</p>",
+            escape(title),
+            level.class(),
+            level.word(),
+            escape(verdict)
+        );
+        page
+    }
+
+    /// A heading.
+    pub fn section(&mut self, heading: &str) {
+        let _ = writeln!(self.body, "<h2>{}</h2>", escape(heading));
+    }
+
+    /// A paragraph.
+    pub fn text(&mut self, text: &str) {
+        let _ = writeln!(self.body, "<p>{}</p>", escape(text));
+    }
+
+    /// Names with their values.
+    pub fn facts<N: AsRef<str>, V: AsRef<str>>(&mut self, facts: &[(N, V)]) {
+        self.body.push_str("<table class=\"facts\">\n");
+        for (name, value) in facts {
+            let _ = writeln!(
+                self.body,
+                "<tr><th scope=\"row\">{}</th><td>{}</td></tr>",
+                escape(name.as_ref()),
+                escape(value.as_ref())
+            );
+        }
+        self.body.push_str("</table>\n");
+    }
+
+    /// A table. Columns of numbers stand to the right.
+    pub fn table(&mut self, head: &[&str], rows: &[Vec<String>]) {
+        let number = |text: &str| {
+            text.chars().any(|c| c.is_ascii_digit())
+                && text
+                    .chars()
+                    .all(|c| c.is_ascii_digit() || "+-−.,± ".contains(c))
+        };
+        let numeric: Vec<bool> = (0..head.len())
+            .map(|column| {
+                !rows.is_empty()
+                    && rows
+                        .iter()
+                        .filter_map(|row| row.get(column))
+                        .all(|cell| cell.is_empty() || number(cell))
+            })
+            .collect();
+        let class = |column: usize| {
+            if numeric.get(column) == Some(&true) {
+                " class=\"n\""
+            } else {
+                ""
+            }
+        };
+        self.body.push_str("<div class=\"wide\"><table>\n<tr>");
+        for (column, cell) in head.iter().enumerate() {
+            let _ = write!(
+                self.body,
+                "<th scope=\"col\"{}>{}</th>",
+                class(column),
+                escape(cell)
+            );
+        }
+        self.body.push_str("</tr>\n");
+        for row in rows {
+            self.body.push_str("<tr>");
+            for (column, cell) in row.iter().enumerate() {
+                let _ = write!(self.body, "<td{}>{}</td>", class(column), escape(cell));
+            }
+            self.body.push_str("</tr>\n");
+        }
+        self.body.push_str("</table></div>\n");
+    }
+
+    /// A drawing of ours (SVG) with what it shows, in words.
+    pub fn figure(&mut self, svg: &str, caption: &str) {
+        let _ = writeln!(
+            self.body,
+            "<figure><div class=\"wide\">{svg}</div><figcaption>{}</figcaption></figure>",
+            escape(caption)
+        );
+    }
+
+    /// A picture (SVG) that is shown at its own size, or as large as fits.
+    pub fn picture(&mut self, svg: &str, caption: &str) {
+        let _ = writeln!(
+            self.body,
+            "<figure class=\"picture\">{svg}<figcaption>{}</figcaption></figure>",
+            escape(caption)
+        );
+    }
+
+    /// Something to be known.
+    pub fn note(&mut self, level: Level, text: &str) {
+        let _ = writeln!(
+            self.body,
+            "<p class=\"note {}\">{}</p>",
+            level.class(),
+            escape(text)
+        );
+    }
+
+    /// Settings that went into the result, from their JSON form; folded on a
+    /// screen, one line a value.
+    pub fn settings(&mut self, heading: &str, value: &Value) {
+        let mut rows = Vec::new();
+        flatten(value, &mut String::new(), &mut rows);
+        if rows.is_empty() {
+            return;
+        }
+        let _ = writeln!(
+            self.body,
+            "<h2>{}</h2>\n<details open><summary>{} values</summary>",
+            escape(heading),
+            rows.len()
+        );
+        self.facts(&rows);
+        self.body.push_str("</details>\n");
+    }
+
+    /// The page.
+    #[must_use]
+    pub fn html(&self) -> String {
+        // The empty icon keeps browsers from asking a server for one.
+        format!(
+            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+             <link rel=\"icon\" href=\"data:,\"><title>{}</title><style>{STYLE}</style></head>\n\
+             <body>\n{}<footer>SmartDepthSync {}</footer>\n</body></html>\n",
+            escape(&self.title),
+            self.body,
+            env!("CARGO_PKG_VERSION")
+        )
+    }
+}
+
+/// Every value of a JSON document with the path to it.
+fn flatten(value: &Value, path: &mut String, rows: &mut Vec<(String, String)>) {
+    let mut below = |name: &str, value: &Value, path: &mut String| {
+        let length = path.len();
+        if !path.is_empty() {
+            path.push('.');
+        }
+        path.push_str(name);
+        flatten(value, path, rows);
+        path.truncate(length);
+    };
+    match value {
+        Value::Object(map) => {
+            for (name, value) in map {
+                below(name, value, path);
+            }
+        }
+        Value::Array(list) if list.iter().any(|item| item.is_object() || item.is_array()) => {
+            for (index, value) in list.iter().enumerate() {
+                below(&index.to_string(), value, path);
+            }
+        }
+        Value::Array(list) => {
+            let list: Vec<String> = list.iter().map(plain).collect();
+            rows.push((path.clone(), list.join(", ")));
+        }
+        Value::Null => rows.push((path.clone(), String::from("not set"))),
+        other => rows.push((path.clone(), plain(other))),
+    }
+}
+
+fn plain(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        other => other.to_string(),
+    }
+}
+
+/// Text that is not ours is not markup.
+#[must_use]
+pub fn escape(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            // No character of control belongs into HTML.
+            c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn text_from_outside_is_never_markup() {
+        let evil = "<script>alert(\"1\")</script>\u{7}'&";
+        let mut page = Page::new(evil, Level::Bad, evil);
+        page.section(evil);
+        page.text(evil);
+        page.facts(&[(evil, evil)]);
+        page.table(&[evil], &[vec![evil.to_owned()]]);
+        page.figure("<svg></svg>", evil);
+        page.note(Level::Warning, evil);
+        page.settings(evil, &json!({ evil: [evil, {"x": evil}] }));
+        let html = page.html();
+        assert!(!html.contains("<script"), "{html}");
+        assert!(!html.contains('\u{7}'));
+        assert_eq!(html.matches("<svg>").count(), 1);
+    }
+
+    #[test]
+    fn nothing_comes_from_elsewhere() {
+        let html = Page::new("t", Level::Good, "v").html();
+        for foreign in ["http:", "https:", "src=", "url(", "@import", "<script"] {
+            assert!(!html.contains(foreign), "{foreign}");
+        }
+    }
+
+    #[test]
+    fn columns_of_numbers_stand_to_the_right() {
+        let mut page = Page::new("t", Level::Good, "v");
+        page.table(
+            &["name", "value", "text"],
+            &[
+                vec!["a".into(), "+1.5".into(), "2 left".into()],
+                vec!["-".into(), String::new(), "3".into()],
+            ],
+        );
+        let html = page.html();
+        assert!(
+            html.contains("<td>a</td><td class=\"n\">+1.5</td><td>2 left</td>"),
+            "{html}"
+        );
+    }
+
+    #[test]
+    fn settings_are_listed_with_their_paths() {
+        let mut page = Page::new("t", Level::Good, "v");
+        page.settings(
+            "Settings",
+            &json!({"depth": {"fps": 30, "command": ["a", "b"], "none": null}, "l": [{"x": 1}]}),
+        );
+        let html = page.html();
+        for line in ["depth.fps", "a, b", "not set", "l.0.x", "4 values"] {
+            assert!(html.contains(line), "{line}: {html}");
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! The bytes of a video on their way from the connection to the disk.
+//!
+//! They are streamed into a temporary file beside the target, which is synced
+//! and renamed only when every announced byte is there. A failed download
+//! leaves nothing behind, and nothing is ever overwritten unless asked for.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use tempfile::NamedTempFile;
+
+use super::connection::Connection;
+use super::error::PhoneError;
+use super::file_name::safe_file_name;
+use super::requests::VideoHeader;
+
+/// Least number of bytes that must come within a [`Pace::window`].
+const CRAWL_FLOOR: u64 = 32 * 1024;
+
+/// How long bytes behind the announced end of a video are looked out for.
+const GRACE: Duration = Duration::from_millis(100);
+
+/// Where a video is saved.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum VideoTarget {
+    /// In this folder, under a name made from the phone's.
+    Folder(PathBuf),
+    /// As this file.
+    File(PathBuf),
+}
+
+impl VideoTarget {
+    /// The file that a video of the given name becomes.
+    #[must_use]
+    pub fn path(&self, phone_name: &str) -> PathBuf {
+        match self {
+            Self::Folder(folder) => folder.join(safe_file_name(phone_name)),
+            Self::File(path) => path.clone(),
+        }
+    }
+}
+
+/// A video that was downloaded whole.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SavedVideo {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Its size in bytes.
+    pub size: u64,
+    /// Its name as the phone gave it. Off the network: for display only.
+    pub phone_name: String,
+}
+
+/// How slow a download may be.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Pace {
+    /// Longest time without any byte.
+    pub(super) idle: Duration,
+    /// Time within which at least [`CRAWL_FLOOR`] bytes must come.
+    pub(super) window: Duration,
+}
+
+/// Refuses a target that is in the way.
+pub(super) fn check_free(path: &Path, overwrite: bool) -> Result<(), PhoneError> {
+    if !overwrite && path.symlink_metadata().is_ok() {
+        return Err(PhoneError::TargetExists {
+            path: path.to_owned(),
+        });
+    }
+    Ok(())
+}
+
+/// Takes the bytes of the video that `header` announced.
+pub(super) fn receive(
+    connection: &mut Connection,
+    header: VideoHeader,
+    target: &VideoTarget,
+    overwrite: bool,
+    pace: Pace,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<SavedVideo, PhoneError> {
+    const REQUEST: &str = "get_video";
+    let path = target.path(&header.file_name);
+    check_free(&path, overwrite)?;
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let failed = |action, path: &Path, source| PhoneError::File {
+        action,
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = new_file_in(folder).map_err(|e| failed("create a file in", folder, e))?;
+
+    let mut received = 0u64;
+    let mut window_start = Instant::now();
+    let mut window_bytes = 0u64;
+    progress(0, header.size);
+    while received < header.size {
+        let bytes = connection.bytes(REQUEST, pace.idle)?;
+        if bytes.is_empty() {
+            return Err(PhoneError::VideoTooShort {
+                received,
+                size: header.size,
+            });
+        }
+        let left = usize::try_from(header.size - received).unwrap_or(usize::MAX);
+        let bytes = bytes.get(..left).unwrap_or(bytes);
+        file.write_all(bytes)
+            .map_err(|e| failed("write to", &path, e))?;
+        let taken = bytes.len();
+        connection.consume(taken);
+        received += taken as u64;
+        window_bytes += taken as u64;
+        progress(received, header.size);
+        if window_start.elapsed() >= pace.window {
+            if window_bytes < CRAWL_FLOOR && received < header.size {
+                return Err(PhoneError::TooSlow {
+                    received,
+                    size: header.size,
+                    floor: CRAWL_FLOOR,
+                    window: pace.window,
+                });
+            }
+            window_start = Instant::now();
+            window_bytes = 0;
+        }
+    }
+    if connection.more_comes(GRACE) {
+        return Err(PhoneError::VideoTooLong { size: header.size });
+    }
+    put_in_place(file, &path, overwrite)?;
+    Ok(SavedVideo {
+        path,
+        size: header.size,
+        phone_name: header.file_name,
+    })
+}
+
+/// A temporary file in `folder` that is gone unless it is put in place, with
+/// the rights of any new file.
+pub fn new_file_in(folder: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".phone-").suffix(".part");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        // What the user's mask leaves of it.
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Syncs `file` to disk and gives it its name.
+pub fn put_in_place(file: NamedTempFile, path: &Path, overwrite: bool) -> Result<(), PhoneError> {
+    let failed = |action, source| PhoneError::File {
+        action,
+        path: path.to_owned(),
+        source,
+    };
+    file.as_file()
+        .sync_all()
+        .map_err(|e| failed("write to", e))?;
+    let placed = if overwrite {
+        file.persist(path)
+    } else {
+        file.persist_noclobber(path)
+    };
+    placed.map(drop).map_err(|e| match e.error.kind() {
+        std::io::ErrorKind::AlreadyExists => PhoneError::TargetExists {
+            path: path.to_owned(),
+        },
+        _ => failed("rename a finished file to", e.error),
+    })
+}

@@ -1,0 +1,443 @@
+//! Gyroscope recordings as CSV, in the two forms that exist.
+//!
+//! * **With a header**: a time column in seconds and three columns x, y, z in
+//!   rad/s, in any order, found by name (`mcu_time,mcu_x,mcu_y,mcu_z`;
+//!   `sm_time,…`; `timestamp,wx,wy,wz`; `t,gyro_x,…`). A name that carries a
+//!   unit (`timestamp_ns`, `time [us]`) is believed. More columns are ignored.
+//! * **The phone app's form**: no header, `x,y,z,timestamp` with the timestamp
+//!   in integer nanoseconds.
+//!
+//! The first line that is not as expected stops the reading, with its number
+//! and what was expected; nothing is skipped in silence. Empty lines are.
+
+use std::fmt;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+
+use timebase::PhoneNanos;
+use twist_sync::GyroTrack;
+
+/// Which form a file had.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Form {
+    /// A header, with the names of the columns that were taken and the time's unit.
+    Header {
+        /// Names of time, x, y, z.
+        columns: [String; 4],
+        /// Unit of the time column.
+        unit: TimeUnit,
+    },
+    /// The phone app's `x,y,z,nanoseconds`.
+    PhoneApp,
+}
+
+/// Unit of a time column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TimeUnit {
+    /// Seconds.
+    Seconds,
+    /// Milliseconds.
+    Milliseconds,
+    /// Microseconds.
+    Microseconds,
+    /// Nanoseconds.
+    Nanoseconds,
+}
+
+impl TimeUnit {
+    fn per_second(self) -> f64 {
+        match self {
+            Self::Seconds => 1.0,
+            Self::Milliseconds => 1e3,
+            Self::Microseconds => 1e6,
+            Self::Nanoseconds => 1e9,
+        }
+    }
+}
+
+impl fmt::Display for Form {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Header { columns, unit } => {
+                let unit = match unit {
+                    TimeUnit::Seconds => "seconds",
+                    TimeUnit::Milliseconds => "milliseconds",
+                    TimeUnit::Microseconds => "microseconds",
+                    TimeUnit::Nanoseconds => "nanoseconds",
+                };
+                write!(
+                    f,
+                    "header: {} in {unit}, {} in rad/s",
+                    columns[0],
+                    columns[1..].join(", ")
+                )
+            }
+            Self::PhoneApp => f.write_str("phone app: x, y, z in rad/s, integer nanoseconds"),
+        }
+    }
+}
+
+/// A recording and the form its file had.
+#[derive(Debug, Clone)]
+pub struct GyroFile {
+    /// The recording.
+    pub track: GyroTrack,
+    /// The form.
+    pub form: Form,
+}
+
+/// What is wrong with a file.
+#[derive(Debug, thiserror::Error)]
+pub enum CsvError {
+    /// It cannot be read at all.
+    #[error("cannot read it: {0}")]
+    Io(#[from] std::io::Error),
+    /// No line with data.
+    #[error("no samples: expected a header line (time, x, y, z) or lines x,y,z,nanoseconds")]
+    Empty,
+    /// A line that is not as expected.
+    #[error("line {line}: expected {expected}, found {found}")]
+    Line {
+        /// Its number, from 1.
+        line: u64,
+        /// What was expected.
+        expected: String,
+        /// What was there.
+        found: String,
+    },
+}
+
+fn damaged(line: u64, expected: impl Into<String>, found: impl Into<String>) -> CsvError {
+    let mut found: String = found.into();
+    if found.chars().count() > 60 {
+        found = found.chars().take(60).collect::<String>() + "…";
+    }
+    CsvError::Line {
+        line,
+        expected: expected.into(),
+        found,
+    }
+}
+
+/// Reads a file.
+///
+/// # Errors
+///
+/// It cannot be opened, or [`read`] refuses it.
+pub fn read_file(path: &Path) -> Result<GyroFile, CsvError> {
+    read(File::open(path)?)
+}
+
+/// Reads CSV.
+///
+/// # Errors
+///
+/// The first line that is not as expected, with its number.
+pub fn read(input: impl Read) -> Result<GyroFile, CsvError> {
+    let mut reader = BufReader::new(input);
+    let mut bytes = Vec::new();
+    let mut layout: Option<Layout> = None;
+    let mut rows = Rows::default();
+    for line in 1.. {
+        bytes.clear();
+        let mut limited = reader.by_ref().take(LONGEST_LINE);
+        if limited.read_until(b'\n', &mut bytes)? == 0 {
+            break;
+        }
+        if bytes.len() as u64 == LONGEST_LINE {
+            return Err(damaged(line, "lines of text", "a line without end"));
+        }
+        let text = std::str::from_utf8(&bytes)
+            .map_err(|_| damaged(line, "text", "bytes that are no text"))?
+            .trim_start_matches('\u{feff}')
+            .trim();
+        if text.is_empty() {
+            continue;
+        }
+        // Numbers and names hold no commas, so quotes are decoration.
+        let fields: Vec<&str> = text
+            .split(',')
+            .map(|field| field.trim().trim_matches('"').trim())
+            .collect();
+        match &layout {
+            None if number(fields[0]).is_some() => {
+                let phone = Layout {
+                    columns: [3, 0, 1, 2],
+                    width: 4,
+                    form: Form::PhoneApp,
+                };
+                rows.add(&phone, &fields, line)?;
+                layout = Some(phone);
+            }
+            None => layout = Some(header(&fields, line)?),
+            Some(layout) => rows.add(layout, &fields, line)?,
+        }
+    }
+    let layout = layout.ok_or(CsvError::Empty)?;
+    if rows.rates.is_empty() {
+        return Err(CsvError::Empty);
+    }
+    Ok(rows.finish(layout.form))
+}
+
+/// Longest line that is read; a sample has some 60 characters.
+const LONGEST_LINE: u64 = 65_536;
+
+/// A finite decimal number.
+fn number(text: &str) -> Option<f64> {
+    text.parse::<f64>().ok().filter(|x| x.is_finite())
+}
+
+struct Layout {
+    /// Columns of time, x, y, z.
+    columns: [usize; 4],
+    /// Number of columns.
+    width: usize,
+    form: Form,
+}
+
+/// Finds the columns by their names.
+fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
+    let names: Vec<String> = fields
+        .iter()
+        .map(|f| f.trim_start_matches('#').trim().to_lowercase())
+        .collect();
+    let expected =
+        "a header with a time column and columns x, y, z, or the phone app's x,y,z,nanoseconds";
+    // The words of a name, units taken off the end.
+    let words = |name: &str| -> Vec<String> {
+        name.split(|c: char| !c.is_alphanumeric())
+            .filter(|w| !w.is_empty())
+            .map(str::to_owned)
+            .collect()
+    };
+    let is_time = |name: &str| {
+        words(name).iter().any(|w| {
+            w.contains("time")
+                || w.contains("stamp")
+                || matches!(
+                    w.as_str(),
+                    "t" | "ts" | "sec" | "seconds" | "ns" | "nanoseconds"
+                )
+        })
+    };
+    let time = names
+        .iter()
+        .position(|n| is_time(n))
+        .ok_or_else(|| damaged(line, expected, fields.join(",")))?;
+    let axis = |letter: char| {
+        let is_axis = |name: &str| {
+            words(name).iter().any(|w| {
+                // x, wx, gx, gyrox, omegax, rotx
+                w.len() == 1 && w.starts_with(letter)
+                    || w.ends_with(letter)
+                        && [
+                            "w", "g", "gyro", "gyr", "omega", "rot", "rate", "av", "angvel",
+                        ]
+                        .contains(&&w[..w.len() - letter.len_utf8()])
+            })
+        };
+        let mut found = (0..names.len()).filter(|&i| i != time && is_axis(&names[i]));
+        match (found.next(), found.next()) {
+            (Some(i), None) => Ok(i),
+            (None, _) => Err(damaged(
+                line,
+                format!("{expected} (no column for {letter})"),
+                fields.join(","),
+            )),
+            (Some(_), Some(_)) => Err(damaged(
+                line,
+                format!("one column for {letter} (rad/s) only"),
+                fields.join(","),
+            )),
+        }
+    };
+    let columns = [time, axis('x')?, axis('y')?, axis('z')?];
+    if columns[1..].iter().any(|&c| {
+        words(&names[c])
+            .iter()
+            .any(|w| w.contains("deg") || w == "dps")
+    }) {
+        return Err(damaged(line, "rates in rad/s", fields.join(",")));
+    }
+    let unit = match words(&names[time]).last().map(String::as_str) {
+        Some("ns" | "nanos" | "nsec" | "nanoseconds") => TimeUnit::Nanoseconds,
+        Some("us" | "µs" | "usec" | "micros" | "microseconds") => TimeUnit::Microseconds,
+        Some("ms" | "msec" | "millis" | "milliseconds") => TimeUnit::Milliseconds,
+        _ => TimeUnit::Seconds,
+    };
+    Ok(Layout {
+        columns,
+        width: names.len(),
+        form: Form::Header {
+            columns: columns.map(|c| names[c].clone()),
+            unit,
+        },
+    })
+}
+
+#[derive(Default)]
+struct Rows {
+    nanos: Vec<PhoneNanos>,
+    times: Vec<f64>,
+    rates: Vec<[f64; 3]>,
+}
+
+impl Rows {
+    fn add(&mut self, layout: &Layout, fields: &[&str], line: u64) -> Result<(), CsvError> {
+        if fields.len() != layout.width {
+            return Err(damaged(
+                line,
+                format!("{} columns ({})", layout.width, layout.form),
+                format!("{}: {}", fields.len(), fields.join(",")),
+            ));
+        }
+        let rate = |axis: usize| {
+            let text = fields[layout.columns[1 + axis]];
+            number(text).ok_or_else(|| {
+                damaged(
+                    line,
+                    format!(
+                        "a number (rad/s) in column {}",
+                        layout.columns[1 + axis] + 1
+                    ),
+                    format!("\"{text}\""),
+                )
+            })
+        };
+        let rates = [rate(0)?, rate(1)?, rate(2)?];
+        let text = fields[layout.columns[0]];
+        let column = layout.columns[0] + 1;
+        let integer = match layout.form {
+            Form::PhoneApp => true,
+            Form::Header { unit, .. } => unit == TimeUnit::Nanoseconds,
+        };
+        if integer {
+            let nanos = text.parse::<i64>().map_err(|_| {
+                damaged(
+                    line,
+                    format!("integer nanoseconds in column {column} ({})", layout.form),
+                    format!("\"{text}\""),
+                )
+            })?;
+            self.nanos.push(PhoneNanos(nanos));
+        } else {
+            let time = number(text).ok_or_else(|| {
+                damaged(
+                    line,
+                    format!("a number (time) in column {column}"),
+                    format!("\"{text}\""),
+                )
+            })?;
+            self.times.push(time);
+        }
+        self.rates.push(rates);
+        Ok(())
+    }
+
+    fn finish(self, mut form: Form) -> GyroFile {
+        let track = if self.nanos.is_empty() {
+            // Whole nanoseconds under a name without a unit: no two samples of a
+            // twist are a day apart.
+            if let Form::Header { unit, .. } = &mut form
+                && *unit == TimeUnit::Seconds
+                && typical_step(&self.times) > 86_400.0
+            {
+                *unit = TimeUnit::Nanoseconds;
+            }
+            let scale = match form {
+                Form::Header { unit, .. } => unit.per_second(),
+                Form::PhoneApp => 1.0,
+            };
+            let times: Vec<f64> = self.times.iter().map(|t| t / scale).collect();
+            GyroTrack::from_seconds(&times, self.rates)
+        } else {
+            GyroTrack::from_phone_nanos(&self.nanos, self.rates)
+        };
+        GyroFile { track, form }
+    }
+}
+
+/// Median distance of neighbours.
+fn typical_step(times: &[f64]) -> f64 {
+    let steps: Vec<f64> = times.windows(2).map(|p| p[1] - p[0]).collect();
+    twist_sync::robust::median(&steps)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn parse(text: &str) -> Result<GyroFile, CsvError> {
+        read(text.as_bytes())
+    }
+
+    #[test]
+    fn both_forms_give_the_same() {
+        let header = parse("mcu_time,mcu_x,mcu_y,mcu_z\n10.5,1,2,3\n10.502,4,5,6\n").unwrap();
+        let phone = parse("1,2,3,10500000000\n4,5,6,10502000000\n").unwrap();
+        assert_eq!(phone.form, Form::PhoneApp);
+        assert_eq!(header.track.w, phone.track.w);
+        assert_eq!(header.track.epoch_s, phone.track.epoch_s);
+        assert!((header.track.t[1] - phone.track.t[1]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn header_spellings() {
+        for header in [
+            "sm_time,sm_x,sm_y,sm_z",
+            "time,x,y,z",
+            "timestamp,wx,wy,wz",
+            "t,gyro_x,gyro_y,gyro_z",
+            "Time (s), X (rad/s), Y (rad/s), Z (rad/s)",
+            "#time_s,w_x,w_y,w_z",
+            "\u{feff}timestamp_s;x;y;z".replace(';', ",").as_str(),
+        ] {
+            let file = parse(&format!("{header}\n1.5,1,2,3\n1.6,1,2,4\n")).unwrap();
+            assert_eq!(file.track.epoch_s, 1.5, "{header}");
+            assert_eq!(file.track.w[1], [1.0, 2.0, 4.0], "{header}");
+        }
+        let file = parse("x,y,z,timestamp_ns\n1,2,3,5000000000\n").unwrap();
+        assert_eq!(file.track.epoch_s, 5.0);
+        let file =
+            parse("timestamp,x,y,z\n949113215987860,1,2,3\n949113217987860,1,2,3\n").unwrap();
+        assert!((file.track.epoch_s - 949_113.215_987_86).abs() < 1e-9);
+        assert!((file.track.t[1] - 0.002).abs() < 1e-9);
+        let file = parse("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a\n1403636579758555392,1,2,3,0\n").unwrap();
+        assert_eq!(file.track.w[0], [1.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn damage_is_named_with_its_line() {
+        let message = |text: &str| parse(text).unwrap_err().to_string();
+        assert!(message("time,x,y,z\n1,2,3,4\n1.1,2,three,4\n").contains("line 3"));
+        assert!(message("time,x,y,z\n1,2,3,4\n\n1.1,2,3\n").contains("line 4: expected 4 columns"));
+        assert!(message("1,2,3,100\n1,2,3,1.5\n").contains("line 2: expected integer nanoseconds"));
+        assert!(message("time,x,y,z\n1,2,nan,4\n").contains("line 2"));
+        assert!(message("a,b,c,d\n1,2,3,4\n").contains("expected a header"));
+        assert!(message("time,x,y,z\n1,2,3,\u{1}\n").contains("line 2"));
+        assert!(message("").contains("no samples"));
+        assert!(message("time,x,y,z\n").contains("no samples"));
+        assert!(message("time,x_deg,y_deg,z_deg\n1,2,3,4\n").contains("rad/s"));
+        assert!(
+            read(&b"time,x,y,z\n1,2,\xff\xfe,4\n"[..])
+                .unwrap_err()
+                .to_string()
+                .contains("line 2")
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+            let _ = read(bytes.as_slice());
+        }
+
+        #[test]
+        fn no_csv_like_text_makes_it_panic(text in "(time,x,y,z\n)?([-0-9.e,nxyz]{0,20}\n){0,8}") {
+            let _ = read(text.as_bytes());
+        }
+    }
+}

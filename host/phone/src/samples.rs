@@ -1,0 +1,153 @@
+//! The CSV lines of the phone's sensors as typed samples.
+//!
+//! A line is `x,y,z,timestamp_ns`: rad/s (gyroscope), m/s² (accelerometer) or
+//! µT (magnetometer) in Android's device axes, and nanoseconds of the phone's
+//! boot clock. Values are kept as they came: order, repeats and jumps of the
+//! timestamps are the estimator's business, which names such faults. What is
+//! not a finite number or not a timestamp is refused with its line.
+
+use timebase::PhoneNanos;
+
+/// A motion sensor of the phone.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Sensor {
+    /// Acceleration with gravity, m/s².
+    Accelerometer,
+    /// Rate of rotation, rad/s.
+    Gyroscope,
+    /// Magnetic field, µT.
+    Magnetometer,
+}
+
+impl Sensor {
+    /// All sensors, in the order in which the app sends them.
+    pub const ALL: [Self; 3] = [Self::Accelerometer, Self::Gyroscope, Self::Magnetometer];
+
+    /// How the name of the sensor's file ends.
+    #[must_use]
+    pub const fn file_suffix(self) -> &'static str {
+        match self {
+            Self::Accelerometer => "accel.csv",
+            Self::Gyroscope => "gyro.csv",
+            Self::Magnetometer => "magnetic.csv",
+        }
+    }
+
+    /// The unit of the sensor's values.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Accelerometer => "m/s^2",
+            Self::Gyroscope => "rad/s",
+            Self::Magnetometer => "uT",
+        }
+    }
+
+    /// The sensor whose file is named `name`.
+    #[must_use]
+    pub fn of_file(name: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|sensor| name.ends_with(sensor.file_suffix()))
+    }
+}
+
+impl std::fmt::Display for Sensor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Accelerometer => "accelerometer",
+            Self::Gyroscope => "gyroscope",
+            Self::Magnetometer => "magnetometer",
+        })
+    }
+}
+
+/// One sample of a three-axis sensor of the phone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PhoneSample {
+    /// When, by the phone's boot clock.
+    pub time: PhoneNanos,
+    /// Values about or along the device's x, y and z, in the sensor's unit.
+    pub xyz: [f64; 3],
+}
+
+/// What a line of a sensor's CSV must be.
+pub const SAMPLE_LINE: &str = "a CSV line x,y,z,timestamp_ns";
+
+/// Reads one line `x,y,z,timestamp_ns`; `None` if it is not one.
+#[must_use]
+pub fn parse_sample(line: &str) -> Option<PhoneSample> {
+    let mut fields = line.split(',').map(str::trim);
+    let mut xyz = [0.0; 3];
+    for value in &mut xyz {
+        *value = fields
+            .next()?
+            .parse()
+            .ok()
+            .filter(|v: &f64| v.is_finite())?;
+    }
+    let time = fields.next()?.parse().ok().map(PhoneNanos)?;
+    fields.next().is_none().then_some(PhoneSample { time, xyz })
+}
+
+/// The line of `sample`, as the app writes it but for the number of digits:
+/// each value is the shortest text that reads back as the same number.
+#[must_use]
+pub fn sample_line(sample: &PhoneSample) -> String {
+    let [x, y, z] = sample.xyz;
+    format!("{x},{y},{z},{}", sample.time.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn reads_what_the_app_writes() {
+        let sample = parse_sample("-0.0012217305,1.0E-4,3.5,949113215987860").unwrap();
+        assert_eq!(sample.time, PhoneNanos(949_113_215_987_860));
+        assert_eq!(sample.xyz, [-0.001_221_730_5, 1e-4, 3.5]);
+    }
+
+    #[test]
+    fn refuses_what_is_not_a_sample() {
+        for line in [
+            "",
+            "1,2,3",
+            "1,2,3,4,5",
+            "1,2,x,4",
+            "1,2,NaN,4",
+            "1,inf,2,4",
+            "1,2,3,4.5",
+            "1,2,3,99999999999999999999",
+            "1;2;3;4",
+        ] {
+            assert_eq!(parse_sample(line), None, "{line}");
+        }
+    }
+
+    #[test]
+    fn sensors_are_known_by_their_files() {
+        assert_eq!(
+            Sensor::of_file("VID_20210504_161730gyro.csv"),
+            Some(Sensor::Gyroscope)
+        );
+        assert_eq!(Sensor::of_file("gyro.txt"), None);
+    }
+
+    proptest! {
+        #[test]
+        fn lines_read_back_exactly(
+            x in -1e6f64..1e6, y in proptest::num::f64::NORMAL, z in -1f64..1.0, t in any::<i64>(),
+        ) {
+            let sample = PhoneSample { time: PhoneNanos(t), xyz: [x, y, z] };
+            prop_assert_eq!(parse_sample(&sample_line(&sample)), Some(sample));
+        }
+
+        #[test]
+        fn any_text_is_taken_without_panic(line in "\\PC{0,60}") {
+            let _ = parse_sample(&line);
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! `session.json`: everything that was decided in a session, with versions and
+//! profile, so that a recording can be judged and evaluated years later.
+//!
+//! It is written anew at every step (to a temporary file that then replaces it),
+//! so a kill leaves the state of the last step, without an outcome.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use protocol::{ImuSetup, ResetCause, Ticks};
+use serde::{Deserialize, Serialize};
+
+use super::{RecordingError, SESSION_FILE};
+use crate::profile::Profile;
+use board::imu::Scale;
+use board::session::StreamCounts;
+use timebase::PhoneNanos;
+use twist_sync::ClockModel;
+
+/// Version of this file's form.
+pub const FORMAT: u32 = 1;
+
+/// The folder of the phones' folders in a recording of several phones.
+pub const PHONES_FOLDER: &str = "phones";
+
+/// The content of `session.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionFile {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// Version of the program.
+    pub program: String,
+    /// Name of the folder.
+    pub name: String,
+    /// When the session began, on the host's clock (RFC 3339).
+    pub started: String,
+    /// How it ended; nothing while it runs or after a kill.
+    pub outcome: Option<SessionOutcome>,
+    /// The profile that was used.
+    pub profile: Profile,
+    /// The board.
+    pub board: Option<BoardInfo>,
+    /// The board's IMU.
+    pub imu: Option<ImuInfo>,
+    /// The phone's app.
+    pub phone: Option<PhoneInfo>,
+    /// What was looked at before the recording, and how it was.
+    #[serde(default)]
+    pub preflight: Vec<Check>,
+    /// Every twist, in order, refused ones too.
+    pub twists: Vec<Twist>,
+    /// The relation of the clocks that is best known.
+    pub clock: Option<ClockModel>,
+    /// What the phone answered when the video began.
+    pub video: Option<Video>,
+    /// How the trigger was aligned.
+    pub alignment: Option<Alignment>,
+    /// The board's runs after the first: each begins with a reset.
+    #[serde(default)]
+    pub runs: Vec<BoardRun>,
+    /// Further phones; `phone`, `twists`, `clock`, `video` and `alignment` are those
+    /// of the phone that the trigger is aligned to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub phones: Vec<OtherPhone>,
+    /// The recorded span of board time: from the arrival of the trigger on the
+    /// phone's frames to the stop.
+    pub recorded: Option<Span>,
+    /// The user's markers.
+    pub markers: Vec<Marker>,
+    /// What came and what was lost on each stream, during the recorded span.
+    pub counts: StreamCounts,
+    /// Damaged frames on the link.
+    pub damaged_frames: u32,
+    /// How often the link was lost and taken up again.
+    pub reconnects: u32,
+    /// What went wrong, in order.
+    pub problems: Vec<Problem>,
+    /// Files in the folder besides `recording.mcap` and this one.
+    pub files: Vec<String>,
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SessionOutcome {
+    /// Everything is there.
+    Good,
+    /// Finished, with loss: `problems` says what.
+    Loss,
+    /// The user stopped it.
+    Interrupted,
+    /// A step failed: the last problem says why.
+    Failed,
+}
+
+/// How a check ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// As it should be.
+    Good,
+    /// It works, but less well than it could.
+    Warning,
+    /// A recording will not work.
+    Bad,
+}
+
+/// One check.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Check {
+    /// What was looked at.
+    pub name: String,
+    /// How it is.
+    pub verdict: Verdict,
+    /// What was found.
+    pub found: String,
+    /// What to do about it.
+    pub next_step: Option<String>,
+}
+
+impl Check {
+    /// In one line, with what to do.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let next = self.next_step.as_deref().unwrap_or_default();
+        let arrow = if next.is_empty() { "" } else { " -> " };
+        format!("{}: {}{arrow}{next}", self.name, self.found)
+    }
+}
+
+/// How a run joins the one before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Recorded ticks less the board's.
+    pub shift: u64,
+    /// 1-sigma of it, s.
+    pub sigma_s: f64,
+    /// From the last thing known of the former run to the first of this one, s.
+    pub away_s: f64,
+}
+
+/// The board.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoardInfo {
+    /// Unique ID in hex.
+    pub id: String,
+    /// Version of the firmware.
+    pub firmware: String,
+    /// Git revision of the firmware.
+    pub git_revision: String,
+    /// Built from changed files.
+    pub git_dirty: bool,
+    /// Version of the protocol.
+    pub protocol: u16,
+    /// Ticks a second.
+    pub tick_hz: u32,
+    /// Run of the board.
+    pub epoch: u32,
+    /// Why it last reset.
+    pub reset_cause: ResetCause,
+}
+
+/// The board's IMU.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ImuInfo {
+    /// Settings and state at the beginning.
+    pub setup: ImuSetup,
+    /// From counts to SI units; filter delays, which are not subtracted from
+    /// the samples' times.
+    pub scale: Scale,
+}
+
+/// The phone's app.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PhoneInfo {
+    /// Its address.
+    pub address: String,
+    /// Version of the app, once it has answered.
+    pub version: Option<String>,
+}
+
+/// A phone beside the one that the trigger is aligned to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OtherPhone {
+    /// Its name in the profile.
+    pub name: String,
+    /// Its app.
+    pub info: PhoneInfo,
+    /// Every twist, in order, refused ones too.
+    pub twists: Vec<Twist>,
+    /// The relation of its clock to the board's that is best known.
+    pub clock: Option<ClockModel>,
+    /// What it answered when its video began.
+    pub video: Option<Video>,
+    /// Where its frames lie against the trigger's grid; after a reset of the board, as
+    /// far as that is known in the last run.
+    pub placement: Option<Placement>,
+}
+
+/// Where the frames of a phone lie against the trigger's grid, which follows
+/// another phone. As predicted from clocks and frame period; an extraction
+/// measures it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Placement {
+    /// Middle of exposure of the middle row minus that of the nearest depth image,
+    /// at the phone's first frame, µs; within half a period of the grid.
+    pub offset_us: f64,
+    /// 1-sigma of it, µs, without the constants'.
+    pub offset_sigma_us: f64,
+    /// How it changes, µs/min: the two phones' frame periods differ.
+    pub drift_us_per_min: f64,
+    /// 1-sigma of it, µs/min.
+    pub drift_sigma_us_per_min: f64,
+}
+
+/// One twist.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// The folder of the phone's file, relative to the recording.
+    pub phone_gyro: Option<String>,
+    /// First and last board time of the samples used.
+    pub span: Span,
+    /// Whether it passed the gates.
+    pub accepted: bool,
+    /// The relation of the clocks from this twist alone.
+    pub clock: Option<ClockModel>,
+    /// 1-sigma of the offset, µs.
+    pub offset_sigma_us: Option<f64>,
+    /// 1-sigma of the skew, ppm.
+    pub skew_sigma_ppm: Option<f64>,
+    /// The full report of the estimate (gates, faults, residuals).
+    pub report: serde_json::Value,
+}
+
+/// A span of board time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Span {
+    /// First tick.
+    pub from: Ticks,
+    /// Last tick.
+    pub to: Ticks,
+}
+
+/// The answer to `video_start`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Video {
+    /// Timestamp of one frame: start of exposure of its first row.
+    pub phase: PhoneNanos,
+    /// Mean distance of frames as the app measured it, ns.
+    pub frame_duration_ns: f64,
+    /// Exposure as the app reported it, ns.
+    pub exposure_ns: Option<u64>,
+}
+
+/// How the trigger was aligned; see `docs/formats.md`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Alignment {
+    /// Exposure that was used, µs.
+    pub exposure_us: f64,
+    /// From the start of the first row to that of the synchronised row, µs.
+    pub middle_row_us: f64,
+    /// From the trigger's edge to the middle of exposure of the depth image, µs.
+    pub center_offset_us: f64,
+    /// The constant bias that was subtracted, µs.
+    pub bias_us: f64,
+    /// Distance of phone frames in the phone's time, ns.
+    pub frame_period_ns: f64,
+    /// 1-sigma of it, ns, where it is known.
+    pub frame_period_sigma_ns: Option<f64>,
+    /// Where the frame period comes from: `learnt` or `video_start`.
+    pub frame_period_source: FramePeriodSource,
+    /// The relation of the clocks that was used.
+    pub clock: ClockModel,
+    /// An edge of the grid.
+    pub anchor: Ticks,
+    /// Period of the grid in 2⁻³² ticks.
+    pub period_q32: u64,
+    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, without the
+    /// constants'.
+    pub phase_sigma_us: f64,
+    /// Predicted 1-sigma of the drift, µs/min.
+    pub drift_sigma_us_per_min: f64,
+    /// The first pulse on the grid, once it has arrived.
+    pub arrival_pulse: Option<u64>,
+    /// Its time.
+    pub arrival: Option<Ticks>,
+}
+
+/// Where a frame period comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FramePeriodSource {
+    /// From the profile.
+    Learnt,
+    /// From the answer to `video_start`.
+    VideoStart,
+}
+
+/// A run of the board after a reset within the recording. All times are recorded
+/// ones: the board's own plus `shift`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BoardRun {
+    /// The board's number of the run.
+    pub epoch: u32,
+    /// Why it was reset.
+    pub reset_cause: ResetCause,
+    /// The last time known of the run before.
+    pub last: Ticks,
+    /// Tick 0 of this run.
+    pub from: Ticks,
+    /// Recorded ticks less the board's.
+    pub shift: u64,
+    /// 1-sigma of the shift, µs: the phase of the trigger against the phone's
+    /// frames is uncertain by as much in this run.
+    pub shift_sigma_us: f64,
+    /// The edge from which the trigger was on its grid again, once it was.
+    pub anchor: Option<Ticks>,
+}
+
+/// A marker of the user.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Marker {
+    /// Board time.
+    pub at: Ticks,
+    /// What it is called.
+    pub label: String,
+}
+
+/// Something that went wrong.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Problem {
+    /// Board time, as far as known.
+    pub at: Ticks,
+    /// A stable word: `pulses_missing`, `imu_gap`, `link_lost`, ...
+    pub kind: String,
+    /// In words.
+    pub text: String,
+}
+
+impl SessionFile {
+    /// A session that has just begun.
+    #[must_use]
+    pub fn new(name: String, profile: Profile) -> Self {
+        Self {
+            format: FORMAT,
+            program: env!("CARGO_PKG_VERSION").to_owned(),
+            name,
+            started: jiff::Zoned::now()
+                .strftime("%Y-%m-%dT%H:%M:%S%:z")
+                .to_string(),
+            outcome: None,
+            profile,
+            board: None,
+            imu: None,
+            phone: None,
+            preflight: Vec::new(),
+            twists: Vec::new(),
+            clock: None,
+            video: None,
+            alignment: None,
+            runs: Vec::new(),
+            phones: Vec::new(),
+            recorded: None,
+            markers: Vec::new(),
+            counts: StreamCounts::default(),
+            damaged_frames: 0,
+            reconnects: 0,
+            problems: Vec::new(),
+            files: Vec::new(),
+        }
+    }
+
+    /// The folder of a phone's files, relative to the recording's: its own if
+    /// there are several phones.
+    #[must_use]
+    pub fn phone_folder(&self, name: &str) -> PathBuf {
+        if self.profile.phones.is_empty() {
+            PathBuf::new()
+        } else {
+            Path::new(PHONES_FOLDER).join(name)
+        }
+    }
+
+    /// Twists and clock relation of a phone by its name in the profile.
+    #[must_use]
+    pub fn clocks_of(&self, phone: &str) -> Option<(&[Twist], Option<ClockModel>)> {
+        if self.profile.phone.name == phone {
+            return Some((&self.twists, self.clock));
+        }
+        let other = self.phones.iter().find(|other| other.name == phone)?;
+        Some((&other.twists, other.clock))
+    }
+
+    /// Writes it into the recording's folder; replaces an older one only when
+    /// whole.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be written.
+    pub fn save(&self, folder: &Path) -> Result<(), RecordingError> {
+        let path = folder.join(SESSION_FILE);
+        let io = |source| RecordingError::Io {
+            action: "write",
+            path: path.clone(),
+            source,
+        };
+        let text = serde_json::to_string_pretty(self).map_err(|error| RecordingError::Session {
+            path: path.clone(),
+            reason: error.to_string(),
+        })?;
+        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(io)?;
+        file.write_all(text.as_bytes()).map_err(io)?;
+        file.write_all(b"\n").map_err(io)?;
+        file.as_file().sync_data().map_err(io)?;
+        file.persist(&path).map_err(|error| io(error.error))?;
+        Ok(())
+    }
+
+    /// Reads it from a recording's folder.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be read, or is of another form.
+    pub fn load(folder: &Path) -> Result<Self, RecordingError> {
+        let path = folder.join(SESSION_FILE);
+        let text = std::fs::read_to_string(&path).map_err(|source| RecordingError::Io {
+            action: "read",
+            path: path.clone(),
+            source,
+        })?;
+        let wrong = |reason: String| RecordingError::Session {
+            path: path.clone(),
+            reason,
+        };
+        let format: Form = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        if format.format != FORMAT {
+            return Err(wrong(format!(
+                "expected form {FORMAT}, found {}",
+                format.format
+            )));
+        }
+        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+    }
+}
+
+#[derive(Deserialize)]
+struct Form {
+    format: u32,
+}

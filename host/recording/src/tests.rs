@@ -1,0 +1,282 @@
+//! What is written is read back exactly, also from a file that was cut.
+
+use std::fs;
+use std::time::Duration;
+
+use proptest::prelude::*;
+use protocol::{
+    CaptureChannel, Dropped, Edge, ImuClock, ImuFlags, ImuState, ImuStatus, LinkCounters, Period,
+    Readback, Status, TrainState, TriggerStatus,
+};
+
+use super::reader::{Item, Reader, ticks_of_nanos};
+use super::session_file::{SessionFile, SessionOutcome};
+use super::writer::{Severity, Writer};
+use super::*;
+use crate::profile::Profile;
+use board::imu::Sample;
+use protocol::{TICK_HZ, Ticks};
+use timebase::{BoardSeconds, PhoneNanos};
+use twist_sync::{ClockModel, Wander};
+
+fn sample(number: u64) -> Sample {
+    Sample {
+        at: Ticks(7 + number * 96_000),
+        flags: ImuFlags(0),
+        gyro: [number as f64 * 0.01, -0.5, 1e-9],
+        accel: [0.1, 9.806_65, -3.0],
+        temperature: 31.25,
+    }
+}
+
+fn pulse(number: u64) -> protocol::Pulse {
+    protocol::Pulse {
+        seq: 5,
+        train: 2,
+        number,
+        at: Ticks(123_456_789 + number),
+        aligned: number.is_multiple_of(2),
+        readback: number.is_multiple_of(3).then_some(-4),
+    }
+}
+
+fn status(at: Ticks) -> Status {
+    Status {
+        seq: 0,
+        at,
+        epoch: 9,
+        dropped: Dropped::default(),
+        link: LinkCounters::default(),
+        connects: 1,
+        cpu_permille: 34,
+        stack_used: 1,
+        stack_size: 2,
+        trigger: TriggerStatus {
+            state: TrainState::Running,
+            train: 1,
+            period: Period::MIN,
+            width: 576,
+            pulses: 3,
+            next_edge: Ticks(1),
+            next_fraction: 0,
+            late: 0,
+            readback: Readback {
+                seen: 0,
+                missing: 0,
+                stray: 0,
+                delay: None,
+            },
+        },
+        trigger_latency: 5,
+        trigger_busy: 6,
+        strobe_overcaptures: 0,
+        strobe_floods: 0,
+        imu: ImuStatus {
+            state: ImuState::Running,
+            clock: ImuClock::External,
+            samples: 4,
+            late: 0,
+            overcaptures: 0,
+            recoveries: 0,
+            last_fault: None,
+        },
+        outputs: [protocol::OutputStatus::IDLE; 3],
+        output_latency: 0,
+        gnss: protocol::GnssStatus::IDLE,
+    }
+}
+
+fn clock() -> ClockModel {
+    ClockModel {
+        reference: BoardSeconds(12.5),
+        offset: 94_000.25,
+        skew: -1.5e-5,
+        covariance: [[1e-12, 2e-19], [2e-19, 1e-14]],
+        wander: Wander(5e-8),
+    }
+}
+
+#[test]
+fn everything_comes_back_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(folder.path()).unwrap();
+    writer.imu(&sample(3)).unwrap();
+    writer
+        .pulse(&pulse(6), Some(PhoneNanos(94_000_000_000_001)))
+        .unwrap();
+    writer
+        .capture(
+            &protocol::Capture {
+                seq: 1,
+                channel: CaptureChannel::Strobe,
+                edge: Edge::Falling,
+                at: Ticks(55),
+                after_loss: true,
+            },
+            None,
+        )
+        .unwrap();
+    writer.status(&status(Ticks(48_000_000)), "AB").unwrap();
+    writer.marker(Ticks(77), None, "door").unwrap();
+    writer.clock_model(Ticks(78), &clock(), "twist 1").unwrap();
+    writer
+        .log(Ticks(79), Severity::Warning, "imu_gap", "2 samples")
+        .unwrap();
+    writer.frame(Ticks(80), vec![1, 2, 255]).unwrap();
+    writer.output_pulse(&pulse(7), "left").unwrap();
+    let pps = protocol::Pps {
+        seq: 4,
+        at: Ticks(96_000_000),
+        utc: 1_795_234_569,
+    };
+    writer.pps(&pps, "VLP-16").unwrap();
+    writer.finish().unwrap();
+
+    let mut reader = Reader::open(folder.path()).unwrap();
+    let entries: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+    assert!(!reader.broken_off());
+    assert_eq!(entries.len(), 14);
+    let Item::Output(output) = &entries[12].item else {
+        panic!("{:?}", entries[12]);
+    };
+    assert_eq!(
+        (output.ticks, output.header.frame_id.as_str()),
+        (pulse(7).at.0, "left")
+    );
+    let Item::Gnss(second) = &entries[13].item else {
+        panic!("{:?}", entries[13]);
+    };
+    assert_eq!(entries[13].at, pps.at);
+    assert_eq!(second.time_ref.nanos(), pps.utc * 1_000_000_000);
+    assert_eq!(second.source, "VLP-16");
+    let Item::Imu(imu) = &entries[0].item else {
+        panic!("{:?}", entries[0]);
+    };
+    assert_eq!(entries[0].at, sample(3).at);
+    assert_eq!(<[f64; 3]>::from(imu.angular_velocity), sample(3).gyro);
+    assert_eq!(<[f64; 3]>::from(imu.linear_acceleration), sample(3).accel);
+    assert_eq!(imu.orientation_covariance[0], -1.0);
+    let Item::Trigger(trigger) = &entries[2].item else {
+        panic!("{:?}", entries[2]);
+    };
+    assert_eq!(trigger.time_ref.nanos(), 94_000_000_000_001);
+    let Item::Pulse(back) = &entries[3].item else {
+        panic!("{:?}", entries[3]);
+    };
+    assert_eq!((back.ticks, back.number, back.train), (123_456_795, 6, 2));
+    assert_eq!((back.readback, back.readback_ticks), (true, -4));
+    let Item::Capture(capture) = &entries[5].item else {
+        panic!("{:?}", entries[5]);
+    };
+    assert!(capture.after_loss && !capture.rising && capture.ticks == 55);
+    let Item::Status(diagnostics) = &entries[6].item else {
+        panic!("{:?}", entries[6]);
+    };
+    assert_eq!(diagnostics.status.len(), 5);
+    assert!(matches!(&entries[8].item, Item::Marker(marker) if marker.source == "door"));
+    let Item::Clock(model) = &entries[9].item else {
+        panic!("{:?}", entries[9]);
+    };
+    assert_eq!(model.offset_s, 94_000.25);
+    assert_eq!(model.covariance, [1e-12, 2e-19, 2e-19, 1e-14]);
+    assert!(
+        matches!(&entries[10].item, Item::Log(log) if log.function == "imu_gap" && log.level == 30)
+    );
+    assert!(matches!(&entries[11].item, Item::Link(frame) if frame.data == [1, 2, 255]));
+}
+
+#[test]
+fn a_file_that_is_cut_anywhere_gives_all_whole_chunks() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(folder.path()).unwrap();
+    // 40 s at 500 Hz: 80 chunks of half a second.
+    for number in 0..20_000 {
+        writer.imu(&sample(number)).unwrap();
+    }
+    // Killed: no finish. What was not flushed is gone with the process.
+    let path = folder.path().join(MCAP_FILE);
+    let whole = fs::read(&path).unwrap();
+    std::mem::forget(writer);
+    let mut most = 0;
+    for cut in (0..60).map(|part| whole.len() * (part + 1) / 60) {
+        fs::write(&path, &whole[..cut]).unwrap();
+        let mut reader = Reader::open(&path).unwrap();
+        let mut last = None;
+        for (count, entry) in reader.by_ref().enumerate() {
+            let entry = entry.unwrap();
+            assert_eq!(entry.at, sample(count as u64 / 2).at);
+            last = Some(entry.at);
+        }
+        let last = last.map_or(0, |at| at.0);
+        assert!(last >= most);
+        most = last;
+    }
+    // At most half a second of board time (plus one sample) is missing.
+    assert!(
+        sample(19_999).at.0 - most <= u64::from(TICK_HZ) / 2 + 96_000,
+        "{most}"
+    );
+}
+
+#[test]
+fn what_waits_is_written_after_half_a_second_of_the_callers_clock() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(folder.path()).unwrap();
+    let entries = || Reader::open(folder.path()).unwrap().count();
+    let begin = Duration::from_secs(77);
+    writer.tick(begin).unwrap();
+    writer.imu(&sample(0)).unwrap();
+    writer.tick(begin + Duration::from_secs(9)).unwrap();
+    writer.tick(begin + Duration::from_millis(9_499)).unwrap();
+    assert_eq!(entries(), 0);
+    writer.tick(begin + Duration::from_millis(9_500)).unwrap();
+    assert_eq!(entries(), 2);
+}
+
+#[test]
+fn nothing_is_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let writer = Writer::create(folder.path()).unwrap();
+    writer.finish().unwrap();
+    let Err(error) = Writer::create(folder.path()) else {
+        panic!("written twice");
+    };
+    assert!(!error.is_disk_full());
+}
+
+#[test]
+fn the_session_file_comes_back_and_another_form_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = SessionFile::new(String::from("walk"), Profile::published().unwrap());
+    session.clock = Some(clock());
+    session.save(folder.path()).unwrap();
+    session.outcome = Some(SessionOutcome::Loss);
+    session.save(folder.path()).unwrap();
+    assert_eq!(SessionFile::load(folder.path()).unwrap(), session);
+    let names: Vec<_> = fs::read_dir(folder.path()).unwrap().collect();
+    assert_eq!(names.len(), 1, "{names:?}");
+
+    let path = folder.path().join(SESSION_FILE);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("\"format\": 1", "\"format\": 77")).unwrap();
+    let error = SessionFile::load(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("found 77"), "{error}");
+}
+
+proptest! {
+    #[test]
+    fn nanoseconds_give_the_ticks_back(ticks in 0_u64..1 << 58) {
+        prop_assert_eq!(ticks_of_nanos(Ticks(ticks).as_nanos()), Ticks(ticks));
+    }
+
+    #[test]
+    fn no_file_makes_the_reader_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut content = b"\x89MCAP0\r\n".to_vec();
+        content.extend(bytes);
+        fs::write(folder.path().join(MCAP_FILE), content).unwrap();
+        for entry in Reader::open(folder.path()).unwrap() {
+            let _ = entry;
+        }
+    }
+}

@@ -1,0 +1,77 @@
+//! The times of the phone and of the board as types that do not mix.
+//!
+//! Integers at the edges ([`Ticks`] of the board, [`PhoneNanos`]), seconds in
+//! f64 inside the math. An f64 second holds 0.12 ns at 10⁶ s (twelve days of
+//! uptime), far below one tick (20.8 ns). The only way from one clock to the
+//! other is a clock model.
+
+use protocol::units::{TICK_HZ, Ticks};
+use serde::{Deserialize, Serialize};
+
+/// An instant of the phone's boot clock in nanoseconds
+/// (`SystemClock.elapsedRealtimeNanos`).
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+#[serde(transparent)]
+pub struct PhoneNanos(pub i64);
+
+/// An instant of the phone's boot clock in seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct PhoneSeconds(pub f64);
+
+/// An instant of board time in seconds since the board's reset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct BoardSeconds(pub f64);
+
+impl PhoneNanos {
+    /// The same instant in seconds.
+    #[must_use]
+    pub fn seconds(self) -> PhoneSeconds {
+        // Whole seconds and remainder apart: the quotient is exact, so the sum
+        // is rounded once only.
+        let whole = self.0.div_euclid(1_000_000_000);
+        let rest = self.0.rem_euclid(1_000_000_000);
+        PhoneSeconds(whole as f64 + rest as f64 * 1e-9)
+    }
+}
+
+impl PhoneSeconds {
+    /// The nearest nanosecond; saturates at the ends of i64, not-a-number becomes 0.
+    #[must_use]
+    pub fn nanos(self) -> PhoneNanos {
+        PhoneNanos((self.0 * 1e9).round() as i64)
+    }
+}
+
+impl BoardSeconds {
+    /// The nearest tick; times before reset become tick 0.
+    #[must_use]
+    pub fn ticks(self) -> Ticks {
+        Ticks((self.0 * f64::from(TICK_HZ)).round() as u64)
+    }
+}
+
+impl From<Ticks> for BoardSeconds {
+    fn from(ticks: Ticks) -> Self {
+        Self(ticks.as_secs_f64())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn conversions_round_to_nearest() {
+        let late = PhoneNanos(949_113_215_987_860);
+        assert!((late.seconds().0 - 949_113.215_987_86).abs() < 1.2e-10);
+        assert!((late.seconds().nanos().0 - late.0).abs() <= 1);
+        assert_eq!(PhoneNanos(-1).seconds().nanos(), PhoneNanos(-1));
+        assert_eq!(BoardSeconds(1.0).ticks(), Ticks(48_000_000));
+        assert_eq!(BoardSeconds(-3.0).ticks(), Ticks(0));
+        assert_eq!(BoardSeconds::from(Ticks(24_000_000)).0, 0.5);
+    }
+}

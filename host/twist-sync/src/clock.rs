@@ -1,0 +1,295 @@
+//! The relation of the two clocks and its prediction.
+//!
+//! Convention of the whole project:
+//! `phone = mcu + offset + skew · (mcu − reference)`.
+//! The reference lies where offset and skew do not trade against each other
+//! (the centroid of the information), so that their covariance is near zero
+//! there.
+//!
+//! Away from the data the relation is extrapolated. Two crystals wander against
+//! each other; the skew is modelled as a random walk ([`Wander`]), so that the
+//! variance of a prediction over `τ` seconds is
+//! `P₀₀ + 2τP₀₁ + τ²P₁₁ + q·|τ|³/3` with `q` the variance of the skew's change
+//! per second. Limits: temperature steps (a phone that starts to record video
+//! warms up) are not a random walk; choose the wander to cover them.
+
+use protocol::units::Ticks;
+use serde::{Deserialize, Serialize};
+
+use timebase::{BoardSeconds, PhoneNanos, PhoneSeconds};
+
+/// How much the relative rate of two clocks wanders: the rms change of the skew
+/// within one minute (dimensionless; 10⁻⁸ is 0.01 ppm).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Wander(pub f64);
+
+impl Wander {
+    /// From parts per million a minute.
+    #[must_use]
+    pub const fn from_ppm(ppm: f64) -> Self {
+        Self(ppm * 1e-6)
+    }
+
+    /// Variance of the skew's change per second, 1/s.
+    #[must_use]
+    pub fn diffusion(self) -> f64 {
+        self.0 * self.0 / 60.0
+    }
+}
+
+impl Default for Wander {
+    /// 0.05 ppm a minute: two uncompensated crystals at room temperature, with a margin.
+    fn default() -> Self {
+        Self::from_ppm(0.05)
+    }
+}
+
+/// A time interval with its 1-sigma, both in seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct WithSigma {
+    /// The value in seconds.
+    pub value: f64,
+    /// Its standard deviation in seconds.
+    pub sigma: f64,
+}
+
+/// The relation of board time and phone time with its uncertainty.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClockModel {
+    /// The board time at which `offset` holds.
+    pub reference: BoardSeconds,
+    /// Phone minus board at the reference, in seconds.
+    pub offset: f64,
+    /// Rate of the phone's clock relative to the board's, minus one.
+    pub skew: f64,
+    /// Covariance of (offset, skew): s², s; s, 1.
+    pub covariance: [[f64; 2]; 2],
+    /// How much the skew may change from now on.
+    pub wander: Wander,
+}
+
+impl ClockModel {
+    /// The same relation where all of the board's times are later by `seconds`.
+    #[must_use]
+    pub fn with_board_later(self, seconds: f64) -> Self {
+        Self {
+            reference: BoardSeconds(self.reference.0 + seconds),
+            offset: self.offset - seconds,
+            ..self
+        }
+    }
+
+    /// The offset (phone − board) at a board time, with a sigma that grows with
+    /// the distance from the reference.
+    #[must_use]
+    pub fn offset_at(&self, board: BoardSeconds) -> WithSigma {
+        let dt = board.0 - self.reference.0;
+        let p = &self.covariance;
+        let variance = p[0][0]
+            + 2.0 * dt * p[0][1]
+            + dt * dt * p[1][1]
+            + self.wander.diffusion() * dt.abs().powi(3) / 3.0;
+        WithSigma {
+            value: self.offset + self.skew * dt,
+            sigma: variance.max(0.0).sqrt(),
+        }
+    }
+
+    /// Sigma of the skew at a board time, with the wander since the reference.
+    #[must_use]
+    pub fn skew_sigma_at(&self, board: BoardSeconds) -> f64 {
+        let dt = (board.0 - self.reference.0).abs();
+        (self.covariance[1][1] + self.wander.diffusion() * dt)
+            .max(0.0)
+            .sqrt()
+    }
+
+    /// The phone's time at a board time.
+    #[must_use]
+    pub fn to_phone(&self, board: BoardSeconds) -> PhoneSeconds {
+        PhoneSeconds(board.0 + self.offset_at(board).value)
+    }
+
+    /// The phone's nanoseconds at a tick of the board.
+    #[must_use]
+    pub fn ticks_to_phone(&self, ticks: Ticks) -> PhoneNanos {
+        self.to_phone(ticks.into()).nanos()
+    }
+
+    /// The board time at a phone time (exact inverse of [`Self::to_phone`]).
+    #[must_use]
+    pub fn to_board(&self, phone: PhoneSeconds) -> BoardSeconds {
+        let elapsed = (phone.0 - self.reference.0 - self.offset) / (1.0 + self.skew);
+        BoardSeconds(self.reference.0 + elapsed)
+    }
+
+    /// The tick of the board at a phone time in nanoseconds.
+    #[must_use]
+    pub fn phone_to_ticks(&self, phone: PhoneNanos) -> Ticks {
+        self.to_board(phone.seconds()).ticks()
+    }
+
+    /// The same relation with its reference moved to `board`: a prediction, with
+    /// the covariance grown by the wander over the distance.
+    #[must_use]
+    pub fn referenced_at(&self, board: BoardSeconds) -> Self {
+        let dt = board.0 - self.reference.0;
+        let q = self.wander.diffusion();
+        let span = dt.abs();
+        let p = &self.covariance;
+        let cross = p[0][1] + dt * p[1][1] + q * span * dt / 2.0;
+        Self {
+            reference: board,
+            offset: self.offset + self.skew * dt,
+            skew: self.skew,
+            covariance: [
+                [
+                    p[0][0] + 2.0 * dt * p[0][1] + dt * dt * p[1][1] + q * span.powi(3) / 3.0,
+                    cross,
+                ],
+                [cross, p[1][1] + q * span],
+            ],
+            wander: self.wander,
+        }
+    }
+
+    /// The relation seen from the other clock: board and phone change roles.
+    ///
+    /// The offset changes its sign at the same instant.
+    #[must_use]
+    pub fn inverted(&self) -> Self {
+        let scale = 1.0 / (1.0 + self.skew);
+        let p = &self.covariance;
+        Self {
+            reference: BoardSeconds(self.reference.0 + self.offset),
+            offset: -self.offset,
+            skew: -self.skew * scale,
+            covariance: [
+                [p[0][0], p[0][1] * scale * scale],
+                [p[1][0] * scale * scale, p[1][1] * scale.powi(4)],
+            ],
+            wander: self.wander,
+        }
+    }
+
+    /// Joins two estimates of the same pair of clocks taken at different times
+    /// (two twists): the baseline between them gives a skew far better than
+    /// either has.
+    ///
+    /// The result is the minimum-variance combination under the wander of
+    /// `self`, referenced at the later estimate: the state to predict from.
+    #[must_use]
+    pub fn joined(&self, other: &Self) -> Self {
+        let (early, late) = if self.reference.0 <= other.reference.0 {
+            (self, other)
+        } else {
+            (other, self)
+        };
+        let mut predicted = early.referenced_at(late.reference);
+        predicted.wander = self.wander;
+        let sum = [
+            [
+                predicted.covariance[0][0] + late.covariance[0][0],
+                predicted.covariance[0][1] + late.covariance[0][1],
+            ],
+            [
+                predicted.covariance[1][0] + late.covariance[1][0],
+                predicted.covariance[1][1] + late.covariance[1][1],
+            ],
+        ];
+        let determinant = sum[0][0] * sum[1][1] - sum[0][1] * sum[1][0];
+        if !determinant.is_normal() {
+            return predicted;
+        }
+        let inverse = [
+            [sum[1][1] / determinant, -sum[0][1] / determinant],
+            [-sum[1][0] / determinant, sum[0][0] / determinant],
+        ];
+        let p = predicted.covariance;
+        let mut gain = [[0.0; 2]; 2];
+        for r in 0..2 {
+            for c in 0..2 {
+                gain[r][c] = p[r][0] * inverse[0][c] + p[r][1] * inverse[1][c];
+            }
+        }
+        let innovation = [late.offset - predicted.offset, late.skew - predicted.skew];
+        let mut covariance = [[0.0; 2]; 2];
+        for r in 0..2 {
+            for c in 0..2 {
+                covariance[r][c] = p[r][c] - gain[r][0] * p[0][c] - gain[r][1] * p[1][c];
+            }
+        }
+        let cross = 0.5 * (covariance[0][1] + covariance[1][0]);
+        covariance[0][1] = cross;
+        covariance[1][0] = cross;
+        Self {
+            offset: predicted.offset + gain[0][0] * innovation[0] + gain[0][1] * innovation[1],
+            skew: predicted.skew + gain[1][0] * innovation[0] + gain[1][1] * innovation[1],
+            covariance,
+            ..predicted
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn model() -> ClockModel {
+        ClockModel {
+            reference: BoardSeconds(1264.0),
+            offset: 947_848.638,
+            skew: 40e-6,
+            covariance: [[4e-12, 0.0], [0.0, 4e-12]],
+            wander: Wander::from_ppm(0.02),
+        }
+    }
+
+    #[test]
+    fn the_two_directions_are_inverse() {
+        let m = model();
+        for ticks in [0, 1, 48_000_000 * 60, 48_000_000 * 86_400] {
+            let there = m.ticks_to_phone(Ticks(ticks));
+            let back = m.phone_to_ticks(there);
+            assert!((back - Ticks(ticks)).unsigned_abs() <= 1, "{ticks}");
+        }
+        let inverse = m.inverted();
+        let phone = m.to_phone(BoardSeconds(2000.0));
+        let back = inverse.to_phone(BoardSeconds(phone.0));
+        assert!((back.0 - 2000.0).abs() < 1e-9);
+        assert_eq!(inverse.offset, -m.offset);
+    }
+
+    #[test]
+    fn prediction_grows_and_matches_its_formula() {
+        let m = model();
+        let at = |s: f64| m.offset_at(BoardSeconds(1264.0 + s)).sigma;
+        assert!(at(0.0) < at(10.0) && at(10.0) < at(100.0));
+        // 2 µs, 2 ppm, 0.02 ppm a minute, after one minute.
+        let expected =
+            (4e-12_f64 + 3600.0 * 4e-12 + (2e-8_f64).powi(2) / 60.0 * 60.0_f64.powi(3) / 3.0)
+                .sqrt();
+        assert!((at(60.0) - expected).abs() < 1e-12);
+        let moved = m.referenced_at(BoardSeconds(1324.0));
+        assert!((moved.covariance[0][0].sqrt() - expected).abs() < 1e-12);
+        assert!((moved.offset - m.offset - 60.0 * 40e-6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn two_twists_give_the_skew() {
+        let early = ClockModel {
+            wander: Wander(0.0),
+            ..model()
+        };
+        let mut late = early;
+        late.reference = BoardSeconds(1324.0);
+        late.offset = early.offset + 60.0 * 41e-6;
+        late.skew = 38e-6;
+        let joined = early.joined(&late);
+        // Baseline: sqrt(2) · 2 µs / 60 s = 0.047 ppm against 2 ppm of one twist.
+        assert!((joined.covariance[1][1].sqrt() - 0.0471e-6).abs() < 1e-9);
+        assert!((joined.skew - 41e-6).abs() < 0.01e-6);
+        assert_eq!(joined, late.joined(&early));
+    }
+}

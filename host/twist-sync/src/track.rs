@@ -1,0 +1,88 @@
+//! A gyroscope's recording as the sync math takes it.
+
+use super::spline::Vec3;
+use protocol::units::Ticks;
+use timebase::PhoneNanos;
+
+/// Angular rates over time.
+///
+/// Times are kept relative to `epoch_s`, so that a clock that reads 10⁶ s costs
+/// no precision. They need not be equidistant or even sorted: what is wrong
+/// with them is found and named by [`super::estimate_offset`].
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct GyroTrack {
+    /// The clock's reading at relative time zero, in seconds.
+    pub epoch_s: f64,
+    /// Sample times relative to the epoch, in seconds.
+    pub t: Vec<f64>,
+    /// Angular rate about x, y, z in rad/s; as long as `t`.
+    pub w: Vec<Vec3>,
+}
+
+impl GyroTrack {
+    /// From times in seconds of the device's clock.
+    #[must_use]
+    pub fn from_seconds(times_s: &[f64], w: Vec<Vec3>) -> Self {
+        let epoch_s = times_s.first().copied().unwrap_or(0.0);
+        Self {
+            epoch_s,
+            t: times_s.iter().map(|t| t - epoch_s).collect(),
+            w,
+        }
+    }
+
+    /// From the phone's nanoseconds; the differences are taken in integers.
+    #[must_use]
+    pub fn from_phone_nanos(times: &[PhoneNanos], w: Vec<Vec3>) -> Self {
+        let epoch = times.first().copied().unwrap_or_default();
+        Self {
+            epoch_s: epoch.seconds().0,
+            t: times
+                .iter()
+                .map(|t| (i128::from(t.0) - i128::from(epoch.0)) as f64 * 1e-9)
+                .collect(),
+            w,
+        }
+    }
+
+    /// From ticks of the board; the differences are taken in integers.
+    #[must_use]
+    pub fn from_ticks(times: &[Ticks], w: Vec<Vec3>) -> Self {
+        let epoch = times.first().copied().unwrap_or_default();
+        Self {
+            epoch_s: epoch.as_secs_f64(),
+            t: times.iter().map(|&t| (t - epoch).as_secs_f64()).collect(),
+            w,
+        }
+    }
+
+    /// Number of samples.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.t.len()
+    }
+
+    /// Whether there is no sample at all.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.t.is_empty()
+    }
+
+    /// The samples with `from_s <= time < to_s` (clock readings in seconds);
+    /// the epoch stays.
+    #[must_use]
+    pub fn between(&self, from_s: f64, to_s: f64) -> Self {
+        let (from, to) = (from_s - self.epoch_s, to_s - self.epoch_s);
+        let mut out = Self {
+            epoch_s: self.epoch_s,
+            ..Self::default()
+        };
+        for (&t, &w) in self.t.iter().zip(&self.w) {
+            if t >= from && t < to {
+                out.t.push(t);
+                out.w.push(w);
+            }
+        }
+        out
+    }
+}

@@ -1,0 +1,286 @@
+//! The bytes of a recording: checksums, and every record that can be read.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
+
+use super::{FileReport, Findings, Grade};
+use recording::RecordingError;
+use recording::reader::ticks_of_nanos;
+use recording::scan::{Piece, Scan, has_magic, parse, records_of};
+use recording::writer::known_channels;
+
+/// What is done with what can be read.
+pub trait Sink {
+    /// The definition of a type.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be taken.
+    fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), RecordingError> {
+        let _ = (header, data);
+        Ok(())
+    }
+
+    /// A topic.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be taken.
+    fn channel(&mut self, channel: &Channel) -> Result<(), RecordingError> {
+        let _ = channel;
+        Ok(())
+    }
+
+    /// A message.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be taken.
+    fn message(
+        &mut self,
+        topic: &str,
+        header: &MessageHeader,
+        data: &[u8],
+        findings: &mut Findings,
+    ) -> Result<(), RecordingError>;
+
+    /// A chunk has ended.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be taken.
+    fn end_of_chunk(&mut self) -> Result<(), RecordingError> {
+        Ok(())
+    }
+
+    /// Something is missing here.
+    fn gap(&mut self) {}
+}
+
+struct Walk<'s> {
+    sink: &'s mut dyn Sink,
+    topics: BTreeMap<u16, String>,
+    /// The topics are taken from this program, not from the file.
+    assumed: bool,
+    report: FileReport,
+    counted: u64,
+}
+
+/// Goes through a file and hands everything that can be read to `sink`.
+///
+/// # Errors
+///
+/// It cannot be read, or is no MCAP file at all; or an error of the sink.
+pub fn walk(
+    path: &Path,
+    findings: &mut Findings,
+    sink: &mut dyn Sink,
+) -> Result<FileReport, RecordingError> {
+    let io = |source| RecordingError::Io {
+        action: "read",
+        path: path.to_owned(),
+        source,
+    };
+    let mut scan = Scan::open(path).map_err(io)?;
+    let magic = has_magic(path).map_err(io)?;
+    let mut walk = Walk {
+        sink,
+        topics: BTreeMap::new(),
+        assumed: false,
+        report: FileReport {
+            bytes: scan.length(),
+            ..FileReport::default()
+        },
+        counted: 0,
+    };
+    while let Some(piece) = scan.next_piece().map_err(io)? {
+        walk.piece(piece, &scan, findings)?;
+    }
+    if !magic && walk.report.chunks == 0 {
+        return Err(RecordingError::Mcap {
+            path: path.to_owned(),
+            source: mcap::McapError::BadMagic,
+        });
+    }
+    if walk.report.closed && !walk.report.data_complete {
+        findings.add(Grade::Error, "no_end_of_data", None, || {
+            String::from("the record that closes the data is damaged")
+        });
+    }
+    if walk.report.closed && walk.counted != 0 && walk.counted != walk.report.messages {
+        let (found, said) = (walk.report.messages, walk.counted);
+        findings.add(Grade::Error, "message_count", None, || {
+            format!("{found} messages can be read where the file's statistics say {said}")
+        });
+    }
+    Ok(walk.report)
+}
+
+impl Walk<'_> {
+    fn piece(
+        &mut self,
+        piece: Piece,
+        scan: &Scan,
+        findings: &mut Findings,
+    ) -> Result<(), RecordingError> {
+        match piece {
+            Piece::Chunk(chunk) => {
+                self.report.chunks += 1;
+                for (opcode, body) in records_of(&chunk) {
+                    self.record(opcode, body, findings)?;
+                }
+                self.sink.end_of_chunk()?;
+            }
+            Piece::BadChunk { at, what, times } => {
+                self.report.bad_chunks += 1;
+                findings.add(
+                    Grade::Error,
+                    "chunk_damaged",
+                    Some(ticks_of_nanos(times.0)),
+                    || format!("the chunk at byte {at} cannot be used: {what}"),
+                );
+                self.sink.gap();
+            }
+            Piece::Record(op::DATA_END, body) => {
+                self.report.data_complete = true;
+                if let Some(Record::DataEnd(end)) = parse(op::DATA_END, &body)
+                    && let Some(crc) = scan.data_crc()
+                    && end.data_section_crc != 0
+                    && end.data_section_crc != crc
+                {
+                    findings.add(Grade::Error, "data_checksum", None, || {
+                        String::from("the checksum over all data is wrong")
+                    });
+                }
+            }
+            Piece::Record(op::FOOTER, body) => {
+                if let Some(Record::Footer(footer)) = parse(op::FOOTER, &body)
+                    && let Some(crc) = scan.summary_crc()
+                    && footer.summary_crc != 0
+                    && footer.summary_crc != crc
+                {
+                    findings.add(Grade::Error, "index_checksum", None, || {
+                        String::from("the checksum over the index at the end is wrong")
+                    });
+                }
+            }
+            // This program packs every message into a chunk: one outside of them,
+            // without a checksum, is most likely another record that was damaged.
+            Piece::Record(op::MESSAGE, _) if self.report.chunks > 0 => {
+                findings.add(Grade::Error, "message_outside_chunk", None, || {
+                    String::from("a message stands outside of a chunk and is left out")
+                });
+                self.sink.gap();
+            }
+            Piece::Record(opcode, body) => self.record(opcode, &body, findings)?,
+            Piece::Skipped { from, to } => {
+                let bytes = to - from;
+                self.report.skipped_bytes += bytes;
+                findings.add(Grade::Error, "bytes_damaged", None, || {
+                    format!("{bytes} bytes from byte {from} on are no records")
+                });
+                self.sink.gap();
+            }
+            Piece::CutOff { at } => {
+                self.report.cut_off_at = Some(at);
+                findings.add(Grade::Warning, "cut_off", None, || {
+                    format!(
+                        "the file was not closed: its last whole record ends at byte {at} of {}",
+                        self.report.bytes
+                    )
+                });
+                self.sink.gap();
+            }
+            Piece::End => self.report.closed = true,
+        }
+        Ok(())
+    }
+
+    fn record(
+        &mut self,
+        opcode: u8,
+        body: &[u8],
+        findings: &mut Findings,
+    ) -> Result<(), RecordingError> {
+        match parse(opcode, body) {
+            Some(Record::Schema { header, data }) => self.sink.schema(&header, &data),
+            Some(Record::Channel(channel)) => {
+                self.sink.channel(&channel)?;
+                self.topics.insert(channel.id, channel.topic);
+                Ok(())
+            }
+            Some(Record::Message { header, data }) => self.message(&header, &data, findings),
+            Some(Record::Statistics(statistics)) => {
+                self.counted = statistics.message_count;
+                Ok(())
+            }
+            None if matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) => {
+                findings.add(Grade::Error, "record_damaged", None, || {
+                    String::from("a record is not of its kind")
+                });
+                self.sink.gap();
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn message(
+        &mut self,
+        header: &MessageHeader,
+        data: &[u8],
+        findings: &mut Findings,
+    ) -> Result<(), RecordingError> {
+        if self.topics.is_empty() && !self.assumed {
+            self.assume(findings)?;
+        }
+        let Some(topic) = self.topics.get(&header.channel_id) else {
+            findings.add(Grade::Error, "unknown_topic", None, || {
+                format!(
+                    "a message belongs to channel {}, which is not described",
+                    header.channel_id
+                )
+            });
+            return Ok(());
+        };
+        self.report.messages += 1;
+        self.sink.message(topic, header, data, findings)
+    }
+
+    /// The chunk that describes the topics is damaged. This program always
+    /// describes the same ones in the same order.
+    fn assume(&mut self, findings: &mut Findings) -> Result<(), RecordingError> {
+        self.assumed = true;
+        let Ok(known) = known_channels() else {
+            return Ok(());
+        };
+        findings.add(Grade::Warning, "topics_assumed", None, || {
+            String::from(
+                "the part that describes the topics is damaged; those of this program are taken",
+            )
+        });
+        for (id, channel) in &known.channels {
+            if let Some(schema) = &channel.schema {
+                self.sink.schema(
+                    &SchemaHeader {
+                        id: schema.id,
+                        name: schema.name.clone(),
+                        encoding: schema.encoding.clone(),
+                    },
+                    &schema.data,
+                )?;
+            }
+            self.sink.channel(&Channel {
+                id: *id,
+                schema_id: channel.schema.as_ref().map_or(0, |schema| schema.id),
+                topic: channel.topic.clone(),
+                message_encoding: channel.message_encoding.clone(),
+                metadata: channel.metadata.clone(),
+            })?;
+            self.topics.insert(*id, channel.topic.clone());
+        }
+        Ok(())
+    }
+}

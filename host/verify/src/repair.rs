@@ -1,0 +1,295 @@
+//! A damaged or unfinished recording as a whole one: everything that can be read,
+//! in a new place. The recording itself is never written to.
+//!
+//! Messages are taken over byte by byte with their times and numbers, chunk by
+//! chunk; what is new is the end of the file with its index. What was lost stays
+//! lost, and `smartdepthsync verify` of the result says what it is.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::McapError;
+use mcap::records::{Channel, MessageHeader, SchemaHeader};
+use mcap::write::NoSeek;
+use protocol::Ticks;
+use serde::Serialize;
+
+use super::file::{Sink, walk};
+use super::{FileReport, Findings, Report, mcap_of, session_of, verify};
+use recording::reader::ticks_of_nanos;
+use recording::session_file::{Problem, SessionOutcome};
+use recording::writer::options;
+use recording::{MCAP_FILE, RecordingError, SESSION_FILE, topic};
+
+/// The result of a repair.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Repaired {
+    /// The new recording.
+    pub out: PathBuf,
+    /// The file as it was.
+    pub before: FileReport,
+    /// Chunks, bytes or a last part had to be left out.
+    pub lost: bool,
+    /// Files that were copied beside it.
+    pub copied: Vec<String>,
+    /// The check of the new recording.
+    pub after: Report,
+}
+
+/// Makes a whole recording of what can be read of another.
+///
+/// `recording` is a folder or an MCAP file; `out` becomes the same, and must not
+/// be there yet.
+///
+/// # Errors
+///
+/// The recording cannot be read at all, or the new one cannot be written.
+pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> {
+    let from = mcap_of(recording);
+    let is_folder = recording.is_dir();
+    // Before anything is made: is there something to repair.
+    File::open(&from).map_err(|source| io("read", &from, source))?;
+    let to = if is_folder {
+        std::fs::create_dir(out).map_err(|source| io("make the folder", out, source))?;
+        out.join(MCAP_FILE)
+    } else {
+        out.to_owned()
+    };
+    let mut copy = Copy::create(&to)?;
+    let mut findings = Findings::default();
+    let before = match walk(&from, &mut findings, &mut copy) {
+        Ok(report) => report,
+        Err(error) => {
+            drop(copy);
+            // Only what was made here is taken away again.
+            let _ = std::fs::remove_file(&to);
+            if is_folder {
+                let _ = std::fs::remove_dir(out);
+            }
+            return Err(error);
+        }
+    };
+    let last = copy.last;
+    copy.finish()?;
+    let lost = before.bad_chunks > 0
+        || before.skipped_bytes > 0
+        || findings.all().iter().any(|finding| {
+            matches!(
+                finding.kind,
+                "record_damaged" | "unknown_topic" | "message_outside_chunk"
+            )
+        })
+        || (before.cut_off_at.is_some() && !before.data_complete);
+    let mut copied = Vec::new();
+    if is_folder {
+        copy_files(recording, out, Path::new(""), &mut copied)?;
+        repair_session(&from, out, &before, last, &mut copied)?;
+    }
+    Ok(Repaired {
+        out: out.to_owned(),
+        before,
+        lost,
+        copied,
+        after: verify(out)?,
+    })
+}
+
+struct Copy {
+    mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
+    file: File,
+    path: PathBuf,
+    schemas: BTreeSet<u16>,
+    channels: BTreeSet<u16>,
+    last: Ticks,
+}
+
+impl Copy {
+    fn create(path: &Path) -> Result<Self, RecordingError> {
+        let file = File::create_new(path).map_err(|source| io("write", path, source))?;
+        let copy = file
+            .try_clone()
+            .map_err(|source| io("write", path, source))?;
+        let mcap = options()
+            .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
+            .map_err(|source| failed(path, source))?;
+        Ok(Self {
+            mcap,
+            file: copy,
+            path: path.to_owned(),
+            schemas: BTreeSet::new(),
+            channels: BTreeSet::new(),
+            last: Ticks::ZERO,
+        })
+    }
+
+    fn finish(mut self) -> Result<(), RecordingError> {
+        self.mcap
+            .finish()
+            .map_err(|source| failed(&self.path, source))?;
+        self.file
+            .sync_all()
+            .map_err(|source| io("write", &self.path, source))
+    }
+}
+
+impl Sink for Copy {
+    fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), RecordingError> {
+        if self.schemas.insert(header.id) {
+            // A definition that contradicts another is damage of its own; the
+            // messages are kept without it.
+            if let Err(error) =
+                self.mcap
+                    .add_schema_with_id(header.id, &header.name, &header.encoding, data)
+            {
+                tracing::warn!("a type is left out: {error}");
+                self.schemas.remove(&header.id);
+            }
+        }
+        Ok(())
+    }
+
+    fn channel(&mut self, channel: &Channel) -> Result<(), RecordingError> {
+        if self.channels.insert(channel.id) {
+            let schema = if self.schemas.contains(&channel.schema_id) {
+                channel.schema_id
+            } else {
+                0
+            };
+            if let Err(error) = self.mcap.add_channel_with_id(
+                channel.id,
+                schema,
+                &channel.topic,
+                &channel.message_encoding,
+                &channel.metadata,
+            ) {
+                tracing::warn!("a topic is left out: {error}");
+                self.channels.remove(&channel.id);
+            }
+        }
+        Ok(())
+    }
+
+    fn message(
+        &mut self,
+        name: &str,
+        header: &MessageHeader,
+        data: &[u8],
+        _findings: &mut Findings,
+    ) -> Result<(), RecordingError> {
+        if !self.channels.contains(&header.channel_id) {
+            return Ok(());
+        }
+        if matches!(name, topic::IMU | topic::PULSE | topic::STATUS) {
+            self.last = self.last.max(ticks_of_nanos(header.log_time));
+        }
+        self.mcap
+            .write_to_known_channel(header, data)
+            .map_err(|source| failed(&self.path, source))
+    }
+
+    fn end_of_chunk(&mut self) -> Result<(), RecordingError> {
+        self.mcap
+            .flush()
+            .map_err(|source| failed(&self.path, source))
+    }
+}
+
+/// The session file, with the end that it could not be given.
+fn repair_session(
+    from: &Path,
+    out: &Path,
+    before: &FileReport,
+    last: Ticks,
+    copied: &mut Vec<String>,
+) -> Result<(), RecordingError> {
+    let Some(mut session) = session_of(from, &mut Findings::default()) else {
+        return Ok(());
+    };
+    if session.outcome.is_none() {
+        session.outcome = Some(SessionOutcome::Loss);
+        if let Some(span) = &mut session.recorded {
+            span.to = span.to.max(last);
+        }
+        // The marks are in both files; those after the last save only in one.
+        session.problems.push(Problem {
+            at: last,
+            kind: String::from("repaired"),
+            text: format!(
+                "the program was ended at {:.3} s of board time or up to a second later; the \
+                 recording was repaired",
+                last.as_secs_f64()
+            ),
+        });
+    } else if before.bad_chunks > 0 || before.skipped_bytes > 0 || before.cut_off_at.is_some() {
+        session.outcome = Some(SessionOutcome::Loss);
+        session.problems.push(Problem {
+            at: last,
+            kind: String::from("repaired"),
+            text: format!(
+                "the recording was repaired: {} damaged chunks and {} damaged bytes were left out",
+                before.bad_chunks, before.skipped_bytes
+            ),
+        });
+    }
+    copied.push(SESSION_FILE.to_owned());
+    session.save(out)
+}
+
+/// The other files of a recording's folder; links are not followed.
+fn copy_files(
+    from: &Path,
+    to: &Path,
+    below: &Path,
+    copied: &mut Vec<String>,
+) -> Result<(), RecordingError> {
+    let here = from.join(below);
+    for entry in std::fs::read_dir(&here).map_err(|source| io("read", &here, source))? {
+        let entry = entry.map_err(|source| io("read", &here, source))?;
+        let name = below.join(entry.file_name());
+        let kind = entry
+            .file_type()
+            .map_err(|source| io("read", &entry.path(), source))?;
+        if name == Path::new(MCAP_FILE) || (name == Path::new(SESSION_FILE)) {
+            continue;
+        }
+        let target = to.join(&name);
+        if kind.is_dir() {
+            // The new recording may lie in the old one's folder.
+            if same_file(&entry.path(), to) {
+                continue;
+            }
+            std::fs::create_dir(&target)
+                .map_err(|source| io("make the folder", &target, source))?;
+            copy_files(from, to, &name, copied)?;
+        } else if kind.is_file() {
+            std::fs::copy(entry.path(), &target).map_err(|source| io("write", &target, source))?;
+            copied.push(name.to_string_lossy().into_owned());
+        }
+    }
+    copied.sort();
+    Ok(())
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    match (a.canonicalize(), b.canonicalize()) {
+        (Ok(a), Ok(b)) => a == b,
+        _ => false,
+    }
+}
+
+fn io(action: &'static str, path: &Path, source: std::io::Error) -> RecordingError {
+    RecordingError::Io {
+        action,
+        path: path.to_owned(),
+        source,
+    }
+}
+
+fn failed(path: &Path, source: McapError) -> RecordingError {
+    RecordingError::Mcap {
+        path: path.to_owned(),
+        source,
+    }
+}
