@@ -124,10 +124,7 @@ fn whole_twist() -> f64 {
     let phone = read("smartphone_gyro_data.csv");
     let estimate = estimate_offset(&mcu, &phone, &options).unwrap();
     let middle = mcu.epoch_s + 0.5 * mcu.t[mcu.t.len() - 1];
-    estimate
-        .clock
-        .offset_at(timebase::BoardSeconds(middle))
-        .value
+    estimate.clock.offset_at(middle).value
 }
 
 #[test]

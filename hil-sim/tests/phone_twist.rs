@@ -16,7 +16,7 @@ use hil_sim::random::{Seed, Stream};
 use hil_sim::time::SimTime;
 use hil_sim::true_clock::TrueClock;
 use phone::{ImuRequest, PhoneClient, Sensor, Settings};
-use timebase::BoardSeconds;
+use timebase::phone_track;
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// When the phone begins, and for how long, in true seconds.
@@ -53,7 +53,7 @@ fn twist(seed: u64) -> (f64, f64) {
     });
     let samples = recording.samples(Sensor::Gyroscope).unwrap();
     let times: Vec<_> = samples.iter().map(|s| s.time).collect();
-    let phone_track = GyroTrack::from_phone_nanos(&times, samples.iter().map(|s| s.xyz).collect());
+    let phone_track = phone_track(&times, samples.iter().map(|s| s.xyz).collect());
 
     // A board with a crystal of its own that samples every 2 ms of its time.
     let mut random = seed.stream(Stream::Rig);
@@ -92,7 +92,7 @@ fn twist(seed: u64) -> (f64, f64) {
         ..Options::default()
     };
     let estimate = estimate_offset(&board_track, &phone_track, &options).unwrap();
-    let BoardSeconds(reference) = estimate.clock.reference;
+    let reference = estimate.clock.reference;
     let at = board.true_at(SimTime::from_nanos((reference * 1e9) as u64));
     let truth = phone.oscillator().nanos_at(at) as f64 * 1e-9 - reference;
     (

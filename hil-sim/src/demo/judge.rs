@@ -8,7 +8,7 @@ use recording::reader::{Item, Reader};
 use recording::session_file::{OtherPhone, SessionFile, Span, Twist};
 use serde::Serialize;
 use timebase::BoardSeconds;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 use crate::clock::{Clock, Rate};
 use crate::depth_camera::{FrameRecord, Source};
@@ -485,7 +485,7 @@ mod tests {
             offset: truth.offset_ns(&truth.phone, &base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
             skew,
             covariance: [[1e-12, 0.0], [0.0, 0.0]],
-            wander: twist_sync::Wander(0.0),
+            wander: timebase::Wander(0.0),
         };
         let error = truth.error_of(&truth.phone, &model, &base, at);
         // 3 µs of error were put in.

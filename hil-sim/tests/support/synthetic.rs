@@ -26,7 +26,7 @@ use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use recording::writer::Writer;
 use timebase::BoardSeconds;
-use twist_sync::{ClockModel, Wander};
+use timebase::{ClockModel, Wander};
 
 /// Units of simulated time in a tick of the board.
 const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;

@@ -97,7 +97,7 @@ fn row(args: &Args, scenario: &Scenario) {
             let result = estimate_offset(&twist.mcu, &twist.phone, &options);
             let ms = start.elapsed().as_secs_f64() * 1e3;
             let accepted = result.ok().map(|e| {
-                let error = e.clock.offset - twist.offset_at(e.clock.reference.0);
+                let error = e.clock.offset - twist.offset_at(e.clock.reference);
                 (error, e.offset_sigma_s())
             });
             (accepted, ms)
@@ -152,7 +152,7 @@ fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
         let ms = start.elapsed().as_secs_f64() * 1e3;
         let middle = twist.mcu.epoch_s + 0.5 * twist.mcu.t[twist.mcu.len() - 1];
         let (reference, ours, sigma) = result.map_or((middle, f64::NAN, f64::NAN), |e| {
-            (e.clock.reference.0, e.clock.offset, e.offset_sigma_s())
+            (e.clock.reference, e.clock.offset, e.offset_sigma_s())
         });
         let _ = writeln!(
             table,

@@ -10,11 +10,9 @@
 
 use clap::Parser;
 use rayon::prelude::*;
-use timebase::BoardSeconds;
 use twist_sync::simulate::{self, ClockPath, Motion, Twist, TwistSpec};
-use twist_sync::{
-    ClockCourse, ClockModel, Options, Wander, WindowOptions, estimate_course, estimate_offset,
-};
+use twist_sync::{ClockCourse, Options, WindowOptions, estimate_course, estimate_offset};
+use twist_sync::{ClockRelation, Wander};
 
 /// Drift of the published system, µs in a minute.
 const PUBLISHED_US_PER_MIN: f64 = 16.34;
@@ -30,7 +28,7 @@ struct Args {
 type Errors = Vec<(f64, f64)>;
 
 fn judge(
-    model: impl Fn(BoardSeconds) -> ClockModel,
+    model: impl Fn(f64) -> ClockRelation,
     twist: &Twist,
     from_s: f64,
     ahead: &[f64],
@@ -41,7 +39,7 @@ fn judge(
         .iter()
         .map(|s| {
             let at = twist.boot_s + from_s + s;
-            let model = model(BoardSeconds(at));
+            let model = model(at);
             (
                 model.offset - twist.offset_at(at),
                 model.covariance[0][0].sqrt(),

@@ -8,7 +8,6 @@
 use std::path::Path;
 
 use phone::gyro_csv;
-use timebase::BoardSeconds;
 use twist_sync::compare::{self, Pair};
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
@@ -82,7 +81,7 @@ fn main() {
             mcu, phone, options,
         ) {
             Ok(e) => {
-                let at = e.clock.offset_at(BoardSeconds(1267.0));
+                let at = e.clock.offset_at(1267.0);
                 println!(
                     "| {name} | {:.1} | {:.1} |",
                     (at.value - 947_848.638) * 1e6,
@@ -153,7 +152,7 @@ fn main() {
         &options,
     );
     let (start, end) = (mcu.epoch_s, mcu.epoch_s + 9.8);
-    let middle = estimate.clock.reference.0;
+    let middle = estimate.clock.reference;
     variant(
         "first half of the information",
         &mcu.between(start, middle),

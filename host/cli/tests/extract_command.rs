@@ -12,7 +12,7 @@ use recording::session_file::SessionFile;
 use recording::writer::Writer;
 use serde_json::Value;
 use timebase::BoardSeconds;
-use twist_sync::{ClockModel, Wander};
+use timebase::{ClockModel, Wander};
 
 const TICK: u64 = 48_000_000;
 /// Phone − board, s; without any skew.

@@ -404,7 +404,7 @@ fn judge(case: &Case) -> Vec<String> {
         (case.damage)(&mut twist, seed);
         match estimate_offset(&twist.mcu, &twist.phone, &options) {
             Ok(estimate) => {
-                let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference.0);
+                let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference);
                 let sigmas = error.abs() / estimate.offset_sigma_s();
                 accepted += 1;
                 squares += error * error;

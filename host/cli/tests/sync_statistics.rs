@@ -24,7 +24,7 @@ fn options(spec: &TwistSpec) -> Options {
 }
 
 fn error_s(estimate: &Estimate, twist: &Twist) -> f64 {
-    estimate.clock.offset - twist.offset_at(estimate.clock.reference.0)
+    estimate.clock.offset - twist.offset_at(estimate.clock.reference)
 }
 
 fn run(scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
@@ -111,9 +111,9 @@ fn exchanging_the_inputs_negates_the_offset() {
             let twist = simulate::twist(&scenario.spec, 1000 * trial + 11);
             let there = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
             let back = estimate_offset(&twist.phone, &twist.mcu, &Options::default()).unwrap();
-            let at_same_instant = there.clock.to_phone(there.clock.reference).0;
+            let at_same_instant = there.clock.a_to_b(there.clock.reference);
             assert!(
-                (at_same_instant - back.clock.reference.0).abs() < 1e-6,
+                (at_same_instant - back.clock.reference).abs() < 1e-6,
                 "{}",
                 scenario.name
             );
@@ -224,15 +224,7 @@ fn the_real_twist_is_stable_and_its_faults_are_found() {
     let phone = read("smartphone_gyro_data.csv");
     let estimate = estimate_offset(&mcu, &phone, &Options::default()).unwrap();
     // Between −3 and +3 sigma of what independent variants agree on.
-    assert!(
-        (estimate
-            .clock
-            .offset_at(timebase::BoardSeconds(1267.0))
-            .value
-            - 947_848.638_471)
-            .abs()
-            < 60e-6
-    );
+    assert!((estimate.clock.offset_at(1267.0).value - 947_848.638_471).abs() < 60e-6);
     assert!(estimate.offset_sigma_s() < 40e-6);
     let kinds: Vec<FaultKind> = estimate.report.faults.iter().map(|f| f.kind).collect();
     for kind in [

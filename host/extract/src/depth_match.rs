@@ -19,7 +19,6 @@ use super::report::Constants;
 use super::streams::{self, StreamError};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
-use timebase::BoardSeconds;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -236,8 +235,8 @@ fn camera_hint(
         Err(_) => Ok(None),
         Ok(clock) => {
             let (from, to) = clock.course.span();
-            let at = 0.5 * (from.0 + to.0);
-            let model = clock.course.at(BoardSeconds(at));
+            let at = 0.5 * (from + to);
+            let model = clock.course.at(at);
             let board = (at * 1e9).round() as i64;
             let offset = (model.offset * 1e9).round() as i64;
             let map = AffineMap::new(

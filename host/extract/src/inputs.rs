@@ -325,7 +325,7 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
         exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
         readout_ns: nanos(2.0 * phone.middle_row_us()),
         phone_imu_delay_ns: nanos(phone.gyro_delay_us),
-        prior: said.and_then(|said| said.clock).map(Prior::Model),
+        prior: said.and_then(|said| said.clock).map(Prior::of),
         ..rig
     }
 }
@@ -398,7 +398,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
             .as_ref()
             .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
         phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
-        prior: session.clock.map(Prior::Model),
+        prior: session.clock.map(Prior::of),
     }
 }
 

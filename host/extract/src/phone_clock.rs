@@ -19,8 +19,7 @@ use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::FrameTrain;
-use timebase::BoardSeconds;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 use twist_sync::smoother::ClockCourse;
 
 /// How far a recorded offset may be off, s.
@@ -88,10 +87,10 @@ pub enum Runs {
 #[must_use]
 pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
     let known = survey.clocks_of(input.other_name());
-    let latest = known.last().copied().flatten().map(Prior::Model);
+    let latest = known.last().copied().flatten().map(Prior::of);
     // The session's relation is that of the last run.
     let said = input.rig.prior.map(|prior| match prior {
-        Prior::Model(model) => Prior::Model(model.with_board_later(moved as f64 * 1e-9)),
+        Prior::Model(model) => Prior::Model(model.with_a_later(moved as f64 * 1e-9)),
         Prior::Offset(offset, margin) => Prior::Offset(offset - moved as f64 * 1e-9, margin),
     });
     let otherwise = if input.is_other() {
@@ -104,7 +103,7 @@ pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Pri
         let own = if index == last {
             said
         } else {
-            known.map(Prior::Model)
+            known.map(Prior::of)
         };
         own.or(latest).or(otherwise)
     };
@@ -178,11 +177,11 @@ fn join(runs: &mut [RunClock], survey: &Survey) {
         let (Some(was), Some(is)) = (&before.gyros, &run.gyros) else {
             continue;
         };
-        let at = BoardSeconds(run.from.0 as f64 * 1e-9);
+        let at = run.from.0 as f64 * 1e-9;
         let is = is.course.at(at);
         let step = is.offset - was.course.at(at).offset;
         // The step changes what the former run's clock says by its rate.
-        let was = was.course.at(BoardSeconds(at.0 + step));
+        let was = was.course.at(at + step);
         let step = ((is.offset - was.offset) * 1e9).round() as i64;
         // Never into the former run.
         let least = before.to.0.saturating_sub(run.from.0);
@@ -263,7 +262,7 @@ fn from_prior(
     match prior {
         None => Err(format!("phone time cannot be related to board time: {why}")),
         Some(Prior::Model(model)) => {
-            let course = ClockCourse::from_estimates(&[model], model.wander)
+            let course = ClockCourse::from_estimates(&[model.into()], model.wander)
                 .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
             let run = RunClock {
                 course: Some(course),
@@ -356,8 +355,8 @@ impl PhoneClock {
             .or(self.runs.first())?;
         let moved = run.moved as f64 * 1e-9;
         let course = run.course.as_ref()?;
-        let model = course.at(BoardSeconds(at.0 as f64 * 1e-9 - moved));
-        Some(model.with_board_later(moved))
+        let model = course.at(at.0 as f64 * 1e-9 - moved);
+        Some(model.with_a_later(moved).into())
     }
 
     /// What the report says about it, over these frames.
@@ -405,7 +404,7 @@ mod tests {
     use super::super::inputs::RigFacts;
     use super::super::survey::PhoneClocks;
     use super::*;
-    use twist_sync::Wander;
+    use timebase::{BoardSeconds, Wander};
 
     fn model(offset: f64) -> ClockModel {
         ClockModel {
@@ -418,7 +417,7 @@ mod tests {
     }
 
     fn prior(offset: f64) -> Option<Prior> {
-        Some(Prior::Model(model(offset)))
+        Some(Prior::of(model(offset)))
     }
 
     /// Two runs; of the phone that is aligned to all is known, of "right" as given.
@@ -492,10 +491,10 @@ mod tests {
             panic!("two runs");
         };
         assert_eq!(former, prior(201.0));
-        assert_eq!(last.reference, BoardSeconds(10.25));
+        assert_eq!(last.reference, 10.25);
         assert_eq!(last.offset, 202.75);
         // The same instant of the phone is a quarter of a second later on the board.
         let phone = model(203.0).to_phone(BoardSeconds(30.0));
-        assert!((last.to_board(phone).0 - 30.25).abs() < 1e-9);
+        assert!((last.b_to_a(phone.0) - 30.25).abs() < 1e-9);
     }
 }

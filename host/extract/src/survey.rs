@@ -6,7 +6,7 @@ use super::board::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair
 use super::depth_clock::PulseTime;
 use super::progress::Progress;
 use super::time::{BoardNanos, SECOND};
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// Relations of phones' clocks to the board's, by the names of the phones.
 pub type PhoneClocks = BTreeMap<Option<String>, ClockModel>;

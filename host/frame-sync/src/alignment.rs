@@ -22,8 +22,8 @@ use protocol::{Period, TICK_HZ, Ticks};
 
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
+use timebase::ClockModel;
 use timebase::{BoardSeconds, PhoneSeconds};
-use twist_sync::ClockModel;
 
 /// How far a learnt value may be from the one measured now, in sigmas of both.
 const CONSISTENT_SIGMAS: f64 = 5.0;
@@ -302,7 +302,7 @@ mod tests {
 
     use super::*;
     use timebase::PhoneNanos;
-    use twist_sync::Wander;
+    use timebase::Wander;
 
     fn clock() -> ClockModel {
         ClockModel {

@@ -12,8 +12,8 @@ use jiff::civil::Date;
 
 use recording::profile::{Learnt, Profile, ProfileError};
 use recording::session_file::Twist;
+use timebase::ClockModel;
 use timebase::PhoneNanos;
-use twist_sync::ClockModel;
 
 /// What crystals do from one recording to the next (temperature), relative: a
 /// floor under the stated sigmas, which are those within one recording.
@@ -287,7 +287,7 @@ mod tests {
     use super::*;
     use recording::profile::DEFAULT;
     use timebase::BoardSeconds;
-    use twist_sync::Wander;
+    use timebase::Wander;
 
     /// Frames of 33,330,652.54 ns with a deterministic jitter of about 1 µs.
     fn frames(count: usize) -> Vec<PhoneNanos> {

@@ -9,8 +9,8 @@
 use serde::{Deserialize, Serialize};
 
 use timebase::{BoardSeconds, PhoneNanos, PhoneSeconds};
+use timebase::{ClockModel, WithSigma};
 use twist_sync::robust;
-use twist_sync::{ClockModel, WithSigma};
 
 /// A regular train of frames in the phone's clock.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -114,7 +114,7 @@ impl FrameTrain {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use twist_sync::Wander;
+    use timebase::Wander;
 
     fn clock() -> ClockModel {
         ClockModel {

@@ -16,6 +16,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use timebase::PhoneNanos;
+use timebase::phone_track;
 use twist_sync::GyroTrack;
 
 /// Which form a file had.
@@ -353,7 +354,7 @@ impl Rows {
             let times: Vec<f64> = self.times.iter().map(|t| t / scale).collect();
             GyroTrack::from_seconds(&times, self.rates)
         } else {
-            GyroTrack::from_phone_nanos(&self.nanos, self.rates)
+            phone_track(&self.nanos, self.rates)
         };
         GyroFile { track, form }
     }

@@ -14,8 +14,8 @@ use super::{RecordingError, SESSION_FILE};
 use crate::profile::Profile;
 use board::imu::Scale;
 use board::session::StreamCounts;
+use timebase::ClockModel;
 use timebase::PhoneNanos;
-use twist_sync::ClockModel;
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 1;

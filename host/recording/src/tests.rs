@@ -17,7 +17,7 @@ use crate::profile::Profile;
 use board::imu::Sample;
 use protocol::{TICK_HZ, Ticks};
 use timebase::{BoardSeconds, PhoneNanos};
-use twist_sync::{ClockModel, Wander};
+use timebase::{ClockModel, Wander};
 
 fn sample(number: u64) -> Sample {
     Sample {

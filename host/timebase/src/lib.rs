@@ -3,7 +3,14 @@
 //! Integers at the edges ([`Ticks`] of the board, [`PhoneNanos`]), seconds in
 //! f64 inside the math. An f64 second holds 0.12 ns at 10⁶ s (twelve days of
 //! uptime), far below one tick (20.8 ns). The only way from one clock to the
-//! other is a clock model.
+//! other is [`ClockModel`].
+
+mod clock;
+mod tracks;
+
+pub use clock::ClockModel;
+pub use tracks::{board_track, phone_track};
+pub use twist_sync::{Wander, WithSigma};
 
 use protocol::units::{TICK_HZ, Ticks};
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,6 @@
-//! The relation of the two clocks and its prediction.
+//! The relation of two clocks, a and b, and its prediction.
 //!
-//! Convention of the whole project:
-//! `phone = mcu + offset + skew · (mcu − reference)`.
+//! Convention: `b = a + offset + skew · (a − reference)`, all in seconds.
 //! The reference lies where offset and skew do not trade against each other
 //! (the centroid of the information), so that their covariance is near zero
 //! there.
@@ -13,10 +12,7 @@
 //! per second. Limits: temperature steps (a phone that starts to record video
 //! warms up) are not a random walk; choose the wander to cover them.
 
-use protocol::units::Ticks;
 use serde::{Deserialize, Serialize};
-
-use timebase::{BoardSeconds, PhoneNanos, PhoneSeconds};
 
 /// How much the relative rate of two clocks wanders: the rms change of the skew
 /// within one minute (dimensionless; 10⁻⁸ is 0.01 ppm).
@@ -54,14 +50,14 @@ pub struct WithSigma {
     pub sigma: f64,
 }
 
-/// The relation of board time and phone time with its uncertainty.
+/// The relation of two clocks with its uncertainty.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ClockModel {
-    /// The board time at which `offset` holds.
-    pub reference: BoardSeconds,
-    /// Phone minus board at the reference, in seconds.
+pub struct ClockRelation {
+    /// The time of clock a at which `offset` holds, in seconds.
+    pub reference: f64,
+    /// Clock b minus clock a at the reference, in seconds.
     pub offset: f64,
-    /// Rate of the phone's clock relative to the board's, minus one.
+    /// Rate of clock b relative to clock a, minus one.
     pub skew: f64,
     /// Covariance of (offset, skew): s², s; s, 1.
     pub covariance: [[f64; 2]; 2],
@@ -69,22 +65,22 @@ pub struct ClockModel {
     pub wander: Wander,
 }
 
-impl ClockModel {
-    /// The same relation where all of the board's times are later by `seconds`.
+impl ClockRelation {
+    /// The same relation where all times of clock a are later by `seconds`.
     #[must_use]
-    pub fn with_board_later(self, seconds: f64) -> Self {
+    pub fn with_a_later(self, seconds: f64) -> Self {
         Self {
-            reference: BoardSeconds(self.reference.0 + seconds),
+            reference: self.reference + seconds,
             offset: self.offset - seconds,
             ..self
         }
     }
 
-    /// The offset (phone − board) at a board time, with a sigma that grows with
-    /// the distance from the reference.
+    /// The offset (b − a) at a time of clock a, with a sigma that grows with the
+    /// distance from the reference.
     #[must_use]
-    pub fn offset_at(&self, board: BoardSeconds) -> WithSigma {
-        let dt = board.0 - self.reference.0;
+    pub fn offset_at(&self, a: f64) -> WithSigma {
+        let dt = a - self.reference;
         let p = &self.covariance;
         let variance = p[0][0]
             + 2.0 * dt * p[0][1]
@@ -96,51 +92,38 @@ impl ClockModel {
         }
     }
 
-    /// Sigma of the skew at a board time, with the wander since the reference.
+    /// Sigma of the skew at a time of clock a, with the wander since the reference.
     #[must_use]
-    pub fn skew_sigma_at(&self, board: BoardSeconds) -> f64 {
-        let dt = (board.0 - self.reference.0).abs();
+    pub fn skew_sigma_at(&self, a: f64) -> f64 {
+        let dt = (a - self.reference).abs();
         (self.covariance[1][1] + self.wander.diffusion() * dt)
             .max(0.0)
             .sqrt()
     }
 
-    /// The phone's time at a board time.
+    /// The time of clock b at a time of clock a, both in seconds.
     #[must_use]
-    pub fn to_phone(&self, board: BoardSeconds) -> PhoneSeconds {
-        PhoneSeconds(board.0 + self.offset_at(board).value)
+    pub fn a_to_b(&self, a: f64) -> f64 {
+        a + self.offset_at(a).value
     }
 
-    /// The phone's nanoseconds at a tick of the board.
+    /// The time of clock a at a time of clock b (exact inverse of [`Self::a_to_b`]).
     #[must_use]
-    pub fn ticks_to_phone(&self, ticks: Ticks) -> PhoneNanos {
-        self.to_phone(ticks.into()).nanos()
+    pub fn b_to_a(&self, b: f64) -> f64 {
+        self.reference + (b - self.reference - self.offset) / (1.0 + self.skew)
     }
 
-    /// The board time at a phone time (exact inverse of [`Self::to_phone`]).
-    #[must_use]
-    pub fn to_board(&self, phone: PhoneSeconds) -> BoardSeconds {
-        let elapsed = (phone.0 - self.reference.0 - self.offset) / (1.0 + self.skew);
-        BoardSeconds(self.reference.0 + elapsed)
-    }
-
-    /// The tick of the board at a phone time in nanoseconds.
-    #[must_use]
-    pub fn phone_to_ticks(&self, phone: PhoneNanos) -> Ticks {
-        self.to_board(phone.seconds()).ticks()
-    }
-
-    /// The same relation with its reference moved to `board`: a prediction, with
+    /// The same relation with its reference moved to `a`: a prediction, with
     /// the covariance grown by the wander over the distance.
     #[must_use]
-    pub fn referenced_at(&self, board: BoardSeconds) -> Self {
-        let dt = board.0 - self.reference.0;
+    pub fn referenced_at(&self, a: f64) -> Self {
+        let dt = a - self.reference;
         let q = self.wander.diffusion();
         let span = dt.abs();
         let p = &self.covariance;
         let cross = p[0][1] + dt * p[1][1] + q * span * dt / 2.0;
         Self {
-            reference: board,
+            reference: a,
             offset: self.offset + self.skew * dt,
             skew: self.skew,
             covariance: [
@@ -154,7 +137,7 @@ impl ClockModel {
         }
     }
 
-    /// The relation seen from the other clock: board and phone change roles.
+    /// The relation seen from the other clock: a and b change roles.
     ///
     /// The offset changes its sign at the same instant.
     #[must_use]
@@ -162,7 +145,7 @@ impl ClockModel {
         let scale = 1.0 / (1.0 + self.skew);
         let p = &self.covariance;
         Self {
-            reference: BoardSeconds(self.reference.0 + self.offset),
+            reference: self.reference + self.offset,
             offset: -self.offset,
             skew: -self.skew * scale,
             covariance: [
@@ -181,7 +164,7 @@ impl ClockModel {
     /// `self`, referenced at the later estimate: the state to predict from.
     #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
-        let (early, late) = if self.reference.0 <= other.reference.0 {
+        let (early, late) = if self.reference <= other.reference {
             (self, other)
         } else {
             (other, self)
@@ -236,9 +219,9 @@ impl ClockModel {
 mod tests {
     use super::*;
 
-    fn model() -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(1264.0),
+    fn model() -> ClockRelation {
+        ClockRelation {
+            reference: 1264.0,
             offset: 947_848.638,
             skew: 40e-6,
             covariance: [[4e-12, 0.0], [0.0, 4e-12]],
@@ -249,41 +232,38 @@ mod tests {
     #[test]
     fn the_two_directions_are_inverse() {
         let m = model();
-        for ticks in [0, 1, 48_000_000 * 60, 48_000_000 * 86_400] {
-            let there = m.ticks_to_phone(Ticks(ticks));
-            let back = m.phone_to_ticks(there);
-            assert!((back - Ticks(ticks)).unsigned_abs() <= 1, "{ticks}");
+        for a in [0.0, 1e-6, 60.0, 86_400.0] {
+            assert!((m.b_to_a(m.a_to_b(a)) - a).abs() < 1e-9, "{a}");
         }
         let inverse = m.inverted();
-        let phone = m.to_phone(BoardSeconds(2000.0));
-        let back = inverse.to_phone(BoardSeconds(phone.0));
-        assert!((back.0 - 2000.0).abs() < 1e-9);
+        let back = inverse.a_to_b(m.a_to_b(2000.0));
+        assert!((back - 2000.0).abs() < 1e-9);
         assert_eq!(inverse.offset, -m.offset);
     }
 
     #[test]
     fn prediction_grows_and_matches_its_formula() {
         let m = model();
-        let at = |s: f64| m.offset_at(BoardSeconds(1264.0 + s)).sigma;
+        let at = |s: f64| m.offset_at(1264.0 + s).sigma;
         assert!(at(0.0) < at(10.0) && at(10.0) < at(100.0));
         // 2 µs, 2 ppm, 0.02 ppm a minute, after one minute.
         let expected =
             (4e-12_f64 + 3600.0 * 4e-12 + (2e-8_f64).powi(2) / 60.0 * 60.0_f64.powi(3) / 3.0)
                 .sqrt();
         assert!((at(60.0) - expected).abs() < 1e-12);
-        let moved = m.referenced_at(BoardSeconds(1324.0));
+        let moved = m.referenced_at(1324.0);
         assert!((moved.covariance[0][0].sqrt() - expected).abs() < 1e-12);
         assert!((moved.offset - m.offset - 60.0 * 40e-6).abs() < 1e-9);
     }
 
     #[test]
     fn two_twists_give_the_skew() {
-        let early = ClockModel {
+        let early = ClockRelation {
             wander: Wander(0.0),
             ..model()
         };
         let mut late = early;
-        late.reference = BoardSeconds(1324.0);
+        late.reference = 1324.0;
         late.offset = early.offset + 60.0 * 41e-6;
         late.skew = 38e-6;
         let joined = early.joined(&late);

@@ -70,7 +70,7 @@ pub fn pairs(
     (0..phone.len().min(phone.w.len()))
         .filter_map(|k| {
             // Relative to the epochs, so that no digits are lost.
-            let reference = clock.reference.0 - (mcu.epoch_s - options.mcu_delay_s);
+            let reference = clock.reference - (mcu.epoch_s - options.mcu_delay_s);
             let shift = (phone.epoch_s - options.phone_delay_s)
                 - (mcu.epoch_s - options.mcu_delay_s)
                 - clock.offset;

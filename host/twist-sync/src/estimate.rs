@@ -13,7 +13,7 @@
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use serde::Serialize;
 
-use super::clock::{ClockModel, Wander};
+use super::clock::{ClockRelation, Wander};
 use super::coarse;
 use super::crosscheck::{self, Misfit, Stretch};
 use super::faults::{Action, Fault, FaultKind, Stream, recurrence};
@@ -24,7 +24,6 @@ use super::signal::{Signal, Smoothing};
 use super::spline::Vec3;
 use super::timestamps;
 use super::track::GyroTrack;
-use timebase::BoardSeconds;
 
 /// Settings of [`estimate_offset`]. The defaults are right for a twist by hand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,7 +70,7 @@ impl Default for Options {
 pub struct Estimate {
     /// The relation of the clocks with its covariance; its reference is the
     /// centroid of the motion's information.
-    pub clock: ClockModel,
+    pub clock: ClockRelation,
     /// `phone rate = calibration · board rate + bias`.
     pub calibration: [[f64; 3]; 3],
     /// Difference of the gyroscopes' biases in the phone's axes, rad/s.
@@ -347,7 +346,7 @@ pub fn estimate_offset(
 }
 
 struct Found {
-    clock: ClockModel,
+    clock: ClockRelation,
     calibration: Calibration,
 }
 
@@ -707,8 +706,8 @@ fn judged(
     let variance = shift_variance + unresolved * unresolved + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
 
     // Seen as (model stream → data stream): b = a + offset + skew·(a − reference).
-    let model_to_data = ClockModel {
-        reference: BoardSeconds(a.epoch_s + link.at_a),
+    let model_to_data = ClockRelation {
+        reference: a.epoch_s + link.at_a,
         offset: (b.epoch_s - a.epoch_s) + (link.at_b - link.at_a),
         skew: 1.0 / link.rate - 1.0,
         covariance: [[variance, cross], [cross, covariance[1][1]]],

@@ -6,7 +6,7 @@
 //! `docs/sync-math.md`, and measured in `docs/sync-study.md`.
 //!
 //! [`estimate_offset`] takes two recordings ([`GyroTrack`]) and gives an
-//! [`Estimate`] with a [`ClockModel`], or a [`Refusal`] with reasons.
+//! [`Estimate`] with a [`ClockRelation`], or a [`Refusal`] with reasons.
 
 // Axes and rows of 3-vectors and small matrices are indices by nature.
 #![allow(clippy::needless_range_loop)]
@@ -28,7 +28,7 @@ pub mod spline;
 pub mod timestamps;
 pub mod track;
 
-pub use clock::{ClockModel, Wander, WithSigma};
+pub use clock::{ClockRelation, Wander, WithSigma};
 pub use estimate::{Estimate, Options, Refusal, Report, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, Stream};
 pub use gates::Gate;

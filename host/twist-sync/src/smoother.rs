@@ -12,11 +12,10 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::clock::{ClockModel, Wander};
+use super::clock::{ClockRelation, Wander};
 use super::estimate::{Estimate, Options, Refusal, Report, estimate_offset};
 use super::gates::Gate;
 use super::track::GyroTrack;
-use timebase::BoardSeconds;
 
 /// Innovation beyond which a window is left out, in sigmas.
 pub const CONTRADICTION: f64 = 6.0;
@@ -46,9 +45,9 @@ impl Default for WindowOptions {
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClockCourse {
     /// Filtered (past only) states at the windows, in time order.
-    filtered: Vec<ClockModel>,
+    filtered: Vec<ClockRelation>,
     /// Smoothed (all data) states at the same times.
-    smoothed: Vec<ClockModel>,
+    smoothed: Vec<ClockRelation>,
     /// Windows looked at.
     pub windows: usize,
     /// Windows used.
@@ -74,7 +73,7 @@ fn diffusion(dt: f64, wander: Wander) -> Matrix2<f64> {
     )
 }
 
-fn state(model: &ClockModel, base: f64) -> State {
+fn state(model: &ClockRelation, base: f64) -> State {
     let c = &model.covariance;
     (
         Vector2::new(model.offset - base, model.skew),
@@ -82,10 +81,10 @@ fn state(model: &ClockModel, base: f64) -> State {
     )
 }
 
-fn model(state: &State, base: f64, reference: f64, wander: Wander) -> ClockModel {
+fn model(state: &State, base: f64, reference: f64, wander: Wander) -> ClockRelation {
     let p = 0.5 * (state.1 + state.1.transpose());
-    ClockModel {
-        reference: BoardSeconds(reference),
+    ClockRelation {
+        reference: reference,
         offset: base + state.0[0],
         skew: state.0[1],
         covariance: [[p[(0, 0)], p[(0, 1)]], [p[(1, 0)], p[(1, 1)]]],
@@ -120,14 +119,14 @@ impl ClockCourse {
     ///
     /// `None` if there are none.
     #[must_use]
-    pub fn from_estimates(estimates: &[ClockModel], wander: Wander) -> Option<Self> {
+    pub fn from_estimates(estimates: &[ClockRelation], wander: Wander) -> Option<Self> {
         let mut sorted = estimates.to_vec();
-        sorted.sort_by(|a, b| a.reference.0.total_cmp(&b.reference.0));
+        sorted.sort_by(|a, b| a.reference.total_cmp(&b.reference));
         let base = sorted.first()?.offset;
         let mut filtered: Vec<(f64, State)> = Vec::new();
         let mut contradicting = 0;
         for estimate in &sorted {
-            let at = estimate.reference.0;
+            let at = estimate.reference;
             let measured = state(estimate, base);
             let next = match filtered.last() {
                 None => measured,
@@ -177,35 +176,35 @@ impl ClockCourse {
     /// The relation at a board time, from all data: between the windows the
     /// bridge of the two nearest, outside a prediction.
     #[must_use]
-    pub fn at(&self, board: BoardSeconds) -> ClockModel {
-        let after = self.smoothed.partition_point(|m| m.reference.0 <= board.0);
+    pub fn at(&self, at: f64) -> ClockRelation {
+        let after = self.smoothed.partition_point(|m| m.reference <= at);
         match (after.checked_sub(1), self.smoothed.get(after)) {
-            (None, _) => self.smoothed[0].referenced_at(board),
-            (Some(last), None) => self.smoothed[last].referenced_at(board),
+            (None, _) => self.smoothed[0].referenced_at(at),
+            (Some(last), None) => self.smoothed[last].referenced_at(at),
             (Some(before), Some(next)) => {
                 let base = next.offset;
                 let wander = next.wander;
-                let from = self.filtered[before].referenced_at(board);
+                let from = self.filtered[before].referenced_at(at);
                 let bridged = improved(
                     &state(&from, base),
                     &state(next, base),
-                    next.reference.0 - board.0,
+                    next.reference - at,
                     wander,
                 );
-                model(&bridged, base, board.0, wander)
+                model(&bridged, base, at, wander)
             }
         }
     }
 
     /// The state to predict from: the last window.
     #[must_use]
-    pub fn latest(&self) -> ClockModel {
+    pub fn latest(&self) -> ClockRelation {
         self.smoothed[self.smoothed.len() - 1]
     }
 
     /// First and last board time with data.
     #[must_use]
-    pub fn span(&self) -> (BoardSeconds, BoardSeconds) {
+    pub fn span(&self) -> (f64, f64) {
         (
             self.smoothed[0].reference,
             self.smoothed[self.smoothed.len() - 1].reference,
@@ -245,7 +244,7 @@ pub fn estimate_course(
     let mut estimates = Vec::new();
     for (window, _) in &windows {
         let middle = window.epoch_s + 0.5 * (window.t[0] + window.t[window.len() - 1]);
-        let expected = first.clock.offset_at(BoardSeconds(middle));
+        let expected = first.clock.offset_at(middle);
         let from = window.epoch_s + window.t[0] + expected.value;
         let to = window.epoch_s + window.t[window.len() - 1] + expected.value;
         let margin = 0.1 + (6.0 * expected.sigma).min(5.0);
@@ -313,9 +312,9 @@ fn windows_of(track: &GyroTrack, window_s: f64) -> Vec<(GyroTrack, f64)> {
 mod tests {
     use super::*;
 
-    fn estimate(at: f64, offset: f64, sigma: f64) -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(at),
+    fn estimate(at: f64, offset: f64, sigma: f64) -> ClockRelation {
+        ClockRelation {
+            reference: at,
             offset,
             skew: 0.0,
             covariance: [[sigma * sigma, 0.0], [0.0, 1e-10]],
@@ -327,16 +326,16 @@ mod tests {
     fn a_straight_line_is_found_and_the_end_is_predicted() {
         let wander = Wander::from_ppm(0.01);
         let truth = |t: f64| 1e5 + 20e-6 * t;
-        let estimates: Vec<ClockModel> = (0..30)
+        let estimates: Vec<ClockRelation> = (0..30)
             .map(|k| estimate(10.0 * f64::from(k), truth(10.0 * f64::from(k)), 10e-6))
             .collect();
         let course = ClockCourse::from_estimates(&estimates, wander).unwrap();
         assert_eq!((course.used, course.contradicting), (30, 0));
-        let middle = course.at(BoardSeconds(155.0));
+        let middle = course.at(155.0);
         assert!((middle.offset - truth(155.0)).abs() < 3e-6);
         let (inside, outside) = (
             middle.covariance[0][0].sqrt(),
-            course.at(BoardSeconds(600.0)).covariance[0][0].sqrt(),
+            course.at(600.0).covariance[0][0].sqrt(),
         );
         assert!(
             inside < 5e-6 && outside > 2.0 * inside,
@@ -346,27 +345,24 @@ mod tests {
 
     #[test]
     fn a_window_that_contradicts_is_left_out() {
-        let mut estimates: Vec<ClockModel> = (0..20)
+        let mut estimates: Vec<ClockRelation> = (0..20)
             .map(|k| estimate(10.0 * f64::from(k), 5.0, 5e-6))
             .collect();
         estimates[11].offset += 1e-3;
         let course = ClockCourse::from_estimates(&estimates, Wander::from_ppm(0.02)).unwrap();
         assert_eq!((course.used, course.contradicting), (19, 1));
-        assert!((course.at(BoardSeconds(110.0)).offset - 5.0).abs() < 5e-6);
+        assert!((course.at(110.0).offset - 5.0).abs() < 5e-6);
     }
 
     #[test]
     fn the_bridge_is_continuous() {
-        let estimates: Vec<ClockModel> = (0..5)
+        let estimates: Vec<ClockRelation> = (0..5)
             .map(|k| estimate(20.0 * f64::from(k), 3e-6 * f64::from(k * k), 5e-6))
             .collect();
         let course = ClockCourse::from_estimates(&estimates, Wander::from_ppm(0.05)).unwrap();
         for k in 1..4 {
             let t = 20.0 * f64::from(k);
-            let (below, above) = (
-                course.at(BoardSeconds(t - 1e-6)),
-                course.at(BoardSeconds(t + 1e-6)),
-            );
+            let (below, above) = (course.at(t - 1e-6), course.at(t + 1e-6));
             assert!((below.offset - above.offset).abs() < 1e-9);
             assert!((below.covariance[0][0] - above.covariance[0][0]).abs() < 1e-13);
         }

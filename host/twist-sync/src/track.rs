@@ -1,8 +1,6 @@
 //! A gyroscope's recording as the sync math takes it.
 
 use super::spline::Vec3;
-use protocol::units::Ticks;
-use timebase::PhoneNanos;
 
 /// Angular rates over time.
 ///
@@ -27,31 +25,6 @@ impl GyroTrack {
         Self {
             epoch_s,
             t: times_s.iter().map(|t| t - epoch_s).collect(),
-            w,
-        }
-    }
-
-    /// From the phone's nanoseconds; the differences are taken in integers.
-    #[must_use]
-    pub fn from_phone_nanos(times: &[PhoneNanos], w: Vec<Vec3>) -> Self {
-        let epoch = times.first().copied().unwrap_or_default();
-        Self {
-            epoch_s: epoch.seconds().0,
-            t: times
-                .iter()
-                .map(|t| (i128::from(t.0) - i128::from(epoch.0)) as f64 * 1e-9)
-                .collect(),
-            w,
-        }
-    }
-
-    /// From ticks of the board; the differences are taken in integers.
-    #[must_use]
-    pub fn from_ticks(times: &[Ticks], w: Vec<Vec3>) -> Self {
-        let epoch = times.first().copied().unwrap_or_default();
-        Self {
-            epoch_s: epoch.as_secs_f64(),
-            t: times.iter().map(|&t| (t - epoch).as_secs_f64()).collect(),
             w,
         }
     }

@@ -175,7 +175,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     let output = Output {
         accepted: estimate.is_some(),
         refusal,
-        reference_s: estimate.as_ref().map(|e| e.clock.reference.0),
+        reference_s: estimate.as_ref().map(|e| e.clock.reference),
         offset_s: estimate.as_ref().map(|e| e.clock.offset),
         offset_sigma_s: estimate.as_ref().map(Estimate::offset_sigma_s),
         skew_ppm: estimate.as_ref().map(|e| e.clock.skew * 1e6),

@@ -13,7 +13,7 @@ use crate::advice::phone_status;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use recording::writer::Severity;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// How long after its first failure a phone is asked again to stop its video.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);

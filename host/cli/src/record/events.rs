@@ -10,7 +10,7 @@ use crate::outcome::Failure;
 use board::BoardError;
 use board::session::Event;
 use recording::writer::Severity;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 impl Rig<'_> {
     /// Records, watches and shows what came.

@@ -17,7 +17,7 @@ use crate::view::screen::{Key, Screen};
 use crate::view::{Disk, Keys, PERIOD, Recording};
 use board::imu::Scale;
 use recording::session_file::Alignment;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// How often a plain line is said, ticks.
 const LINE_TICKS: u64 = 10 * TICK_HZ as u64;

@@ -20,7 +20,7 @@ use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
 use recording::session_file::{OtherPhone, PhoneInfo, Twist, Video};
 use recording::writer::Severity;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// A phone beside the one that the trigger is aligned to.
 pub struct Other {

@@ -28,7 +28,7 @@ use board::{self, Board, BoardError};
 use recording::profile::Profile;
 use recording::session_file::{Problem, SessionFile};
 use recording::writer::{Severity, Writer};
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// A link on which nothing at all comes for so long is as good as lost: a status
 /// comes every second.

@@ -19,7 +19,7 @@ use frame_sync::alignment::phase_sigma_us_at;
 use frame_sync::alignment::plan;
 use recording::session_file::{Alignment, Marker, Span, Video};
 use recording::writer::Severity;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// How much longer than planned an arrival may take, ticks.
 const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;

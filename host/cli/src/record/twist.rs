@@ -15,7 +15,9 @@ use phone::samples::sample_line;
 use phone::{PhoneSample, Sensor};
 use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
-use twist_sync::{ClockModel, GyroTrack, Options, estimate_offset};
+use timebase::ClockModel;
+use timebase::{board_track, phone_track};
+use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// How often a twist is tried when nobody is there to decide.
 const TWIST_TRIES: usize = 3;
@@ -101,7 +103,7 @@ fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
         from: times.first().copied().unwrap_or_default(),
         to: times.last().copied().unwrap_or_default(),
     };
-    let mcu = GyroTrack::from_ticks(&times, rates);
+    let mcu = board_track(&times, rates);
     let mut clocks = Vec::new();
     for (place, samples) in samples.iter().enumerate() {
         clocks.push(relate(rig, place, number, (&mcu, span), samples)?);
@@ -125,7 +127,7 @@ fn relate(
     save_samples(rig, &name, samples)?;
     let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
     let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
-    let phone_track = GyroTrack::from_phone_nanos(&phone_times, phone_rates);
+    let phone_track = phone_track(&phone_times, phone_rates);
     let delay_us = rig
         .file
         .imu
@@ -148,7 +150,7 @@ fn relate(
         phone_gyro: Some(name.clone()),
         span,
         accepted: estimate.is_some(),
-        clock: estimate.map(|estimate| estimate.clock),
+        clock: estimate.map(|estimate| estimate.clock.into()),
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         report,
@@ -168,7 +170,7 @@ fn relate(
             for warning in &estimate.report.warnings {
                 rig.tell(Severity::Info, "twist", warning)?;
             }
-            sharpen(rig, place, estimate.clock).map(Some)
+            sharpen(rig, place, estimate.clock.into()).map(Some)
         }
         Err(refusal) => {
             let text = format!("{label} refused: {refusal}");

@@ -12,7 +12,7 @@ use board::imu::{Sample, Scale};
 use frame_sync::alignment::off_grid;
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// How much of the gyroscope is shown, ticks.
 const SHOWN: u64 = 10 * TICK_HZ as u64;

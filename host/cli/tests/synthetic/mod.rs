@@ -15,7 +15,7 @@ use recording::profile::Profile;
 use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
 use recording::writer::Writer;
 use timebase::BoardSeconds;
-use twist_sync::{ClockModel, Wander};
+use timebase::{ClockModel, Wander};
 
 /// Length in seconds.
 pub(crate) const SECONDS: u64 = 6;

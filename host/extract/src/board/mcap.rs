@@ -41,7 +41,7 @@ use recording::reader::{is_end, record_reader};
 use recording::scan::{MAX_CHUNK, is_intact, records_of, unpack_records};
 use recording::topic;
 use timebase::BoardSeconds;
-use twist_sync::Wander;
+use timebase::Wander;
 
 /// Chunks that are decoded at a time, and their bytes at most.
 const BATCH: usize = 64;
@@ -443,9 +443,9 @@ fn decode(chunk: &[u8], kinds: &HashMap<u16, Kind>, names: &Names) -> Outcome {
     out
 }
 
-fn relation(model: &ClockModel) -> twist_sync::ClockModel {
+fn relation(model: &ClockModel) -> timebase::ClockModel {
     let [a, b, c, d] = model.covariance;
-    twist_sync::ClockModel {
+    timebase::ClockModel {
         reference: BoardSeconds(model.reference_s),
         offset: model.offset_s,
         skew: model.skew,

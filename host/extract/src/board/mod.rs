@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use super::depth_clock::PulseTime;
 use super::time::BoardNanos;
-use twist_sync::ClockModel;
+use timebase::ClockModel;
 
 /// Topics of further outputs begin so; the sensor's name follows.
 pub const OUTPUT_TOPICS: &str = "/output/";

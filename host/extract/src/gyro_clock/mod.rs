@@ -21,9 +21,9 @@ use std::collections::VecDeque;
 use rayon::prelude::*;
 
 use super::time::{BoardNanos, ClockNanos, PiecewiseMap, SECOND};
-use timebase::BoardSeconds;
+use timebase::ClockModel;
 use twist_sync::smoother::{ClockCourse, WindowOptions};
-use twist_sync::{ClockModel, GyroTrack, Options, estimate_offset};
+use twist_sync::{ClockRelation, GyroTrack, Options, estimate_offset};
 
 /// Windows that are estimated at a time.
 const BATCH: usize = 8;
@@ -66,9 +66,17 @@ pub struct Delays {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Prior {
     /// A clock model, as the session found it.
-    Model(ClockModel),
+    Model(ClockRelation),
     /// Other − board in seconds, within a half-width in seconds.
     Offset(f64, f64),
+}
+
+impl Prior {
+    /// The session's clock model.
+    #[must_use]
+    pub fn of(model: ClockModel) -> Self {
+        Self::Model(model.into())
+    }
 }
 
 /// One window's estimate against the smoothed course.
@@ -161,7 +169,7 @@ pub fn knots<T: ClockNanos>(
         .map(|second| from.0.saturating_add(second * SECOND))
         .chain([to.0])
         .map(|board| {
-            let offset = course.at(BoardSeconds(to_seconds(board))).offset;
+            let offset = course.at(to_seconds(board)).offset;
             let offset = (offset * 1e9).round() as i64;
             (
                 T::from_nanos(board.saturating_add(offset)),
@@ -210,7 +218,7 @@ pub fn relate<E: std::error::Error + Send + 'static>(
         length: (settings.window_s * 1e9) as i64,
     };
     let mut expected = expected;
-    let mut estimates: Vec<ClockModel> = Vec::new();
+    let mut estimates: Vec<ClockRelation> = Vec::new();
     let mut refusal = None;
     let mut count = 0;
     loop {
@@ -269,7 +277,7 @@ pub fn relate<E: std::error::Error + Send + 'static>(
         .map(|estimate| {
             let smoothed = course.at(estimate.reference);
             WindowResult {
-                board_s: estimate.reference.0,
+                board_s: estimate.reference,
                 offset_s: estimate.offset,
                 sigma_s: estimate.covariance[0][0].max(0.0).sqrt(),
                 residual_s: estimate.offset - smoothed.offset,
@@ -286,7 +294,7 @@ pub fn relate<E: std::error::Error + Send + 'static>(
 
 /// Where a window's offset is expected.
 enum Expected {
-    Model(ClockModel),
+    Model(ClockRelation),
     Offset(f64, f64),
 }
 
@@ -297,9 +305,8 @@ impl Expected {
         match self {
             Self::Offset(offset, margin) => (*offset, margin.clamp(LEAST_MARGIN, MOST_MARGIN)),
             Self::Model(model) => {
-                let at = BoardSeconds(middle);
-                let offset = model.offset_at(at);
-                let distance = (middle - model.reference.0).abs();
+                let offset = model.offset_at(middle);
+                let distance = (middle - model.reference).abs();
                 let drift = (6.0 * offset.sigma).min(MOST_SKEW * distance);
                 let known = 6.0 * model.covariance[0][0].max(0.0).sqrt();
                 (

@@ -9,7 +9,7 @@
 use realfft::RealFftPlanner;
 
 use super::{GyroClockError, GyroOpener, GyroSample, track};
-use twist_sync::{ClockModel, Options, estimate_offset};
+use twist_sync::{ClockRelation, Options, estimate_offset};
 
 /// Length of an average, ns: 40 ms.
 const BIN: i64 = 40_000_000;
@@ -40,7 +40,7 @@ pub(super) fn first_relation<E: std::error::Error + 'static>(
     board: GyroOpener<'_, E>,
     other: GyroOpener<'_, E>,
     options: &Options,
-) -> Result<ClockModel, GyroClockError<E>> {
+) -> Result<ClockRelation, GyroClockError<E>> {
     let no = |what: &str| GyroClockError::NoRelation(what.into());
     let ours = profile(board()?)?.ok_or_else(|| no("the board's recording has no samples"))?;
     let theirs = profile(other()?)?.ok_or_else(|| no("the other recording has no samples"))?;
