@@ -9,7 +9,7 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
-use crate::board::{clocks, events, faults, idle, leds, nmea_port, outputs, stack, tim2};
+use crate::board::{clocks, faults, handover, idle, leds, nmea_port, outputs, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
@@ -24,7 +24,7 @@ fn main() -> ! {
     stack::paint();
     // A halted core does not feed the watchdog.
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    let (trigger_events, output_events) = events::init();
+    let (trigger_events, output_events) = handover::init();
     outputs::init(output_events);
     tim2::init(trigger_events);
     nmea_port::init();

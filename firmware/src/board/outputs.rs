@@ -35,6 +35,7 @@ use firmware::trigger::Limits;
 use heapless::spsc::Producer;
 use protocol::{AlignPlan, Output, OutputAlign, OutputStatus, Refusal};
 
+use crate::board::events::{self, OutputEvent};
 use crate::board::tim2::{self, TIMEBASE};
 use crate::board::urgent::UrgentMutex;
 
@@ -60,19 +61,11 @@ pub(crate) const fn channel_of(output: Output) -> usize {
     }
 }
 
-/// A pulse of a channel, with its number in the stream.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct OutputEvent {
-    pub(crate) channel: usize,
-    pub(crate) seq: u32,
-    pub(crate) pulsed: Pulsed,
-}
-
 /// What handlers and tasks share.
 struct Shared {
     pulsers: [Pulser; CHANNELS],
     channels: [Channel; CHANNELS],
-    events: Option<Producer<'static, OutputEvent>>,
+    events: events::Sender<OutputEvent>,
     pps_seq: u32,
     pulse_seq: u32,
     lost: u32,
@@ -330,14 +323,9 @@ impl Shared {
             seq,
             pulsed,
         };
-        let told = match &mut self.events {
-            Some(events) => events.enqueue(event).is_ok(),
-            None => false,
-        };
-        if !told {
+        if !events::send(&mut self.events, event) {
             self.lost = self.lost.saturating_add(1);
         }
-        NVIC::pend(crate::board::events::INTERRUPT);
     }
 }
 

@@ -15,7 +15,7 @@ use crate::tasks::{gnss, imu, self_test};
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     let result = match message.command {
         Command::Hello => {
-            let hello = state::hello();
+            let hello = state::hello(tim2::now());
             state::send(|outbox| outbox.hello(hello));
             Ok(Reply::Done)
         }

@@ -20,7 +20,7 @@ use protocol::{
 };
 
 use crate::board::{nmea_port, outputs, tim2};
-use crate::state::ALIVE;
+use crate::state::{ALIVE, UTC_AT_ZERO};
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
@@ -30,8 +30,6 @@ const CLOSING: Duration = Duration::from_millis(5);
 #[derive(Clone, Copy)]
 struct State {
     settings: Option<GnssSettings>,
-    /// Of the last settings: the last pulse may come after a stop.
-    utc_at_zero: i64,
     /// The first whole second that has a pulse.
     first_second: u64,
     /// When it was stopped, in ticks.
@@ -44,7 +42,6 @@ struct State {
 
 static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell::new(State {
     settings: None,
-    utc_at_zero: 0,
     first_second: 0,
     stopped_at: 0,
     open: false,
@@ -97,9 +94,9 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         Refusal::TriggerRunning => Refusal::GnssStopping,
         other => other,
     })?;
+    UTC_AT_ZERO.lock(|cell| cell.set(settings.utc_at_zero));
     update(|state| {
         state.settings = Some(settings);
-        state.utc_at_zero = settings.utc_at_zero;
         state.first_second = second;
         state.open = true;
     });
@@ -141,11 +138,6 @@ pub(crate) fn status() -> GnssStatus {
         missed: state.missed,
         late: pulses.late,
     }
-}
-
-/// The second that begins with the pulse at `at`, as Unix time.
-pub(crate) fn utc_of(at: Ticks) -> i64 {
-    nmea::utc_of(STATE.lock(Cell::get).utc_at_zero, at)
 }
 
 /// Sends sentences for ever.

@@ -17,6 +17,7 @@ use heapless::String;
 use static_cell::StaticCell;
 
 use crate::board::leds::{self, Led};
+use crate::board::tim2;
 use crate::state;
 
 bind_interrupts!(struct Irqs {
@@ -127,7 +128,7 @@ fn update(condition: u8, on: bool) {
     if linked != (before == LINKED) {
         defmt::info!("host {=str}", if linked { "linked" } else { "gone" });
         leds::set(Led::Link, linked);
-        state::set_linked(linked);
+        state::set_linked(linked, tim2::now());
     }
 }
 
