@@ -16,8 +16,8 @@ pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 /// 20 µs, for the same reason as [`MIN_PULSE_WIDTH`]; this handler does more.
 pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
 
-/// How far ahead a first edge must lie, in ticks: 100 µs.
-pub const MIN_START_LEAD: u32 = 100 * (TICK_HZ / 1_000_000);
+/// How far ahead a first edge must lie: 100 µs.
+pub const MIN_START_LEAD: TickDelta = TickDelta::from_micros(100);
 
 /// How far from now a first edge or an anchor may lie, in ticks: an hour.
 pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;

@@ -67,6 +67,12 @@ impl TickDelta {
     /// No distance.
     pub const ZERO: Self = Self(0);
 
+    /// A distance of whole microseconds, 48 ticks each.
+    #[must_use]
+    pub const fn from_micros(micros: u32) -> Self {
+        Self(micros as i64 * (TICK_HZ / 1_000_000) as i64)
+    }
+
     /// Seconds, signed.
     #[must_use]
     pub fn as_secs_f64(self) -> f64 {
@@ -328,6 +334,15 @@ mod tests {
         assert_eq!(Ticks(u64::MAX) - Ticks(0), TickDelta(i64::MAX));
         assert_eq!(Ticks(0) - Ticks(u64::MAX), TickDelta(i64::MIN));
         assert_eq!(-TickDelta(i64::MIN), TickDelta(i64::MAX));
+    }
+
+    #[test]
+    fn microseconds_are_whole_ticks() {
+        assert_eq!(
+            TickDelta::from_micros(1_000_000),
+            Ticks(TICK_HZ.into()) - Ticks::ZERO
+        );
+        assert_eq!(TickDelta::from_micros(u32::MAX), TickDelta(206_158_430_160));
     }
 
     #[test]

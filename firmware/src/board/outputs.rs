@@ -33,7 +33,7 @@ use firmware::pulser::{Action, Captured, CompareOutput, Pulsed, Pulser};
 use firmware::timebase::Timebase;
 use firmware::trigger::Limits;
 use heapless::spsc::Producer;
-use protocol::{AlignPlan, Output, OutputAlign, OutputStatus, Refusal};
+use protocol::{AlignPlan, Output, OutputAlign, OutputStatus, Refusal, TickDelta};
 
 use crate::board::events::{self, OutputEvent};
 use crate::board::tim2::{self, TIMEBASE};
@@ -216,10 +216,10 @@ pub(crate) fn summaries() -> [OutputStatus; CHANNELS] {
     pulsers.map(|pulser| pulser.summary())
 }
 
-/// Whether an edge is overdue by more than `ticks`.
-pub(crate) fn is_overdue(ticks: u64) -> bool {
+/// Whether an edge is overdue by more than `by`.
+pub(crate) fn is_overdue(by: TickDelta) -> bool {
     let now = tim2::now();
-    (0..CHANNELS).any(|channel| pulser(channel).is_overdue(now, ticks))
+    (0..CHANNELS).any(|channel| pulser(channel).is_overdue(now, by))
 }
 
 /// Pulses that found no place in the queue to the handler below, and the longest

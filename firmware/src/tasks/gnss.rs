@@ -16,7 +16,7 @@ use firmware::alive::Task;
 use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
 use firmware::nmea;
 use protocol::{
-    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, Ticks,
+    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, TickDelta, Ticks,
 };
 
 use crate::board::{nmea_port, outputs, tim2};
@@ -32,8 +32,7 @@ struct State {
     settings: Option<GnssSettings>,
     /// The first whole second that has a pulse.
     first_second: u64,
-    /// When it was stopped, in ticks.
-    stopped_at: u64,
+    stopped_at: Ticks,
     /// The line is not closed yet.
     open: bool,
     sentences: u32,
@@ -43,7 +42,7 @@ struct State {
 static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell::new(State {
     settings: None,
     first_second: 0,
-    stopped_at: 0,
+    stopped_at: Ticks::ZERO,
     open: false,
     sentences: 0,
     missed: 0,
@@ -51,6 +50,11 @@ static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell
 
 /// The settings have changed.
 static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// The instant at which a whole second of board time begins.
+const fn start_of(second: u64) -> Ticks {
+    Ticks(second * TICK_HZ as u64)
+}
 
 fn update(change: impl FnOnce(&mut State)) {
     STATE.lock(|cell| {
@@ -78,11 +82,11 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
     if state.open || !stopped {
         return Err(Refusal::GnssStopping);
     }
-    let second = (now.0 + u64::from(START_LEAD)) / u64::from(TICK_HZ) + 1;
+    let second = (now + START_LEAD).0 / u64::from(TICK_HZ) + 1;
     let train = OutputStart {
         period: Period::from_ticks(TICK_HZ),
         width: settings.pulse_width,
-        first_edge: Some(Ticks(second * u64::from(TICK_HZ))),
+        first_edge: Some(start_of(second)),
         first_fraction: 0,
     };
     outputs::set_pps_inverted(settings.pulse_inverted);
@@ -112,7 +116,7 @@ pub(crate) fn stop() -> GnssReport {
     let now = tim2::now();
     update(|state| {
         if state.settings.take().is_some() {
-            state.stopped_at = now.0;
+            state.stopped_at = now;
         }
     });
     CHANGED.signal(());
@@ -159,7 +163,7 @@ pub(crate) async fn run() {
                 continue;
             }
             // A pulse that was made gets its sentences.
-            (None, Some((settings, second))) if second * u64::from(TICK_HZ) <= state.stopped_at => {
+            (None, Some((settings, second))) if start_of(second) <= state.stopped_at => {
                 let (pause, second) = step(&settings, second);
                 running = Some((settings, second));
                 pause
@@ -184,15 +188,14 @@ pub(crate) async fn run() {
 /// Sends the sentences of `second` if they are due. Returns how long to wait, and
 /// the second whose sentences come next.
 fn step(settings: &GnssSettings, second: u64) -> (Duration, u64) {
-    let delay = u64::from(settings.delay_ms) * 1_000 * u64::from(TICKS_PER_US);
-    let due = second * u64::from(TICK_HZ) + delay;
-    let now = tim2::now().0;
+    let due = start_of(second) + TickDelta::from_micros(u32::from(settings.delay_ms) * 1_000);
+    let now = tim2::now();
     if now < due {
-        let micros = (due - now).div_ceil(u64::from(TICKS_PER_US));
+        let micros = (due - now).unsigned_abs().div_ceil(TICKS_PER_US.into());
         return (Duration::from_micros(micros).min(CHECK_IN), second);
     }
     let in_time = now - due <= NMEA_SLACK;
-    let utc = nmea::utc_of(settings.utc_at_zero, Ticks(due));
+    let utc = nmea::utc_of(settings.utc_at_zero, due);
     let sent = in_time && nmea_port::send(nmea::text(settings.sentences, utc).as_str());
     update(|state| {
         if sent {
