@@ -44,24 +44,20 @@ pub const OUTPUT_QUIET_MARGIN: TickDelta = TickDelta::from_micros(40);
 /// How late sentences may begin.
 pub const NMEA_SLACK: TickDelta = TickDelta::from_micros(NMEA_SLACK_MS * 1_000);
 
-/// Clock of the IMU on PA8, in Hz: 96 MHz / 5. What the MPU-9150 asks for at
-/// CLKSEL = 5.
-pub const IMU_CLOCK_HZ: u32 = SYSCLK_HZ / 5;
-
 /// Farthest that a compare is armed ahead, in ticks: 22.4 s. Compares only see
 /// the low 32 bits; half of their range keeps "ahead" and "behind" apart, and
 /// half of that again is the margin of [`crate::timebase`]. Edges farther away
 /// are reached by waypoints.
-pub const MAX_ARM_AHEAD: u32 = 1 << 30;
+pub(crate) const MAX_ARM_AHEAD: u32 = 1 << 30;
 
 /// An edge that was missed is made this much later than the moment at which
 /// that was seen: 4 µs, the time in which the handler surely arms it.
-pub const LATE_EDGE_DELAY: TickDelta = TickDelta::from_micros(4);
+pub(crate) const LATE_EDGE_DELAY: TickDelta = TickDelta::from_micros(4);
 
 /// A rising edge nearer than this is not taken back by a stop: 5 µs.
 /// The stop waits until the pulse is over instead, and so never races the
 /// compare.
-pub const STOP_MARGIN: TickDelta = TickDelta::from_micros(5);
+pub(crate) const STOP_MARGIN: TickDelta = TickDelta::from_micros(5);
 
 /// From a start without a first edge to that edge: 1 ms, ten times
 /// the least lead that a host may ask for.
@@ -104,32 +100,32 @@ pub const EVENTS: usize = 32;
 
 /// Answers that wait to be sent. Commands are taken from the link only while
 /// there is room for theirs, so this bounds how many are answered in one go.
-pub const ANSWERS: usize = 12;
+pub(crate) const ANSWERS: usize = 12;
 
 /// Room in the answers that a command needs: its answer and a hello, and one
 /// for an arrival that comes between.
-pub const ANSWERS_PER_COMMAND: usize = 3;
+pub(crate) const ANSWERS_PER_COMMAND: usize = 3;
 
 /// Pulses that wait to be sent: two seconds at 30 fps.
-pub const PULSES: usize = 64;
+pub(crate) const PULSES: usize = 64;
 
 /// Pulses of the further outputs that wait to be sent, pulses per second with
 /// them: half a second of three trains at 30 fps.
-pub const OUTPUT_PULSES: usize = 64;
+pub(crate) const OUTPUT_PULSES: usize = 64;
 
 /// Events of TIM1's handlers that wait for the handler below them. Four channels
 /// whose pulses are 0.15 ms apart at least make 26 in 1 ms.
 pub const OUTPUT_EVENTS: usize = 32;
 
 /// Captures that wait to be sent: five frames of the camera's pulses.
-pub const CAPTURES: usize = 96;
+pub(crate) const CAPTURES: usize = 96;
 
 /// IMU samples that wait to be sent: 128 ms at 500 Hz. A USB host that is busy
 /// elsewhere for that long loses nothing.
-pub const IMU_SAMPLES: usize = 64;
+pub(crate) const IMU_SAMPLES: usize = 64;
 
 /// Status messages that wait to be sent.
-pub const STATUSES: usize = 2;
+pub(crate) const STATUSES: usize = 2;
 
 /// Bytes that are gathered before they are written to USB: the longest frame
 /// and then some, 16 packets.
@@ -197,6 +193,6 @@ mod tests {
         assert_eq!(HSE_HZ / 4 * 96 / 2, SYSCLK_HZ);
         assert_eq!(HSE_HZ / 4 * 96 / 4, 48_000_000);
         assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
-        assert_eq!(IMU_CLOCK_HZ, 19_200_000);
+        assert_eq!(SYSCLK_HZ / 5, 19_200_000);
     }
 }

@@ -237,7 +237,7 @@ impl Pulser {
     }
 
     /// Arms what is armed already, once more: for an output that sees less far
-    /// ahead than [`MAX_ARM_AHEAD`] and was told of an edge too early. Returns
+    /// ahead than `MAX_ARM_AHEAD` and was told of an edge too early. Returns
     /// the pulse that is over with it, if that came too late.
     pub fn rearm<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) -> Option<Pulsed> {
         match self.stage {
@@ -382,9 +382,7 @@ impl Pulser {
         self.due().is_some_and(|due| now > due + by)
     }
 
-    /// The state of the train.
-    #[must_use]
-    pub fn state(&self) -> TrainState {
+    fn state(&self) -> TrainState {
         match self.stage {
             Stage::Idle => TrainState::Stopped,
             Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
@@ -404,7 +402,7 @@ impl Pulser {
         }
     }
 
-    /// What the host is told.
+    /// The state of the train and where it goes on, as the host is told.
     #[must_use]
     pub fn status(&self) -> TriggerStatus {
         let next = match self.stage {

@@ -30,6 +30,7 @@ fn main() -> ! {
     nmea_port::init();
     leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
 
+    // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
     let mut clock_out = McoConfig::default();
     clock_out.prescaler = McoPrescaler::DIV5;
     let _imu_clock = Mco::new(p.MCO1, p.PA8, Mco1Source::PLL, clock_out);

@@ -24,7 +24,6 @@ pub(crate) struct BoardInfo {
 /// Set once, by `main`, before any task runs.
 pub(crate) static INFO: OnceLock<BoardInfo> = OnceLock::new();
 
-/// Which tasks are alive.
 pub(crate) static ALIVE: Alive = Alive::new();
 
 static OUTBOX: CriticalSectionMutex<RefCell<Outbox>> =

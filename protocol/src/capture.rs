@@ -9,9 +9,9 @@ use crate::units::Ticks;
 pub struct Capture {
     /// Sequence number of the capture stream.
     pub seq: u32,
-    /// Which input.
+    /// The input.
     pub channel: CaptureChannel,
-    /// Which way.
+    /// Its direction.
     pub edge: Edge,
     /// The captured time.
     pub at: Ticks,

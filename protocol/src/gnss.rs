@@ -39,7 +39,7 @@ pub struct GnssSettings {
     /// The line is low when idle, as behind an RS-232 driver: what Velodyne's
     /// VLP-16 wants (user manual 63-9243, 7.4.3). Otherwise high, as a UART's is.
     pub line_inverted: bool,
-    /// Which sentences.
+    /// Sentences of each second.
     pub sentences: Sentences,
     /// From the pulse's leading edge to the first bit of the sentences, in ms;
     /// with the sentences at most [`NMEA_WINDOW_MS`].

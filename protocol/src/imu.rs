@@ -12,7 +12,7 @@ pub struct ImuSample {
     /// The captured edge of data-ready. The sensor's filter delay is *not*
     /// subtracted ([`ImuSetup::gyro_delay_us`]).
     pub at: Ticks,
-    /// See [`ImuFlags`].
+    /// What sets this sample apart.
     pub flags: ImuFlags,
     /// Acceleration x, y, z, in counts of [`ImuSetup::accel_lsb_per_g`].
     pub accel: [i16; 3],
@@ -251,12 +251,12 @@ pub enum ImuFault {
     },
     /// WHO_AM_I is not 0x68.
     WrongIdentity {
-        /// What it said.
+        /// The identity that was read.
         found: u8,
     },
     /// A register did not keep what was written.
     Readback {
-        /// Which.
+        /// The register.
         register: u8,
         /// What was written.
         wrote: u8,

@@ -71,13 +71,13 @@ pub enum Command {
     SelfTest {
         /// Must be [`SELF_TEST_KEY`]; anything else is refused.
         key: u32,
-        /// Which failure.
+        /// The failure to cause.
         failure: Failure,
     },
     /// A command to one of the further trigger outputs. Answered with
     /// [`Reply::Trigger`] or, for an align, [`Reply::Align`].
     Output {
-        /// Which output.
+        /// The output.
         output: Output,
         /// What it is asked to do.
         action: OutputAction,

@@ -125,7 +125,7 @@ impl From<TriggerAlign> for OutputAlign {
 /// A pulse of one of these outputs. Its `seq` counts the pulses of all three.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputPulse {
-    /// Which output.
+    /// The output.
     pub output: Output,
     /// The pulse; there is no read-back.
     pub pulse: Pulse,
@@ -134,7 +134,7 @@ pub struct OutputPulse {
 /// An align of one of these outputs has reached its grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputArrived {
-    /// Which output.
+    /// The output.
     pub output: Output,
     /// The id of the align command.
     pub command: u32,

@@ -15,14 +15,12 @@ use firmware::pulser::Pulsed;
 use heapless::spsc::Producer;
 use protocol::{Capture, Ticks};
 
-/// The interrupt of the handler that takes the events.
 pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::DCMI;
 
 /// Capture inputs, as bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Input {
-    /// The IMU's data-ready.
     DataReady = 1,
     Strobe = 2,
 }

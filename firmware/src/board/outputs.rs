@@ -49,10 +49,8 @@ pub(crate) const CHANNELS: usize = 4;
 const PINS: [usize; CHANNELS] = [9, 11, 13, 14];
 const ALTERNATE_FUNCTION: u8 = 1;
 
-/// The channel of the pulse per second.
 pub(crate) const PPS: usize = 0;
 
-/// The channel of a trigger output.
 pub(crate) const fn channel_of(output: Output) -> usize {
     match output {
         Output::Two => 1,
@@ -207,7 +205,6 @@ pub(crate) fn pulser(channel: usize) -> Pulser {
     with_channel(channel, |pulser, _, _| *pulser).unwrap_or(Pulser::new(Limits::OUTPUT))
 }
 
-/// How all channels fare.
 pub(crate) fn summaries() -> [OutputStatus; CHANNELS] {
     let mut pulsers = [Pulser::new(Limits::OUTPUT); CHANNELS];
     for (channel, copy) in pulsers.iter_mut().enumerate() {

@@ -50,7 +50,6 @@ const STROBE_PIN: usize = 2;
 const READBACK_PIN: usize = 3;
 const ALTERNATE_FUNCTION: u8 = 1;
 
-/// Board time.
 pub(super) static TIMEBASE: Timebase = Timebase::new();
 static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 
@@ -75,7 +74,6 @@ pub(crate) struct Counters {
     pub(crate) lost_data_ready: u32,
 }
 
-/// State of a capture input.
 struct InputState {
     bucket: Bucket,
     after_loss: bool,
@@ -168,13 +166,11 @@ fn enable_handler() {
     unsafe { NVIC::unmask(pac::Interrupt::TIM2) };
 }
 
-/// The counter.
 #[inline]
 pub(crate) fn counter() -> u32 {
     TIM.cnt().read()
 }
 
-/// Board time.
 pub(crate) fn now() -> Ticks {
     TIMEBASE.refresh(counter())
 }
@@ -222,7 +218,6 @@ pub(crate) fn align(command: u32, to: &OutputAlign) -> Result<AlignPlan, Refusal
     }
 }
 
-/// Counters since reset.
 pub(crate) fn counters() -> Counters {
     with_shared(|shared| Counters {
         strobe_overcaptures: shared.strobe.overcaptures,

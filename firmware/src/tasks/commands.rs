@@ -87,7 +87,6 @@ fn trigger(outcome: Result<(), Refusal>) -> Result<Reply, Refusal> {
     outcome.map(|()| Reply::Trigger(trigger_status()))
 }
 
-/// The state of the train.
 pub(crate) fn trigger_status() -> TriggerStatus {
     // On a copy: the status of the train as it was at one moment, worked out
     // with interrupts on.

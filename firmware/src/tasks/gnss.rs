@@ -48,7 +48,6 @@ static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell
     missed: 0,
 }));
 
-/// The settings have changed.
 static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
 /// The instant at which a whole second of board time begins.
@@ -123,7 +122,6 @@ pub(crate) fn stop() -> GnssReport {
     report()
 }
 
-/// Settings and state.
 pub(crate) fn report() -> GnssReport {
     GnssReport {
         settings: STATE.lock(Cell::get).settings,
@@ -131,7 +129,6 @@ pub(crate) fn report() -> GnssReport {
     }
 }
 
-/// How it fares.
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
     let pulses = outputs::pulser(outputs::PPS).summary();
@@ -144,7 +141,6 @@ pub(crate) fn status() -> GnssStatus {
     }
 }
 
-/// Sends sentences for ever.
 #[embassy_executor::task]
 pub(crate) async fn run() {
     let mut running: Option<(GnssSettings, u64)> = None;

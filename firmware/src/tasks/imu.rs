@@ -48,10 +48,8 @@ static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
 static CONFIG: CriticalSectionMutex<Cell<ImuConfig>> =
     CriticalSectionMutex::new(Cell::new(IMU_DEFAULT));
 
-/// Another configuration was set.
 static RECONFIGURED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
-/// How the IMU fares.
 pub(crate) fn status() -> ImuStatus {
     let counters = tim2::counters();
     let mut status = STATUS.lock(Cell::get);
@@ -62,7 +60,6 @@ pub(crate) fn status() -> ImuStatus {
     status
 }
 
-/// The IMU as it is set up.
 pub(crate) fn setup() -> ImuSetup {
     imu::describe(CONFIG.lock(Cell::get), status())
 }
@@ -102,7 +99,6 @@ fn show(state: ImuState) {
     update(|status| status.state = state);
 }
 
-/// Samples for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut bus: ImuBus) {
     let mut sampler = Sampler {
@@ -139,7 +135,6 @@ async fn alive() {
     ALIVE.check_in(Task::Imu);
 }
 
-/// What ends a wait for data-ready.
 enum Next {
     Edge(DataReady),
     Silence,

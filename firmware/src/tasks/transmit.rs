@@ -20,7 +20,6 @@ use crate::tasks::usb::UsbDriver;
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
-/// Writes for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
     let mut transmit = Transmit {

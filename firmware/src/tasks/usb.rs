@@ -26,7 +26,6 @@ bind_interrupts!(struct Irqs {
 
 pub(crate) type UsbDriver = Driver<'static, USB_OTG_FS>;
 
-/// The parts of the device, for their tasks.
 pub(crate) struct Usb {
     pub(crate) device: UsbDevice<'static, UsbDriver>,
     pub(crate) sender: Sender<'static, UsbDriver>,
@@ -92,7 +91,6 @@ pub(crate) fn build(
     }
 }
 
-/// Runs the device.
 #[embassy_executor::task]
 pub(crate) async fn run(mut device: UsbDevice<'static, UsbDriver>) {
     device.run().await;
@@ -132,7 +130,6 @@ fn update(condition: u8, on: bool) {
     }
 }
 
-/// Follows the state of the bus.
 struct LinkHandler;
 
 impl Handler for LinkHandler {
