@@ -1,6 +1,6 @@
 //! Every tuning number of the firmware, with its derivation.
 
-use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, NMEA_SLACK_MS, TICK_HZ};
+use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, NMEA_SLACK_MS, TICK_HZ, TickDelta};
 
 /// Ticks in a microsecond: 48.
 pub const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
@@ -37,45 +37,40 @@ pub const OUTPUT_NEAR: u32 = 600 * TICKS_PER_US;
 /// it on TIM1, in ticks: 0.4 ms.
 pub const OUTPUT_LEAD: u32 = 400 * TICKS_PER_US;
 
-/// The quiet margin of TIM1's handlers, in ticks: 40 µs. Longer than TIM2's
+/// The quiet margin of TIM1's handlers: 40 µs. Longer than TIM2's
 /// ([`QUIET_MARGIN`]), as TIM2's handler goes on meanwhile.
-pub const OUTPUT_QUIET_MARGIN: u32 = 40 * TICKS_PER_US;
+pub const OUTPUT_QUIET_MARGIN: TickDelta = TickDelta::from_micros(40);
 
-/// How late sentences may begin, in ticks.
-pub const NMEA_SLACK: u64 = NMEA_SLACK_MS as u64 * 1_000 * TICKS_PER_US as u64;
-
-/// Clock of the IMU on PA8, in Hz: 96 MHz / 5. What the MPU-9150 asks for at
-/// CLKSEL = 5.
-pub const IMU_CLOCK_HZ: u32 = SYSCLK_HZ / 5;
+/// How late sentences may begin.
+pub const NMEA_SLACK: TickDelta = TickDelta::from_micros(NMEA_SLACK_MS * 1_000);
 
 /// Farthest that a compare is armed ahead, in ticks: 22.4 s. Compares only see
 /// the low 32 bits; half of their range keeps "ahead" and "behind" apart, and
 /// half of that again is the margin of [`crate::timebase`]. Edges farther away
 /// are reached by waypoints.
-pub const MAX_ARM_AHEAD: u32 = 1 << 30;
+pub(crate) const MAX_ARM_AHEAD: u32 = 1 << 30;
 
 /// An edge that was missed is made this much later than the moment at which
-/// that was seen, in ticks: 4 µs, the time in which the handler surely arms it.
-pub const LATE_EDGE_DELAY: u32 = 4 * TICKS_PER_US;
+/// that was seen: 4 µs, the time in which the handler surely arms it.
+pub(crate) const LATE_EDGE_DELAY: TickDelta = TickDelta::from_micros(4);
 
-/// A rising edge nearer than this is not taken back by a stop, in ticks: 5 µs.
+/// A rising edge nearer than this is not taken back by a stop: 5 µs.
 /// The stop waits until the pulse is over instead, and so never races the
 /// compare.
-pub const STOP_MARGIN: u32 = 5 * TICKS_PER_US;
+pub(crate) const STOP_MARGIN: TickDelta = TickDelta::from_micros(5);
 
-/// From a start without a first edge to that edge, in ticks: 1 ms, ten times
+/// From a start without a first edge to that edge: 1 ms, ten times
 /// the least lead that a host may ask for.
-pub const START_LEAD: u32 = 1_000 * TICKS_PER_US;
+pub const START_LEAD: TickDelta = TickDelta::from_micros(1_000);
 
-/// A task masks TIM2's handler only while no edge is due for this long, in ticks:
-/// 15 µs, three times the longest section (a copy of the train's state, 5 µs).
+/// A task masks TIM2's handler only while no edge is due for this long: 15 µs, three times the longest section (a copy of the train's state, 5 µs).
 /// So masking never delays an edge's handler.
-pub const QUIET_MARGIN: u32 = 15 * TICKS_PER_US;
+pub const QUIET_MARGIN: TickDelta = TickDelta::from_micros(15);
 
 /// How long an edge of the trigger may be overdue before its handler is taken to
-/// be dead and the watchdog is no longer fed, in ticks: 10 ms, a thousand times
+/// be dead and the watchdog is no longer fed: 10 ms, a thousand times
 /// the handler's latency.
-pub const TRIGGER_OVERDUE: u64 = 10_000 * TICKS_PER_US as u64;
+pub const TRIGGER_OVERDUE: TickDelta = TickDelta::from_micros(10_000);
 
 /// Bucket of the strobe input: this many edges in a burst. The camera makes 18
 /// (9 pulses) a frame; three frames of it may come at once.
@@ -105,32 +100,32 @@ pub const EVENTS: usize = 32;
 
 /// Answers that wait to be sent. Commands are taken from the link only while
 /// there is room for theirs, so this bounds how many are answered in one go.
-pub const ANSWERS: usize = 12;
+pub(crate) const ANSWERS: usize = 12;
 
 /// Room in the answers that a command needs: its answer and a hello, and one
 /// for an arrival that comes between.
-pub const ANSWERS_PER_COMMAND: usize = 3;
+pub(crate) const ANSWERS_PER_COMMAND: usize = 3;
 
 /// Pulses that wait to be sent: two seconds at 30 fps.
-pub const PULSES: usize = 64;
+pub(crate) const PULSES: usize = 64;
 
 /// Pulses of the further outputs that wait to be sent, pulses per second with
 /// them: half a second of three trains at 30 fps.
-pub const OUTPUT_PULSES: usize = 64;
+pub(crate) const OUTPUT_PULSES: usize = 64;
 
 /// Events of TIM1's handlers that wait for the handler below them. Four channels
 /// whose pulses are 0.15 ms apart at least make 26 in 1 ms.
 pub const OUTPUT_EVENTS: usize = 32;
 
 /// Captures that wait to be sent: five frames of the camera's pulses.
-pub const CAPTURES: usize = 96;
+pub(crate) const CAPTURES: usize = 96;
 
 /// IMU samples that wait to be sent: 128 ms at 500 Hz. A USB host that is busy
 /// elsewhere for that long loses nothing.
-pub const IMU_SAMPLES: usize = 64;
+pub(crate) const IMU_SAMPLES: usize = 64;
 
 /// Status messages that wait to be sent.
-pub const STATUSES: usize = 2;
+pub(crate) const STATUSES: usize = 2;
 
 /// Bytes that are gathered before they are written to USB: the longest frame
 /// and then some, 16 packets.
@@ -198,6 +193,6 @@ mod tests {
         assert_eq!(HSE_HZ / 4 * 96 / 2, SYSCLK_HZ);
         assert_eq!(HSE_HZ / 4 * 96 / 4, 48_000_000);
         assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
-        assert_eq!(IMU_CLOCK_HZ, 19_200_000);
+        assert_eq!(SYSCLK_HZ / 5, 19_200_000);
     }
 }

@@ -1,6 +1,6 @@
 //! Paces filler to a rate in bytes a second.
 
-use protocol::{TICK_HZ, Ticks};
+use protocol::{TICK_HZ, TickDelta, Ticks};
 
 /// Most bytes that a pause saves up.
 const BURST: u64 = 4096;
@@ -48,11 +48,11 @@ impl Pacer {
         }
     }
 
-    /// Ticks until `bytes` will be there at `rate`.
+    /// How long until `bytes` will be there at `rate`.
     #[must_use]
-    pub fn ticks_until(&self, bytes: u32, rate: u32) -> u64 {
+    pub fn time_until(&self, bytes: u32, rate: u32) -> TickDelta {
         let missing = (u64::from(bytes) * u64::from(TICK_HZ)).saturating_sub(self.saved);
-        missing.div_ceil(u64::from(rate.max(1)))
+        TickDelta(missing.div_ceil(u64::from(rate.max(1))) as i64)
     }
 }
 
@@ -69,7 +69,7 @@ mod tests {
             let mut sent = 0_u64;
             pacer.advance(now, rate);
             for _ in 0..1000 {
-                now = Ticks(now.0 + pacer.ticks_until(240, rate));
+                now = now + pacer.time_until(240, rate);
                 pacer.advance(now, rate);
                 while pacer.take(240) {
                     sent += 240;
@@ -93,7 +93,7 @@ mod tests {
     fn without_limit_it_never_waits() {
         let mut pacer = Pacer::new();
         pacer.advance(Ticks(5), u32::MAX);
-        assert_eq!(pacer.ticks_until(240, u32::MAX), 0);
+        assert_eq!(pacer.time_until(240, u32::MAX), TickDelta::ZERO);
         assert!(pacer.take(240));
     }
 }

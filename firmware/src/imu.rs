@@ -59,8 +59,7 @@ pub struct RawSample {
 
 impl RawSample {
     /// From the 14 bytes at ACCEL_XOUT_H, big-endian.
-    #[must_use]
-    pub const fn from_bytes(bytes: &[u8; 14]) -> Self {
+    const fn from_bytes(bytes: &[u8; 14]) -> Self {
         const fn word(bytes: &[u8; 14], index: usize) -> i16 {
             i16::from_be_bytes([bytes[2 * index], bytes[2 * index + 1]])
         }
@@ -79,9 +78,7 @@ impl RawSample {
     }
 }
 
-/// Ticks between samples.
-#[must_use]
-pub const fn interval_ticks(config: &ImuConfig) -> u32 {
+const fn interval_ticks(config: &ImuConfig) -> u32 {
     (config.divider as u32 + 1) * (TICK_HZ / BASE_RATE_HZ)
 }
 

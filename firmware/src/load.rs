@@ -40,7 +40,7 @@ impl LoadMeter {
 
 /// How many painted words in a row are taken for the end of the used stack:
 /// 1 KiB. A frame that leaves more than that unwritten hides what is below it.
-pub const STACK_GAP_WORDS: usize = 256;
+const STACK_GAP_WORDS: usize = 256;
 
 /// Words of a stack of `words` words that have ever been used, if it was filled
 /// with `paint` and the `known` topmost ones are known to be used. `read` gives

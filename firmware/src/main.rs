@@ -1,6 +1,8 @@
 //! The firmware binary: starts the board and spawns the tasks.
 //!
-//! Everything that can be tested without a board lives in the library.
+//! Everything that can be tested without a board lives in the library. The modules
+//! form layers, each on those before it: `state` (what all share), `board` (the
+//! drivers), `tasks`, and `start`, which wires them.
 
 #![cfg_attr(target_os = "none", no_std, no_main)]
 

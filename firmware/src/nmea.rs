@@ -16,21 +16,15 @@ use protocol::{
 /// in seconds: an hour.
 const DATE_MARGIN: i64 = 3_600;
 
-/// A date and a time of day.
+/// A date and a time of day; month and day count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Utc {
-    /// Year, as in 2026.
-    pub year: u32,
-    /// Month, from 1.
-    pub month: u32,
-    /// Day of the month, from 1.
-    pub day: u32,
-    /// Hour, 0 to 23.
-    pub hour: u32,
-    /// Minute, 0 to 59.
-    pub minute: u32,
-    /// Second, 0 to 59.
-    pub second: u32,
+struct Utc {
+    year: u32,
+    month: u32,
+    day: u32,
+    hour: u32,
+    minute: u32,
+    second: u32,
 }
 
 impl Utc {
@@ -39,8 +33,7 @@ impl Utc {
     /// The proleptic Gregorian calendar in eras of 400 years, whose years begin
     /// in March so that the leap day is the last (H. Hinnant, "chrono-compatible
     /// low-level date algorithms").
-    #[must_use]
-    pub const fn from_unix(unix: i64) -> Self {
+    const fn from_unix(unix: i64) -> Self {
         let unix = if unix < 0 { 0 } else { unix as u64 };
         // Up to 2³¹ days there is no overflow: seconds of a 64-bit number of ticks.
         let days = unix / 86_400 + 719_468;
@@ -75,7 +68,7 @@ pub const fn utc_of(utc_at_zero: i64, at: Ticks) -> i64 {
 ///
 /// # Errors
 ///
-/// Which.
+/// Date, length of the pulse, rate or end of the sentences out of bounds.
 pub fn check(settings: &GnssSettings, now: Ticks) -> Result<(), Refusal> {
     let utc = utc_of(settings.utc_at_zero, now);
     if !(MIN_UTC..END_UTC - DATE_MARGIN).contains(&utc) {

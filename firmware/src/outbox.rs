@@ -2,8 +2,8 @@
 //!
 //! Producers never wait: each stream has a queue of its own, and what finds no
 //! place there is dropped and counted. The sender takes answers first, then
-//! pulses, pulses of the further outputs, captures, IMU samples and status, so that a flood of one stream never
-//! delays what matters more.
+//! pulses, pulses of the further outputs, captures, IMU samples and status, so that
+//! a flood of one stream never delays what matters more.
 //!
 //! While no host is linked everything is dropped and counted, so that a host
 //! that comes gets nothing stale. Sequence numbers are given by the producers:
@@ -100,44 +100,29 @@ impl Outbox {
 
     /// Queues a hello.
     pub fn hello(&mut self, hello: Hello) {
-        let hello = DeviceToHost::Hello(hello);
-        push(
-            &mut self.answers,
-            self.linked,
-            hello,
-            &mut self.dropped.answers,
-        );
+        self.with_answers(DeviceToHost::Hello(hello));
     }
 
     /// Queues an answer.
     pub fn answer(&mut self, answer: Answer) {
-        let answer = DeviceToHost::Answer(answer);
-        push(
-            &mut self.answers,
-            self.linked,
-            answer,
-            &mut self.dropped.answers,
-        );
+        self.with_answers(DeviceToHost::Answer(answer));
     }
 
     /// Queues an arrival, with the answers.
     pub fn arrived(&mut self, arrived: Arrived) {
-        let arrived = DeviceToHost::Arrived(arrived);
-        push(
-            &mut self.answers,
-            self.linked,
-            arrived,
-            &mut self.dropped.answers,
-        );
+        self.with_answers(DeviceToHost::Arrived(arrived));
     }
 
     /// Queues an arrival of a further output, with the answers.
     pub fn output_arrived(&mut self, arrived: OutputArrived) {
-        let arrived = DeviceToHost::OutputArrived(arrived);
+        self.with_answers(DeviceToHost::OutputArrived(arrived));
+    }
+
+    fn with_answers(&mut self, message: DeviceToHost) {
         push(
             &mut self.answers,
             self.linked,
-            arrived,
+            message,
             &mut self.dropped.answers,
         );
     }

@@ -14,8 +14,8 @@
 //! The logic runs against [`CompareOutput`], on the board and in tests.
 
 use protocol::{
-    MIN_START_LEAD, OutputStart, OutputStatus, Period, Readback, Refusal, Ticks, TrainState,
-    TriggerStatus,
+    MIN_START_LEAD, OutputStart, OutputStatus, Period, Readback, Refusal, TickDelta, Ticks,
+    TrainState, TriggerStatus,
 };
 
 use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN};
@@ -156,8 +156,7 @@ impl Pulser {
             return Ok(());
         }
         let now = time.extend(output.counter());
-        let earliest = Ticks(now.0 + u64::from(MIN_START_LEAD));
-        let soonest = Ticks(now.0 + u64::from(START_LEAD));
+        let (earliest, soonest) = (now + MIN_START_LEAD, now + START_LEAD);
         let train = Train::new(start, self.limits, now, earliest, soonest)?;
         if self.stage != Stage::Idle {
             return Err(Refusal::TriggerRunning);
@@ -205,7 +204,7 @@ impl Pulser {
             }
             Stage::Rise(_, at) => {
                 let now = time.extend(output.counter());
-                if at.0 > now.0 + u64::from(STOP_MARGIN) {
+                if at > now + STOP_MARGIN {
                     output.force_low();
                     self.stage = Stage::Idle;
                 } else {
@@ -238,7 +237,7 @@ impl Pulser {
     }
 
     /// Arms what is armed already, once more: for an output that sees less far
-    /// ahead than [`MAX_ARM_AHEAD`] and was told of an edge too early. Returns
+    /// ahead than `MAX_ARM_AHEAD` and was told of an edge too early. Returns
     /// the pulse that is over with it, if that came too late.
     pub fn rearm<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) -> Option<Pulsed> {
         match self.stage {
@@ -332,7 +331,7 @@ impl Pulser {
                 break;
             }
             self.late = self.late.saturating_add(1);
-            at = Ticks(time.extend(counter).0 + u64::from(LATE_EDGE_DELAY));
+            at = time.extend(counter) + LATE_EDGE_DELAY;
         }
         self.stage = Stage::Rise(edge, at);
     }
@@ -358,38 +357,32 @@ impl Pulser {
         delay
     }
 
-    /// Whether the handler is wanted within the next `margin` ticks, or already:
-    /// no time to mask it.
-    #[must_use]
-    pub fn is_busy(&self, now: Ticks, margin: u32) -> bool {
-        let next = match self.stage {
-            Stage::Idle | Stage::Waypoint(_) => return false,
-            Stage::Rise(_, at) => at.0,
-            Stage::Fall(_, at) => {
-                let width = self.train.map_or(0, |train| train.width());
-                at.0 + u64::from(width)
-            }
-        };
-        next < now.0 + u64::from(margin)
-    }
-
-    /// Whether the next edge is overdue by more than `ticks`: its handler does
-    /// not run.
-    #[must_use]
-    pub fn is_overdue(&self, now: Ticks, ticks: u64) -> bool {
+    /// When the next edge is due.
+    fn due(&self) -> Option<Ticks> {
         match self.stage {
-            Stage::Rise(_, at) => now.0 > at.0 + ticks,
+            Stage::Idle | Stage::Waypoint(_) => None,
+            Stage::Rise(_, at) => Some(at),
             Stage::Fall(_, at) => {
                 let width = self.train.map_or(0, |train| train.width());
-                now.0 > at.0 + u64::from(width) + ticks
+                Some(at + TickDelta(width.into()))
             }
-            Stage::Idle | Stage::Waypoint(_) => false,
         }
     }
 
-    /// The state of the train.
+    /// Whether the handler is wanted within the next `margin`, or already: no time
+    /// to mask it.
     #[must_use]
-    pub fn state(&self) -> TrainState {
+    pub fn is_busy(&self, now: Ticks, margin: TickDelta) -> bool {
+        self.due().is_some_and(|due| due < now + margin)
+    }
+
+    /// Whether the next edge is overdue by more than `by`: its handler does not run.
+    #[must_use]
+    pub fn is_overdue(&self, now: Ticks, by: TickDelta) -> bool {
+        self.due().is_some_and(|due| now > due + by)
+    }
+
+    fn state(&self) -> TrainState {
         match self.stage {
             Stage::Idle => TrainState::Stopped,
             Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
@@ -409,7 +402,7 @@ impl Pulser {
         }
     }
 
-    /// What the host is told.
+    /// The state of the train and where it goes on, as the host is told.
     #[must_use]
     pub fn status(&self) -> TriggerStatus {
         let next = match self.stage {

@@ -9,7 +9,7 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
-use crate::board::{clocks, events, faults, idle, leds, nmea_port, outputs, stack, tim2};
+use crate::board::{clocks, faults, handover, idle, leds, nmea_port, outputs, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
@@ -24,12 +24,13 @@ fn main() -> ! {
     stack::paint();
     // A halted core does not feed the watchdog.
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
-    let (trigger_events, output_events) = events::init();
+    let (trigger_events, output_events) = handover::init();
     outputs::init(output_events);
     tim2::init(trigger_events);
     nmea_port::init();
     leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
 
+    // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
     let mut clock_out = McoConfig::default();
     clock_out.prescaler = McoPrescaler::DIV5;
     let _imu_clock = Mco::new(p.MCO1, p.PA8, Mco1Source::PLL, clock_out);

@@ -1,4 +1,5 @@
-//! What the tasks share.
+//! What tasks and handlers share: messages on their way out, and what the board knows
+//! of itself.
 
 use core::cell::{Cell, RefCell};
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -9,9 +10,7 @@ use embassy_sync::waitqueue::AtomicWaker;
 use firmware::alive::Alive;
 use firmware::outbox::Outbox;
 use heapless::String;
-use protocol::{Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ};
-
-use crate::board::tim2;
+use protocol::{Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
 
 /// What does not change while the board runs.
 #[derive(Debug)]
@@ -25,7 +24,6 @@ pub(crate) struct BoardInfo {
 /// Set once, by `main`, before any task runs.
 pub(crate) static INFO: OnceLock<BoardInfo> = OnceLock::new();
 
-/// Which tasks are alive.
 pub(crate) static ALIVE: Alive = Alive::new();
 
 static OUTBOX: CriticalSectionMutex<RefCell<Outbox>> =
@@ -54,6 +52,11 @@ pub(crate) static FILLER_RATE: AtomicU32 = AtomicU32::new(0);
 /// How often a host has connected.
 pub(crate) static CONNECTS: AtomicU32 = AtomicU32::new(0);
 
+/// Unix time of tick 0, as the pulse per second was last started with. Its last pulse
+/// may come after a stop.
+pub(crate) static UTC_AT_ZERO: CriticalSectionMutex<Cell<i64>> =
+    CriticalSectionMutex::new(Cell::new(0));
+
 /// Works on the outbox, in a critical section, without waking the sender.
 pub(crate) fn with_outbox<R>(work: impl FnOnce(&mut Outbox) -> R) -> R {
     OUTBOX.lock(|outbox| work(&mut outbox.borrow_mut()))
@@ -65,13 +68,13 @@ pub(crate) fn send(work: impl FnOnce(&mut Outbox)) {
     TO_SEND.wake();
 }
 
-/// A host has come or gone.
-pub(crate) fn set_linked(linked: bool) {
+/// A host has come or gone, now.
+pub(crate) fn set_linked(linked: bool, now: Ticks) {
     if linked {
         CONNECTS.fetch_add(1, Ordering::Relaxed);
         FILLER_RATE.store(0, Ordering::Relaxed);
     }
-    let hello = linked.then(hello);
+    let hello = linked.then(|| hello(now));
     send(|outbox| {
         outbox.set_linked(linked);
         if let Some(hello) = hello {
@@ -82,7 +85,7 @@ pub(crate) fn set_linked(linked: bool) {
 }
 
 /// Who the board is, now.
-pub(crate) fn hello() -> Hello {
+pub(crate) fn hello(now: Ticks) -> Hello {
     let info = INFO.try_get();
     Hello {
         protocol_version: PROTOCOL_VERSION,
@@ -95,7 +98,7 @@ pub(crate) fn hello() -> Hello {
         git_dirty: env!("GIT_DIRTY").as_bytes() == b"1",
         board_id: info.map_or([0; 12], |info| info.board_id),
         tick_hz: TICK_HZ,
-        now: tim2::now(),
+        now,
         epoch: info.map_or(0, |info| info.epoch),
         reset_cause: info.map_or(ResetCause::Unknown, |info| info.reset_cause),
         last_panic: info.and_then(|info| info.last_panic.clone()),

@@ -37,8 +37,7 @@ const MARGIN: u32 = 1 << 30;
 ///
 /// Before time zero there is nothing: in half period 0, values from 3 · 2³⁰ on
 /// mean the end of the first full period.
-#[must_use]
-pub const fn extend(hint: u32, low: u32) -> Ticks {
+const fn extend(hint: u32, low: u32) -> Ticks {
     let base = (hint as u64) << HALF_BITS;
     let above_window = low.wrapping_sub(base as u32).wrapping_add(MARGIN);
     match (base + above_window as u64).checked_sub(MARGIN as u64) {

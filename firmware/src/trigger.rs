@@ -11,7 +11,7 @@
 //! where the train *is*: the same command again finds less (or nothing) left to
 //! move and ends at the same pulse.
 //!
-//! Planning divides 128-bit numbers and runs in a task; [`Train::advance`],
+//! Planning divides 128-bit numbers and runs in a task; `Train::advance`,
 //! which the interrupt calls, only adds.
 
 use protocol::{
@@ -24,45 +24,41 @@ const FRACTION_BITS: u32 = 32;
 
 /// An instant in Q64.32 ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Position(pub u128);
+pub(crate) struct Position(pub(crate) u128);
 
 impl Position {
     /// The start of tick `ticks`.
-    #[must_use]
-    pub const fn from_ticks(ticks: Ticks) -> Self {
+    const fn from_ticks(ticks: Ticks) -> Self {
         Self((ticks.0 as u128) << FRACTION_BITS)
     }
 
     /// A fraction, in 2⁻³² ticks, after the start of tick `ticks`.
-    #[must_use]
-    pub const fn new(ticks: Ticks, fraction: u32) -> Self {
+    const fn new(ticks: Ticks, fraction: u32) -> Self {
         Self(Self::from_ticks(ticks).0 | fraction as u128)
     }
 
     /// The tick of an edge here: the floor.
-    #[must_use]
-    pub const fn ticks(self) -> Ticks {
+    pub(crate) const fn ticks(self) -> Ticks {
         Ticks((self.0 >> FRACTION_BITS) as u64)
     }
 
-    /// The fraction of a tick, in 2⁻³² ticks.
-    #[must_use]
-    pub const fn fraction(self) -> u32 {
+    /// In 2⁻³² ticks.
+    pub(crate) const fn fraction(self) -> u32 {
         self.0 as u32
     }
 }
 
 /// A rising edge that is to be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Edge {
+pub(crate) struct Edge {
     /// Number in the train, from 0.
-    pub number: u64,
+    pub(crate) number: u64,
     /// Where exactly it belongs.
-    pub position: Position,
+    pub(crate) position: Position,
     /// On the grid (false on the way to another).
-    pub aligned: bool,
+    pub(crate) aligned: bool,
     /// The id of the align that this edge completes.
-    pub arrived: Option<u32>,
+    pub(crate) arrived: Option<u32>,
 }
 
 /// The way to another grid.
@@ -78,7 +74,7 @@ struct Slew {
     most_later: i64,
 }
 
-/// A plan that [`Train::align`] made and [`Train::adopt`] puts into force.
+/// A plan that [`Train::align`] made and [`crate::pulser::Pulser::adopt`] puts into force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Alignment {
     /// What the host is told.
@@ -93,9 +89,9 @@ pub struct Alignment {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// The shortest pulse.
-    pub min_width: u32,
+    min_width: u32,
     /// The shortest time from a falling edge to the next rising edge.
-    pub min_gap: u32,
+    min_gap: u32,
 }
 
 impl Limits {
@@ -163,7 +159,7 @@ impl Train {
     /// # Errors
     ///
     /// Values out of bounds; a first edge before `earliest`.
-    pub fn new(
+    pub(crate) fn new(
         start: OutputStart,
         limits: Limits,
         now: Ticks,
@@ -191,32 +187,26 @@ impl Train {
     }
 
     /// The command that started it.
-    #[must_use]
-    pub const fn start(&self) -> &OutputStart {
+    pub(crate) const fn start(&self) -> &OutputStart {
         &self.start
     }
 
-    /// The period that is set.
-    #[must_use]
-    pub const fn period(&self) -> Period {
+    pub(crate) const fn period(&self) -> Period {
         self.period
     }
 
     /// Length of a pulse, in ticks.
-    #[must_use]
-    pub const fn width(&self) -> u32 {
+    pub(crate) const fn width(&self) -> u32 {
         self.start.width
     }
 
     /// Whether it is on the way to another grid.
-    #[must_use]
-    pub const fn is_slewing(&self) -> bool {
+    pub(crate) const fn is_slewing(&self) -> bool {
         self.slew.is_some()
     }
 
     /// The edge that was armed last.
-    #[must_use]
-    pub const fn edge(&self) -> Edge {
+    pub(crate) const fn edge(&self) -> Edge {
         Edge {
             number: self.number,
             position: self.position,
@@ -226,7 +216,7 @@ impl Train {
     }
 
     /// Goes on to the next edge, which is to be armed now.
-    pub fn advance(&mut self) -> Edge {
+    pub(crate) fn advance(&mut self) -> Edge {
         self.number = self.number.wrapping_add(1);
         let mut position = self.position.0.wrapping_add(u128::from(self.period.0));
         let mut arrived = None;
@@ -300,7 +290,7 @@ impl Train {
 
     /// Puts a plan into force. False if an edge was armed since it was made: it
     /// must be made anew.
-    pub fn adopt(&mut self, alignment: &Alignment) -> bool {
+    pub(crate) fn adopt(&mut self, alignment: &Alignment) -> bool {
         if alignment.from != self.number {
             return false;
         }
@@ -314,7 +304,7 @@ impl Train {
     /// # Errors
     ///
     /// Out of bounds, or an align is on its way.
-    pub fn set_period(&mut self, period: Period) -> Result<(), Refusal> {
+    pub(crate) fn set_period(&mut self, period: Period) -> Result<(), Refusal> {
         self.limits.check_period(period, self.width())?;
         if self.is_slewing() {
             return Err(Refusal::AlignInProgress);

@@ -67,6 +67,12 @@ impl TickDelta {
     /// No distance.
     pub const ZERO: Self = Self(0);
 
+    /// A distance of whole microseconds, 48 ticks each.
+    #[must_use]
+    pub const fn from_micros(micros: u32) -> Self {
+        Self(micros as i64 * (TICK_HZ / 1_000_000) as i64)
+    }
+
     /// Seconds, signed.
     #[must_use]
     pub fn as_secs_f64(self) -> f64 {
@@ -218,6 +224,26 @@ impl Period {
             Ticks(floor as u64)
         }
     }
+
+    /// How far `at` lies off the nearest edge of the train through `anchor`, in
+    /// ticks; late is positive. 0 for every [`Period::edge`]`(anchor, k)`, of any
+    /// `k`; half way between two edges counts as late.
+    ///
+    /// Exact at any distance from `anchor`. Edges before reset and beyond 64 bits
+    /// count too. A train of period 0 has one edge, `anchor`.
+    #[must_use]
+    pub fn phase_error(self, anchor: Ticks, at: Ticks) -> TickDelta {
+        let period = i128::from(self.0);
+        let apart = (i128::from(at.0) - i128::from(anchor.0)) << 32;
+        let Some(beyond) = apart.checked_rem_euclid(period) else {
+            return at - anchor;
+        };
+        // The last edge is the floor of `at − beyond`, the next one that of
+        // `at − beyond + period`.
+        let late = (beyond + 0xFFFF_FFFF) >> 32;
+        let early = (period - beyond) >> 32;
+        TickDelta(if late <= early { late } else { -early } as i64)
+    }
 }
 
 impl fmt::Display for Period {
@@ -268,12 +294,54 @@ mod tests {
     }
 
     #[test]
+    fn half_way_between_two_edges_is_late() {
+        let period = Period::from_ticks(100);
+        let off = |at| period.phase_error(Ticks(1_000), Ticks(at)).0;
+        assert_eq!(
+            [0, 49, 50, 51, 99].map(|at| off(2_000 + at)),
+            [0, 49, 50, -49, -1]
+        );
+        // Edges of 2.5 ticks: 1000, 1002, 1005.
+        let period = Period(5 << 31);
+        let off = |at| period.phase_error(Ticks(1_000), Ticks(at)).0;
+        assert_eq!(
+            [1_000, 1_001, 1_002, 1_003, 1_004].map(off),
+            [0, 1, 0, 1, -1]
+        );
+    }
+
+    #[test]
+    fn any_period_and_any_instants_have_a_phase_error() {
+        let last = Ticks(u64::MAX);
+        for period in [Period(0), Period(1), Period::MIN, Period(u64::MAX)] {
+            assert_eq!(period.phase_error(last, last), TickDelta::ZERO);
+            for (anchor, at) in [(Ticks::ZERO, last), (last, Ticks::ZERO)] {
+                let off = period.phase_error(anchor, at).unsigned_abs();
+                assert!(period == Period(0) || off <= u64::from(period.ticks()).div_ceil(2));
+            }
+        }
+        assert_eq!(Period(0).phase_error(Ticks(7), Ticks(5)), TickDelta(-2));
+        // The edge at −90 is no edge of the board's, and is not near either.
+        let period = Period::from_ticks(100);
+        assert_eq!(period.phase_error(Ticks(10), Ticks(0)), TickDelta(-10));
+    }
+
+    #[test]
     fn arithmetic_saturates_at_the_ends() {
         assert_eq!(Ticks(0) - TickDelta(1), Ticks(0));
         assert_eq!(Ticks(u64::MAX) + TickDelta(1), Ticks(u64::MAX));
         assert_eq!(Ticks(u64::MAX) - Ticks(0), TickDelta(i64::MAX));
         assert_eq!(Ticks(0) - Ticks(u64::MAX), TickDelta(i64::MIN));
         assert_eq!(-TickDelta(i64::MIN), TickDelta(i64::MAX));
+    }
+
+    #[test]
+    fn microseconds_are_whole_ticks() {
+        assert_eq!(
+            TickDelta::from_micros(1_000_000),
+            Ticks(TICK_HZ.into()) - Ticks::ZERO
+        );
+        assert_eq!(TickDelta::from_micros(u32::MAX), TickDelta(206_158_430_160));
     }
 
     #[test]

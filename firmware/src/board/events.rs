@@ -1,43 +1,27 @@
-//! From TIM2's handler to the tasks.
+//! What the timers' handlers have to say, and the queues it waits in.
 //!
-//! TIM2's handler may not touch what critical sections protect. It leaves events
-//! in a lock-free queue and pends this handler, of normal priority, which puts
-//! them where they belong. The interrupt is DCMI's: the camera interface is not
-//! used on this board.
+//! Those handlers may not touch what critical sections protect. They leave events
+//! in lock-free queues and pend an interrupt of normal priority, whose handler puts
+//! them where they belong ([`super::handover`]). It is DCMI's: the camera interface
+//! is not used on this board.
 
-#![allow(unsafe_code, reason = "unmasks the interrupt")]
-
-use core::cell::RefCell;
+use core::sync::atomic::AtomicU32;
 
 use cortex_m::peripheral::NVIC;
-use embassy_stm32::interrupt;
 use embassy_stm32::pac;
-use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
-use firmware::config;
 use firmware::pulser::Pulsed;
-use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{
-    Arrived, Capture, Output, OutputArrived, OutputPulse, Pps, Pulse, TickDelta, Ticks,
-};
-use static_cell::StaticCell;
+use heapless::spsc::Producer;
+use protocol::{Capture, Ticks};
 
-use crate::board::leds::{self, Led};
-use crate::board::outputs::{self, OutputEvent};
-use crate::state;
-use crate::tasks;
-
-/// The interrupt that this handler takes.
 pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::DCMI;
 
 /// Capture inputs, as bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub(crate) enum Input {
-    /// The IMU's data-ready.
     DataReady = 1,
-    /// The strobe.
     Strobe = 2,
 }
 
@@ -48,150 +32,43 @@ pub(crate) enum Event {
     Pulse(u32, Pulsed),
     /// An edge of the strobe.
     Capture(Capture),
-    /// Data-ready of the IMU rose.
-    DataReady { at: Ticks, after_loss: bool },
+    DataReady(DataReady),
     /// An input was switched off because of too many edges.
     Flooded(Input),
 }
 
-/// An edge of data-ready.
+/// A rising edge of the IMU's data-ready.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DataReady {
     pub(crate) at: Ticks,
     pub(crate) after_loss: bool,
 }
 
+/// What TIM1's and TIM5's handlers have to say: a pulse of a channel of
+/// [`super::outputs`], with its number in the stream.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct OutputEvent {
+    pub(crate) channel: usize,
+    pub(crate) seq: u32,
+    pub(crate) pulsed: Pulsed,
+}
+
 /// Edges of data-ready, for the IMU's task.
 pub(crate) static DATA_READY: Channel<CriticalSectionRawMutex, DataReady, 4> = Channel::new();
+
+/// Edges that found no place in [`DATA_READY`], since reset.
+pub(crate) static LOST_DATA_READY: AtomicU32 = AtomicU32::new(0);
 
 /// Inputs that were switched off, for the task that switches them on again.
 pub(crate) static FLOODED: Channel<CriticalSectionRawMutex, Input, 4> = Channel::new();
 
-static EVENTS: CriticalSectionMutex<RefCell<Option<Consumer<'static, Event>>>> =
-    CriticalSectionMutex::new(RefCell::new(None));
+/// The end of a queue that a timer's handler fills, once it is set up.
+pub(crate) type Sender<T> = Option<Producer<'static, T>>;
 
-static OUTPUTS: CriticalSectionMutex<RefCell<Option<Consumer<'static, OutputEvent>>>> =
-    CriticalSectionMutex::new(RefCell::new(None));
-
-/// Starts the handler; returns the ends of the queues for TIM2's and TIM1's.
-pub(crate) fn init() -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
-    static QUEUE: StaticCell<Queue<Event, { config::EVENTS }>> = StaticCell::new();
-    static OUTPUT_QUEUE: StaticCell<Queue<OutputEvent, { config::OUTPUT_EVENTS }>> =
-        StaticCell::new();
-    let (producer, consumer) = QUEUE.init(Queue::new()).split();
-    EVENTS.lock(|events| *events.borrow_mut() = Some(consumer));
-    let (outputs, consumer) = OUTPUT_QUEUE.init(Queue::new()).split();
-    OUTPUTS.lock(|events| *events.borrow_mut() = Some(consumer));
-    // SAFETY: what the handler touches is set up.
-    unsafe { NVIC::unmask(INTERRUPT) };
-    (producer, outputs)
-}
-
-fn next_output() -> Option<OutputEvent> {
-    OUTPUTS.lock(|events| {
-        events
-            .borrow_mut()
-            .as_mut()
-            .and_then(|events| events.dequeue())
-    })
-}
-
-fn next() -> Option<Event> {
-    EVENTS.lock(|events| {
-        events
-            .borrow_mut()
-            .as_mut()
-            .and_then(|events| events.dequeue())
-    })
-}
-
-#[interrupt]
-fn DCMI() {
-    while let Some(event) = next() {
-        match event {
-            Event::Pulse(seq, pulsed) => send_pulse(seq, pulsed),
-            Event::Capture(capture) => state::send(|outbox| outbox.capture(capture)),
-            Event::DataReady { at, after_loss } => {
-                if DATA_READY.try_send(DataReady { at, after_loss }).is_err() {
-                    tasks::imu::lost_data_ready();
-                }
-            }
-            Event::Flooded(input) => {
-                let _ = FLOODED.try_send(input);
-            }
-        }
-    }
-    while let Some(event) = next_output() {
-        send_output(&event);
-    }
-}
-
-fn send_output(event: &OutputEvent) {
-    let OutputEvent {
-        channel,
-        seq,
-        pulsed,
-    } = *event;
-    let output = Output::ALL
-        .into_iter()
-        .find(|&output| outputs::channel_of(output) == channel);
-    let Some(output) = output else {
-        let pps = Pps {
-            seq,
-            at: pulsed.at,
-            utc: tasks::gnss::utc_of(pulsed.at),
-        };
-        return state::send(|outbox| outbox.pps(pps));
-    };
-    let pulse = OutputPulse {
-        output,
-        pulse: Pulse {
-            seq,
-            train: pulsed.train,
-            number: pulsed.number,
-            at: pulsed.at,
-            aligned: pulsed.aligned,
-            readback: None,
-        },
-    };
-    let arrived = pulsed.arrived.map(|command| OutputArrived {
-        output,
-        command,
-        train: pulsed.train,
-        pulse: pulsed.number,
-        at: pulsed.at,
-        remaining: TickDelta::ZERO,
-    });
-    state::send(|outbox| {
-        outbox.output_pulse(pulse);
-        if let Some(arrived) = arrived {
-            outbox.output_arrived(arrived);
-        }
-    });
-}
-
-fn send_pulse(seq: u32, pulsed: Pulsed) {
-    leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
-    let pulse = Pulse {
-        seq,
-        train: pulsed.train,
-        number: pulsed.number,
-        at: pulsed.at,
-        aligned: pulsed.aligned,
-        readback: pulsed.readback,
-    };
-    let arrived = pulsed.arrived.map(|command| Arrived {
-        command,
-        train: pulsed.train,
-        pulse: pulsed.number,
-        at: pulsed.at,
-        // The plan ends on the grid itself; the edge is its floor.
-        remaining: TickDelta::ZERO,
-    });
-    state::send(|outbox| {
-        outbox.pulse(pulse);
-        if let Some(arrived) = arrived {
-            outbox.arrived(arrived);
-        }
-    });
+/// Hands an event over. False if there is no place.
+pub(crate) fn send<T>(queue: &mut Sender<T>, event: T) -> bool {
+    NVIC::pend(INTERRUPT);
+    queue
+        .as_mut()
+        .is_some_and(|queue| queue.enqueue(event).is_ok())
 }

@@ -6,16 +6,20 @@
 //! |---|---|---|
 //! | 0 | TIM2 | the trigger; never masked by a critical section |
 //! | 1 | TIM1, TIM5, TIM3 | the further outputs and their wake-ups, the inverted serial line; not masked by a critical section either |
-//! | 8 | all others | USB, I2C, DMA, UART, time driver, [`events`] |
+//! | 8 | all others | USB, I2C, DMA, UART, time driver, [`handover`] |
 //! | thread | tasks | |
 //!
 //! The handlers of priorities 0 and 1 must therefore touch nothing that a critical
-//! section protects: they hand over through [`events`].
+//! section protects: they hand over through the queues of [`events`].
+//!
+//! The modules form layers, and imports go down: [`events`] and the locks; the drivers;
+//! [`handover`]. Of the rest of the binary they see `state` alone.
 
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
 pub(crate) mod events;
 pub(crate) mod faults;
+pub(crate) mod handover;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
 pub(crate) mod leds;

@@ -33,8 +33,9 @@ use firmware::pulser::{Action, Captured, CompareOutput, Pulsed, Pulser};
 use firmware::timebase::Timebase;
 use firmware::trigger::Limits;
 use heapless::spsc::Producer;
-use protocol::{AlignPlan, Output, OutputAlign, OutputStatus, Refusal};
+use protocol::{AlignPlan, Output, OutputAlign, OutputStatus, Refusal, TickDelta};
 
+use crate::board::events::{self, OutputEvent};
 use crate::board::tim2::{self, TIMEBASE};
 use crate::board::urgent::UrgentMutex;
 
@@ -48,10 +49,8 @@ pub(crate) const CHANNELS: usize = 4;
 const PINS: [usize; CHANNELS] = [9, 11, 13, 14];
 const ALTERNATE_FUNCTION: u8 = 1;
 
-/// The channel of the pulse per second.
 pub(crate) const PPS: usize = 0;
 
-/// The channel of a trigger output.
 pub(crate) const fn channel_of(output: Output) -> usize {
     match output {
         Output::Two => 1,
@@ -60,19 +59,11 @@ pub(crate) const fn channel_of(output: Output) -> usize {
     }
 }
 
-/// A pulse of a channel, with its number in the stream.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct OutputEvent {
-    pub(crate) channel: usize,
-    pub(crate) seq: u32,
-    pub(crate) pulsed: Pulsed,
-}
-
 /// What handlers and tasks share.
 struct Shared {
     pulsers: [Pulser; CHANNELS],
     channels: [Channel; CHANNELS],
-    events: Option<Producer<'static, OutputEvent>>,
+    events: events::Sender<OutputEvent>,
     pps_seq: u32,
     pulse_seq: u32,
     lost: u32,
@@ -214,7 +205,6 @@ pub(crate) fn pulser(channel: usize) -> Pulser {
     with_channel(channel, |pulser, _, _| *pulser).unwrap_or(Pulser::new(Limits::OUTPUT))
 }
 
-/// How all channels fare.
 pub(crate) fn summaries() -> [OutputStatus; CHANNELS] {
     let mut pulsers = [Pulser::new(Limits::OUTPUT); CHANNELS];
     for (channel, copy) in pulsers.iter_mut().enumerate() {
@@ -223,10 +213,10 @@ pub(crate) fn summaries() -> [OutputStatus; CHANNELS] {
     pulsers.map(|pulser| pulser.summary())
 }
 
-/// Whether an edge is overdue by more than `ticks`.
-pub(crate) fn is_overdue(ticks: u64) -> bool {
+/// Whether an edge is overdue by more than `by`.
+pub(crate) fn is_overdue(by: TickDelta) -> bool {
     let now = tim2::now();
-    (0..CHANNELS).any(|channel| pulser(channel).is_overdue(now, ticks))
+    (0..CHANNELS).any(|channel| pulser(channel).is_overdue(now, by))
 }
 
 /// Pulses that found no place in the queue to the handler below, and the longest
@@ -330,14 +320,9 @@ impl Shared {
             seq,
             pulsed,
         };
-        let told = match &mut self.events {
-            Some(events) => events.enqueue(event).is_ok(),
-            None => false,
-        };
-        if !told {
+        if !events::send(&mut self.events, event) {
             self.lost = self.lost.saturating_add(1);
         }
-        NVIC::pend(crate::board::events::INTERRUPT);
     }
 }
 

@@ -33,7 +33,7 @@ use firmware::trigger::Limits;
 use heapless::spsc::Producer;
 use protocol::{AlignPlan, Capture, CaptureChannel, OutputAlign, Refusal, Ticks};
 
-use crate::board::events::{Event, Input};
+use crate::board::events::{self, DataReady, Event, Input};
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
 
@@ -50,7 +50,6 @@ const STROBE_PIN: usize = 2;
 const READBACK_PIN: usize = 3;
 const ALTERNATE_FUNCTION: u8 = 1;
 
-/// Board time.
 pub(super) static TIMEBASE: Timebase = Timebase::new();
 static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 
@@ -75,7 +74,6 @@ pub(crate) struct Counters {
     pub(crate) lost_data_ready: u32,
 }
 
-/// State of a capture input.
 struct InputState {
     bucket: Bucket,
     after_loss: bool,
@@ -97,7 +95,7 @@ impl InputState {
 /// What handler and tasks share.
 struct Shared {
     pulser: Pulser,
-    events: Option<Producer<'static, Event>>,
+    events: events::Sender<Event>,
     pulse_seq: u32,
     capture_seq: u32,
     data_ready: InputState,
@@ -168,13 +166,11 @@ fn enable_handler() {
     unsafe { NVIC::unmask(pac::Interrupt::TIM2) };
 }
 
-/// The counter.
 #[inline]
 pub(crate) fn counter() -> u32 {
     TIM.cnt().read()
 }
 
-/// Board time.
 pub(crate) fn now() -> Ticks {
     TIMEBASE.refresh(counter())
 }
@@ -222,7 +218,6 @@ pub(crate) fn align(command: u32, to: &OutputAlign) -> Result<AlignPlan, Refusal
     }
 }
 
-/// Counters since reset.
 pub(crate) fn counters() -> Counters {
     with_shared(|shared| Counters {
         strobe_overcaptures: shared.strobe.overcaptures,
@@ -319,7 +314,7 @@ impl Shared {
         if let Some(pulsed) = pulsed {
             let seq = self.pulse_seq;
             self.pulse_seq = seq.wrapping_add(1);
-            if !self.tell(Event::Pulse(seq, pulsed)) {
+            if !events::send(&mut self.events, Event::Pulse(seq, pulsed)) {
                 self.counters.lost_pulses = self.counters.lost_pulses.saturating_add(1);
             }
         }
@@ -330,11 +325,12 @@ impl Shared {
     fn data_ready(&mut self) {
         let (captured, after_loss, flood) = self.data_ready.take(DATA_READY);
         let at = TIMEBASE.extend(captured);
-        if !self.tell(Event::DataReady { at, after_loss }) {
+        let edge = DataReady { at, after_loss };
+        if !events::send(&mut self.events, Event::DataReady(edge)) {
             self.counters.lost_data_ready = self.counters.lost_data_ready.saturating_add(1);
         }
         if flood {
-            self.tell(Event::Flooded(Input::DataReady));
+            events::send(&mut self.events, Event::Flooded(Input::DataReady));
         }
     }
 
@@ -358,20 +354,11 @@ impl Shared {
             after_loss,
         };
         self.capture_seq = self.capture_seq.wrapping_add(1);
-        if !self.tell(Event::Capture(capture)) {
+        if !events::send(&mut self.events, Event::Capture(capture)) {
             self.counters.lost_captures = self.counters.lost_captures.saturating_add(1);
         }
         if flood {
-            self.tell(Event::Flooded(Input::Strobe));
-        }
-    }
-
-    /// Hands over to the handler below. False if there is no place.
-    fn tell(&mut self, event: Event) -> bool {
-        NVIC::pend(crate::board::events::INTERRUPT);
-        match &mut self.events {
-            Some(events) => events.enqueue(event).is_ok(),
-            None => false,
+            events::send(&mut self.events, Event::Flooded(Input::Strobe));
         }
     }
 }

@@ -20,7 +20,6 @@ const CEILING: u8 = 1 << 4;
 /// Of the handlers at priority 1.
 pub(crate) const PRIORITY: u8 = CEILING;
 
-/// See the module.
 pub(crate) struct UrgentRawMutex;
 
 /// A mutex for tasks and handlers at priority 1 and below.

@@ -215,7 +215,7 @@ fn an_edge_too_near_is_refused() {
     let near = start(
         1_000_000_000,
         576,
-        1_000_000 + u64::from(MIN_START_LEAD) - 1,
+        1_000_000 + MIN_START_LEAD.unsigned_abs() - 1,
     );
     let refused = rig.start(near);
     assert!(matches!(refused, Err(Refusal::TimeOutOfRange { .. })));
@@ -380,22 +380,22 @@ fn the_status_tells_the_next_edge_exactly() {
 fn an_overdue_edge_is_noticed() {
     let mut rig = Rig::new(0);
     rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
-    assert!(!rig.pulser.is_overdue(Ticks(1_000_000), 480_000));
-    assert!(rig.pulser.is_overdue(Ticks(1_480_001), 480_000));
+    assert!(!rig.pulser.is_overdue(Ticks(1_000_000), TickDelta(480_000)));
+    assert!(rig.pulser.is_overdue(Ticks(1_480_001), TickDelta(480_000)));
 }
 
 #[test]
 fn edges_near_and_past_keep_the_handler_free() {
     let mut rig = Rig::new(0);
-    assert!(!rig.pulser.is_busy(Ticks(5), 720));
+    assert!(!rig.pulser.is_busy(Ticks(5), TickDelta(720)));
     rig.start(start(33_330_652_540, 100_000, 1_000_000))
         .unwrap();
-    assert!(!rig.pulser.is_busy(Ticks(999_000), 720));
-    assert!(rig.pulser.is_busy(Ticks(999_500), 720));
-    assert!(rig.pulser.is_busy(Ticks(1_000_050), 720));
+    assert!(!rig.pulser.is_busy(Ticks(999_000), TickDelta(720)));
+    assert!(rig.pulser.is_busy(Ticks(999_500), TickDelta(720)));
+    assert!(rig.pulser.is_busy(Ticks(1_000_050), TickDelta(720)));
     assert_eq!(rig.handle(50), None);
-    assert!(!rig.pulser.is_busy(Ticks(1_000_100), 720));
-    assert!(rig.pulser.is_busy(Ticks(1_099_500), 720));
+    assert!(!rig.pulser.is_busy(Ticks(1_000_100), TickDelta(720)));
+    assert!(rig.pulser.is_busy(Ticks(1_099_500), TickDelta(720)));
     assert!(rig.handle(50).is_some());
-    assert!(!rig.pulser.is_busy(Ticks(1_100_100), 720));
+    assert!(!rig.pulser.is_busy(Ticks(1_100_100), TickDelta(720)));
 }

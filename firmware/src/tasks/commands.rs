@@ -15,7 +15,7 @@ use crate::tasks::{gnss, imu, self_test};
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
     let result = match message.command {
         Command::Hello => {
-            let hello = state::hello();
+            let hello = state::hello(tim2::now());
             state::send(|outbox| outbox.hello(hello));
             Ok(Reply::Done)
         }
@@ -87,7 +87,6 @@ fn trigger(outcome: Result<(), Refusal>) -> Result<Reply, Refusal> {
     outcome.map(|()| Reply::Trigger(trigger_status()))
 }
 
-/// The state of the train.
 pub(crate) fn trigger_status() -> TriggerStatus {
     // On a copy: the status of the train as it was at one moment, worked out
     // with interrupts on.

@@ -16,11 +16,11 @@ use firmware::alive::Task;
 use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
 use firmware::nmea;
 use protocol::{
-    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, Ticks,
+    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, TickDelta, Ticks,
 };
 
 use crate::board::{nmea_port, outputs, tim2};
-use crate::state::ALIVE;
+use crate::state::{ALIVE, UTC_AT_ZERO};
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
@@ -30,12 +30,9 @@ const CLOSING: Duration = Duration::from_millis(5);
 #[derive(Clone, Copy)]
 struct State {
     settings: Option<GnssSettings>,
-    /// Of the last settings: the last pulse may come after a stop.
-    utc_at_zero: i64,
     /// The first whole second that has a pulse.
     first_second: u64,
-    /// When it was stopped, in ticks.
-    stopped_at: u64,
+    stopped_at: Ticks,
     /// The line is not closed yet.
     open: bool,
     sentences: u32,
@@ -44,16 +41,19 @@ struct State {
 
 static STATE: CriticalSectionMutex<Cell<State>> = CriticalSectionMutex::new(Cell::new(State {
     settings: None,
-    utc_at_zero: 0,
     first_second: 0,
-    stopped_at: 0,
+    stopped_at: Ticks::ZERO,
     open: false,
     sentences: 0,
     missed: 0,
 }));
 
-/// The settings have changed.
 static CHANGED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
+
+/// The instant at which a whole second of board time begins.
+const fn start_of(second: u64) -> Ticks {
+    Ticks(second * TICK_HZ as u64)
+}
 
 fn update(change: impl FnOnce(&mut State)) {
     STATE.lock(|cell| {
@@ -81,11 +81,11 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
     if state.open || !stopped {
         return Err(Refusal::GnssStopping);
     }
-    let second = (now.0 + u64::from(START_LEAD)) / u64::from(TICK_HZ) + 1;
+    let second = (now + START_LEAD).0 / u64::from(TICK_HZ) + 1;
     let train = OutputStart {
         period: Period::from_ticks(TICK_HZ),
         width: settings.pulse_width,
-        first_edge: Some(Ticks(second * u64::from(TICK_HZ))),
+        first_edge: Some(start_of(second)),
         first_fraction: 0,
     };
     outputs::set_pps_inverted(settings.pulse_inverted);
@@ -97,9 +97,9 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         Refusal::TriggerRunning => Refusal::GnssStopping,
         other => other,
     })?;
+    UTC_AT_ZERO.lock(|cell| cell.set(settings.utc_at_zero));
     update(|state| {
         state.settings = Some(settings);
-        state.utc_at_zero = settings.utc_at_zero;
         state.first_second = second;
         state.open = true;
     });
@@ -115,14 +115,13 @@ pub(crate) fn stop() -> GnssReport {
     let now = tim2::now();
     update(|state| {
         if state.settings.take().is_some() {
-            state.stopped_at = now.0;
+            state.stopped_at = now;
         }
     });
     CHANGED.signal(());
     report()
 }
 
-/// Settings and state.
 pub(crate) fn report() -> GnssReport {
     GnssReport {
         settings: STATE.lock(Cell::get).settings,
@@ -130,7 +129,6 @@ pub(crate) fn report() -> GnssReport {
     }
 }
 
-/// How it fares.
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
     let pulses = outputs::pulser(outputs::PPS).summary();
@@ -143,12 +141,6 @@ pub(crate) fn status() -> GnssStatus {
     }
 }
 
-/// The second that begins with the pulse at `at`, as Unix time.
-pub(crate) fn utc_of(at: Ticks) -> i64 {
-    nmea::utc_of(STATE.lock(Cell::get).utc_at_zero, at)
-}
-
-/// Sends sentences for ever.
 #[embassy_executor::task]
 pub(crate) async fn run() {
     let mut running: Option<(GnssSettings, u64)> = None;
@@ -167,7 +159,7 @@ pub(crate) async fn run() {
                 continue;
             }
             // A pulse that was made gets its sentences.
-            (None, Some((settings, second))) if second * u64::from(TICK_HZ) <= state.stopped_at => {
+            (None, Some((settings, second))) if start_of(second) <= state.stopped_at => {
                 let (pause, second) = step(&settings, second);
                 running = Some((settings, second));
                 pause
@@ -192,15 +184,14 @@ pub(crate) async fn run() {
 /// Sends the sentences of `second` if they are due. Returns how long to wait, and
 /// the second whose sentences come next.
 fn step(settings: &GnssSettings, second: u64) -> (Duration, u64) {
-    let delay = u64::from(settings.delay_ms) * 1_000 * u64::from(TICKS_PER_US);
-    let due = second * u64::from(TICK_HZ) + delay;
-    let now = tim2::now().0;
+    let due = start_of(second) + TickDelta::from_micros(u32::from(settings.delay_ms) * 1_000);
+    let now = tim2::now();
     if now < due {
-        let micros = (due - now).div_ceil(u64::from(TICKS_PER_US));
+        let micros = (due - now).unsigned_abs().div_ceil(TICKS_PER_US.into());
         return (Duration::from_micros(micros).min(CHECK_IN), second);
     }
     let in_time = now - due <= NMEA_SLACK;
-    let utc = nmea::utc_of(settings.utc_at_zero, Ticks(due));
+    let utc = nmea::utc_of(settings.utc_at_zero, due);
     let sent = in_time && nmea_port::send(nmea::text(settings.sentences, utc).as_str());
     update(|state| {
         if sent {

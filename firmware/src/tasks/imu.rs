@@ -6,7 +6,7 @@
 //! starts from the sensor's reset. Nothing here holds up anything else.
 
 use core::cell::Cell;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::Ordering;
 
 use embassy_futures::select::{Either, select};
 use embassy_stm32::i2c::{I2c, Master};
@@ -25,7 +25,7 @@ use protocol::{
     ImuClock, ImuConfig, ImuFault, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, Refusal,
 };
 
-use crate::board::events::{DATA_READY, DataReady};
+use crate::board::events::{DATA_READY, DataReady, LOST_DATA_READY};
 use crate::board::imu_bus::ImuBus;
 use crate::board::leds::{self, Led};
 use crate::board::tim2;
@@ -48,25 +48,18 @@ static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
 static CONFIG: CriticalSectionMutex<Cell<ImuConfig>> =
     CriticalSectionMutex::new(Cell::new(IMU_DEFAULT));
 
-/// Another configuration was set.
 static RECONFIGURED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
-/// Data-ready edges that found no place in their queue.
-static LOST: AtomicU32 = AtomicU32::new(0);
-
-/// How the IMU fares.
 pub(crate) fn status() -> ImuStatus {
     let counters = tim2::counters();
-    let lost = LOST.load(Ordering::Relaxed);
     let mut status = STATUS.lock(Cell::get);
     status.overcaptures = counters
         .data_ready_overcaptures
         .saturating_add(counters.lost_data_ready)
-        .saturating_add(lost);
+        .saturating_add(LOST_DATA_READY.load(Ordering::Relaxed));
     status
 }
 
-/// The IMU as it is set up.
 pub(crate) fn setup() -> ImuSetup {
     imu::describe(CONFIG.lock(Cell::get), status())
 }
@@ -82,11 +75,6 @@ pub(crate) fn configure(config: ImuConfig) -> Result<ImuSetup, Refusal> {
     update(|status| status.state = ImuState::Starting);
     RECONFIGURED.signal(());
     Ok(setup())
-}
-
-/// An edge of data-ready was lost for want of a place.
-pub(crate) fn lost_data_ready() {
-    LOST.fetch_add(1, Ordering::Relaxed);
 }
 
 fn update(change: impl FnOnce(&mut ImuStatus)) {
@@ -111,7 +99,6 @@ fn show(state: ImuState) {
     update(|status| status.state = state);
 }
 
-/// Samples for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut bus: ImuBus) {
     let mut sampler = Sampler {
@@ -148,7 +135,6 @@ async fn alive() {
     ALIVE.check_in(Task::Imu);
 }
 
-/// What ends a wait for data-ready.
 enum Next {
     Edge(DataReady),
     Silence,

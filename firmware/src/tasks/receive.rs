@@ -18,7 +18,6 @@ use crate::tasks::usb::UsbDriver;
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
-/// Reads packets for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut receiver: Receiver<'static, UsbDriver>) {
     let mut decoder = Decoder::<HostToDevice>::new();

@@ -15,17 +15,14 @@ static WANTED: Signal<CriticalSectionRawMutex, Failure> = Signal::new();
 /// The IMU's task shall stop being alive.
 static STALLED: AtomicBool = AtomicBool::new(false);
 
-/// Asks for a failure.
 pub(crate) fn request(failure: Failure) {
     WANTED.signal(failure);
 }
 
-/// Whether the IMU's task shall stop being alive.
 pub(crate) fn is_stalled() -> bool {
     STALLED.load(Ordering::Relaxed)
 }
 
-/// Waits for a request.
 #[embassy_executor::task]
 #[allow(clippy::panic, reason = "that is its purpose")]
 pub(crate) async fn run() {

@@ -13,7 +13,6 @@ use crate::board::{idle, outputs, stack};
 use crate::state::{self, ALIVE, CONNECTS, INFO, RECEIVED};
 use crate::tasks::{commands, gnss, imu};
 
-/// Runs for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
     watchdog.unleash();

@@ -10,7 +10,7 @@ use core::task::Poll;
 use embassy_time::{Duration, Timer, with_timeout};
 use embassy_usb::class::cdc_acm::Sender;
 use firmware::alive::Task;
-use firmware::config::{CHECK_IN_MS, TRANSMIT_BUFFER, USB_PACKET};
+use firmware::config::{CHECK_IN_MS, TICKS_PER_US, TRANSMIT_BUFFER, USB_PACKET};
 use firmware::filler::Pacer;
 use protocol::{DeviceToHost, Filler, MAX_FILLER, MAX_FRAME, encode};
 
@@ -20,7 +20,6 @@ use crate::tasks::usb::UsbDriver;
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
-/// Writes for ever.
 #[embassy_executor::task]
 pub(crate) async fn run(mut sender: Sender<'static, UsbDriver>) {
     let mut transmit = Transmit {
@@ -111,8 +110,8 @@ impl Transmit {
             self.filler_seq = self.filler_seq.wrapping_add(1);
             self.put(&message);
         }
-        let wait = self.filler.ticks_until(MAX_FILLER as u32, rate);
-        Duration::from_micros(wait / 48 + 1).min(CHECK_IN)
+        let wait = self.filler.time_until(MAX_FILLER as u32, rate);
+        Duration::from_micros(wait.unsigned_abs() / u64::from(TICKS_PER_US) + 1).min(CHECK_IN)
     }
 
     /// Writes the buffer. A host that does not read is waited for, one that

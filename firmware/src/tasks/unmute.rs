@@ -6,7 +6,6 @@ use firmware::config::MUTE_MS;
 use crate::board::events::FLOODED;
 use crate::board::tim2;
 
-/// Runs for ever.
 #[embassy_executor::task]
 pub(crate) async fn run() {
     loop {

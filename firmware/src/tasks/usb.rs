@@ -17,6 +17,7 @@ use heapless::String;
 use static_cell::StaticCell;
 
 use crate::board::leds::{self, Led};
+use crate::board::tim2;
 use crate::state;
 
 bind_interrupts!(struct Irqs {
@@ -25,7 +26,6 @@ bind_interrupts!(struct Irqs {
 
 pub(crate) type UsbDriver = Driver<'static, USB_OTG_FS>;
 
-/// The parts of the device, for their tasks.
 pub(crate) struct Usb {
     pub(crate) device: UsbDevice<'static, UsbDriver>,
     pub(crate) sender: Sender<'static, UsbDriver>,
@@ -91,7 +91,6 @@ pub(crate) fn build(
     }
 }
 
-/// Runs the device.
 #[embassy_executor::task]
 pub(crate) async fn run(mut device: UsbDevice<'static, UsbDriver>) {
     device.run().await;
@@ -127,11 +126,10 @@ fn update(condition: u8, on: bool) {
     if linked != (before == LINKED) {
         defmt::info!("host {=str}", if linked { "linked" } else { "gone" });
         leds::set(Led::Link, linked);
-        state::set_linked(linked);
+        state::set_linked(linked, tim2::now());
     }
 }
 
-/// Follows the state of the bus.
 struct LinkHandler;
 
 impl Handler for LinkHandler {

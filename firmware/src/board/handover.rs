@@ -1,0 +1,138 @@
+//! The handler between those of the timers and the tasks: takes what they say
+//! ([`super::events`]) to the outbox, the LEDs and the tasks' queues.
+
+#![allow(unsafe_code, reason = "unmasks the interrupt")]
+
+use core::cell::{Cell, RefCell};
+use core::sync::atomic::Ordering;
+
+use cortex_m::peripheral::NVIC;
+use embassy_stm32::interrupt;
+use embassy_sync::blocking_mutex::CriticalSectionMutex;
+use firmware::config;
+use firmware::nmea;
+use firmware::pulser::Pulsed;
+use heapless::spsc::{Consumer, Producer, Queue};
+use protocol::{Arrived, Output, OutputArrived, OutputPulse, Pps, Pulse, TickDelta};
+use static_cell::StaticCell;
+
+use crate::board::events::{DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY, OutputEvent};
+use crate::board::leds::{self, Led};
+use crate::board::outputs;
+use crate::state;
+
+/// The end of a queue that this handler empties, once it is set up.
+type Receiver<T> = CriticalSectionMutex<RefCell<Option<Consumer<'static, T>>>>;
+
+static EVENTS: Receiver<Event> = Receiver::new(RefCell::new(None));
+
+static OUTPUTS: Receiver<OutputEvent> = Receiver::new(RefCell::new(None));
+
+/// Starts the handler; returns the ends of the queues for TIM2's and TIM1's.
+pub(crate) fn init() -> (Producer<'static, Event>, Producer<'static, OutputEvent>) {
+    static QUEUE: StaticCell<Queue<Event, { config::EVENTS }>> = StaticCell::new();
+    static OUTPUT_QUEUE: StaticCell<Queue<OutputEvent, { config::OUTPUT_EVENTS }>> =
+        StaticCell::new();
+    let (producer, consumer) = QUEUE.init(Queue::new()).split();
+    EVENTS.lock(|events| *events.borrow_mut() = Some(consumer));
+    let (outputs, consumer) = OUTPUT_QUEUE.init(Queue::new()).split();
+    OUTPUTS.lock(|events| *events.borrow_mut() = Some(consumer));
+    // SAFETY: what the handler touches is set up.
+    unsafe { NVIC::unmask(INTERRUPT) };
+    (producer, outputs)
+}
+
+fn next<T>(events: &Receiver<T>) -> Option<T> {
+    events.lock(|events| events.borrow_mut().as_mut()?.dequeue())
+}
+
+#[interrupt]
+fn DCMI() {
+    while let Some(event) = next(&EVENTS) {
+        match event {
+            Event::Pulse(seq, pulsed) => send_pulse(seq, pulsed),
+            Event::Capture(capture) => state::send(|outbox| outbox.capture(capture)),
+            Event::DataReady(edge) => {
+                if DATA_READY.try_send(edge).is_err() {
+                    LOST_DATA_READY.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+            Event::Flooded(input) => {
+                let _ = FLOODED.try_send(input);
+            }
+        }
+    }
+    while let Some(event) = next(&OUTPUTS) {
+        send_output(&event);
+    }
+}
+
+fn send_output(event: &OutputEvent) {
+    let OutputEvent {
+        channel,
+        seq,
+        pulsed,
+    } = *event;
+    let output = Output::ALL
+        .into_iter()
+        .find(|&output| outputs::channel_of(output) == channel);
+    let Some(output) = output else {
+        let pps = Pps {
+            seq,
+            at: pulsed.at,
+            utc: nmea::utc_of(state::UTC_AT_ZERO.lock(Cell::get), pulsed.at),
+        };
+        return state::send(|outbox| outbox.pps(pps));
+    };
+    let pulse = OutputPulse {
+        output,
+        pulse: Pulse {
+            seq,
+            train: pulsed.train,
+            number: pulsed.number,
+            at: pulsed.at,
+            aligned: pulsed.aligned,
+            readback: None,
+        },
+    };
+    let arrived = pulsed.arrived.map(|command| OutputArrived {
+        output,
+        command,
+        train: pulsed.train,
+        pulse: pulsed.number,
+        at: pulsed.at,
+        remaining: TickDelta::ZERO,
+    });
+    state::send(|outbox| {
+        outbox.output_pulse(pulse);
+        if let Some(arrived) = arrived {
+            outbox.output_arrived(arrived);
+        }
+    });
+}
+
+fn send_pulse(seq: u32, pulsed: Pulsed) {
+    leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
+    let pulse = Pulse {
+        seq,
+        train: pulsed.train,
+        number: pulsed.number,
+        at: pulsed.at,
+        aligned: pulsed.aligned,
+        readback: pulsed.readback,
+    };
+    let arrived = pulsed.arrived.map(|command| Arrived {
+        command,
+        train: pulsed.train,
+        pulse: pulsed.number,
+        at: pulsed.at,
+        // The plan ends on the grid itself; the edge is its floor.
+        remaining: TickDelta::ZERO,
+    });
+    state::send(|outbox| {
+        outbox.pulse(pulse);
+        if let Some(arrived) = arrived {
+            outbox.arrived(arrived);
+        }
+    });
+}

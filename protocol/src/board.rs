@@ -1,0 +1,149 @@
+//! The board itself: who it is, how it last ended, and how it fares as a whole.
+
+use heapless::String;
+use serde::{Deserialize, Serialize};
+
+use crate::framing::LinkCounters;
+use crate::gnss::GnssStatus;
+use crate::imu::ImuStatus;
+use crate::outputs::OutputStatus;
+use crate::trigger::TriggerStatus;
+use crate::units::Ticks;
+
+/// The longest text of a last panic, in bytes; longer ones are cut.
+pub const MAX_PANIC: usize = 128;
+
+/// Who the board is and how it last ended.
+///
+/// `protocol_version` stays the first field of the first variant for ever.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    /// [`crate::PROTOCOL_VERSION`] of the firmware.
+    pub protocol_version: u16,
+    /// Version of the firmware: major, minor, patch.
+    pub firmware_version: (u8, u8, u8),
+    /// First 12 hex digits of the git revision, empty if unknown.
+    pub git_revision: String<12>,
+    /// The work tree had changes when the firmware was built.
+    pub git_dirty: bool,
+    /// The MCU's unique device ID (RM0090 39.1).
+    pub board_id: [u8; 12],
+    /// Rate of all ticks, in Hz.
+    pub tick_hz: u32,
+    /// Time of this message.
+    pub now: Ticks,
+    /// Tells one run of the board from the next: a number that differs after
+    /// every reset.
+    pub epoch: u32,
+    /// Why the board last reset.
+    pub reset_cause: ResetCause,
+    /// Message of the panic or fault that ended the last run, if it did.
+    pub last_panic: Option<String<MAX_PANIC>>,
+}
+
+/// From the reset flags of RCC_CSR (RM0090 7.3.21).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ResetCause {
+    /// Power came on (or went below the power-on threshold).
+    PowerOn,
+    /// Supply dipped below the brown-out level.
+    BrownOut,
+    /// The reset pin.
+    Pin,
+    /// The firmware asked for it; after a panic, see `last_panic`.
+    Software,
+    /// The independent watchdog.
+    Watchdog,
+    /// The window watchdog (not used by this firmware).
+    WindowWatchdog,
+    /// Illegal low-power entry (not used by this firmware).
+    LowPower,
+    /// No flag was set.
+    Unknown,
+}
+
+/// Once a second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Sequence number of the status stream.
+    pub seq: u32,
+    /// Board time, which is also the uptime.
+    pub at: Ticks,
+    /// As in [`Hello::epoch`].
+    pub epoch: u32,
+    /// Messages dropped since reset.
+    pub dropped: Dropped,
+    /// What came in from the host.
+    pub link: LinkCounters,
+    /// How often the host has connected.
+    pub connects: u32,
+    /// Time not spent asleep over the last second, in 1/1000.
+    pub cpu_permille: u16,
+    /// Most stack ever used, in bytes (measured by paint: exact to a frame that
+    /// leaves a kilobyte of itself unwritten).
+    pub stack_used: u32,
+    /// Stack there is, in bytes.
+    pub stack_size: u32,
+    /// The train.
+    pub trigger: TriggerStatus,
+    /// Longest time from a trigger edge to the end of its handler since reset,
+    /// in ticks.
+    pub trigger_latency: u32,
+    /// Time spent in the handler of trigger and captures over the last second,
+    /// in ticks.
+    pub trigger_busy: u32,
+    /// How often edges on the strobe input were lost (over-captures of TIM2
+    /// channel 3).
+    pub strobe_overcaptures: u32,
+    /// How often the strobe input was switched off for a while because its
+    /// edges came faster than the board takes them.
+    pub strobe_floods: u32,
+    /// The IMU.
+    pub imu: ImuStatus,
+    /// The further trigger outputs, 2 to 4.
+    pub outputs: [OutputStatus; 3],
+    /// Longest time from an edge of these outputs or the pulse per second to the
+    /// end of its handling since reset, in ticks.
+    pub output_latency: u32,
+    /// The pulse per second.
+    pub gnss: GnssStatus,
+}
+
+/// How many messages of each stream found no place in the outbox.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Dropped {
+    /// Answers, hellos and arrivals.
+    pub answers: u32,
+    /// Pulses.
+    pub pulses: u32,
+    /// Captures.
+    pub captures: u32,
+    /// IMU samples.
+    pub imu: u32,
+    /// Status messages.
+    pub status: u32,
+    /// Pulses of the further outputs, and pulses per second.
+    pub outputs: u32,
+}
+
+impl Dropped {
+    /// Messages of all streams.
+    #[must_use]
+    pub const fn total(&self) -> u64 {
+        // By name, so that a new stream cannot be forgotten.
+        let Self {
+            answers,
+            pulses,
+            captures,
+            imu,
+            status,
+            outputs,
+        } = *self;
+        answers as u64
+            + pulses as u64
+            + captures as u64
+            + imu as u64
+            + status as u64
+            + outputs as u64
+    }
+}

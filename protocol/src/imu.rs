@@ -1,0 +1,268 @@
+//! The IMU: its settings, its samples and how it fares.
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::Ticks;
+
+/// One sample of the IMU, as read from the registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuSample {
+    /// Sequence number of the sample stream.
+    pub seq: u32,
+    /// The captured edge of data-ready. The sensor's filter delay is *not*
+    /// subtracted ([`ImuSetup::gyro_delay_us`]).
+    pub at: Ticks,
+    /// What sets this sample apart.
+    pub flags: ImuFlags,
+    /// Acceleration x, y, z, in counts of [`ImuSetup::accel_lsb_per_g`].
+    pub accel: [i16; 3],
+    /// Die temperature, in counts: `raw / 340 + 35` °C (MPU-9150 register map, 4.18).
+    pub temperature: i16,
+    /// Angular rate x, y, z, in counts of [`ImuSetup::gyro_lsb_per_dps_times_10`].
+    pub gyro: [i16; 3],
+}
+
+/// Flags of one sample, as bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuFlags(pub u8);
+
+impl ImuFlags {
+    /// The next data-ready came before the registers were read: the values may
+    /// belong to the next sample.
+    pub const LATE: Self = Self(1);
+    /// At least one axis stands at an end of its range.
+    pub const SATURATED: Self = Self(2);
+    /// The first sample after the sensor was set up or recovered.
+    pub const FIRST: Self = Self(4);
+    /// At least one data-ready edge before this sample was lost.
+    pub const AFTER_LOSS: Self = Self(8);
+
+    /// Whether all of `flag` are set.
+    #[must_use]
+    pub const fn has(self, flag: Self) -> bool {
+        self.0 & flag.0 == flag.0
+    }
+
+    /// Both together.
+    #[must_use]
+    pub const fn with(self, flag: Self) -> Self {
+        Self(self.0 | flag.0)
+    }
+}
+
+/// Settings of the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuConfig {
+    /// SMPLRT_DIV: the rate is 1 kHz / (1 + divider), with the low-pass on
+    /// (MPU-9150 register map, 4.2); 0 to [`ImuConfig::MAX_DIVIDER`].
+    pub divider: u8,
+    /// DLPF_CFG, the digital low-pass.
+    pub low_pass: LowPass,
+    /// Full scale of the gyroscope.
+    pub gyro_range: GyroRange,
+    /// Full scale of the accelerometer.
+    pub accel_range: AccelRange,
+}
+
+impl ImuConfig {
+    /// The largest divider that the board takes: 5 Hz. Slower, and a sensor
+    /// that fell silent could not be told from a slow one within a second.
+    pub const MAX_DIVIDER: u8 = 199;
+}
+
+/// DLPF_CFG: bandwidth of the gyroscope (MPU-9150 register map, 4.3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LowPass {
+    /// 188 Hz, delay 1.9 ms.
+    Hz188,
+    /// 98 Hz, delay 2.8 ms.
+    Hz98,
+    /// 42 Hz, delay 4.8 ms.
+    Hz42,
+    /// 20 Hz, delay 8.3 ms.
+    Hz20,
+    /// 10 Hz, delay 13.4 ms.
+    Hz10,
+    /// 5 Hz, delay 18.6 ms.
+    Hz5,
+}
+
+/// FS_SEL.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum GyroRange {
+    /// ±250 °/s, 131 LSB per °/s.
+    Dps250,
+    /// ±500 °/s, 65.5 LSB per °/s.
+    Dps500,
+    /// ±1000 °/s, 32.8 LSB per °/s.
+    Dps1000,
+    /// ±2000 °/s, 16.4 LSB per °/s.
+    Dps2000,
+}
+
+/// AFS_SEL.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AccelRange {
+    /// ±2 g, 16,384 LSB per g.
+    G2,
+    /// ±4 g, 8,192 LSB per g.
+    G4,
+    /// ±8 g, 4,096 LSB per g.
+    G8,
+    /// ±16 g, 2,048 LSB per g.
+    G16,
+}
+
+impl LowPass {
+    /// Group delay of the gyroscope's low-pass, in µs (register map, 4.3).
+    #[must_use]
+    pub const fn gyro_delay_us(self) -> u32 {
+        match self {
+            Self::Hz188 => 1_900,
+            Self::Hz98 => 2_800,
+            Self::Hz42 => 4_800,
+            Self::Hz20 => 8_300,
+            Self::Hz10 => 13_400,
+            Self::Hz5 => 18_600,
+        }
+    }
+
+    /// Group delay of the accelerometer's low-pass, in µs (register map, 4.3).
+    #[must_use]
+    pub const fn accel_delay_us(self) -> u32 {
+        match self {
+            Self::Hz188 => 2_000,
+            Self::Hz98 => 3_000,
+            Self::Hz42 => 4_900,
+            Self::Hz20 => 8_500,
+            Self::Hz10 => 13_800,
+            Self::Hz5 => 19_000,
+        }
+    }
+}
+
+impl GyroRange {
+    /// Counts per °/s, times ten (register map, 4.19).
+    #[must_use]
+    pub const fn lsb_per_dps_times_10(self) -> u16 {
+        match self {
+            Self::Dps250 => 1_310,
+            Self::Dps500 => 655,
+            Self::Dps1000 => 328,
+            Self::Dps2000 => 164,
+        }
+    }
+}
+
+impl AccelRange {
+    /// Counts per g (register map, 4.17).
+    #[must_use]
+    pub const fn lsb_per_g(self) -> u16 {
+        match self {
+            Self::G2 => 16_384,
+            Self::G4 => 8_192,
+            Self::G8 => 4_096,
+            Self::G16 => 2_048,
+        }
+    }
+}
+
+/// The IMU as it is set up now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuSetup {
+    /// The settings.
+    pub config: ImuConfig,
+    /// Nominal distance of samples, in ticks.
+    pub interval: u32,
+    /// Counts per °/s, times ten.
+    pub gyro_lsb_per_dps_times_10: u16,
+    /// Counts per g.
+    pub accel_lsb_per_g: u16,
+    /// Documented delay of the gyroscope's low-pass, in µs, to be subtracted by
+    /// the host.
+    pub gyro_delay_us: u32,
+    /// The same of the accelerometer, in µs.
+    pub accel_delay_us: u32,
+    /// How it fares.
+    pub status: ImuStatus,
+}
+
+/// How the IMU fares. Counters count from reset and saturate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuStatus {
+    /// What it does.
+    pub state: ImuState,
+    /// What clocks it.
+    pub clock: ImuClock,
+    /// Samples read.
+    pub samples: u32,
+    /// Samples marked [`ImuFlags::LATE`].
+    pub late: u32,
+    /// Data-ready edges lost (over-captures of TIM2 channel 2).
+    pub overcaptures: u32,
+    /// How often the sensor was set up again after a fault.
+    pub recoveries: u32,
+    /// The last fault, if there was one.
+    pub last_fault: Option<ImuFault>,
+}
+
+/// State of the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ImuState {
+    /// Being set up.
+    Starting,
+    /// Samples come.
+    Running,
+    /// Not there or not well; tried again several times a second.
+    Failed,
+}
+
+/// What clocks the IMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ImuClock {
+    /// 19.2 MHz from PA8: its samples are exact in board time.
+    External,
+    /// Its own PLL on the x gyroscope: a rate error of up to ±1 %.
+    Internal,
+    /// Not known yet.
+    Unknown,
+}
+
+/// A fault of the IMU; `register` is the number in the register map
+/// ([`crate::mpu9150::register_name`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ImuFault {
+    /// No acknowledge.
+    NoAcknowledge {
+        /// Being written or read.
+        register: u8,
+    },
+    /// SDA or SCL held low, even after nine clocks.
+    BusHeld,
+    /// A transfer did not end in time.
+    Timeout {
+        /// Being written or read.
+        register: u8,
+    },
+    /// Any other error of the bus (arbitration lost, misplaced start or stop).
+    Bus {
+        /// Being written or read.
+        register: u8,
+    },
+    /// WHO_AM_I is not 0x68.
+    WrongIdentity {
+        /// The identity that was read.
+        found: u8,
+    },
+    /// A register did not keep what was written.
+    Readback {
+        /// The register.
+        register: u8,
+        /// What was written.
+        wrote: u8,
+        /// What was read.
+        read: u8,
+    },
+    /// The sensor is set up, but no data-ready comes.
+    NoDataReady,
+}

@@ -1,0 +1,149 @@
+//! The camera trigger: how a train of pulses is started and moved, what it makes
+//! and how it fares.
+
+use serde::{Deserialize, Serialize};
+
+use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
+
+/// The shortest pulse, in ticks: 10 µs.
+///
+/// The handler of the rising edge arms the falling one, so a pulse must be
+/// longer than that can take in the worst case (`docs/timing.md`). The camera
+/// needs more than 8 µs.
+pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
+
+/// The shortest time from a falling edge to the next rising edge, in ticks:
+/// 20 µs, for the same reason as [`MIN_PULSE_WIDTH`]; this handler does more.
+pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
+
+/// How far ahead a first edge must lie: 100 µs.
+pub const MIN_START_LEAD: TickDelta = TickDelta::from_micros(100);
+
+/// How far from now a first edge or an anchor may lie, in ticks: an hour.
+pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
+
+/// Parameters of a train.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TriggerStart {
+    /// Distance of the pulses, [`Period::MIN`] to [`Period::MAX`].
+    pub period: Period,
+    /// Length of a pulse in ticks: [`MIN_PULSE_WIDTH`] up to the period less
+    /// [`MIN_PULSE_GAP`].
+    pub width: u32,
+    /// The first rising edge, [`MIN_START_LEAD`] to [`MAX_TIME_AWAY`] from now;
+    /// `None`: as soon as possible.
+    pub first_edge: Option<Ticks>,
+}
+
+/// "Some pulse edge falls at `anchor`, the period is `period`."
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TriggerAlign {
+    /// A tick of the wanted grid, in the past or the future, at most one hour
+    /// away.
+    pub anchor: Ticks,
+    /// The period from now on.
+    pub period: Period,
+    /// The most ticks that the distance of two pulses may differ from `period`
+    /// on the way there, beyond the one tick by which whole edges jitter around
+    /// a fractional period; 0: jump at once. At most half a period, and at most
+    /// what the pulse leaves free ([`crate::Refusal::SlewOutOfRange`]).
+    pub slew: u32,
+}
+
+/// What an align will do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AlignPlan {
+    /// How far the edges move, the short way round (late is positive).
+    pub shift: TickDelta,
+    /// Over how many frames they move.
+    pub frames: u32,
+    /// The first pulse that falls on the grid.
+    pub arrival_pulse: u64,
+    /// The tick of that pulse.
+    pub arrival: Ticks,
+}
+
+/// State of the train.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TriggerStatus {
+    /// What the train does.
+    pub state: TrainState,
+    /// Number of this train; every start counts one up. 0: none yet.
+    pub train: u32,
+    /// The period that is set.
+    pub period: Period,
+    /// Length of a pulse, in ticks.
+    pub width: u32,
+    /// Rising edges that this train has made.
+    pub pulses: u64,
+    /// The next rising edge and its fraction, in Q64.32 split in two: an
+    /// observer can go on with the arithmetic exactly.
+    pub next_edge: Ticks,
+    /// Fraction of `next_edge`, in 2⁻³² ticks.
+    pub next_fraction: u32,
+    /// Edges that were armed too late and came at a later time than asked for.
+    /// Must be 0.
+    pub late: u32,
+    /// The read-back of the trigger wire.
+    pub readback: Readback,
+}
+
+/// What the train does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum TrainState {
+    /// No pulses.
+    Stopped,
+    /// The first edge lies ahead.
+    Waiting,
+    /// Pulses on the grid.
+    Running,
+    /// On the way to another phase.
+    Slewing,
+}
+
+/// Captures of the trigger wire behind its buffer, matched to the pulses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Readback {
+    /// Pulses that were seen on the wire.
+    pub seen: u32,
+    /// Pulses that were not, since the first one that was.
+    pub missing: u32,
+    /// Captures that fit no pulse.
+    pub stray: u32,
+    /// From the compare to the capture of the last seen pulse, in ticks. A
+    /// capture belongs to a pulse if it comes before the falling edge, so a
+    /// delay longer than the pulse counts as missing and stray.
+    pub delay: Option<i32>,
+}
+
+/// One pulse of the trigger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pulse {
+    /// Sequence number of the pulse stream.
+    pub seq: u32,
+    /// The train it belongs to.
+    pub train: u32,
+    /// Number in the train, from 0.
+    pub number: u64,
+    /// The rising edge: the compare value that made it.
+    pub at: Ticks,
+    /// On the grid of the last align or start (false while slewing).
+    pub aligned: bool,
+    /// Delay of the read-back, in ticks, if the wire was seen.
+    pub readback: Option<i32>,
+}
+
+/// An align has reached its grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Arrived {
+    /// The id of the align command.
+    pub command: u32,
+    /// The train.
+    pub train: u32,
+    /// The first pulse on the grid.
+    pub pulse: u64,
+    /// Its rising edge.
+    pub at: Ticks,
+    /// Difference from the grid: 0.
+    pub remaining: TickDelta,
+}
