@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use frame_sync::alignment::off_grid;
 use protocol::{DeviceToHost, ImuFlags, ResetCause, TICK_HZ, Ticks};
 use recording::reader::{Item, Reader};
 use smartdepthsync::outcome::ExitStatus;
@@ -236,7 +235,7 @@ fn judge_joint(ended: &Ended) -> Result<(), String> {
         return Err("the trigger was not started again".to_owned());
     };
     let recorded = Ticks(again.first.0 + run.shift);
-    if recorded != anchor || off_grid(first.first, first.period, recorded).abs() > 1 {
+    if recorded != anchor || first.period.phase_error(first.first, recorded).0.abs() > 1 {
         return Err(format!(
             "the trigger goes on at {recorded:?}, which is not on its former grid"
         ));

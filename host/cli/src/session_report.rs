@@ -11,7 +11,6 @@ use protocol::{Period, Ticks};
 use serde_json::json;
 
 use board::session::StreamCount;
-use frame_sync::alignment::off_grid;
 use page::chart::{self, Data, Envelope, Series};
 use page::{Level, Page};
 use recording::RecordingError;
@@ -89,7 +88,7 @@ impl Curves {
                 {
                     let period = Period(alignment.period_q32);
                     self.off_grid
-                        .add(x, off_grid(alignment.anchor, period, at) as f64);
+                        .add(x, period.phase_error(alignment.anchor, at).0 as f64);
                 }
             }
             Item::Output(pulse) => {

@@ -18,7 +18,7 @@
 //! 1 ppm, and `video_start` the frame period to about 1 ppm: each 60 µs/min. So
 //! both are taken from the profile once they have been learnt.
 
-use protocol::{Period, TICK_HZ, Ticks};
+use protocol::TICK_HZ;
 
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
@@ -280,25 +280,9 @@ pub fn placement(
     }
 }
 
-/// How far a tick is from the nearest edge of a grid, in ticks: 0 for a pulse
-/// that is where it was sent.
-#[must_use]
-pub fn off_grid(anchor: Ticks, period: Period, at: Ticks) -> i64 {
-    let distance = i128::from(at.0) - i128::from(anchor.0);
-    let raw = i128::from(period.0.max(1));
-    // The nearest edge, and its neighbours: floors may move it by one.
-    let near = (distance << 32).div_euclid(raw);
-    (-1..=1)
-        .filter_map(|step| i64::try_from(near + step).ok())
-        .map(|k| (at - period.edge(anchor, k)).0)
-        .min_by_key(|difference| difference.unsigned_abs())
-        .unwrap_or(i64::MAX)
-}
-
 #[cfg(test)]
 mod tests {
     use jiff::civil::date;
-    use proptest::prelude::*;
 
     use super::*;
     use timebase::PhoneNanos;
@@ -500,21 +484,5 @@ mod tests {
         profile.phone.learnt = Some(learnt());
         assert!(skew_prior(&profile.phone, "AB").is_some());
         assert!(skew_prior(&profile.phone, "CD").is_none());
-    }
-
-    proptest! {
-        #[test]
-        fn every_edge_of_a_grid_is_on_it(
-            anchor in 1_u64 << 40..1 << 41,
-            raw in Period::MIN.0..Period::MAX.0,
-            k in -10_000_i64..1_000_000,
-            off in -200_i64..200,
-        ) {
-            let period = Period(raw);
-            let edge = period.edge(Ticks(anchor), k);
-            prop_assert_eq!(off_grid(Ticks(anchor), period, edge), 0);
-            let moved = Ticks(edge.0.saturating_add_signed(off));
-            prop_assert_eq!(off_grid(Ticks(anchor), period, moved), off);
-        }
     }
 }

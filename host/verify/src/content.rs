@@ -11,7 +11,6 @@ use protocol::{Decoder, DeviceToHost, Period, Status, Ticks};
 use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
 use board::session::Stream;
-use frame_sync::alignment::off_grid;
 use recording::messages::{
     BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
     TimeReference, from_cdr,
@@ -650,7 +649,10 @@ impl Content {
         if at < arrived || self.recorded_to.is_some_and(|to| at > to) {
             return;
         }
-        let off = off_grid(alignment.anchor, Period(alignment.period_q32), at).unsigned_abs();
+        let off = Period(alignment.period_q32)
+            .phase_error(alignment.anchor, at)
+            .0
+            .unsigned_abs();
         self.grid.checked += 1;
         if off != 0 {
             self.grid.off += 1;

@@ -25,7 +25,6 @@ use super::{Stop, further, phones};
 use crate::outcome::Failure;
 use board::imu::Scale;
 use board::{self, BoardError, reset_cause};
-use frame_sync::alignment::off_grid;
 use recording::session_file::BoardRun;
 use recording::writer::Severity;
 
@@ -243,7 +242,7 @@ impl Rig<'_> {
         let runs = running.state != TrainState::Stopped;
         let ours = pending
             .tried
-            .filter(|&tried| runs && off_grid(tried, grid.period, next) == 0);
+            .filter(|&tried| runs && grid.period.phase_error(tried, next).0 == 0);
         let anchor = match ours {
             Some(tried) => tried,
             None => {
@@ -302,7 +301,7 @@ mod tests {
             let edge = next_edge(grid, Ticks(earliest));
             assert!(edge.0 >= earliest);
             assert!(edge.0 - earliest <= u64::from(grid.period.ticks()) + 1);
-            assert_eq!(off_grid(grid.anchor, grid.period, edge), 0);
+            assert_eq!(grid.period.phase_error(grid.anchor, edge).0, 0);
         }
     }
 }

@@ -6,7 +6,6 @@
 use protocol::{ImuFlags, ImuSample, ImuState, Period, Pulse, Status, TICK_HZ, Ticks};
 
 use board::session::Stream;
-use frame_sync::alignment::off_grid;
 use recording::writer::Severity;
 
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
@@ -123,7 +122,7 @@ impl Watch {
         }
         self.next_number = Some(pulse.number.wrapping_add(1));
         self.last_pulse = pulse.at;
-        let off = off_grid(self.grid.anchor, self.grid.period, pulse.at);
+        let off = self.grid.period.phase_error(self.grid.anchor, pulse.at).0;
         match (off != 0, self.off_grid) {
             (true, false) => findings.push(Finding::error(
                 "phase_off",

@@ -9,7 +9,6 @@ use super::{
     Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
 };
 use board::imu::{Sample, Scale};
-use frame_sync::alignment::off_grid;
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};
 use timebase::ClockModel;
@@ -404,7 +403,9 @@ impl Gauge {
         if let (Some(alignment), Some(at)) = (alignment, self.last_pulse)
             && alignment.arrival.is_some_and(|arrival| at >= arrival)
         {
-            let off = off_grid(alignment.anchor, Period(alignment.period_q32), at);
+            let off = Period(alignment.period_q32)
+                .phase_error(alignment.anchor, at)
+                .0;
             trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
             trigger.phase_sigma_us = Some(phase_sigma_us_at(alignment, board_now));
         }
