@@ -199,12 +199,13 @@ fn test(cargo_args: &[String]) -> Result<()> {
 fn hour() -> Result<()> {
     let args = [
         "-p",
-        "hil-sim",
+        "smartdepthsync-rig",
         "--test",
-        "outputs",
+        "it",
         "--",
         "--ignored",
         "--nocapture",
+        "outputs::",
     ];
     test(&args.map(str::to_owned))
 }
