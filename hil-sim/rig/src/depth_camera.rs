@@ -31,6 +31,7 @@
 //! Limits: light reaches the photodiode at once and its edges are sharp;
 //! images are not made here.
 
+use crate::wiring;
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
@@ -40,7 +41,7 @@ use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use crate::random::{Random, Seed, Stream};
 use crate::rolling_shutter::FlashTrain;
 use stm32f4_sim::clock::Rate;
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 
@@ -466,23 +467,23 @@ impl DepthCamera {
     }
 }
 
-impl RigModel for DepthCamera {
+impl PinModel for DepthCamera {
     fn name(&self) -> String {
         "depth camera".to_owned()
     }
 
     fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PA5]
+        vec![wiring::TRIGGER]
     }
 
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
         if self.config.photodiode {
-            io.drive(Pin::PA2, Drive::Low);
+            io.drive(wiring::STROBE, Drive::Low);
         }
     }
 
-    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut RigIo<'_>) {
-        if pin != Pin::PA5 {
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
+        if pin != wiring::TRIGGER {
             return;
         }
         if level.is_high() {
@@ -508,7 +509,7 @@ impl RigModel for DepthCamera {
         .min()
     }
 
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         let now = io.now();
         if let Some(candidate) = self.candidate.take_if(|c| c.counts_from <= now) {
             self.accept(candidate.edge);
@@ -520,7 +521,7 @@ impl RigModel for DepthCamera {
             if let Some((_, level)) = self.light.pop_front()
                 && self.config.photodiode
             {
-                io.drive(Pin::PA2, level.into());
+                io.drive(wiring::STROBE, level.into());
             }
         }
     }

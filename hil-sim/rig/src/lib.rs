@@ -1,8 +1,9 @@
 //! The rig around the simulated board: IMU, cameras, phone, lidar, their clocks,
 //! the motion that they share, and the truth about all of it.
 //!
-//! The board is [`stm32f4_sim::rig::Rig`]; a part of the rig that is wired to it is a
-//! [`stm32f4_sim::model::RigModel`] or an [`stm32f4_sim::i2c::I2cTarget`].
+//! The board is [`wiring::board`], a [`stm32f4_sim::sim::Sim`] with the product's wiring;
+//! a part of the rig that is wired to it is a [`stm32f4_sim::model::PinModel`] or an
+//! [`stm32f4_sim::i2c::I2cTarget`].
 
 pub mod depth_camera;
 pub mod flash_log;
@@ -25,3 +26,4 @@ pub mod true_clock;
 pub mod truth;
 pub mod truth_recorder;
 pub mod video_writer;
+pub mod wiring;

@@ -12,11 +12,12 @@
 //! Its time between two pulses is not modelled: what it would stamp is the second
 //! of the last pulse and the time since.
 
+use crate::wiring;
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
@@ -219,21 +220,21 @@ fn utc_of(body: &str) -> Option<i64> {
     Some(days * 86_400 + hour * 3_600 + minute * 60 + second)
 }
 
-impl RigModel for Lidar {
+impl PinModel for Lidar {
     fn name(&self) -> String {
         "lidar".to_owned()
     }
 
     fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PE9, Pin::PC12]
+        vec![wiring::PPS, wiring::NMEA]
     }
 
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
-        self.line_high = io.level(Pin::PC12).is_high();
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
+        self.line_high = io.level(wiring::NMEA).is_high();
     }
 
-    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut RigIo<'_>) {
-        if pin == Pin::PC12 {
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
+        if pin == wiring::NMEA {
             self.line_high = level.is_high();
             if self.receiving.is_none() && !self.is_mark() {
                 self.receiving = Some(Receiving {
@@ -260,7 +261,7 @@ impl RigModel for Lidar {
             .map(|receiving| self.middle(receiving.start, receiving.bits))
     }
 
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         let now = io.now();
         if let Some(receiving) = self.receiving
             && self.middle(receiving.start, receiving.bits) <= now
@@ -283,12 +284,12 @@ mod tests {
             let frame = u16::from(byte) << 1 | 1 << 9;
             for n in 0..10 {
                 bench.run_until(from + bit(bits));
-                bench.set_pin(Pin::PC12, Level::from(frame >> n & 1 == 0));
+                bench.set_pin(wiring::NMEA, Level::from(frame >> n & 1 == 0));
                 bits += 1;
             }
         }
         bench.run_until(from + bit(bits));
-        bench.set_pin(Pin::PC12, Level::Low);
+        bench.set_pin(wiring::NMEA, Level::Low);
     }
 
     fn ms(ms: u64) -> SimTime {
@@ -297,9 +298,9 @@ mod tests {
 
     fn pulse(bench: &mut Bench<Lidar>, at: SimTime) {
         bench.run_until(at);
-        bench.set_pin(Pin::PE9, Level::High);
+        bench.set_pin(wiring::PPS, Level::High);
         bench.run_until(at + SimDuration::from_millis(20));
-        bench.set_pin(Pin::PE9, Level::Low);
+        bench.set_pin(wiring::PPS, Level::Low);
     }
 
     // From the NMEA literature: 1994-03-23, of this century here.

@@ -1,6 +1,6 @@
 //! Rising edges at pins with their times, for the truth.
 
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::time::SimTime;
 
@@ -29,7 +29,7 @@ impl PinLog {
     }
 }
 
-impl RigModel for PinLog {
+impl PinModel for PinLog {
     fn name(&self) -> String {
         "pin log".to_owned()
     }
@@ -38,7 +38,7 @@ impl RigModel for PinLog {
         self.pins.clone()
     }
 
-    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut RigIo<'_>) {
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         if level.is_high() {
             self.edges.push((pin, io.now()));
         }

@@ -16,7 +16,7 @@ use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use crate::random::{Seed, Stream};
 use crate::truth::{Clocks, Run};
 use stm32f4_sim::i2c::{Shared, lock};
-use stm32f4_sim::rig::RigBuilder;
+use stm32f4_sim::sim::SimBuilder;
 
 /// What is around the board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -131,7 +131,7 @@ pub struct RigParts {
 impl RigParts {
     /// Wires all parts to the board, and gives it the seed.
     #[must_use]
-    pub fn wire(&self, mut board: RigBuilder) -> RigBuilder {
+    pub fn wire(&self, mut board: SimBuilder) -> SimBuilder {
         board = board.seed(self.config.seed);
         if let Some(imu) = &self.imu {
             board = board.model(Arc::clone(imu)).i2c_target(Arc::clone(imu));

@@ -7,7 +7,7 @@
 //! not take what the board sends: how fast a machine is has no part in what a
 //! program at the other end sees of the board. It does have a part in *when*
 //! that program's commands arrive, so two runs of one seed are alike but not
-//! equal to the byte; a rig that is driven step by step ([`Rig`]) is.
+//! equal to the byte; a rig that is driven step by step ([`Sim`]) is.
 //!
 //! # Use
 //!
@@ -15,7 +15,7 @@
 //! use trials::demo::judge::Truth;
 //! use crate::phone::PhoneConfig;
 //! use crate::random::Seed;
-//! use stm32f4_sim::rig::Rig;
+//! use stm32f4_sim::sim::Sim;
 //! use crate::rig_config::RigConfig;
 //! use crate::running_rig::{Pace, RunningRig};
 //!
@@ -25,7 +25,7 @@
 //! let phone = PhoneConfig::draw(seed);
 //! let pace = Pace { speed: Some(15.0), wait_for_host: true };
 //! // Board, IMU, depth camera and phone, wired together and running.
-//! let rig = RunningRig::start(config, Rig::builder(), Some((phone, 0)), pace)?;
+//! let rig = RunningRig::start(config, wiring::board(), Some((phone, 0)), pace)?;
 //! // What a rig's owner knows, and where its port is: enough for a session.
 //! std::fs::write("rig.toml", rig.profile()?)?;
 //! println!("smartdepthsync record --port {} --profile rig.toml", rig.port().display());
@@ -38,6 +38,7 @@
 //! # }
 //! ```
 
+use crate::wiring;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
@@ -56,7 +57,7 @@ use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
 use crate::true_clock::{BoardClockwork, TrueClock};
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::rig::{Rig, RigBuilder};
+use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 use stm32f4_sim::usb::UsbState;
 
@@ -163,7 +164,7 @@ impl RunningRig {
     /// A part cannot be built, or the system has no pseudo-terminal or port left.
     pub fn start(
         config: RigConfig,
-        board: RigBuilder,
+        board: SimBuilder,
         phone: Option<(PhoneConfig, u16)>,
         pace: Pace,
     ) -> Result<Self> {
@@ -177,7 +178,7 @@ impl RunningRig {
     /// As [`RunningRig::start`].
     pub fn with_phones(
         config: RigConfig,
-        board: RigBuilder,
+        board: SimBuilder,
         phones: Vec<(PhoneConfig, u16)>,
         pace: Pace,
     ) -> Result<Self> {
@@ -389,7 +390,7 @@ struct Port {
 
 impl Runner {
     /// A pseudo-terminal under the rig's name for it.
-    fn new_port(&self, rig: &mut Rig) -> Result<Port> {
+    fn new_port(&self, rig: &mut Sim) -> Result<Port> {
         rig.usb_open(false);
         let pty = Pty::new().context("cannot make a pseudo-terminal")?;
         let _ = std::fs::remove_file(&self.link);
@@ -405,7 +406,7 @@ impl Runner {
 
     /// Powers the board on and runs it until its serial port is there, as it is
     /// on a table before anybody starts a session.
-    fn boot(&self, board: RigBuilder) -> Result<(Rig, Option<Port>)> {
+    fn boot(&self, board: SimBuilder) -> Result<(Sim, Option<Port>)> {
         let mut rig = board.build()?;
         rig.usb_set_buffer_limit(BUFFER);
         let port = if rig.usb_state() == UsbState::Unplugged {
@@ -424,7 +425,7 @@ impl Runner {
     }
 
     /// The board's serial port is there while the host has the device enumerated.
-    fn follow_usb(&self, rig: &mut Rig, port: &mut Option<Port>) -> Result<()> {
+    fn follow_usb(&self, rig: &mut Sim, port: &mut Option<Port>) -> Result<()> {
         let ready = rig.usb_state() == UsbState::Ready;
         if ready && port.is_none() {
             *port = Some(self.new_port(rig)?);
@@ -437,7 +438,7 @@ impl Runner {
         Ok(())
     }
 
-    fn run(self, mut rig: Rig, mut port: Option<Port>) -> Result<()> {
+    fn run(self, mut rig: Sim, mut port: Option<Port>) -> Result<()> {
         while let Some(waited_for) = port.as_ref()
             && self.pace.wait_for_host
             && !waited_for.pty.is_open()?
@@ -489,7 +490,7 @@ impl Runner {
     }
 
     /// Takes what the models have noted, so that they keep little.
-    fn note(&self, rig: &Rig) {
+    fn note(&self, rig: &Sim) {
         self.shared.now.store(rig.now().units(), Ordering::Relaxed);
         let mut noted = self.shared.noted();
         // The count's zero is read off before its first wrap.
@@ -507,7 +508,7 @@ impl Runner {
 
 impl Port {
     /// Moves bytes both ways; false if the program does not take its own.
-    fn move_bytes(&mut self, rig: &mut Rig) -> Result<bool> {
+    fn move_bytes(&mut self, rig: &mut Sim) -> Result<bool> {
         let open = self.pty.is_open()?;
         if open != self.open {
             self.open = open;
@@ -536,8 +537,8 @@ impl Port {
 
 /// When the board's tick count was zero, once the timer runs: its count now,
 /// taken off. Right only before the count's first wrap, after 89 s.
-fn zero_of(rig: &Rig) -> Option<SimTime> {
-    let (at, count) = rig.tim2_tick();
+fn zero_of(rig: &Sim) -> Option<SimTime> {
+    let (at, count) = rig.timer(wiring::TIMEBASE);
     let units = u64::from(count) * (UNITS_PER_SECOND / u64::from(protocol::TICK_HZ));
     (count > 0)
         .then(|| at.units().checked_sub(units))

@@ -2,6 +2,7 @@
 //! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
 //! typed against it as against hardware.
 
+use crate::wiring;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
@@ -20,8 +21,8 @@ use crate::truth_recorder::TruthRecorder;
 use anyhow::{Context, Result};
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::rtt::LogLine;
+use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::vcd_trace::VcdTrace;
 
@@ -90,17 +91,17 @@ pub struct Args {
 
 /// The pins of a trace and the names of their wires.
 const TRACED: [(Pin, &str); 11] = [
-    (Pin::PA5, "trigger"),
-    (Pin::PA1, "imu_ready"),
-    (Pin::PA2, "strobe"),
-    (Pin::PA3, "readback"),
-    (Pin::PB6, "scl"),
-    (Pin::PB7, "sda"),
-    (Pin::PE9, "pps"),
-    (Pin::PD12, "led_imu"),
-    (Pin::PD13, "led_pulse"),
-    (Pin::PD14, "led_fault"),
-    (Pin::PD15, "led_link"),
+    (wiring::TRIGGER, "trigger"),
+    (wiring::IMU_READY, "imu_ready"),
+    (wiring::STROBE, "strobe"),
+    (wiring::READBACK, "readback"),
+    (wiring::SCL, "scl"),
+    (wiring::SDA, "sda"),
+    (wiring::PPS, "pps"),
+    (wiring::LED_IMU, "led_imu"),
+    (wiring::LED_PULSE, "led_pulse"),
+    (wiring::LED_FAULT, "led_fault"),
+    (wiring::LED_LINK, "led_link"),
 ];
 
 /// How many times as fast as real time virtual time may pass, on a command line.
@@ -124,7 +125,7 @@ pub fn speed(text: &str) -> Result<f64, String> {
 pub fn run(args: &Args) -> Result<()> {
     let config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
     let parts = config.build()?;
-    let mut builder = parts.wire(Rig::builder());
+    let mut builder = parts.wire(wiring::board());
     let clock = TrueClock::new();
     let phone = match args.phone {
         None => None,
@@ -218,10 +219,10 @@ fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> R
 /// Runs the board and moves bytes; calls `note` every now and then.
 fn pump(
     args: &Args,
-    rig: &mut Rig,
+    rig: &mut Sim,
     pty: &Pty,
     stopped: &AtomicBool,
-    mut note: impl FnMut(&mut Rig) -> Result<()>,
+    mut note: impl FnMut(&mut Sim) -> Result<()>,
 ) -> Result<()> {
     rig.usb_set_buffer_limit(BUFFER);
     rig.usb_open(false);

@@ -14,7 +14,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::oscillator::{BoardTime, TrueTime};
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -190,7 +190,7 @@ impl BoardClockwork {
     }
 }
 
-impl RigModel for BoardClockwork {
+impl PinModel for BoardClockwork {
     fn name(&self) -> String {
         "true time".to_owned()
     }
@@ -203,7 +203,7 @@ impl RigModel for BoardClockwork {
         Some(self.next)
     }
 
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         self.clock.publish(self.board.true_at(io.now()));
         self.next = io.now() + Self::STEP;
     }

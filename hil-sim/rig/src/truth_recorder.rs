@@ -4,13 +4,14 @@
 //! takes what the models have noted, the edges of the trigger pin, and once a
 //! virtual second what all clocks show, so the models' own notes stay short.
 
+use crate::wiring;
 use std::io::Write;
 
 use crate::rig_config::RigParts;
 use crate::truth::{TruthError, TruthRecord, TruthWriter};
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::rig::Rig;
+use stm32f4_sim::pin::Level;
+use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// Units of board time in one tick of the board's timer.
@@ -35,8 +36,8 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn new(to: W, rig: &mut Rig, parts: &RigParts) -> Result<Self, TruthError> {
-        rig.log_pin(Pin::PA5);
+    pub fn new(to: W, rig: &mut Sim, parts: &RigParts) -> Result<Self, TruthError> {
+        rig.log_pin(wiring::TRIGGER);
         Ok(Self {
             writer: TruthWriter::new(to, parts.run_record())?,
             parts: parts.clone(),
@@ -50,10 +51,10 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn poll(&mut self, rig: &mut Rig) -> Result<(), TruthError> {
+    pub fn poll(&mut self, rig: &mut Sim) -> Result<(), TruthError> {
         self.timebase(rig)?;
         for (pin, level, at) in rig.take_edges() {
-            if pin == Pin::PA5 {
+            if pin == wiring::TRIGGER {
                 let rising = level == Level::High;
                 self.writer
                     .write(&TruthRecord::TriggerEdge { at, rising })?;
@@ -73,8 +74,8 @@ impl<W: Write> TruthRecorder<W> {
 
     /// Notes where the board's tick count is zero: after power-on, and anew
     /// after a reset.
-    fn timebase(&mut self, rig: &Rig) -> Result<(), TruthError> {
-        let (at, count) = rig.tim2_tick();
+    fn timebase(&mut self, rig: &Sim) -> Result<(), TruthError> {
+        let (at, count) = rig.timer(wiring::TIMEBASE);
         if count == 0 {
             return Ok(()); // not started yet
         }

@@ -5,9 +5,6 @@ use std::path::{Path, PathBuf};
 
 use object::{Object, ObjectSymbol, SymbolKind};
 
-/// Environment variable that names the ELF which tests and tools use.
-pub const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
-
 /// A symbol of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
@@ -37,10 +34,13 @@ impl core::fmt::Debug for Firmware {
 #[derive(Debug, thiserror::Error)]
 pub enum FirmwareError {
     /// No file there.
-    #[error(
-        "no firmware ELF at {0}: run `cargo xtask build`, or name one with --elf or {ELF_VARIABLE}"
-    )]
-    Missing(PathBuf),
+    #[error("no firmware ELF at {path}{}{hint}", if hint.is_empty() { "" } else { ": " })]
+    Missing {
+        /// Where it should be.
+        path: PathBuf,
+        /// What to do, as whoever set the simulation up puts it.
+        hint: &'static str,
+    },
     /// Not readable.
     #[error("cannot read {path}: {source}")]
     Read {
@@ -59,19 +59,14 @@ pub enum FirmwareError {
     },
 }
 
-/// Where the firmware's ELF is by default: what the environment variable
-/// says, else where `cargo xtask build` puts it.
-#[must_use]
-pub fn default_elf() -> PathBuf {
-    if let Some(path) = std::env::var_os(ELF_VARIABLE) {
-        return PathBuf::from(path);
+impl FirmwareError {
+    /// With what to do when there is no file.
+    pub(crate) fn with_hint(self, hint: &'static str) -> Self {
+        match self {
+            Self::Missing { path, .. } => Self::Missing { path, hint },
+            other => other,
+        }
     }
-    let target = match std::env::var_os("CARGO_TARGET_DIR") {
-        Some(dir) => PathBuf::from(dir),
-        // This crate lies in the workspace's root.
-        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"),
-    };
-    target.join("thumbv7em-none-eabihf/release/smartdepthsync-firmware")
 }
 
 impl Firmware {
@@ -82,7 +77,10 @@ impl Firmware {
     /// If there is none, or it is none for a Cortex-M with flash at `0x0800_0000`.
     pub fn load(path: &Path) -> Result<Self, FirmwareError> {
         if !path.is_file() {
-            return Err(FirmwareError::Missing(path.to_path_buf()));
+            return Err(FirmwareError::Missing {
+                path: path.to_path_buf(),
+                hint: "",
+            });
         }
         let bytes = std::fs::read(path).map_err(|source| FirmwareError::Read {
             path: path.to_path_buf(),

@@ -63,7 +63,7 @@ pub trait I2cTarget: Send {
 }
 
 /// A target that is shared between the I2C bus, the board's event loop
-/// ([`crate::model::RigModel`]) and a test that looks at its state.
+/// ([`crate::model::PinModel`]) and a test that looks at its state.
 pub type Shared<T> = Arc<Mutex<T>>;
 
 impl<T: I2cTarget> I2cTarget for Shared<T> {
@@ -90,21 +90,21 @@ impl<T: I2cTarget> I2cTarget for Shared<T> {
     }
 }
 
-impl<T: crate::model::RigModel> crate::model::RigModel for Shared<T> {
+impl<T: crate::model::PinModel> crate::model::PinModel for Shared<T> {
     fn name(&self) -> String {
         lock(self).name()
     }
     fn watched_pins(&self) -> Vec<crate::pin::Pin> {
         lock(self).watched_pins()
     }
-    fn power_on(&mut self, io: &mut crate::model::RigIo<'_>) {
+    fn power_on(&mut self, io: &mut crate::model::PinIo<'_>) {
         lock(self).power_on(io);
     }
     fn on_pin_edge(
         &mut self,
         pin: crate::pin::Pin,
         level: crate::pin::Level,
-        io: &mut crate::model::RigIo<'_>,
+        io: &mut crate::model::PinIo<'_>,
     ) {
         lock(self).on_pin_edge(pin, level, io);
     }
@@ -112,14 +112,14 @@ impl<T: crate::model::RigModel> crate::model::RigModel for Shared<T> {
         &mut self,
         pin: crate::pin::Pin,
         rate: Option<crate::clock::Rate>,
-        io: &mut crate::model::RigIo<'_>,
+        io: &mut crate::model::PinIo<'_>,
     ) {
         lock(self).on_clock(pin, rate, io);
     }
     fn next_event(&self) -> Option<SimTime> {
         lock(self).next_event()
     }
-    fn advance(&mut self, io: &mut crate::model::RigIo<'_>) {
+    fn advance(&mut self, io: &mut crate::model::PinIo<'_>) {
         lock(self).advance(io);
     }
 }

@@ -1,6 +1,6 @@
 //! A simulated STM32F407 that runs any firmware's ELF on virtual time.
 //!
-//! What is wired to the chip is [`model::RigModel`] (pins) and
+//! What is wired to the chip is [`model::PinModel`] (pins) and
 //! [`i2c::I2cTarget`] (the I2C bus), both on the virtual time of the board,
 //! [`time::SimTime`].
 
@@ -15,8 +15,8 @@ pub mod model;
 pub mod model_bench;
 pub mod pin;
 pub mod random;
-pub mod rig;
 pub mod rtt;
+pub mod sim;
 pub mod time;
 pub mod usb;
 pub mod vcd_trace;

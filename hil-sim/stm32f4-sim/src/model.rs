@@ -14,13 +14,13 @@ use crate::time::SimTime;
 
 /// The board as a model sees it while it is being called.
 #[derive(Debug)]
-pub struct RigIo<'a> {
+pub struct PinIo<'a> {
     now: SimTime,
     levels: &'a [u16; Pin::PORTS],
     drives: &'a mut Vec<(Pin, Drive)>,
 }
 
-impl<'a> RigIo<'a> {
+impl<'a> PinIo<'a> {
     /// A view for one call at `now`. `levels` are the pins' levels, a word a
     /// port; what the model drives is appended to `drives`.
     #[must_use]
@@ -55,7 +55,7 @@ impl<'a> RigIo<'a> {
 }
 
 /// A part of the rig wired to pins of the board.
-pub trait RigModel: Send {
+pub trait PinModel: Send {
     /// Name for logs.
     fn name(&self) -> String;
 
@@ -63,18 +63,18 @@ pub trait RigModel: Send {
     fn watched_pins(&self) -> Vec<Pin>;
 
     /// Called once at the board's power-on (time zero), to drive the idle levels.
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
         let _ = io;
     }
 
     /// A watched pin changed to `level`, at `io.now()`.
-    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut RigIo<'_>) {
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         let _ = (pin, level, io);
     }
 
     /// A watched pin carries a clock of the given rate from `io.now()` on
     /// (MCO1 on PA8), or stops to. Single edges of such a clock are not delivered.
-    fn on_clock(&mut self, pin: Pin, rate: Option<Rate>, io: &mut RigIo<'_>) {
+    fn on_clock(&mut self, pin: Pin, rate: Option<Rate>, io: &mut PinIo<'_>) {
         let _ = (pin, rate, io);
     }
 
@@ -83,8 +83,8 @@ pub trait RigModel: Send {
     /// every I2C event if the model is also an I2C target.
     fn next_event(&self) -> Option<SimTime>;
 
-    /// Called at the time that [`RigModel::next_event`] gave.
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    /// Called at the time that [`PinModel::next_event`] gave.
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         let _ = io;
     }
 }

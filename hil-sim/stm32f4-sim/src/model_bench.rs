@@ -3,7 +3,7 @@
 
 use crate::clock::Rate;
 use crate::i2c::{Ack, Direction, I2cTarget};
-use crate::model::{RigIo, RigModel};
+use crate::model::{PinIo, PinModel};
 use crate::pin::{Drive, Level, Pin};
 use crate::time::{SimDuration, SimTime};
 
@@ -19,7 +19,7 @@ pub struct Bench<M> {
     pub driven: Vec<(SimTime, Pin, Drive)>,
 }
 
-impl<M: RigModel> Bench<M> {
+impl<M: PinModel> Bench<M> {
     /// Powers the model on, with all pins low.
     pub fn new(model: M) -> Self {
         let mut bench = Self {
@@ -32,11 +32,11 @@ impl<M: RigModel> Bench<M> {
         bench
     }
 
-    fn call(&mut self, f: impl FnOnce(&mut M, &mut RigIo<'_>)) {
+    fn call(&mut self, f: impl FnOnce(&mut M, &mut PinIo<'_>)) {
         let mut drives = Vec::new();
         f(
             &mut self.model,
-            &mut RigIo::new(self.now, &self.levels, &mut drives),
+            &mut PinIo::new(self.now, &self.levels, &mut drives),
         );
         for (pin, drive) in drives {
             self.driven.push((self.now, pin, drive));
@@ -86,7 +86,7 @@ impl<M: RigModel> Bench<M> {
 /// Length of a byte on a bus of 400 kHz.
 const BYTE: SimDuration = SimDuration::from_nanos(22_500);
 
-impl<M: RigModel + I2cTarget> Bench<M> {
+impl<M: PinModel + I2cTarget> Bench<M> {
     fn byte(&mut self) -> SimTime {
         self.run(BYTE);
         self.now

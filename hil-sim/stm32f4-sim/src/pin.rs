@@ -1,4 +1,4 @@
-//! Pins of the STM32F407 as the rig sees them.
+//! Pins of the STM32F407 as one sees them from outside.
 
 use core::fmt;
 
@@ -40,47 +40,26 @@ impl Pin {
 }
 
 macro_rules! pins {
-    ($($(#[$doc:meta])* $name:ident = $port:expr, $number:expr;)*) => {
-        impl Pin { $($(#[$doc])* pub const $name: Pin = Pin($port * 16 + $number);)* }
+    ($($port:literal: $($name:ident),*;)*) => {
+        impl Pin { $(pins!(@port $port, 0; $($name),*);)* }
     };
+    (@port $port:literal, $number:expr; $name:ident $(, $rest:ident)*) => {
+        #[doc = concat!("The pin ", stringify!($name), ".")]
+        pub const $name: Pin = Pin($port * 16 + $number);
+        pins!(@port $port, $number + 1; $($rest),*);
+    };
+    (@port $port:literal, $number:expr;) => {};
 }
 pins! {
-    /// TIM2 CH2: data-ready of the IMU.
-    PA1 = 0, 1;
-    /// TIM2 CH3: strobe input.
-    PA2 = 0, 2;
-    /// TIM2 CH4: trigger read-back.
-    PA3 = 0, 3;
-    /// TIM2 CH1: camera trigger.
-    PA5 = 0, 5;
-    /// MCO1: clock of the IMU.
-    PA8 = 0, 8;
-    /// USB D-.
-    PA11 = 0, 11;
-    /// USB D+.
-    PA12 = 0, 12;
-    /// I2C1 clock.
-    PB6 = 1, 6;
-    /// I2C1 data.
-    PB7 = 1, 7;
-    /// UART5 transmit: NMEA for a lidar.
-    PC12 = 2, 12;
-    /// LED: IMU alive.
-    PD12 = 3, 12;
-    /// LED: pulse.
-    PD13 = 3, 13;
-    /// LED: fault.
-    PD14 = 3, 14;
-    /// LED: host linked.
-    PD15 = 3, 15;
-    /// TIM1 CH1: pulse per second.
-    PE9 = 4, 9;
-    /// TIM1 CH2: trigger output 2.
-    PE11 = 4, 11;
-    /// TIM1 CH3: trigger output 3.
-    PE13 = 4, 13;
-    /// TIM1 CH4: trigger output 4.
-    PE14 = 4, 14;
+    0: PA0, PA1, PA2, PA3, PA4, PA5, PA6, PA7, PA8, PA9, PA10, PA11, PA12, PA13, PA14, PA15;
+    1: PB0, PB1, PB2, PB3, PB4, PB5, PB6, PB7, PB8, PB9, PB10, PB11, PB12, PB13, PB14, PB15;
+    2: PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7, PC8, PC9, PC10, PC11, PC12, PC13, PC14, PC15;
+    3: PD0, PD1, PD2, PD3, PD4, PD5, PD6, PD7, PD8, PD9, PD10, PD11, PD12, PD13, PD14, PD15;
+    4: PE0, PE1, PE2, PE3, PE4, PE5, PE6, PE7, PE8, PE9, PE10, PE11, PE12, PE13, PE14, PE15;
+    5: PF0, PF1, PF2, PF3, PF4, PF5, PF6, PF7, PF8, PF9, PF10, PF11, PF12, PF13, PF14, PF15;
+    6: PG0, PG1, PG2, PG3, PG4, PG5, PG6, PG7, PG8, PG9, PG10, PG11, PG12, PG13, PG14, PG15;
+    7: PH0, PH1, PH2, PH3, PH4, PH5, PH6, PH7, PH8, PH9, PH10, PH11, PH12, PH13, PH14, PH15;
+    8: PI0, PI1, PI2, PI3, PI4, PI5, PI6, PI7, PI8, PI9, PI10, PI11, PI12, PI13, PI14, PI15;
 }
 
 impl fmt::Display for Pin {

@@ -11,7 +11,7 @@ use std::io::{self, Write};
 
 use vcd::{IdCode, SimulationCommand, TimescaleUnit, Value, Writer};
 
-use crate::model::{RigIo, RigModel};
+use crate::model::{PinIo, PinModel};
 use crate::pin::{Level, Pin};
 use crate::time::{SimTime, UNITS_PER_NANO};
 
@@ -60,7 +60,7 @@ impl<W: Write> VcdTrace<W> {
         self.writer.change_scalar(*code, value(level))
     }
 
-    fn begin(&mut self, io: &RigIo<'_>) -> io::Result<()> {
+    fn begin(&mut self, io: &PinIo<'_>) -> io::Result<()> {
         self.writer.timestamp(picoseconds(io.now()))?;
         self.at = Some(picoseconds(io.now()));
         self.writer.begin(SimulationCommand::Dumpvars)?;
@@ -108,7 +108,7 @@ fn value(level: Level) -> Value {
     }
 }
 
-impl<W: Write + Send> RigModel for VcdTrace<W> {
+impl<W: Write + Send> PinModel for VcdTrace<W> {
     fn name(&self) -> String {
         "edge trace".to_owned()
     }
@@ -117,12 +117,12 @@ impl<W: Write + Send> RigModel for VcdTrace<W> {
         self.pins.iter().map(|(pin, _)| *pin).collect()
     }
 
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
         let result = self.begin(io);
         self.keep(result);
     }
 
-    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut RigIo<'_>) {
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         let result = self.change(io.now(), pin, level);
         self.keep(result);
     }

@@ -6,7 +6,7 @@ use protocol::{
     MAX_FRAME, Refusal, Reply, Status, encode,
 };
 
-use stm32f4_sim::rig::{Rig, RigError};
+use stm32f4_sim::sim::{Sim, SimError};
 use stm32f4_sim::time::SimDuration;
 
 /// Time allowed for an answer.
@@ -31,7 +31,7 @@ impl core::fmt::Debug for BoardLink {
 pub enum LinkError {
     /// The run ended.
     #[error(transparent)]
-    Rig(#[from] RigError),
+    Rig(#[from] SimError),
     /// Nothing came in time.
     #[error("no {what} within {limit:?} of virtual time")]
     Timeout {
@@ -67,7 +67,7 @@ impl BoardLink {
     }
 
     /// Takes what has come from the board.
-    pub fn receive(&mut self, rig: &mut Rig) {
+    pub fn receive(&mut self, rig: &mut Sim) {
         let bytes = rig.usb_read();
         let mut rest = bytes.as_slice();
         while let Some(item) = self.decoder.next(&mut rest) {
@@ -100,7 +100,7 @@ impl BoardLink {
     /// # Errors
     ///
     /// If it does not fit a frame.
-    pub fn send(&mut self, rig: &mut Rig, command: Command) -> Result<u32, LinkError> {
+    pub fn send(&mut self, rig: &mut Sim, command: Command) -> Result<u32, LinkError> {
         let id = self.next_id;
         self.next_id = id.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
@@ -118,7 +118,7 @@ impl BoardLink {
     /// If it does not come in time, or the firmware fails.
     pub fn wait<T>(
         &mut self,
-        rig: &mut Rig,
+        rig: &mut Sim,
         what: &'static str,
         limit: SimDuration,
         mut pick: impl FnMut(&DeviceToHost) -> Option<T>,
@@ -145,7 +145,7 @@ impl BoardLink {
     /// # Errors
     ///
     /// If it is refused or not answered within two seconds, or the firmware fails.
-    pub fn request(&mut self, rig: &mut Rig, command: Command) -> Result<Reply, LinkError> {
+    pub fn request(&mut self, rig: &mut Sim, command: Command) -> Result<Reply, LinkError> {
         let id = self.send(rig, command)?;
         let result = self.wait(rig, "answer", ANSWER_LIMIT, |m| match m {
             DeviceToHost::Answer(Answer { id: of, result }) if *of == id => Some(result.clone()),
@@ -159,7 +159,7 @@ impl BoardLink {
     /// # Errors
     ///
     /// If none comes in time, or the firmware fails.
-    pub fn hello(&mut self, rig: &mut Rig, limit: SimDuration) -> Result<Hello, LinkError> {
+    pub fn hello(&mut self, rig: &mut Sim, limit: SimDuration) -> Result<Hello, LinkError> {
         self.wait(rig, "hello", limit, |m| match m {
             DeviceToHost::Hello(hello) => Some(hello.clone()),
             _ => None,
@@ -171,7 +171,7 @@ impl BoardLink {
     /// # Errors
     ///
     /// If none comes in time, or the firmware fails.
-    pub fn status(&mut self, rig: &mut Rig, limit: SimDuration) -> Result<Status, LinkError> {
+    pub fn status(&mut self, rig: &mut Sim, limit: SimDuration) -> Result<Status, LinkError> {
         self.wait(rig, "status", limit, |m| match m {
             DeviceToHost::Status(status) => Some(status.clone()),
             _ => None,

@@ -10,14 +10,15 @@
 //! when the board says hello ([`BoardTruth::begin`]), and holds for all edges on
 //! all pins until the board is reset ([`BoardTruth::restart`]).
 
+use rig::wiring;
 use std::collections::VecDeque;
 
 use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
 
 use rig::mpu9150::{Mpu9150, SampleRecord};
 use stm32f4_sim::i2c::{Shared, lock};
-use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::rig::Rig;
+use stm32f4_sim::pin::Level;
+use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// Virtual time in one tick of the board.
@@ -92,9 +93,9 @@ impl BoardTruth {
     }
 
     /// Makes the rig log what is looked at here.
-    pub fn watch(&self, rig: &mut Rig) {
-        rig.log_pin(Pin::PA5);
-        rig.log_pin(Pin::PA2);
+    pub fn watch(&self, rig: &mut Sim) {
+        rig.log_pin(wiring::TRIGGER);
+        rig.log_pin(wiring::STROBE);
     }
 
     /// The train that was started, from its answer on.
@@ -124,11 +125,11 @@ impl BoardTruth {
 
     /// The board has said hello, at its time `now`. To be called within 80 s
     /// of that.
-    pub fn begin(&mut self, rig: &Rig, now: Ticks) {
+    pub fn begin(&mut self, rig: &Sim, now: Ticks) {
         if self.zero.is_some() {
             return;
         }
-        let (at, count) = rig.tim2_tick();
+        let (at, count) = rig.timer(wiring::TIMEBASE);
         let ticks = now.0 + u64::from(count.wrapping_sub(now.0 as u32));
         self.zero = at.units().checked_sub(ticks * UNITS_PER_TICK);
     }
@@ -148,7 +149,7 @@ impl BoardTruth {
     /// A pulse before the reset was wrong.
     pub fn restart(
         &mut self,
-        rig: &mut Rig,
+        rig: &mut Sim,
         sensor: &Shared<Mpu9150>,
         at: SimTime,
     ) -> Result<(), Wrong> {
@@ -172,23 +173,23 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse is not where the arithmetic has it.
-    pub fn take(&mut self, rig: &mut Rig, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
+    pub fn take(&mut self, rig: &mut Sim, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
         self.take_up_to(rig, sensor, SimTime::NEVER)
     }
 
     /// A reset at `reset` cuts a pulse short and makes no edge wrong after it.
     fn take_up_to(
         &mut self,
-        rig: &mut Rig,
+        rig: &mut Sim,
         sensor: &Shared<Mpu9150>,
         reset: SimTime,
     ) -> Result<(), Wrong> {
         for (pin, level, at) in rig.take_edges() {
             match (pin, level) {
-                (Pin::PA5, _) if at >= reset => {}
-                (Pin::PA5, Level::High) => self.rise(at)?,
-                (Pin::PA5, Level::Low) => self.fall(at)?,
-                (Pin::PA2, level) => self.strobe.push_back((at, level)),
+                (wiring::TRIGGER, _) if at >= reset => {}
+                (wiring::TRIGGER, Level::High) => self.rise(at)?,
+                (wiring::TRIGGER, Level::Low) => self.fall(at)?,
+                (wiring::STROBE, level) => self.strobe.push_back((at, level)),
                 _ => {}
             }
         }

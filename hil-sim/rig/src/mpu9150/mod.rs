@@ -1,7 +1,7 @@
 //! The MPU-9150 on the board's I2C bus: registers, interrupt pin, clock, faults.
 //!
 //! [`Mpu9150`] is one state machine with two sides: an [`I2cTarget`](stm32f4_sim::i2c::I2cTarget)
-//! at address 0x68 and a [`RigModel`] that drives the data-ready pin (PA1) and listens to
+//! at address 0x68 and a [`PinModel`] that drives the data-ready pin (PA1) and listens to
 //! the reference clock (PA8). It is shared by both through
 //! [`stm32f4_sim::i2c::Shared`].
 //!
@@ -41,6 +41,7 @@ mod sampling;
 #[cfg(test)]
 mod tests;
 
+use crate::wiring;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -53,7 +54,7 @@ use crate::oscillator::{BoardTime, OscillatorConfig};
 use crate::random::{Seed, Stream};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::i2c::Shared;
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -412,31 +413,31 @@ impl Mpu9150 {
         }
     }
 
-    fn update_pin(&mut self, io: &mut RigIo<'_>) {
+    fn update_pin(&mut self, io: &mut PinIo<'_>) {
         self.pin_due = None;
         let drive = self.pin_drive();
         if self.driven != Some(drive) {
             self.driven = Some(drive);
-            io.drive(Pin::PA1, drive);
+            io.drive(wiring::IMU_READY, drive);
         }
     }
 }
 
-impl RigModel for Mpu9150 {
+impl PinModel for Mpu9150 {
     fn name(&self) -> String {
         "MPU-9150".to_owned()
     }
 
     fn watched_pins(&self) -> Vec<Pin> {
-        vec![Pin::PA8]
+        vec![wiring::IMU_CLOCK]
     }
 
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
         self.update_pin(io);
     }
 
-    fn on_clock(&mut self, pin: Pin, rate: Option<Rate>, io: &mut RigIo<'_>) {
-        if pin == Pin::PA8 {
+    fn on_clock(&mut self, pin: Pin, rate: Option<Rate>, io: &mut PinIo<'_>) {
+        if pin == wiring::IMU_CLOCK {
             self.clock_in = rate;
             self.clock_changed(io.now());
         }
@@ -454,7 +455,7 @@ impl RigModel for Mpu9150 {
         .min()
     }
 
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         let now = io.now();
         while let Some(fault) = self.faults.pop_due(now) {
             self.fault(fault, now);

@@ -1,12 +1,13 @@
 //! The real firmware on the simulated board: boot, time, link, failures.
 
 use crate::board_host::Board;
+use rig::wiring;
 
 use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
 use protocol::*;
 use rig::random::{Seed, Stream};
-use stm32f4_sim::firmware::{Firmware, default_elf};
-use stm32f4_sim::rig::{FailureKind, ResetCause as BoardReset, Rig, RigError};
+use stm32f4_sim::firmware::Firmware;
+use stm32f4_sim::sim::{FailureKind, ResetCause as BoardReset, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
@@ -15,7 +16,7 @@ const SECOND: u64 = TICK_HZ as u64;
 
 #[test]
 fn it_boots_to_hello() {
-    let board = Board::boot(Rig::builder());
+    let board = Board::boot(wiring::board());
     let hello = &board.hellos[0];
     assert_eq!(hello.protocol_version, PROTOCOL_VERSION);
     assert_eq!(hello.tick_hz, TICK_HZ);
@@ -42,7 +43,7 @@ fn it_boots_to_hello() {
 /// More than six wraps of the 32-bit counter, and a status every second.
 #[test]
 fn ten_minutes_of_status_in_one_continuous_time() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     board.run(600_000);
     assert!(board.rig.failures().is_empty());
     assert!(
@@ -93,7 +94,7 @@ fn ten_minutes_of_status_in_one_continuous_time() {
 
 #[test]
 fn time_goes_on_while_the_cable_is_out() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     board.run(3_000);
     let hello = board.hellos[0].clone();
     let (sim_before, before) = (board.rig.now(), board.now());
@@ -127,7 +128,7 @@ fn time_goes_on_while_the_cable_is_out() {
 
 #[test]
 fn a_host_that_stops_reading_costs_only_counted_messages() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     board.run(2_000);
     board.rig.usb_set_reading(false);
     board.run(20_000);
@@ -148,7 +149,7 @@ fn a_host_that_stops_reading_costs_only_counted_messages() {
 /// answered afterwards.
 #[test]
 fn ten_megabytes_of_random_bytes_change_nothing() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     let epoch = board.hellos[0].epoch;
     let mut random = Seed(99).stream(Stream::Test);
     let mut chunk = vec![0; 64 * 1024];
@@ -203,7 +204,7 @@ fn next_run(board: &mut Board) -> Hello {
 
 #[test]
 fn a_panic_is_reported_in_the_next_hello() {
-    let mut board = Board::boot(Rig::builder().tolerate_failures());
+    let mut board = Board::boot(wiring::board().tolerate_failures());
     self_test(&mut board, Failure::Panic);
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Software);
@@ -229,7 +230,7 @@ fn a_panic_is_reported_in_the_next_hello() {
 
 #[test]
 fn a_hard_fault_is_reported_in_the_next_hello() {
-    let mut board = Board::boot(Rig::builder().tolerate_failures());
+    let mut board = Board::boot(wiring::board().tolerate_failures());
     self_test(&mut board, Failure::HardFault);
     let hello = next_run(&mut board);
     assert_eq!(hello.reset_cause, ResetCause::Software);
@@ -249,7 +250,7 @@ fn a_hard_fault_is_reported_in_the_next_hello() {
 #[test]
 fn a_hang_and_a_dead_task_end_in_a_watchdog_reset() {
     for failure in [Failure::Hang, Failure::Stall] {
-        let mut board = Board::boot(Rig::builder().tolerate_failures());
+        let mut board = Board::boot(wiring::board().tolerate_failures());
         self_test(&mut board, failure);
         let begun = board.rig.now();
         let hello = next_run(&mut board);
@@ -270,10 +271,10 @@ fn a_hang_and_a_dead_task_end_in_a_watchdog_reset() {
 /// Without being told to go on, a failure ends the run and says where it was.
 #[test]
 fn a_failure_ends_the_run_with_its_message_and_stack() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     self_test(&mut board, Failure::Panic);
     let error = board.rig.run_for(SimDuration::from_secs(2)).unwrap_err();
-    let RigError::Failed(failure) = &error else {
+    let SimError::Failed(failure) = &error else {
         panic!("{error}");
     };
     assert_eq!(failure.kind, FailureKind::Panic);
@@ -289,12 +290,12 @@ fn a_failure_ends_the_run_with_its_message_and_stack() {
 /// A clock tree that is not what the firmware believes shows as wrong time.
 #[test]
 fn a_wrong_pll_factor_is_found_out() {
-    let mut elf = default_elf().into_os_string();
+    let mut elf = wiring::default_elf().into_os_string();
     elf.push("-wrong-pll");
     if !std::path::Path::new(&elf).is_file() {
         panic!("no firmware with a wrong PLL factor at {elf:?}: run `cargo xtask build`");
     }
-    let mut board = Board::boot(Rig::builder().elf(elf));
+    let mut board = Board::boot(wiring::board().elf(elf));
     let (sim_before, before) = (board.rig.now(), board.now());
     board.run(2_000);
     let (sim_after, after) = (board.rig.now(), board.now());
@@ -310,7 +311,7 @@ fn a_wrong_pll_factor_is_found_out() {
 
 /// What three seconds of the board send, byte for byte.
 fn three_seconds(seed: u64) -> Vec<u8> {
-    let mut rig = Rig::builder().seed(Seed(seed)).build().unwrap();
+    let mut rig = wiring::board().seed(Seed(seed)).build().unwrap();
     let mut bytes = Vec::new();
     for _ in 0..30 {
         rig.run_for(SimDuration::from_millis(100)).unwrap();
@@ -334,7 +335,7 @@ fn the_same_seed_gives_the_same_bytes() {
 
 #[test]
 fn damaged_bytes_are_counted_and_the_link_goes_on() {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     board.rig.usb_corrupt(0, 20_000);
     for n in 0..300 {
         board.send(Command::Ping { host_time: n });
@@ -351,7 +352,7 @@ fn damaged_bytes_are_counted_and_the_link_goes_on() {
 
 #[test]
 fn a_missing_or_foreign_elf_is_a_clear_error() {
-    let missing = Firmware::load(std::path::Path::new("/does/not/exist"));
+    let missing = wiring::board().elf("/does/not/exist").build();
     let text = missing.unwrap_err().to_string();
     assert!(text.contains("cargo xtask build"), "{text}");
     // This test itself is an ELF, but not one for the board.

@@ -3,7 +3,7 @@
 
 use protocol::*;
 use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::rig::{Rig, RigBuilder};
+use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// Virtual time in one tick of the board.
@@ -11,7 +11,7 @@ pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
 
 /// The board, and the messages that have come from it, each stream in order.
 pub(crate) struct Board {
-    pub(crate) rig: Rig,
+    pub(crate) rig: Sim,
     decoder: Decoder<DeviceToHost>,
     next_id: u32,
     pub(crate) hellos: Vec<Hello>,
@@ -30,7 +30,7 @@ pub(crate) struct Board {
 
 impl Board {
     /// Boots the firmware and opens its serial port.
-    pub(crate) fn boot(builder: RigBuilder) -> Self {
+    pub(crate) fn boot(builder: SimBuilder) -> Self {
         let mut rig = builder.build().unwrap();
         let ready = rig.run_until_usb_ready(SimDuration::from_secs(3)).unwrap();
         assert!(ready, "no USB: {:?}", rig.usb_log());
@@ -192,7 +192,7 @@ impl Epoch {
     }
 }
 
-/// Rising and falling edges of `pin` in what [`Rig::take_edges`] gave.
+/// Rising and falling edges of `pin` in what [`Sim::take_edges`] gave.
 pub(crate) fn pulses_of(edges: &[(Pin, Level, SimTime)], pin: Pin) -> Vec<(SimTime, SimTime)> {
     let mut of_pin = edges.iter().filter(|edge| edge.0 == pin);
     let mut pulses = Vec::new();

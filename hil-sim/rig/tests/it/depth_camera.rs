@@ -1,6 +1,7 @@
 //! The depth camera on the trigger of the real firmware, on the simulated board:
 //! what the board reports against the camera's truth.
 
+use rig::wiring;
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
@@ -11,7 +12,7 @@ use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::{Rig, RigBuilder};
+use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO};
 use stm32f4_sim::vcd_trace::VcdTrace;
 
@@ -46,7 +47,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(first_frame: u32, width: u32, builder: RigBuilder) -> Self {
+    fn new(first_frame: u32, width: u32, builder: SimBuilder) -> Self {
         let camera = camera(first_frame);
         let mut board = Board::boot(builder.model(camera.clone()));
         board.rig.log_pin(Pin::PA5);
@@ -93,7 +94,7 @@ fn own(board_seconds: f64) -> f64 {
 #[test]
 fn frames_and_flashes_are_those_of_the_reported_pulses() {
     for first_frame in [2, 3] {
-        let mut bench = Bench::new(first_frame, 576, Rig::builder());
+        let mut bench = Bench::new(first_frame, 576, wiring::board());
         let frames = bench.run(3_000);
         let pulses = &bench.board.pulses;
         assert_eq!(frames.len(), pulses.len() - (first_frame as usize - 1));
@@ -135,7 +136,7 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
 /// not be is refused.
 #[test]
 fn the_boards_shortest_pulse_is_long_enough() {
-    let mut bench = Bench::new(2, MIN_PULSE_WIDTH, Rig::builder());
+    let mut bench = Bench::new(2, MIN_PULSE_WIDTH, wiring::board());
     bench.run(1_000);
     assert_eq!(lock(&bench.camera).short_pulses(), 0);
     assert_eq!(
@@ -155,7 +156,7 @@ fn the_boards_shortest_pulse_is_long_enough() {
 /// Device timestamps count 90 kHz of the camera's own clock.
 #[test]
 fn device_timestamps_are_of_the_cameras_own_clock() {
-    let mut bench = Bench::new(2, 576, Rig::builder());
+    let mut bench = Bench::new(2, 576, wiring::board());
     let frames = bench.run(10_000);
     let first = frames.first().unwrap();
     let last = frames.last().unwrap();
@@ -171,7 +172,7 @@ fn device_timestamps_are_of_the_cameras_own_clock() {
 /// captured; when a train starts again it follows that.
 #[test]
 fn it_runs_freely_when_the_pulses_stop_and_follows_them_again() {
-    let mut bench = Bench::new(2, 576, Rig::builder());
+    let mut bench = Bench::new(2, 576, wiring::board());
     bench.run(1_000);
     bench.board.ask(Command::TriggerStop).unwrap();
     bench.board.run(200);
@@ -205,7 +206,7 @@ fn it_runs_freely_when_the_pulses_stop_and_follows_them_again() {
 #[test]
 fn a_jump_spoils_frames_and_small_steps_do_not() {
     for (slew, spoils) in [(0, true), (7_200, false)] {
-        let mut bench = Bench::new(2, 576, Rig::builder());
+        let mut bench = Bench::new(2, 576, wiring::board());
         bench.run(1_000);
         let period = Period::from_picos(33_330_652_540).unwrap();
         let status = bench.board.trigger();
@@ -255,7 +256,7 @@ fn a_vcd_trace_shows_the_edges_of_the_pins() {
     let pins = [(Pin::PA5, "trigger"), (Pin::PA2, "strobe")];
     let trace = Arc::new(Mutex::new(VcdTrace::new(buffer.clone(), &pins).unwrap()));
     let camera = camera(2);
-    let builder = Rig::builder().model(camera).model(trace.clone());
+    let builder = wiring::board().model(camera).model(trace.clone());
     let mut board = Board::boot(builder);
     board.rig.log_pin(Pin::PA5);
     board.rig.log_pin(Pin::PA2);

@@ -1,6 +1,7 @@
 //! The pulse per second and its sentences from the real firmware on the simulated
 //! board, read by a lidar's inputs and by a parser that others wrote.
 
+use rig::wiring;
 use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
@@ -8,7 +9,6 @@ use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// A Velodyne's.
@@ -32,7 +32,7 @@ struct Bench {
 impl Bench {
     fn new(config: LidarConfig) -> Self {
         let lidar = Arc::new(Mutex::new(Lidar::new(config)));
-        let mut board = Board::boot(Rig::builder().model(lidar.clone()));
+        let mut board = Board::boot(wiring::board().model(lidar.clone()));
         board.rig.log_pin(Pin::PA5);
         let start = TriggerStart {
             period: Period::from_picos(33_330_652_540).unwrap(),

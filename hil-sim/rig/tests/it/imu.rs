@@ -2,6 +2,7 @@
 //! sensor: every sample's time and value, every fault.
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
+use rig::wiring;
 use std::collections::VecDeque;
 
 use protocol::*;
@@ -12,7 +13,6 @@ use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// A board with a sensor, and the time of tick 0.
@@ -36,7 +36,7 @@ impl Bench {
             sensor.schedule(SimTime::ZERO, fault);
         }
         let sensor = sensor.shared();
-        let builder = Rig::builder()
+        let builder = wiring::board()
             .model(sensor.clone())
             .i2c_target(sensor.clone());
         let mut board = Board::boot(builder);

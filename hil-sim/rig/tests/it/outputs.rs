@@ -2,6 +2,7 @@
 //! edge at the pins against the arithmetic of the commands, beside the camera's
 //! train and the pulse per second.
 
+use rig::wiring;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +11,6 @@ use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimTime;
 
 const CAMERA: u64 = 33_330_652_540;
@@ -98,7 +98,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
-        let mut board = Board::boot(Rig::builder().model(Arc::clone(&lidar)));
+        let mut board = Board::boot(wiring::board().model(Arc::clone(&lidar)));
         for pin in PINS {
             board.rig.log_pin(pin);
         }

@@ -1,6 +1,7 @@
 //! The trigger train of the real firmware on the simulated board: every edge at
 //! the pin against the arithmetic of the command.
 
+use rig::wiring;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -8,7 +9,6 @@ use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, trigger_status}
 use crate::trigger_rig::{Strobe, Wire};
 use protocol::*;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimDuration;
 
 /// The default width: 12 µs.
@@ -19,7 +19,7 @@ fn picos(picos: u64) -> Period {
 }
 
 fn board() -> Board {
-    let mut board = Board::boot(Rig::builder());
+    let mut board = Board::boot(wiring::board());
     board.rig.log_pin(Pin::PA5);
     board
 }
@@ -435,7 +435,7 @@ fn the_read_back_proves_the_wire() {
     // 3 ticks: a buffer of 62.5 ns.
     let delay = SimDuration::from_units(3 * UNITS_PER_TICK);
     let wire = Wire::new(delay, connected.clone());
-    let mut board = Board::boot(Rig::builder().model(wire));
+    let mut board = Board::boot(wiring::board().model(wire));
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(500);
     let unwired = board.trigger().readback;
@@ -468,7 +468,7 @@ fn the_read_back_proves_the_wire() {
 fn the_cameras_flashes_are_captured_without_loss() {
     let strobe = Strobe::flashes();
     let made = strobe.made.clone();
-    let mut board = Board::boot(Rig::builder().model(strobe));
+    let mut board = Board::boot(wiring::board().model(strobe));
     board.rig.log_pin(Pin::PA5);
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(20_000);
@@ -497,7 +497,7 @@ fn the_cameras_flashes_are_captured_without_loss() {
 #[test]
 fn a_flood_on_the_strobe_input_starves_nothing() {
     let strobe = Strobe::new(3_000, 5, 10);
-    let mut board = Board::boot(Rig::builder().model(strobe));
+    let mut board = Board::boot(wiring::board().model(strobe));
     board.rig.log_pin(Pin::PA5);
     let period = picos(33_330_652_540);
     let first = start(&mut board, period, WIDTH).next_edge;

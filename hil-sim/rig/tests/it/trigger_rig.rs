@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -26,14 +26,14 @@ impl Wire {
     }
 }
 
-impl RigModel for Wire {
+impl PinModel for Wire {
     fn name(&self) -> String {
         "trigger wire".into()
     }
     fn watched_pins(&self) -> Vec<Pin> {
         vec![Pin::PA5]
     }
-    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut RigIo<'_>) {
+    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut PinIo<'_>) {
         if self.connected.load(Ordering::Relaxed) {
             self.coming.push_back((io.now() + self.delay, level));
         }
@@ -41,7 +41,7 @@ impl RigModel for Wire {
     fn next_event(&self) -> Option<SimTime> {
         self.coming.front().map(|next| next.0)
     }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         while let Some(&(at, level)) = self.coming.front()
             && at <= io.now()
         {
@@ -78,17 +78,17 @@ impl Strobe {
     }
 }
 
-impl RigModel for Strobe {
+impl PinModel for Strobe {
     fn name(&self) -> String {
         "strobe".into()
     }
     fn watched_pins(&self) -> Vec<Pin> {
         vec![Pin::PA5]
     }
-    fn power_on(&mut self, io: &mut RigIo<'_>) {
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
         io.drive(Pin::PA2, Drive::Low);
     }
-    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut RigIo<'_>) {
+    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut PinIo<'_>) {
         if level.is_high() {
             // Not on a whole tick, so that captures have something to round.
             let mut at = io.now() + SimDuration::from_nanos(500_007);
@@ -102,7 +102,7 @@ impl RigModel for Strobe {
     fn next_event(&self) -> Option<SimTime> {
         self.coming.front().map(|next| next.0)
     }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         while let Some(&(at, level)) = self.coming.front()
             && at <= io.now()
         {

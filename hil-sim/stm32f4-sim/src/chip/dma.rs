@@ -112,10 +112,11 @@ impl Dma {
         }
     }
 
-    pub(crate) fn read(&self, offset: u32) -> u32 {
-        match offset {
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
             0x00 => self.flags(false),
             0x04 => self.flags(true),
+            0x08 | 0x0c => 0,
             0x10..=0xcc => {
                 let st = &self.streams[((offset - 0x10) / 0x18) as usize];
                 match (offset - 0x10) % 0x18 {
@@ -128,11 +129,11 @@ impl Dma {
                     _ => (st.fcr & !0x38) | (4 << 3),
                 }
             }
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x08 => self.clear(false, value),
             0x0c => self.clear(true, value),
@@ -152,11 +153,13 @@ impl Dma {
                     0x0c => st.mar[0] = value,
                     0x10 => st.mar[1] = value,
                     0x14 => st.fcr = value & 0x87,
+                    // The manual forbids the others while the stream is enabled.
                     _ => {}
                 }
             }
-            _ => {}
+            _ => return false,
         }
+        true
     }
 }
 
@@ -181,7 +184,7 @@ mod tests {
         d.item_done(6);
         assert!(d.irq(6));
         assert!(!d.armed(6, 1));
-        assert_eq!(d.read(4) >> 16 & 0x3f, FLAG_COMPLETE | FLAG_HALF);
+        assert_eq!(d.read(4).unwrap() >> 16 & 0x3f, FLAG_COMPLETE | FLAG_HALF);
         d.write(0xc, 0x3d << 16);
         assert!(!d.irq(6));
     }

@@ -5,13 +5,10 @@ use crate::pin::Pin;
 #[derive(Debug, Default)]
 pub(crate) struct Exti {
     imr: u32,
-    emr: u32,
     rtsr: u32,
     ftsr: u32,
     pr: u32,
     exticr: [u32; 4],
-    memrmp: u32,
-    pmc: u32,
     cmpcr: u32,
 }
 
@@ -32,47 +29,43 @@ impl Exti {
         self.pr & self.imr
     }
 
-    pub(crate) fn read(&self, offset: u32) -> u32 {
-        match offset {
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
             0x00 => self.imr,
-            0x04 => self.emr,
             0x08 => self.rtsr,
             0x0c => self.ftsr,
             0x14 => self.pr,
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32) -> bool {
         let value = value & 0x7f_ffff;
         match offset {
             0x00 => self.imr = value,
-            0x04 => self.emr = value,
             0x08 => self.rtsr = value,
             0x0c => self.ftsr = value,
             0x10 => self.pr |= value,
             0x14 => self.pr &= !value,
-            _ => {}
+            _ => return false,
         }
+        true
     }
 
-    pub(crate) fn read_syscfg(&self, offset: u32) -> u32 {
-        match offset {
-            0x00 => self.memrmp,
-            0x04 => self.pmc,
+    pub(crate) fn read_syscfg(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
             0x08..=0x14 => self.exticr[((offset - 8) / 4) as usize],
             0x20 => self.cmpcr | ((self.cmpcr & 1) << 8),
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
-    pub(crate) fn write_syscfg(&mut self, offset: u32, value: u32) {
+    pub(crate) fn write_syscfg(&mut self, offset: u32, value: u32) -> bool {
         match offset {
-            0x00 => self.memrmp = value,
-            0x04 => self.pmc = value,
             0x08..=0x14 => self.exticr[((offset - 8) / 4) as usize] = value & 0xffff,
             0x20 => self.cmpcr = value & 1,
-            _ => {}
+            _ => return false,
         }
+        true
     }
 }

@@ -16,11 +16,9 @@ pub(crate) enum Mode {
 struct Port {
     moder: u32,
     otyper: u32,
-    ospeedr: u32,
     pupdr: u32,
     odr: u32,
     afr: [u32; 2],
-    lckr: u32,
 }
 
 /// All ports and what the rig drives on their pins.
@@ -53,14 +51,13 @@ impl Gpio {
     /// Registers of one port after a reset.
     pub(crate) fn reset_port(&mut self, port: usize) {
         // The debug pins start as alternate functions (RM0090 8.4.1 to 8.4.4).
-        let (moder, ospeedr, pupdr) = match port {
-            0 => (0xa800_0000, 0x0c00_0000, 0x6400_0000),
-            1 => (0x0000_0280, 0x0000_00c0, 0x0000_0100),
-            _ => (0, 0, 0),
+        let (moder, pupdr) = match port {
+            0 => (0xa800_0000, 0x6400_0000),
+            1 => (0x0000_0280, 0x0000_0100),
+            _ => (0, 0),
         };
         self.ports[port] = Port {
             moder,
-            ospeedr,
             pupdr,
             ..Port::default()
         };
@@ -122,24 +119,23 @@ impl Gpio {
         self.levels[pin.port()] & (1 << pin.number()) != 0
     }
 
-    pub(crate) fn read(&self, port: usize, offset: u32) -> u32 {
+    pub(crate) fn read(&self, port: usize, offset: u32) -> Option<u32> {
         let p = &self.ports[port];
-        match offset {
+        Some(match offset {
             0x00 => p.moder,
             0x04 => p.otyper,
-            0x08 => p.ospeedr,
             0x0c => p.pupdr,
             0x10 => u32::from(self.levels[port]),
             0x14 => p.odr,
-            0x1c => p.lckr,
+            0x18 => 0,
             0x20 => p.afr[0],
             0x24 => p.afr[1],
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
     /// Writes a register and returns the pins (a bit each) that it may have changed.
-    pub(crate) fn write(&mut self, port: usize, offset: u32, value: u32) -> u16 {
+    pub(crate) fn write(&mut self, port: usize, offset: u32, value: u32) -> Option<u16> {
         let p = &mut self.ports[port];
         // Pins of which a field of `width` bits changed.
         let changed = |old: u32, new: u32, width: u32| -> u16 {
@@ -152,7 +148,7 @@ impl Gpio {
             }
             pins
         };
-        match offset {
+        Some(match offset {
             0x00 => {
                 let c = changed(p.moder, value, 2);
                 p.moder = value;
@@ -162,10 +158,6 @@ impl Gpio {
                 let c = (p.otyper ^ value) as u16;
                 p.otyper = value & 0xffff;
                 c
-            }
-            0x08 => {
-                p.ospeedr = value;
-                0
             }
             0x0c => {
                 let c = changed(p.pupdr, value, 2);
@@ -183,17 +175,13 @@ impl Gpio {
                 p.odr = new;
                 c
             }
-            0x1c => {
-                p.lckr = value;
-                0
-            }
             0x20 | 0x24 => {
                 let half = ((offset - 0x20) / 4) as usize;
                 let c = changed(p.afr[half], value, 4);
                 p.afr[half] = value;
                 c << (half * 8)
             }
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 }

@@ -64,11 +64,8 @@ pub(crate) struct I2c {
     pclk: Rate,
     cr1: u32,
     cr2: u32,
-    oar: [u32; 2],
     sr1: u32,
     ccr: u32,
-    trise: u32,
-    fltr: u32,
     dr: u8,
     shift: u8,
     transmitter: bool,
@@ -85,11 +82,8 @@ impl I2c {
             pclk: Rate::hz(16_000_000),
             cr1: 0,
             cr2: 0,
-            oar: [0; 2],
             sr1: 0,
             ccr: 0,
-            trise: 2,
-            fltr: 0,
             dr: 0,
             shift: 0,
             transmitter: false,
@@ -305,11 +299,10 @@ impl I2c {
         }
     }
 
-    pub(crate) fn read(&mut self, offset: u32, now: SimTime, bus: &mut I2cBus) -> u32 {
-        match offset {
+    pub(crate) fn read(&mut self, offset: u32, now: SimTime, bus: &mut I2cBus) -> Option<u32> {
+        Some(match offset {
             0x00 => self.cr1,
             0x04 => self.cr2,
-            0x08 | 0x0c => self.oar[((offset - 8) / 4) as usize],
             0x10 => self.read_dr(now, bus),
             0x14 => {
                 self.sr1_read = true;
@@ -332,10 +325,8 @@ impl I2c {
                 sr2
             }
             0x1c => self.ccr,
-            0x20 => self.trise,
-            0x24 => self.fltr,
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
     fn address_cleared(&mut self, now: SimTime, bus: &mut I2cBus) {
@@ -392,18 +383,16 @@ impl I2c {
         }
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
         match offset {
             0x00 => self.write_cr1(value, now),
             0x04 => self.cr2 = value & 0x1f3f,
-            0x08 | 0x0c => self.oar[((offset - 8) / 4) as usize] = value & 0xffff,
             0x10 => self.write_dr(value as u8, now),
             0x14 => self.sr1 &= value | !SR1_ERRORS,
             0x1c => self.ccr = value & 0xcfff,
-            0x20 => self.trise = value & 0x3f,
-            0x24 => self.fltr = value & 0x1f,
-            _ => {}
+            _ => return false,
         }
+        true
     }
 
     fn write_cr1(&mut self, value: u32, now: SimTime) {
@@ -502,10 +491,10 @@ mod tests {
             self.i2c.advance(self.now, &mut self.bus, 0);
         }
         fn sr1(&mut self) -> u32 {
-            self.i2c.read(0x14, self.now, &mut self.bus)
+            self.i2c.read(0x14, self.now, &mut self.bus).unwrap()
         }
         fn sr2(&mut self) -> u32 {
-            self.i2c.read(0x18, self.now, &mut self.bus)
+            self.i2c.read(0x18, self.now, &mut self.bus).unwrap()
         }
     }
 
@@ -537,10 +526,10 @@ mod tests {
         assert_eq!(b.sr1() & SR1_RXNE, SR1_RXNE);
         // One byte is in the shift register already: the last one is not acknowledged.
         b.i2c.write(0x00, CR1_PE, b.now);
-        assert_eq!(b.i2c.read(0x10, b.now, &mut b.bus), 0x3b);
+        assert_eq!(b.i2c.read(0x10, b.now, &mut b.bus), Some(0x3b));
         b.go();
         b.i2c.write(0x00, CR1_PE | CR1_STOP, b.now);
-        assert_eq!(b.i2c.read(0x10, b.now, &mut b.bus), 0x3c);
+        assert_eq!(b.i2c.read(0x10, b.now, &mut b.bus), Some(0x3c));
         b.go();
         assert_eq!(b.sr2(), 0);
         assert_eq!(

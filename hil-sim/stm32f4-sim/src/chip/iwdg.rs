@@ -35,15 +35,17 @@ impl Iwdg {
         self.deadline
     }
 
-    pub(crate) fn read(&self, offset: u32) -> u32 {
-        match offset {
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
+            // The key reads as zero; what was written counts at once (SR).
+            0x00 | 0x0c => 0,
             0x04 => self.pr,
             0x08 => self.rlr,
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
         match offset {
             0x00 => match value & 0xffff {
                 0x5555 => self.unlocked = true,
@@ -60,8 +62,10 @@ impl Iwdg {
             },
             0x04 if self.unlocked => self.pr = value & 7,
             0x08 if self.unlocked => self.rlr = value & 0xfff,
-            _ => {}
+            0x04 | 0x08 => {}
+            _ => return false,
         }
+        true
     }
 
     fn reload(&mut self, now: SimTime) {

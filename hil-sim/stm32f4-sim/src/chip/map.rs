@@ -1,18 +1,20 @@
 //! The memory map: which register an address is (RM0090 2.3).
 
-use super::{EV_CLOCK, EV_IWDG, Soc, TIM1, TIM2, TIM3, TIM4, TIM5};
+use super::events::Source;
+use super::uart::UARTS;
+use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, Unmodelled, names};
 use crate::pin::Pin;
 use crate::time::SimTime;
 
 const RCC: u32 = 0x4002_3800;
 const OTG_FS: u32 = 0x5000_0000;
 
-/// A block of registers, its enable bit in RCC (register offset and bit), and what it is.
+/// A block of registers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Block {
     Tim(usize),
     Iwdg,
-    Uart5,
+    Uart(usize),
     I2c1,
     Syscfg,
     Exti,
@@ -20,11 +22,12 @@ enum Block {
     Rcc,
     Dma(usize),
     Otg,
-    /// Registers that read back what was written.
-    Plain,
+    /// Without behaviour: at best some of its registers are stored.
+    Other,
 }
 
-/// The block of an address, and its enable bit.
+/// The block of an address, and its enable bit in RCC (register offset and bit);
+/// nothing where the chip has no peripheral.
 fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
     const AHB1: u32 = 0x30;
     const AHB2: u32 = 0x34;
@@ -39,9 +42,14 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
         0x4000_0800 => (Block::Tim(TIM4), Some((APB1, 2))),
         0x4000_0c00 => (Block::Tim(TIM5), Some((APB1, 3))),
         0x4000_3000 => (Block::Iwdg, None),
-        0x4000_5000 => (Block::Uart5, Some((APB1, 20))),
+        0x4000_4400 => (Block::Uart(1), Some((APB1, 17))),
+        0x4000_4800 => (Block::Uart(2), Some((APB1, 18))),
+        0x4000_4c00 => (Block::Uart(3), Some((APB1, 19))),
+        0x4000_5000 => (Block::Uart(4), Some((APB1, 20))),
         0x4000_5400 => (Block::I2c1, Some((APB1, 21))),
         0x4001_0000 => (Block::Tim(TIM1), Some((APB2, 0))),
+        0x4001_1000 => (Block::Uart(0), Some((APB2, 4))),
+        0x4001_1400 => (Block::Uart(5), Some((APB2, 5))),
         0x4001_3800 => (Block::Syscfg, Some((APB2, 14))),
         0x4001_3c00 => (Block::Exti, None),
         base @ 0x4002_0000..=0x4002_2000 => {
@@ -51,10 +59,7 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
         RCC => (Block::Rcc, None),
         0x4002_6000 => (Block::Dma(0), Some((AHB1, 21))),
         0x4002_6400 => (Block::Dma(1), Some((AHB1, 22))),
-        0x4000_0000..=0x4000_7fff | 0x4001_0000..=0x4001_57ff | 0x4002_0000..=0x4007_ffff => {
-            (Block::Plain, None)
-        }
-        0x5000_0000..=0x5006_0fff | 0xe004_2000 => (Block::Plain, None),
+        _ if names::is_peripheral(addr) => (Block::Other, None),
         _ => return None,
     })
 }
@@ -64,16 +69,29 @@ impl Soc {
         enable.is_none_or(|(offset, bit)| self.rcc.enabled(offset, bit))
     }
 
-    /// Reads a peripheral's register as of now.
+    /// A register was touched that is neither modelled nor stored: the run ends.
+    fn note_unmodelled(&mut self, address: u32, write: bool) {
+        self.unmodelled.get_or_insert(Unmodelled { address, write });
+    }
+
+    /// Reads a peripheral's register as of now; nothing if there is no peripheral.
     pub(super) fn read_register(&mut self, addr: u32) -> Option<u32> {
         let (block, enable) = block(addr)?;
         if !self.clocked(enable) {
             // A peripheral without its clock reads as zero.
             return Some(0);
         }
+        let value = self.read_modelled(block, addr);
+        Some(value.or_else(|| self.cells.read(addr)).unwrap_or_else(|| {
+            self.note_unmodelled(addr, false);
+            0
+        }))
+    }
+
+    fn read_modelled(&mut self, block: Block, addr: u32) -> Option<u32> {
         let offset = addr & 0x3ff;
         let now = self.now;
-        Some(match block {
+        match block {
             Block::Tim(n) => {
                 let value = self.tim[n].read(offset, now);
                 // Only a captured value changes anything when it is read.
@@ -83,7 +101,7 @@ impl Soc {
                 value
             }
             Block::Iwdg => self.iwdg.read(offset),
-            Block::Uart5 => self.uart.read(offset),
+            Block::Uart(n) => self.uart[n].read(offset),
             Block::I2c1 => {
                 let value = self.i2c.read(offset, now, &mut self.i2c_bus);
                 if matches!(offset, 0x10 | 0x14 | 0x18) {
@@ -108,83 +126,88 @@ impl Soc {
                 }
                 value
             }
-            Block::Plain => self.read_plain(addr),
-        })
-    }
-
-    fn read_plain(&self, addr: u32) -> u32 {
-        let stored = self.plain.get(&addr).copied().unwrap_or(0);
-        match addr {
-            // PWR_CR and PWR_CSR: regulator scale 1, ready.
-            0x4000_7000 => self.plain.get(&addr).copied().unwrap_or(0x4000),
-            0x4000_7004 => stored | (1 << 14),
-            // DBGMCU_IDCODE: STM32F407, revision Y.
-            0xe004_2000 => 0x100f_6413,
-            _ => stored,
+            Block::Other => None,
         }
     }
 
-    /// Writes a peripheral's register as of now.
+    /// Writes a peripheral's register as of now; false if there is no peripheral.
     pub(super) fn write_register(&mut self, addr: u32, value: u32) -> bool {
         let Some((block, enable)) = block(addr) else {
             return false;
         };
-        if !self.clocked(enable) {
-            return true;
+        let done = !self.clocked(enable)
+            || self.write_modelled(block, addr, value)
+            || self.cells.write(addr, value);
+        if !done {
+            self.note_unmodelled(addr, true);
         }
+        true
+    }
+
+    /// Whether the register is modelled.
+    fn write_modelled(&mut self, block: Block, addr: u32, value: u32) -> bool {
         let offset = addr & 0x3ff;
         let now = self.now;
         match block {
             Block::Tim(n) => {
                 let started = self.tim[n].start().is_none();
-                self.tim[n].write(offset, value, now);
+                let done = self.tim[n].write(offset, value, now);
                 self.after_tim(n);
                 if started && self.tim[n].start_is_output() {
                     self.start_slaves(n);
                 }
+                done
             }
             Block::Iwdg => {
-                self.iwdg.write(offset, value, now);
+                let done = self.iwdg.write(offset, value, now);
                 let at = self.iwdg.next_event();
-                self.set_event(EV_IWDG, at);
+                self.set_event(Source::Watchdog, at);
+                done
             }
-            Block::Uart5 => {
-                self.uart.write(offset, value, now);
-                self.after_uart();
+            Block::Uart(n) => {
+                let done = self.uart[n].write(offset, value, now);
+                self.after_uart(n);
+                done
             }
             Block::I2c1 => {
-                self.i2c.write(offset, value, now);
+                let done = self.i2c.write(offset, value, now);
                 self.after_i2c();
+                done
             }
             Block::Syscfg => self.exti.write_syscfg(offset, value),
             Block::Exti => {
-                self.exti.write(offset, value);
+                let done = self.exti.write(offset, value);
                 self.after_exti();
+                done
             }
             Block::Gpio(port) => {
-                let pins = self.gpio.write(port, offset, value);
+                let Some(pins) = self.gpio.write(port, offset, value) else {
+                    return false;
+                };
                 self.update_port(port, pins);
                 if port == 0 {
                     self.update_mco();
                 }
+                true
             }
             Block::Rcc => self.write_rcc(offset, value),
             Block::Dma(n) => {
-                self.dma[n].write(offset, value);
+                let done = self.dma[n].write(offset, value);
                 // A stream that was just enabled may have a request waiting.
                 self.after_dma();
                 self.after_i2c();
-                self.after_uart();
+                for uart in 0..UARTS {
+                    self.after_uart(uart);
+                }
+                done
             }
             Block::Otg => {
-                self.otg.write(addr - OTG_FS, value);
+                let done = self.otg.write(addr - OTG_FS, value);
                 self.after_usb();
+                done
             }
-            Block::Plain => {
-                self.plain.insert(addr, value);
-            }
+            Block::Other => false,
         }
-        true
     }
 
     /// Starts the timers that wait for the start of timer `master`, at its time.
@@ -210,56 +233,73 @@ impl Soc {
         }
     }
 
-    fn write_rcc(&mut self, offset: u32, value: u32) {
+    fn write_rcc(&mut self, offset: u32, value: u32) -> bool {
         let now = self.now;
-        self.rcc.write(offset, value, now);
+        let done = self.rcc.write(offset, value, now);
         match offset {
             0x00 | 0x04 | 0x08 => {
                 self.apply_clocks();
                 // An output clock may come up when its source gets ready.
                 let at = self.rcc.next_ready(now);
-                self.set_event(EV_CLOCK, at);
+                self.set_event(Source::Clock, at);
             }
-            // AHB1RSTR to APB2RSTR.
+            0x10..=0x24 => self.reset_peripherals(offset, value),
+            _ => {}
+        }
+        done
+    }
+
+    /// AHB1RSTR to APB2RSTR: resets the peripherals whose bits are set.
+    fn reset_peripherals(&mut self, offset: u32, bits: u32) {
+        let now = self.now;
+        let chosen = |bit: u32| bits & (1 << bit) != 0;
+        match offset {
             0x10 => {
-                for port in 0..Pin::PORTS {
-                    if value & (1 << port) != 0 {
-                        self.gpio.reset_port(port);
-                        self.update_port(port, 0xffff);
-                    }
+                for port in (0..Pin::PORTS).filter(|port| chosen(*port as u32)) {
+                    self.gpio.reset_port(port);
+                    self.cells.clear_block(0x4002_0000 + 0x400 * port as u32);
+                    self.update_port(port, 0xffff);
                 }
-                for n in 0..2 {
-                    if value & (1 << (21 + n)) != 0 {
-                        self.dma[n] = super::Dma::default();
-                    }
+                for n in (0..2).filter(|n| chosen(21 + *n as u32)) {
+                    self.dma[n] = super::Dma::default();
                 }
                 self.after_dma();
             }
-            0x14 if value & (1 << 7) != 0 => {
+            0x14 if chosen(7) => {
                 self.otg.reset();
                 self.after_usb();
             }
             0x20 => {
                 for (bit, n) in [(0, TIM2), (1, TIM3), (2, TIM4), (3, TIM5)] {
-                    if value & (1 << bit) != 0 {
+                    if chosen(bit) {
                         self.tim[n].reset(now);
                         self.after_tim(n);
                     }
                 }
-                if value & (1 << 21) != 0 {
+                if chosen(21) {
                     self.i2c.reset();
+                    self.cells.clear_block(0x4000_5400);
                     self.after_i2c();
                 }
-                if value & (1 << 20) != 0 {
-                    self.uart.reset();
-                    self.after_uart();
-                }
+                self.reset_uarts(bits, &[(17, 1), (18, 2), (19, 3), (20, 4)]);
             }
-            0x24 if value & 1 != 0 => {
-                self.tim[TIM1].reset(now);
-                self.after_tim(TIM1);
+            0x24 => {
+                if chosen(0) {
+                    self.tim[TIM1].reset(now);
+                    self.after_tim(TIM1);
+                }
+                self.reset_uarts(bits, &[(4, 0), (5, 5)]);
             }
             _ => {}
+        }
+    }
+
+    fn reset_uarts(&mut self, bits: u32, uarts: &[(u32, usize)]) {
+        for (bit, n) in uarts {
+            if bits & (1 << bit) != 0 {
+                self.uart[*n].reset();
+                self.after_uart(*n);
+            }
         }
     }
 
@@ -338,19 +378,15 @@ impl Soc {
         self.mem.bytes(addr, len).map(<[u8]>::to_vec)
     }
 
-    /// Counter of TIM2, without any effect.
-    pub(crate) fn tim2_count(&self) -> u32 {
-        self.tim[TIM2].count(self.now)
-    }
-
-    /// Counter of TIM2, and the time at which it took this value.
-    pub(crate) fn tim2_tick(&self) -> (SimTime, u32) {
-        let tim = &self.tim[TIM2];
+    /// Counter of a timer, without any effect, and the time of the last edge of the
+    /// clock that it counts.
+    pub(crate) fn timer(&self, timer: usize) -> (SimTime, u32) {
+        let tim = &self.tim[timer];
         (tim.tick_began(self.now), tim.count(self.now))
     }
 
     /// Time at which the first event is due, whatever it is.
     pub(crate) fn due(&self) -> SimTime {
-        self.next_event
+        self.events.next()
     }
 }

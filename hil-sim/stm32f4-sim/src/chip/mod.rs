@@ -5,40 +5,46 @@
 //! runs (or sleeps) up to it. An access of the core to a peripheral first does
 //! what is due by then, so that every register reads as of its very cycle.
 
+pub(crate) mod cells;
+mod clock_tree;
 pub(crate) mod dma;
+mod events;
 pub(crate) mod exti;
 pub(crate) mod gpio;
 pub(crate) mod i2c;
 pub(crate) mod iwdg;
 pub(crate) mod map;
 pub(crate) mod memory;
+mod models;
+mod names;
 pub(crate) mod otg;
 pub(crate) mod pins;
 pub(crate) mod rcc;
+mod serial;
 pub(crate) mod tim;
 pub(crate) mod uart;
-
-use std::collections::BTreeMap;
 
 use crate::clock::{Clock, Rate};
 use crate::cpu::exec::Bus;
 use crate::i2c_bus::I2cBus;
-use crate::model::{RigIo, RigModel};
 use crate::pin::{Drive, Level, Pin};
 use crate::random::{Random, Seed};
 use crate::time::SimTime;
 use crate::usb::UsbHost;
 
+use cells::Cells;
 use dma::Dma;
+use events::{Events, Source};
 use exti::Exti;
 use gpio::Gpio;
 use i2c::I2c;
 use iwdg::Iwdg;
 use memory::Memory;
+use models::Model;
 use otg::Otg;
 use rcc::{Clocks, Rcc, ResetCause};
 use tim::Tim;
-use uart::Uart;
+use uart::{UARTS, Uart};
 
 /// Timers of the model, by index.
 pub(crate) const TIM1: usize = 0;
@@ -48,16 +54,42 @@ pub(crate) const TIM4: usize = 3;
 pub(crate) const TIM5: usize = 4;
 const TIMERS: usize = 5;
 
-/// Sources of events, in the order in which those of one time are done.
-const EV_TIM: usize = 0;
-const EV_I2C: usize = TIMERS;
-const EV_UART: usize = TIMERS + 1;
-const EV_USB: usize = TIMERS + 2;
-const EV_IWDG: usize = TIMERS + 3;
-/// A clock that changes without a register access (an oscillator gets ready).
-const EV_CLOCK: usize = TIMERS + 4;
-const EV_MODELS: usize = TIMERS + 5;
-const EVENTS: usize = TIMERS + 6;
+/// Where an I2C bus is wired to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct I2cWires {
+    pub(crate) scl: Pin,
+    pub(crate) sda: Pin,
+}
+
+/// What the chip is soldered to, and what differs from one specimen to the next.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChipConfig {
+    /// Frequency of the crystal, if there is one.
+    pub(crate) crystal: Option<Rate>,
+    /// Rate of the low-speed oscillator.
+    pub(crate) low_speed: Rate,
+    pub(crate) unique_id: [u32; 3],
+    /// The wires of I2C1's bus.
+    pub(crate) i2c: Option<I2cWires>,
+}
+
+/// An access to a register that is not modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Unmodelled {
+    pub(crate) address: u32,
+    pub(crate) write: bool,
+}
+
+impl core::fmt::Display for Unmodelled {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let verb = if self.write { "writes" } else { "reads" };
+        let (register, address) = (names::register(self.address), self.address);
+        write!(
+            f,
+            "it {verb} {register} at {address:#010x}, which is not modelled"
+        )
+    }
+}
 
 /// Who is told of edges besides the models.
 pub(crate) type EdgeLog = Vec<(Pin, Level, SimTime)>;
@@ -76,14 +108,16 @@ pub(crate) struct Soc {
     i2c: I2c,
     pub(crate) i2c_bus: I2cBus,
     iwdg: Iwdg,
-    uart: Uart,
+    uart: [Uart; UARTS],
     pub(crate) otg: Otg,
     pub(crate) usb: UsbHost,
-    /// Registers without behaviour, by address.
-    plain: BTreeMap<u32, u32>,
+    cells: Cells,
+    /// A register was touched that is not modelled: the run is to end.
+    pub(crate) unmodelled: Option<Unmodelled>,
+    /// Where the I2C bus is wired to, if it is.
+    i2c_wires: Option<I2cWires>,
     uid: [u32; 3],
-    events: [SimTime; EVENTS],
-    next_event: SimTime,
+    events: Events,
     /// The rig's models; taken out while they are called.
     models: Vec<Model>,
     watchers: [u64; Pin::PORTS * 16],
@@ -107,11 +141,6 @@ pub(crate) struct Soc {
     pub(crate) reset_request: Option<ResetCause>,
 }
 
-struct Model {
-    model: Box<dyn RigModel>,
-    next: SimTime,
-}
-
 impl core::fmt::Debug for Soc {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "Soc(at {})", self.now)
@@ -120,8 +149,8 @@ impl core::fmt::Debug for Soc {
 
 impl Soc {
     /// The chip at power-on.
-    pub(crate) fn new(seed: Seed, lsi: Rate, uid: [u32; 3]) -> Self {
-        let rcc = Rcc::new();
+    pub(crate) fn new(seed: Seed, config: &ChipConfig) -> Self {
+        let rcc = Rcc::new(config.crystal);
         let clocks = rcc.clocks(SimTime::ZERO);
         let mut soc = Self {
             mem: Memory::new(),
@@ -141,14 +170,15 @@ impl Soc {
             dma: [Dma::default(), Dma::default()],
             i2c: I2c::new(),
             i2c_bus: I2cBus::new(),
-            iwdg: Iwdg::new(lsi),
-            uart: Uart::new(),
+            iwdg: Iwdg::new(config.low_speed),
+            uart: std::array::from_fn(|_| Uart::new()),
             otg: Otg::new(),
             usb: UsbHost::new(seed),
-            plain: BTreeMap::new(),
-            uid,
-            events: [SimTime::NEVER; EVENTS],
-            next_event: SimTime::NEVER,
+            cells: Cells::default(),
+            unmodelled: None,
+            i2c_wires: config.i2c,
+            uid: config.unique_id,
+            events: Events::new(),
             models: Vec::new(),
             watchers: [0; Pin::PORTS * 16],
             edge_queue: Vec::new(),
@@ -165,9 +195,11 @@ impl Soc {
             cycle: 0,
             reset_request: None,
         };
-        // The bus has pull-ups on the board.
-        soc.gpio.drive(Pin::PB6, Drive::PullUp);
-        soc.gpio.drive(Pin::PB7, Drive::PullUp);
+        if let Some(wires) = config.i2c {
+            // An I2C bus has pull-ups.
+            soc.gpio.drive(wires.scl, Drive::PullUp);
+            soc.gpio.drive(wires.sda, Drive::PullUp);
+        }
         soc.after_reset();
         soc
     }
@@ -183,9 +215,11 @@ impl Soc {
         self.dma = [Dma::default(), Dma::default()];
         self.i2c.reset();
         self.iwdg.reset();
-        self.uart.reset();
+        for uart in &mut self.uart {
+            uart.reset();
+        }
         self.otg.reset();
-        self.plain.clear();
+        self.cells.clear();
         self.irq = 0;
         self.attention = false;
         self.after_reset();
@@ -200,28 +234,11 @@ impl Soc {
         for n in 0..TIMERS {
             self.reschedule_tim(n);
         }
-        self.set_event(EV_I2C, self.i2c.next_event());
-        self.set_event(EV_IWDG, self.iwdg.next_event());
-        self.set_event(EV_UART, self.uart.next_event());
-    }
-
-    /// Adds a model and lets it drive its idle levels.
-    pub(crate) fn add_model(&mut self, mut model: Box<dyn RigModel>) {
-        let index = self.models.len();
-        for pin in model.watched_pins() {
-            if index < 64 {
-                self.watchers[pin.index()] |= 1 << index;
-            }
+        self.set_event(Source::I2c, self.i2c.next_event());
+        self.set_event(Source::Watchdog, self.iwdg.next_event());
+        for n in 0..UARTS {
+            self.set_event(Source::Uart(n), self.uart[n].next_event());
         }
-        let mut drives = Vec::new();
-        let mut io = RigIo::new(self.now, &self.gpio.levels, &mut drives);
-        model.power_on(&mut io);
-        let next = model.next_event().unwrap_or(SimTime::NEVER);
-        self.models.push(Model { model, next });
-        for (pin, drive) in drives {
-            self.drive(pin, drive);
-        }
-        self.reschedule_models();
     }
 
     /// Logs the edges of a pin from now on.
@@ -266,59 +283,48 @@ impl Soc {
 
     /// Where the present slice ends, whatever wants the core's attention.
     pub(crate) fn slice_limit(&self) -> u64 {
-        if self.reset_request.is_some() {
+        if self.reset_request.is_some() || self.unmodelled.is_some() {
             0
         } else {
             self.slice_end.min(self.event_cycle)
         }
     }
 
-    fn set_event(&mut self, source: usize, at: SimTime) {
-        if self.events[source] == at {
-            return;
-        }
-        self.events[source] = at;
-        let next = self.events.iter().copied().min().unwrap_or(SimTime::NEVER);
-        if next != self.next_event {
-            self.next_event = next;
-            self.event_cycle = self.cycle_at(next);
+    fn set_event(&mut self, source: Source, at: SimTime) {
+        if self.events.set(source, at) {
+            self.event_cycle = self.cycle_at(self.events.next());
         }
     }
 
     /// Does everything that is due up to `now`.
     pub(crate) fn advance_to(&mut self, now: SimTime) {
-        while self.next_event <= now {
-            let at = self.next_event;
+        while self.events.next() <= now {
+            let at = self.events.next();
             self.now = self.now.max(at);
-            let source = self
-                .events
-                .iter()
-                .position(|e| *e == at)
-                .unwrap_or(EV_MODELS);
-            match source {
-                EV_I2C => self.step_i2c(at),
-                EV_UART => {
-                    self.uart.advance(at);
-                    self.after_uart();
+            match self.events.first() {
+                Source::Tim(n) => {
+                    self.tim[n].sync(at);
+                    self.after_tim(n);
                 }
-                EV_USB => {
+                Source::I2c => self.step_i2c(at),
+                Source::Uart(n) => {
+                    self.uart[n].advance(at);
+                    self.after_uart(n);
+                }
+                Source::Usb => {
                     self.usb.step(at, &mut self.otg);
                     self.after_usb();
                 }
-                EV_IWDG => {
+                Source::Watchdog => {
                     self.iwdg.reset();
-                    self.set_event(EV_IWDG, SimTime::NEVER);
+                    self.set_event(Source::Watchdog, SimTime::NEVER);
                     self.reset_request = Some(ResetCause::IndependentWatchdog);
                 }
-                EV_CLOCK => {
-                    self.set_event(EV_CLOCK, SimTime::NEVER);
+                Source::Clock => {
+                    self.set_event(Source::Clock, SimTime::NEVER);
                     self.apply_clocks();
                 }
-                EV_MODELS => self.step_models(at),
-                n => {
-                    self.tim[n - EV_TIM].sync(at);
-                    self.after_tim(n - EV_TIM);
-                }
+                Source::Models => self.step_models(at),
             }
         }
         self.now = self.now.max(now);
@@ -365,30 +371,7 @@ impl Soc {
 
     fn reschedule_tim(&mut self, n: usize) {
         let at = self.tim[n].next_event();
-        self.set_event(EV_TIM + n, at);
-    }
-
-    fn after_i2c(&mut self) {
-        self.serve_i2c_dma();
-        let (event, error) = self.i2c.irq();
-        self.set_irq(31, event);
-        self.set_irq(32, error);
-        let at = self.i2c.next_event();
-        self.set_event(EV_I2C, at);
-    }
-
-    fn after_uart(&mut self) {
-        while self.uart.wants_tx() && self.dma[0].armed(7, 4) {
-            let t = self.dma[0].transfer(7);
-            let byte = self.mem.read8(t.memory).unwrap_or(0);
-            self.dma[0].item_done(7);
-            self.uart.write_dr(byte, self.now);
-        }
-        self.after_dma();
-        self.set_irq(53, self.uart.irq());
-        let at = self.uart.next_event();
-        self.set_event(EV_UART, at);
-        self.update_pin(Pin::PC12);
+        self.set_event(Source::Tim(n), at);
     }
 
     fn after_usb(&mut self) {
@@ -397,7 +380,7 @@ impl Soc {
         }
         self.set_irq(67, self.otg.irq());
         let at = self.usb.next_event();
-        self.set_event(EV_USB, at);
+        self.set_event(Source::Usb, at);
     }
 
     fn after_dma(&mut self) {
@@ -420,168 +403,6 @@ impl Soc {
         }
         self.set_irq(23, active & 0x03e0 != 0);
         self.set_irq(40, active & 0xfc00 != 0);
-    }
-
-    // ---- I2C and its DMA --------------------------------------------------------
-
-    /// Streams of DMA1 that serve I2C1 (RM0090 table 42, channel 1).
-    fn i2c_stream(&self, receive: bool) -> Option<usize> {
-        let streams = if receive { [0, 5] } else { [6, 7] };
-        streams.into_iter().find(|s| self.dma[0].armed(*s, 1))
-    }
-
-    fn step_i2c(&mut self, at: SimTime) {
-        let remaining = match self.i2c_stream(true) {
-            Some(s) => self.dma[0].remaining(s),
-            None => u32::MAX,
-        };
-        self.i2c.advance(at, &mut self.i2c_bus, remaining);
-        self.after_i2c();
-        // A target may want to change a pin, such as its interrupt.
-        if !self.models.is_empty() {
-            self.reschedule_models();
-        }
-    }
-
-    fn serve_i2c_dma(&mut self) {
-        let mut served = false;
-        for _ in 0..4 {
-            if self.i2c.wants_rx()
-                && let Some(s) = self.i2c_stream(true)
-            {
-                let t = self.dma[0].transfer(s);
-                let byte = self.i2c.dma_read(self.now, &mut self.i2c_bus);
-                self.mem.write8(t.memory, u32::from(byte));
-                self.dma[0].item_done(s);
-            } else if self.i2c.wants_tx()
-                && let Some(s) = self.i2c_stream(false)
-            {
-                let t = self.dma[0].transfer(s);
-                let byte = self.mem.read8(t.memory).unwrap_or(0);
-                self.dma[0].item_done(s);
-                self.i2c.write_dr(byte as u8, self.now);
-            } else {
-                break;
-            }
-            served = true;
-        }
-        if served {
-            self.after_dma();
-        }
-    }
-
-    /// The I2C bus was touched from outside (a fault was put on or taken off).
-    pub(crate) fn i2c_bus_changed(&mut self) {
-        if !self.i2c_bus.is_stuck() {
-            self.i2c.bus_released(self.now);
-        }
-        self.after_i2c();
-        self.update_pin(Pin::PB7);
-    }
-
-    // ---- clocks -------------------------------------------------------------------
-
-    fn apply_clocks(&mut self) {
-        let clocks = self.rcc.clocks(self.now);
-        if clocks.hclk != self.clocks.hclk {
-            // The present cycle is the first of the new rate.
-            self.core_clock =
-                Clock::new(clocks.hclk, self.core_clock.time_of(self.cycle), self.cycle);
-            self.event_cycle = self.cycle_at(self.next_event);
-        }
-        let before = std::mem::replace(&mut self.clocks, clocks);
-        for n in 0..TIMERS {
-            let (old, rate) = if n == TIM1 {
-                (before.timers2, clocks.timers2)
-            } else {
-                (before.timers1, clocks.timers1)
-            };
-            // A clock that goes on keeps its phase.
-            if rate != old {
-                self.tim[n].set_clock(rate, self.now);
-            }
-            self.reschedule_tim(n);
-        }
-        self.i2c.set_clock(clocks.pclk1);
-        self.uart.set_clock(clocks.pclk1);
-        self.update_mco();
-    }
-
-    /// Rate of the clock that PA8 carries.
-    pub(crate) fn mco1(&self) -> Option<Rate> {
-        (self.gpio.mode(Pin::PA8) == gpio::Mode::Alternate(0))
-            .then_some(self.clocks.mco1)
-            .flatten()
-    }
-
-    fn update_mco(&mut self) {
-        let rate = self.mco1();
-        if rate == self.mco_told {
-            return;
-        }
-        self.mco_told = rate;
-        for index in 0..self.models.len() {
-            if self.watchers[Pin::PA8.index()] & (1 << index) != 0 {
-                self.call_model(index, self.now, |model, io| {
-                    model.on_clock(Pin::PA8, rate, io)
-                });
-            }
-        }
-    }
-
-    // ---- models --------------------------------------------------------------------
-
-    fn call_model(
-        &mut self,
-        index: usize,
-        at: SimTime,
-        f: impl FnOnce(&mut dyn RigModel, &mut RigIo<'_>),
-    ) {
-        let mut drives = Vec::new();
-        let levels = self.gpio.levels;
-        if let Some(m) = self.models.get_mut(index) {
-            let mut io = RigIo::new(at, &levels, &mut drives);
-            f(m.model.as_mut(), &mut io);
-            m.next = m.model.next_event().unwrap_or(SimTime::NEVER).max(at);
-        }
-        for (pin, drive) in drives {
-            self.drive(pin, drive);
-        }
-        self.schedule_models();
-    }
-
-    fn schedule_models(&mut self) {
-        let at = self
-            .models
-            .iter()
-            .map(|m| m.next)
-            .min()
-            .unwrap_or(SimTime::NEVER);
-        self.set_event(EV_MODELS, at);
-    }
-
-    /// Asks every model again when it wants to be called.
-    pub(crate) fn reschedule_models(&mut self) {
-        let now = self.now;
-        for m in &mut self.models {
-            m.next = m.model.next_event().unwrap_or(SimTime::NEVER).max(now);
-        }
-        self.schedule_models();
-    }
-
-    fn step_models(&mut self, at: SimTime) {
-        for index in 0..self.models.len() {
-            if self.models.get(index).is_some_and(|m| m.next <= at) {
-                self.call_model(index, at, |model, io| model.advance(io));
-                // A model that asks for the same time again without an end
-                // must not stop the board's time.
-                let stuck = self.models.get(index).is_some_and(|m| m.next <= at);
-                if stuck && let Some(m) = self.models.get_mut(index) {
-                    m.next = SimTime::from_units(at.units() + 1);
-                }
-            }
-        }
-        self.schedule_models();
     }
 
     // ---- the USB host -------------------------------------------------------------------

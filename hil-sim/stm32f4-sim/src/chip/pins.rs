@@ -1,59 +1,53 @@
 //! Pins: who drives them, who is told of their edges.
 
 use super::gpio::Mode;
-use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5};
+use super::{I2cWires, Soc, TIM1, TIM2, TIM3, TIM4, TIM5, uart};
 use crate::pin::{Drive, Level, Pin};
+use crate::time::SimTime;
 
 /// Timer, channel and alternate function of the pins that have one
 /// (DS8626 table 9; those of the LQFP100 package).
 const TIMER_PINS: &[(Pin, u8, usize, usize)] = &[
-    (pin(0, 0), 1, TIM2, 0),
-    (pin(0, 1), 1, TIM2, 1),
-    (pin(0, 2), 1, TIM2, 2),
-    (pin(0, 3), 1, TIM2, 3),
-    (pin(0, 5), 1, TIM2, 0),
-    (pin(0, 15), 1, TIM2, 0),
-    (pin(1, 3), 1, TIM2, 1),
-    (pin(1, 10), 1, TIM2, 2),
-    (pin(1, 11), 1, TIM2, 3),
-    (pin(0, 8), 1, TIM1, 0),
-    (pin(0, 9), 1, TIM1, 1),
-    (pin(0, 10), 1, TIM1, 2),
-    (pin(0, 11), 1, TIM1, 3),
-    (pin(4, 9), 1, TIM1, 0),
-    (pin(4, 11), 1, TIM1, 1),
-    (pin(4, 13), 1, TIM1, 2),
-    (pin(4, 14), 1, TIM1, 3),
-    (pin(0, 6), 2, TIM3, 0),
-    (pin(0, 7), 2, TIM3, 1),
-    (pin(1, 0), 2, TIM3, 2),
-    (pin(1, 1), 2, TIM3, 3),
-    (pin(1, 4), 2, TIM3, 0),
-    (pin(1, 5), 2, TIM3, 1),
-    (pin(2, 6), 2, TIM3, 0),
-    (pin(2, 7), 2, TIM3, 1),
-    (pin(2, 8), 2, TIM3, 2),
-    (pin(2, 9), 2, TIM3, 3),
-    (pin(1, 6), 2, TIM4, 0),
-    (pin(1, 7), 2, TIM4, 1),
-    (pin(1, 8), 2, TIM4, 2),
-    (pin(1, 9), 2, TIM4, 3),
-    (pin(3, 12), 2, TIM4, 0),
-    (pin(3, 13), 2, TIM4, 1),
-    (pin(3, 14), 2, TIM4, 2),
-    (pin(3, 15), 2, TIM4, 3),
-    (pin(0, 0), 2, TIM5, 0),
-    (pin(0, 1), 2, TIM5, 1),
-    (pin(0, 2), 2, TIM5, 2),
-    (pin(0, 3), 2, TIM5, 3),
+    (Pin::PA0, 1, TIM2, 0),
+    (Pin::PA1, 1, TIM2, 1),
+    (Pin::PA2, 1, TIM2, 2),
+    (Pin::PA3, 1, TIM2, 3),
+    (Pin::PA5, 1, TIM2, 0),
+    (Pin::PA15, 1, TIM2, 0),
+    (Pin::PB3, 1, TIM2, 1),
+    (Pin::PB10, 1, TIM2, 2),
+    (Pin::PB11, 1, TIM2, 3),
+    (Pin::PA8, 1, TIM1, 0),
+    (Pin::PA9, 1, TIM1, 1),
+    (Pin::PA10, 1, TIM1, 2),
+    (Pin::PA11, 1, TIM1, 3),
+    (Pin::PE9, 1, TIM1, 0),
+    (Pin::PE11, 1, TIM1, 1),
+    (Pin::PE13, 1, TIM1, 2),
+    (Pin::PE14, 1, TIM1, 3),
+    (Pin::PA6, 2, TIM3, 0),
+    (Pin::PA7, 2, TIM3, 1),
+    (Pin::PB0, 2, TIM3, 2),
+    (Pin::PB1, 2, TIM3, 3),
+    (Pin::PB4, 2, TIM3, 0),
+    (Pin::PB5, 2, TIM3, 1),
+    (Pin::PC6, 2, TIM3, 0),
+    (Pin::PC7, 2, TIM3, 1),
+    (Pin::PC8, 2, TIM3, 2),
+    (Pin::PC9, 2, TIM3, 3),
+    (Pin::PB6, 2, TIM4, 0),
+    (Pin::PB7, 2, TIM4, 1),
+    (Pin::PB8, 2, TIM4, 2),
+    (Pin::PB9, 2, TIM4, 3),
+    (Pin::PD12, 2, TIM4, 0),
+    (Pin::PD13, 2, TIM4, 1),
+    (Pin::PD14, 2, TIM4, 2),
+    (Pin::PD15, 2, TIM4, 3),
+    (Pin::PA0, 2, TIM5, 0),
+    (Pin::PA1, 2, TIM5, 1),
+    (Pin::PA2, 2, TIM5, 2),
+    (Pin::PA3, 2, TIM5, 3),
 ];
-
-const fn pin(port: u8, number: u8) -> Pin {
-    match Pin::new(port, number) {
-        Some(p) => p,
-        None => Pin::PA5,
-    }
-}
 
 impl Soc {
     /// What the microcontroller drives on a pin.
@@ -62,13 +56,14 @@ impl Soc {
             Mode::Input | Mode::Analog => None,
             Mode::Output => Some(self.gpio.odr(pin)),
             Mode::Alternate(af) => {
-                if pin == Pin::PC12 && af == 8 {
-                    return Some(self.uart.line());
+                let timer = TIMER_PINS.iter().find(|(p, f, _, _)| *p == pin && *f == af);
+                if let Some((_, _, tim, ch)) = timer {
+                    return self.tim[*tim].output(*ch);
                 }
-                TIMER_PINS
+                let uart = uart::PORTS
                     .iter()
-                    .find(|(p, f, _, _)| *p == pin && *f == af)
-                    .and_then(|(_, _, tim, ch)| self.tim[*tim].output(*ch))
+                    .position(|port| port.tx.contains(&(pin, af)))?;
+                Some(self.uart[uart].line())
             }
         }
     }
@@ -103,7 +98,8 @@ impl Soc {
     /// Computes a pin's level, and tells of its edge if it changed.
     pub(super) fn update_pin(&mut self, pin: Pin) {
         let mut own = self.own_drive(pin);
-        if pin == Pin::PB7 && own != Some(false) && self.i2c_bus.is_stuck() {
+        let is_sda = self.i2c_wires.is_some_and(|wires| wires.sda == pin);
+        if is_sda && own != Some(false) && self.i2c_bus.is_stuck() {
             own = Some(false);
         }
         let level = self.gpio.resolve(pin, own);
@@ -124,7 +120,7 @@ impl Soc {
         }
     }
 
-    fn deliver(&mut self, pin: Pin, high: bool, at: crate::time::SimTime) {
+    fn deliver(&mut self, pin: Pin, high: bool, at: SimTime) {
         self.edge_counts[pin.index()] += 1;
         if self.logged[pin.port()] & (1 << pin.number()) != 0 {
             self.edge_log.push((pin, Level::from(high), at));
@@ -141,8 +137,8 @@ impl Soc {
         self.exti.pin_edge(pin, high);
         self.after_exti();
         // The I2C wires moved by software.
-        if (pin == Pin::PB6 || pin == Pin::PB7) && !self.i2c.owns_bus() {
-            self.bus_by_hand(pin, high);
+        if let Some(wires) = self.i2c_wires {
+            self.bus_by_hand(wires, pin, high);
         }
         let watchers = self.watchers[pin.index()];
         for index in 0..self.models.len().min(64) {
@@ -172,11 +168,14 @@ impl Soc {
     }
 
     /// A bus clear: software clocks SCL, or makes a stop condition.
-    fn bus_by_hand(&mut self, pin: Pin, high: bool) {
+    fn bus_by_hand(&mut self, wires: I2cWires, pin: Pin, high: bool) {
+        if self.i2c.owns_bus() || (pin != wires.scl && pin != wires.sda) {
+            return;
+        }
         let stuck = self.i2c_bus.is_stuck();
-        if pin == Pin::PB6 && high {
+        if pin == wires.scl && high {
             self.i2c_bus.pulse(self.now);
-        } else if pin == Pin::PB7 && high && self.gpio.level(Pin::PB6) {
+        } else if pin == wires.sda && high && self.gpio.level(wires.scl) {
             self.i2c_bus.stop(self.now);
         }
         if stuck && !self.i2c_bus.is_stuck() {

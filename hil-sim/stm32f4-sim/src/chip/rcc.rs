@@ -7,8 +7,6 @@
 use crate::clock::Rate;
 use crate::time::{SimDuration, SimTime};
 
-/// Crystal of the board.
-const HSE_HZ: u64 = 8_000_000;
 /// Internal oscillator.
 const HSI_HZ: u64 = 16_000_000;
 /// Start-up of the crystal (typical; DS8626 table 39).
@@ -49,17 +47,21 @@ pub(crate) struct Clocks {
 
 #[derive(Debug)]
 pub(crate) struct Rcc {
+    /// Frequency of the crystal; without one its oscillator never gets ready.
+    crystal: Option<Rate>,
     cr: u32,
     pllcfgr: u32,
     cfgr: u32,
     csr: u32,
-    /// Everything without behaviour, by word offset.
-    plain: [u32; 0x90 / 4],
+    /// AHB1RSTR to APB2ENR, by word: resets and gates.
+    gates: [u32; (0x48 - GATES as usize) / 4],
     hse_ready: SimTime,
     pll_ready: SimTime,
     lsi_ready: SimTime,
 }
 
+/// Offset of the first register of resets and gates.
+const GATES: u32 = 0x10;
 const CR_HSION: u32 = 1;
 const CR_HSEON: u32 = 1 << 16;
 const CR_PLLON: u32 = 1 << 24;
@@ -67,13 +69,14 @@ const CR_PLLI2SON: u32 = 1 << 26;
 const CSR_RMVF: u32 = 1 << 24;
 
 impl Rcc {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(crystal: Option<Rate>) -> Self {
         let mut rcc = Self {
+            crystal,
             cr: 0,
             pllcfgr: 0,
             cfgr: 0,
             csr: 0,
-            plain: [0; 0x90 / 4],
+            gates: [0; (0x48 - GATES as usize) / 4],
             hse_ready: SimTime::NEVER,
             pll_ready: SimTime::NEVER,
             lsi_ready: SimTime::NEVER,
@@ -95,18 +98,22 @@ impl Rcc {
         self.pllcfgr = 0x2400_3010;
         self.cfgr = 0;
         self.csr = flags;
-        self.plain = [0; 0x90 / 4];
-        self.plain[0x30 / 4] = 0x0010_0000;
+        self.gates.fill(0);
+        self.gates[((0x30 - GATES) / 4) as usize] = 0x0010_0000;
         self.hse_ready = SimTime::NEVER;
         self.pll_ready = SimTime::NEVER;
         self.lsi_ready = SimTime::NEVER;
     }
 
-    fn pll_source(&self) -> u64 {
+    fn crystal_rate(&self) -> Rate {
+        self.crystal.unwrap_or(Rate::hz(0))
+    }
+
+    fn pll_source(&self) -> Rate {
         if self.pllcfgr & (1 << 22) != 0 {
-            HSE_HZ
+            self.crystal_rate()
         } else {
-            HSI_HZ
+            Rate::hz(HSI_HZ)
         }
     }
 
@@ -114,7 +121,7 @@ impl Rcc {
     fn pll(&self, div: u64) -> Rate {
         let m = u64::from(self.pllcfgr & 0x3f).max(1);
         let n = u64::from((self.pllcfgr >> 6) & 0x1ff);
-        Rate::new(self.pll_source() * n, m * div)
+        self.pll_source().scaled(n, m * div)
     }
 
     fn pll_p(&self) -> Rate {
@@ -125,7 +132,7 @@ impl Rcc {
     pub(crate) fn clocks(&self, now: SimTime) -> Clocks {
         let pll_on = self.cr & CR_PLLON != 0 && now >= self.pll_ready;
         let sysclk = match self.cfgr & 3 {
-            1 => Rate::hz(HSE_HZ),
+            1 => self.crystal_rate(),
             2 => self.pll_p(),
             _ => Rate::hz(HSI_HZ),
         };
@@ -160,7 +167,7 @@ impl Rcc {
         };
         let mco1 = match (self.cfgr >> 21) & 3 {
             0 => Some(Rate::hz(HSI_HZ)),
-            2 if self.cr & CR_HSEON != 0 && now >= self.hse_ready => Some(Rate::hz(HSE_HZ)),
+            2 if self.cr & CR_HSEON != 0 && now >= self.hse_ready => self.crystal,
             3 if pll_on => Some(self.pll_p()),
             _ => None,
         };
@@ -184,15 +191,22 @@ impl Rcc {
             .unwrap_or(SimTime::NEVER)
     }
 
+    /// Index of a register of resets or gates.
+    fn gate(&self, offset: u32) -> Option<usize> {
+        // With holes between those of AHB3 and APB1, and of APB2 and AHB1.
+        let there = matches!(offset, 0x10..=0x18 | 0x20..=0x24 | 0x30..=0x38 | 0x40..=0x44);
+        there.then(|| ((offset - GATES) / 4) as usize)
+    }
+
     /// Whether bit `bit` of the enable register at `offset` is set.
     pub(crate) fn enabled(&self, offset: u32, bit: u32) -> bool {
-        self.plain
-            .get((offset / 4) as usize)
+        self.gate(offset)
+            .and_then(|n| self.gates.get(n))
             .is_some_and(|w| w & (1 << bit) != 0)
     }
 
-    pub(crate) fn read(&self, offset: u32, now: SimTime) -> u32 {
-        match offset {
+    pub(crate) fn read(&self, offset: u32, now: SimTime) -> Option<u32> {
+        Some(match offset {
             0x00 => {
                 let mut cr = self.cr & !((1 << 1) | (1 << 17) | (1 << 25) | (1 << 27));
                 if cr & CR_HSION != 0 {
@@ -215,15 +229,15 @@ impl Rcc {
                 let ready = self.csr & 1 != 0 && now >= self.lsi_ready;
                 self.csr | (u32::from(ready) << 1)
             }
-            _ => self.plain.get((offset / 4) as usize).copied().unwrap_or(0),
-        }
+            _ => *self.gates.get(self.gate(offset)?)?,
+        })
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
         match offset {
             0x00 => {
                 let on = value & !self.cr;
-                if on & CR_HSEON != 0 {
+                if on & CR_HSEON != 0 && self.crystal.is_some() {
                     self.hse_ready = now + HSE_START;
                 }
                 if on & CR_PLLON != 0 {
@@ -267,14 +281,12 @@ impl Rcc {
                 }
                 self.csr = flags | (value & 1);
             }
-            // CIR: the ready interrupts are not modelled; clear bits read as zero.
-            0x0c => self.plain[3] = value & 0x7f00,
-            _ => {
-                if let Some(word) = self.plain.get_mut((offset / 4) as usize) {
-                    *word = value;
-                }
-            }
+            _ => match self.gate(offset).and_then(|n| self.gates.get_mut(n)) {
+                Some(word) => *word = value,
+                None => return false,
+            },
         }
+        true
     }
 }
 
@@ -284,18 +296,18 @@ mod tests {
 
     /// The design's clock tree, programmed as a firmware does it.
     fn programmed(n: u32) -> (Rcc, SimTime) {
-        let mut rcc = Rcc::new();
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
         let mut now = SimTime::ZERO;
         rcc.write(0x00, 0x83 | CR_HSEON, now);
-        assert_eq!(rcc.read(0x00, now) & (1 << 17), 0);
+        assert_eq!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
         now += HSE_START;
-        assert_ne!(rcc.read(0x00, now) & (1 << 17), 0);
+        assert_ne!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
         rcc.write(0x04, 4 | (n << 6) | (1 << 22) | (4 << 24), now);
         rcc.write(0x00, 0x83 | CR_HSEON | CR_PLLON, now);
         now += PLL_LOCK;
         // APB1 /4, APB2 /2, MCO1 = PLL / 5, SW = PLL.
         rcc.write(0x08, 2 | (5 << 10) | (4 << 13) | (3 << 21) | (7 << 24), now);
-        assert_eq!(rcc.read(0x08, now) & 0xc, 8);
+        assert_eq!(rcc.read(0x08, now).unwrap() & 0xc, 8);
         (rcc, now)
     }
 
@@ -319,19 +331,31 @@ mod tests {
     }
 
     #[test]
+    fn without_a_crystal_its_oscillator_never_gets_ready() {
+        let mut rcc = Rcc::new(None);
+        rcc.write(0x00, 0x83 | CR_HSEON, SimTime::ZERO);
+        let later = SimTime::from_nanos(10_000_000_000);
+        assert_eq!(rcc.read(0x00, later).unwrap() & (1 << 17), 0);
+        assert_eq!(rcc.next_ready(SimTime::ZERO), SimTime::NEVER);
+    }
+
+    #[test]
     fn a_source_that_is_not_ready_is_not_selected() {
-        let mut rcc = Rcc::new();
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
         rcc.write(0x08, 2, SimTime::ZERO);
-        assert_eq!(rcc.read(0x08, SimTime::ZERO) & 0xf, 0);
+        assert_eq!(rcc.read(0x08, SimTime::ZERO).unwrap() & 0xf, 0);
     }
 
     #[test]
     fn reset_flags_add_up_until_they_are_removed() {
-        let mut rcc = Rcc::new();
-        assert_eq!(rcc.read(0x74, SimTime::ZERO) >> 25, 0x07);
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
+        assert_eq!(rcc.read(0x74, SimTime::ZERO).unwrap() >> 25, 0x07);
         rcc.write(0x74, CSR_RMVF, SimTime::ZERO);
-        assert_eq!(rcc.read(0x74, SimTime::ZERO) >> 25, 0);
+        assert_eq!(rcc.read(0x74, SimTime::ZERO).unwrap() >> 25, 0);
         rcc.reset(ResetCause::IndependentWatchdog);
-        assert_eq!(rcc.read(0x74, SimTime::ZERO), (1 << 29) | (1 << 26));
+        assert_eq!(
+            rcc.read(0x74, SimTime::ZERO).unwrap(),
+            (1 << 29) | (1 << 26)
+        );
     }
 }

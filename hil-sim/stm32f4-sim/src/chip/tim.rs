@@ -58,12 +58,9 @@ pub(crate) struct Tim {
     psc_next: u32,
     arr: u32,
     arr_next: u32,
-    rcr: u32,
     ccr: [u32; 4],
     ccr_next: [u32; 4],
     bdtr: u32,
-    dcr: u32,
-    or: u32,
     /// Edge of the kernel clock at which the counter took `base_count`.
     base_edge: u64,
     base_count: u32,
@@ -93,12 +90,9 @@ impl Tim {
             psc_next: 0,
             arr: mask,
             arr_next: mask,
-            rcr: 0,
             ccr: [0; 4],
             ccr_next: [0; 4],
             bdtr: 0,
-            dcr: 0,
-            or: 0,
             base_edge: 0,
             base_count: 0,
             reference: [false; 4],
@@ -377,21 +371,22 @@ impl Tim {
     }
 
     /// Reads the register at `offset`.
-    pub(crate) fn read(&mut self, offset: u32, now: SimTime) -> u32 {
+    pub(crate) fn read(&mut self, offset: u32, now: SimTime) -> Option<u32> {
         self.sync(now);
-        match offset {
+        Some(match offset {
             0x00 => self.cr1,
             0x04 => self.cr2,
             0x08 => self.smcr,
             0x0c => self.dier,
             0x10 => self.sr,
+            0x14 => 0,
             0x18 => self.ccmr[0],
             0x1c => self.ccmr[1],
             0x20 => self.ccer,
             0x24 => self.base_count,
             0x28 => self.psc_next,
             0x2c => self.arr_next,
-            0x30 => self.rcr,
+            0x30 if self.advanced => 0,
             0x34..=0x40 => {
                 let ch = ((offset - 0x34) / 4) as usize;
                 if self.channel(ch) == Channel::Output {
@@ -402,15 +397,13 @@ impl Tim {
                     self.ccr[ch]
                 }
             }
-            0x44 => self.bdtr,
-            0x48 => self.dcr,
-            0x50 => self.or,
-            _ => 0,
-        }
+            0x44 if self.advanced => self.bdtr,
+            _ => return None,
+        })
     }
 
     /// Writes the register at `offset`.
-    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
         self.sync(now);
         match offset {
             0x00 => {
@@ -443,7 +436,8 @@ impl Tim {
                     self.arr = self.arr_next;
                 }
             }
-            0x30 => self.rcr = value,
+            // Of the repetition counter there is only zero: every wrap is an update.
+            0x30 if self.advanced && value == 0 => {}
             0x34..=0x40 => {
                 let ch = ((offset - 0x34) / 4) as usize;
                 if self.channel(ch) == Channel::Output {
@@ -454,11 +448,10 @@ impl Tim {
                     }
                 }
             }
-            0x44 => self.bdtr = value & 0xffff,
-            0x48 => self.dcr = value,
-            0x50 => self.or = value,
-            _ => {}
+            0x44 if self.advanced => self.bdtr = value & 0xffff,
+            _ => return false,
         }
+        true
     }
 
     /// EGR: events made by software.
@@ -500,112 +493,4 @@ impl Tim {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const TICK_NS_48: u64 = 1_386_000; // units of one 48 MHz period
-
-    fn at(tick: u64) -> SimTime {
-        SimTime::from_units(tick * TICK_NS_48)
-    }
-
-    fn running() -> Tim {
-        let mut t = Tim::new(true, 4, false);
-        t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
-        t.write(0x14, 1, at(0));
-        t.write(0x10, 0, at(0));
-        t.write(0x00, 1, at(0));
-        t
-    }
-
-    #[test]
-    fn toggles_on_the_programmed_tick() {
-        let mut t = running();
-        t.write(0x18, 3 << 4, at(0));
-        t.write(0x20, 1, at(0));
-        t.write(0x34, 1000, at(0));
-        assert_eq!(t.next_event(), at(1000));
-        t.sync(SimTime::from_units(at(1000).units() - 1));
-        assert_eq!(t.output(0), Some(false));
-        t.sync(at(1000));
-        assert_eq!(t.output(0), Some(true));
-        assert_eq!(t.read(0x10, at(1000)) & 2, 2);
-        // The next match is a whole turn of the counter later.
-        assert_eq!(t.next_event(), at(1000 + (1 << 32)));
-    }
-
-    #[test]
-    fn captures_the_tick_of_the_edge_and_flags_a_lost_one() {
-        let mut t = running();
-        t.write(0x18, 1 << 8, at(0)); // CC2S = TI2
-        t.write(0x20, 1 << 4, at(0)); // CC2E, rising
-        t.input_edge(1, true, at(777));
-        t.input_edge(1, false, at(800));
-        assert_eq!(t.sr & 0x404, 4);
-        t.input_edge(1, true, at(900));
-        assert_eq!(t.sr & 0x404, 0x404, "over-capture");
-        assert_eq!(t.read(0x38, at(950)), 900);
-        assert_eq!(t.sr & 4, 0, "reading the capture clears its flag");
-    }
-
-    #[test]
-    fn both_edges_are_captured_when_asked_for() {
-        let mut t = running();
-        t.write(0x1c, 1, at(0)); // CC3S = TI3
-        t.write(0x20, 0xb << 8, at(0)); // CC3E, CC3P, CC3NP
-        t.input_edge(2, true, at(10));
-        assert_eq!(t.read(0x3c, at(11)), 10);
-        t.input_edge(2, false, at(20));
-        assert_eq!(t.read(0x3c, at(21)), 20);
-    }
-
-    #[test]
-    fn wraps_and_flags_the_update() {
-        let mut t = running();
-        t.write(0x0c, 1, at(0));
-        assert_eq!(t.next_event(), at(1 << 32));
-        assert_eq!(t.read(0x24, at((1 << 32) - 1)), u32::MAX);
-        assert_eq!(t.read(0x10, at((1 << 32) - 1)) & 1, 0);
-        assert_eq!(t.read(0x24, at((1 << 32) + 5)), 5);
-        assert!(t.irq().0);
-    }
-
-    #[test]
-    fn prescaler_and_reload_take_effect_with_the_update_event() {
-        let mut t = Tim::new(false, 4, false);
-        t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
-        t.write(0x28, 47, at(0));
-        t.write(0x2c, 999, at(0));
-        t.write(0x14, 1, at(0));
-        t.write(0x10, 0, at(0));
-        t.write(0x0c, 1, at(0));
-        t.write(0x00, 1, at(0));
-        assert_eq!(t.next_event(), at(48_000));
-        assert_eq!(t.read(0x24, at(48 * 10)), 10);
-    }
-
-    #[test]
-    fn a_slave_starts_with_its_master() {
-        let mut slave = Tim::new(false, 4, true);
-        slave.set_clock(Rate::hz(96_000_000), SimTime::ZERO);
-        assert_eq!(slave.awaits(), None);
-        slave.write(0x08, 0x16, at(5)); // TS = ITR1, SMS = trigger mode
-        assert_eq!(slave.awaits(), Some(1));
-        assert_eq!(slave.read(0x24, at(900)), 0);
-        slave.trigger(at(1_000));
-        assert_eq!(slave.awaits(), None);
-        // Two clocks of 96 MHz are one of 48.
-        assert_eq!(slave.read(0x24, at(1_001)), 0);
-        assert_eq!(slave.read(0x24, at(1_002)), 2);
-        let wrap = 65_536 / 2;
-        assert_eq!(slave.read(0x24, at(1_001 + wrap - 1)), 65_534);
-        assert_eq!(slave.read(0x24, at(1_001 + wrap)), 0);
-    }
-
-    #[test]
-    fn a_change_of_rate_keeps_the_count() {
-        let mut t = running();
-        t.set_clock(Rate::hz(24_000_000), at(100));
-        assert_eq!(t.read(0x24, at(300)), 200);
-    }
-}
+mod tests;

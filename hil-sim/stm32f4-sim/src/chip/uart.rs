@@ -1,9 +1,82 @@
-//! UART5's transmitter (RM0090 chapter 30), bit by bit on PC12.
+//! The transmitters of the UARTs (RM0090 chapter 30), bit by bit on their pins.
 //!
-//! Eight data bits and one stop bit, no parity; the receiver is not modelled.
+//! Eight data bits and one stop bit, no parity; the receivers are not modelled.
 
+use super::dma::Dma;
 use crate::clock::{Clock, Rate};
+use crate::pin::Pin;
 use crate::time::SimTime;
+
+/// USART1 to USART3, UART4, UART5 and USART6.
+pub(super) const UARTS: usize = 6;
+
+/// Where a UART is connected to the rest of the chip.
+#[derive(Debug)]
+pub(super) struct Port {
+    /// Its clock is that of APB2, not of APB1.
+    pub(super) on_apb2: bool,
+    /// Number of its interrupt.
+    pub(super) irq: usize,
+    /// The DMA controller that serves it, by index.
+    pub(super) dma: usize,
+    /// Streams of its transmitter with their channels (RM0090 tables 42 and 43).
+    streams: &'static [(usize, u32)],
+    /// Pins of its transmitter with their alternate functions (DS8626 table 9).
+    pub(super) tx: &'static [(Pin, u8)],
+}
+
+impl Port {
+    /// The stream that is set up to serve the transmitter, if there is one.
+    pub(super) fn armed_stream(&self, dma: &Dma) -> Option<usize> {
+        let armed = |(stream, channel): &&(usize, u32)| dma.armed(*stream, *channel);
+        self.streams.iter().find(armed).map(|(stream, _)| *stream)
+    }
+}
+
+pub(super) const PORTS: [Port; UARTS] = [
+    Port {
+        on_apb2: true,
+        irq: 37,
+        dma: 1,
+        streams: &[(7, 4)],
+        tx: &[(Pin::PA9, 7), (Pin::PB6, 7)],
+    },
+    Port {
+        on_apb2: false,
+        irq: 38,
+        dma: 0,
+        streams: &[(6, 4)],
+        tx: &[(Pin::PA2, 7), (Pin::PD5, 7)],
+    },
+    Port {
+        on_apb2: false,
+        irq: 39,
+        dma: 0,
+        streams: &[(3, 4), (4, 7)],
+        tx: &[(Pin::PB10, 7), (Pin::PC10, 7), (Pin::PD8, 7)],
+    },
+    Port {
+        on_apb2: false,
+        irq: 52,
+        dma: 0,
+        streams: &[(4, 4)],
+        tx: &[(Pin::PA0, 8), (Pin::PC10, 8)],
+    },
+    Port {
+        on_apb2: false,
+        irq: 53,
+        dma: 0,
+        streams: &[(7, 4)],
+        tx: &[(Pin::PC12, 8)],
+    },
+    Port {
+        on_apb2: true,
+        irq: 71,
+        dma: 1,
+        streams: &[(6, 5), (7, 5)],
+        tx: &[(Pin::PC6, 8), (Pin::PG14, 8)],
+    },
+];
 
 const SR_TC: u32 = 1 << 6;
 const SR_TXE: u32 = 1 << 7;
@@ -118,22 +191,23 @@ impl Uart {
         }
     }
 
-    pub(crate) fn read(&self, offset: u32) -> u32 {
-        match offset {
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
             0x00 => self.sr,
             0x08 => self.brr,
             0x0c..=0x14 => self.cr[((offset - 0xc) / 4) as usize],
-            _ => 0,
-        }
+            _ => return None,
+        })
     }
 
-    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) {
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
         match offset {
             0x00 => self.sr &= value | !SR_TC,
             0x04 => self.write_dr(value, now),
             0x08 => self.brr = value & 0xffff,
             0x0c..=0x14 => self.cr[((offset - 0xc) / 4) as usize] = value & 0xffff,
-            _ => {}
+            _ => return false,
         }
+        true
     }
 }

@@ -3,6 +3,7 @@
 //! Wall-clock figures are those of this machine and its load; all others are
 //! simulated and the same on every machine.
 
+use rig::wiring;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -18,7 +19,7 @@ use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use serde::Serialize;
 use stm32f4_sim::cpu::{CpuStats, IrqStats};
-use stm32f4_sim::rig::{Rig, RigBuilder};
+use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::SimDuration;
 use trials::board_link::BoardLink;
 
@@ -136,8 +137,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     Ok(())
 }
 
-fn builder(args: &Args) -> RigBuilder {
-    let builder = Rig::builder().seed(SEED);
+fn builder(args: &Args) -> SimBuilder {
+    let builder = wiring::board().seed(SEED);
     match &args.elf {
         Some(elf) => builder.elf(elf),
         None => builder,
@@ -223,7 +224,7 @@ impl Figures {
 
 /// Starts the outputs 2 to 4 at 30, 30 and 5 fps and the pulse per second, as a
 /// lidar wants it.
-fn start_outputs(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
+fn start_outputs(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
     for (output, fps) in Output::ALL.into_iter().zip([30, 30, 5]) {
         let action = OutputAction::Start(OutputStart {
             period: Period::from_ticks(TICK_HZ / fps),
@@ -248,7 +249,7 @@ fn start_outputs(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
 }
 
 /// Starts a train.
-fn start(rig: &mut Rig, link: &mut BoardLink, period: Period, width: u32) -> Result<()> {
+fn start(rig: &mut Sim, link: &mut BoardLink, period: Period, width: u32) -> Result<()> {
     let start = TriggerStart {
         period,
         width,
@@ -260,7 +261,7 @@ fn start(rig: &mut Rig, link: &mut BoardLink, period: Period, width: u32) -> Res
 }
 
 /// Switches the filler on at full rate.
-fn filler(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
+fn filler(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
     link.request(
         rig,
         Command::Filler {
@@ -271,7 +272,7 @@ fn filler(rig: &mut Rig, link: &mut BoardLink) -> Result<()> {
     Ok(())
 }
 
-fn load(name: &'static str, rig: &mut Rig, link: &mut BoardLink, seconds: u64) -> Result<Load> {
+fn load(name: &'static str, rig: &mut Sim, link: &mut BoardLink, seconds: u64) -> Result<Load> {
     let before = rig.cpu_stats();
     let traffic = rig.usb_traffic().bytes_in;
     let begun = Instant::now();

@@ -9,6 +9,7 @@
 //! The rig is twisted all the time: a session may ask for it at any moment. What
 //! else it does has no part in the figures.
 
+use rig::wiring;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -21,7 +22,6 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimTime;
 
 /// What a stage is made of.
@@ -61,7 +61,7 @@ impl Stage {
         let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
         phone.storage = Some(out.join("phone"));
-        let mut board = Rig::builder();
+        let mut board = wiring::board();
         if let Some(elf) = &options.elf {
             board = board.elf(elf);
         }

@@ -1,5 +1,6 @@
 //! What goes wrong in a run, done to the rig at its virtual time.
 
+use rig::wiring;
 use std::sync::atomic::Ordering;
 
 use protocol::{
@@ -10,7 +11,7 @@ use super::plan::Fault;
 use super::scene::Scene;
 use rig::mpu9150::Fault as ImuFault;
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::model::{RigIo, RigModel};
+use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -25,7 +26,7 @@ pub(super) struct Flood {
     high: bool,
 }
 
-impl RigModel for Flood {
+impl PinModel for Flood {
     fn name(&self) -> String {
         "flood".to_owned()
     }
@@ -35,9 +36,12 @@ impl RigModel for Flood {
     fn next_event(&self) -> Option<SimTime> {
         self.next
     }
-    fn advance(&mut self, io: &mut RigIo<'_>) {
+    fn advance(&mut self, io: &mut PinIo<'_>) {
         self.high = !self.high && io.now() < self.until;
-        io.drive(Pin::PA2, if self.high { Drive::High } else { Drive::Low });
+        io.drive(
+            wiring::STROBE,
+            if self.high { Drive::High } else { Drive::Low },
+        );
         self.next = (self.high || io.now() < self.until).then(|| io.now() + FLOOD);
     }
 }

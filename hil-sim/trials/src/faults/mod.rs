@@ -31,6 +31,7 @@ mod process;
 mod scene;
 mod stage;
 
+use rig::wiring;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -62,7 +63,6 @@ use rig::random::Seed;
 use scene::Report;
 use stage::Stage;
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::rig::Rig;
 
 /// How long the session waits for a lost link: its default.
 const LINK_PATIENCE: Duration = Duration::from_secs(60);
@@ -196,7 +196,7 @@ struct Ended {
 }
 
 fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, String> {
-    let mut builder = Rig::builder();
+    let mut builder = wiring::board();
     if let Some(elf) = elf {
         builder = builder.elf(elf);
     }

@@ -9,6 +9,7 @@
 //! tick; every pulse against the grid; a killed or broken-off recording lacks at
 //! most its last second; the phone is left as it should be.
 
+use rig::wiring;
 use std::io::Read as _;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
@@ -37,7 +38,6 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunTruth, RunningRig};
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimTime;
 
 /// The longest that anything is waited for, in real time.
@@ -173,7 +173,7 @@ fn start_rig(plan: &Plan, programs: &Programs, place: &Path) -> Result<RunningRi
     phone.camera.columns = 16;
     phone.camera.first_frame_ms = (20.0, 50.0);
     phone.storage = Some(place.join("phone"));
-    let mut board = Rig::builder().tolerate_failures();
+    let mut board = wiring::board().tolerate_failures();
     if let Some(elf) = &programs.elf {
         board = board.elf(elf);
     }

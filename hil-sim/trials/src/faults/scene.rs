@@ -18,7 +18,7 @@ use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use stm32f4_sim::i2c::{Shared, lock};
-use stm32f4_sim::rig::{FailureKind, ResetCause, Rig, RigBuilder};
+use stm32f4_sim::sim::{FailureKind, ResetCause, Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
@@ -73,7 +73,7 @@ pub(super) struct Report {
 
 pub(super) struct Scene {
     pub(super) plan: Plan,
-    pub(super) rig: Rig,
+    pub(super) rig: Sim,
     pub(super) sensor: Shared<Mpu9150>,
     pub(super) camera: Shared<DepthCamera>,
     pub(super) flood: Shared<Flood>,
@@ -101,7 +101,7 @@ pub(super) struct Scene {
 impl Scene {
     pub(super) fn new(
         plan: Plan,
-        builder: RigBuilder,
+        builder: SimBuilder,
         clock_step: Arc<AtomicI64>,
         on_kill: Box<dyn FnMut() + Send>,
     ) -> Result<Self, String> {

@@ -18,7 +18,7 @@ use super::plan::Plan;
 use super::scene::{Report, Scene};
 use crate::board_truth::Train;
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::rig::RigBuilder;
+use stm32f4_sim::sim::SimBuilder;
 
 /// The name under which the port is told.
 const PORT: &str = "the simulated board";
@@ -59,7 +59,7 @@ impl Stage {
     /// Boots a board with everything around it.
     pub(super) fn open(
         plan: &Plan,
-        builder: RigBuilder,
+        builder: SimBuilder,
         clock_step: Arc<AtomicI64>,
         on_kill: impl FnMut() + Send + 'static,
     ) -> Result<Self, String> {

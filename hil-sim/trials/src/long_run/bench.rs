@@ -1,5 +1,6 @@
 //! The rig of a long run, the host's end of its link, and what is compared.
 
+use rig::wiring;
 use std::time::Duration;
 
 use protocol::{Command, DeviceToHost, Period, Reply, Status, TICK_HZ, TriggerStart};
@@ -14,7 +15,7 @@ use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::rig::Rig;
+use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// Virtual time between two looks at what has come.
@@ -77,7 +78,7 @@ struct Fields {
 
 /// The rig of a run, the host's end of its link, and what is compared.
 pub(super) struct Bench {
-    rig: Rig,
+    rig: Sim,
     session: Session,
     sensor: stm32f4_sim::i2c::Shared<Mpu9150>,
     camera: stm32f4_sim::i2c::Shared<DepthCamera>,
@@ -106,7 +107,7 @@ impl Bench {
         };
         let camera = DepthCamera::new(config, board, seed)?;
         let camera = std::sync::Arc::new(std::sync::Mutex::new(camera));
-        let mut builder = Rig::builder()
+        let mut builder = wiring::board()
             .seed(seed)
             .model(sensor.clone())
             .i2c_target(sensor.clone())

@@ -22,7 +22,7 @@ use bench::{Bench, STEPS_A_SECOND};
 use rig::depth_camera::DepthCameraError;
 use rig::motion::recorded::RecordingError;
 use rig::random::Seed;
-use stm32f4_sim::rig::RigError;
+use stm32f4_sim::sim::SimError;
 use stm32f4_sim::time::SimTime;
 
 /// How much the resident memory may grow, in bytes: pages that the allocator
@@ -52,7 +52,7 @@ pub struct Options {
 pub enum LongRunError {
     /// The firmware failed.
     #[error(transparent)]
-    Rig(#[from] RigError),
+    Rig(#[from] SimError),
     /// The camera cannot be set up.
     #[error(transparent)]
     Camera(#[from] DepthCameraError),

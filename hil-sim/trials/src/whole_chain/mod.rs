@@ -15,6 +15,7 @@ pub mod evaluation;
 pub mod extraction;
 pub mod several;
 
+use rig::wiring;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -36,7 +37,6 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
 /// How long the rig is twisted at first, seconds: the session connects, and
@@ -168,7 +168,7 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     let mut phone = PhoneConfig::draw(seed);
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());
-    let mut board = Rig::builder();
+    let mut board = wiring::board();
     if let Some(elf) = &programs.elf {
         board = board.elf(elf);
     }

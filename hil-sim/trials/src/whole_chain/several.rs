@@ -3,6 +3,7 @@
 //! all into board time, and each is judged against the truth: the phones' frames and
 //! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
 
+use rig::wiring;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -26,7 +27,6 @@ use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::rig::Rig;
 
 /// Names of the phones; the trigger is aligned to the first.
 pub const PHONES: [&str; 2] = ["left phone", "right phone"];
@@ -234,7 +234,7 @@ pub fn run(
     });
     let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
     let pins = Arc::new(Mutex::new(PinLog::new(&CAMERAS.map(|camera| camera.1))));
-    let mut board = Rig::builder()
+    let mut board = wiring::board()
         .model(Arc::clone(&lidar))
         .model(Arc::clone(&pins));
     if let Some(elf) = &programs.elf {

@@ -5,13 +5,13 @@
 
 use crate::objects;
 use crate::support;
+use rig::wiring;
 use std::process::Command;
 
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use serde_json::Value;
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimDuration;
 use trials::whole_chain::{Plan, Programs, calibration, evaluation, extraction};
 
@@ -75,7 +75,7 @@ fn the_photodiode_gives_the_time_from_trigger_to_centre() {
         speed: Some(20.0),
         wait_for_host: false,
     };
-    let rig = RunningRig::start(config, Rig::builder(), None, pace).unwrap();
+    let rig = RunningRig::start(config, wiring::board(), None, pace).unwrap();
     let trigger = |arguments: &[&str]| {
         Command::new(support::smartdepthsync())
             .args(["--json", "trigger", "--port"])

@@ -1,6 +1,7 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
 use crate::support;
+use rig::wiring;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -13,7 +14,6 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rustix::process::{Pid, Signal, kill_process};
-use stm32f4_sim::rig::Rig;
 use stm32f4_sim::time::SimDuration;
 
 /// The longest that anything is waited for, in real time.
@@ -66,7 +66,7 @@ impl WholeRig {
             speed: Some(speed),
             wait_for_host: false,
         };
-        let board = Rig::builder().tolerate_failures();
+        let board = wiring::board().tolerate_failures();
         let rig = RunningRig::with_phones(config, board, phones, pace).unwrap();
         Self { rig, folder }
     }
