@@ -1,4 +1,4 @@
-//! The I2C bus between the microcontroller and what is wired to PB6 and PB7.
+//! The I2C bus between the microcontroller and its targets.
 //!
 //! A target is called once for every event on the bus, at the virtual time at
 //! which the event ends on the wire (the ninth clock of a byte). Addresses are

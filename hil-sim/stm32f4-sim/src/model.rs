@@ -1,4 +1,4 @@
-//! What a part of the rig outside of the microcontroller looks like to the board.
+//! What a part outside of the microcontroller looks like to the board.
 //!
 //! A model lives on the board's virtual time. It is told of the pins it asked
 //! for at the exact time of each edge, and is called at the exact time it asks
@@ -54,7 +54,7 @@ impl<'a> PinIo<'a> {
     }
 }
 
-/// A part of the rig wired to pins of the board.
+/// A part wired to pins of the chip.
 pub trait PinModel: Send {
     /// Name for logs.
     fn name(&self) -> String;

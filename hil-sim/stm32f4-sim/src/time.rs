@@ -1,15 +1,15 @@
 //! Virtual time of the simulated board.
 //!
-//! All of the board's time is counted by its 8 MHz crystal: a second of
-//! [`SimTime`] is 8,000,000 periods of that crystal, whatever a true second
-//! is. How fast the crystal runs against the true time of the rig is a
-//! parameter of the rig, not of the board, so no rounding
-//! of a rate error can ever reach the board's clocks.
+//! All of the board's time is counted by its crystal: a second of [`SimTime`] is as
+//! many periods of it as its frequency says, whatever a true second is. How fast it
+//! runs against true time is the affair of whoever wires the board up, so no rounding
+//! of a rate error can ever reach the board's clocks. The internal oscillator runs
+//! exactly at its nominal rate in that time.
 //!
 //! The unit is 1/66,528,000,000,000 s (about 15 fs). It is chosen so that
-//! every clock that matters is a whole number of units: the crystal, 96 and
-//! 168 MHz core clocks, the 48 MHz timers, the 19.2 MHz IMU reference, the
-//! 32 kHz low-speed oscillator, 90 kHz camera ticks, one microsecond and one
+//! every clock that matters is a whole number of units: crystals of 8, 16 and 25 MHz, 96 and
+//! 168 MHz core clocks, the 48 MHz timers, 19.2 MHz, the
+//! 32 kHz low-speed oscillator, 90 kHz, one microsecond and one
 //! nanosecond. A clock that is not (an odd PLL factor) is rounded per edge,
 //! never cumulatively, because [`crate::clock::Clock`] counts from an anchor.
 //! 64 bits hold 77 hours.
@@ -23,7 +23,7 @@ pub const UNITS_PER_SECOND: u64 = 66_528_000_000_000;
 /// Units of [`SimTime`] in one nanosecond.
 pub const UNITS_PER_NANO: u64 = UNITS_PER_SECOND / 1_000_000_000;
 
-/// A point in the board's virtual time, counted from power-on of the rig.
+/// A point in the board's virtual time, counted from power-on.
 #[derive(
     Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, serde::Serialize, serde::Deserialize,
 )]
@@ -36,7 +36,7 @@ pub struct SimTime(u64);
 pub struct SimDuration(u64);
 
 impl SimTime {
-    /// Power-on of the rig.
+    /// Power-on.
     pub const ZERO: SimTime = SimTime(0);
     /// Later than anything that happens.
     pub const NEVER: SimTime = SimTime(u64::MAX);
@@ -215,6 +215,7 @@ mod tests {
     fn the_clocks_that_matter_are_whole_units() {
         for hz in [
             8_000_000u64,
+            25_000_000,
             16_000_000,
             19_200_000,
             24_000_000,

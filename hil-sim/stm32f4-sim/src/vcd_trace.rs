@@ -1,6 +1,6 @@
 //! Edges of pins as a VCD file, to look at in a wave viewer such as GTKWave.
 //!
-//! [`VcdTrace`] is a rig model that only watches. The file's time scale is one
+//! [`VcdTrace`] is a model that only watches. The file's time scale is one
 //! picosecond: the board's units of 15 fs are rounded down, so a tick of the
 //! 48 MHz timer is off by less than a picosecond and errors do not add up. The
 //! file has no date, so the same run gives the same bytes.
@@ -31,7 +31,7 @@ impl<W: Write> VcdTrace<W> {
     /// The header cannot be written.
     pub fn new(to: W, pins: &[(Pin, &str)]) -> io::Result<Self> {
         let mut writer = Writer::new(to);
-        writer.version("hil-sim of SmartDepthSync")?;
+        writer.version("stm32f4-sim")?;
         writer.timescale(1, TimescaleUnit::PS)?;
         writer.add_module("board")?;
         let mut codes = Vec::new();

@@ -63,12 +63,31 @@ const CELLS: &[Cell] = &[
     cell(0x4002_3858, "RCC_AHB3LPENR", 0x0000_0001, SLEEP),
     cell(0x4002_3860, "RCC_APB1LPENR", 0x36fe_c9ff, SLEEP),
     cell(0x4002_3864, "RCC_APB2LPENR", 0x0007_5f33, SLEEP),
+    // LSERDY is never set.
+    Cell {
+        mask: 0x0001_8305,
+        ..cell(0x4002_3870, "RCC_BDCR", 0, "there is no crystal of 32 kHz")
+    },
+    Cell {
+        mask: 0,
+        ..cell(0x4002_388c, "RCC_DCKCFGR", 0, "only larger chips have it")
+    },
     cell(
         0x4002_3c00,
         "FLASH_ACR",
         0,
         "an access to the flash takes one cycle",
     ),
+    // The manual does not tell of it; drivers of this core look at its PHY's width.
+    Cell {
+        mask: 0,
+        ..cell(
+            0x5000_0050,
+            "OTG_FS_GHWCFG4",
+            0,
+            "the full-speed PHY is narrow",
+        )
+    },
     // Revision Y.
     Cell {
         mask: 0,

@@ -21,7 +21,7 @@ struct Port {
     afr: [u32; 2],
 }
 
-/// All ports and what the rig drives on their pins.
+/// All ports and what is driven from outside on their pins.
 #[derive(Debug)]
 pub(crate) struct Gpio {
     ports: [Port; Pin::PORTS],
@@ -41,7 +41,7 @@ impl Gpio {
         gpio
     }
 
-    /// Registers after a reset; what the rig drives stays.
+    /// Registers after a reset; what drives the pins stays.
     pub(crate) fn reset(&mut self) {
         for port in 0..Pin::PORTS {
             self.reset_port(port);

@@ -14,7 +14,7 @@ pub(crate) const CCM_BASE: u32 = 0x1000_0000;
 pub(crate) const CCM_SIZE: usize = 64 * 1024;
 
 /// Flash and RAM. The contents of the RAM survive every reset but a power-on
-/// (then the rig fills it with noise, as a real SRAM has).
+/// (then it is filled with noise, as a real SRAM is).
 #[derive(Debug)]
 pub(crate) struct Memory {
     pub(crate) flash: Vec<u8>,

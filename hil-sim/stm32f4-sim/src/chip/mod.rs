@@ -118,7 +118,7 @@ pub(crate) struct Soc {
     i2c_wires: Option<I2cWires>,
     uid: [u32; 3],
     events: Events,
-    /// The rig's models; taken out while they are called.
+    /// The models; taken out while they are called.
     models: Vec<Model>,
     watchers: [u64; Pin::PORTS * 16],
     edge_queue: Vec<(Pin, bool, SimTime)>,

@@ -204,7 +204,7 @@ impl UsbHost {
         }
     }
 
-    // ---- what the rig and its user see ---------------------------------
+    // ---- what the user sees ---------------------------------
 
     /// How far the host has got.
     #[must_use]
