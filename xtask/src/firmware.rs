@@ -19,6 +19,9 @@ use anyhow::{Context, Result, bail};
 use crate::{process, tools};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
+const FIRMWARE: &str = "firmware";
+const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
+const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-embassy", "-p", "foreign-hal"];
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_SOURCE: &str = "/usr/lib/rustlib/src/rust/library/core/Cargo.toml";
 const DEBIAN_PACKAGES: [&str; 2] = ["rustc-web", "rust-web-src"];
@@ -67,9 +70,18 @@ pub(crate) fn build_with_wrong_pll() -> Result<()> {
     Ok(())
 }
 
+/// Builds the programs that the tests of `stm32f4-sim` run beside the firmware. Not
+/// in one call of cargo with it: the features of what both depend on would add up.
+pub(crate) fn build_foreign() -> Result<()> {
+    cargo_for_target(
+        FOREIGN,
+        &[&["build", "--release"], FOREIGN_PACKAGES].concat(),
+    )
+}
+
 /// Runs cargo and returns the ELF that it leaves.
 fn built(args: &[&str]) -> Result<PathBuf> {
-    cargo_for_target(args)?;
+    cargo_for_target(FIRMWARE, args)?;
     let elf = process::target_dir()
         .join(TARGET)
         .join("release")
@@ -83,21 +95,30 @@ fn built(args: &[&str]) -> Result<PathBuf> {
     Ok(elf)
 }
 
-/// Lints the firmware for its own target, where the register code is compiled.
+/// Lints the programs for the chip's target, where the register code is compiled.
 /// Debian's compiler brings no clippy: there a build without warnings has to do.
 pub(crate) fn clippy() -> Result<()> {
     match route()? {
-        Route::Toolchain => cargo_for_target(&["clippy", "--release", "--", "-D", "warnings"]),
-        Route::Debian { .. } => cargo_for_target(&["build", "--release"]),
+        Route::Toolchain => {
+            let strictly = ["--", "-D", "warnings"];
+            let clippy = ["clippy", "--release"];
+            cargo_for_target(FIRMWARE, &[&clippy[..], &strictly].concat())?;
+            cargo_for_target(FOREIGN, &[&clippy, FOREIGN_PACKAGES, &strictly].concat())
+        }
+        Route::Debian { .. } => {
+            build()?;
+            build_foreign()
+        }
     }
 }
 
-fn cargo_for_target(args: &[&str]) -> Result<()> {
+/// Runs cargo in a folder whose programs are for the chip.
+fn cargo_for_target(folder: &str, args: &[&str]) -> Result<()> {
     let mut cargo = process::command(process::cargo_program());
     // The folder's own .cargo/config.toml sets target and profile, so that this
     // is the very build of `cargo run --release` there.
     cargo
-        .current_dir(process::root().join("firmware"))
+        .current_dir(process::root().join(folder))
         .env("CARGO_TARGET_DIR", process::target_dir());
     let (before, after) = match args.iter().position(|&arg| arg == "--") {
         Some(at) => args.split_at(at),

@@ -188,6 +188,7 @@ fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
     firmware::build_with_wrong_pll()?;
     let elf = firmware::build()?;
+    firmware::build_foreign()?;
     let mut args = vec!["test".to_owned(), "--release".to_owned()];
     if cargo_args.is_empty() {
         args.push("--workspace".to_owned());
@@ -199,12 +200,13 @@ fn test(cargo_args: &[String]) -> Result<()> {
 fn hour() -> Result<()> {
     let args = [
         "-p",
-        "hil-sim",
+        "smartdepthsync-rig",
         "--test",
-        "outputs",
+        "it",
         "--",
         "--ignored",
         "--nocapture",
+        "outputs::",
     ];
     test(&args.map(str::to_owned))
 }

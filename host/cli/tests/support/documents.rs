@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 /// The workspace's folder.
 pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
+        .ancestors()
+        .find(|folder| folder.join("docs").is_dir())
         .unwrap()
         .to_owned()
 }

@@ -21,7 +21,11 @@ struct Field {
 
 /// The fields of a command.
 fn described(command: &str) -> Vec<Field> {
-    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/json.md");
+    let page = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .map(|folder| folder.join("docs/json.md"))
+        .find(|page| page.is_file())
+        .unwrap();
     let page = std::fs::read_to_string(page).unwrap();
     let name = format!("`{command}`");
     let section = page

@@ -17,7 +17,10 @@ pub(crate) fn python() -> &'static Path {
 }
 
 fn prepare() -> PathBuf {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .find(|folder| folder.join("xtask").is_dir())
+        .unwrap();
     // The folder for tests lies in the target folder, wherever that is.
     let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
     let venv = target.join("venv");

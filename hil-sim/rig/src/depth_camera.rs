@@ -1,0 +1,531 @@
+//! The depth camera as a subordinate of the trigger.
+//!
+//! It listens to the trigger pin (PA5), takes depth frames on a clock of its
+//! own, and its infrared flashes come back on the strobe input (PA2) through a
+//! photodiode. It keeps the truth about every frame.
+//!
+//! # What is modelled, and from where
+//!
+//! The vendor documents the electrical side and the nominal timing; the rest is
+//! from reports of users, or not known and therefore a setting.
+//!
+//! - A pulse counts if it is high for *longer* than 8 µs (vendor). It is known
+//!   to be one at the moment it exceeds that.
+//! - The first frame comes on pulse 2 or 3 ([`DepthCameraConfig::first_frame`]).
+//! - A frame's first flash follows its pulse by
+//!   [`DepthCameraConfig::flash_delay`]: not documented, a setting.
+//! - Flashes are those of the depth mode ([`FlashTrain`]); the device timestamp is
+//!   the middle of the middle flash, in whole ticks of 90 kHz of the camera's
+//!   clock, which is hundreds of ppm off.
+//! - When the pulses stop it goes on streaming, one frame a nominal period of
+//!   its own clock ([`Source::FreeRun`]).
+//! - A pulse that is off its expected place by more than
+//!   [`DepthCameraConfig::tolerance`] disturbs it: frames of that time are marked
+//!   bad (black or purple images were reported). It takes up the new phase at
+//!   once; pulses closer than half a period to a frame make no frame of their
+//!   own. How a real camera behaves there is not known.
+//! - Frames can get lost on their way to the computer
+//!   ([`DepthCameraConfig::drop_probability`]): exposed and stamped, but not
+//!   delivered.
+//!
+//! Limits: light reaches the photodiode at once and its edges are sharp;
+//! images are not made here.
+
+use crate::wiring;
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use crate::flash_log::{FlashLog, TrueFlash};
+use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
+use crate::random::{Random, Seed, Stream};
+use crate::rolling_shutter::FlashTrain;
+use stm32f4_sim::clock::Rate;
+use stm32f4_sim::model::{PinIo, PinModel};
+use stm32f4_sim::pin::{Drive, Level, Pin};
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
+
+/// Shortest pulse that does *not* count (vendor: it needs more than 8 µs).
+pub const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
+
+/// Device timestamps count at this rate, in the camera's time.
+pub const TIMESTAMP_HZ: u64 = 90_000;
+
+/// Depth modes with their flashes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DepthMode {
+    /// Narrow field of view, unbinned: up to 30 fps.
+    NfovUnbinned,
+    /// Wide field of view, unbinned: up to 15 fps.
+    WfovUnbinned,
+}
+
+impl DepthMode {
+    /// The infrared flashes of one frame.
+    #[must_use]
+    pub fn flashes(self) -> FlashTrain {
+        match self {
+            Self::NfovUnbinned => FlashTrain::NFOV,
+            Self::WfovUnbinned => FlashTrain::WFOV,
+        }
+    }
+}
+
+/// What a depth camera is like.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DepthCameraConfig {
+    /// Frames a second: 30, 15 or 5.
+    pub fps: u32,
+    /// Depth mode.
+    pub mode: DepthMode,
+    /// The pulse that makes the first frame: 2 or 3 on real cameras.
+    pub first_frame: u32,
+    /// From a pulse's rising edge to the first flash, in the camera's time.
+    pub flash_delay: SimDuration,
+    /// How far from its expected place a pulse may come without a disturbance.
+    pub tolerance: SimDuration,
+    /// Frames that are bad after a disturbance, the one disturbed included.
+    pub bad_frames: u32,
+    /// The camera's clock. Its offset is what the device timestamp starts from.
+    pub clock: OscillatorConfig,
+    /// Probability that a frame is lost on its way to the computer.
+    pub drop_probability: f64,
+    /// Whether the photodiode is wired to the strobe input.
+    pub photodiode: bool,
+}
+
+impl Default for DepthCameraConfig {
+    /// A camera in NFOV unbinned at 30 fps, 300 ppm fast, that takes its first
+    /// frame on pulse 2.
+    fn default() -> Self {
+        Self {
+            fps: 30,
+            mode: DepthMode::NfovUnbinned,
+            first_frame: 2,
+            flash_delay: SimDuration::from_micros(500),
+            tolerance: SimDuration::from_micros(200),
+            bad_frames: 3,
+            clock: OscillatorConfig {
+                offset_ns: 2_500_000_000,
+                rate_ppm: 300.0,
+                wander: 1e-9,
+            },
+            drop_probability: 0.0,
+            photodiode: true,
+        }
+    }
+}
+
+/// A setting that no such camera has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct DepthCameraError(String);
+
+impl DepthCameraConfig {
+    fn check(&self) -> Result<(), DepthCameraError> {
+        let fail = |text: String| Err(DepthCameraError(text));
+        match (self.fps, self.mode) {
+            (5 | 15, _) | (30, DepthMode::NfovUnbinned) => {}
+            (30, DepthMode::WfovUnbinned) => {
+                return fail("WFOV unbinned runs at 15 or 5 fps, not at 30".to_owned());
+            }
+            (other, _) => {
+                return fail(format!("{other} fps: the camera has 30, 15 and 5"));
+            }
+        }
+        if self.first_frame == 0 {
+            return fail("the first frame cannot come on pulse 0: pulses count from 1".to_owned());
+        }
+        let period = UNITS_PER_SECOND / u64::from(self.fps);
+        if self.tolerance.units() >= period / 4 {
+            return fail(format!(
+                "a tolerance of {} ns is a quarter of a frame or more",
+                self.tolerance.as_nanos()
+            ));
+        }
+        let known_after = self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1);
+        if self.flash_delay < known_after {
+            return fail(format!(
+                "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
+                 as the camera must know that no pulse comes before it flashes on its own",
+                self.flash_delay.as_nanos(),
+                self.tolerance.as_nanos(),
+                known_after.as_nanos()
+            ));
+        }
+        let train = self.mode.flashes();
+        let length = i64::from(train.count - 1) * train.pitch_ns + train.duration_ns;
+        if self.flash_delay.as_nanos() + length.unsigned_abs()
+            >= 1_000_000_000 / u64::from(self.fps)
+        {
+            return fail(format!(
+                "a flash delay of {} ns leaves no time for {length} ns of flashes within a frame",
+                self.flash_delay.as_nanos()
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// What made a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Source {
+    /// A pulse of the trigger.
+    Pulse {
+        /// Pulses that the camera accepted so far; the first is 1.
+        number: u64,
+        /// Its rising edge, in board time.
+        edge: SimTime,
+    },
+    /// The camera's own clock, because no pulse came.
+    FreeRun,
+}
+
+/// The truth about one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Counted from zero, lost frames included.
+    pub number: u64,
+    /// What made it.
+    pub source: Source,
+    /// Start of its first flash, in board time.
+    pub first_flash: SimTime,
+    /// Centre of exposure, in board time.
+    pub center: SimTime,
+    /// Centre of exposure, in true time.
+    pub center_true: TrueTime,
+    /// Device timestamp: ticks of [`TIMESTAMP_HZ`] of the camera's clock at the
+    /// centre of exposure, rounded down.
+    pub device_ticks: u64,
+    /// Whether a disturbance spoilt its image.
+    pub bad: bool,
+    /// Whether it reached the computer.
+    pub delivered: bool,
+}
+
+/// A pulse that may still turn out to be too short.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    edge: SimTime,
+    counts_from: SimTime,
+}
+
+/// Where the camera is in its stream; times are elapsed units of its own clock.
+#[derive(Clone, Copy, Debug)]
+enum State {
+    /// Switched off.
+    Off,
+    /// Waiting for its first pulses; how many came.
+    Waiting(u32),
+    /// Streaming: the place of the last pulse, or of its replacement.
+    Streaming { base: u64 },
+}
+
+/// The depth camera.
+#[derive(Debug)]
+pub struct DepthCamera {
+    config: DepthCameraConfig,
+    board: BoardTime,
+    clock: Oscillator,
+    state: State,
+    candidate: Option<Candidate>,
+    /// When it gives up waiting for the next pulse.
+    deadline: Option<SimTime>,
+    flash_log: Option<FlashLog>,
+    /// Changes of the light still to come.
+    light: VecDeque<(SimTime, Level)>,
+    pulses: u64,
+    short_pulses: u64,
+    disturbances: u64,
+    bad_left: u32,
+    frames: VecDeque<FrameRecord>,
+    frame_count: u64,
+    random: Random,
+}
+
+impl DepthCamera {
+    /// A camera that waits for pulses from power-on.
+    ///
+    /// # Errors
+    /// The configuration is none that such a camera has.
+    pub fn new(
+        config: DepthCameraConfig,
+        board: BoardTime,
+        seed: Seed,
+    ) -> Result<Self, DepthCameraError> {
+        config.check()?;
+        Ok(Self {
+            clock: Oscillator::new(config.clock, seed.stream(Stream::CameraClock)),
+            config,
+            board,
+            state: State::Waiting(0),
+            candidate: None,
+            deadline: None,
+            flash_log: None,
+            light: VecDeque::new(),
+            pulses: 0,
+            short_pulses: 0,
+            disturbances: 0,
+            bad_left: 0,
+            frames: VecDeque::new(),
+            frame_count: 0,
+            random: seed.stream(Stream::DepthCamera),
+        })
+    }
+
+    /// Writes every flash into `log` too, as it is planned (at least 9 µs before
+    /// it happens): for other cameras that see the light.
+    #[must_use]
+    pub fn with_flash_log(mut self, log: FlashLog) -> Self {
+        self.flash_log = Some(log);
+        self
+    }
+
+    /// Switches the stream off: light and frames under way are still finished.
+    pub fn stop(&mut self) {
+        self.state = State::Off;
+        self.candidate = None;
+        self.deadline = None;
+    }
+
+    /// Begins to wait for pulses, as when a recorder opens the camera.
+    pub fn wait_for_pulses(&mut self) {
+        self.stop();
+        self.bad_left = 0;
+        self.state = State::Waiting(0);
+    }
+
+    /// The frames that were taken and not yet drained, oldest first.
+    #[must_use]
+    pub fn frames(&self) -> &VecDeque<FrameRecord> {
+        &self.frames
+    }
+
+    /// Takes out the frames so far.
+    pub fn take_frames(&mut self) -> Vec<FrameRecord> {
+        self.frames.drain(..).collect()
+    }
+
+    /// Frames taken since power-on.
+    #[must_use]
+    pub fn frame_count(&self) -> u64 {
+        self.frame_count
+    }
+
+    /// Pulses that counted.
+    #[must_use]
+    pub fn pulses(&self) -> u64 {
+        self.pulses
+    }
+
+    /// Pulses that were too short.
+    #[must_use]
+    pub fn short_pulses(&self) -> u64 {
+        self.short_pulses
+    }
+
+    /// Pulses that came at the wrong place.
+    #[must_use]
+    pub fn disturbances(&self) -> u64 {
+        self.disturbances
+    }
+
+    /// The camera's clock.
+    #[must_use]
+    pub fn clock(&self) -> &Oscillator {
+        &self.clock
+    }
+
+    /// What it was made from.
+    #[must_use]
+    pub fn config(&self) -> &DepthCameraConfig {
+        &self.config
+    }
+
+    /// Nominal frame period, in units of the camera's clock.
+    fn period(&self) -> u64 {
+        UNITS_PER_SECOND / u64::from(self.config.fps)
+    }
+
+    /// Board time at which the camera's clock has counted `own` units.
+    fn board_at(&self, own: u64) -> SimTime {
+        self.board.board_at(self.clock.when_elapsed(own))
+    }
+
+    /// Units that the camera's clock has counted at a board time.
+    fn own_at(&self, at: SimTime) -> u64 {
+        self.clock.elapsed_at(self.board.true_at(at))
+    }
+
+    /// A rising edge that has stayed high for long enough.
+    fn accept(&mut self, edge: SimTime) {
+        self.pulses += 1;
+        let own = self.own_at(edge);
+        let source = Source::Pulse {
+            number: self.pulses,
+            edge,
+        };
+        match self.state {
+            State::Off => {}
+            State::Waiting(before) => {
+                let pulse = before + 1;
+                if pulse >= self.config.first_frame {
+                    self.expose(own, source);
+                    self.follow(own);
+                } else {
+                    self.state = State::Waiting(pulse);
+                }
+            }
+            State::Streaming { base } => {
+                let since = own.saturating_sub(base);
+                let tolerance = self.config.tolerance.units();
+                if since.abs_diff(self.period()) > tolerance {
+                    self.disturbances += 1;
+                    self.bad_left = self.config.bad_frames;
+                    self.spoil_last_if_exposing(edge);
+                }
+                if since >= self.period() / 2 {
+                    self.expose(own, source);
+                }
+                self.follow(own);
+            }
+        }
+    }
+
+    /// The next pulse is expected a period after `base`.
+    fn follow(&mut self, base: u64) {
+        self.state = State::Streaming { base };
+        let patience = self.period() + self.config.tolerance.units();
+        self.deadline = Some(self.board_at(base + patience + 1));
+    }
+
+    /// A disturbance within a frame spoils that frame.
+    fn spoil_last_if_exposing(&mut self, at: SimTime) {
+        let still_flashing = self.light.back().is_some_and(|(t, _)| *t > at);
+        if let Some(frame) = self.frames.back_mut()
+            && still_flashing
+        {
+            frame.bad = true;
+        }
+    }
+
+    /// When the camera goes on by itself: not while the pin is high since
+    /// before that, and it is not yet known whether this is a pulse.
+    fn patience_ends(&self) -> Option<SimTime> {
+        self.deadline
+            .filter(|deadline| self.candidate.is_none_or(|c| c.edge >= *deadline))
+    }
+
+    /// No pulse came in time: the camera goes on by itself.
+    fn free_run(&mut self) {
+        if let State::Streaming { base } = self.state {
+            let base = base + self.period();
+            self.expose(base, Source::FreeRun);
+            self.follow(base);
+        }
+    }
+
+    /// Plans the flashes of a frame whose pulse is (or would be) at `base`.
+    fn expose(&mut self, base: u64, source: Source) {
+        let train = self.config.mode.flashes();
+        let first = base + self.config.flash_delay.units();
+        let units = |ns: i64| ns.unsigned_abs() * UNITS_PER_NANO;
+        for flash in train.starting_at(0) {
+            let on = first + units(flash.start_ns);
+            let off = on + units(flash.duration_ns);
+            if let Some(log) = &self.flash_log {
+                log.push(TrueFlash {
+                    start: self.clock.when_elapsed(on),
+                    end: self.clock.when_elapsed(off),
+                });
+            }
+            self.light.push_back((self.board_at(on), Level::High));
+            self.light.push_back((self.board_at(off), Level::Low));
+        }
+        let center = first + units(train.center_offset_ns());
+        let center_true = self.clock.when_elapsed(center);
+        let bad = self.bad_left > 0;
+        self.bad_left = self.bad_left.saturating_sub(1);
+        self.frames.push_back(FrameRecord {
+            number: self.frame_count,
+            source,
+            first_flash: self.board_at(first),
+            center: self.board.board_at(center_true),
+            center_true,
+            device_ticks: self.device_ticks(center_true),
+            bad,
+            delivered: !self.random.chance(self.config.drop_probability),
+        });
+        self.frame_count += 1;
+    }
+
+    /// The camera's timestamp counter at a true time.
+    fn device_ticks(&self, at: TrueTime) -> u64 {
+        let offset = u128::from(self.config.clock.offset_ns.max(0).unsigned_abs());
+        let offset = (offset * u128::from(TIMESTAMP_HZ) / 1_000_000_000) as u64;
+        offset + self.clock.ticks_at(at, Rate::hz(TIMESTAMP_HZ))
+    }
+}
+
+impl PinModel for DepthCamera {
+    fn name(&self) -> String {
+        "depth camera".to_owned()
+    }
+
+    fn watched_pins(&self) -> Vec<Pin> {
+        vec![wiring::TRIGGER]
+    }
+
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
+        if self.config.photodiode {
+            io.drive(wiring::STROBE, Drive::Low);
+        }
+    }
+
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
+        if pin != wiring::TRIGGER {
+            return;
+        }
+        if level.is_high() {
+            let counts_from = io.now() + PULSE_TOO_SHORT + SimDuration::from_units(1);
+            self.candidate = Some(Candidate {
+                edge: io.now(),
+                counts_from,
+            });
+        } else if self.candidate.take().is_some() {
+            // It fell before it counted.
+            self.short_pulses += 1;
+        }
+    }
+
+    fn next_event(&self) -> Option<SimTime> {
+        [
+            self.candidate.map(|c| c.counts_from),
+            self.patience_ends(),
+            self.light.front().map(|(t, _)| *t),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+    }
+
+    fn advance(&mut self, io: &mut PinIo<'_>) {
+        let now = io.now();
+        if let Some(candidate) = self.candidate.take_if(|c| c.counts_from <= now) {
+            self.accept(candidate.edge);
+        }
+        if self.patience_ends().is_some_and(|t| t <= now) {
+            self.free_run();
+        }
+        while self.light.front().is_some_and(|(t, _)| *t <= now) {
+            if let Some((_, level)) = self.light.pop_front()
+                && self.config.photodiode
+            {
+                io.drive(wiring::STROBE, level.into());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,327 @@
+use super::*;
+use stm32f4_sim::model_bench::Bench;
+
+const US: SimDuration = SimDuration::from_micros(1);
+
+/// A camera on a board that is 20 ppm fast.
+fn camera(config: DepthCameraConfig) -> Bench<DepthCamera> {
+    let seed = Seed(6);
+    Bench::new(DepthCamera::new(config, board(), seed).unwrap())
+}
+
+fn board() -> BoardTime {
+    BoardTime::new(
+        OscillatorConfig {
+            rate_ppm: 20.0,
+            ..OscillatorConfig::default()
+        },
+        Seed(6).stream(Stream::BoardClock),
+    )
+}
+
+fn steady() -> DepthCameraConfig {
+    DepthCameraConfig {
+        clock: OscillatorConfig {
+            offset_ns: 2_500_000_000,
+            rate_ppm: 300.0,
+            wander: 0.0,
+        },
+        ..DepthCameraConfig::default()
+    }
+}
+
+/// A pulse whose rising edge is at `at`.
+fn pulse(bench: &mut Bench<DepthCamera>, at: SimTime, width: SimDuration) {
+    bench.run_until(at);
+    bench.set_pin(Pin::PA5, Level::High);
+    bench.run_until(at + width);
+    bench.set_pin(Pin::PA5, Level::Low);
+}
+
+fn ms(ms: f64) -> SimTime {
+    SimTime::from_nanos((ms * 1e6).round() as u64)
+}
+
+/// Pulses of 12 µs at the given milliseconds, and 30 ms after the last.
+fn train(bench: &mut Bench<DepthCamera>, at: impl IntoIterator<Item = f64>) {
+    let mut last = SimTime::ZERO;
+    for at in at {
+        last = ms(at);
+        pulse(bench, last, SimDuration::from_micros(12));
+    }
+    bench.run_until(last + SimDuration::from_millis(30));
+}
+
+const PERIOD_MS: f64 = 33.330_652;
+
+fn times(n: u32) -> impl Iterator<Item = f64> {
+    (1..=n).map(|k| f64::from(k) * PERIOD_MS)
+}
+
+#[test]
+fn the_first_frame_comes_on_the_pulse_that_was_set() {
+    for first_frame in [1, 2, 3] {
+        let mut bench = camera(DepthCameraConfig {
+            first_frame,
+            ..steady()
+        });
+        train(&mut bench, times(10));
+        let frames = bench.model.take_frames();
+        assert_eq!(frames.len() as u32, 10 - first_frame + 1);
+        assert!(matches!(
+            frames[0].source,
+            Source::Pulse { number, edge }
+                if number == u64::from(first_frame)
+                    && edge == ms(f64::from(first_frame) * PERIOD_MS)
+        ));
+        assert!(frames.iter().all(|f| !f.bad && f.delivered));
+    }
+}
+
+#[test]
+fn a_pulse_of_8_us_is_too_short_and_one_unit_more_is_enough() {
+    for (width, counts) in [
+        (US.saturating_mul(2), false),
+        (PULSE_TOO_SHORT, false),
+        (PULSE_TOO_SHORT + SimDuration::from_units(1), true),
+        (US.saturating_mul(9), true),
+        (US.saturating_mul(5000), true),
+    ] {
+        let mut bench = camera(steady());
+        for k in 1..=5u64 {
+            pulse(&mut bench, ms(k as f64 * PERIOD_MS), width);
+        }
+        bench.run(SimDuration::from_millis(10));
+        assert_eq!(bench.model.pulses() == 5, counts, "{width:?}");
+        assert_eq!(bench.model.frame_count() == 4, counts);
+        assert_eq!(bench.model.short_pulses() == 0, counts);
+    }
+}
+
+#[test]
+fn flashes_and_timestamps_are_those_of_the_mode() {
+    for (mode, fps, period_ms, pitch_us, center_us) in [
+        (DepthMode::NfovUnbinned, 30, PERIOD_MS, 1575.0, 6362.5),
+        (DepthMode::WfovUnbinned, 15, 66.6667, 2515.0, 10_122.5),
+    ] {
+        let mut bench = camera(DepthCameraConfig {
+            mode,
+            fps,
+            flash_delay: SimDuration::from_micros(700),
+            ..steady()
+        });
+        train(&mut bench, (1..=20).map(|k| f64::from(k) * period_ms));
+        let ups = bench.times(Pin::PA2, Drive::High);
+        let downs = bench.times(Pin::PA2, Drive::Low);
+        let frames = bench.model.take_frames();
+        assert_eq!(frames.len(), 19);
+        assert_eq!(ups.len(), 19 * 9);
+        // Board seconds in one of the camera's.
+        let own = (1.0 + 20e-6) / (1.0 + 300e-6);
+        for (frame, flashes) in frames.iter().zip(ups.chunks(9)) {
+            let Source::Pulse { edge, .. } = frame.source else {
+                panic!("a frame without a pulse");
+            };
+            for (k, up) in flashes.iter().enumerate() {
+                let expected = (700.0 + k as f64 * pitch_us) * own;
+                let measured = (*up - edge).as_secs_f64() * 1e6;
+                assert!((measured - expected).abs() < 1e-4, "{measured} {expected}");
+            }
+            assert_eq!(frame.first_flash, flashes[0]);
+            let center = (frame.center - edge).as_secs_f64() * 1e6;
+            assert!((center - (700.0 + center_us) * own).abs() < 1e-4);
+            let truth = frame.center.as_secs_f64() / (1.0 + 20e-6);
+            assert!((frame.center_true.as_secs_f64() - truth).abs() < 1e-12);
+            let ticks = 2.5 * 90_000.0 + truth * (1.0 + 300e-6) * 90_000.0;
+            assert_eq!(frame.device_ticks, ticks.floor() as u64);
+        }
+        for (up, down) in ups.iter().zip(&downs[1..]) {
+            let width = (*down - *up).as_secs_f64() * 1e6;
+            assert!((width - 125.0 * own).abs() < 1e-4, "{width}");
+        }
+    }
+}
+
+#[test]
+fn it_keeps_streaming_on_its_own_clock_when_the_pulses_stop() {
+    let mut bench = camera(steady());
+    train(&mut bench, times(10));
+    bench.run(SimDuration::from_secs(10));
+    let frames = bench.model.take_frames();
+    let (driven, free): (Vec<FrameRecord>, Vec<FrameRecord>) = frames
+        .iter()
+        .copied()
+        .partition(|f| matches!(f.source, Source::Pulse { .. }));
+    assert_eq!(driven.len(), 9);
+    assert!((300..=301).contains(&free.len()), "{}", free.len());
+    let own = (1.0 + 20e-6) / (1.0 + 300e-6);
+    for pair in frames[8..].windows(2) {
+        let period = (pair[1].center - pair[0].center).as_secs_f64() * 1e6;
+        assert!((period - 1e6 / 30.0 * own).abs() < 1e-4, "{period}");
+        let ticks = pair[1].device_ticks - pair[0].device_ticks;
+        assert_eq!(ticks, 3000);
+    }
+    assert!(frames.iter().all(|f| !f.bad));
+    assert_eq!(bench.model.disturbances(), 0);
+}
+
+#[test]
+fn steps_within_the_tolerance_disturb_nothing_and_are_followed() {
+    let mut bench = camera(steady());
+    // 150 µs later each frame.
+    train(
+        &mut bench,
+        (1..=60).map(|k| f64::from(k) * (PERIOD_MS + 0.150)),
+    );
+    let frames = bench.model.take_frames();
+    assert_eq!(frames.len(), 59);
+    assert!(frames.iter().all(|f| !f.bad && f.source != Source::FreeRun));
+}
+
+#[test]
+fn a_jump_spoils_the_frames_of_that_time_and_the_new_phase_is_taken_up() {
+    for jump_ms in [0.3, 5.0, 14.0, 20.0, 30.0, -0.3, -5.0, -14.0, -20.0] {
+        let mut bench = camera(steady());
+        let at = (1..=60).map(|k| f64::from(k) * PERIOD_MS + if k > 30 { jump_ms } else { 0.0 });
+        train(&mut bench, at);
+        assert!(bench.model.disturbances() >= 1, "{jump_ms}");
+        assert!(bench.model.disturbances() <= 2, "{jump_ms}");
+        let frames = bench.model.take_frames();
+        let bad: Vec<_> = frames.iter().filter(|f| f.bad).collect();
+        assert!((3..=5).contains(&bad.len()), "{jump_ms}: {}", bad.len());
+        // Bad only around the jump.
+        let jump = ms(30.0 * PERIOD_MS);
+        for frame in &bad {
+            let distance = frame.center.as_secs_f64() - jump.as_secs_f64();
+            assert!((-0.02..0.2).contains(&distance), "{jump_ms}: {distance}");
+        }
+        // The last 20 pulses all made good frames of their own.
+        for frame in &frames[frames.len() - 20..] {
+            assert!(!frame.bad);
+            let Source::Pulse { edge, .. } = frame.source else {
+                panic!("free-running after the jump");
+            };
+            assert!((frame.center - edge).as_nanos() < 7_000_000);
+        }
+        // Light never overlaps.
+        let ups = bench.times(Pin::PA2, Drive::High);
+        assert_eq!(ups.len(), frames.len() * 9);
+        assert!(ups.windows(2).all(|w| w[0] < w[1]));
+    }
+}
+
+#[test]
+fn a_pulse_that_is_still_being_judged_holds_the_free_run_back() {
+    let mut bench = camera(steady());
+    train(&mut bench, times(5));
+    // The camera's period is 33.323 ms of board time here, so patience ends at
+    // 200 µs after: this rises 4 µs before the end.
+    let last = 5.0 * PERIOD_MS;
+    let own = (1.0 + 20e-6) / (1.0 + 300e-6);
+    let deadline = last + (1e3 / 30.0 + 0.2) * own;
+    pulse(
+        &mut bench,
+        ms(deadline - 0.004),
+        SimDuration::from_micros(12),
+    );
+    bench.run(SimDuration::from_millis(20));
+    let frames = bench.model.take_frames();
+    assert_eq!(frames.len(), 5);
+    assert!(frames.iter().all(|f| f.source != Source::FreeRun && !f.bad));
+    // The same, but too short: the frame comes from the camera itself.
+    let mut bench = camera(steady());
+    train(&mut bench, times(5));
+    pulse(
+        &mut bench,
+        ms(deadline - 0.004),
+        SimDuration::from_micros(6),
+    );
+    bench.run(SimDuration::from_millis(20));
+    let frames = bench.model.take_frames();
+    assert_eq!(frames.len(), 5);
+    assert_eq!(frames[4].source, Source::FreeRun);
+    let first_flash = frames[4].first_flash.as_secs_f64() * 1e3;
+    assert!((first_flash - (last + (1e3 / 30.0 + 0.5) * own)).abs() < 1e-5);
+}
+
+#[test]
+fn lost_frames_are_lost_at_the_stated_rate_and_keep_their_numbers() {
+    let mut bench = camera(DepthCameraConfig {
+        drop_probability: 0.05,
+        ..steady()
+    });
+    train(&mut bench, times(2000));
+    let frames = bench.model.take_frames();
+    let lost = frames.iter().filter(|f| !f.delivered).count();
+    assert!((60..140).contains(&lost), "{lost}");
+    assert!(frames.iter().zip(0..).all(|(f, n)| f.number == n));
+}
+
+#[test]
+fn it_can_be_stopped_and_opened_again() {
+    let mut bench = camera(steady());
+    train(&mut bench, times(5));
+    bench.model.stop();
+    bench.run(SimDuration::from_secs(1));
+    assert_eq!(bench.model.frame_count(), 4);
+    bench.model.wait_for_pulses();
+    train(&mut bench, (60..70).map(|k| f64::from(k) * PERIOD_MS));
+    assert_eq!(bench.model.frame_count(), 4 + 9);
+}
+
+#[test]
+fn without_a_photodiode_the_strobe_input_is_not_driven() {
+    let mut bench = camera(DepthCameraConfig {
+        photodiode: false,
+        ..steady()
+    });
+    train(&mut bench, times(5));
+    assert!(bench.driven.is_empty());
+    assert_eq!(bench.model.frame_count(), 4);
+}
+
+#[test]
+fn impossible_cameras_are_refused() {
+    let good = DepthCameraConfig::default();
+    for (config, says) in [
+        (DepthCameraConfig { fps: 25, ..good }, "30, 15 and 5"),
+        (
+            DepthCameraConfig {
+                mode: DepthMode::WfovUnbinned,
+                ..good
+            },
+            "15 or 5 fps",
+        ),
+        (
+            DepthCameraConfig {
+                first_frame: 0,
+                ..good
+            },
+            "count from 1",
+        ),
+        (
+            DepthCameraConfig {
+                tolerance: SimDuration::from_millis(9),
+                ..good
+            },
+            "a quarter of a frame",
+        ),
+        (
+            DepthCameraConfig {
+                flash_delay: US.saturating_mul(100),
+                ..good
+            },
+            "must be at least 209000 ns",
+        ),
+        (
+            DepthCameraConfig {
+                flash_delay: SimDuration::from_millis(25),
+                ..good
+            },
+            "leaves no time",
+        ),
+    ] {
+        let error = DepthCamera::new(config, board(), Seed(1)).unwrap_err();
+        assert!(error.to_string().contains(says), "{error}");
+    }
+}

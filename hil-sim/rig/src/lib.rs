@@ -1,0 +1,29 @@
+//! The rig around the simulated board: IMU, cameras, phone, lidar, their clocks,
+//! the motion that they share, and the truth about all of it.
+//!
+//! The board is [`wiring::board`], a [`stm32f4_sim::sim::Sim`] with the product's wiring;
+//! a part of the rig that is wired to it is a [`stm32f4_sim::model::PinModel`] or an
+//! [`stm32f4_sim::i2c::I2cTarget`].
+
+pub mod depth_camera;
+pub mod flash_log;
+pub mod inertial_channel;
+pub mod k4a_mkv;
+pub mod lidar;
+pub mod motion;
+pub mod mpu9150;
+pub mod oscillator;
+pub mod owner_profile;
+pub mod phone;
+pub mod pin_log;
+pub mod pty;
+pub mod random;
+pub mod rig_config;
+pub mod rolling_shutter;
+pub mod running_rig;
+pub mod serve;
+pub mod true_clock;
+pub mod truth;
+pub mod truth_recorder;
+pub mod video_writer;
+pub mod wiring;

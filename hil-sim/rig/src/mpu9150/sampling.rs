@@ -1,0 +1,287 @@
+//! When the sensor samples, and what it measures then.
+
+use std::sync::Arc;
+
+use super::Mpu9150Config;
+use super::log::Values;
+use super::registers::{
+    self, ACCEL_HZ, ClockSource, SignalPath, accel_counts_per_g, address, clock_source,
+    gyro_counts_per_dps, power, signal_path, temperature_counts,
+};
+use crate::inertial_channel::{Channel, quantise};
+use crate::motion::{Motion, MotionView, STANDARD_GRAVITY};
+use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig};
+use crate::random::{Random, Seed, Stream};
+use stm32f4_sim::clock::{Clock, Rate};
+use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
+
+/// Nominal frequency of the external reference, in Hz.
+const REFERENCE_HZ: u64 = 19_200_000;
+
+/// The clock that the sensor's internal samples run on.
+#[derive(Clone, Debug)]
+enum SampleClock {
+    /// Exact in board time: internal sample `n` is edge `n` of this clock.
+    External(Clock),
+    /// Exact in the time of the sensor's own oscillator.
+    Own {
+        oscillator: Oscillator,
+        rate: Rate,
+        /// Tick of the oscillator's counter that is internal sample 0.
+        first: u64,
+    },
+}
+
+/// Source and rate that a sample clock was made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Origin {
+    source: ClockSource,
+    reference: Option<Rate>,
+    gyro_hz: u64,
+}
+
+/// The sensor's analogue part and its sample clock.
+#[derive(Debug)]
+pub(super) struct Sampling {
+    motion: MotionView,
+    board: BoardTime,
+    gyro: Channel,
+    accel: Channel,
+    path: SignalPath,
+    pll: Oscillator,
+    internal: Oscillator,
+    clock: Option<SampleClock>,
+    origin: Option<Origin>,
+    awake_since: Option<SimTime>,
+    /// Number of the internal sample that is registered next.
+    tick: u64,
+    next: Option<SimTime>,
+    count: u64,
+    last: Values,
+    last_accel_tick: Option<u64>,
+    powered_since: SimTime,
+    temperature_noise: Random,
+    settings: Mpu9150Config,
+}
+
+impl Sampling {
+    pub(super) fn new(
+        config: &Mpu9150Config,
+        motion: Arc<Motion>,
+        board: BoardTime,
+        seed: Seed,
+    ) -> Self {
+        let path = signal_path(0);
+        let channel = |config, low_pass, hz: u64, stream| {
+            Channel::new(config, low_pass, 1.0 / hz as f64, seed.stream(stream))
+        };
+        let own = |config| Oscillator::new(config, seed.stream(Stream::ImuClock));
+        Self {
+            motion: MotionView::new(motion),
+            board,
+            gyro: channel(config.gyro, path.gyro, path.gyro_hz, Stream::ImuGyro),
+            accel: channel(config.accel, path.accel, ACCEL_HZ, Stream::ImuAccel),
+            path,
+            pll: own(config.own_clock),
+            internal: own(OscillatorConfig {
+                rate_ppm: config.internal_ppm,
+                ..config.own_clock
+            }),
+            clock: None,
+            origin: None,
+            awake_since: None,
+            tick: 0,
+            next: None,
+            count: 0,
+            last: Values::default(),
+            last_accel_tick: None,
+            powered_since: SimTime::ZERO,
+            temperature_noise: seed.stream(Stream::ImuTemperature),
+            settings: *config,
+        }
+    }
+
+    /// When the next sample is registered.
+    pub(super) fn next(&self) -> Option<SimTime> {
+        self.next
+    }
+
+    /// Samples registered so far.
+    pub(super) fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// No clock until it is configured again.
+    pub(super) fn stop(&mut self) {
+        self.clock = None;
+        self.origin = None;
+        self.awake_since = None;
+        self.next = None;
+        self.last = Values::default();
+    }
+
+    /// Power came at `at`: the die is cold.
+    pub(super) fn cold_start(&mut self, at: SimTime) {
+        self.powered_since = at;
+    }
+
+    /// Sensor registers are cleared (SIG_COND_RESET).
+    pub(super) fn clear(&mut self) {
+        self.last = Values::default();
+        self.last_accel_tick = None;
+    }
+
+    /// Chooses the sample clock from PWR_MGMT_1, CONFIG and the clock on CLKIN.
+    /// Nothing happens if nothing changed.
+    pub(super) fn configure(
+        &mut self,
+        at: SimTime,
+        awake: bool,
+        power_management: u8,
+        config: u8,
+        clock_in: Option<Rate>,
+    ) {
+        let path = signal_path(config);
+        if path != self.path {
+            self.path = path;
+            self.gyro.set_filter(path.gyro, 1.0 / path.gyro_hz as f64);
+            self.accel.set_filter(path.accel, 1.0 / ACCEL_HZ as f64);
+            self.last_accel_tick = None;
+        }
+        if !awake {
+            self.clock = None;
+            self.origin = None;
+            self.awake_since = None;
+            self.next = None;
+            return;
+        }
+        let woke = *self.awake_since.get_or_insert(at);
+        let source = clock_source(power_management);
+        let reference = match source {
+            ClockSource::External19M2 => {
+                clock_in.filter(|rate| locks(*rate, self.settings.lock_range_ppm))
+            }
+            _ => None,
+        };
+        let origin = Origin {
+            source,
+            reference,
+            gyro_hz: path.gyro_hz,
+        };
+        if self.origin == Some(origin) {
+            return;
+        }
+        self.origin = Some(origin);
+        let ready = (at + self.settings.pll_settling).max(woke + self.settings.wake_up);
+        let rate = Rate::hz(path.gyro_hz);
+        self.clock = match source {
+            ClockSource::Stopped | ClockSource::External32k => None,
+            ClockSource::External19M2 => reference.map(|reference| {
+                // The first internal sample falls on an edge of the reference.
+                let edges = Clock::new(reference, at, 0);
+                let first = edges.time_of(edges.edge_at(ready) + 1);
+                let samples = reference.scaled(1, REFERENCE_HZ / path.gyro_hz);
+                SampleClock::External(Clock::new(samples, first, 0))
+            }),
+            ClockSource::GyroPll => Some(self.own_clock(&self.pll, rate, ready)),
+            ClockSource::Internal => Some(self.own_clock(&self.internal, rate, ready)),
+        };
+        self.gyro.restart();
+        self.accel.restart();
+        self.last_accel_tick = None;
+        self.tick = 0;
+        self.schedule();
+    }
+
+    fn own_clock(&self, oscillator: &Oscillator, rate: Rate, ready: SimTime) -> SampleClock {
+        SampleClock::Own {
+            oscillator: oscillator.clone(),
+            rate,
+            first: oscillator.ticks_at(self.board.true_at(ready), rate) + 1,
+        }
+    }
+
+    fn schedule(&mut self) {
+        self.next = match &self.clock {
+            None => None,
+            Some(SampleClock::External(clock)) => Some(clock.time_of(self.tick)),
+            Some(SampleClock::Own {
+                oscillator,
+                rate,
+                first,
+            }) => {
+                let at = oscillator.when_ticks(first + self.tick, *rate);
+                Some(self.board.board_at(at))
+            }
+        }
+        .filter(|t| *t != SimTime::NEVER);
+    }
+
+    /// True length of an internal sample of the gyroscope, in seconds.
+    fn tick_length(&self) -> f64 {
+        match &self.clock {
+            Some(SampleClock::External(clock)) => {
+                let units = clock.time_of(1) - clock.time_of(0);
+                units.units() as f64 / UNITS_PER_SECOND as f64
+            }
+            _ => 1.0 / self.path.gyro_hz as f64,
+        }
+    }
+
+    /// Measures at `at` and moves on to the next sample.
+    pub(super) fn take(&mut self, at: SimTime, registers: &[u8; registers::REGISTERS]) -> Values {
+        let register = |address: u8| registers[usize::from(address)];
+        let now = self.board.true_at(at).as_secs_f64();
+        let length = self.tick_length();
+        let standby = register(address::PWR_MGMT_2);
+        let per_rad = gyro_counts_per_dps(register(address::GYRO_CONFIG)) * super::DEGREES;
+        let rate = self
+            .gyro
+            .sample(now, self.tick, length, |t| self.motion.angular_rate(t));
+        for (axis, rate) in rate.into_iter().enumerate() {
+            if standby >> (2 - axis) & 1 == 0 {
+                self.last.gyro[axis] = quantise(rate, per_rad);
+            }
+        }
+        // The accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
+        let ratio = self.path.gyro_hz / ACCEL_HZ;
+        let accel_tick = self.tick / ratio;
+        if self.last_accel_tick != Some(accel_tick) {
+            self.last_accel_tick = Some(accel_tick);
+            let since = (self.tick % ratio) as f64 * length;
+            let per_unit = accel_counts_per_g(register(address::ACCEL_CONFIG)) / STANDARD_GRAVITY;
+            let force = self
+                .accel
+                .sample(now - since, accel_tick, length * ratio as f64, |t| {
+                    self.motion.specific_force(t)
+                });
+            for (axis, force) in force.into_iter().enumerate() {
+                if standby >> (5 - axis) & 1 == 0 {
+                    self.last.accel[axis] = quantise(force, per_unit);
+                }
+            }
+        }
+        if register(address::PWR_MGMT_1) & power::TEMP_DIS == 0 {
+            self.last.temperature = temperature_counts(self.temperature(at));
+        }
+        self.tick += 1 + u64::from(register(address::SMPLRT_DIV));
+        self.count += 1;
+        self.schedule();
+        self.last
+    }
+
+    /// Die temperature in °C: ambient, self-heating since power-on, noise.
+    fn temperature(&mut self, at: SimTime) -> f64 {
+        let s = &self.settings;
+        let on = (at - self.powered_since).as_secs_f64();
+        let heating = s.self_heating_c * (1.0 - libm::exp(-on / s.warm_up_s));
+        s.temperature_c + heating + s.temperature_noise_c * self.temperature_noise.normal()
+    }
+}
+
+/// Whether the PLL locks to `rate`.
+fn locks(rate: Rate, range_ppm: u32) -> bool {
+    let (num, den) = rate.fraction();
+    let nominal = u128::from(den) * u128::from(REFERENCE_HZ);
+    u128::from(num).abs_diff(nominal) * 1_000_000 <= nominal * u128::from(range_ppm)
+}

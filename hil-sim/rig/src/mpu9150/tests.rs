@@ -1,0 +1,649 @@
+use super::registers::address::*;
+use super::*;
+use crate::motion::MotionSpec;
+use stm32f4_sim::i2c::{Ack, Direction, I2cTarget as _};
+use stm32f4_sim::model_bench::Bench;
+
+/// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
+/// at 500 Hz, low-pass 1, interrupt as a pulse.
+fn running(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
+    let mut bench = asleep(config, motion);
+    bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
+    bench.run(SimDuration::from_millis(20));
+    for (register, value) in [
+        (PWR_MGMT_1, 5),
+        (SMPLRT_DIV, 1),
+        (CONFIG, 1),
+        (INT_PIN_CFG, 0),
+        (INT_ENABLE, 1),
+    ] {
+        bench.write(ADDRESS, register, &[value]).unwrap();
+    }
+    bench
+}
+
+fn asleep(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
+    let seed = Seed(42);
+    let motion = motion
+        .parse::<MotionSpec>()
+        .unwrap()
+        .build(seed.stream(Stream::Motion))
+        .unwrap();
+    let board = BoardTime::new(
+        OscillatorConfig {
+            rate_ppm: 17.0,
+            ..OscillatorConfig::default()
+        },
+        seed.stream(Stream::BoardClock),
+    );
+    Bench::new(Mpu9150::new(config, motion, board, seed))
+}
+
+fn intervals(times: &[SimTime]) -> Vec<u64> {
+    times.windows(2).map(|w| (w[1] - w[0]).units()).collect()
+}
+
+/// Units of time in one tick of the board's 48 MHz timer.
+const TICK: u64 = stm32f4_sim::time::UNITS_PER_SECOND / 48_000_000;
+
+#[test]
+fn registers_have_their_reset_values_and_keep_what_is_written() {
+    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_millis(11));
+    // The address does not move on from FIFO_R_W.
+    let mut all = bench.read(ADDRESS, 0, 0x75).unwrap();
+    all.extend(bench.read(ADDRESS, WHO_AM_I, 1).unwrap());
+    for (register, value) in all.into_iter().enumerate() {
+        let expected = match register {
+            0x6b => 0x40,
+            0x75 => 0x68,
+            _ => 0,
+        };
+        assert_eq!(value, expected, "register {register:#x}");
+    }
+    bench
+        .write(ADDRESS, SMPLRT_DIV, &[7, 2, 0x08, 0x10])
+        .unwrap();
+    assert_eq!(
+        bench.read(ADDRESS, SMPLRT_DIV, 4).unwrap(),
+        [7, 2, 0x08, 0x10]
+    );
+    bench.write(ADDRESS, WHO_AM_I, &[1]).unwrap();
+    bench.write(ADDRESS, ACCEL_XOUT_H, &[1]).unwrap();
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+    assert_eq!(bench.read(ADDRESS, ACCEL_XOUT_H, 1).unwrap(), [0]);
+    assert!(bench.model.unmodelled().is_empty());
+}
+
+#[test]
+fn nothing_answers_before_the_start_up_time_nor_at_other_addresses() {
+    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.run_until(SimTime::from_nanos(11_000_000));
+    assert_eq!(bench.read(0x69, WHO_AM_I, 1), Err(0));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+}
+
+#[test]
+fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
+    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
+    bench.run(SimDuration::from_secs(1));
+    assert!(bench.model.log().is_empty());
+    bench.write(ADDRESS, PWR_MGMT_1, &[5]).unwrap();
+    let woke = bench.now;
+    bench.run(SimDuration::from_millis(40));
+    let first = bench.model.log().iter().next().unwrap().at;
+    let after = (first - woke).as_nanos();
+    assert!((30_000_000..31_100_000).contains(&after), "{after}");
+    bench.write(ADDRESS, PWR_MGMT_1, &[0x45]).unwrap();
+    bench.model.log_mut().take();
+    bench.run(SimDuration::from_millis(100));
+    assert!(bench.model.log().is_empty());
+}
+
+#[test]
+fn with_the_external_clock_a_sample_comes_every_96_000_ticks() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_secs(10));
+    let edges = bench.times(Pin::PA1, Drive::High);
+    assert!(edges.len() > 4970, "{}", edges.len());
+    assert!(intervals(&edges).iter().all(|i| *i == 96_000 * TICK));
+    let logged: Vec<_> = bench.model.log().iter().filter(|r| r.edge).collect();
+    assert_eq!(logged.len(), edges.len());
+    assert!(logged.iter().zip(&edges).all(|(r, t)| r.at == *t));
+    // Falling edges 50 µs later.
+    let falls = bench.times(Pin::PA1, Drive::Low);
+    assert!(
+        edges
+            .iter()
+            .zip(&falls[1..])
+            .all(|(up, down)| *down - *up == PULSE)
+    );
+}
+
+#[test]
+fn the_divider_and_the_reference_set_the_rate() {
+    for (config, divider, hz, ticks) in [
+        (1, 0, 19_200_000, 48_000),
+        (1, 4, 19_200_000, 240_000),
+        (6, 255, 19_200_000, 48_000 * 256),
+        (0, 0, 19_200_000, 6_000),
+        (0, 7, 19_200_000, 48_000),
+        // A wrong reference within the lock range: 1 % fast, 1 % short.
+        (1, 100, 19_392_000, 48_000 * 101 * 100 / 101),
+    ] {
+        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        bench.set_clock(Pin::PA8, Some(Rate::hz(hz)));
+        bench
+            .write(ADDRESS, SMPLRT_DIV, &[divider, config])
+            .unwrap();
+        bench.run(SimDuration::from_millis(300));
+        bench.model.log_mut().take();
+        bench.run(SimDuration::from_secs(3));
+        let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
+        let intervals = intervals(&times);
+        assert!(intervals.len() > 5);
+        assert!(
+            intervals.iter().all(|i| *i == ticks * TICK),
+            "CONFIG {config}, SMPLRT_DIV {divider}, {hz} Hz: {}",
+            intervals[0] / TICK
+        );
+    }
+}
+
+#[test]
+fn without_a_usable_external_clock_there_is_no_data_ready() {
+    for rate in [None, Some(Rate::hz(24_000_000)), Some(Rate::hz(8_000_000))] {
+        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        bench.run(SimDuration::from_millis(100));
+        bench.set_clock(Pin::PA8, rate);
+        bench.driven.clear();
+        bench.run(SimDuration::from_secs(1));
+        assert!(bench.times(Pin::PA1, Drive::High).is_empty(), "{rate:?}");
+        // Its own PLL gets it going again.
+        bench.write(ADDRESS, PWR_MGMT_1, &[1]).unwrap();
+        bench.run(SimDuration::from_secs(1));
+        let n = bench.times(Pin::PA1, Drive::High).len();
+        assert!((494..=496).contains(&n), "{n}");
+    }
+}
+
+#[test]
+fn the_own_clock_has_its_rate_error_in_true_time() {
+    let config = Mpu9150Config {
+        own_clock: OscillatorConfig {
+            rate_ppm: 5000.0,
+            ..OscillatorConfig::default()
+        },
+        ..Mpu9150Config::ideal()
+    };
+    let mut bench = running(config, "rest");
+    bench.write(ADDRESS, PWR_MGMT_1, &[1]).unwrap();
+    bench.run(SimDuration::from_secs(1));
+    bench.model.log_mut().take();
+    bench.run(SimDuration::from_secs(100));
+    let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
+    let mean = (times[times.len() - 1] - times[0]).as_secs_f64() / (times.len() - 1) as f64;
+    // 500 Hz · (1 + 5000 ppm) in true time; the board counts 17 ppm more.
+    let expected = 2e-3 * (1.0 + 17e-6) / (1.0 + 5e-3);
+    assert!((mean / expected - 1.0).abs() < 1e-9, "{mean} {expected}");
+}
+
+#[test]
+fn values_are_those_of_an_independent_calculation() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    for (register, value) in [(GYRO_CONFIG, 0x08), (ACCEL_CONFIG, 0x08)] {
+        bench.write(ADDRESS, register, &[value]).unwrap();
+    }
+    bench.run(SimDuration::from_millis(50));
+    bench.model.log_mut().take();
+    bench.run(SimDuration::from_secs(5));
+    let motion = "twist"
+        .parse::<MotionSpec>()
+        .unwrap()
+        .build(Seed(42).stream(Stream::Motion))
+        .unwrap();
+    // The low-pass as an integral over a fine grid of an untruncated Gaussian.
+    let filtered = |f: &dyn Fn(f64) -> [f64; 3], hz: f64, delay: f64, t: f64, axis: usize| {
+        let sigma = (2.0f64.ln()).sqrt() / (core::f64::consts::TAU * hz);
+        let (mut sum, mut norm) = (0.0, 0.0);
+        for k in -300..=300 {
+            let x = f64::from(k) * 0.02;
+            let w = (-0.5 * x * x).exp();
+            sum += w * f(t - delay + x * sigma)[axis];
+            norm += w;
+        }
+        sum / norm
+    };
+    let mut largest = 0;
+    for record in bench.model.log().iter().step_by(7) {
+        let t = record.at.as_secs_f64() / (1.0 + 17e-6);
+        for axis in 0..3 {
+            let rate = filtered(&|t| motion.angular_rate(t), 188.0, 1.9e-3, t, axis);
+            let counts = (rate.to_degrees() * 65.5).round();
+            assert!((f64::from(record.values.gyro[axis]) - counts).abs() <= 1.0);
+            largest = largest.max(record.values.gyro[axis].unsigned_abs());
+            let force = filtered(&|t| motion.specific_force(t), 184.0, 2.0e-3, t, axis);
+            let counts = (force / 9.80665 * 8192.0).round();
+            assert!((f64::from(record.values.accel[axis]) - counts).abs() <= 1.0);
+        }
+        assert_eq!(record.values.temperature, 0);
+    }
+    assert!(largest > 8000, "the twist was seen: {largest}");
+}
+
+/// The table of section 4.3, measured at the registers: amplitude of a sine at
+/// the bandwidth and delay of a slow one, through the whole sensor.
+#[test]
+fn every_low_pass_has_the_tables_bandwidth_and_delay() {
+    let table = [
+        (0, 256.0, 0.98, 260.0, 0.0),
+        (1, 188.0, 1.9, 184.0, 2.0),
+        (2, 98.0, 2.8, 94.0, 3.0),
+        (3, 42.0, 4.8, 44.0, 4.9),
+        (4, 20.0, 8.3, 21.0, 8.5),
+        (5, 10.0, 13.4, 10.0, 13.8),
+        (6, 5.0, 18.6, 5.0, 19.0),
+    ];
+    let seed = Seed(1);
+    let directory = tempfile::tempdir().unwrap();
+    for (setting, gyro_hz, gyro_ms, accel_hz, accel_ms) in table {
+        // A motion file with a sine at the gyroscope's bandwidth about x, at the
+        // accelerometer's bandwidth along x, and slow ones about and along y.
+        // Awkward multiples of the sample rate are met by fitting, not by FFT.
+        let slow = 0.2 * gyro_hz;
+        let path = directory.path().join("sines.csv");
+        let mut text = String::new();
+        let w = |hz: f64, t: f64| (core::f64::consts::TAU * hz * t).sin();
+        for k in 0..40_000 {
+            let t = f64::from(k) * 5e-5;
+            text += &format!(
+                "{t},{},{},0,{},{},0\n",
+                3.0 * w(gyro_hz, t),
+                3.0 * w(slow, t),
+                10.0 * w(accel_hz, t),
+                10.0 * w(slow, t)
+            );
+        }
+        std::fs::write(&path, text).unwrap();
+        let motion = MotionSpec::File(path)
+            .build(seed.stream(Stream::Motion))
+            .unwrap();
+        let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
+        let mut bench = Bench::new(Mpu9150::new(Mpu9150Config::ideal(), motion, board, seed));
+        bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
+        bench.run(SimDuration::from_millis(20));
+        bench.write(ADDRESS, PWR_MGMT_1, &[5]).unwrap();
+        bench
+            .write(ADDRESS, SMPLRT_DIV, &[0, setting, 0, 0])
+            .unwrap();
+        bench.run_until(SimTime::from_nanos(1_800_000_000));
+        // At 8 kHz the accelerometer's value changes with every eighth sample.
+        let stride = if setting == 0 { 8 } else { 1 };
+        let fit = |value: &dyn Fn(&Values) -> i16, hz: f64| {
+            // Least squares on sine and cosine.
+            let (mut ss, mut cc, mut sc, mut ys, mut yc) = (0.0, 0.0, 0.0, 0.0, 0.0);
+            for r in bench
+                .model
+                .log()
+                .iter()
+                .filter(|r| r.at.as_secs_f64() > 0.3 && r.number % stride == 0)
+            {
+                let (s, c) = (core::f64::consts::TAU * hz * r.at.as_secs_f64()).sin_cos();
+                let y = f64::from(value(&r.values));
+                ss += s * s;
+                cc += c * c;
+                sc += s * c;
+                ys += y * s;
+                yc += y * c;
+            }
+            let det = ss * cc - sc * sc;
+            let (a, b) = ((ys * cc - yc * sc) / det, (yc * ss - ys * sc) / det);
+            (
+                a.hypot(b),
+                (-b).atan2(a) / (core::f64::consts::TAU * hz) * 1e3,
+            )
+        };
+        let half = core::f64::consts::FRAC_1_SQRT_2;
+        let (gyro, _) = fit(&|v| v.gyro[0], gyro_hz);
+        let full = 3.0f64.to_degrees() * 131.0;
+        assert!(
+            (gyro / full / half - 1.0).abs() < 0.003,
+            "{setting}: {}",
+            gyro / full
+        );
+        let (accel, _) = fit(&|v| v.accel[0], accel_hz);
+        let full = 10.0 / 9.80665 * 16384.0;
+        assert!(
+            (accel / full / half - 1.0).abs() < 0.003,
+            "{setting}: {}",
+            accel / full
+        );
+        let (_, delay) = fit(&|v| v.gyro[1], slow);
+        assert!((delay - gyro_ms).abs() < 0.002, "{setting}: {delay}");
+        let (_, delay) = fit(&|v| v.accel[1], slow);
+        assert!((delay - accel_ms).abs() < 0.002, "{setting}: {delay}");
+    }
+}
+
+#[test]
+fn a_burst_read_never_mixes_two_samples() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(2));
+    bench.model.log_mut().take();
+    let mut bursts = Vec::new();
+    // 17 bytes of 22.5 µs: the reads drift through the sample period of 2 ms.
+    for _ in 0..3000 {
+        bursts.push((bench.now, bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap()));
+        bench.run(SimDuration::from_micros(101));
+    }
+    let samples: Vec<_> = bench.model.log().iter().collect();
+    let mut across = 0;
+    for (start, bytes) in &bursts {
+        // What was newest when the transaction began (its address byte ended
+        // 22.5 µs later).
+        let begun = *start + SimDuration::from_nanos(22_500);
+        let Some(newest) = samples.iter().rfind(|r| r.at < begun) else {
+            continue;
+        };
+        assert_eq!(bytes[..], newest.values.bytes());
+        let end = begun + SimDuration::from_nanos(16 * 22_500);
+        across += usize::from(samples.iter().any(|r| r.at > begun && r.at < end));
+    }
+    assert!(across > 300, "samples did fall into transactions: {across}");
+}
+
+#[test]
+fn a_sample_during_a_transaction_shows_after_its_stop() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(2));
+    bench.start(ADDRESS, Direction::Write);
+    bench.write_byte(ACCEL_XOUT_H);
+    let before = bench.model.peek(GYRO_ZOUT_L);
+    let old: Vec<u8> = (ACCEL_XOUT_H..=GYRO_ZOUT_L)
+        .map(|r| bench.model.peek(r))
+        .collect();
+    bench.run(SimDuration::from_millis(10));
+    assert_eq!(bench.model.peek(GYRO_ZOUT_L), before);
+    let newest = bench.model.log().iter().last().unwrap().values.bytes();
+    assert_ne!(old[..], newest);
+    bench.stop();
+    let now: Vec<u8> = (ACCEL_XOUT_H..=GYRO_ZOUT_L)
+        .map(|r| bench.model.peek(r))
+        .collect();
+    assert_eq!(now[..], newest);
+}
+
+#[test]
+fn the_interrupt_pin_follows_its_configuration() {
+    // (INT_PIN_CFG, idle, asserted)
+    for (config, idle, asserted) in [
+        (0x00, Drive::Low, Drive::High),
+        (0x80, Drive::High, Drive::Low),
+        (0x40, Drive::Low, Drive::Floating),
+        (0xc0, Drive::Floating, Drive::Low),
+    ] {
+        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        bench.write(ADDRESS, INT_PIN_CFG, &[config]).unwrap();
+        bench.run(SimDuration::from_millis(100));
+        bench.driven.clear();
+        bench.run(SimDuration::from_millis(100));
+        let up = bench.times(Pin::PA1, asserted);
+        let down = bench.times(Pin::PA1, idle);
+        assert_eq!(up.len(), 50, "{config:#x}");
+        assert!(up.iter().zip(&down).all(|(u, d)| *d - *u == PULSE));
+    }
+}
+
+#[test]
+fn a_latched_interrupt_stays_until_it_is_cleared() {
+    // Only by INT_STATUS.
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.write(ADDRESS, INT_PIN_CFG, &[0x20]).unwrap();
+    bench.run(SimDuration::from_millis(100));
+    assert_eq!(bench.times(Pin::PA1, Drive::High).len(), 1);
+    bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap();
+    assert_eq!(bench.driven.last().unwrap().2, Drive::High);
+    assert_eq!(bench.read(ADDRESS, INT_STATUS, 1).unwrap(), [1]);
+    assert_eq!(bench.driven.last().unwrap().2, Drive::Low);
+    assert_eq!(bench.read(ADDRESS, INT_STATUS, 1).unwrap(), [0]);
+    // By any read.
+    bench.write(ADDRESS, INT_PIN_CFG, &[0x30]).unwrap();
+    bench.run(SimDuration::from_millis(3));
+    assert_eq!(bench.driven.last().unwrap().2, Drive::High);
+    bench.read(ADDRESS, WHO_AM_I, 1).unwrap();
+    assert_eq!(bench.driven.last().unwrap().2, Drive::Low);
+    // Samples that came while it was latched made no edge, and the log says so.
+    let (with, without): (Vec<SampleRecord>, Vec<SampleRecord>) =
+        bench.model.log().iter().copied().partition(|r| r.edge);
+    assert!(without.len() > 30, "{} {}", with.len(), without.len());
+    assert_eq!(with.len(), bench.times(Pin::PA1, Drive::High).len());
+    // Disabled: no edge at all.
+    bench.write(ADDRESS, INT_ENABLE, &[0]).unwrap();
+    bench.run(SimDuration::from_millis(1));
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(20));
+    assert!(bench.driven.is_empty());
+}
+
+#[test]
+fn full_scales_change_counts_and_saturate() {
+    let mut config = Mpu9150Config::ideal();
+    config.gyro.bias = [7.0, -7.0, 0.5];
+    let mut counts = Vec::new();
+    for setting in [0x00, 0x08, 0x10, 0x18] {
+        let mut bench = running(config, "rest");
+        bench
+            .write(ADDRESS, GYRO_CONFIG, &[setting, setting])
+            .unwrap();
+        bench.run(SimDuration::from_millis(100));
+        let v = bench.model.log().iter().last().unwrap().values;
+        counts.push((v.gyro, v.accel[2]));
+    }
+    // 7 rad/s = 401.07 °/s; 0.5 rad/s = 28.648 °/s.
+    assert_eq!(
+        counts,
+        [
+            ([32767, -32768, 3753], 16384),
+            ([26270, -26270, 1876], 8192),
+            ([13155, -13155, 940], 4096),
+            ([6578, -6578, 470], 2048),
+        ]
+    );
+}
+
+#[test]
+fn standby_and_temperature_switches_hold_values() {
+    let mut config = Mpu9150Config::ideal();
+    config.temperature_c = 20.0;
+    config.self_heating_c = 10.0;
+    config.warm_up_s = 1.0;
+    let mut bench = running(config, "twist");
+    bench.run(SimDuration::from_secs(3));
+    let warm = bench.model.log().iter().last().unwrap().values.temperature;
+    // 20 + 10 · (1 - e^-3.02) °C.
+    assert!(
+        (f64::from(warm) / 340.0 + 35.0 - 29.51).abs() < 0.02,
+        "{warm}"
+    );
+    bench.write(ADDRESS, PWR_MGMT_1, &[0x0d, 0x24]).unwrap(); // TEMP_DIS, x axes
+    let held = bench.model.log().iter().last().unwrap().values;
+    bench.model.log_mut().take();
+    bench.run(SimDuration::from_secs(1));
+    for r in bench.model.log().iter() {
+        assert_eq!(r.values.temperature, held.temperature);
+        assert_eq!(r.values.gyro[0], held.gyro[0]);
+        assert_eq!(r.values.accel[0], held.accel[0]);
+    }
+    assert!(
+        bench
+            .model
+            .log()
+            .iter()
+            .any(|r| r.values.gyro[1] != held.gyro[1])
+    );
+}
+
+#[test]
+fn a_device_reset_forgets_everything() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(1));
+    bench.write(ADDRESS, PWR_MGMT_1, &[0x80]).unwrap();
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(100));
+    assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [0x40]);
+    assert_eq!(bench.read(ADDRESS, SMPLRT_DIV, 2).unwrap(), [0, 0]);
+    assert_eq!(bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap(), [0; 14]);
+    assert!(bench.times(Pin::PA1, Drive::High).is_empty());
+}
+
+#[test]
+fn a_power_cut_loses_registers_and_floats_the_pin() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_millis(100));
+    let (off, on) = (
+        SimTime::from_nanos(200_000_000),
+        SimTime::from_nanos(3_200_000_000),
+    );
+    bench.model.schedule(on, Fault::PowerOn);
+    bench.model.schedule(off, Fault::PowerOff);
+    bench.run_until(off);
+    assert_eq!(
+        *bench.driven.last().unwrap(),
+        (off, Pin::PA1, Drive::Floating)
+    );
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.run_until(on);
+    assert_eq!(*bench.driven.last().unwrap(), (on, Pin::PA1, Drive::Low));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.run(SimDuration::from_millis(11));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+    assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [0x40]);
+    let last = bench.model.log().iter().last().unwrap();
+    assert!(last.at <= off);
+}
+
+#[test]
+fn a_missing_acknowledge_hits_the_byte_it_was_told_to() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    for byte in 0..3 {
+        bench
+            .model
+            .schedule(bench.now, Fault::Nack { byte, times: 2 });
+        bench.run(SimDuration::from_micros(1));
+        for _ in 0..2 {
+            assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(byte as usize));
+        }
+        assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+    }
+    // In a burst write, the hit byte and those after it are not stored.
+    bench.write(ADDRESS, SMPLRT_DIV, &[9, 1, 0x18]).unwrap();
+    bench
+        .model
+        .schedule(bench.now, Fault::Nack { byte: 3, times: 1 });
+    bench.run(SimDuration::from_micros(1));
+    assert_eq!(bench.write(ADDRESS, SMPLRT_DIV, &[5, 6, 7]), Err(3));
+    assert_eq!(bench.read(ADDRESS, SMPLRT_DIV, 3).unwrap(), [5, 1, 0x18]);
+}
+
+#[test]
+fn a_held_bus_is_freed_by_nine_clocks_or_never() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.model.schedule(bench.now, Fault::HoldSda(Some(9)));
+    bench.run(SimDuration::from_micros(1));
+    assert!(bench.model.holds_sda_low());
+    assert_eq!(bench.start(ADDRESS, Direction::Write), Ack::Nack);
+    for _ in 0..8 {
+        bench.model.bus_clear_pulse(bench.now);
+        assert!(bench.model.holds_sda_low());
+    }
+    bench.model.bus_clear_pulse(bench.now);
+    assert!(!bench.model.holds_sda_low());
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+
+    bench.model.schedule(bench.now, Fault::HoldSda(None));
+    bench.run(SimDuration::from_micros(1));
+    for _ in 0..100 {
+        bench.model.bus_clear_pulse(bench.now);
+    }
+    assert!(bench.model.holds_sda_low());
+    bench.model.schedule(bench.now, Fault::ReleaseSda);
+    bench.run(SimDuration::from_micros(1));
+    assert!(!bench.model.holds_sda_low());
+    // Samples went on meanwhile.
+    let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
+    assert!(intervals(&times).iter().all(|i| *i % (48_000 * TICK) == 0));
+}
+
+#[test]
+fn another_identity_and_cut_wires() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_millis(50));
+    bench.model.schedule(bench.now, Fault::Identity(0x71));
+    bench.model.schedule(bench.now, Fault::DataReadyCut(true));
+    bench.run(SimDuration::from_micros(1));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x71]);
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(50));
+    assert!(bench.driven.is_empty());
+    bench.model.schedule(bench.now, Fault::DataReadyCut(false));
+    bench.model.schedule(bench.now, Fault::ClockCut(true));
+    let samples = bench.model.sampling.count();
+    bench.run(SimDuration::from_millis(50));
+    assert_eq!(bench.model.sampling.count(), samples);
+    bench.model.schedule(bench.now, Fault::ClockCut(false));
+    bench.run(SimDuration::from_millis(50));
+    assert!(bench.model.sampling.count() > samples + 15);
+}
+
+#[test]
+fn ignored_settings_are_named() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    assert!(bench.model.unmodelled().is_empty());
+    bench.write(ADDRESS, 0x23, &[0x78]).unwrap(); // FIFO_EN
+    bench.write(ADDRESS, GYRO_CONFIG, &[0xe0]).unwrap(); // self-test
+    assert_eq!(
+        bench.model.unmodelled().iter().copied().collect::<Vec<_>>(),
+        [GYRO_CONFIG, 0x23]
+    );
+}
+
+#[test]
+fn the_same_seed_gives_the_same_samples() {
+    let samples = || {
+        let mut bench = running(Mpu9150Config::typical(Seed(9)), "walk");
+        bench.run(SimDuration::from_secs(2));
+        bench.model.log_mut().take()
+    };
+    assert_eq!(samples(), samples());
+}
+
+#[test]
+fn a_typical_sensor_is_as_noisy_as_its_data_sheet_says() {
+    let mut bench = running(Mpu9150Config::typical(Seed(5)), "rest");
+    bench.write(ADDRESS, CONFIG, &[2]).unwrap(); // 98 Hz
+    bench.run(SimDuration::from_secs(20));
+    let n = bench.model.log().len() as f64;
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for r in bench.model.log().iter() {
+        let dps = f64::from(r.values.gyro[0]) / 131.0;
+        sum += dps;
+        squares += dps * dps;
+    }
+    let sd = (squares / n - (sum / n).powi(2)).sqrt();
+    // Product specification, table 6.1: total RMS noise 0.06 °/s at DLPF 2.
+    assert!((0.045..0.065).contains(&sd), "{sd}");
+    assert!((sum / n).abs() < 2.5);
+}
+
+#[test]
+fn a_log_with_a_limit_drops_the_oldest_and_counts_them() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.model.log_mut().set_limit(Some(10));
+    bench.run(SimDuration::from_secs(1));
+    let log = bench.model.log();
+    assert_eq!(log.len(), 10);
+    assert_eq!(log.iter().next().unwrap().number, log.dropped());
+}

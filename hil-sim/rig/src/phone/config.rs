@@ -1,0 +1,234 @@
+//! What one simulated phone is like.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::inertial_channel::{ChannelConfig, LowPass};
+use crate::oscillator::OscillatorConfig;
+use crate::random::{Random, Seed, Stream, rotation};
+
+/// Everything about one phone. [`PhoneConfig::draw`] gives a specimen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhoneConfig {
+    /// Seed of all that is random in it.
+    pub seed: Seed,
+    /// Version that the app's server states.
+    pub version: String,
+    /// The boot clock against true time.
+    pub clock: OscillatorConfig,
+    /// The gyroscope; values in rad/s.
+    pub gyroscope: SensorConfig,
+    /// The accelerometer; values in m/s².
+    pub accelerometer: SensorConfig,
+    /// The magnetometer; values in µT. A phone may lack one.
+    pub magnetometer: Option<SensorConfig>,
+    /// The camera.
+    pub camera: CameraConfig,
+    /// When a video is rendered.
+    pub video: VideoMode,
+    /// Where the app saves its files; a temporary folder if not given.
+    pub storage: Option<PathBuf>,
+    /// The name that `get_video` gives its file, instead of the true one.
+    pub video_name: Option<String>,
+}
+
+/// When a video is rendered and encoded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum VideoMode {
+    /// Never; `get_video` is answered as if there were none.
+    Never,
+    /// When it is asked for.
+    OnRequest,
+    /// In the background as soon as a recording is stopped, as the app has its
+    /// file then.
+    OnStop,
+}
+
+/// One three-axis motion sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SensorConfig {
+    /// Samples per second of the phone's clock. Sensors have oscillators of
+    /// their own: a nominal 500 Hz is rarely that.
+    pub rate_hz: f64,
+    /// Mounting, scale, bias, noise.
+    pub channel: ChannelConfig,
+    /// The low-pass before sampling. Its delay is *not* taken off the
+    /// timestamps, as on real phones.
+    pub low_pass: LowPass,
+    /// Step of the values.
+    pub step: f64,
+    /// White noise on the timestamps, standard deviation in nanoseconds.
+    pub timestamp_jitter_ns: f64,
+    /// What goes wrong in the stream.
+    pub faults: StreamFaults,
+}
+
+/// Faults that were seen in streams of real phones. The default is none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct StreamFaults {
+    /// Every so many samples one repeats the values of its predecessor.
+    pub copy_every: Option<u32>,
+    /// Every so many samples one has a wrong timestamp.
+    pub late_every: Option<u32>,
+    /// By how much that timestamp is wrong, nanoseconds.
+    pub late_by_ns: i64,
+    /// A sawtooth on the timestamps: from 0 to `sawtooth_ns` over so many samples.
+    pub sawtooth_every: Option<u32>,
+    /// Height of the sawtooth, nanoseconds.
+    pub sawtooth_ns: i64,
+    /// Share of samples that are missing, 0 to 1.
+    pub drop: f64,
+}
+
+/// The rolling-shutter camera and its video.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraConfig {
+    /// Distance of frames in nanoseconds of the phone's clock.
+    pub frame_period_ns: f64,
+    /// Exposure of each row, nanoseconds.
+    pub exposure_ns: u64,
+    /// From the start of exposure of one row to that of the next, nanoseconds.
+    pub row_time_ns: f64,
+    /// Sensor rows that are read.
+    pub rows: usize,
+    /// Pixels in a rendered row. Few are enough where light falls evenly, and
+    /// they are cheap.
+    pub columns: usize,
+    /// White noise on the frame timestamps, standard deviation in nanoseconds.
+    pub timestamp_jitter_ns: f64,
+    /// Shortest and longest time from the start of a recording to its first
+    /// frame, milliseconds.
+    pub first_frame_ms: (f64, f64),
+    /// From the end of a frame's readout to the app that handles it, milliseconds.
+    pub pipeline_ms: f64,
+    /// Whether the app gets timestamps of frames at all (its sync recording is
+    /// switched on). Without them `video_start` fails after 10 s.
+    pub reports_frames: bool,
+    /// Whether exposure times are reported. If not, the app says 0.
+    pub reports_exposure: bool,
+    /// Grey level of the scene.
+    pub ambient: f64,
+    /// Grey levels that a whole flash adds to a row.
+    pub flash_amplitude: f64,
+    /// Read noise, grey levels.
+    pub read_noise: f64,
+    /// Constant rate factor of the encoder (x264; 23 is its default).
+    pub rate_factor: u8,
+}
+
+impl PhoneConfig {
+    /// A phone as in the published rig, with details drawn from `seed`: clock up
+    /// to ±50 ppm and one to thirty hours after boot, gyroscope mounted at
+    /// random, 1 µs of timestamp jitter.
+    #[must_use]
+    pub fn draw(seed: Seed) -> Self {
+        let mut random = seed.stream(Stream::PhoneConfig);
+        let r = &mut random;
+        let clock = OscillatorConfig {
+            offset_ns: r.uniform(3_600e9, 108_000e9) as i64,
+            rate_ppm: r.uniform(-50.0, 50.0),
+            wander: 1e-9,
+        };
+        let rotation = rotation(r);
+        let gyroscope = SensorConfig {
+            rate_hz: 500.0 * (1.0 + r.uniform(-0.01, 0.01)),
+            channel: ChannelConfig {
+                rotation,
+                scale_error: each(r, 0.01),
+                bias: each(r, 0.02),
+                bias_walk: 1e-5,
+                // 3.8 mdps/√Hz: typical of the gyroscopes in phones.
+                noise_density: 6.6e-5,
+            },
+            low_pass: LowPass {
+                bandwidth_hz: 150.0,
+                delay_s: 2.2e-3,
+            },
+            // 70 mdps: 2,000 deg/s full scale in 16 bits.
+            step: 0.07_f64.to_radians(),
+            timestamp_jitter_ns: 1_000.0,
+            faults: StreamFaults::default(),
+        };
+        let accelerometer = SensorConfig {
+            channel: ChannelConfig {
+                rotation,
+                scale_error: each(r, 0.01),
+                bias: each(r, 0.1),
+                bias_walk: 0.0,
+                noise_density: 9e-4,
+            },
+            // 0.244 mg: 8 g full scale in 16 bits.
+            step: 0.244e-3 * crate::motion::STANDARD_GRAVITY,
+            ..gyroscope.clone()
+        };
+        let magnetometer = SensorConfig {
+            rate_hz: 100.0 * (1.0 + r.uniform(-0.01, 0.01)),
+            channel: ChannelConfig {
+                rotation,
+                scale_error: each(r, 0.02),
+                bias: each(r, 5.0),
+                bias_walk: 0.0,
+                noise_density: 0.05,
+            },
+            low_pass: LowPass {
+                bandwidth_hz: 40.0,
+                delay_s: 5e-3,
+            },
+            step: 0.15,
+            ..gyroscope.clone()
+        };
+        Self {
+            seed,
+            version: "v.0.1.1".to_owned(),
+            clock,
+            gyroscope,
+            accelerometer,
+            magnetometer: Some(magnetometer),
+            camera: CameraConfig::draw(r),
+            video: VideoMode::OnRequest,
+            storage: None,
+            video_name: None,
+        }
+    }
+}
+
+impl CameraConfig {
+    fn draw(r: &mut Random) -> Self {
+        Self {
+            // The published rig's phone: 33,330,652.54 ns.
+            frame_period_ns: 33_330_652.54 + r.uniform(-2_000.0, 2_000.0),
+            exposure_ns: 500_000,
+            row_time_ns: 10_200.0,
+            rows: 1080,
+            columns: 64,
+            timestamp_jitter_ns: 1_000.0,
+            first_frame_ms: (250.0, 700.0),
+            pipeline_ms: 40.0,
+            reports_frames: true,
+            reports_exposure: true,
+            ambient: 30.0,
+            flash_amplitude: 60.0,
+            read_noise: 1.0,
+            rate_factor: 18,
+        }
+    }
+
+    /// From the timestamp of a frame (start of exposure of its first row) to the
+    /// middle of exposure of its middle row, nanoseconds of the phone's clock.
+    #[must_use]
+    pub fn middle_offset_ns(&self) -> f64 {
+        0.5 * (self.rows as f64 - 1.0) * self.row_time_ns + 0.5 * self.exposure_ns as f64
+    }
+
+    /// From the start of exposure of the first row to that of the last.
+    #[must_use]
+    pub fn readout_ns(&self) -> f64 {
+        (self.rows as f64 - 1.0) * self.row_time_ns
+    }
+}
+
+/// Three values between `-most` and `most`.
+fn each(r: &mut Random, most: f64) -> [f64; 3] {
+    [0; 3].map(|_| r.uniform(-most, most))
+}

@@ -1,0 +1,197 @@
+//! Everything around the board: which parts there are, and how they behave.
+//!
+//! A [`RigConfig`] is plain data. [`RigConfig::build`] draws and loads what it
+//! stands for, and [`RigParts::wire`] wires it to the board.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::depth_camera::{DepthCamera, DepthCameraConfig, DepthCameraError};
+use crate::flash_log::FlashLog;
+use crate::motion::recorded::RecordingError;
+use crate::motion::{Motion, MotionSpec};
+use crate::mpu9150::{Mpu9150, Mpu9150Config};
+use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
+use crate::random::{Seed, Stream};
+use crate::truth::{Clocks, Run};
+use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::sim::SimBuilder;
+
+/// What is around the board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RigConfig {
+    /// Everything random comes from this.
+    pub seed: Seed,
+    /// How the rig moves.
+    pub motion: MotionSpec,
+    /// The board's crystal.
+    pub board_clock: OscillatorConfig,
+    /// The IMU on the board's I2C bus.
+    pub imu: Option<Mpu9150Config>,
+    /// The depth camera on the trigger and strobe pins.
+    pub depth_camera: Option<DepthCameraConfig>,
+}
+
+/// Why a rig cannot be built.
+#[derive(Debug, thiserror::Error)]
+pub enum RigConfigError {
+    /// The motion.
+    #[error(transparent)]
+    Motion(#[from] RecordingError),
+    /// The depth camera.
+    #[error("depth camera: {0}")]
+    DepthCamera(#[from] DepthCameraError),
+}
+
+impl RigConfig {
+    /// The published rig at rest: an MPU-9150 and an Azure Kinect, with the
+    /// tolerances of real parts drawn from the seed. The board's crystal is off
+    /// by up to 30 ppm, the camera's clock by up to 400 ppm.
+    #[must_use]
+    pub fn published(seed: Seed) -> Self {
+        let mut random = seed.stream(Stream::Rig);
+        let board_clock = OscillatorConfig {
+            offset_ns: 0,
+            rate_ppm: random.uniform(-30.0, 30.0),
+            wander: 1e-9,
+        };
+        let camera_clock = OscillatorConfig {
+            offset_ns: random.uniform(1e9, 600e9) as i64,
+            rate_ppm: random.uniform(-400.0, 400.0),
+            wander: 1e-9,
+        };
+        Self {
+            seed,
+            motion: MotionSpec::default(),
+            board_clock,
+            imu: Some(Mpu9150Config::typical(seed)),
+            depth_camera: Some(DepthCameraConfig {
+                clock: camera_clock,
+                ..DepthCameraConfig::default()
+            }),
+        }
+    }
+
+    /// The same with another motion.
+    #[must_use]
+    pub fn with_motion(mut self, motion: MotionSpec) -> Self {
+        self.motion = motion;
+        self
+    }
+
+    /// Draws and loads everything.
+    ///
+    /// # Errors
+    /// A motion file cannot be used, or a part has settings that it cannot have.
+    pub fn build(self) -> Result<RigParts, RigConfigError> {
+        let seed = self.seed;
+        let motion = self.motion.build(seed.stream(Stream::Motion))?;
+        let board = BoardTime::new(self.board_clock, seed.stream(Stream::BoardClock));
+        let imu = self
+            .imu
+            .map(|config| Mpu9150::new(config, Arc::clone(&motion), board.clone(), seed).shared());
+        let flashes = FlashLog::default();
+        let depth_camera = match self.depth_camera {
+            None => None,
+            Some(config) => {
+                let camera =
+                    DepthCamera::new(config, board.clone(), seed)?.with_flash_log(flashes.clone());
+                Some(Arc::new(std::sync::Mutex::new(camera)))
+            }
+        };
+        Ok(RigParts {
+            config: self,
+            motion,
+            board,
+            imu,
+            depth_camera,
+            flashes,
+        })
+    }
+}
+
+/// The parts around the board. Clones are handles to the same parts.
+#[derive(Clone, Debug)]
+pub struct RigParts {
+    /// What they were made from.
+    pub config: RigConfig,
+    /// How the rig moves.
+    pub motion: Arc<Motion>,
+    /// The relation of the board's time to true time.
+    pub board: BoardTime,
+    /// The IMU.
+    pub imu: Option<Shared<Mpu9150>>,
+    /// The depth camera.
+    pub depth_camera: Option<Shared<DepthCamera>>,
+    /// Its flashes, for whoever sees their light.
+    pub flashes: FlashLog,
+}
+
+impl RigParts {
+    /// Wires all parts to the board, and gives it the seed.
+    #[must_use]
+    pub fn wire(&self, mut board: SimBuilder) -> SimBuilder {
+        board = board.seed(self.config.seed);
+        if let Some(imu) = &self.imu {
+            board = board.model(Arc::clone(imu)).i2c_target(Arc::clone(imu));
+        }
+        if let Some(camera) = &self.depth_camera {
+            board = board.model(Arc::clone(camera));
+        }
+        board
+    }
+
+    /// The first record of a truth file.
+    #[must_use]
+    pub fn run_record(&self) -> Run {
+        Run {
+            imu: self.config.imu,
+            depth_camera: self.config.depth_camera,
+            ..Run::new(
+                self.config.seed,
+                self.config.motion.to_string(),
+                self.config.board_clock,
+            )
+        }
+    }
+
+    /// What the clocks of these parts show.
+    #[must_use]
+    pub fn clocks_at(&self, at: TrueTime) -> Clocks {
+        let camera = self.depth_camera.as_ref().map(|c| lock(c).clock().clone());
+        Clocks::at(at, &self.board, None, camera.as_ref())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_is_a_rig() {
+        let rig = |seed| RigConfig::published(Seed(seed));
+        assert_eq!(rig(1), rig(1));
+        assert_ne!(rig(1), rig(2));
+        for seed in 0..50 {
+            let config = rig(seed);
+            assert!(config.board_clock.rate_ppm.abs() <= 30.0);
+            let parts = config.build().unwrap();
+            assert!(parts.imu.is_some() && parts.depth_camera.is_some());
+        }
+    }
+
+    #[test]
+    fn bad_parts_are_refused() {
+        let mut config = RigConfig::published(Seed(1));
+        config.motion = "no-such-file.csv".parse().unwrap();
+        let error = config.clone().build().unwrap_err().to_string();
+        assert!(error.contains("no-such-file.csv"), "{error}");
+        config.motion = MotionSpec::default();
+        if let Some(camera) = &mut config.depth_camera {
+            camera.fps = 24;
+        }
+        let error = config.build().unwrap_err().to_string();
+        assert!(error.starts_with("depth camera: 24 fps"), "{error}");
+    }
+}

@@ -1,0 +1,547 @@
+//! The whole rig as it stands on a table, running in a thread of its own: the
+//! board with its firmware behind a pseudo-terminal, its IMU and the depth
+//! camera, and the phone behind a TCP port, on one true time and one motion.
+//!
+//! True time passes as fast as the machine can, at most [`Pace::speed`] times
+//! real time, and stands still while the program that has the port open does
+//! not take what the board sends: how fast a machine is has no part in what a
+//! program at the other end sees of the board. It does have a part in *when*
+//! that program's commands arrive, so two runs of one seed are alike but not
+//! equal to the byte; a rig that is driven step by step ([`Sim`]) is.
+//!
+//! # Use
+//!
+//! ```no_run
+//! use trials::demo::judge::Truth;
+//! use crate::phone::PhoneConfig;
+//! use crate::random::Seed;
+//! use stm32f4_sim::sim::Sim;
+//! use crate::rig_config::RigConfig;
+//! use crate::running_rig::{Pace, RunningRig};
+//!
+//! # fn main() -> anyhow::Result<()> {
+//! let seed = Seed(1);
+//! let config = RigConfig::published(seed).with_motion("twist:60,walk".parse().unwrap());
+//! let phone = PhoneConfig::draw(seed);
+//! let pace = Pace { speed: Some(15.0), wait_for_host: true };
+//! // Board, IMU, depth camera and phone, wired together and running.
+//! let rig = RunningRig::start(config, wiring::board(), Some((phone, 0)), pace)?;
+//! // What a rig's owner knows, and where its port is: enough for a session.
+//! std::fs::write("rig.toml", rig.profile()?)?;
+//! println!("smartdepthsync record --port {} --profile rig.toml", rig.port().display());
+//! // … run the session; make things go wrong meanwhile with `rig.unplug()`,
+//! // `rig.press_reset()`, `rig.phone()` and the models in `rig.parts()` …
+//! let truth = Truth::of(rig.stop()?)?;
+//! let verdict = truth.judge("recordings/example".as_ref())?;
+//! println!("phase error {} µs", verdict.phase.start_us);
+//! # Ok(())
+//! # }
+//! ```
+
+use crate::wiring;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail};
+
+use crate::depth_camera::FrameRecord;
+use crate::mpu9150::SampleRecord;
+use crate::oscillator::Oscillator;
+use crate::owner_profile::{owner_profile, owner_profile_of};
+use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoTruth};
+use crate::pty::Pty;
+use crate::rig_config::{RigConfig, RigParts};
+use crate::true_clock::{BoardClockwork, TrueClock};
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::sim::{Sim, SimBuilder};
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+use stm32f4_sim::usb::UsbState;
+
+/// Board time between two looks at the pseudo-terminal.
+const STEP: SimDuration = SimDuration::from_millis(1);
+
+/// Bytes that wait for the program at the other end before the host's driver
+/// stops asking the board for more, as an operating system does.
+const BUFFER: usize = 64 * 1024;
+
+/// Board time from power-on within which the serial port must be there.
+const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
+
+/// Wall time for which the board stands still while the program reads slowly,
+/// or has not yet opened the port.
+const PATIENCE: Duration = Duration::from_micros(200);
+
+/// The most by which true time runs behind its pace and still catches up.
+const CATCH_UP: Duration = Duration::from_millis(50);
+
+/// How fast true time passes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pace {
+    /// At most so many times real time; as fast as the machine can if not given.
+    pub speed: Option<f64>,
+    /// Once booted, the board stands still until a program opens its port.
+    pub wait_for_host: bool,
+}
+
+/// What the running board is told.
+enum Order {
+    Unplug,
+    Plug,
+    Reset,
+    Stop,
+}
+
+/// What the thread of the board shares.
+#[derive(Debug, Default)]
+struct Shared {
+    now: AtomicU64,
+    plugged: AtomicBool,
+    noted: Mutex<Noted>,
+}
+
+/// What really happened.
+#[derive(Debug, Default)]
+struct Noted {
+    depth: Vec<FrameRecord>,
+    imu: Vec<SampleRecord>,
+    zero: Option<SimTime>,
+    /// The board has been reset.
+    reset: bool,
+}
+
+impl Shared {
+    fn noted(&self) -> MutexGuard<'_, Noted> {
+        self.noted.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// What is known about a run that nobody in it knew.
+#[derive(Clone, Debug)]
+pub struct RunTruth {
+    /// Parts and their clocks.
+    pub parts: RigParts,
+    /// All frames of the depth camera, in order.
+    pub depth: Vec<FrameRecord>,
+    /// All samples of the board's IMU as they were in its registers, in order
+    /// (48 bytes each: 86 MB an hour at 500 Hz).
+    pub imu: Vec<SampleRecord>,
+    /// When the board's tick count was zero in its first run.
+    pub zero: Option<SimTime>,
+    /// The phone's clock.
+    pub phone_clock: Option<Oscillator>,
+    /// The phone's videos.
+    pub videos: Vec<VideoTruth>,
+    /// Clocks and videos of further phones.
+    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
+    /// Board time at the end.
+    pub end: SimTime,
+}
+
+/// A rig that runs. It is switched off when dropped.
+pub struct RunningRig {
+    parts: RigParts,
+    clock: TrueClock,
+    /// Dropped before the board's thread is joined: they wait for true time.
+    phones: Vec<SimPhone>,
+    port: PathBuf,
+    orders: Sender<Order>,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<Result<()>>>,
+    _folder: tempfile::TempDir,
+}
+
+impl RunningRig {
+    /// Builds a rig and lets it run. `board` may have an ELF, a sink for the log
+    /// and more; the parts are wired to it here. The phone listens on
+    /// `phone_port` of the loopback interface; 0 takes a free one.
+    ///
+    /// # Errors
+    ///
+    /// A part cannot be built, or the system has no pseudo-terminal or port left.
+    pub fn start(
+        config: RigConfig,
+        board: SimBuilder,
+        phone: Option<(PhoneConfig, u16)>,
+        pace: Pace,
+    ) -> Result<Self> {
+        Self::with_phones(config, board, phone.into_iter().collect(), pace)
+    }
+
+    /// The same with any number of phones, each with its port.
+    ///
+    /// # Errors
+    ///
+    /// As [`RunningRig::start`].
+    pub fn with_phones(
+        config: RigConfig,
+        board: SimBuilder,
+        phones: Vec<(PhoneConfig, u16)>,
+        pace: Pace,
+    ) -> Result<Self> {
+        let parts = config.build()?;
+        let clock = TrueClock::new();
+        let mut running = Vec::new();
+        for (config, port) in phones {
+            let surroundings = Surroundings {
+                clock: clock.clone(),
+                motion: Arc::clone(&parts.motion),
+                light: Arc::new(parts.flashes.clone()),
+            };
+            running.push(SimPhone::start(config, surroundings, port)?);
+        }
+        let folder = tempfile::Builder::new()
+            .prefix("simulated-rig-")
+            .tempdir()
+            .context("no folder for the rig's port")?;
+        let port = folder.path().join("board");
+        let rig = parts
+            .wire(board)
+            .model(BoardClockwork::new(parts.board.clone(), clock.clone()));
+        let (orders, inbox) = channel();
+        let shared = Arc::new(Shared::default());
+        let runner = Runner {
+            link: port.clone(),
+            parts: parts.clone(),
+            shared: Arc::clone(&shared),
+            pace,
+            inbox,
+        };
+        let (ready, started) = channel();
+        let thread = std::thread::spawn(move || {
+            // A rig cannot be sent between threads: it is built where it runs.
+            match runner.boot(rig) {
+                Ok((rig, port)) => {
+                    let _ = ready.send(Ok(()));
+                    runner.run(rig, port)
+                }
+                Err(error) => {
+                    let _ = ready.send(Err(error));
+                    Ok(())
+                }
+            }
+        });
+        let begun = started
+            .recv()
+            .unwrap_or_else(|_| Err(anyhow!("the board's thread ended at once")));
+        let rig = Self {
+            parts,
+            clock,
+            phones: running,
+            port,
+            orders,
+            shared,
+            thread: Some(thread),
+            _folder: folder,
+        };
+        begun?;
+        Ok(rig)
+    }
+
+    /// The board's serial port: a link that leads to the pseudo-terminal and is
+    /// gone while the board is unplugged.
+    #[must_use]
+    pub fn port(&self) -> &Path {
+        &self.port
+    }
+
+    /// The phone.
+    #[must_use]
+    pub fn phone(&self) -> Option<&SimPhone> {
+        self.phones.first()
+    }
+
+    /// All phones.
+    #[must_use]
+    pub fn phones(&self) -> &[SimPhone] {
+        &self.phones
+    }
+
+    /// The profile that this rig's owner would have, for
+    /// `smartdepthsync record --profile`.
+    ///
+    /// # Errors
+    ///
+    /// The rig has no phone or no depth camera.
+    pub fn profile(&self) -> Result<String> {
+        let phone = self.phone().context("the rig has no phone")?;
+        owner_profile(&self.parts.config, phone)
+    }
+
+    /// The same with all phones, by these names; the trigger is aligned to the first.
+    ///
+    /// # Errors
+    ///
+    /// As [`RunningRig::profile`].
+    pub fn profile_of(&self, names: &[&str]) -> Result<String> {
+        let phones: Vec<_> = names.iter().copied().zip(&self.phones).collect();
+        owner_profile_of(&self.parts.config, &phones)
+    }
+
+    /// The parts and their clocks.
+    #[must_use]
+    pub fn parts(&self) -> &RigParts {
+        &self.parts
+    }
+
+    /// Board time now.
+    #[must_use]
+    pub fn now(&self) -> SimTime {
+        SimTime::from_units(self.shared.now.load(Ordering::Relaxed))
+    }
+
+    /// Whether the board still runs: a firmware that fails ends it.
+    #[must_use]
+    pub fn is_running(&self) -> bool {
+        self.thread.as_ref().is_some_and(|t| !t.is_finished())
+    }
+
+    /// Pulls the board's USB plug, and waits until the port is gone.
+    pub fn unplug(&self) {
+        self.order(Order::Unplug, false);
+    }
+
+    /// Puts the plug in again, and waits until the port is there.
+    pub fn plug(&self) {
+        self.order(Order::Plug, true);
+    }
+
+    /// Presses the board's reset button.
+    pub fn press_reset(&self) {
+        let _ = self.orders.send(Order::Reset);
+    }
+
+    fn order(&self, order: Order, plugged: bool) {
+        if self.orders.send(order).is_ok() {
+            while self.is_running() && self.shared.plugged.load(Ordering::SeqCst) != plugged {
+                std::thread::sleep(PATIENCE);
+            }
+        }
+    }
+
+    /// Switches the rig off and tells the truth.
+    ///
+    /// # Errors
+    ///
+    /// The firmware has failed, or the phone could not save a file.
+    pub fn stop(mut self) -> Result<RunTruth> {
+        let ended = self.end();
+        let mut phones = Vec::new();
+        for phone in &self.phones {
+            phone
+                .wait_saved()
+                .map_err(|e| anyhow!("the simulated phone: {e}"))?;
+            phones.push((phone.oscillator().clone(), phone.videos()));
+        }
+        let mut phones = phones.into_iter();
+        let (phone_clock, videos) = phones.next().unzip();
+        ended?;
+        let noted = std::mem::take(&mut *self.shared.noted());
+        Ok(RunTruth {
+            parts: self.parts.clone(),
+            depth: noted.depth,
+            imu: noted.imu,
+            zero: noted.zero,
+            phone_clock,
+            videos: videos.unwrap_or_default(),
+            others: phones.collect(),
+            end: self.now(),
+        })
+    }
+
+    /// Ends the board's thread and true time.
+    fn end(&mut self) -> Result<()> {
+        let _ = self.orders.send(Order::Stop);
+        self.clock.stop();
+        match self.thread.take().map(JoinHandle::join) {
+            None => Ok(()),
+            Some(Ok(result)) => result,
+            Some(Err(_)) => bail!("the board's thread has panicked"),
+        }
+    }
+}
+
+impl Drop for RunningRig {
+    fn drop(&mut self) {
+        // What it has to say was asked for by `stop`, or is not wanted.
+        let _ = self.end();
+    }
+}
+
+/// The thread of the board.
+struct Runner {
+    link: PathBuf,
+    parts: RigParts,
+    shared: Arc<Shared>,
+    pace: Pace,
+    inbox: Receiver<Order>,
+}
+
+/// The board's port as the host sees it.
+struct Port {
+    pty: Pty,
+    open: bool,
+    /// From the board, not yet taken by the program.
+    waiting: Vec<u8>,
+}
+
+impl Runner {
+    /// A pseudo-terminal under the rig's name for it.
+    fn new_port(&self, rig: &mut Sim) -> Result<Port> {
+        rig.usb_open(false);
+        let pty = Pty::new().context("cannot make a pseudo-terminal")?;
+        let _ = std::fs::remove_file(&self.link);
+        std::os::unix::fs::symlink(pty.path(), &self.link)
+            .with_context(|| format!("cannot make {}", self.link.display()))?;
+        self.shared.plugged.store(true, Ordering::SeqCst);
+        Ok(Port {
+            pty,
+            open: false,
+            waiting: Vec::new(),
+        })
+    }
+
+    /// Powers the board on and runs it until its serial port is there, as it is
+    /// on a table before anybody starts a session.
+    fn boot(&self, board: SimBuilder) -> Result<(Sim, Option<Port>)> {
+        let mut rig = board.build()?;
+        rig.usb_set_buffer_limit(BUFFER);
+        let port = if rig.usb_state() == UsbState::Unplugged {
+            None
+        } else if rig.run_until_usb_ready(BOOT_LIMIT)? {
+            Some(self.new_port(&mut rig)?)
+        } else {
+            bail!(
+                "the board's serial port is not there {} s after power-on ({:?})",
+                BOOT_LIMIT.as_secs_f64(),
+                rig.usb_state()
+            );
+        };
+        self.note(&rig);
+        Ok((rig, port))
+    }
+
+    /// The board's serial port is there while the host has the device enumerated.
+    fn follow_usb(&self, rig: &mut Sim, port: &mut Option<Port>) -> Result<()> {
+        let ready = rig.usb_state() == UsbState::Ready;
+        if ready && port.is_none() {
+            *port = Some(self.new_port(rig)?);
+        } else if !ready && port.is_some() {
+            // The name goes first: nobody shall open a port that is dying.
+            let _ = std::fs::remove_file(&self.link);
+            drop(port.take());
+            self.shared.plugged.store(false, Ordering::SeqCst);
+        }
+        Ok(())
+    }
+
+    fn run(self, mut rig: Sim, mut port: Option<Port>) -> Result<()> {
+        while let Some(waited_for) = port.as_ref()
+            && self.pace.wait_for_host
+            && !waited_for.pty.is_open()?
+        {
+            if matches!(
+                self.inbox.try_recv(),
+                Ok(Order::Stop) | Err(TryRecvError::Disconnected)
+            ) {
+                return Ok(());
+            }
+            std::thread::sleep(PATIENCE);
+        }
+        let (mut began, mut begun) = (rig.now(), Instant::now());
+        loop {
+            match self.inbox.try_recv() {
+                Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
+                Ok(Order::Unplug) => rig.usb_unplug(),
+                Ok(Order::Plug) => rig.usb_plug(),
+                Ok(Order::Reset) => {
+                    self.shared.noted().reset = true;
+                    rig.press_reset();
+                }
+                Err(TryRecvError::Empty) => {}
+            }
+            self.follow_usb(&mut rig, &mut port)?;
+            if let Some(port) = &mut port
+                && !port.move_bytes(&mut rig)?
+            {
+                std::thread::sleep(PATIENCE);
+                continue;
+            }
+            if let Some(speed) = self.pace.speed {
+                let run = rig.now().as_nanos() - began.as_nanos();
+                let due = Duration::from_nanos(run).div_f64(speed.max(1e-3));
+                let passed = begun.elapsed();
+                if passed > due + CATCH_UP {
+                    // The machine is slower, or stood still: no race to catch up.
+                    (began, begun) = (rig.now(), Instant::now());
+                } else if let Some(ahead) = due.checked_sub(passed)
+                    && ahead > Duration::from_millis(1)
+                {
+                    // Shorter waits are not worth the call.
+                    std::thread::sleep(ahead);
+                }
+            }
+            rig.run_for(STEP)?;
+            self.note(&rig);
+        }
+    }
+
+    /// Takes what the models have noted, so that they keep little.
+    fn note(&self, rig: &Sim) {
+        self.shared.now.store(rig.now().units(), Ordering::Relaxed);
+        let mut noted = self.shared.noted();
+        // The count's zero is read off before its first wrap.
+        if rig.now() < SimTime::from_nanos(60_000_000_000) && !noted.reset {
+            noted.zero = zero_of(rig);
+        }
+        if let Some(camera) = &self.parts.depth_camera {
+            noted.depth.extend(lock(camera).take_frames());
+        }
+        if let Some(imu) = &self.parts.imu {
+            noted.imu.extend(lock(imu).log_mut().take());
+        }
+    }
+}
+
+impl Port {
+    /// Moves bytes both ways; false if the program does not take its own.
+    fn move_bytes(&mut self, rig: &mut Sim) -> Result<bool> {
+        let open = self.pty.is_open()?;
+        if open != self.open {
+            self.open = open;
+            self.waiting.clear();
+            rig.usb_open(open);
+        }
+        let mut buffer = [0; 4096];
+        // A serial port's driver takes a few kilobytes ahead of the device.
+        if rig.usb_unsent() < buffer.len() {
+            let count = self.pty.read(&mut buffer)?;
+            rig.usb_write(buffer.get(..count).unwrap_or_default());
+        }
+        if self.waiting.is_empty() {
+            self.waiting = rig.usb_read();
+        }
+        if !self.open {
+            self.waiting.clear();
+        }
+        if !self.waiting.is_empty() {
+            let count = self.pty.write(&self.waiting)?;
+            self.waiting.drain(..count);
+        }
+        Ok(self.waiting.is_empty())
+    }
+}
+
+/// When the board's tick count was zero, once the timer runs: its count now,
+/// taken off. Right only before the count's first wrap, after 89 s.
+fn zero_of(rig: &Sim) -> Option<SimTime> {
+    let (at, count) = rig.timer(wiring::TIMEBASE);
+    let units = u64::from(count) * (UNITS_PER_SECOND / u64::from(protocol::TICK_HZ));
+    (count > 0)
+        .then(|| at.units().checked_sub(units))
+        .flatten()
+        .map(SimTime::from_units)
+}

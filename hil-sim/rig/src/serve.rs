@@ -1,0 +1,282 @@
+//! `hil-sim serve`: the rig, with its board behind a pseudo-terminal and, if
+//! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
+//! typed against it as against hardware.
+
+use crate::wiring;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::motion::MotionSpec;
+use crate::owner_profile::owner_profile;
+use crate::phone::{PhoneConfig, SimPhone, Surroundings};
+use crate::pty::Pty;
+use crate::random::Seed;
+use crate::rig_config::{RigConfig, RigParts};
+use crate::true_clock::{BoardClockwork, TrueClock};
+use crate::truth_recorder::TruthRecorder;
+use anyhow::{Context, Result};
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::rtt::LogLine;
+use stm32f4_sim::sim::Sim;
+use stm32f4_sim::time::{SimDuration, SimTime};
+use stm32f4_sim::vcd_trace::VcdTrace;
+
+/// Virtual time between two looks at the pseudo-terminal.
+const STEP: SimDuration = SimDuration::from_millis(1);
+/// Virtual time between two looks at what the models have noted.
+const NOTE_STEP: SimDuration = SimDuration::from_millis(100);
+/// Board time from power-on within which the serial port is there.
+const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
+/// Wall time between two looks for a program that opens the port.
+const WAIT_STEP: Duration = Duration::from_millis(2);
+/// Bytes that wait for the program at the other end before the host stops
+/// asking the board for more, as an operating system does.
+const BUFFER: usize = 64 * 1024;
+
+/// Options of `serve`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    /// Pace virtual time by the wall clock; otherwise it runs as fast as it can.
+    #[arg(long, conflicts_with = "speed")]
+    realtime: bool,
+    /// Virtual time passes at most so many times as fast as real time.
+    #[arg(long, value_name = "TIMES", value_parser = speed)]
+    speed: Option<f64>,
+    /// Once booted, let the board stand still until a program opens its port.
+    #[arg(long)]
+    wait_for_host: bool,
+    /// Stop after so much virtual time, for example 10s or 5min.
+    #[arg(long = "for", value_name = "DURATION", value_parser = humantime::parse_duration)]
+    length: Option<Duration>,
+    /// The one seed of all randomness.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// How the rig moves: rest, twist, walk, a sequence such as
+    /// rest:5,twist:12,walk (seconds), or a CSV file (time in s, rate x, y, z in
+    /// rad/s, optionally specific force x, y, z in m/s²).
+    #[arg(long, value_name = "MOTION", default_value = "rest")]
+    motion: MotionSpec,
+    /// Switch the phone on; its app listens on this port of 127.0.0.1 (0: a free one).
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "6969")]
+    phone: Option<u16>,
+    /// Folder of the phone's files; a temporary one that goes with the phone if
+    /// not given.
+    #[arg(long, value_name = "DIR", requires = "phone")]
+    phone_files: Option<PathBuf>,
+    /// Write the rig profile of this rig's owner to this file, for
+    /// `smartdepthsync record --profile`.
+    #[arg(long, value_name = "FILE", requires = "phone")]
+    profile: Option<PathBuf>,
+    /// Write what really happened to this file, as JSON lines.
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+    /// Write the edges of the board's pins to this file, for a wave viewer.
+    #[arg(long, value_name = "FILE")]
+    vcd: Option<PathBuf>,
+    /// Let the firmware fail and restart, as the hardware would.
+    #[arg(long)]
+    tolerate_failures: bool,
+    /// Do not print the firmware's log.
+    #[arg(long)]
+    quiet: bool,
+}
+
+/// The pins of a trace and the names of their wires.
+const TRACED: [(Pin, &str); 11] = [
+    (wiring::TRIGGER, "trigger"),
+    (wiring::IMU_READY, "imu_ready"),
+    (wiring::STROBE, "strobe"),
+    (wiring::READBACK, "readback"),
+    (wiring::SCL, "scl"),
+    (wiring::SDA, "sda"),
+    (wiring::PPS, "pps"),
+    (wiring::LED_IMU, "led_imu"),
+    (wiring::LED_PULSE, "led_pulse"),
+    (wiring::LED_FAULT, "led_fault"),
+    (wiring::LED_LINK, "led_link"),
+];
+
+/// How many times as fast as real time virtual time may pass, on a command line.
+///
+/// # Errors
+///
+/// If it is not a number from 0.1 to 1000.
+pub fn speed(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|s| (0.1..=1000.0).contains(s))
+        .ok_or_else(|| "expected a number from 0.1 to 1000".to_owned())
+}
+
+/// Runs the rig until its time is over or Ctrl-C is pressed.
+///
+/// # Errors
+///
+/// If the firmware fails, a part of the rig cannot be set up, or a file cannot be
+/// written.
+pub fn run(args: &Args) -> Result<()> {
+    let config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
+    let parts = config.build()?;
+    let mut builder = parts.wire(wiring::board());
+    let clock = TrueClock::new();
+    let phone = match args.phone {
+        None => None,
+        Some(port) => {
+            builder = builder.model(BoardClockwork::new(parts.board.clone(), clock.clone()));
+            Some(start_phone(args, &parts, &clock, port)?)
+        }
+    };
+    if let Some(elf) = &args.elf {
+        builder = builder.elf(elf);
+    }
+    if !args.quiet {
+        builder = builder.on_log(|line: &LogLine| eprintln!("{line}"));
+    }
+    if args.tolerate_failures {
+        builder = builder.tolerate_failures();
+    }
+    let mut trace = None;
+    if let Some(path) = &args.vcd {
+        let file =
+            File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+        let vcd = VcdTrace::new(BufWriter::new(file), &TRACED)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        let shared = Arc::new(std::sync::Mutex::new(vcd));
+        builder = builder.model(Arc::clone(&shared));
+        trace = Some(shared);
+    }
+    let mut rig = builder.build()?;
+    let pty = Pty::new().context("cannot make a pseudo-terminal")?;
+    println!("port: {}", pty.path().display());
+    if let Some(phone) = &phone {
+        println!("phone: {}", phone.address());
+    }
+    std::io::stdout().flush()?;
+
+    let stopped = Arc::new(AtomicBool::new(false));
+    let stop = Arc::clone(&stopped);
+    ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed))
+        .context("cannot watch for Ctrl-C")?;
+
+    let mut truth = match &args.truth {
+        None => None,
+        Some(path) => {
+            let cannot = || format!("cannot write {}", path.display());
+            let file = BufWriter::new(File::create(path).with_context(cannot)?);
+            Some(TruthRecorder::new(file, &mut rig, &parts).with_context(cannot)?)
+        }
+    };
+
+    let result = pump(args, &mut rig, &pty, &stopped, |rig| {
+        match &mut truth {
+            Some(truth) => truth.poll(rig)?,
+            // Nobody wants it.
+            None => drop(parts.take_records()),
+        }
+        Ok(())
+    });
+    let noted = truth.map_or(Ok(()), |mut truth| {
+        truth.poll(&mut rig)?;
+        truth.flush()
+    });
+    // Whoever waits for true time waits in vain now.
+    clock.stop();
+    drop(phone);
+    if let Some(trace) = trace {
+        lock(&trace)
+            .flush()
+            .context("the trace could not be written")?;
+    }
+    result?;
+    noted.context("the truth could not be written")
+}
+
+/// Switches the phone on, and writes the profile that goes with it.
+fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> Result<SimPhone> {
+    let mut config = PhoneConfig::draw(parts.config.seed);
+    config.storage.clone_from(&args.phone_files);
+    let surroundings = Surroundings {
+        clock: clock.clone(),
+        motion: Arc::clone(&parts.motion),
+        light: Arc::new(parts.flashes.clone()),
+    };
+    let phone = SimPhone::start(config, surroundings, port)?;
+    if let Some(path) = &args.profile {
+        std::fs::write(path, owner_profile(&parts.config, &phone)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(phone)
+}
+
+/// Runs the board and moves bytes; calls `note` every now and then.
+fn pump(
+    args: &Args,
+    rig: &mut Sim,
+    pty: &Pty,
+    stopped: &AtomicBool,
+    mut note: impl FnMut(&mut Sim) -> Result<()>,
+) -> Result<()> {
+    rig.usb_set_buffer_limit(BUFFER);
+    rig.usb_open(false);
+    let end = args
+        .length
+        .map(|d| SimTime::from_nanos(u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)));
+    let stopped = || stopped.load(Ordering::Relaxed);
+    if args.wait_for_host {
+        rig.run_until_usb_ready(BOOT_LIMIT)?;
+    }
+    while args.wait_for_host && !pty.is_open()? && !stopped() {
+        std::thread::sleep(WAIT_STEP);
+    }
+    let speed = args.speed.or(args.realtime.then_some(1.0));
+    let (began, begun) = (rig.now(), Instant::now());
+    let mut next_note = rig.now();
+    let mut open = false;
+    let mut waiting: Vec<u8> = Vec::new();
+    let mut buffer = [0; 4096];
+    while end.is_none_or(|end| rig.now() < end) && !stopped() {
+        let is_open = pty.is_open()?;
+        if is_open != open {
+            open = is_open;
+            rig.usb_open(open);
+        }
+        // A serial port's driver takes a few kilobytes ahead of the device.
+        if rig.usb_unsent() < buffer.len() {
+            let n = pty.read(&mut buffer)?;
+            rig.usb_write(buffer.get(..n).unwrap_or(&[]));
+        }
+        rig.run_for(STEP)?;
+        if rig.now() >= next_note {
+            note(rig)?;
+            next_note = rig.now() + NOTE_STEP;
+        }
+        if waiting.is_empty() {
+            waiting = rig.usb_read();
+        }
+        if !waiting.is_empty() {
+            if open {
+                let n = pty.write(&waiting)?;
+                waiting.drain(..n);
+            } else {
+                waiting.clear();
+            }
+        }
+        if let Some(speed) = speed {
+            let run = rig.now().as_nanos() - began.as_nanos();
+            let due = Duration::from_nanos(run).div_f64(speed);
+            let ahead = due.saturating_sub(begun.elapsed());
+            if !ahead.is_zero() {
+                std::thread::sleep(ahead);
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,71 @@
+//! The board of the product: what is soldered to the chip of an STM32F4DISCOVERY, what
+//! is wired to its pins, and the firmware that it runs.
+
+use std::path::{Path, PathBuf};
+
+use stm32f4_sim::clock::Rate;
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::sim::{Sim, SimBuilder, Timer};
+
+/// Environment variable that names the ELF which tests and tools use.
+pub const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
+
+/// The timer whose counter is the board's time.
+pub const TIMEBASE: Timer = Timer::Tim2;
+
+/// Camera trigger (TIM2 CH1).
+pub const TRIGGER: Pin = Pin::PA5;
+/// Data-ready of the IMU (TIM2 CH2).
+pub const IMU_READY: Pin = Pin::PA1;
+/// Strobe input (TIM2 CH3).
+pub const STROBE: Pin = Pin::PA2;
+/// The trigger's wire, read back (TIM2 CH4).
+pub const READBACK: Pin = Pin::PA3;
+/// Clock of the IMU (MCO1).
+pub const IMU_CLOCK: Pin = Pin::PA8;
+/// Clock of the I2C bus (I2C1).
+pub const SCL: Pin = Pin::PB6;
+/// Data of the I2C bus (I2C1).
+pub const SDA: Pin = Pin::PB7;
+/// Sentences for a lidar (UART5 TX).
+pub const NMEA: Pin = Pin::PC12;
+/// Pulse per second for a lidar (TIM1 CH1).
+pub const PPS: Pin = Pin::PE9;
+/// The further trigger outputs (TIM1 CH2 to CH4).
+pub const OUTPUTS: [Pin; 3] = [Pin::PE11, Pin::PE13, Pin::PE14];
+/// LED: the IMU is alive.
+pub const LED_IMU: Pin = Pin::PD12;
+/// LED: a pulse.
+pub const LED_PULSE: Pin = Pin::PD13;
+/// LED: a fault.
+pub const LED_FAULT: Pin = Pin::PD14;
+/// LED: the host is linked.
+pub const LED_LINK: Pin = Pin::PD15;
+
+/// Frequency of the crystal.
+const CRYSTAL_HZ: u64 = 8_000_000;
+
+/// The board with the product's firmware ([`default_elf`]) and nothing wired to it.
+#[must_use]
+pub fn board() -> SimBuilder {
+    Sim::builder(default_elf())
+        .missing_hint(
+            "run `cargo xtask build`, or name one with --elf or SMARTDEPTHSYNC_FIRMWARE_ELF",
+        )
+        .crystal(Rate::hz(CRYSTAL_HZ))
+        .i2c_bus(SCL, SDA)
+}
+
+/// Where the firmware's ELF is by default: what the environment variable
+/// says, else where `cargo xtask build` puts it.
+#[must_use]
+pub fn default_elf() -> PathBuf {
+    if let Some(path) = std::env::var_os(ELF_VARIABLE) {
+        return PathBuf::from(path);
+    }
+    let target = match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(dir) => PathBuf::from(dir),
+        None => Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target"),
+    };
+    target.join("thumbv7em-none-eabihf/release/smartdepthsync-firmware")
+}

@@ -1,0 +1,362 @@
+//! The real firmware on the simulated board: boot, time, link, failures.
+
+use crate::board_host::Board;
+use rig::wiring;
+
+use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
+use protocol::*;
+use rig::random::{Seed, Stream};
+use stm32f4_sim::firmware::Firmware;
+use stm32f4_sim::sim::{FailureKind, ResetCause as BoardReset, SimError};
+use stm32f4_sim::time::{SimDuration, SimTime};
+use stm32f4_sim::usb::UsbState;
+
+/// Ticks in a virtual second, as the board counts them.
+const SECOND: u64 = TICK_HZ as u64;
+
+#[test]
+fn it_boots_to_hello() {
+    let board = Board::boot(wiring::board());
+    let hello = &board.hellos[0];
+    assert_eq!(hello.protocol_version, PROTOCOL_VERSION);
+    assert_eq!(hello.tick_hz, TICK_HZ);
+    assert_eq!(hello.reset_cause, ResetCause::PowerOn);
+    assert_eq!(hello.last_panic, None);
+    // Reset, debounce, two port resets, enumeration: what an operating system takes.
+    assert!(
+        board.rig.now() < SimTime::from_nanos(400_000_000),
+        "{}",
+        board.rig.now()
+    );
+    let device = board.rig.usb_device();
+    assert_eq!((device.vendor, device.product), (VENDOR_ID, PRODUCT_ID));
+    assert_eq!(device.serial, serial_number(&hello.board_id).as_str());
+    // The IMU's reference clock, from the same crystal.
+    let clock = board.rig.clock_output().expect("a clock on PA8");
+    assert_eq!(clock, stm32f4_sim::clock::Rate::hz(19_200_000));
+    assert_eq!(
+        board.rig.core_rate(),
+        stm32f4_sim::clock::Rate::hz(96_000_000)
+    );
+}
+
+/// More than six wraps of the 32-bit counter, and a status every second.
+#[test]
+fn ten_minutes_of_status_in_one_continuous_time() {
+    let mut board = Board::boot(wiring::board());
+    board.run(600_000);
+    assert!(board.rig.failures().is_empty());
+    assert!(
+        board.statuses.len() >= 600,
+        "{} status messages",
+        board.statuses.len()
+    );
+    let first = board.statuses[0].clone();
+    for (n, pair) in board.statuses.windows(2).enumerate() {
+        let (a, b) = (&pair[0], &pair[1]);
+        assert_eq!(b.seq, a.seq + 1, "status {n}");
+        assert_eq!(b.epoch, a.epoch);
+        // A second each, to a millisecond: sent by a task, not by a timer's edge.
+        let step = (b.at - a.at).unsigned_abs();
+        assert!(
+            step.abs_diff(SECOND) < SECOND / 1000,
+            "status {n}: {step} ticks"
+        );
+        assert_eq!(b.dropped, Dropped::default());
+        assert_eq!(b.link.lost_frames(), 0);
+    }
+    let last = board.statuses.last().unwrap().clone();
+    let wraps = (last.at.0 >> 32) - (first.at.0 >> 32);
+    assert!(wraps >= 5, "{wraps} wraps");
+
+    // The board's ticks are those of the crystal: exact to the reading.
+    let before = board.rig.now();
+    let now = board.now();
+    let after = board.rig.now();
+    let zero = first.at.0;
+    let ticks = |t: SimTime| t.as_nanos() as u128 * u128::from(SECOND) / 1_000_000_000;
+    let offset = |t: SimTime| ticks(t) as i128 - i128::from(now.0);
+    // Tick 0 lies between power-on and the first status.
+    assert!(offset(after) >= 0, "board time runs ahead of the crystal");
+    assert!(
+        offset(before) <= i128::from(SECOND),
+        "first status at {zero}"
+    );
+    // The same offset at the end as at the start: the counter's extension has
+    // neither lost nor won a wrap (a wrap is 89 s; 600 messages a second apart,
+    // each to a millisecond).
+    let span = last.at.0 - zero;
+    assert!(
+        span.abs_diff(599 * SECOND) < 3 * SECOND,
+        "{span} ticks between the first status and the last"
+    );
+}
+
+#[test]
+fn time_goes_on_while_the_cable_is_out() {
+    let mut board = Board::boot(wiring::board());
+    board.run(3_000);
+    let hello = board.hellos[0].clone();
+    let (sim_before, before) = (board.rig.now(), board.now());
+    let connects = board.next_status().connects;
+
+    board.unplug_and_plug(10_000);
+
+    let again = board.hellos.last().unwrap().clone();
+    assert_eq!(again.epoch, hello.epoch, "the board was not reset");
+    assert_eq!(again.reset_cause, hello.reset_cause);
+    let after = board.now();
+    let elapsed = (board.rig.now() - sim_before).as_nanos();
+    let counted = (after - before).as_secs_f64() * 1e9;
+    assert!(
+        (counted - elapsed as f64).abs() < 5e6,
+        "{counted} ns of {elapsed}"
+    );
+    let status = board.next_status();
+    assert_eq!(status.connects, connects + 1);
+    assert_eq!(status.epoch, hello.epoch);
+    // Status messages went on, and those that nobody took are counted.
+    let gaps: u32 = board
+        .statuses
+        .windows(2)
+        .map(|pair| pair[1].seq - pair[0].seq - 1)
+        .sum();
+    assert!(gaps > 0, "ten seconds without a host lose something");
+    assert_eq!(status.dropped.status, gaps, "every lost status is counted");
+    assert!(board.rig.failures().is_empty());
+}
+
+#[test]
+fn a_host_that_stops_reading_costs_only_counted_messages() {
+    let mut board = Board::boot(wiring::board());
+    board.run(2_000);
+    board.rig.usb_set_reading(false);
+    board.run(20_000);
+    board.rig.usb_set_reading(true);
+    board.run(2_000);
+    let last = board.statuses.last().unwrap().clone();
+    let gaps: u32 = board
+        .statuses
+        .windows(2)
+        .map(|pair| pair[1].seq - pair[0].seq - 1)
+        .sum();
+    assert!(gaps > 0);
+    assert_eq!(last.dropped.status, gaps);
+    assert!(board.ask(Command::Ping { host_time: 5 }).is_ok());
+}
+
+/// Ten megabytes of anything: no panic, no reset, and every command is
+/// answered afterwards.
+#[test]
+fn ten_megabytes_of_random_bytes_change_nothing() {
+    let mut board = Board::boot(wiring::board());
+    let epoch = board.hellos[0].epoch;
+    let mut random = Seed(99).stream(Stream::Test);
+    let mut chunk = vec![0; 64 * 1024];
+    let mut sent = 0usize;
+    while sent < 10_000_000 {
+        if board.rig.usb_unsent() < chunk.len() {
+            random.fill(&mut chunk);
+            board.rig.usb_write(&chunk);
+            sent += chunk.len();
+        }
+        board.run(10);
+    }
+    while board.rig.usb_unsent() > 0 {
+        board.run(10);
+    }
+    assert!(board.rig.usb_traffic().bytes_out as usize >= sent);
+    // A delimiter ends what is left of the noise.
+    board.rig.usb_write(&[0]);
+    for n in 0..20 {
+        match board.ask(Command::Ping { host_time: n }) {
+            Ok(Reply::Pong { host_time, .. }) => assert_eq!(host_time, n),
+            other => panic!("{other:?}"),
+        }
+    }
+    let status = board.next_status();
+    assert_eq!(status.epoch, epoch, "the board was reset");
+    assert_eq!(status.dropped.answers, 0);
+    let link = status.link;
+    assert!(link.lost_frames() > 1_000, "{link:?}");
+    assert!(link.lost_bytes as usize > 9_000_000, "{link:?}");
+    assert!(board.rig.failures().is_empty());
+}
+
+fn self_test(board: &mut Board, failure: Failure) {
+    let answer = board.ask(Command::SelfTest {
+        key: SELF_TEST_KEY,
+        failure,
+    });
+    assert_eq!(answer, Ok(Reply::Done));
+}
+
+/// Waits for the `Hello` of the next run.
+fn next_run(board: &mut Board) -> Hello {
+    let seen = board.hellos.len();
+    let epoch = board.hellos[seen - 1].epoch;
+    board.rig.usb_open(true);
+    board.wait(6_000, |b| {
+        b.hellos.iter().skip(seen).any(|h| h.epoch != epoch)
+    });
+    board.hellos.last().unwrap().clone()
+}
+
+#[test]
+fn a_panic_is_reported_in_the_next_hello() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    self_test(&mut board, Failure::Panic);
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::Software);
+    let message = hello.last_panic.expect("the message of the panic");
+    assert!(message.contains("self test: panic on request"), "{message}");
+    let failure = &board.rig.failures()[0];
+    assert_eq!(failure.kind, FailureKind::Panic);
+    assert!(
+        failure.log.iter().any(|l| l.contains("panic on request")),
+        "{failure}"
+    );
+    // Reported once: after another reset it is gone.
+    board.rig.press_reset();
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::Pin);
+    assert_eq!(hello.last_panic, None);
+    // And after power went, the record is not mistaken for noise.
+    board.rig.power_cycle();
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::PowerOn);
+    assert_eq!(hello.last_panic, None);
+}
+
+#[test]
+fn a_hard_fault_is_reported_in_the_next_hello() {
+    let mut board = Board::boot(wiring::board().tolerate_failures());
+    self_test(&mut board, Failure::HardFault);
+    let hello = next_run(&mut board);
+    assert_eq!(hello.reset_cause, ResetCause::Software);
+    let message = hello.last_panic.expect("the message of the fault");
+    assert!(message.contains("HardFault"), "{message}");
+    let failure = &board.rig.failures()[0];
+    assert_eq!(failure.kind, FailureKind::HardFault);
+    assert!(
+        failure
+            .backtrace
+            .iter()
+            .any(|l| l.contains("undefined_instruction")),
+        "the stack names the culprit: {failure}"
+    );
+}
+
+#[test]
+fn a_hang_and_a_dead_task_end_in_a_watchdog_reset() {
+    for failure in [Failure::Hang, Failure::Stall] {
+        let mut board = Board::boot(wiring::board().tolerate_failures());
+        self_test(&mut board, failure);
+        let begun = board.rig.now();
+        let hello = next_run(&mut board);
+        assert_eq!(hello.reset_cause, ResetCause::Watchdog, "{failure:?}");
+        assert_eq!(hello.last_panic, None);
+        let reset = &board.rig.failures()[0];
+        assert_eq!(
+            reset.kind,
+            FailureKind::Reset(BoardReset::IndependentWatchdog)
+        );
+        // 4 s after the last time it was fed, which may be a second later.
+        let after = reset.at - begun;
+        assert!(after > SimDuration::from_secs(3), "{reset}");
+        assert!(after < SimDuration::from_millis(5_200), "{reset}");
+    }
+}
+
+/// Without being told to go on, a failure ends the run and says where it was.
+#[test]
+fn a_failure_ends_the_run_with_its_message_and_stack() {
+    let mut board = Board::boot(wiring::board());
+    self_test(&mut board, Failure::Panic);
+    let error = board.rig.run_for(SimDuration::from_secs(2)).unwrap_err();
+    let SimError::Failed(failure) = &error else {
+        panic!("{error}");
+    };
+    assert_eq!(failure.kind, FailureKind::Panic);
+    let text = error.to_string();
+    assert!(text.contains("the firmware panicked at"), "{text}");
+    assert!(text.contains("self test: panic on request"), "{text}");
+    assert!(
+        text.contains("self_test.rs"),
+        "the stack has source lines: {text}"
+    );
+}
+
+/// A clock tree that is not what the firmware believes shows as wrong time.
+#[test]
+fn a_wrong_pll_factor_is_found_out() {
+    let mut elf = wiring::default_elf().into_os_string();
+    elf.push("-wrong-pll");
+    if !std::path::Path::new(&elf).is_file() {
+        panic!("no firmware with a wrong PLL factor at {elf:?}: run `cargo xtask build`");
+    }
+    let mut board = Board::boot(wiring::board().elf(elf));
+    let (sim_before, before) = (board.rig.now(), board.now());
+    board.run(2_000);
+    let (sim_after, after) = (board.rig.now(), board.now());
+    let counted = (after - before).as_secs_f64();
+    let elapsed = (sim_after - sim_before).as_secs_f64();
+    // What this check would say of the right firmware, see
+    // `ten_minutes_of_status_in_one_continuous_time`: equal to a millisecond.
+    assert!(
+        (counted - elapsed / 2.0).abs() < 0.01,
+        "half the core clock must show as half the time: {counted} s of {elapsed} s"
+    );
+}
+
+/// What three seconds of the board send, byte for byte.
+fn three_seconds(seed: u64) -> Vec<u8> {
+    let mut rig = wiring::board().seed(Seed(seed)).build().unwrap();
+    let mut bytes = Vec::new();
+    for _ in 0..30 {
+        rig.run_for(SimDuration::from_millis(100)).unwrap();
+        bytes.extend(rig.usb_read());
+    }
+    assert_eq!(rig.usb_state(), UsbState::Ready);
+    bytes
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    let bytes = three_seconds(1);
+    assert!(bytes.len() > 100);
+    assert_eq!(bytes, three_seconds(1));
+    assert_ne!(
+        bytes,
+        three_seconds(2),
+        "what RAM holds at power-on is random"
+    );
+}
+
+#[test]
+fn damaged_bytes_are_counted_and_the_link_goes_on() {
+    let mut board = Board::boot(wiring::board());
+    board.rig.usb_corrupt(0, 20_000);
+    for n in 0..300 {
+        board.send(Command::Ping { host_time: n });
+        board.run(5);
+    }
+    board.rig.usb_corrupt(0, 0);
+    board.rig.usb_write(&[0]);
+    let pongs = board.answers.len();
+    assert!((100..300).contains(&pongs), "{pongs} of 300 answered");
+    let link = board.next_status().link;
+    assert!(link.lost_frames() > 0, "{link:?}");
+    assert!(board.ask(Command::Ping { host_time: 1 }).is_ok());
+}
+
+#[test]
+fn a_missing_or_foreign_elf_is_a_clear_error() {
+    let missing = wiring::board().elf("/does/not/exist").build();
+    let text = missing.unwrap_err().to_string();
+    assert!(text.contains("cargo xtask build"), "{text}");
+    // This test itself is an ELF, but not one for the board.
+    let foreign = Firmware::load(&std::env::current_exe().unwrap());
+    let text = foreign.unwrap_err().to_string();
+    assert!(text.contains("not a firmware of this board"), "{text}");
+}

@@ -1,0 +1,206 @@
+//! A host for tests: speaks the protocol with the firmware on the simulated
+//! board and sorts what comes back.
+
+use protocol::*;
+use stm32f4_sim::pin::{Level, Pin};
+use stm32f4_sim::sim::{Sim, SimBuilder};
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+
+/// Virtual time in one tick of the board.
+pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+
+/// The board, and the messages that have come from it, each stream in order.
+pub(crate) struct Board {
+    pub(crate) rig: Sim,
+    decoder: Decoder<DeviceToHost>,
+    next_id: u32,
+    pub(crate) hellos: Vec<Hello>,
+    pub(crate) answers: Vec<Answer>,
+    pub(crate) pulses: Vec<Pulse>,
+    pub(crate) arrived: Vec<Arrived>,
+    pub(crate) captures: Vec<Capture>,
+    pub(crate) samples: Vec<ImuSample>,
+    pub(crate) output_pulses: Vec<OutputPulse>,
+    pub(crate) output_arrived: Vec<OutputArrived>,
+    pub(crate) pps: Vec<Pps>,
+    pub(crate) statuses: Vec<Status>,
+    pub(crate) fillers: u64,
+    pub(crate) filler_bytes: u64,
+}
+
+impl Board {
+    /// Boots the firmware and opens its serial port.
+    pub(crate) fn boot(builder: SimBuilder) -> Self {
+        let mut rig = builder.build().unwrap();
+        let ready = rig.run_until_usb_ready(SimDuration::from_secs(3)).unwrap();
+        assert!(ready, "no USB: {:?}", rig.usb_log());
+        rig.usb_open(true);
+        let mut board = Self {
+            rig,
+            decoder: Decoder::new(),
+            next_id: 1,
+            hellos: Vec::new(),
+            answers: Vec::new(),
+            pulses: Vec::new(),
+            arrived: Vec::new(),
+            captures: Vec::new(),
+            samples: Vec::new(),
+            output_pulses: Vec::new(),
+            output_arrived: Vec::new(),
+            pps: Vec::new(),
+            statuses: Vec::new(),
+            fillers: 0,
+            filler_bytes: 0,
+        };
+        board.wait(1_000, |board| !board.hellos.is_empty());
+        board
+    }
+
+    /// Takes what has come. Nothing may be damaged.
+    pub(crate) fn take(&mut self) {
+        let bytes = self.rig.usb_read();
+        let mut rest = bytes.as_slice();
+        while let Some(message) = self.decoder.next(&mut rest) {
+            match message.unwrap() {
+                DeviceToHost::Hello(hello) => self.hellos.push(hello),
+                DeviceToHost::Answer(answer) => self.answers.push(answer),
+                DeviceToHost::Status(status) => self.statuses.push(status),
+                DeviceToHost::Pulse(pulse) => self.pulses.push(pulse),
+                DeviceToHost::Arrived(arrived) => self.arrived.push(arrived),
+                DeviceToHost::Capture(capture) => self.captures.push(capture),
+                DeviceToHost::Imu(sample) => self.samples.push(sample),
+                DeviceToHost::OutputPulse(pulse) => self.output_pulses.push(pulse),
+                DeviceToHost::OutputArrived(arrived) => self.output_arrived.push(arrived),
+                DeviceToHost::Pps(pps) => self.pps.push(pps),
+                DeviceToHost::Filler(filler) => {
+                    self.fillers += 1;
+                    self.filler_bytes += filler.payload.len() as u64;
+                }
+            }
+        }
+    }
+
+    /// Runs for so many virtual milliseconds and takes what comes.
+    pub(crate) fn run(&mut self, ms: u64) {
+        let mut left = ms;
+        while left > 0 {
+            let step = left.min(50);
+            self.rig.run_for(SimDuration::from_millis(step)).unwrap();
+            self.take();
+            left -= step;
+        }
+    }
+
+    /// Runs until `done`, for at most `ms`.
+    pub(crate) fn wait(&mut self, ms: u64, mut done: impl FnMut(&Self) -> bool) {
+        for _ in 0..ms {
+            self.rig.run_for(SimDuration::from_millis(1)).unwrap();
+            self.take();
+            if done(self) {
+                return;
+            }
+        }
+        panic!(
+            "waited {ms} ms in vain; {} answers, {} pulses, {} samples, last status {:?}",
+            self.answers.len(),
+            self.pulses.len(),
+            self.samples.len(),
+            self.statuses.last()
+        );
+    }
+
+    /// Pulls the USB cable for so many virtual milliseconds, and opens the port
+    /// again.
+    pub(crate) fn unplug_and_plug(&mut self, ms: u64) {
+        self.rig.usb_unplug();
+        self.take();
+        self.run(ms);
+        // Half a frame may have been on the wire.
+        self.decoder.reset();
+        self.rig.usb_plug();
+        let ready = self
+            .rig
+            .run_until_usb_ready(SimDuration::from_secs(3))
+            .unwrap();
+        assert!(ready, "no USB: {:?}", self.rig.usb_log());
+        let hellos = self.hellos.len();
+        self.rig.usb_open(true);
+        self.wait(1_000, |board| board.hellos.len() > hellos);
+    }
+
+    /// Sends a command, without waiting. Returns its id.
+    pub(crate) fn send(&mut self, command: Command) -> u32 {
+        let id = self.next_id;
+        self.next_id += 1;
+        let mut buffer = [0; MAX_FRAME];
+        let frame = encode(&HostToDevice { id, command }, &mut buffer).unwrap();
+        self.rig.usb_write(frame);
+        id
+    }
+
+    /// Sends a command and waits for its answer.
+    pub(crate) fn ask(&mut self, command: Command) -> Result<Reply, Refusal> {
+        let id = self.send(command);
+        let find = |board: &Self| board.answers.iter().position(|answer| answer.id == id);
+        self.wait(2_000, |board| find(board).is_some());
+        let at = find(self).unwrap();
+        self.answers.swap_remove(at).result
+    }
+
+    /// Asks for the state of the train.
+    pub(crate) fn trigger(&mut self) -> TriggerStatus {
+        trigger_status(self.ask(Command::TriggerQuery))
+    }
+
+    /// Asks for the time.
+    pub(crate) fn now(&mut self) -> Ticks {
+        match self.ask(Command::Ping { host_time: 0 }) {
+            Ok(Reply::Pong { sent, .. }) => sent,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// Waits for the next status and returns it.
+    pub(crate) fn next_status(&mut self) -> Status {
+        let seen = self.statuses.len();
+        self.wait(1_100, |board| board.statuses.len() > seen);
+        self.statuses.last().unwrap().clone()
+    }
+}
+
+pub(crate) fn trigger_status(reply: Result<Reply, Refusal>) -> TriggerStatus {
+    match reply {
+        Ok(Reply::Trigger(status)) => status,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Relates the pin's time to the board's: the time at which tick 0 was.
+#[derive(Debug, Default)]
+pub(crate) struct Epoch(Option<u64>);
+
+impl Epoch {
+    /// The tick of an edge at the pin. The first call defines where tick 0 is,
+    /// by the time that the board says; every later one is then exact or fails.
+    pub(crate) fn tick(&mut self, edge: SimTime, reported: Ticks) -> Ticks {
+        let zero = *self
+            .0
+            .get_or_insert(edge.units() - reported.0 * UNITS_PER_TICK);
+        let since = edge.units() - zero;
+        assert_eq!(since % UNITS_PER_TICK, 0, "an edge between two ticks");
+        Ticks(since / UNITS_PER_TICK)
+    }
+}
+
+/// Rising and falling edges of `pin` in what [`Sim::take_edges`] gave.
+pub(crate) fn pulses_of(edges: &[(Pin, Level, SimTime)], pin: Pin) -> Vec<(SimTime, SimTime)> {
+    let mut of_pin = edges.iter().filter(|edge| edge.0 == pin);
+    let mut pulses = Vec::new();
+    while let Some(rise) = of_pin.next() {
+        assert_eq!(rise.1, Level::High, "a pulse begins with a rising edge");
+        let fall = of_pin.next().expect("the last pulse has ended");
+        assert_eq!(fall.1, Level::Low);
+        pulses.push((rise.2, fall.2));
+    }
+    pulses
+}

@@ -1,0 +1,283 @@
+//! The pulse per second and its sentences from the real firmware on the simulated
+//! board, read by a lidar's inputs and by a parser that others wrote.
+
+use rig::wiring;
+use std::sync::{Arc, Mutex};
+
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use protocol::*;
+use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
+use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::time::{SimDuration, SimTime};
+
+/// A Velodyne's.
+const SETTINGS: GnssSettings = GnssSettings {
+    utc_at_zero: 1_795_234_567,
+    baud: Baud::B9600,
+    line_inverted: true,
+    sentences: Sentences::Rmc,
+    delay_ms: 50,
+    pulse_width: 20 * (TICK_HZ / 1_000),
+    pulse_inverted: false,
+};
+
+struct Bench {
+    board: Board,
+    lidar: Shared<Lidar>,
+    /// Time of tick 0, from the camera's trigger: another timer's pin.
+    zero: u64,
+}
+
+impl Bench {
+    fn new(config: LidarConfig) -> Self {
+        let lidar = Arc::new(Mutex::new(Lidar::new(config)));
+        let mut board = Board::boot(wiring::board().model(lidar.clone()));
+        board.rig.log_pin(Pin::PA5);
+        let start = TriggerStart {
+            period: Period::from_picos(33_330_652_540).unwrap(),
+            width: 576,
+            first_edge: None,
+        };
+        board.ask(Command::TriggerStart(start)).unwrap();
+        board.wait(100, |board| !board.pulses.is_empty());
+        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
+        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+        Self { board, lidar, zero }
+    }
+
+    fn start(&mut self, settings: GnssSettings) -> GnssReport {
+        match self.board.ask(Command::GnssStart(settings)) {
+            Ok(Reply::Gnss(report)) => report,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn stop(&mut self) {
+        self.board.ask(Command::GnssStop).unwrap();
+    }
+
+    /// Ticks since tick 0, exactly.
+    fn tick_of(&self, at: SimTime) -> u64 {
+        let units = at.units() - self.zero;
+        assert_eq!(units % UNITS_PER_TICK, 0, "between two ticks");
+        units / UNITS_PER_TICK
+    }
+
+    /// Checks the seconds that are over: pulses at whole seconds to the tick, the
+    /// right UTC told in time, by a public parser too, and the board's reports.
+    fn check(&mut self, settings: &GnssSettings) -> Vec<LidarSecond> {
+        let seconds = lock(&self.lidar).take_seconds();
+        for second in &seconds {
+            let tick = self.tick_of(second.pulse);
+            assert_eq!(
+                tick % u64::from(TICK_HZ),
+                0,
+                "off by {}",
+                tick % u64::from(TICK_HZ)
+            );
+            let utc = settings.utc_at_zero + (tick / u64::from(TICK_HZ)) as i64;
+            assert_eq!(second.utc, Some(utc), "{second:?}");
+            let width = u64::from(settings.pulse_width) * UNITS_PER_TICK;
+            assert_eq!(second.width, Some(SimDuration::from_units(width)));
+            let ended = second.ended.unwrap() - second.pulse;
+            let promised = SimDuration::from_micros(settings.ends_us().into());
+            assert!(ended <= promised, "{ended:?}");
+            let begun = SimDuration::from_millis(settings.delay_ms.into());
+            assert!(ended > begun);
+            let told = parsed(&second.text);
+            let count = match settings.sentences {
+                Sentences::Rmc => 1,
+                Sentences::RmcZda => 2,
+            };
+            assert_eq!(told, vec![utc; count]);
+            let report = self.board.pps.iter().find(|pps| pps.at.0 == tick);
+            let report = report.expect("the pulse is reported");
+            assert_eq!(report.utc, utc);
+        }
+        seconds
+    }
+}
+
+/// The times of the sentences by a public parser, as Unix time.
+fn parsed(text: &str) -> Vec<i64> {
+    let times = text
+        .lines()
+        .map(|line| match nmea::parse_str(line).unwrap() {
+            nmea::ParseResult::RMC(rmc) => rmc.fix_date.unwrap().and_time(rmc.fix_time.unwrap()),
+            nmea::ParseResult::ZDA(zda) => zda.utc_date_time().unwrap(),
+            other => panic!("{other:?}"),
+        });
+    times.map(|time| time.and_utc().timestamp()).collect()
+}
+
+/// As a VLP-16 wants it, over a wrap of the 32-bit counter and the turn of a year.
+#[test]
+fn a_lidar_takes_its_time_from_the_board() {
+    // 2026-12-31 23:59:40 at tick 0.
+    let settings = GnssSettings {
+        utc_at_zero: 1_798_761_580,
+        ..SETTINGS
+    };
+    let mut bench = Bench::new(LidarConfig::default());
+    let report = bench.start(settings);
+    assert_eq!(report.settings, Some(settings));
+    // The same again changes nothing.
+    bench.start(settings);
+    bench.board.run(100_500);
+    let seconds = bench.check(&settings);
+    assert!(seconds.len() >= 99, "{}", seconds.len());
+    assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
+    for (number, pps) in bench.board.pps.iter().enumerate() {
+        assert_eq!(pps.seq as usize, number);
+    }
+    let status = bench.board.next_status().gnss;
+    assert_eq!((status.late, status.missed), (0, 0));
+    assert!(status.sentences as usize >= seconds.len());
+}
+
+#[test]
+fn every_rate_and_polarity_is_read() {
+    for baud in Baud::ALL {
+        for line_inverted in [false, true] {
+            if line_inverted && baud.hz() > 19_200 {
+                continue;
+            }
+            let mut bench = Bench::new(LidarConfig {
+                baud: baud.hz(),
+                idle_low: line_inverted,
+                rising: line_inverted,
+                ..LidarConfig::default()
+            });
+            let settings = GnssSettings {
+                baud,
+                line_inverted,
+                pulse_inverted: !line_inverted,
+                sentences: Sentences::RmcZda,
+                pulse_width: MIN_OUTPUT_WIDTH,
+                ..SETTINGS
+            };
+            bench.start(settings);
+            bench.board.run(1_000);
+            // Switching the polarity on moves the pin once.
+            lock(&bench.lidar).take_seconds();
+            bench.board.run(4_000);
+            assert!(bench.check(&settings).len() >= 3);
+            let faults = lock(&bench.lidar).faults();
+            assert_eq!(faults.framing + faults.checksum, 0, "{baud:?}: {faults:?}");
+        }
+    }
+}
+
+/// Every output busy at once, USB full, a flood of commands: no second is lost.
+#[test]
+fn no_second_is_lost_under_full_load() {
+    let mut bench = Bench::new(LidarConfig::default());
+    bench.start(SETTINGS);
+    for output in Output::ALL {
+        let action = OutputAction::Start(OutputStart {
+            period: Period::from_picos(1_500_000_000).unwrap(),
+            width: MIN_OUTPUT_WIDTH,
+            first_edge: None,
+            first_fraction: 0,
+        });
+        let start = Command::Output { output, action };
+        bench.board.ask(start).unwrap();
+    }
+    let bytes_per_second = u32::MAX;
+    bench
+        .board
+        .ask(Command::Filler { bytes_per_second })
+        .unwrap();
+    for _ in 0..500 {
+        bench.board.send(Command::Ping { host_time: 0 });
+        bench.board.send(Command::GnssQuery);
+        bench.board.run(20);
+    }
+    assert!(bench.check(&SETTINGS).len() >= 8);
+    assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
+    let status = bench.board.next_status();
+    assert_eq!((status.gnss.missed, status.gnss.late), (0, 0));
+    assert_eq!(status.trigger.late, 0);
+}
+
+/// A stop finishes the pulse and the sentences under way; then other settings
+/// are taken.
+#[test]
+fn a_stop_finishes_what_it_began() {
+    let mut bench = Bench::new(LidarConfig::default());
+    bench.start(SETTINGS);
+    bench.board.run(2_000);
+    let other = GnssSettings {
+        utc_at_zero: SETTINGS.utc_at_zero + 1_000,
+        ..SETTINGS
+    };
+    let refused = bench.board.ask(Command::GnssStart(other));
+    assert_eq!(refused, Err(Refusal::GnssRunning));
+    // Within the pulse of the next second, and then within its sentence.
+    for within_ms in [10, 80] {
+        let pulses = bench.board.pps.len();
+        bench.board.wait(1_100, |board| board.pps.len() > pulses);
+        let last = bench.board.pps.last().unwrap().at.0;
+        let next = SimTime::from_units(bench.zero + (last + u64::from(TICK_HZ)) * UNITS_PER_TICK);
+        let stop_at = next + SimDuration::from_millis(within_ms);
+        let ms = (stop_at - bench.board.rig.now()).as_nanos() / 1_000_000;
+        bench.board.run(ms);
+        bench.stop();
+        let refused = bench.board.ask(Command::GnssStart(SETTINGS));
+        assert_eq!(refused, Err(Refusal::GnssStopping));
+        bench.board.run(1_500);
+        assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
+        let edges = bench.board.rig.edge_count(Pin::PE9);
+        bench.board.run(2_000);
+        assert_eq!(bench.board.rig.edge_count(Pin::PE9), edges);
+        bench.check(&SETTINGS);
+        bench.start(SETTINGS);
+        bench.board.run(2_500);
+    }
+    bench.check(&SETTINGS);
+}
+
+#[test]
+fn what_the_board_cannot_keep_is_refused() {
+    let mut bench = Bench::new(LidarConfig::default());
+    for (settings, expected) in [
+        (
+            GnssSettings {
+                utc_at_zero: 0,
+                ..SETTINGS
+            },
+            Refusal::GnssDateOutOfRange,
+        ),
+        (
+            GnssSettings {
+                baud: Baud::B115200,
+                ..SETTINGS
+            },
+            Refusal::GnssBaudTooHigh,
+        ),
+        (
+            GnssSettings {
+                pulse_width: 0,
+                ..SETTINGS
+            },
+            Refusal::WidthOutOfRange {
+                min: MIN_OUTPUT_WIDTH,
+                max: MAX_PPS_WIDTH,
+            },
+        ),
+        (
+            GnssSettings {
+                delay_ms: 450,
+                ..SETTINGS
+            },
+            Refusal::GnssWindowExceeded { ends_us: 525_000 },
+        ),
+    ] {
+        let refused = bench.board.ask(Command::GnssStart(settings));
+        assert_eq!(refused, Err(expected));
+    }
+    bench.board.run(2_000);
+    assert_eq!(bench.board.rig.edge_count(Pin::PE9), 0);
+    assert_eq!(bench.board.rig.edge_count(Pin::PC12), 0);
+}

@@ -1,0 +1,415 @@
+//! The IMU of the real firmware on the simulated board, against the model of the
+//! sensor: every sample's time and value, every fault.
+
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
+use rig::wiring;
+use std::collections::VecDeque;
+
+use protocol::*;
+use rig::motion::gesture::Gesture;
+use rig::motion::{Motion, MotionSpec};
+use rig::mpu9150::{Fault, Mpu9150, Mpu9150Config, SampleRecord};
+use rig::oscillator::{BoardTime, OscillatorConfig};
+use rig::random::{Seed, Stream};
+use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::time::{SimDuration, SimTime};
+
+/// A board with a sensor, and the time of tick 0.
+struct Bench {
+    board: Board,
+    sensor: Shared<Mpu9150>,
+    zero: u64,
+    /// What the sensor measured and no sample was compared with yet.
+    records: VecDeque<SampleRecord>,
+}
+
+impl Bench {
+    /// Boots with a sensor that sees `motion` and has these `faults` from the start.
+    fn new(motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
+        let seed = Seed(7);
+        let board_time =
+            BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
+        let config = Mpu9150Config::typical(seed);
+        let mut sensor = Mpu9150::new(config, motion, board_time, seed);
+        for &fault in faults {
+            sensor.schedule(SimTime::ZERO, fault);
+        }
+        let sensor = sensor.shared();
+        let builder = wiring::board()
+            .model(sensor.clone())
+            .i2c_target(sensor.clone());
+        let mut board = Board::boot(builder);
+        // A train: its edges relate the rig's time to the board's.
+        board.rig.log_pin(Pin::PA5);
+        let start = TriggerStart {
+            period: Period::from_picos(33_330_652_540).unwrap(),
+            width: 576,
+            first_edge: None,
+        };
+        trigger_status(board.ask(Command::TriggerStart(start)));
+        board.run(100);
+        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
+        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+        Self {
+            board,
+            sensor,
+            zero,
+            records: VecDeque::new(),
+        }
+    }
+
+    fn at_rest() -> Self {
+        Self::new(Motion::rest(), &[])
+    }
+
+    /// Makes a fault happen within some virtual milliseconds, between two
+    /// transfers: 1.5 ms after a data-ready. (In the middle of one it may damage
+    /// a byte unnoticed: the bus has no checksum.)
+    fn fault(&mut self, fault: Fault) {
+        self.board.run(4);
+        let soon = (self.board.rig.now() + SimDuration::from_millis(1)).units();
+        let edge = lock(&self.sensor)
+            .log()
+            .iter()
+            .last()
+            .map(|record| record.at);
+        let interval = SimDuration::from_millis(2).units();
+        let at = edge.map_or(soon, |edge| {
+            let first = (edge + SimDuration::from_micros(1_500)).units();
+            first + soon.saturating_sub(first).div_ceil(interval) * interval
+        });
+        let at = SimTime::from_units(at);
+        lock(&self.sensor).schedule(at, fault);
+        self.board.rig.models_changed();
+    }
+
+    fn tick_of(&self, at: SimTime) -> Ticks {
+        Ticks((at.units() - self.zero) / UNITS_PER_TICK)
+    }
+
+    /// Checks all samples so far against what the sensor put into its registers,
+    /// and forgets them. Samples may be missing, but none may be wrong.
+    fn check_samples(&mut self) -> Vec<ImuSample> {
+        self.records.extend(lock(&self.sensor).log_mut().take());
+        let samples = std::mem::take(&mut self.board.samples);
+        for sample in &samples {
+            let record = loop {
+                let record = self.records.pop_front();
+                let record = record.unwrap_or_else(|| panic!("no data-ready at {sample:?}"));
+                if self.tick_of(record.at) == sample.at {
+                    break record;
+                }
+            };
+            let values = record.values;
+            let read = (sample.accel, sample.temperature, sample.gyro);
+            if !sample.flags.has(ImuFlags::LATE) {
+                assert_eq!(read, (values.accel, values.temperature, values.gyro));
+            }
+        }
+        samples
+    }
+
+    /// Waits until samples come without a gap for 50 ms; fails after `ms`.
+    fn wait_for_good_samples(&mut self, ms: u64) {
+        let mut good_from = None;
+        let begin = self.board.rig.now();
+        loop {
+            let before = self.board.samples.len();
+            self.board.run(10);
+            let waited = (self.board.rig.now().units() - begin.units())
+                / SimDuration::from_millis(1).units();
+            if self.board.samples.len() >= before + 4 {
+                let from = *good_from.get_or_insert(waited);
+                if waited >= from + 50 {
+                    return;
+                }
+            } else {
+                good_from = None;
+            }
+            assert!(
+                waited < ms + 60,
+                "no good samples within {ms} ms: {:?}",
+                self.board.statuses.last().map(|status| status.imu)
+            );
+        }
+    }
+
+    fn status(&mut self) -> ImuStatus {
+        match self.board.ask(Command::ImuQuery) {
+            Ok(Reply::Imu(setup)) => setup.status,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// Ten minutes of hand-held walking with the trigger at 30 fps: 300,000 samples,
+/// each at its data-ready's tick and with its registers' values, 96,000 ticks
+/// apart every time.
+#[test]
+fn ten_minutes_of_samples_are_exact() {
+    let seed = Seed(7);
+    let walk = MotionSpec::always(Gesture::Walk);
+    let motion = walk.build(seed.stream(Stream::Motion)).unwrap();
+    let mut bench = Bench::new(motion, &[]);
+    // Until the host had opened the port.
+    let dropped = bench.board.next_status().dropped;
+    bench.check_samples();
+    let mut last: Option<ImuSample> = None;
+    let mut samples = 0;
+    let mut pulses = bench.board.pulses.len();
+    // Ten minutes, and a little for the samples under way at both ends.
+    for piece in 0..61 {
+        bench.board.run(if piece < 60 { 10_000 } else { 100 });
+        for sample in bench.check_samples() {
+            if let Some(last) = last {
+                assert_eq!(sample.seq, last.seq + 1);
+                assert_eq!(sample.at - last.at, TickDelta(96_000));
+            }
+            assert!(!sample.flags.has(ImuFlags::LATE), "{sample:?}");
+            last = Some(sample);
+            samples += 1;
+        }
+        pulses += bench.board.pulses.len();
+        bench.board.pulses.clear();
+        bench.board.rig.take_edges();
+    }
+    assert!(samples >= 300_000, "{samples}");
+    assert!(pulses > 17_990, "{pulses}");
+    let status = bench.board.next_status();
+    let imu = status.imu;
+    assert_eq!((imu.late, imu.overcaptures, imu.recoveries), (0, 0, 0));
+    assert_eq!(imu.clock, ImuClock::External);
+    assert_eq!(imu.state, ImuState::Running);
+    assert_eq!(imu.last_fault, None);
+    assert_eq!(status.dropped, dropped);
+    assert!(status.cpu_permille < 100, "{} of 1000", status.cpu_permille);
+    println!(
+        "load with IMU, trigger and USB: {} / 1000 (simulated)",
+        status.cpu_permille
+    );
+}
+
+/// A transfer that is not acknowledged, at each of its bytes, costs that sample
+/// and no more.
+#[test]
+fn a_missing_acknowledge_costs_one_sample() {
+    let mut bench = Bench::at_rest();
+    bench.board.run(200);
+    // Address, register, repeated address: what the sensor acknowledges.
+    for byte in 0..3 {
+        bench.check_samples();
+        let before = bench.status();
+        bench.fault(Fault::Nack { byte, times: 1 });
+        bench.board.run(200);
+        let samples = bench.check_samples();
+        let gaps: Vec<_> = samples
+            .windows(2)
+            .filter(|pair| pair[1].seq != pair[0].seq + 1)
+            .collect();
+        assert_eq!(gaps.len(), 1, "byte {byte}");
+        assert_eq!(gaps[0][1].seq, gaps[0][0].seq + 2);
+        assert_eq!(gaps[0][1].at - gaps[0][0].at, TickDelta(2 * 96_000));
+        assert!(gaps[0][1].flags.has(ImuFlags::AFTER_LOSS));
+        let status = bench.status();
+        assert_eq!(status.recoveries, before.recoveries);
+        let register = mpu9150::ACCEL_XOUT_H;
+        assert_eq!(
+            status.last_fault,
+            Some(ImuFault::NoAcknowledge { register })
+        );
+        assert_eq!(status.state, ImuState::Running);
+    }
+}
+
+/// Runs `begin`, waits, runs `end`, and expects good samples within a second,
+/// with the gap in the stream and the counters.
+fn recovers(begin: &[Fault], ms: u64, end: &[Fault], expected: impl Fn(ImuFault) -> bool) -> Bench {
+    let mut bench = Bench::at_rest();
+    bench.board.run(300);
+    bench.check_samples();
+    let pulses = bench.board.trigger().pulses;
+    let began = bench.board.rig.now();
+    for &fault in begin {
+        bench.fault(fault);
+    }
+    bench.board.run(ms);
+    for &fault in end {
+        bench.fault(fault);
+    }
+    bench.wait_for_good_samples(1_000);
+    let samples = bench.check_samples();
+    let status = bench.status();
+    assert_eq!(status.state, ImuState::Running);
+    assert!(status.recoveries >= 1, "{status:?}");
+    let fault = status.last_fault.expect("the fault is reported");
+    assert!(expected(fault), "{fault:?}");
+    let longest = samples
+        .windows(2)
+        .map(|pair| pair[1].at - pair[0].at)
+        .max()
+        .unwrap();
+    assert!(
+        longest >= TickDelta(3 * 96_000),
+        "the gap is visible: {longest}"
+    );
+    let first = samples
+        .iter()
+        .filter(|s| s.flags.has(ImuFlags::FIRST))
+        .count();
+    assert!(first >= 1, "the first sample after the gap is marked");
+    // The trigger and the link went on untouched.
+    let elapsed = (bench.board.rig.now().units() - began.units()) / UNITS_PER_TICK;
+    let trigger = bench.board.trigger();
+    assert_eq!(trigger.late, 0);
+    let made = trigger.pulses - pulses;
+    assert!(
+        made.abs_diff(elapsed / 1_599_871) <= 2,
+        "{made} pulses in {elapsed} ticks"
+    );
+    assert_eq!(
+        bench.board.pulses.len() as u64,
+        bench.board.pulses.last().unwrap().number + 1
+    );
+    bench
+}
+
+/// A sensor that holds SDA low as one that lost count of the clock: freeing the
+/// bus costs a few samples at most, without setting the sensor up again.
+#[test]
+fn a_hung_sensor_is_freed_by_nine_clocks() {
+    for clocks in 1..=9 {
+        let mut bench = Bench::at_rest();
+        bench.board.run(300);
+        bench.check_samples();
+        bench.fault(Fault::HoldSda(Some(clocks)));
+        bench.board.run(500);
+        let samples = bench.check_samples();
+        let gap = samples.windows(2).map(|pair| pair[1].at - pair[0].at).max();
+        let gap = gap.unwrap();
+        assert!(
+            (TickDelta(2 * 96_000)..=TickDelta(6 * 96_000)).contains(&gap),
+            "{gap}"
+        );
+        let status = bench.status();
+        assert_eq!((status.state, status.recoveries), (ImuState::Running, 0));
+        assert!(status.last_fault.is_some());
+    }
+}
+
+#[test]
+fn a_bus_held_low_is_survived() {
+    recovers(
+        &[Fault::HoldSda(None)],
+        2_000,
+        &[Fault::ReleaseSda],
+        |fault| fault == ImuFault::BusHeld,
+    );
+}
+
+#[test]
+fn a_sensor_that_lost_power_for_three_seconds_comes_back() {
+    recovers(&[Fault::PowerOff], 3_000, &[Fault::PowerOn], |fault| {
+        matches!(fault, ImuFault::NoAcknowledge { .. })
+    });
+}
+
+#[test]
+fn another_sensor_is_refused_until_the_right_one_is_back() {
+    let begin = [Fault::PowerOff, Fault::Identity(0x71), Fault::PowerOn];
+    recovers(&begin, 1_500, &[Fault::Identity(0x68)], |fault| {
+        fault == ImuFault::WrongIdentity { found: 0x71 }
+    });
+}
+
+#[test]
+fn data_ready_that_stays_away_is_noticed() {
+    let end = [Fault::DataReadyCut(false)];
+    recovers(&[Fault::DataReadyCut(true)], 1_000, &end, |fault| {
+        fault == ImuFault::NoDataReady
+    });
+}
+
+/// Without acknowledge at any byte, for many transfers on end.
+#[test]
+fn missing_acknowledges_at_every_byte_are_recovered() {
+    for byte in 0..3 {
+        recovers(&[Fault::Nack { byte, times: 6 }], 300, &[], |fault| {
+            matches!(fault, ImuFault::NoAcknowledge { .. })
+        });
+    }
+}
+
+/// Without the wire to CLKIN the sensor runs on its own clock, and says so.
+#[test]
+fn without_external_clock_it_uses_its_own() {
+    let mut bench = Bench::new(Motion::rest(), &[Fault::ClockCut(true)]);
+    bench.wait_for_good_samples(1_000);
+    bench.check_samples();
+    bench.board.run(2_000);
+    let status = bench.status();
+    assert_eq!(status.clock, ImuClock::Internal);
+    assert_eq!(status.state, ImuState::Running);
+    let samples = bench.check_samples();
+    // Up to ±1 % off, and every time still exact (checked above).
+    for pair in samples.windows(2) {
+        let interval = (pair[1].at - pair[0].at).0;
+        assert!((95_000..=97_000).contains(&interval), "{interval}");
+    }
+}
+
+/// The wire to CLKIN breaks while it runs: it goes on with its own clock.
+#[test]
+fn a_lost_external_clock_is_survived() {
+    let bench = recovers(&[Fault::ClockCut(true)], 10, &[], |fault| {
+        fault == ImuFault::NoDataReady
+    });
+    let mut bench = bench;
+    assert_eq!(bench.status().clock, ImuClock::Internal);
+}
+
+#[test]
+fn settings_reach_the_sensor_and_are_reported() {
+    let mut bench = Bench::at_rest();
+    bench.board.run(300);
+    for (divider, interval) in [(0, 48_000), (9, 480_000), (199, 9_600_000), (1, 96_000)] {
+        let config = ImuConfig {
+            divider,
+            low_pass: LowPass::Hz42,
+            gyro_range: GyroRange::Dps1000,
+            accel_range: AccelRange::G8,
+        };
+        let Ok(Reply::Imu(setup)) = bench.board.ask(Command::ImuConfigure(config)) else {
+            panic!("refused");
+        };
+        assert_eq!(setup.config, config);
+        assert_eq!(setup.interval, interval);
+        assert_eq!(setup.gyro_lsb_per_dps_times_10, 328);
+        assert_eq!(setup.accel_lsb_per_g, 4_096);
+        assert_eq!((setup.gyro_delay_us, setup.accel_delay_us), (4_800, 4_900));
+        bench.board.run(1_000);
+        bench.check_samples();
+        bench.board.run(2_000);
+        let samples = bench.check_samples();
+        assert!(samples.len() as u64 >= 2 * 48_000_000 / u64::from(interval) - 2);
+        for pair in samples.windows(2) {
+            assert_eq!(pair[1].seq, pair[0].seq + 1);
+            assert_eq!(pair[1].at - pair[0].at, TickDelta(i64::from(interval)));
+        }
+        let sensor = lock(&bench.sensor);
+        assert_eq!(sensor.peek(mpu9150::SMPLRT_DIV), divider);
+        assert_eq!(sensor.peek(mpu9150::CONFIG), 3);
+        assert_eq!(sensor.peek(mpu9150::GYRO_CONFIG), 0x10);
+        assert_eq!(sensor.peek(mpu9150::ACCEL_CONFIG), 0x10);
+    }
+    let config = ImuConfig {
+        divider: 200,
+        low_pass: LowPass::Hz5,
+        gyro_range: GyroRange::Dps250,
+        accel_range: AccelRange::G2,
+    };
+    assert_eq!(
+        bench.board.ask(Command::ImuConfigure(config)),
+        Err(Refusal::ImuSettingOutOfRange)
+    );
+}

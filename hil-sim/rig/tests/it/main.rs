@@ -1,0 +1,15 @@
+//! The rig with the firmware of the product, and its models alone.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod board;
+mod board_host;
+mod depth_camera;
+mod gnss;
+mod imu;
+mod outputs;
+mod phone_app;
+mod phone_bench;
+mod phone_python_client;
+mod phone_video;
+mod trigger;
+mod trigger_rig;

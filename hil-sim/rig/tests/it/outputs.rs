@@ -1,0 +1,501 @@
+//! The trigger outputs 2 to 4 of the real firmware on the simulated board: every
+//! edge at the pins against the arithmetic of the commands, beside the camera's
+//! train and the pulse per second.
+
+use rig::wiring;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+use crate::board_host::{Board, UNITS_PER_TICK, trigger_status};
+use protocol::*;
+use rig::lidar::{Lidar, LidarConfig, LidarFaults};
+use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::pin::{Level, Pin};
+use stm32f4_sim::time::SimTime;
+
+const CAMERA: u64 = 33_330_652_540;
+const WIDTH: u32 = 576;
+const OUTPUT_WIDTH: u32 = 100 * 48;
+
+/// Pins of the trains: the camera's, outputs 2 to 4, the pulse per second.
+const PINS: [Pin; 5] = [Pin::PA5, Pin::PE11, Pin::PE13, Pin::PE14, Pin::PE9];
+
+fn picos(picos: u64) -> Period {
+    Period::from_picos(picos).unwrap()
+}
+
+/// The exact place of edge `k`, in 2⁻³² ticks.
+fn place(from: u128, period: Period, k: u64) -> u128 {
+    from + u128::from(k) * u128::from(period.0)
+}
+
+/// A train as it was commanded, checked edge by edge.
+struct Train {
+    pin: Pin,
+    /// Place of edge 0, in 2⁻³² ticks.
+    from: u128,
+    period: Period,
+    width: u32,
+    /// Edges seen at the pin, rising and falling.
+    seen: u64,
+    reported: u64,
+}
+
+impl Train {
+    fn new(pin: Pin, status: &TriggerStatus) -> Self {
+        Self {
+            pin,
+            from: (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction),
+            period: status.period,
+            width: status.width,
+            seen: 0,
+            reported: 0,
+        }
+    }
+
+    fn expected(&self, number: u64) -> u64 {
+        (place(self.from, self.period, number) >> 32) as u64
+    }
+
+    /// Takes the next edge of the pin.
+    fn edge(&mut self, level: Level, tick: u64) {
+        let rise = self.expected(self.seen / 2);
+        let (expected, wanted) = if self.seen.is_multiple_of(2) {
+            (rise, Level::High)
+        } else {
+            (rise + u64::from(self.width), Level::Low)
+        };
+        assert_eq!(
+            (tick, level),
+            (expected, wanted),
+            "edge {} of {}",
+            self.seen,
+            self.pin
+        );
+        self.seen += 1;
+    }
+
+    /// Takes the next report; those that were dropped are left out.
+    fn report(&mut self, number: u64, at: Ticks) {
+        assert!(number >= self.reported, "{} of {}", number, self.pin);
+        assert_eq!(
+            at.0,
+            self.expected(number),
+            "report {number} of {}",
+            self.pin
+        );
+        self.reported = number + 1;
+    }
+}
+
+struct Bench {
+    board: Board,
+    trains: Vec<Train>,
+    zero: Option<u64>,
+    lidar: Shared<Lidar>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
+        let mut board = Board::boot(wiring::board().model(Arc::clone(&lidar)));
+        for pin in PINS {
+            board.rig.log_pin(pin);
+        }
+        Self {
+            board,
+            trains: Vec::new(),
+            zero: None,
+            lidar,
+        }
+    }
+
+    fn output(&mut self, output: Output, action: OutputAction) -> Result<Reply, Refusal> {
+        self.board.ask(Command::Output { output, action })
+    }
+
+    fn start(&mut self, output: Output, start: OutputStart) -> TriggerStatus {
+        trigger_status(self.output(output, OutputAction::Start(start)))
+    }
+
+    /// The camera's train, and all others, each beginning at `first`.
+    fn start_all(&mut self, camera: Period, periods: [Period; 3], first: Ticks) {
+        let start = TriggerStart {
+            period: camera,
+            width: WIDTH,
+            first_edge: Some(first),
+        };
+        let status = trigger_status(self.board.ask(Command::TriggerStart(start)));
+        self.trains.push(Train::new(Pin::PA5, &status));
+        for (output, period) in Output::ALL.into_iter().zip(periods) {
+            let status = self.start(
+                output,
+                OutputStart {
+                    period,
+                    width: OUTPUT_WIDTH,
+                    first_edge: Some(first),
+                    first_fraction: 0,
+                },
+            );
+            assert_eq!(
+                (status.next_edge, status.state),
+                (first, TrainState::Waiting)
+            );
+            let pin = PINS[usize::from(output.number()) - 1];
+            self.trains.push(Train::new(pin, &status));
+        }
+        let gnss = GnssSettings {
+            utc_at_zero: 1_795_234_567,
+            baud: Baud::B9600,
+            line_inverted: true,
+            sentences: Sentences::RmcZda,
+            delay_ms: 50,
+            pulse_width: 20 * (TICK_HZ / 1_000),
+            pulse_inverted: false,
+        };
+        let Ok(Reply::Gnss(_)) = self.board.ask(Command::GnssStart(gnss)) else {
+            panic!("refused");
+        };
+        let second = u64::from(TICK_HZ);
+        // The next whole second; the answer to the ping was a moment ago.
+        let next = Ticks((self.board.now().0 / second + 1) * second);
+        self.trains.push(Train {
+            pin: Pin::PE9,
+            from: u128::from(next.0) << 32,
+            period: Period::from_ticks(TICK_HZ),
+            width: gnss.pulse_width,
+            seen: 0,
+            reported: 0,
+        });
+    }
+
+    /// Checks every edge and every report since the last check.
+    fn check(&mut self) {
+        let edges: VecDeque<(Pin, Level, SimTime)> = self.board.rig.take_edges().into();
+        for (pin, level, at) in edges {
+            let zero = *self.zero.get_or_insert_with(|| {
+                let first = self.trains.iter().find(|train| train.pin == pin).unwrap();
+                at.units() - first.expected(0) * UNITS_PER_TICK
+            });
+            let since = at.units() - zero;
+            assert_eq!(
+                since % UNITS_PER_TICK,
+                0,
+                "{pin}: an edge between two ticks"
+            );
+            let train = self.trains.iter_mut().find(|train| train.pin == pin);
+            train
+                .expect("only trains that were started move pins")
+                .edge(level, since / UNITS_PER_TICK);
+        }
+        let Self { board, trains, .. } = self;
+        let mut report = |pin, number, at| {
+            let train = trains.iter_mut().find(|train| train.pin == pin);
+            train.unwrap().report(number, at);
+        };
+        for pulse in board.pulses.drain(..) {
+            report(Pin::PA5, pulse.number, pulse.at);
+        }
+        for OutputPulse { output, pulse } in board.output_pulses.drain(..) {
+            let pin = PINS[usize::from(output.number()) - 1];
+            report(pin, pulse.number, pulse.at);
+            assert!(pulse.aligned);
+        }
+        board.pps.clear();
+    }
+
+    /// How many pulses of the slowest train have one of each other train within so
+    /// many ticks, by the arithmetic of the edges that were seen.
+    fn coincidences(&self, within: u64) -> usize {
+        let slow = self.trains.iter().max_by_key(|train| train.period.0);
+        let slow = slow.expect("trains run");
+        let near = |train: &Train, at: u64| {
+            let since = (u128::from(at) << 32).saturating_sub(train.from);
+            let k = (since / u128::from(train.period.0)) as u64;
+            (k..=k + 1).any(|k| train.expected(k).abs_diff(at) <= within)
+        };
+        (0..slow.seen / 2)
+            .map(|k| slow.expected(k))
+            .filter(|&at| self.trains.iter().all(|train| near(train, at)))
+            .count()
+    }
+
+    /// That none was lost: as many edges as there must have been by now.
+    fn check_count(&mut self) {
+        let now = self.board.now().0;
+        self.check();
+        for train in &self.trains {
+            let pulses = train.seen / 2;
+            assert!(
+                train.expected(pulses + 1) > now,
+                "{}: {pulses} pulses",
+                train.pin
+            );
+            assert!(pulses > 0, "{}", train.pin);
+        }
+        let status = self.board.next_status();
+        assert_eq!(status.trigger.late, 0);
+        for output in status.outputs {
+            assert_eq!(output.late, 0);
+        }
+        assert_eq!((status.gnss.late, status.gnss.missed), (0, 0));
+        self.check();
+    }
+}
+
+/// Four trains and the lidar's outputs for so many seconds, the USB full and a
+/// flood of commands in every other one: every edge, every report.
+fn run_all(seconds: u64) {
+    let mut bench = Bench::new();
+    let mut told = Vec::new();
+    // All begin together on a whole second, so the pulse per second is part of that.
+    // From there on they slip by 1 µs a second against it: the camera and every sixth
+    // of its frames one way, the shortest the other way.
+    let camera = picos(33_333_300_000);
+    let sixth = Period(camera.0 * 6);
+    let periods = [sixth, Period::from_ticks(TICK_HZ / 5), picos(1_000_001_000)];
+    let second = u64::from(TICK_HZ);
+    let first = Ticks((bench.board.now().0 / second + 2) * second);
+    bench.start_all(camera, periods, first);
+    for second in 0..seconds {
+        let bytes_per_second = if second % 2 == 0 { u32::MAX } else { 0 };
+        bench
+            .board
+            .ask(Command::Filler { bytes_per_second })
+            .unwrap();
+        for _ in 0..20 {
+            for output in Output::ALL {
+                let action = OutputAction::Query;
+                bench.board.send(Command::Output { output, action });
+            }
+            bench.board.run(50);
+        }
+        bench.board.answers.clear();
+        bench.board.statuses.clear();
+        bench.check();
+        told.extend(
+            lock(&bench.lidar)
+                .take_seconds()
+                .iter()
+                .map(|second| second.utc),
+        );
+    }
+    // The lidar was told every second in time, each one more than the one before. The
+    // last may not be over.
+    let pulses = bench.trains.last().map_or(0, |pps| pps.seen.div_ceil(2));
+    assert_eq!(told.len() as u64 + 1, pulses);
+    assert!(pulses >= seconds - 2, "{pulses}");
+    assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
+    let first = told[0].expect("the first second was told");
+    assert!(
+        told.iter()
+            .zip(first..)
+            .all(|(utc, next)| *utc == Some(next))
+    );
+    bench.check_count();
+    for train in &bench.trains {
+        println!(
+            "{}: {} edges compared with the arithmetic, all at 0 ticks",
+            train.pin, train.seen
+        );
+    }
+    let together = bench.coincidences(50 * 48);
+    assert!(together > 40, "{together}");
+    println!(
+        "coincidences of all five within 50 us: {together}; seconds told to the lidar: {}, all in \
+         time",
+        told.len()
+    );
+    let status = bench.board.next_status();
+    println!(
+        "{seconds} s: worst edge to end of handling {:.2} us (outputs), {:.2} us (camera), \
+         simulated",
+        f64::from(status.output_latency) / 48.0,
+        f64::from(status.trigger_latency) / 48.0
+    );
+}
+
+/// Over a wrap of the 32-bit counter.
+#[test]
+fn every_edge_of_all_trains_is_exact_at_full_load() {
+    run_all(95);
+}
+
+/// `cargo xtask hour`.
+#[test]
+#[ignore = "an hour of virtual time: cargo xtask hour"]
+fn an_hour_of_all_trains_is_exact() {
+    run_all(3_600);
+}
+
+/// A camera at 5 fps on every sixth frame of 30, joined while the train runs: its
+/// edges are edges of the train, every time.
+#[test]
+fn a_multiple_stays_on_every_sixth_pulse() {
+    let mut bench = Bench::new();
+    let start = TriggerStart {
+        period: picos(CAMERA),
+        width: WIDTH,
+        first_edge: None,
+    };
+    let status = trigger_status(bench.board.ask(Command::TriggerStart(start)));
+    bench.trains.push(Train::new(Pin::PA5, &status));
+    bench.board.run(777);
+    let status = bench.board.trigger();
+    let next = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
+    assert_ne!(status.next_fraction, 0, "the train has a fraction by now");
+    let join = place(next, status.period, 5);
+    let sixth = OutputStart {
+        period: Period(status.period.0 * 6),
+        width: OUTPUT_WIDTH,
+        first_edge: Some(Ticks((join >> 32) as u64)),
+        first_fraction: join as u32,
+    };
+    let joined = bench.start(Output::Two, sixth);
+    assert_eq!(joined.next_fraction, join as u32);
+    bench.trains.push(Train::new(Pin::PE11, &joined));
+    let mut camera = Vec::new();
+    let mut slow = Vec::new();
+    for _ in 0..60 {
+        bench.board.run(1_000);
+        camera.extend(bench.board.pulses.iter().map(|pulse| pulse.at));
+        slow.extend(bench.board.output_pulses.iter().map(|out| out.pulse.at));
+        bench.check();
+    }
+    assert!(slow.len() > 290, "{}", slow.len());
+    let begin = camera.iter().position(|&at| at == slow[0]).unwrap();
+    let sixths: Vec<_> = camera[begin..].iter().step_by(6).copied().collect();
+    assert_eq!(sixths[..slow.len()], slow[..]);
+}
+
+/// From random phases, with fractions: arrives at 0 ticks where it said, within
+/// the slew, without losing or doubling a pulse.
+#[test]
+fn every_align_of_an_output_arrives_on_its_grid() {
+    let mut bench = Bench::new();
+    let period = picos(50_000_123_457);
+    let start = OutputStart {
+        period,
+        width: OUTPUT_WIDTH,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    bench.start(Output::Three, start);
+    bench.board.run(100);
+    let mut random = 0x2545_F491_4F6C_DD1D_u64;
+    let mut next = || {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random
+    };
+    let mut previous: Option<Pulse> = None;
+    for round in 0..40_u32 {
+        let now = bench.board.now();
+        let to = OutputAlign {
+            anchor: Ticks(now.0 + next() % (1_800 * u64::from(TICK_HZ))),
+            anchor_fraction: next() as u32,
+            period,
+            slew: if round % 5 == 4 { 0 } else { 400_000 },
+        };
+        let id = bench.board.send(Command::Output {
+            output: Output::Three,
+            action: OutputAction::Align(to),
+        });
+        bench.board.wait(2_000, |board| {
+            board.output_arrived.iter().any(|a| a.command == id)
+        });
+        let arrived = *bench.board.output_arrived.last().unwrap();
+        assert_eq!(
+            (arrived.output, arrived.remaining),
+            (Output::Three, TickDelta::ZERO)
+        );
+        // anchor + j · period for a whole j, exactly.
+        let anchor = (u128::from(to.anchor.0) << 32) | u128::from(to.anchor_fraction);
+        let away = arrived.at - to.anchor;
+        let j = (away.as_secs_f64() / period.as_secs_f64()).round() as i128;
+        let exact = anchor as i128 + j * i128::from(period.0);
+        assert_eq!(i128::from(arrived.at.0), exact >> 32, "round {round}");
+        for OutputPulse { pulse, .. } in bench.board.output_pulses.drain(..) {
+            if let Some(previous) = previous {
+                assert_eq!(pulse.number, previous.number + 1, "lost or doubled");
+                let moved = (pulse.at - previous.at).0 - i64::from(period.ticks());
+                let most = if to.slew == 0 {
+                    period.ticks()
+                } else {
+                    to.slew
+                };
+                assert!(
+                    moved.unsigned_abs() <= u64::from(most) + 1,
+                    "moved by {moved}"
+                );
+            }
+            previous = Some(pulse);
+        }
+    }
+    let status = bench.board.next_status();
+    assert_eq!(status.outputs[1].late, 0);
+    // Each pulse that was reported was made.
+    let pulses = bench.board.rig.edge_count(Pin::PE13) / 2;
+    assert!(pulses.abs_diff(previous.unwrap().number + 1) <= 30);
+}
+
+#[test]
+fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
+    let mut bench = Bench::new();
+    let good = OutputStart {
+        period: picos(CAMERA),
+        width: OUTPUT_WIDTH,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    for width in [0, MIN_OUTPUT_WIDTH - 1, good.period.ticks()] {
+        let start = OutputStart { width, ..good };
+        let refused = bench.output(Output::Four, OutputAction::Start(start));
+        let max = good.period.ticks() - MIN_OUTPUT_GAP;
+        let min = MIN_OUTPUT_WIDTH;
+        assert_eq!(refused, Err(Refusal::WidthOutOfRange { min, max }));
+    }
+    let stopped = bench.output(Output::Four, OutputAction::Period(good.period));
+    assert_eq!(stopped, Err(Refusal::TriggerStopped));
+    assert_eq!(bench.board.rig.edge_count(Pin::PE14), 0);
+
+    // The widest and the narrowest pulse, then a stop and a start.
+    for width in [MIN_OUTPUT_WIDTH, good.period.ticks() - MIN_OUTPUT_GAP] {
+        let start = OutputStart { width, ..good };
+        let status = bench.start(Output::Four, start);
+        bench.trains = vec![Train::new(Pin::PE14, &status)];
+        bench.board.run(500);
+        bench.check();
+        let other = OutputStart {
+            period: picos(CAMERA + 1),
+            ..start
+        };
+        let refused = bench.output(Output::Four, OutputAction::Start(other));
+        assert_eq!(refused, Err(Refusal::TriggerRunning));
+        bench.output(Output::Four, OutputAction::Stop).unwrap();
+        bench.board.run(100);
+        bench.check();
+        assert!(
+            bench.trains[0].seen.is_multiple_of(2),
+            "the last pulse has ended"
+        );
+        let edges = bench.board.rig.edge_count(Pin::PE14);
+        bench.board.run(300);
+        assert_eq!(bench.board.rig.edge_count(Pin::PE14), edges);
+    }
+    // A first edge minutes ahead, beyond what a 32-bit compare tells from the past.
+    let first = Ticks(bench.board.now().0 + 100 * u64::from(TICK_HZ) + 12_345);
+    let far = OutputStart {
+        first_edge: Some(first),
+        first_fraction: 0xFFFF_FFFF,
+        ..good
+    };
+    let status = bench.start(Output::Four, far);
+    bench.trains = vec![Train::new(Pin::PE14, &status)];
+    bench.board.run(99_000);
+    assert!(bench.trains[0].seen == 0 && bench.board.rig.take_edges().is_empty());
+    bench.board.run(3_000);
+    bench.check();
+    assert!(bench.trains[0].seen > 100);
+}

@@ -1,0 +1,31 @@
+//! A Python client that reads as the app's published one does runs on the
+//! simulated phone (`python/phone_client.py` says what is special about it).
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::phone_bench::Bench;
+
+#[test]
+fn the_python_client_gets_all_it_asks_for() {
+    for version in ["v.0.1", "v.0.1.1"] {
+        let bench = Bench::new(30, 20.0, |c| {
+            c.version = version.to_owned();
+            c.camera.rows = 120;
+            c.camera.columns = 16;
+        });
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/phone_client.py");
+        let address = bench.phone.address();
+        let output = Command::new("python3")
+            .arg(script)
+            .args([address.ip().to_string(), address.port().to_string()])
+            .arg(version)
+            .output()
+            .expect("python3 is needed for this test");
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+    }
+}

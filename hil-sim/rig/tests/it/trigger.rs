@@ -1,0 +1,538 @@
+//! The trigger train of the real firmware on the simulated board: every edge at
+//! the pin against the arithmetic of the command.
+
+use rig::wiring;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, trigger_status};
+use crate::trigger_rig::{Strobe, Wire};
+use protocol::*;
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::time::SimDuration;
+
+/// The default width: 12 µs.
+const WIDTH: u32 = 576;
+
+fn picos(picos: u64) -> Period {
+    Period::from_picos(picos).unwrap()
+}
+
+fn board() -> Board {
+    let mut board = Board::boot(wiring::board());
+    board.rig.log_pin(Pin::PA5);
+    board
+}
+
+fn start(board: &mut Board, period: Period, width: u32) -> TriggerStatus {
+    let start = TriggerStart {
+        period,
+        width,
+        first_edge: None,
+    };
+    trigger_status(board.ask(Command::TriggerStart(start)))
+}
+
+/// Checks every pulse at the pin and every report against
+/// `floor(first + k · period)`, from pulse 0 on. Returns how many there were.
+fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> usize {
+    trigger_status(board.ask(Command::TriggerStop));
+    board.run(1_100);
+    let edges = board.rig.take_edges();
+    let pins = pulses_of(&edges, Pin::PA5);
+    let status = board.trigger();
+    assert_eq!(status.state, TrainState::Stopped);
+    assert_eq!(status.pulses as usize, pins.len());
+    let mut epoch = Epoch::default();
+    for (k, &(rise, fall)) in pins.iter().enumerate() {
+        let expected = period.edge(first, k as i64);
+        assert_eq!(epoch.tick(rise, expected), expected, "pulse {k} at the pin");
+        let high = fall.units() - rise.units();
+        assert_eq!(
+            high,
+            u64::from(width) * UNITS_PER_TICK,
+            "width of pulse {k}"
+        );
+    }
+    // Reports: those that came are exact, each says which pulse it is.
+    for report in &board.pulses {
+        let expected = period.edge(first, report.number as i64);
+        assert_eq!(report.at, expected, "report of pulse {}", report.number);
+        assert!(report.aligned);
+    }
+    assert_eq!(status.late, 0, "{status:?}");
+    pins.len()
+}
+
+/// Runs a train for `seconds`, checks every edge, and that every pulse was
+/// reported.
+fn exact(period: Period, width: u32, seconds: u64) -> usize {
+    let mut board = board();
+    let first = start(&mut board, period, width).next_edge;
+    board.run(seconds * 1_000);
+    let pulses = check_train(&mut board, first, period, width);
+    assert_eq!(board.pulses.len(), pulses, "every pulse is reported");
+    for (number, report) in board.pulses.iter().enumerate() {
+        assert_eq!(report.number, number as u64);
+    }
+    pulses
+}
+
+/// 100 s at the shortest period, the narrowest pulse: over a wrap of the counter.
+#[test]
+fn a_hundred_thousand_pulses_at_a_millisecond_are_exact() {
+    let pulses = exact(picos(1_000_000_000), MIN_PULSE_WIDTH, 101);
+    assert!(pulses > 100_000, "{pulses}");
+}
+
+/// The phone's frame period, over two wraps of the counter.
+#[test]
+fn the_phones_period_is_exact() {
+    let pulses = exact(picos(33_330_652_540), WIDTH, 200);
+    assert!(pulses > 6_000, "{pulses}");
+}
+
+#[test]
+fn thirty_frames_a_second_are_exact() {
+    let pulses = exact(picos(33_333_333_330), WIDTH, 100);
+    assert!(pulses >= 3_000, "{pulses}");
+}
+
+#[test]
+fn five_frames_a_second_are_exact() {
+    let pulses = exact(picos(200_000_000_000), WIDTH, 100);
+    assert!(pulses >= 500, "{pulses}");
+}
+
+/// A width of nearly the whole period leaves the handler the shortest gap.
+#[test]
+fn the_widest_pulse_is_exact() {
+    let period = picos(1_000_000_001);
+    exact(period, period.ticks() - MIN_PULSE_GAP, 5);
+}
+
+/// USB as full as it gets, a flood of commands, a host that comes and goes, a
+/// stuck I2C bus and what the firmware logs about all of it.
+#[test]
+fn pulses_are_exact_under_full_load() {
+    for (period, seconds) in [(picos(1_000_000_000), 6), (picos(33_330_652_540), 8)] {
+        let mut board = board();
+        let first = start(&mut board, period, WIDTH).next_edge;
+        board.rig.i2c_bus(|bus| bus.hold_sda(true));
+        let mut pings = 0;
+        for second in 0..seconds {
+            board
+                .ask(Command::Filler {
+                    bytes_per_second: u32::MAX,
+                })
+                .unwrap();
+            for _ in 0..40 {
+                for _ in 0..10 {
+                    board.send(Command::Ping { host_time: 1 });
+                    board.send(Command::TriggerQuery);
+                    pings += 1;
+                }
+                board.run(20);
+            }
+            if second % 2 == 1 {
+                board.unplug_and_plug(100);
+            }
+        }
+        assert!(
+            board.fillers > 1_000,
+            "the link was loaded: {}",
+            board.fillers
+        );
+        assert!(board.answers.len() > pings, "commands were answered");
+        let pulses = check_train(&mut board, first, period, WIDTH);
+        assert!(pulses as u64 > seconds * 900 / (u64::from(period.ticks()) / 48_000));
+        // What was not delivered shows as a gap, and is counted unless it was on
+        // the wire when the cable was pulled.
+        let status = board.next_status();
+        let delivered = board.pulses.len() as u32;
+        let missing = pulses as u32 - delivered;
+        assert!(status.dropped.pulses <= missing);
+        assert!(
+            missing - status.dropped.pulses <= 4 * seconds as u32,
+            "{missing}"
+        );
+    }
+}
+
+/// A first edge beyond what a 32-bit compare tells from the past.
+#[test]
+fn a_first_edge_minutes_ahead_is_exact() {
+    let mut board = board();
+    let now = board.now();
+    let first = Ticks(now.0 + 130 * u64::from(TICK_HZ) + 12_345);
+    let period = picos(33_330_652_540);
+    let command = TriggerStart {
+        period,
+        width: WIDTH,
+        first_edge: Some(first),
+    };
+    let status = trigger_status(board.ask(Command::TriggerStart(command)));
+    assert_eq!(status.state, TrainState::Waiting);
+    assert_eq!(status.next_edge, first);
+    board.run(129_900);
+    assert!(board.pulses.is_empty());
+    board.run(1_000);
+    assert_eq!(board.pulses[0].at, first);
+    check_train(&mut board, first, period, WIDTH);
+}
+
+/// From 200 random phases: arrives at 0 ticks where it said, within the slew,
+/// without losing or doubling a pulse.
+#[test]
+fn every_align_arrives_on_its_grid() {
+    let mut board = board();
+    let period = picos(33_330_652_540);
+    start(&mut board, period, WIDTH);
+    board.run(100);
+    let mut random = 0x2545_F491_4F6C_DD1D_u64;
+    let mut next = || {
+        random ^= random << 13;
+        random ^= random >> 7;
+        random ^= random << 17;
+        random
+    };
+    let mut previous: Option<Pulse> = None;
+    let mut epoch = Epoch::default();
+    for round in 0..200_u32 {
+        let now = board.now();
+        // Anywhere within half an hour, past or future as far as there is one.
+        let away = next() % (1_800 * u64::from(TICK_HZ));
+        let anchor = if round % 2 == 0 {
+            Ticks(now.0 + away)
+        } else {
+            Ticks(now.0.saturating_sub(away))
+        };
+        let slew = if round % 10 == 9 {
+            0
+        } else {
+            100_000 + (next() % 700_000) as u32
+        };
+        let command = Command::TriggerAlign(TriggerAlign {
+            anchor,
+            period,
+            slew,
+        });
+        let id = board.send(command.clone());
+        board.wait(2_000, |board| board.answers.iter().any(|a| a.id == id));
+        let answer = board.answers.iter().find(|a| a.id == id).unwrap();
+        let Ok(Reply::Align(plan)) = answer.result else {
+            panic!("{answer:?}");
+        };
+        board.wait(2_000, |board| board.arrived.iter().any(|a| a.command == id));
+        let arrived = *board.arrived.iter().find(|a| a.command == id).unwrap();
+        assert_eq!(arrived.remaining, TickDelta::ZERO);
+        assert_eq!(
+            (arrived.pulse, arrived.at),
+            (plan.arrival_pulse, plan.arrival)
+        );
+        // On the grid itself: anchor + j · period for a whole j.
+        let pulses_away = (arrived.at - anchor).as_secs_f64() / period.as_secs_f64();
+        let on_grid = period.edge(anchor, pulses_away.round() as i64);
+        assert_eq!(arrived.at, on_grid, "round {round}: not on the grid");
+
+        board.run(40);
+        let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);
+        let reports = std::mem::take(&mut board.pulses);
+        assert_eq!(pins.len(), reports.len());
+        for (&(rise, _), report) in pins.iter().zip(&reports) {
+            assert_eq!(epoch.tick(rise, report.at), report.at);
+            if let Some(previous) = previous {
+                assert_eq!(report.number, previous.number + 1, "lost or doubled");
+                let moved = (report.at - previous.at).0 - i64::from(period.ticks());
+                if slew > 0 {
+                    // Whole edges jitter by a tick around the fraction.
+                    assert!(
+                        moved.unsigned_abs() <= u64::from(slew) + 1,
+                        "moved by {moved}"
+                    );
+                } else {
+                    assert!(moved.unsigned_abs() <= u64::from(period.ticks() / 2) + 1);
+                }
+            }
+            let past_arrival = report.number >= arrived.pulse;
+            assert!(report.aligned || !past_arrival);
+            previous = Some(*report);
+        }
+        // Once more: it is there already, and nothing moves.
+        if round % 20 == 0 {
+            match board.ask(command) {
+                Ok(Reply::Align(again)) => {
+                    assert_eq!((again.shift, again.frames), (TickDelta::ZERO, 0));
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+    assert_eq!(board.trigger().late, 0);
+}
+
+/// The phase step is one tick, 20.83 ns: moving the anchor by one moves the edges
+/// by one.
+#[test]
+fn one_tick_of_anchor_moves_the_edges_by_one_tick() {
+    let mut board = board();
+    let period = Period::from_ticks(1_600_000);
+    let first = start(&mut board, period, WIDTH).next_edge;
+    let mut phases = Vec::new();
+    for step in 0..5 {
+        let anchor = Ticks(first.0 + step);
+        let to = TriggerAlign {
+            anchor,
+            period,
+            slew: 0,
+        };
+        board.ask(Command::TriggerAlign(to)).unwrap();
+        board.run(150);
+        board.rig.take_edges();
+        board.run(100);
+        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
+        phases.push(rise.units() % (1_600_000 * UNITS_PER_TICK));
+    }
+    for pair in phases.windows(2) {
+        assert_eq!(pair[1] - pair[0], UNITS_PER_TICK);
+    }
+}
+
+#[test]
+fn a_new_period_goes_on_from_the_armed_edge() {
+    let mut board = board();
+    start(&mut board, picos(33_333_333_330), WIDTH);
+    board.run(500);
+    let new = picos(33_330_652_540);
+    let status = trigger_status(board.ask(Command::TriggerPeriod(new)));
+    assert_eq!(status.period, new);
+    // The next edge is armed already; from it on the new period holds.
+    let from = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
+    board.run(2_000);
+    let after: Vec<_> = board
+        .pulses
+        .iter()
+        .filter(|p| p.at >= status.next_edge)
+        .collect();
+    assert!(after.len() > 55);
+    for (k, pulse) in after.into_iter().enumerate() {
+        let exact = from + k as u128 * u128::from(new.0);
+        assert_eq!(u128::from(pulse.at.0), exact >> 32);
+        assert!(pulse.aligned);
+    }
+}
+
+#[test]
+fn values_out_of_range_are_refused_and_change_nothing() {
+    let mut board = board();
+    let period = picos(33_333_333_330);
+    let to = |period, anchor, slew| {
+        Command::TriggerAlign(TriggerAlign {
+            anchor,
+            period,
+            slew,
+        })
+    };
+    assert_eq!(
+        board.ask(to(period, Ticks(0), 0)),
+        Err(Refusal::TriggerStopped)
+    );
+    assert_eq!(
+        board.ask(Command::TriggerPeriod(period)),
+        Err(Refusal::TriggerStopped)
+    );
+    let good = TriggerStart {
+        period,
+        width: WIDTH,
+        first_edge: None,
+    };
+    let starts = [
+        (
+            TriggerStart {
+                period: Period(Period::MIN.0 - 1),
+                ..good
+            },
+            Refusal::PeriodOutOfRange,
+        ),
+        (
+            TriggerStart {
+                period: Period(Period::MAX.0 + 1),
+                ..good
+            },
+            Refusal::PeriodOutOfRange,
+        ),
+        (
+            TriggerStart {
+                width: period.ticks(),
+                ..good
+            },
+            Refusal::WidthOutOfRange {
+                min: MIN_PULSE_WIDTH,
+                max: period.ticks() - MIN_PULSE_GAP,
+            },
+        ),
+        (
+            TriggerStart { width: 0, ..good },
+            Refusal::WidthOutOfRange {
+                min: MIN_PULSE_WIDTH,
+                max: period.ticks() - MIN_PULSE_GAP,
+            },
+        ),
+    ];
+    for (command, refusal) in starts {
+        assert_eq!(board.ask(Command::TriggerStart(command)), Err(refusal));
+    }
+    for first in [
+        0,
+        u64::MAX,
+        board.now().0 + MAX_TIME_AWAY + u64::from(TICK_HZ),
+    ] {
+        let first_edge = Some(Ticks(first));
+        let refused = board.ask(Command::TriggerStart(TriggerStart { first_edge, ..good }));
+        assert!(matches!(refused, Err(Refusal::TimeOutOfRange { .. })));
+    }
+    assert_eq!(board.trigger().state, TrainState::Stopped);
+    assert_eq!(board.rig.edge_count(Pin::PA5), 0);
+
+    let first = start(&mut board, period, WIDTH).next_edge;
+    board.run(300);
+    let now = board.now();
+    let half = period.ticks() / 2;
+    let far = Ticks(now.0 + MAX_TIME_AWAY + u64::from(TICK_HZ));
+    assert!(matches!(
+        board.ask(to(period, far, 0)),
+        Err(Refusal::TimeOutOfRange { .. })
+    ));
+    assert_eq!(
+        board.ask(to(period, now, half + 1)),
+        Err(Refusal::SlewOutOfRange { max: half })
+    );
+    assert_eq!(
+        board.ask(to(Period(0), now, 0)),
+        Err(Refusal::PeriodOutOfRange)
+    );
+    assert_eq!(
+        board.ask(Command::TriggerPeriod(Period(u64::MAX))),
+        Err(Refusal::PeriodOutOfRange)
+    );
+    let other = TriggerStart {
+        width: WIDTH + 1,
+        ..good
+    };
+    assert_eq!(
+        board.ask(Command::TriggerStart(other)),
+        Err(Refusal::TriggerRunning)
+    );
+    // The same start again is welcome and changes nothing.
+    trigger_status(board.ask(Command::TriggerStart(good)));
+    board.run(300);
+    check_train(&mut board, first, period, WIDTH);
+}
+
+#[test]
+fn the_read_back_proves_the_wire() {
+    let connected = Arc::new(AtomicBool::new(false));
+    // 3 ticks: a buffer of 62.5 ns.
+    let delay = SimDuration::from_units(3 * UNITS_PER_TICK);
+    let wire = Wire::new(delay, connected.clone());
+    let mut board = Board::boot(wiring::board().model(wire));
+    start(&mut board, picos(33_333_333_330), WIDTH);
+    board.run(500);
+    let unwired = board.trigger().readback;
+    assert_eq!((unwired.seen, unwired.missing, unwired.stray), (0, 0, 0));
+    assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
+
+    connected.store(true, Ordering::Relaxed);
+    board.run(60);
+    board.pulses.clear();
+    board.run(1_000);
+    assert!(board.pulses.len() >= 29);
+    assert!(board.pulses.iter().all(|pulse| pulse.readback == Some(3)));
+    let wired = board.trigger().readback;
+    assert!(wired.seen >= 30);
+    assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, Some(3)));
+
+    connected.store(false, Ordering::Relaxed);
+    board.run(60);
+    board.pulses.clear();
+    board.run(1_000);
+    let missed = board.pulses.len() as u32;
+    let cut = board.trigger().readback;
+    assert!(cut.missing >= missed && missed >= 29, "{cut:?}");
+    assert!(board.pulses.iter().all(|pulse| pulse.readback.is_none()));
+}
+
+/// The camera's 9 flashes at 30 fps, for 20 s: every edge reported, at the tick
+/// in which it came.
+#[test]
+fn the_cameras_flashes_are_captured_without_loss() {
+    let strobe = Strobe::flashes();
+    let made = strobe.made.clone();
+    let mut board = Board::boot(wiring::board().model(strobe));
+    board.rig.log_pin(Pin::PA5);
+    start(&mut board, picos(33_333_333_330), WIDTH);
+    board.run(20_000);
+    trigger_status(board.ask(Command::TriggerStop));
+    board.run(200);
+    let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
+    let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+    let made = made.lock().unwrap();
+    assert!(made.len() > 18 * 590, "{}", made.len());
+    assert_eq!(board.captures.len(), made.len());
+    for (index, (capture, &(at, level))) in board.captures.iter().zip(made.iter()).enumerate() {
+        assert_eq!(capture.seq as usize, index);
+        assert_eq!(capture.channel, CaptureChannel::Strobe);
+        assert_eq!(capture.edge == Edge::Rising, level.is_high());
+        assert!(!capture.after_loss);
+        let tick = (at.units() - zero) / UNITS_PER_TICK;
+        assert_eq!(capture.at, Ticks(tick), "edge {index}");
+    }
+    let status = board.next_status();
+    assert_eq!((status.strobe_overcaptures, status.strobe_floods), (0, 0));
+    assert_eq!(status.dropped.captures, 0);
+}
+
+/// 100 kHz on the strobe input starves neither the trigger nor anything else, and
+/// the flashes that come after it are captured again.
+#[test]
+fn a_flood_on_the_strobe_input_starves_nothing() {
+    let strobe = Strobe::new(3_000, 5, 10);
+    let mut board = Board::boot(wiring::board().model(strobe));
+    board.rig.log_pin(Pin::PA5);
+    let period = picos(33_330_652_540);
+    let first = start(&mut board, period, WIDTH).next_edge;
+    board.run(10_000);
+    let status = board.next_status();
+    assert!(status.strobe_floods > 100, "{status:?}");
+    assert!(status.cpu_permille < 200, "{status:?}");
+    assert_eq!(status.dropped.pulses, 0);
+    assert!(board.captures.len() > 500, "{}", board.captures.len());
+    // What was taken is marked where edges are missing before it.
+    let marked = board.captures.iter().filter(|c| c.after_loss).count() as u32;
+    let unseen = status.dropped.captures + 1;
+    assert!(
+        marked + unseen >= status.strobe_floods,
+        "{marked} marked, {unseen} unseen, {} floods, {} captures",
+        status.strobe_floods,
+        board.captures.len()
+    );
+    check_train(&mut board, first, period, WIDTH);
+}
+
+#[test]
+fn a_stop_finishes_the_pulse_and_a_train_can_start_again() {
+    let mut board = board();
+    for train in 1..=20 {
+        let status = start(&mut board, picos(1_000_000_000), 40_000);
+        assert_eq!(status.train, train);
+        board.run(20 + u64::from(train));
+        trigger_status(board.ask(Command::TriggerStop));
+        board.run(5);
+        assert_eq!(board.trigger().state, TrainState::Stopped);
+        let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);
+        assert!(pins.len() > 15);
+        for (rise, fall) in pins {
+            assert_eq!(fall.units() - rise.units(), 40_000 * UNITS_PER_TICK);
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! What is wired to the trigger in tests: the wire back, and something that
+//! flashes.
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use stm32f4_sim::model::{PinIo, PinModel};
+use stm32f4_sim::pin::{Drive, Level, Pin};
+use stm32f4_sim::time::{SimDuration, SimTime};
+
+/// The trigger wire behind its buffer, back on PA3.
+pub(crate) struct Wire {
+    delay: SimDuration,
+    connected: Arc<AtomicBool>,
+    coming: VecDeque<(SimTime, Level)>,
+}
+
+impl Wire {
+    pub(crate) fn new(delay: SimDuration, connected: Arc<AtomicBool>) -> Self {
+        Self {
+            delay,
+            connected,
+            coming: VecDeque::new(),
+        }
+    }
+}
+
+impl PinModel for Wire {
+    fn name(&self) -> String {
+        "trigger wire".into()
+    }
+    fn watched_pins(&self) -> Vec<Pin> {
+        vec![Pin::PA5]
+    }
+    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut PinIo<'_>) {
+        if self.connected.load(Ordering::Relaxed) {
+            self.coming.push_back((io.now() + self.delay, level));
+        }
+    }
+    fn next_event(&self) -> Option<SimTime> {
+        self.coming.front().map(|next| next.0)
+    }
+    fn advance(&mut self, io: &mut PinIo<'_>) {
+        while let Some(&(at, level)) = self.coming.front()
+            && at <= io.now()
+        {
+            self.coming.pop_front();
+            io.drive(Pin::PA3, Drive::from(level));
+        }
+    }
+}
+
+/// Pulses on the strobe input, `count` of them at each trigger pulse.
+pub(crate) struct Strobe {
+    count: u32,
+    high: SimDuration,
+    pitch: SimDuration,
+    coming: VecDeque<(SimTime, Level)>,
+    /// The edges that were made.
+    pub(crate) made: Arc<Mutex<Vec<(SimTime, Level)>>>,
+}
+
+impl Strobe {
+    /// The depth camera's: 9 pulses of 125 µs, 1,575 µs apart.
+    pub(crate) fn flashes() -> Self {
+        Self::new(9, 125, 1_575)
+    }
+
+    pub(crate) fn new(count: u32, high_us: u64, pitch_us: u64) -> Self {
+        Self {
+            count,
+            high: SimDuration::from_micros(high_us),
+            pitch: SimDuration::from_micros(pitch_us),
+            coming: VecDeque::new(),
+            made: Arc::default(),
+        }
+    }
+}
+
+impl PinModel for Strobe {
+    fn name(&self) -> String {
+        "strobe".into()
+    }
+    fn watched_pins(&self) -> Vec<Pin> {
+        vec![Pin::PA5]
+    }
+    fn power_on(&mut self, io: &mut PinIo<'_>) {
+        io.drive(Pin::PA2, Drive::Low);
+    }
+    fn on_pin_edge(&mut self, _: Pin, level: Level, io: &mut PinIo<'_>) {
+        if level.is_high() {
+            // Not on a whole tick, so that captures have something to round.
+            let mut at = io.now() + SimDuration::from_nanos(500_007);
+            for _ in 0..self.count {
+                self.coming.push_back((at, Level::High));
+                self.coming.push_back((at + self.high, Level::Low));
+                at += self.pitch;
+            }
+        }
+    }
+    fn next_event(&self) -> Option<SimTime> {
+        self.coming.front().map(|next| next.0)
+    }
+    fn advance(&mut self, io: &mut PinIo<'_>) {
+        while let Some(&(at, level)) = self.coming.front()
+            && at <= io.now()
+        {
+            self.coming.pop_front();
+            self.made.lock().unwrap().push((at, level));
+            io.drive(Pin::PA2, Drive::from(level));
+        }
+    }
+}

@@ -1,0 +1,104 @@
+//! The next event of each part of the chip, and the earliest of all.
+
+use super::TIMERS;
+use super::uart::UARTS;
+use crate::time::SimTime;
+
+/// Whose event it is. Those of one time are done in the order given here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Source {
+    Tim(usize),
+    I2c,
+    Uart(usize),
+    Usb,
+    Watchdog,
+    /// A clock that changes without a register access (an oscillator gets ready).
+    Clock,
+    Models,
+}
+
+const I2C: usize = TIMERS;
+const UART: usize = I2C + 1;
+const USB: usize = UART + UARTS;
+const WATCHDOG: usize = USB + 1;
+const CLOCK: usize = WATCHDOG + 1;
+const MODELS: usize = CLOCK + 1;
+const SOURCES: usize = MODELS + 1;
+
+impl Source {
+    fn index(self) -> usize {
+        match self {
+            Self::Tim(n) => n,
+            Self::I2c => I2C,
+            Self::Uart(n) => UART + n,
+            Self::Usb => USB,
+            Self::Watchdog => WATCHDOG,
+            Self::Clock => CLOCK,
+            Self::Models => MODELS,
+        }
+    }
+
+    fn of(index: usize) -> Self {
+        match index {
+            I2C => Self::I2c,
+            UART..USB => Self::Uart(index - UART),
+            USB => Self::Usb,
+            WATCHDOG => Self::Watchdog,
+            CLOCK => Self::Clock,
+            n if n < I2C => Self::Tim(n),
+            _ => Self::Models,
+        }
+    }
+}
+
+#[derive(Debug)]
+pub(super) struct Events {
+    at: [SimTime; SOURCES],
+    next: SimTime,
+}
+
+impl Events {
+    pub(super) fn new() -> Self {
+        Self {
+            at: [SimTime::NEVER; SOURCES],
+            next: SimTime::NEVER,
+        }
+    }
+
+    /// Time of the earliest event.
+    pub(super) fn next(&self) -> SimTime {
+        self.next
+    }
+
+    /// Whose event is the earliest.
+    pub(super) fn first(&self) -> Source {
+        let index = self.at.iter().position(|at| *at == self.next);
+        Source::of(index.unwrap_or(MODELS))
+    }
+
+    /// Says when the next event of `source` is. Returns whether that changed the
+    /// time of the earliest.
+    pub(super) fn set(&mut self, source: Source, at: SimTime) -> bool {
+        let slot = &mut self.at[source.index()];
+        if *slot == at {
+            return false;
+        }
+        *slot = at;
+        let next = self.at.iter().copied().min().unwrap_or(SimTime::NEVER);
+        let changed = next != self.next;
+        self.next = next;
+        changed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_source_has_a_place_of_its_own() {
+        for index in 0..SOURCES {
+            assert_eq!(Source::of(index).index(), index);
+        }
+    }
+}

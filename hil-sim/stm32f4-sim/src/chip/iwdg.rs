@@ -1,0 +1,100 @@
+//! The independent watchdog (RM0090 chapter 21), on the low-speed oscillator.
+
+use crate::clock::{Clock, Rate};
+use crate::time::SimTime;
+
+#[derive(Debug)]
+pub(crate) struct Iwdg {
+    lsi: Rate,
+    unlocked: bool,
+    running: bool,
+    pr: u32,
+    rlr: u32,
+    /// When it bites.
+    deadline: SimTime,
+}
+
+impl Iwdg {
+    /// A stopped watchdog on an oscillator of rate `lsi`.
+    pub(crate) fn new(lsi: Rate) -> Self {
+        Self {
+            lsi,
+            unlocked: false,
+            running: false,
+            pr: 0,
+            rlr: 0xfff,
+            deadline: SimTime::NEVER,
+        }
+    }
+
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new(self.lsi);
+    }
+
+    pub(crate) fn next_event(&self) -> SimTime {
+        self.deadline
+    }
+
+    pub(crate) fn read(&self, offset: u32) -> Option<u32> {
+        Some(match offset {
+            // The key reads as zero; what was written counts at once (SR).
+            0x00 | 0x0c => 0,
+            0x04 => self.pr,
+            0x08 => self.rlr,
+            _ => return None,
+        })
+    }
+
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
+        match offset {
+            0x00 => match value & 0xffff {
+                0x5555 => self.unlocked = true,
+                0xaaaa => {
+                    self.unlocked = false;
+                    self.reload(now);
+                }
+                0xcccc => {
+                    self.unlocked = false;
+                    self.running = true;
+                    self.reload(now);
+                }
+                _ => self.unlocked = false,
+            },
+            0x04 if self.unlocked => self.pr = value & 7,
+            0x08 if self.unlocked => self.rlr = value & 0xfff,
+            0x04 | 0x08 => {}
+            _ => return false,
+        }
+        true
+    }
+
+    fn reload(&mut self, now: SimTime) {
+        if self.running {
+            let divider = 4u64 << self.pr.min(6);
+            let clock = Clock::new(self.lsi, now, 0);
+            self.deadline = clock.time_of((u64::from(self.rlr) + 1) * divider);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bites_when_it_is_not_fed() {
+        let mut w = Iwdg::new(Rate::hz(32_000));
+        let t0 = SimTime::from_nanos(1_000_000);
+        w.write(0x04, 3, t0);
+        assert_eq!(w.pr, 0, "locked until the key is given");
+        w.write(0x00, 0x5555, t0);
+        w.write(0x04, 4, t0); // /64: 2 ms a count
+        w.write(0x08, 999, t0);
+        assert_eq!(w.next_event(), SimTime::NEVER);
+        w.write(0x00, 0xcccc, t0);
+        assert_eq!(w.next_event(), SimTime::from_nanos(2_001_000_000));
+        let t1 = SimTime::from_nanos(1_500_000_000);
+        w.write(0x00, 0xaaaa, t1);
+        assert_eq!(w.next_event(), SimTime::from_nanos(3_500_000_000));
+    }
+}

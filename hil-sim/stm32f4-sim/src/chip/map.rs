@@ -1,0 +1,392 @@
+//! The memory map: which register an address is (RM0090 2.3).
+
+use super::events::Source;
+use super::uart::UARTS;
+use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, Unmodelled, names};
+use crate::pin::Pin;
+use crate::time::SimTime;
+
+const RCC: u32 = 0x4002_3800;
+const OTG_FS: u32 = 0x5000_0000;
+
+/// A block of registers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Block {
+    Tim(usize),
+    Iwdg,
+    Uart(usize),
+    I2c1,
+    Syscfg,
+    Exti,
+    Gpio(usize),
+    Rcc,
+    Dma(usize),
+    Otg,
+    /// Without behaviour: at best some of its registers are stored.
+    Other,
+}
+
+/// The block of an address, and its enable bit in RCC (register offset and bit);
+/// nothing where the chip has no peripheral.
+fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
+    const AHB1: u32 = 0x30;
+    const AHB2: u32 = 0x34;
+    const APB1: u32 = 0x40;
+    const APB2: u32 = 0x44;
+    if addr >> 18 == OTG_FS >> 18 {
+        return Some((Block::Otg, Some((AHB2, 7))));
+    }
+    Some(match addr & !0x3ff {
+        0x4000_0000 => (Block::Tim(TIM2), Some((APB1, 0))),
+        0x4000_0400 => (Block::Tim(TIM3), Some((APB1, 1))),
+        0x4000_0800 => (Block::Tim(TIM4), Some((APB1, 2))),
+        0x4000_0c00 => (Block::Tim(TIM5), Some((APB1, 3))),
+        0x4000_3000 => (Block::Iwdg, None),
+        0x4000_4400 => (Block::Uart(1), Some((APB1, 17))),
+        0x4000_4800 => (Block::Uart(2), Some((APB1, 18))),
+        0x4000_4c00 => (Block::Uart(3), Some((APB1, 19))),
+        0x4000_5000 => (Block::Uart(4), Some((APB1, 20))),
+        0x4000_5400 => (Block::I2c1, Some((APB1, 21))),
+        0x4001_0000 => (Block::Tim(TIM1), Some((APB2, 0))),
+        0x4001_1000 => (Block::Uart(0), Some((APB2, 4))),
+        0x4001_1400 => (Block::Uart(5), Some((APB2, 5))),
+        0x4001_3800 => (Block::Syscfg, Some((APB2, 14))),
+        0x4001_3c00 => (Block::Exti, None),
+        base @ 0x4002_0000..=0x4002_2000 => {
+            let port = (base - 0x4002_0000) / 0x400;
+            (Block::Gpio(port as usize), Some((AHB1, port)))
+        }
+        RCC => (Block::Rcc, None),
+        0x4002_6000 => (Block::Dma(0), Some((AHB1, 21))),
+        0x4002_6400 => (Block::Dma(1), Some((AHB1, 22))),
+        _ if names::is_peripheral(addr) => (Block::Other, None),
+        _ => return None,
+    })
+}
+
+impl Soc {
+    fn clocked(&self, enable: Option<(u32, u32)>) -> bool {
+        enable.is_none_or(|(offset, bit)| self.rcc.enabled(offset, bit))
+    }
+
+    /// A register was touched that is neither modelled nor stored: the run ends.
+    fn note_unmodelled(&mut self, address: u32, write: bool) {
+        self.unmodelled.get_or_insert(Unmodelled { address, write });
+    }
+
+    /// Reads a peripheral's register as of now; nothing if there is no peripheral.
+    pub(super) fn read_register(&mut self, addr: u32) -> Option<u32> {
+        let (block, enable) = block(addr)?;
+        if !self.clocked(enable) {
+            // A peripheral without its clock reads as zero.
+            return Some(0);
+        }
+        let value = self.read_modelled(block, addr);
+        Some(value.or_else(|| self.cells.read(addr)).unwrap_or_else(|| {
+            self.note_unmodelled(addr, false);
+            0
+        }))
+    }
+
+    fn read_modelled(&mut self, block: Block, addr: u32) -> Option<u32> {
+        let offset = addr & 0x3ff;
+        let now = self.now;
+        match block {
+            Block::Tim(n) => {
+                let value = self.tim[n].read(offset, now);
+                // Only a captured value changes anything when it is read.
+                if (0x34..=0x40).contains(&offset) {
+                    self.after_tim(n);
+                }
+                value
+            }
+            Block::Iwdg => self.iwdg.read(offset),
+            Block::Uart(n) => self.uart[n].read(offset),
+            Block::I2c1 => {
+                let value = self.i2c.read(offset, now, &mut self.i2c_bus);
+                if matches!(offset, 0x10 | 0x14 | 0x18) {
+                    self.after_i2c();
+                }
+                value
+            }
+            Block::Syscfg => self.exti.read_syscfg(offset),
+            Block::Exti => self.exti.read(offset),
+            Block::Gpio(port) => self.gpio.read(port, offset),
+            Block::Rcc => self.rcc.read(offset, now),
+            Block::Dma(n) => self.dma[n].read(offset),
+            Block::Otg => {
+                let offset = addr - OTG_FS;
+                if offset == 0x808 {
+                    let frame = self.usb.frame(now);
+                    self.otg.set_frame(frame);
+                }
+                let value = self.otg.read(offset);
+                if self.otg.changed {
+                    self.after_usb();
+                }
+                value
+            }
+            Block::Other => None,
+        }
+    }
+
+    /// Writes a peripheral's register as of now; false if there is no peripheral.
+    pub(super) fn write_register(&mut self, addr: u32, value: u32) -> bool {
+        let Some((block, enable)) = block(addr) else {
+            return false;
+        };
+        let done = !self.clocked(enable)
+            || self.write_modelled(block, addr, value)
+            || self.cells.write(addr, value);
+        if !done {
+            self.note_unmodelled(addr, true);
+        }
+        true
+    }
+
+    /// Whether the register is modelled.
+    fn write_modelled(&mut self, block: Block, addr: u32, value: u32) -> bool {
+        let offset = addr & 0x3ff;
+        let now = self.now;
+        match block {
+            Block::Tim(n) => {
+                let started = self.tim[n].start().is_none();
+                let done = self.tim[n].write(offset, value, now);
+                self.after_tim(n);
+                if started && self.tim[n].start_is_output() {
+                    self.start_slaves(n);
+                }
+                done
+            }
+            Block::Iwdg => {
+                let done = self.iwdg.write(offset, value, now);
+                let at = self.iwdg.next_event();
+                self.set_event(Source::Watchdog, at);
+                done
+            }
+            Block::Uart(n) => {
+                let done = self.uart[n].write(offset, value, now);
+                self.after_uart(n);
+                done
+            }
+            Block::I2c1 => {
+                let done = self.i2c.write(offset, value, now);
+                self.after_i2c();
+                done
+            }
+            Block::Syscfg => self.exti.write_syscfg(offset, value),
+            Block::Exti => {
+                let done = self.exti.write(offset, value);
+                self.after_exti();
+                done
+            }
+            Block::Gpio(port) => {
+                let Some(pins) = self.gpio.write(port, offset, value) else {
+                    return false;
+                };
+                self.update_port(port, pins);
+                if port == 0 {
+                    self.update_mco();
+                }
+                true
+            }
+            Block::Rcc => self.write_rcc(offset, value),
+            Block::Dma(n) => {
+                let done = self.dma[n].write(offset, value);
+                // A stream that was just enabled may have a request waiting.
+                self.after_dma();
+                self.after_i2c();
+                for uart in 0..UARTS {
+                    self.after_uart(uart);
+                }
+                done
+            }
+            Block::Otg => {
+                let done = self.otg.write(addr - OTG_FS, value);
+                self.after_usb();
+                done
+            }
+            Block::Other => false,
+        }
+    }
+
+    /// Starts the timers that wait for the start of timer `master`, at its time.
+    fn start_slaves(&mut self, master: usize) {
+        // What is on ITR0 to ITR3 of TIM1 to TIM5 (RM0090 tables 93 and 97); TIM8
+        // is not modelled.
+        const INPUTS: [[Option<usize>; 4]; 5] = [
+            [Some(TIM5), Some(TIM2), Some(TIM3), Some(TIM4)],
+            [Some(TIM1), None, Some(TIM3), Some(TIM4)],
+            [Some(TIM1), Some(TIM2), Some(TIM5), Some(TIM4)],
+            [Some(TIM1), Some(TIM2), Some(TIM3), None],
+            [Some(TIM2), Some(TIM3), Some(TIM4), None],
+        ];
+        let Some(at) = self.tim[master].start() else {
+            return;
+        };
+        for (slave, inputs) in INPUTS.iter().enumerate() {
+            let awaited = self.tim[slave].awaits().and_then(|input| inputs[input]);
+            if awaited == Some(master) {
+                self.tim[slave].trigger(at);
+                self.after_tim(slave);
+            }
+        }
+    }
+
+    fn write_rcc(&mut self, offset: u32, value: u32) -> bool {
+        let now = self.now;
+        let done = self.rcc.write(offset, value, now);
+        match offset {
+            0x00 | 0x04 | 0x08 => {
+                self.apply_clocks();
+                // An output clock may come up when its source gets ready.
+                let at = self.rcc.next_ready(now);
+                self.set_event(Source::Clock, at);
+            }
+            0x10..=0x24 => self.reset_peripherals(offset, value),
+            _ => {}
+        }
+        done
+    }
+
+    /// AHB1RSTR to APB2RSTR: resets the peripherals whose bits are set.
+    fn reset_peripherals(&mut self, offset: u32, bits: u32) {
+        let now = self.now;
+        let chosen = |bit: u32| bits & (1 << bit) != 0;
+        match offset {
+            0x10 => {
+                for port in (0..Pin::PORTS).filter(|port| chosen(*port as u32)) {
+                    self.gpio.reset_port(port);
+                    self.cells.clear_block(0x4002_0000 + 0x400 * port as u32);
+                    self.update_port(port, 0xffff);
+                }
+                for n in (0..2).filter(|n| chosen(21 + *n as u32)) {
+                    self.dma[n] = super::Dma::default();
+                }
+                self.after_dma();
+            }
+            0x14 if chosen(7) => {
+                self.otg.reset();
+                self.after_usb();
+            }
+            0x20 => {
+                for (bit, n) in [(0, TIM2), (1, TIM3), (2, TIM4), (3, TIM5)] {
+                    if chosen(bit) {
+                        self.tim[n].reset(now);
+                        self.after_tim(n);
+                    }
+                }
+                if chosen(21) {
+                    self.i2c.reset();
+                    self.cells.clear_block(0x4000_5400);
+                    self.after_i2c();
+                }
+                self.reset_uarts(bits, &[(17, 1), (18, 2), (19, 3), (20, 4)]);
+            }
+            0x24 => {
+                if chosen(0) {
+                    self.tim[TIM1].reset(now);
+                    self.after_tim(TIM1);
+                }
+                self.reset_uarts(bits, &[(4, 0), (5, 5)]);
+            }
+            _ => {}
+        }
+    }
+
+    fn reset_uarts(&mut self, bits: u32, uarts: &[(u32, usize)]) {
+        for (bit, n) in uarts {
+            if bits & (1 << bit) != 0 {
+                self.uart[*n].reset();
+                self.after_uart(*n);
+            }
+        }
+    }
+
+    // ---- rsemu's view of the same map ------------------------------------------
+
+    /// Reads bytes for rsemu's core; false if nothing is there.
+    pub(crate) fn bus_read(&mut self, addr: u32, dst: &mut [u8], debug: bool) -> bool {
+        if let Some(bytes) = self.mem.bytes(addr, dst.len()) {
+            dst.copy_from_slice(bytes);
+            return true;
+        }
+        if (0x1fff_0000..0x1fff_7a30).contains(&addr) {
+            let word = self.read_system_memory(addr & !3);
+            let shift = (addr & 3) * 8;
+            for (n, b) in dst.iter_mut().enumerate() {
+                *b = (word >> (shift + n as u32 * 8).min(31)) as u8;
+            }
+            return true;
+        }
+        if debug || dst.len() > 4 {
+            return false;
+        }
+        let Some(word) = self.read_register(addr & !3) else {
+            return false;
+        };
+        let from = (addr & 3) as usize;
+        let bytes = word.to_le_bytes();
+        match bytes.get(from..from + dst.len()) {
+            Some(b) => {
+                dst.copy_from_slice(b);
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// Writes bytes for rsemu's core; false if nothing is there.
+    pub(crate) fn bus_write(&mut self, addr: u32, src: &[u8], debug: bool) -> bool {
+        let mut word = [0u8; 4];
+        let from = (addr & 3) as usize;
+        let Some(to) = word.get_mut(from..from + src.len()) else {
+            // Wider than a word or across one: byte by byte, RAM only.
+            return src
+                .iter()
+                .enumerate()
+                .all(|(n, b)| self.mem.write8(addr.wrapping_add(n as u32), u32::from(*b)));
+        };
+        to.copy_from_slice(src);
+        let value = u32::from_le_bytes(word);
+        let done = match src.len() {
+            4 => self.mem.write32(addr, value),
+            2 => self.mem.write16(addr, value >> (from * 8)),
+            1 => self.mem.write8(addr, value >> (from * 8)),
+            _ => false,
+        };
+        done || (!debug && self.write_register(addr & !3, value))
+    }
+
+    /// Factory-programmed words (RM0090 chapter 39; DS8626 tables 72 and 75).
+    fn read_system_memory(&self, addr: u32) -> u32 {
+        match addr {
+            0x1fff_7a10 => self.uid[0],
+            0x1fff_7a14 => self.uid[1],
+            0x1fff_7a18 => self.uid[2],
+            // Flash size in KiB in the upper half.
+            0x1fff_7a20 => 1024 << 16,
+            // VREFINT_CAL in the upper half; TS_CAL1 and TS_CAL2.
+            0x1fff_7a28 => 1504 << 16,
+            0x1fff_7a2c => (1208 << 16) | 943,
+            _ => 0,
+        }
+    }
+
+    /// Reads RAM or flash, for a debugger's eye.
+    pub(crate) fn peek(&self, addr: u32, len: usize) -> Option<Vec<u8>> {
+        self.mem.bytes(addr, len).map(<[u8]>::to_vec)
+    }
+
+    /// Counter of a timer, without any effect, and the time of the last edge of the
+    /// clock that it counts.
+    pub(crate) fn timer(&self, timer: usize) -> (SimTime, u32) {
+        let tim = &self.tim[timer];
+        (tim.tick_began(self.now), tim.count(self.now))
+    }
+
+    /// Time at which the first event is due, whatever it is.
+    pub(crate) fn due(&self) -> SimTime {
+        self.events.next()
+    }
+}

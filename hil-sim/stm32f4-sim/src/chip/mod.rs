@@ -1,0 +1,480 @@
+//! The STM32F407 without its core: buses, peripherals, pins and their events.
+//!
+//! A peripheral does nothing between two events that something could notice.
+//! Each says when its next event is; [`Soc`] keeps the earliest, and the core
+//! runs (or sleeps) up to it. An access of the core to a peripheral first does
+//! what is due by then, so that every register reads as of its very cycle.
+
+pub(crate) mod cells;
+mod clock_tree;
+pub(crate) mod dma;
+mod events;
+pub(crate) mod exti;
+pub(crate) mod gpio;
+pub(crate) mod i2c;
+pub(crate) mod iwdg;
+pub(crate) mod map;
+pub(crate) mod memory;
+mod models;
+mod names;
+pub(crate) mod otg;
+pub(crate) mod pins;
+pub(crate) mod rcc;
+mod serial;
+pub(crate) mod tim;
+pub(crate) mod uart;
+
+use crate::clock::{Clock, Rate};
+use crate::cpu::exec::Bus;
+use crate::i2c_bus::I2cBus;
+use crate::pin::{Drive, Level, Pin};
+use crate::random::{Random, Seed};
+use crate::time::SimTime;
+use crate::usb::UsbHost;
+
+use cells::Cells;
+use dma::Dma;
+use events::{Events, Source};
+use exti::Exti;
+use gpio::Gpio;
+use i2c::I2c;
+use iwdg::Iwdg;
+use memory::Memory;
+use models::Model;
+use otg::Otg;
+use rcc::{Clocks, Rcc, ResetCause};
+use tim::Tim;
+use uart::{UARTS, Uart};
+
+/// Timers of the model, by index.
+pub(crate) const TIM1: usize = 0;
+pub(crate) const TIM2: usize = 1;
+pub(crate) const TIM3: usize = 2;
+pub(crate) const TIM4: usize = 3;
+pub(crate) const TIM5: usize = 4;
+const TIMERS: usize = 5;
+
+/// Where an I2C bus is wired to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct I2cWires {
+    pub(crate) scl: Pin,
+    pub(crate) sda: Pin,
+}
+
+/// What the chip is soldered to, and what differs from one specimen to the next.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChipConfig {
+    /// Frequency of the crystal, if there is one.
+    pub(crate) crystal: Option<Rate>,
+    /// Rate of the low-speed oscillator.
+    pub(crate) low_speed: Rate,
+    pub(crate) unique_id: [u32; 3],
+    /// The wires of I2C1's bus.
+    pub(crate) i2c: Option<I2cWires>,
+}
+
+/// An access to a register that is not modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Unmodelled {
+    pub(crate) address: u32,
+    pub(crate) write: bool,
+}
+
+impl core::fmt::Display for Unmodelled {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        let verb = if self.write { "writes" } else { "reads" };
+        let (register, address) = (names::register(self.address), self.address);
+        write!(
+            f,
+            "it {verb} {register} at {address:#010x}, which is not modelled"
+        )
+    }
+}
+
+/// Who is told of edges besides the models.
+pub(crate) type EdgeLog = Vec<(Pin, Level, SimTime)>;
+
+/// The chip and what is wired to its pins.
+pub(crate) struct Soc {
+    pub(crate) mem: Memory,
+    now: SimTime,
+    core_clock: Clock,
+    clocks: Clocks,
+    rcc: Rcc,
+    pub(crate) gpio: Gpio,
+    exti: Exti,
+    tim: [Tim; TIMERS],
+    dma: [Dma; 2],
+    i2c: I2c,
+    pub(crate) i2c_bus: I2cBus,
+    iwdg: Iwdg,
+    uart: [Uart; UARTS],
+    pub(crate) otg: Otg,
+    pub(crate) usb: UsbHost,
+    cells: Cells,
+    /// A register was touched that is not modelled: the run is to end.
+    pub(crate) unmodelled: Option<Unmodelled>,
+    /// Where the I2C bus is wired to, if it is.
+    i2c_wires: Option<I2cWires>,
+    uid: [u32; 3],
+    events: Events,
+    /// The models; taken out while they are called.
+    models: Vec<Model>,
+    watchers: [u64; Pin::PORTS * 16],
+    edge_queue: Vec<(Pin, bool, SimTime)>,
+    delivering: bool,
+    mco_told: Option<Rate>,
+    /// Pins of which edges are logged, a word a port.
+    logged: [u16; Pin::PORTS],
+    pub(crate) edge_log: EdgeLog,
+    pub(crate) edge_counts: [u64; Pin::PORTS * 16],
+    /// Interrupt requests, a bit each.
+    pub(crate) irq: u128,
+    /// A request came that the core has not seen.
+    pub(crate) attention: bool,
+    request_cycle: [u64; 128],
+    /// Core cycle at which the present slice ends.
+    slice_end: u64,
+    event_cycle: u64,
+    cycle: u64,
+    /// A reset that a peripheral asks for.
+    pub(crate) reset_request: Option<ResetCause>,
+}
+
+impl core::fmt::Debug for Soc {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Soc(at {})", self.now)
+    }
+}
+
+impl Soc {
+    /// The chip at power-on.
+    pub(crate) fn new(seed: Seed, config: &ChipConfig) -> Self {
+        let rcc = Rcc::new(config.crystal);
+        let clocks = rcc.clocks(SimTime::ZERO);
+        let mut soc = Self {
+            mem: Memory::new(),
+            now: SimTime::ZERO,
+            core_clock: Clock::new(clocks.hclk, SimTime::ZERO, 0),
+            clocks,
+            rcc,
+            gpio: Gpio::new(),
+            exti: Exti::default(),
+            tim: [
+                Tim::new(false, 4, true),
+                Tim::new(true, 4, false),
+                Tim::new(false, 4, false),
+                Tim::new(false, 4, false),
+                Tim::new(true, 4, false),
+            ],
+            dma: [Dma::default(), Dma::default()],
+            i2c: I2c::new(),
+            i2c_bus: I2cBus::new(),
+            iwdg: Iwdg::new(config.low_speed),
+            uart: std::array::from_fn(|_| Uart::new()),
+            otg: Otg::new(),
+            usb: UsbHost::new(seed),
+            cells: Cells::default(),
+            unmodelled: None,
+            i2c_wires: config.i2c,
+            uid: config.unique_id,
+            events: Events::new(),
+            models: Vec::new(),
+            watchers: [0; Pin::PORTS * 16],
+            edge_queue: Vec::new(),
+            delivering: false,
+            mco_told: None,
+            logged: [0; Pin::PORTS],
+            edge_log: Vec::new(),
+            edge_counts: [0; Pin::PORTS * 16],
+            irq: 0,
+            attention: false,
+            request_cycle: [0; 128],
+            slice_end: 0,
+            event_cycle: u64::MAX,
+            cycle: 0,
+            reset_request: None,
+        };
+        if let Some(wires) = config.i2c {
+            // An I2C bus has pull-ups.
+            soc.gpio.drive(wires.scl, Drive::PullUp);
+            soc.gpio.drive(wires.sda, Drive::PullUp);
+        }
+        soc.after_reset();
+        soc
+    }
+
+    /// Everything but memory, the outside and time goes back to its reset state.
+    pub(crate) fn reset(&mut self, cause: ResetCause) {
+        self.rcc.reset(cause);
+        self.gpio.reset();
+        self.exti = Exti::default();
+        for tim in &mut self.tim {
+            tim.reset(self.now);
+        }
+        self.dma = [Dma::default(), Dma::default()];
+        self.i2c.reset();
+        self.iwdg.reset();
+        for uart in &mut self.uart {
+            uart.reset();
+        }
+        self.otg.reset();
+        self.cells.clear();
+        self.irq = 0;
+        self.attention = false;
+        self.after_reset();
+    }
+
+    fn after_reset(&mut self) {
+        self.apply_clocks();
+        for port in 0..Pin::PORTS {
+            self.update_port(port, 0xffff);
+        }
+        self.after_usb();
+        for n in 0..TIMERS {
+            self.reschedule_tim(n);
+        }
+        self.set_event(Source::I2c, self.i2c.next_event());
+        self.set_event(Source::Watchdog, self.iwdg.next_event());
+        for n in 0..UARTS {
+            self.set_event(Source::Uart(n), self.uart[n].next_event());
+        }
+    }
+
+    /// Logs the edges of a pin from now on.
+    pub(crate) fn log_pin(&mut self, pin: Pin) {
+        self.logged[pin.port()] |= 1 << pin.number();
+    }
+
+    // ---- time --------------------------------------------------------------
+
+    pub(crate) fn now(&self) -> SimTime {
+        self.now
+    }
+
+    /// The core stands at `cycle`.
+    pub(crate) fn at_cycle(&mut self, cycle: u64) {
+        self.cycle = cycle;
+        self.advance_to(self.core_clock.time_of(cycle));
+    }
+
+    /// The first core cycle that does not begin before `at`.
+    pub(crate) fn cycle_at(&self, at: SimTime) -> u64 {
+        if at == SimTime::NEVER {
+            return u64::MAX;
+        }
+        let edge = self.core_clock.edge_at(at);
+        if self.core_clock.time_of(edge) < at {
+            edge + 1
+        } else {
+            edge
+        }
+    }
+
+    /// Present rate of the core clock.
+    pub(crate) fn core_rate(&self) -> Rate {
+        self.clocks.hclk
+    }
+
+    /// Lets the core run up to `cycle`, or the next event if that is earlier.
+    pub(crate) fn set_slice_end(&mut self, cycle: u64) {
+        self.slice_end = cycle;
+    }
+
+    /// Where the present slice ends, whatever wants the core's attention.
+    pub(crate) fn slice_limit(&self) -> u64 {
+        if self.reset_request.is_some() || self.unmodelled.is_some() {
+            0
+        } else {
+            self.slice_end.min(self.event_cycle)
+        }
+    }
+
+    fn set_event(&mut self, source: Source, at: SimTime) {
+        if self.events.set(source, at) {
+            self.event_cycle = self.cycle_at(self.events.next());
+        }
+    }
+
+    /// Does everything that is due up to `now`.
+    pub(crate) fn advance_to(&mut self, now: SimTime) {
+        while self.events.next() <= now {
+            let at = self.events.next();
+            self.now = self.now.max(at);
+            match self.events.first() {
+                Source::Tim(n) => {
+                    self.tim[n].sync(at);
+                    self.after_tim(n);
+                }
+                Source::I2c => self.step_i2c(at),
+                Source::Uart(n) => {
+                    self.uart[n].advance(at);
+                    self.after_uart(n);
+                }
+                Source::Usb => {
+                    self.usb.step(at, &mut self.otg);
+                    self.after_usb();
+                }
+                Source::Watchdog => {
+                    self.iwdg.reset();
+                    self.set_event(Source::Watchdog, SimTime::NEVER);
+                    self.reset_request = Some(ResetCause::IndependentWatchdog);
+                }
+                Source::Clock => {
+                    self.set_event(Source::Clock, SimTime::NEVER);
+                    self.apply_clocks();
+                }
+                Source::Models => self.step_models(at),
+            }
+        }
+        self.now = self.now.max(now);
+    }
+
+    // ---- interrupts ----------------------------------------------------------
+
+    fn set_irq(&mut self, n: usize, on: bool) {
+        let bit = 1u128 << n;
+        if on {
+            if self.irq & bit == 0 {
+                self.irq |= bit;
+                self.attention = true;
+                self.request_cycle[n] = self.cycle_at(self.now);
+            }
+        } else {
+            self.irq &= !bit;
+        }
+    }
+
+    /// Core cycle of the request of interrupt `n` that has not been taken yet.
+    pub(crate) fn take_request_cycle(&mut self, n: usize) -> Option<u64> {
+        let since = self.request_cycle.get_mut(n)?;
+        (*since != 0).then(|| std::mem::take(since))
+    }
+
+    // ---- after something changed ----------------------------------------------
+
+    fn after_tim(&mut self, n: usize) {
+        let (first, second) = self.tim[n].irq();
+        match n {
+            TIM1 => {
+                self.set_irq(25, first);
+                self.set_irq(27, second);
+            }
+            TIM2 => self.set_irq(28, first),
+            TIM3 => self.set_irq(29, first),
+            TIM4 => self.set_irq(30, first),
+            _ => self.set_irq(50, first),
+        }
+        self.update_timer_pins(n);
+        self.reschedule_tim(n);
+    }
+
+    fn reschedule_tim(&mut self, n: usize) {
+        let at = self.tim[n].next_event();
+        self.set_event(Source::Tim(n), at);
+    }
+
+    fn after_usb(&mut self) {
+        if self.otg.changed {
+            self.usb.step(self.now, &mut self.otg);
+        }
+        self.set_irq(67, self.otg.irq());
+        let at = self.usb.next_event();
+        self.set_event(Source::Usb, at);
+    }
+
+    fn after_dma(&mut self) {
+        const IRQ: [[usize; 8]; 2] = [
+            [11, 12, 13, 14, 15, 16, 17, 47],
+            [56, 57, 58, 59, 60, 68, 69, 70],
+        ];
+        for (d, irqs) in IRQ.iter().enumerate() {
+            for (s, irq) in irqs.iter().enumerate() {
+                let on = self.dma[d].irq(s);
+                self.set_irq(*irq, on);
+            }
+        }
+    }
+
+    fn after_exti(&mut self) {
+        let active = self.exti.active();
+        for n in 0..5 {
+            self.set_irq(6 + n, active & (1 << n) != 0);
+        }
+        self.set_irq(23, active & 0x03e0 != 0);
+        self.set_irq(40, active & 0xfc00 != 0);
+    }
+
+    // ---- the USB host -------------------------------------------------------------------
+
+    pub(crate) fn plug(&mut self) {
+        self.usb.plug(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn unplug(&mut self) {
+        self.usb.unplug(self.now, &mut self.otg);
+        self.after_usb();
+    }
+
+    pub(crate) fn usb_write(&mut self, bytes: &[u8]) {
+        self.usb.write(bytes);
+        self.usb_configure(|_| {});
+    }
+
+    pub(crate) fn usb_read(&mut self) -> Vec<u8> {
+        let bytes = self.usb.take();
+        if !bytes.is_empty() {
+            self.usb_configure(|_| {});
+        }
+        bytes
+    }
+
+    /// Changes something at the host, which then looks at the bus again.
+    pub(crate) fn usb_configure(&mut self, f: impl FnOnce(&mut UsbHost)) {
+        f(&mut self.usb);
+        self.otg.changed = true;
+        self.after_usb();
+    }
+
+    // ---- reset ------------------------------------------------------------------------
+
+    /// Fills the RAM with noise, as it is at power-on.
+    pub(crate) fn fill_ram(&mut self, random: &mut Random) {
+        random.fill(&mut self.mem.sram);
+        random.fill(&mut self.mem.ccm);
+    }
+}
+
+impl Bus for Soc {
+    #[inline(always)]
+    fn memory(&mut self) -> &mut Memory {
+        &mut self.mem
+    }
+
+    fn io_read(&mut self, addr: u32, bytes: u32, cycle: u64) -> Option<u32> {
+        self.at_cycle(cycle);
+        let word = self.read_register(addr & !3)?;
+        let shift = (addr & 3) * 8;
+        Some(match bytes {
+            4 => word,
+            2 => (word >> shift) & 0xffff,
+            _ => (word >> shift) & 0xff,
+        })
+    }
+
+    fn io_write(&mut self, addr: u32, bytes: u32, value: u32, cycle: u64) -> bool {
+        self.at_cycle(cycle);
+        let _ = bytes;
+        self.write_register(addr & !3, value << ((addr & 3) * 8))
+    }
+
+    #[inline]
+    fn limit(&self) -> u64 {
+        if self.attention {
+            0
+        } else {
+            self.slice_limit()
+        }
+    }
+}

@@ -1,0 +1,361 @@
+//! Reset and clock control (RM0090 chapter 7).
+//!
+//! The clocks are what the firmware programs: every rate follows from the
+//! registers, so a wrong factor shows as wrong time. Oscillators and PLL take
+//! their time to get ready.
+
+use crate::clock::Rate;
+use crate::time::{SimDuration, SimTime};
+
+/// Internal oscillator.
+const HSI_HZ: u64 = 16_000_000;
+/// Start-up of the crystal (typical; DS8626 table 39).
+const HSE_START: SimDuration = SimDuration::from_millis(2);
+/// Lock time of the PLL (DS8626 table 43: 75 to 200 us).
+const PLL_LOCK: SimDuration = SimDuration::from_micros(150);
+/// Start-up of the low-speed oscillator (DS8626 table 42).
+const LSI_START: SimDuration = SimDuration::from_micros(15);
+
+/// Why the microcontroller was reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power came up.
+    PowerOn,
+    /// The reset pin (the board's button).
+    Pin,
+    /// The firmware asked for it (SYSRESETREQ).
+    Software,
+    /// The independent watchdog was not fed.
+    IndependentWatchdog,
+}
+
+/// Rates of all clocks.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Clocks {
+    pub(crate) hclk: Rate,
+    pub(crate) pclk1: Rate,
+    pub(crate) pclk2: Rate,
+    /// Kernel clock of the timers on APB1 (twice PCLK1 if that is divided).
+    pub(crate) timers1: Rate,
+    /// Kernel clock of the timers on APB2.
+    pub(crate) timers2: Rate,
+    /// The PLL's 48 MHz output.
+    pub(crate) usb: Rate,
+    /// MCO1, if it carries a running clock.
+    pub(crate) mco1: Option<Rate>,
+}
+
+#[derive(Debug)]
+pub(crate) struct Rcc {
+    /// Frequency of the crystal; without one its oscillator never gets ready.
+    crystal: Option<Rate>,
+    cr: u32,
+    pllcfgr: u32,
+    cfgr: u32,
+    csr: u32,
+    /// AHB1RSTR to APB2ENR, by word: resets and gates.
+    gates: [u32; (0x48 - GATES as usize) / 4],
+    hse_ready: SimTime,
+    pll_ready: SimTime,
+    lsi_ready: SimTime,
+}
+
+/// Offset of the first register of resets and gates.
+const GATES: u32 = 0x10;
+const CR_HSION: u32 = 1;
+const CR_HSEON: u32 = 1 << 16;
+const CR_PLLON: u32 = 1 << 24;
+const CR_PLLI2SON: u32 = 1 << 26;
+const CSR_RMVF: u32 = 1 << 24;
+
+impl Rcc {
+    pub(crate) fn new(crystal: Option<Rate>) -> Self {
+        let mut rcc = Self {
+            crystal,
+            cr: 0,
+            pllcfgr: 0,
+            cfgr: 0,
+            csr: 0,
+            gates: [0; (0x48 - GATES as usize) / 4],
+            hse_ready: SimTime::NEVER,
+            pll_ready: SimTime::NEVER,
+            lsi_ready: SimTime::NEVER,
+        };
+        rcc.reset(ResetCause::PowerOn);
+        rcc
+    }
+
+    /// Register values after a reset; its cause is added to the flags.
+    pub(crate) fn reset(&mut self, cause: ResetCause) {
+        let mut flags = self.csr & 0xfe00_0000;
+        flags |= match cause {
+            ResetCause::PowerOn => 0x0e00_0000,
+            ResetCause::Pin => 1 << 26,
+            ResetCause::Software => (1 << 28) | (1 << 26),
+            ResetCause::IndependentWatchdog => (1 << 29) | (1 << 26),
+        };
+        self.cr = 0x83;
+        self.pllcfgr = 0x2400_3010;
+        self.cfgr = 0;
+        self.csr = flags;
+        self.gates.fill(0);
+        self.gates[((0x30 - GATES) / 4) as usize] = 0x0010_0000;
+        self.hse_ready = SimTime::NEVER;
+        self.pll_ready = SimTime::NEVER;
+        self.lsi_ready = SimTime::NEVER;
+    }
+
+    fn crystal_rate(&self) -> Rate {
+        self.crystal.unwrap_or(Rate::hz(0))
+    }
+
+    fn pll_source(&self) -> Rate {
+        if self.pllcfgr & (1 << 22) != 0 {
+            self.crystal_rate()
+        } else {
+            Rate::hz(HSI_HZ)
+        }
+    }
+
+    /// PLL output for a divider of its oscillator.
+    fn pll(&self, div: u64) -> Rate {
+        let m = u64::from(self.pllcfgr & 0x3f).max(1);
+        let n = u64::from((self.pllcfgr >> 6) & 0x1ff);
+        self.pll_source().scaled(n, m * div)
+    }
+
+    fn pll_p(&self) -> Rate {
+        self.pll(u64::from((self.pllcfgr >> 16) & 3) * 2 + 2)
+    }
+
+    /// Present rates.
+    pub(crate) fn clocks(&self, now: SimTime) -> Clocks {
+        let pll_on = self.cr & CR_PLLON != 0 && now >= self.pll_ready;
+        let sysclk = match self.cfgr & 3 {
+            1 => self.crystal_rate(),
+            2 => self.pll_p(),
+            _ => Rate::hz(HSI_HZ),
+        };
+        let hpre = match (self.cfgr >> 4) & 0xf {
+            0..=7 => 1,
+            8 => 2,
+            9 => 4,
+            10 => 8,
+            11 => 16,
+            12 => 64,
+            13 => 128,
+            14 => 256,
+            _ => 512,
+        };
+        let apb = |field: u32| match field & 7 {
+            0..=3 => 1u64,
+            4 => 2,
+            5 => 4,
+            6 => 8,
+            _ => 16,
+        };
+        let (p1, p2) = (apb(self.cfgr >> 10), apb(self.cfgr >> 13));
+        let hclk = sysclk.scaled(1, hpre);
+        let timers = |p: u64| if p == 1 { hclk } else { hclk.scaled(2, p) };
+        let q = u64::from((self.pllcfgr >> 24) & 0xf).max(1);
+        let mco1_div = match (self.cfgr >> 24) & 7 {
+            0..=3 => 1,
+            4 => 2,
+            5 => 3,
+            6 => 4,
+            _ => 5,
+        };
+        let mco1 = match (self.cfgr >> 21) & 3 {
+            0 => Some(Rate::hz(HSI_HZ)),
+            2 if self.cr & CR_HSEON != 0 && now >= self.hse_ready => self.crystal,
+            3 if pll_on => Some(self.pll_p()),
+            _ => None,
+        };
+        Clocks {
+            hclk,
+            pclk1: hclk.scaled(1, p1),
+            pclk2: hclk.scaled(1, p2),
+            timers1: timers(p1),
+            timers2: timers(p2),
+            usb: if pll_on { self.pll(q) } else { Rate::hz(0) },
+            mco1: mco1.map(|r| r.scaled(1, mco1_div)),
+        }
+    }
+
+    /// When an oscillator that is starting gets ready.
+    pub(crate) fn next_ready(&self, now: SimTime) -> SimTime {
+        [self.hse_ready, self.pll_ready]
+            .into_iter()
+            .filter(|t| *t > now)
+            .min()
+            .unwrap_or(SimTime::NEVER)
+    }
+
+    /// Index of a register of resets or gates.
+    fn gate(&self, offset: u32) -> Option<usize> {
+        // With holes between those of AHB3 and APB1, and of APB2 and AHB1.
+        let there = matches!(offset, 0x10..=0x18 | 0x20..=0x24 | 0x30..=0x38 | 0x40..=0x44);
+        there.then(|| ((offset - GATES) / 4) as usize)
+    }
+
+    /// Whether bit `bit` of the enable register at `offset` is set.
+    pub(crate) fn enabled(&self, offset: u32, bit: u32) -> bool {
+        self.gate(offset)
+            .and_then(|n| self.gates.get(n))
+            .is_some_and(|w| w & (1 << bit) != 0)
+    }
+
+    pub(crate) fn read(&self, offset: u32, now: SimTime) -> Option<u32> {
+        Some(match offset {
+            0x00 => {
+                let mut cr = self.cr & !((1 << 1) | (1 << 17) | (1 << 25) | (1 << 27));
+                if cr & CR_HSION != 0 {
+                    cr |= 1 << 1;
+                }
+                if cr & CR_HSEON != 0 && now >= self.hse_ready {
+                    cr |= 1 << 17;
+                }
+                if cr & CR_PLLON != 0 && now >= self.pll_ready {
+                    cr |= 1 << 25;
+                }
+                if cr & CR_PLLI2SON != 0 {
+                    cr |= 1 << 27;
+                }
+                cr
+            }
+            0x04 => self.pllcfgr,
+            0x08 => self.cfgr,
+            0x74 => {
+                let ready = self.csr & 1 != 0 && now >= self.lsi_ready;
+                self.csr | (u32::from(ready) << 1)
+            }
+            _ => *self.gates.get(self.gate(offset)?)?,
+        })
+    }
+
+    pub(crate) fn write(&mut self, offset: u32, value: u32, now: SimTime) -> bool {
+        match offset {
+            0x00 => {
+                let on = value & !self.cr;
+                if on & CR_HSEON != 0 && self.crystal.is_some() {
+                    self.hse_ready = now + HSE_START;
+                }
+                if on & CR_PLLON != 0 {
+                    self.pll_ready = now + PLL_LOCK;
+                }
+                let mut value = value;
+                // The clock that runs the core cannot be stopped (RM0090 7.3.1).
+                match self.cfgr & 3 {
+                    0 => value |= CR_HSION,
+                    1 => value |= CR_HSEON,
+                    _ => value |= CR_PLLON,
+                }
+                self.cr = value & 0x0d0d_00f9;
+            }
+            0x04 => {
+                // Locked while the PLL runs.
+                if self.cr & CR_PLLON == 0 {
+                    self.pllcfgr = value;
+                }
+            }
+            0x08 => {
+                let mut value = value & !0xc;
+                let ready = match value & 3 {
+                    0 => self.cr & CR_HSION != 0,
+                    1 => self.cr & CR_HSEON != 0 && now >= self.hse_ready,
+                    2 => self.cr & CR_PLLON != 0 && now >= self.pll_ready,
+                    _ => false,
+                };
+                if !ready {
+                    value = (value & !3) | (self.cfgr & 3);
+                }
+                self.cfgr = value | ((value & 3) << 2);
+            }
+            0x74 => {
+                if value & 1 != 0 && self.csr & 1 == 0 {
+                    self.lsi_ready = now + LSI_START;
+                }
+                let mut flags = self.csr & 0xfe00_0000;
+                if value & CSR_RMVF != 0 {
+                    flags = 0;
+                }
+                self.csr = flags | (value & 1);
+            }
+            _ => match self.gate(offset).and_then(|n| self.gates.get_mut(n)) {
+                Some(word) => *word = value,
+                None => return false,
+            },
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The design's clock tree, programmed as a firmware does it.
+    fn programmed(n: u32) -> (Rcc, SimTime) {
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
+        let mut now = SimTime::ZERO;
+        rcc.write(0x00, 0x83 | CR_HSEON, now);
+        assert_eq!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
+        now += HSE_START;
+        assert_ne!(rcc.read(0x00, now).unwrap() & (1 << 17), 0);
+        rcc.write(0x04, 4 | (n << 6) | (1 << 22) | (4 << 24), now);
+        rcc.write(0x00, 0x83 | CR_HSEON | CR_PLLON, now);
+        now += PLL_LOCK;
+        // APB1 /4, APB2 /2, MCO1 = PLL / 5, SW = PLL.
+        rcc.write(0x08, 2 | (5 << 10) | (4 << 13) | (3 << 21) | (7 << 24), now);
+        assert_eq!(rcc.read(0x08, now).unwrap() & 0xc, 8);
+        (rcc, now)
+    }
+
+    #[test]
+    fn the_designs_clock_tree() {
+        let (rcc, now) = programmed(96);
+        let c = rcc.clocks(now);
+        assert_eq!(c.hclk, Rate::hz(96_000_000));
+        assert_eq!(c.pclk1, Rate::hz(24_000_000));
+        assert_eq!(c.timers1, Rate::hz(48_000_000));
+        assert_eq!(c.pclk2, Rate::hz(48_000_000));
+        assert_eq!(c.timers2, Rate::hz(96_000_000));
+        assert_eq!(c.usb, Rate::hz(48_000_000));
+        assert_eq!(c.mco1, Some(Rate::hz(19_200_000)));
+    }
+
+    #[test]
+    fn a_wrong_factor_gives_wrong_clocks() {
+        let (rcc, now) = programmed(100);
+        assert_eq!(rcc.clocks(now).timers1, Rate::hz(50_000_000));
+    }
+
+    #[test]
+    fn without_a_crystal_its_oscillator_never_gets_ready() {
+        let mut rcc = Rcc::new(None);
+        rcc.write(0x00, 0x83 | CR_HSEON, SimTime::ZERO);
+        let later = SimTime::from_nanos(10_000_000_000);
+        assert_eq!(rcc.read(0x00, later).unwrap() & (1 << 17), 0);
+        assert_eq!(rcc.next_ready(SimTime::ZERO), SimTime::NEVER);
+    }
+
+    #[test]
+    fn a_source_that_is_not_ready_is_not_selected() {
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
+        rcc.write(0x08, 2, SimTime::ZERO);
+        assert_eq!(rcc.read(0x08, SimTime::ZERO).unwrap() & 0xf, 0);
+    }
+
+    #[test]
+    fn reset_flags_add_up_until_they_are_removed() {
+        let mut rcc = Rcc::new(Some(Rate::hz(8_000_000)));
+        assert_eq!(rcc.read(0x74, SimTime::ZERO).unwrap() >> 25, 0x07);
+        rcc.write(0x74, CSR_RMVF, SimTime::ZERO);
+        assert_eq!(rcc.read(0x74, SimTime::ZERO).unwrap() >> 25, 0);
+        rcc.reset(ResetCause::IndependentWatchdog);
+        assert_eq!(
+            rcc.read(0x74, SimTime::ZERO).unwrap(),
+            (1 << 29) | (1 << 26)
+        );
+    }
+}

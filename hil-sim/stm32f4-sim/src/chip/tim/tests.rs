@@ -1,0 +1,107 @@
+use super::*;
+
+const TICK_NS_48: u64 = 1_386_000; // units of one 48 MHz period
+
+fn at(tick: u64) -> SimTime {
+    SimTime::from_units(tick * TICK_NS_48)
+}
+
+fn running() -> Tim {
+    let mut t = Tim::new(true, 4, false);
+    t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
+    t.write(0x14, 1, at(0));
+    t.write(0x10, 0, at(0));
+    t.write(0x00, 1, at(0));
+    t
+}
+
+#[test]
+fn toggles_on_the_programmed_tick() {
+    let mut t = running();
+    t.write(0x18, 3 << 4, at(0));
+    t.write(0x20, 1, at(0));
+    t.write(0x34, 1000, at(0));
+    assert_eq!(t.next_event(), at(1000));
+    t.sync(SimTime::from_units(at(1000).units() - 1));
+    assert_eq!(t.output(0), Some(false));
+    t.sync(at(1000));
+    assert_eq!(t.output(0), Some(true));
+    assert_eq!(t.read(0x10, at(1000)).unwrap() & 2, 2);
+    // The next match is a whole turn of the counter later.
+    assert_eq!(t.next_event(), at(1000 + (1 << 32)));
+}
+
+#[test]
+fn captures_the_tick_of_the_edge_and_flags_a_lost_one() {
+    let mut t = running();
+    t.write(0x18, 1 << 8, at(0)); // CC2S = TI2
+    t.write(0x20, 1 << 4, at(0)); // CC2E, rising
+    t.input_edge(1, true, at(777));
+    t.input_edge(1, false, at(800));
+    assert_eq!(t.sr & 0x404, 4);
+    t.input_edge(1, true, at(900));
+    assert_eq!(t.sr & 0x404, 0x404, "over-capture");
+    assert_eq!(t.read(0x38, at(950)).unwrap(), 900);
+    assert_eq!(t.sr & 4, 0, "reading the capture clears its flag");
+}
+
+#[test]
+fn both_edges_are_captured_when_asked_for() {
+    let mut t = running();
+    t.write(0x1c, 1, at(0)); // CC3S = TI3
+    t.write(0x20, 0xb << 8, at(0)); // CC3E, CC3P, CC3NP
+    t.input_edge(2, true, at(10));
+    assert_eq!(t.read(0x3c, at(11)).unwrap(), 10);
+    t.input_edge(2, false, at(20));
+    assert_eq!(t.read(0x3c, at(21)).unwrap(), 20);
+}
+
+#[test]
+fn wraps_and_flags_the_update() {
+    let mut t = running();
+    t.write(0x0c, 1, at(0));
+    assert_eq!(t.next_event(), at(1 << 32));
+    assert_eq!(t.read(0x24, at((1 << 32) - 1)).unwrap(), u32::MAX);
+    assert_eq!(t.read(0x10, at((1 << 32) - 1)).unwrap() & 1, 0);
+    assert_eq!(t.read(0x24, at((1 << 32) + 5)).unwrap(), 5);
+    assert!(t.irq().0);
+}
+
+#[test]
+fn prescaler_and_reload_take_effect_with_the_update_event() {
+    let mut t = Tim::new(false, 4, false);
+    t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
+    t.write(0x28, 47, at(0));
+    t.write(0x2c, 999, at(0));
+    t.write(0x14, 1, at(0));
+    t.write(0x10, 0, at(0));
+    t.write(0x0c, 1, at(0));
+    t.write(0x00, 1, at(0));
+    assert_eq!(t.next_event(), at(48_000));
+    assert_eq!(t.read(0x24, at(48 * 10)).unwrap(), 10);
+}
+
+#[test]
+fn a_slave_starts_with_its_master() {
+    let mut slave = Tim::new(false, 4, true);
+    slave.set_clock(Rate::hz(96_000_000), SimTime::ZERO);
+    assert_eq!(slave.awaits(), None);
+    slave.write(0x08, 0x16, at(5)); // TS = ITR1, SMS = trigger mode
+    assert_eq!(slave.awaits(), Some(1));
+    assert_eq!(slave.read(0x24, at(900)).unwrap(), 0);
+    slave.trigger(at(1_000));
+    assert_eq!(slave.awaits(), None);
+    // Two clocks of 96 MHz are one of 48.
+    assert_eq!(slave.read(0x24, at(1_001)).unwrap(), 0);
+    assert_eq!(slave.read(0x24, at(1_002)).unwrap(), 2);
+    let wrap = 65_536 / 2;
+    assert_eq!(slave.read(0x24, at(1_001 + wrap - 1)).unwrap(), 65_534);
+    assert_eq!(slave.read(0x24, at(1_001 + wrap)).unwrap(), 0);
+}
+
+#[test]
+fn a_change_of_rate_keeps_the_count() {
+    let mut t = running();
+    t.set_clock(Rate::hz(24_000_000), at(100));
+    assert_eq!(t.read(0x24, at(300)).unwrap(), 200);
+}

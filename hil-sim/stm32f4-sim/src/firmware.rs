@@ -1,0 +1,239 @@
+//! The firmware's ELF: what is loaded, its symbols, and its source lines.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use object::{Object, ObjectSymbol, SymbolKind};
+
+/// A symbol of the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// Address.
+    pub address: u32,
+    /// Size in bytes; 0 if the ELF does not say.
+    pub size: u32,
+}
+
+/// A firmware image with its symbols.
+pub struct Firmware {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    segments: Vec<(u32, Vec<u8>)>,
+    symbols: BTreeMap<String, Symbol>,
+    functions: BTreeMap<u32, (u32, String)>,
+    lines: Option<addr2line::Loader>,
+}
+
+impl core::fmt::Debug for Firmware {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "Firmware({})", self.path.display())
+    }
+}
+
+/// The ELF could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FirmwareError {
+    /// No file there.
+    #[error("no firmware ELF at {path}{}{hint}", if hint.is_empty() { "" } else { ": " })]
+    Missing {
+        /// Where it should be.
+        path: PathBuf,
+        /// What to do, as whoever set the simulation up puts it.
+        hint: &'static str,
+    },
+    /// Not readable.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Not what is expected.
+    #[error("{path} is not a firmware of this board: {why}")]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+}
+
+impl FirmwareError {
+    /// With what to do when there is no file.
+    pub(crate) fn with_hint(self, hint: &'static str) -> Self {
+        match self {
+            Self::Missing { path, .. } => Self::Missing { path, hint },
+            other => other,
+        }
+    }
+}
+
+impl Firmware {
+    /// Reads an ELF.
+    ///
+    /// # Errors
+    ///
+    /// If there is none, or it is none for a Cortex-M with flash at `0x0800_0000`.
+    pub fn load(path: &Path) -> Result<Self, FirmwareError> {
+        if !path.is_file() {
+            return Err(FirmwareError::Missing {
+                path: path.to_path_buf(),
+                hint: "",
+            });
+        }
+        let bytes = std::fs::read(path).map_err(|source| FirmwareError::Read {
+            path: path.to_path_buf(),
+            source,
+        })?;
+        let bad = |why: String| FirmwareError::Format {
+            path: path.to_path_buf(),
+            why,
+        };
+        let file = object::File::parse(&*bytes).map_err(|e| bad(e.to_string()))?;
+        if file.architecture() != object::Architecture::Arm {
+            return Err(bad(format!("it is for {:?}", file.architecture())));
+        }
+        let mut segments = Vec::new();
+        if let object::File::Elf32(elf) = &file {
+            use object::read::elf::ProgramHeader;
+            let endian = elf.endian();
+            for header in elf.elf_program_headers() {
+                if header.p_type(endian) == object::elf::PT_LOAD && header.p_filesz(endian) > 0 {
+                    let data = header
+                        .data(endian, &*bytes)
+                        .map_err(|()| bad("a segment lies outside of the file".into()))?;
+                    segments.push((header.p_paddr(endian), data.to_vec()));
+                }
+            }
+        } else {
+            return Err(bad("it is not a 32-bit ELF".into()));
+        }
+        if !segments.iter().any(|(at, _)| *at == 0x0800_0000) {
+            return Err(bad("nothing is loaded at 0x0800_0000".into()));
+        }
+        let mut symbols = BTreeMap::new();
+        let mut functions = BTreeMap::new();
+        for s in file.symbols() {
+            let Ok(name) = s.name() else { continue };
+            if name.is_empty() || name.starts_with('$') {
+                continue;
+            }
+            let thumb = s.kind() == SymbolKind::Text;
+            let address = s.address() as u32 & if thumb { !1 } else { u32::MAX };
+            let size = s.size() as u32;
+            if thumb {
+                let pretty = format!("{:#}", rustc_demangle::demangle(name));
+                functions.insert(address, (size, pretty));
+            }
+            symbols.insert(name.to_owned(), Symbol { address, size });
+        }
+        let lines = addr2line::Loader::new(path).ok();
+        Ok(Self {
+            path: path.to_path_buf(),
+            segments,
+            symbols,
+            functions,
+            lines,
+            bytes,
+        })
+    }
+
+    /// Where the ELF was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// What is flashed: load address and bytes.
+    pub(crate) fn segments(&self) -> &[(u32, Vec<u8>)] {
+        &self.segments
+    }
+
+    /// Bytes of flash that the firmware takes.
+    #[must_use]
+    pub fn flash_size(&self) -> usize {
+        self.segments
+            .iter()
+            .filter(|(at, _)| at >> 24 == 0x08)
+            .map(|(at, data)| (*at - 0x0800_0000) as usize + data.len())
+            .max()
+            .unwrap_or(0)
+    }
+
+    /// Bytes of RAM that statics take (.data, .bss and .uninit).
+    #[must_use]
+    pub fn ram_size(&self) -> usize {
+        use object::ObjectSection;
+        let Ok(file) = object::File::parse(&*self.bytes) else {
+            return 0;
+        };
+        file.sections()
+            .filter(|s| s.address() >> 24 == 0x20)
+            .map(|s| s.size() as usize)
+            .sum()
+    }
+
+    /// A symbol by its exact (mangled) name.
+    #[must_use]
+    pub fn symbol(&self, name: &str) -> Option<Symbol> {
+        self.symbols.get(name).copied()
+    }
+
+    /// The first symbol whose demangled path ends with `path`.
+    #[must_use]
+    pub fn find_symbol(&self, path: &str) -> Option<Symbol> {
+        self.symbols
+            .iter()
+            .find(|(name, _)| {
+                let pretty = format!("{:#}", rustc_demangle::demangle(name));
+                pretty == path || pretty.ends_with(&format!("::{path}"))
+            })
+            .map(|(_, s)| *s)
+    }
+
+    /// The function that holds an address: name and offset.
+    #[must_use]
+    pub fn function_at(&self, address: u32) -> Option<(&str, u32)> {
+        let (start, (size, name)) = self.functions.range(..=address).next_back()?;
+        let offset = address - start;
+        (*size == 0 || offset < *size).then_some((name.as_str(), offset))
+    }
+
+    /// An address for people: inlined functions outwards, with their source lines.
+    #[must_use]
+    pub fn describe(&self, address: u32) -> Vec<String> {
+        let mut out = Vec::new();
+        if let Some(loader) = &self.lines
+            && let Ok(mut frames) = loader.find_frames(u64::from(address))
+        {
+            while let Ok(Some(frame)) = frames.next() {
+                let name = frame
+                    .function
+                    .as_ref()
+                    .and_then(|f| f.demangle().ok().map(std::borrow::Cow::into_owned))
+                    .unwrap_or_else(|| "?".into());
+                match frame.location {
+                    Some(l) => out.push(format!(
+                        "{name} at {}:{}",
+                        l.file.unwrap_or("?"),
+                        l.line.unwrap_or(0)
+                    )),
+                    None => out.push(name),
+                }
+            }
+        }
+        if out.is_empty() {
+            out.push(match self.function_at(address) {
+                Some((name, offset)) => format!("{name} + {offset:#x}"),
+                None => format!("{address:#010x}"),
+            });
+        }
+        out
+    }
+}

@@ -1,0 +1,205 @@
+//! Puts a simulation together.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+
+use super::{LogSink, Sim, SimError};
+use crate::chip::{ChipConfig, I2cWires, Soc};
+use crate::clock::Rate;
+use crate::cpu::Cpu;
+use crate::firmware::Firmware;
+use crate::i2c::I2cTarget;
+use crate::model::PinModel;
+use crate::pin::Pin;
+use crate::random::{RAM_STREAM, Seed};
+use crate::rtt::{LogLine, Rtt};
+
+/// The low-speed oscillator's typical rate (DS8626 table 42).
+const LSI_HZ: u64 = 32_000;
+
+/// Puts a [`Sim`] together.
+pub struct SimBuilder {
+    elf: PathBuf,
+    missing_hint: &'static str,
+    seed: Seed,
+    plugged: bool,
+    tolerate_failures: bool,
+    chip: ChipConfig,
+    models: Vec<Box<dyn PinModel>>,
+    targets: Vec<Box<dyn I2cTarget>>,
+    on_log: Option<LogSink>,
+}
+
+impl core::fmt::Debug for SimBuilder {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "SimBuilder({:?}, seed {:?})", self.elf, self.seed)
+    }
+}
+
+impl SimBuilder {
+    pub(super) fn new(elf: PathBuf) -> Self {
+        Self {
+            elf,
+            missing_hint: "",
+            seed: Seed(1),
+            plugged: true,
+            tolerate_failures: false,
+            chip: ChipConfig {
+                crystal: None,
+                low_speed: Rate::hz(LSI_HZ),
+                unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
+                i2c: None,
+            },
+            models: Vec::new(),
+            targets: Vec::new(),
+            on_log: None,
+        }
+    }
+
+    /// The firmware of another ELF.
+    #[must_use]
+    pub fn elf(mut self, path: impl Into<PathBuf>) -> Self {
+        self.elf = path.into();
+        self
+    }
+
+    /// What to do when there is no ELF, for the message that says so.
+    #[must_use]
+    pub fn missing_hint(mut self, hint: &'static str) -> Self {
+        self.missing_hint = hint;
+        self
+    }
+
+    /// Solders a crystal of this frequency to the high-speed oscillator.
+    #[must_use]
+    pub fn crystal(mut self, rate: Rate) -> Self {
+        self.chip.crystal = Some(rate);
+        self
+    }
+
+    /// Wires an I2C bus with its pull-ups to these pins, which must be pins of I2C1.
+    #[must_use]
+    pub fn i2c_bus(mut self, scl: Pin, sda: Pin) -> Self {
+        self.chip.i2c = Some(I2cWires { scl, sda });
+        self
+    }
+
+    /// The one seed of all randomness.
+    #[must_use]
+    pub fn seed(mut self, seed: Seed) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Whether the USB cable is in at power-on. It is by default.
+    #[must_use]
+    pub fn plugged(mut self, plugged: bool) -> Self {
+        self.plugged = plugged;
+        self
+    }
+
+    /// Lets the firmware fail and go on: failures and resets are listed by
+    /// [`Sim::failures`] instead of ending the run.
+    #[must_use]
+    pub fn tolerate_failures(mut self) -> Self {
+        self.tolerate_failures = true;
+        self
+    }
+
+    /// Rate of the low-speed oscillator (17 to 47 kHz; 32 kHz typical).
+    #[must_use]
+    pub fn low_speed_oscillator(mut self, rate: Rate) -> Self {
+        self.chip.low_speed = rate;
+        self
+    }
+
+    /// The chip's unique 96-bit ID, as three words.
+    #[must_use]
+    pub fn unique_id(mut self, uid: [u32; 3]) -> Self {
+        self.chip.unique_id = uid;
+        self
+    }
+
+    /// Wires a model to the board's pins.
+    #[must_use]
+    pub fn model(mut self, model: impl PinModel + 'static) -> Self {
+        self.models.push(Box::new(model));
+        self
+    }
+
+    /// Wires a device to the I2C bus.
+    #[must_use]
+    pub fn i2c_target(mut self, target: impl I2cTarget + 'static) -> Self {
+        self.targets.push(Box::new(target));
+        self
+    }
+
+    /// Calls `sink` with each line of the firmware's log as it appears.
+    #[must_use]
+    pub fn on_log(mut self, sink: impl FnMut(&LogLine) + Send + 'static) -> Self {
+        self.on_log = Some(Box::new(sink));
+        self
+    }
+
+    /// Powers the board on.
+    ///
+    /// # Errors
+    ///
+    /// If the ELF cannot be used.
+    pub fn build(self) -> Result<Sim, SimError> {
+        let firmware = Firmware::load(&self.elf).map_err(|e| e.with_hint(self.missing_hint))?;
+        let mut soc = Soc::new(self.seed, &self.chip);
+        let mut random = self.seed.stream(RAM_STREAM);
+        soc.fill_ram(&mut random);
+        for (at, data) in firmware.segments() {
+            let offset = at.wrapping_sub(0x0800_0000) as usize;
+            match soc.mem.flash.get_mut(offset..offset + data.len()) {
+                Some(to) => to.copy_from_slice(data),
+                None => {
+                    return Err(SimError::Setup(format!(
+                        "a segment of {} bytes at {at:#010x} does not fit the flash",
+                        data.len()
+                    )));
+                }
+            }
+        }
+        for target in self.targets {
+            soc.i2c_bus.add(target);
+        }
+        for model in self.models {
+            soc.add_model(model);
+        }
+        if self.plugged {
+            soc.plug();
+        }
+        let code_bytes = firmware.flash_size();
+        let soc = Arc::new(Mutex::new(soc));
+        let mut cpu = Cpu::new(Arc::clone(&soc), code_bytes).map_err(SimError::Setup)?;
+        let mut panic_at = None;
+        for name in ["rust_begin_unwind", "__rustc::rust_begin_unwind"] {
+            let found = firmware
+                .symbol(name)
+                .or_else(|| firmware.find_symbol(name))
+                .map(|s| s.address);
+            if let Some(address) = found {
+                cpu.add_breakpoint(address);
+                panic_at = Some(address);
+                break;
+            }
+        }
+        let rtt = Rtt::new(&firmware);
+        Ok(Sim {
+            soc,
+            cpu,
+            firmware,
+            rtt,
+            log: Vec::new(),
+            on_log: self.on_log,
+            tolerate_failures: self.tolerate_failures,
+            failures: Vec::new(),
+            failing: None,
+            panic_at,
+            random,
+        })
+    }
+}

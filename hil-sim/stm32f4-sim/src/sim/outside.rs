@@ -1,0 +1,150 @@
+//! What is done to the board from outside: the USB host, the I2C bus and the pins.
+
+use super::{Sim, SimError};
+use crate::chip::Soc;
+use crate::clock::Rate;
+use crate::i2c_bus::I2cBus;
+use crate::pin::{Drive, Level, Pin};
+use crate::time::{SimDuration, SimTime};
+use crate::usb::{DeviceInfo, UsbState, UsbTraffic};
+
+impl Sim {
+    // ---- USB ------------------------------------------------------------------------
+
+    /// How far the USB host has got.
+    #[must_use]
+    pub fn usb_state(&self) -> UsbState {
+        self.with_chip(|s| s.usb.state())
+    }
+
+    /// What the device said about itself.
+    #[must_use]
+    pub fn usb_device(&self) -> DeviceInfo {
+        self.with_chip(|s| s.usb.device().clone())
+    }
+
+    /// What went over the bus.
+    #[must_use]
+    pub fn usb_traffic(&self) -> UsbTraffic {
+        self.with_chip(|s| s.usb.traffic())
+    }
+
+    /// What the USB host noticed, with its time.
+    #[must_use]
+    pub fn usb_log(&self) -> Vec<(SimTime, String)> {
+        self.with_chip(|s| s.usb.log().to_vec())
+    }
+
+    /// Runs until the serial port can be used, for at most `limit`. Returns whether it can.
+    ///
+    /// # Errors
+    ///
+    /// If the firmware fails and that is not tolerated.
+    pub fn run_until_usb_ready(&mut self, limit: SimDuration) -> Result<bool, SimError> {
+        self.run_until(limit, |sim| sim.usb_state() == UsbState::Ready)
+    }
+
+    /// Queues bytes for the serial port.
+    pub fn usb_write(&mut self, bytes: &[u8]) {
+        self.with_chip(|s| s.usb_write(bytes));
+    }
+
+    /// Bytes queued that have not gone over the bus.
+    #[must_use]
+    pub fn usb_unsent(&self) -> usize {
+        self.with_chip(|s| s.usb.unsent())
+    }
+
+    /// Takes the bytes that have come from the serial port.
+    pub fn usb_read(&mut self) -> Vec<u8> {
+        self.with_chip(Soc::usb_read)
+    }
+
+    /// Bytes that wait to be taken.
+    #[must_use]
+    pub fn usb_available(&self) -> usize {
+        self.with_chip(|s| s.usb.available())
+    }
+
+    /// Pulls the USB cable out. The board stays powered.
+    pub fn usb_unplug(&mut self) {
+        self.with_chip(Soc::unplug);
+    }
+
+    /// Plugs the USB cable in.
+    pub fn usb_plug(&mut self) {
+        self.with_chip(Soc::plug);
+    }
+
+    /// Opens or closes the port at the host (DTR and RTS).
+    pub fn usb_open(&mut self, open: bool) {
+        self.with_chip(|s| s.usb_configure(|u| u.set_open(open)));
+    }
+
+    /// Lets the host ask for data, or hang.
+    pub fn usb_set_reading(&mut self, reading: bool) {
+        self.with_chip(|s| s.usb_configure(|u| u.set_reading(reading)));
+    }
+
+    /// The host stops asking for data while this many bytes wait to be taken.
+    pub fn usb_set_buffer_limit(&mut self, bytes: usize) {
+        self.with_chip(|s| s.usb_configure(|u| u.set_buffer_limit(bytes)));
+    }
+
+    /// Flips a bit in so many of a million bytes on their way (0 for none).
+    pub fn usb_corrupt(&mut self, from_device_ppm: u32, to_device_ppm: u32) {
+        self.with_chip(|s| s.usb_configure(|u| u.set_corruption(from_device_ppm, to_device_ppm)));
+    }
+
+    // ---- the I2C bus -----------------------------------------------------------------
+
+    /// Works on the I2C bus: holds SDA, cuts the wires, withholds an acknowledge.
+    pub fn i2c_bus<T>(&mut self, f: impl FnOnce(&mut I2cBus) -> T) -> T {
+        self.with_chip(|s| {
+            let result = f(&mut s.i2c_bus);
+            s.i2c_bus_changed();
+            result
+        })
+    }
+
+    // ---- pins --------------------------------------------------------------------------
+
+    /// Drives a pin from outside.
+    pub fn drive(&mut self, pin: Pin, drive: Drive) {
+        self.with_chip(|s| s.drive(pin, drive));
+    }
+
+    /// Level of a pin.
+    #[must_use]
+    pub fn level(&self, pin: Pin) -> Level {
+        Level::from(self.with_chip(|s| s.gpio.level(pin)))
+    }
+
+    /// Logs the edges of a pin from now on, for [`Sim::take_edges`].
+    pub fn log_pin(&mut self, pin: Pin) {
+        self.with_chip(|s| s.log_pin(pin));
+    }
+
+    /// Takes the edges of the logged pins in the order of their time.
+    pub fn take_edges(&mut self) -> Vec<(Pin, Level, SimTime)> {
+        self.with_chip(|s| std::mem::take(&mut s.edge_log))
+    }
+
+    /// Edges that a pin has made since power-on.
+    #[must_use]
+    pub fn edge_count(&self, pin: Pin) -> u64 {
+        self.with_chip(|s| s.edge_counts[pin.index()])
+    }
+
+    /// Rate of the clock on PA8 (MCO1), if it carries one.
+    #[must_use]
+    pub fn clock_output(&self) -> Option<Rate> {
+        self.with_chip(|s| s.mco1())
+    }
+
+    /// Models that changed when they want to be called outside of their own
+    /// calls (a test that works on one) have to be asked again.
+    pub fn models_changed(&mut self) {
+        self.with_chip(Soc::reschedule_models);
+    }
+}

@@ -1,0 +1,333 @@
+//! What happened at the board's pins, and whether what the board delivered is
+//! that.
+//!
+//! Every edge of the trigger is compared with the arithmetic of the train,
+//! whether a message about it reached the host or not. Every message that did
+//! reach the host is compared with the pin or the sensor's register that it is
+//! about. Messages may be missing; none may be wrong.
+//!
+//! When tick 0 of a run of the board was is read off the timer's register once,
+//! when the board says hello ([`BoardTruth::begin`]), and holds for all edges on
+//! all pins until the board is reset ([`BoardTruth::restart`]).
+
+use rig::wiring;
+use std::collections::VecDeque;
+
+use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
+
+use rig::mpu9150::{Mpu9150, SampleRecord};
+use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::pin::Level;
+use stm32f4_sim::sim::Sim;
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+
+/// Virtual time in one tick of the board.
+pub const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+
+/// How long after its data-ready edge a sample is read at the latest.
+const TRANSFER: SimDuration = SimDuration::from_millis(2);
+
+/// Something that the board did or said is not what it should be.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Wrong(pub String);
+
+fn wrong<T>(text: String) -> Result<T, Wrong> {
+    Err(Wrong(text))
+}
+
+/// A train as it was started: edge `k` is `floor(first + k · period)`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Train {
+    /// Edge 0.
+    pub first: Ticks,
+    /// Distance of edges.
+    pub period: Period,
+    /// Length of a pulse, in ticks.
+    pub width: u32,
+}
+
+/// What was compared, and what was not delivered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Compared {
+    /// Trigger pulses at the pin, each equal to the arithmetic.
+    pub pulses: u64,
+    /// Reports of pulses, each equal to the pin.
+    pub reports: u64,
+    /// Samples of the IMU, each equal to the sensor's registers and its
+    /// data-ready edge.
+    pub samples: u64,
+    /// Samples marked as late, of which only the time was compared.
+    pub late_samples: u64,
+    /// Samples that differ from the registers, but whose transfer a fault hit.
+    pub disturbed: u64,
+    /// Edges of data-ready for which no sample was delivered, so far.
+    pub samples_missing: u64,
+    /// Edges of the strobe, each equal to the pin.
+    pub captures: u64,
+    /// Edges of the strobe that were not delivered, so far.
+    pub captures_missing: u64,
+}
+
+/// See the module.
+#[derive(Debug, Default)]
+pub struct BoardTruth {
+    /// Units of virtual time at tick 0 of this run of the board.
+    zero: Option<u64>,
+    train: Option<Train>,
+    /// A pulse that has not ended.
+    rise: Option<SimTime>,
+    /// Pulses of this train at the pin that were compared with the arithmetic.
+    made: u64,
+    ready: VecDeque<SampleRecord>,
+    strobe: VecDeque<(SimTime, Level)>,
+    disturbances: Vec<SimTime>,
+    compared: Compared,
+}
+
+impl BoardTruth {
+    /// Before the board is powered on.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Makes the rig log what is looked at here.
+    pub fn watch(&self, rig: &mut Sim) {
+        rig.log_pin(wiring::TRIGGER);
+        rig.log_pin(wiring::STROBE);
+    }
+
+    /// The train that was started, from its answer on.
+    pub fn started(&mut self, train: Train) {
+        self.train = Some(train);
+        self.made = 0;
+    }
+
+    /// What was compared so far.
+    #[must_use]
+    pub fn compared(&self) -> Compared {
+        self.compared
+    }
+
+    /// When tick 0 of this run of the board was, once it is known.
+    #[must_use]
+    pub fn zero(&self) -> Option<SimTime> {
+        self.zero.map(SimTime::from_units)
+    }
+
+    /// The tick in which a point of virtual time lies, once tick 0 is known.
+    #[must_use]
+    pub fn tick_of(&self, at: SimTime) -> Option<Ticks> {
+        let since = at.units().checked_sub(self.zero?)?;
+        Some(Ticks(since / UNITS_PER_TICK))
+    }
+
+    /// The board has said hello, at its time `now`. To be called within 80 s
+    /// of that.
+    pub fn begin(&mut self, rig: &Sim, now: Ticks) {
+        if self.zero.is_some() {
+            return;
+        }
+        let (at, count) = rig.timer(wiring::TIMEBASE);
+        let ticks = now.0 + u64::from(count.wrapping_sub(now.0 as u32));
+        self.zero = at.units().checked_sub(ticks * UNITS_PER_TICK);
+    }
+
+    /// Something happened to the I2C bus or the sensor at `at`: the transfer of a
+    /// sample under way may be damaged, which nothing on that bus can tell.
+    pub fn disturbed(&mut self, at: SimTime) {
+        self.disturbances.push(at);
+    }
+
+    /// The board was reset at `at`. What its pins did before and nobody was told
+    /// of remains compared with the arithmetic; its messages are not awaited any
+    /// more, and tick 0 is open again.
+    ///
+    /// # Errors
+    ///
+    /// A pulse before the reset was wrong.
+    pub fn restart(
+        &mut self,
+        rig: &mut Sim,
+        sensor: &Shared<Mpu9150>,
+        at: SimTime,
+    ) -> Result<(), Wrong> {
+        self.take_up_to(rig, sensor, at)?;
+        self.zero = None;
+        self.train = None;
+        self.rise = None;
+        self.made = 0;
+        let (samples, edges) = (self.ready.len(), self.strobe.len());
+        self.ready.retain(|record| record.at > at);
+        self.strobe.retain(|(edge, _)| *edge > at);
+        self.compared.samples_missing += (samples - self.ready.len()) as u64;
+        self.compared.captures_missing += (edges - self.strobe.len()) as u64;
+        Ok(())
+    }
+
+    /// Takes the edges and samples that have happened, and compares the pulses.
+    /// To be called before messages about them are compared, and at least once
+    /// between a start and the next.
+    ///
+    /// # Errors
+    ///
+    /// A pulse is not where the arithmetic has it.
+    pub fn take(&mut self, rig: &mut Sim, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
+        self.take_up_to(rig, sensor, SimTime::NEVER)
+    }
+
+    /// A reset at `reset` cuts a pulse short and makes no edge wrong after it.
+    fn take_up_to(
+        &mut self,
+        rig: &mut Sim,
+        sensor: &Shared<Mpu9150>,
+        reset: SimTime,
+    ) -> Result<(), Wrong> {
+        for (pin, level, at) in rig.take_edges() {
+            match (pin, level) {
+                (wiring::TRIGGER, _) if at >= reset => {}
+                (wiring::TRIGGER, Level::High) => self.rise(at)?,
+                (wiring::TRIGGER, Level::Low) => self.fall(at)?,
+                (wiring::STROBE, level) => self.strobe.push_back((at, level)),
+                _ => {}
+            }
+        }
+        let records = lock(sensor).log_mut().take();
+        self.ready
+            .extend(records.into_iter().filter(|record| record.edge));
+        Ok(())
+    }
+
+    fn rise(&mut self, at: SimTime) -> Result<(), Wrong> {
+        let (Some(zero), Some(train)) = (self.zero, self.train) else {
+            return wrong(format!("a pulse at {at} that nobody started"));
+        };
+        let expected = train.period.edge(train.first, self.made as i64);
+        let due = zero + expected.0 * UNITS_PER_TICK;
+        if at.units() != due {
+            let off = at.units() as i128 - i128::from(due);
+            return wrong(format!(
+                "pulse {} at {at} is {} ticks off the arithmetic",
+                self.made,
+                off as f64 / UNITS_PER_TICK as f64
+            ));
+        }
+        self.rise = Some(at);
+        self.made += 1;
+        self.compared.pulses += 1;
+        Ok(())
+    }
+
+    fn fall(&mut self, at: SimTime) -> Result<(), Wrong> {
+        let (Some(rise), Some(train)) = (self.rise.take(), self.train) else {
+            return wrong(format!("the end of a pulse at {at} that never began"));
+        };
+        let high = at.since(rise).units();
+        let expected = u64::from(train.width) * UNITS_PER_TICK;
+        if high != expected {
+            return wrong(format!(
+                "the pulse at {rise} is {high} units long, not {expected}"
+            ));
+        }
+        Ok(())
+    }
+
+    /// Compares a message with what happened.
+    ///
+    /// # Errors
+    ///
+    /// It is about something that did not happen, or not then, or not so.
+    pub fn message(&mut self, message: &DeviceToHost) -> Result<(), Wrong> {
+        match message {
+            DeviceToHost::Pulse(pulse) => self.pulse(pulse),
+            DeviceToHost::Imu(sample) => self.sample(sample),
+            DeviceToHost::Capture(capture) => self.capture(capture),
+            _ => Ok(()),
+        }
+    }
+
+    fn pulse(&mut self, pulse: &Pulse) -> Result<(), Wrong> {
+        let Some(train) = self.train else {
+            return wrong(format!("a pulse without a train: {pulse:?}"));
+        };
+        let expected = train.period.edge(train.first, pulse.number as i64);
+        if pulse.at != expected {
+            return wrong(format!("{pulse:?} should be at {expected:?}"));
+        }
+        // Where the edge of this number was at the pin has been compared.
+        if pulse.number >= self.made {
+            return wrong(format!(
+                "{pulse:?} has no edge at the pin, which made {}",
+                self.made
+            ));
+        }
+        self.compared.reports += 1;
+        Ok(())
+    }
+
+    fn sample(&mut self, sample: &ImuSample) -> Result<(), Wrong> {
+        let Some(zero) = self.zero else {
+            return wrong(format!("before any hello: {sample:?}"));
+        };
+        loop {
+            let Some(record) = self.ready.pop_front() else {
+                return wrong(format!("{sample:?} has no data-ready edge"));
+            };
+            let at = record.at.units().saturating_sub(zero) / UNITS_PER_TICK;
+            if at != sample.at.0 {
+                if at > sample.at.0 {
+                    return wrong(format!(
+                        "{sample:?} has no data-ready edge; the next is at tick {at}"
+                    ));
+                }
+                self.compared.samples_missing += 1;
+                continue;
+            }
+            if sample.flags.has(ImuFlags::LATE) {
+                self.compared.late_samples += 1;
+                return Ok(());
+            }
+            let values = record.values;
+            let read = (sample.accel, sample.temperature, sample.gyro);
+            if read != (values.accel, values.temperature, values.gyro) {
+                let until = record.at + TRANSFER;
+                let hit = |at: &SimTime| record.at <= *at && *at <= until;
+                if self.disturbances.iter().any(hit) {
+                    self.compared.disturbed += 1;
+                    return Ok(());
+                }
+                return wrong(format!("{sample:?} was {values:?} in the registers"));
+            }
+            self.compared.samples += 1;
+            return Ok(());
+        }
+    }
+
+    fn capture(&mut self, capture: &Capture) -> Result<(), Wrong> {
+        let Some(zero) = self.zero else {
+            return wrong(format!("before any hello: {capture:?}"));
+        };
+        loop {
+            let Some((at, level)) = self.strobe.pop_front() else {
+                return wrong(format!("{capture:?} has no edge at the pin"));
+            };
+            let at = at.units().saturating_sub(zero) / UNITS_PER_TICK;
+            if at != capture.at.0 {
+                if at > capture.at.0 {
+                    return wrong(format!(
+                        "{capture:?} has no edge at the pin; the next is at tick {at}"
+                    ));
+                }
+                self.compared.captures_missing += 1;
+                continue;
+            }
+            let rises = capture.edge == Edge::Rising;
+            if rises != level.is_high() && !capture.after_loss {
+                return wrong(format!("{capture:?} went to {level:?}"));
+            }
+            self.compared.captures += 1;
+            return Ok(());
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! `hil-sim demo`: a whole session on the simulated rig, judged by the truth.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use trials::demo::stage::StageOptions;
+use trials::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
+use trials::whole_chain::Programs;
+use trials::whole_chain::several::{self, SeveralPlan};
+
+/// Which rig is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum RigKind {
+    /// A phone and a depth camera.
+    Published,
+    /// Two phones, a depth camera, three more cameras and a lidar.
+    Multi,
+}
+
+/// Options of `demo`.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The published rig, or one of two phones, four cameras and a lidar.
+    #[arg(long, value_enum, default_value_t = RigKind::Published)]
+    rig: RigKind,
+    /// Seconds of board time to record.
+    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_SECONDS,
+          value_parser = clap::value_parser!(u32).range(i64::from(*SECONDS.start())..=i64::from(*SECONDS.end())))]
+    seconds: u32,
+    /// Write the figures to this file, as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Show a session on a rig that has learnt nothing, without one before it that
+    /// teaches.
+    #[arg(long)]
+    fresh: bool,
+    /// Folder for the recording, the phone's files and the report.
+    #[arg(long, value_name = "DIR", default_value = "target/demo")]
+    out: PathBuf,
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    /// The program of the session; the `smartdepthsync` beside this one by default.
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// Virtual time passes at most so many times as fast as real time.
+    #[arg(long, default_value_t = 15.0, value_parser = super::speed)]
+    speed: f64,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    if args.rig == RigKind::Multi {
+        return run_several(args);
+    }
+    let done = demo::run(&DemoOptions {
+        stage: StageOptions {
+            seed: args.seed,
+            out: args.out.clone(),
+            elf: args.elf.clone(),
+            program: super::session_program(args.program.as_deref())?,
+            speed: args.speed,
+            quiet: false,
+        },
+        seconds: args.seconds,
+        fresh: args.fresh,
+    })?;
+    println!("\n{}", done.figures.table());
+    println!("recording  {}", done.recording.display());
+    println!("report     {}", done.report.display());
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&done.figures)?;
+        std::fs::write(path, json + "\n")
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        println!("figures    {}", path.display());
+    }
+    Ok(())
+}
+
+/// Two phones, further cameras and a lidar: each extracted and judged.
+fn run_several(args: &Args) -> Result<()> {
+    let programs = Programs {
+        smartdepthsync: super::session_program(args.program.as_deref())?,
+        elf: args.elf.clone(),
+        speed: args.speed,
+    };
+    let plan = SeveralPlan {
+        seed: args.seed,
+        seconds: args.seconds,
+        small: false,
+    };
+    let out = args.out.join("multi");
+    let figures = several::run(&plan, &programs, &out, |step| println!("{step} ..."))?;
+    println!("\n{}", figures.table());
+    let (recording, data) = (&figures.recording, &figures.data);
+    println!("recording  {}", recording.display());
+    println!("  report   {}", recording.join("report.html").display());
+    println!("data set   {}", data.display());
+    println!("  report   {}", data.join("report.html").display());
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&figures)?;
+        std::fs::write(path, json + "\n")
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        println!("figures    {}", path.display());
+    }
+    if !figures.good() {
+        anyhow::bail!("a figure is outside its limit");
+    }
+    Ok(())
+}

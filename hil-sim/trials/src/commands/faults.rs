@@ -1,0 +1,139 @@
+//! `hil-sim faults`: the fault campaign.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use trials::faults::plan::Fault;
+use trials::faults::{Finding, Programs, Verdict, campaign};
+
+/// Virtual time against real time in runs with the real program.
+const SPEED: f64 = 8.0;
+
+/// Options of `faults`.
+#[derive(clap::Args)]
+pub(crate) struct Args {
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    /// The program of runs that need one; the `smartdepthsync` beside this one by
+    /// default.
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+    /// The first seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// How many seeds.
+    #[arg(long, default_value_t = 200)]
+    count: u64,
+    /// Keep the recordings in this folder.
+    #[arg(long, value_name = "FOLDER")]
+    keep: Option<PathBuf>,
+    /// Print the verdicts as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let temporary = tempfile::tempdir().context("no temporary folder")?;
+    let programs = Programs {
+        smartdepthsync: super::session_program(args.program.as_deref())?,
+        elf: args.elf.clone(),
+        speed: SPEED,
+    };
+    let folder = args.keep.as_deref().unwrap_or(temporary.path());
+    let seeds: Vec<u64> = (args.seed..args.seed.saturating_add(args.count)).collect();
+    let results = campaign(&seeds, &programs, folder, &|seed, result| {
+        match result {
+            Ok(verdict) => eprintln!(
+                "passed {} -> exit code {}, {:?}",
+                verdict.plan, verdict.exit_code, verdict.problems
+            ),
+            Err(finding) => eprintln!("FAILED {finding}"),
+        }
+        if args.keep.is_none() {
+            for name in [format!("seed-{seed}"), format!("seed-{seed}-killed")] {
+                // At the end it goes with the whole folder anyway.
+                let _ = std::fs::remove_dir_all(folder.join(name));
+            }
+        }
+    });
+    let (passed, failed): (Vec<_>, Vec<_>) = results.into_iter().partition(Result::is_ok);
+    let passed: Vec<Verdict> = passed.into_iter().flatten().collect();
+    let failed: Vec<Finding> = failed.into_iter().filter_map(Result::err).collect();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&passed)?);
+    } else {
+        table(&passed, &failed);
+    }
+    if !failed.is_empty() {
+        let seeds: Vec<String> = failed.iter().map(|f| f.plan.seed.to_string()).collect();
+        bail!(
+            "{} of {} seeds failed: {}; `cargo xtask faults --seed N --count 1` repeats one exactly",
+            failed.len(),
+            args.count,
+            seeds.join(", ")
+        );
+    }
+    Ok(())
+}
+
+fn table(passed: &[Verdict], failed: &[Finding]) {
+    println!(
+        "{:<22} {:>6} {:>9} {:>6} {:>12} {:>12} {:>10}",
+        "fault", "tried", "survived", "alone", "pulses lost", "samples lost", "reconnects"
+    );
+    for fault in Fault::ALL {
+        let with: Vec<&Verdict> = passed.iter().filter(|v| v.plan.has(fault)).collect();
+        let not = failed.iter().filter(|f| f.plan.has(fault)).count();
+        // What it costs by itself: from the runs in which nothing else happened.
+        let alone: Vec<&&Verdict> = with.iter().filter(|v| v.plan.events.len() == 1).collect();
+        let most = |pick: fn(&Verdict) -> u64| alone.iter().map(|v| pick(v)).max();
+        let cell = |value: Option<u64>| value.map_or_else(|| "-".to_owned(), |v| v.to_string());
+        println!(
+            "{:<22} {:>6} {:>9} {:>6} {:>12} {:>12} {:>10}",
+            format!("{fault:?}"),
+            with.len() + not,
+            with.len(),
+            alone.len(),
+            cell(most(|v| v.pulses_lost)),
+            cell(most(|v| v.samples_lost)),
+            cell(most(|v| v.reconnects.into())),
+        );
+    }
+    let sum = |pick: fn(&Verdict) -> u64| passed.iter().map(pick).sum::<u64>();
+    let mut codes: BTreeMap<u8, u32> = BTreeMap::new();
+    for verdict in passed {
+        *codes.entry(verdict.exit_code).or_default() += 1;
+    }
+    println!(
+        "{} runs passed, {} failed; {:.0} virtual s; exit codes {codes:?}",
+        passed.len(),
+        failed.len(),
+        passed.iter().map(|v| v.virtual_s).sum::<f64>()
+    );
+    println!(
+        "{} pulses at the pin or on the grid, 0 ticks from the arithmetic; {} messages about edges and samples, \
+         all right; {} samples hit in their transfer; {} damaged frames, all told",
+        sum(|v| v.pulses),
+        sum(|v| v.delivered),
+        sum(|v| v.disturbed),
+        sum(|v| v.damaged_frames.into())
+    );
+    let joints: Vec<(f64, f64)> = passed
+        .iter()
+        .filter_map(|verdict| Some((verdict.joint_error_us?, verdict.joint_sigma_us?)))
+        .collect();
+    if !joints.is_empty() {
+        let most = |of: fn(&(f64, f64)) -> f64| joints.iter().map(of).fold(0.0, f64::max);
+        println!(
+            "{} runs of the board after a reset, placed by the host's clock: at most {:.0} µs off, \
+             1-sigma stated {:.0} µs at most; at most {:.1} sigma off",
+            joints.len(),
+            most(|joint| joint.0.abs()),
+            most(|joint| joint.1),
+            most(|joint| joint.0.abs() / joint.1)
+        );
+    }
+    println!("Simulated. The columns of losses are the most in runs with that fault alone.");
+}

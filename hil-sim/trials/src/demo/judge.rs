@@ -1,0 +1,495 @@
+//! What a session decided, against what was true.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use protocol::Ticks;
+use recording::reader::{Item, Reader};
+use recording::session_file::{OtherPhone, SessionFile, Span, Twist};
+use serde::Serialize;
+use timebase::BoardSeconds;
+use timebase::ClockModel;
+
+use crate::frame_phase::{PhaseError, PhaseSummary, phase_errors, summarise};
+use rig::depth_camera::{FrameRecord, Source};
+use rig::oscillator::{BoardTime, Oscillator};
+use rig::phone::VideoTruth;
+use rig::running_rig::RunTruth;
+use stm32f4_sim::clock::{Clock, Rate};
+use stm32f4_sim::time::SimTime;
+
+/// Ticks of the board in a second of its time.
+const TICK_HZ: u64 = protocol::TICK_HZ as u64;
+
+/// What is known about a run that nobody in it knew.
+#[derive(Clone, Debug)]
+pub struct Truth {
+    /// The board's crystal.
+    pub board: BoardTime,
+    /// The phone's clock.
+    pub phone: Oscillator,
+    /// The phone's videos.
+    pub videos: Vec<VideoTruth>,
+    /// Clocks and videos of further phones.
+    pub others: Vec<(Oscillator, Vec<VideoTruth>)>,
+    /// All frames of the depth camera, in order.
+    pub depth: Vec<FrameRecord>,
+    /// When the board's tick count was zero, to within [`Timebase::NEAR`].
+    pub timebase: Timebase,
+}
+
+/// An error with what was said about it, µs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct OffsetError {
+    /// Stated minus true, µs.
+    pub error_us: f64,
+    /// Stated 1-sigma, µs.
+    pub sigma_us: f64,
+}
+
+/// What a twist said of the clocks, judged at its own reference.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct TwistVerdict {
+    /// The offset.
+    pub offset: OffsetError,
+    /// Skew, stated minus true, ppm.
+    pub skew_error_ppm: f64,
+    /// Its stated 1-sigma, ppm.
+    pub skew_sigma_ppm: f64,
+}
+
+/// A session judged.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The last twist before the recorded span, without what a profile knew.
+    pub twist: TwistVerdict,
+    /// The relation of the clocks that the trigger was aligned by, at the
+    /// beginning of the recorded span.
+    pub offset_start: OffsetError,
+    /// The relation that was best known in the end, at the end of the span.
+    pub offset_end: OffsetError,
+    /// Phase of the frames over the recorded span.
+    pub phase: PhaseSummary,
+    /// The same, frame by frame.
+    pub phases: Vec<PhaseError>,
+    /// Pulses in the recording's whole span.
+    pub pulses: u64,
+    /// IMU samples likewise.
+    pub imu_samples: u64,
+    /// Pulses and samples that the recording says are missing, and frames of the
+    /// phone without a depth frame within half a frame.
+    pub lost: u64,
+    /// Length of the recorded span, seconds of board time.
+    pub recorded_s: f64,
+}
+
+/// What a session said of a further phone, judged.
+#[derive(Clone, Debug, Serialize)]
+pub struct OtherVerdict {
+    /// Its name.
+    pub name: String,
+    /// Its relation from the last twist before the recording, at the beginning of
+    /// the recorded span.
+    pub offset_start: OffsetError,
+    /// The relation that was best known in the end, at the end of the span.
+    pub offset_end: OffsetError,
+    /// Where its frames lay at the beginning of the recorded span: what was said
+    /// minus the truth.
+    pub placement: OffsetError,
+    /// How they moved, by the truth, µs/min.
+    pub drift_us_per_min: f64,
+    /// What was said of that minus the truth, µs/min.
+    pub drift_error_us_per_min: f64,
+    /// Stated 1-sigma of it, µs/min.
+    pub drift_sigma_us_per_min: f64,
+}
+
+/// Relation of the board's tick count to its time.
+#[derive(Clone, Copy, Debug)]
+pub struct Timebase {
+    clock: Clock,
+}
+
+impl Timebase {
+    /// How many ticks a first guess may be off: far less than the shortest period.
+    pub const NEAR: u64 = 100;
+
+    /// The tick count that was zero at `zero`.
+    #[must_use]
+    pub fn new(zero: SimTime) -> Self {
+        Self {
+            clock: Clock::new(Rate::hz(TICK_HZ), zero, 0),
+        }
+    }
+
+    /// The same made exact, from pulses as the board timed them and their edges
+    /// as the depth camera saw them: the board stamps an edge with its compare
+    /// value, so the difference is the same for all. This one must be right to
+    /// within [`Timebase::NEAR`].
+    ///
+    /// # Errors
+    ///
+    /// The edges are not pulses of the recording.
+    pub fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
+        let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
+        let (begin, end) = (near(pulses.first())?, near(pulses.last())?);
+        let range = begin.0.saturating_sub(Self::NEAR)..=end.0.saturating_add(Self::NEAR);
+        // Edges before and behind are those of other sessions.
+        let edges: Vec<SimTime> = frames
+            .iter()
+            .filter_map(|f| match f.source {
+                Source::Pulse { edge, .. } => Some(edge),
+                Source::FreeRun => None,
+            })
+            .filter(|&edge| range.contains(&self.ticks(edge).0))
+            .collect();
+        let first = edges
+            .first()
+            .context("the depth camera has seen no pulse")?;
+        let about = self.ticks(*first).0;
+        let from = pulses.partition_point(|p| p.0 + Self::NEAR < about);
+        let exact = pulses
+            .get(from)
+            .filter(|p| p.0 <= about + Self::NEAR)
+            .and_then(|p| zero_of(*first, *p))
+            .map(Self::new)
+            .context("the depth camera's first edge is no pulse of the recording")?;
+        let strange = edges
+            .iter()
+            .filter(|e| pulses.binary_search(&exact.ticks(**e)).is_err())
+            .count();
+        if strange > 0 {
+            bail!(
+                "{strange} of {} edges that the depth camera saw are no pulses of the recording",
+                edges.len()
+            );
+        }
+        Ok(exact)
+    }
+
+    /// The tick count at a board time.
+    #[must_use]
+    pub fn ticks(&self, at: SimTime) -> Ticks {
+        Ticks(self.clock.edge_at(at))
+    }
+
+    /// The board time of a tick.
+    #[must_use]
+    pub fn time(&self, ticks: Ticks) -> SimTime {
+        self.clock.time_of(ticks.0)
+    }
+}
+
+/// The board time at which the count was zero, if it was `ticks` at `edge`.
+fn zero_of(edge: SimTime, ticks: Ticks) -> Option<SimTime> {
+    let units =
+        u128::from(ticks.0) * u128::from(stm32f4_sim::time::UNITS_PER_SECOND) / u128::from(TICK_HZ);
+    let units = u64::try_from(units).ok()?;
+    edge.units().checked_sub(units).map(SimTime::from_units)
+}
+
+/// Pulses and number of IMU samples of a recording.
+fn read_streams(folder: &Path) -> Result<(Vec<Ticks>, u64)> {
+    let mut pulses = Vec::new();
+    let mut samples = 0;
+    for entry in Reader::open(folder)? {
+        match entry?.item {
+            Item::Pulse(pulse) => pulses.push(Ticks(pulse.ticks)),
+            Item::Imu(_) => samples += 1,
+            _ => {}
+        }
+    }
+    pulses.sort_unstable();
+    Ok((pulses, samples))
+}
+
+impl Truth {
+    /// What a run has left.
+    ///
+    /// # Errors
+    ///
+    /// The board's timer never ran, or there was no phone.
+    pub fn of(run: RunTruth) -> Result<Self> {
+        let zero = run.zero.context("the board's timer never ran")?;
+        Ok(Self {
+            board: run.parts.board,
+            phone: run.phone_clock.context("the rig has no phone")?,
+            videos: run.videos,
+            others: run.others,
+            depth: run.depth,
+            timebase: Timebase::new(zero),
+        })
+    }
+
+    /// What the phone's clock truly read at a tick, minus the board's time, in
+    /// nanoseconds.
+    fn offset_ns(&self, phone: &Oscillator, base: &Timebase, at: Ticks) -> f64 {
+        let true_time = self.board.true_at(base.time(at));
+        let phone = i128::from(phone.nanos_at(true_time));
+        // 125 / 6 ns a tick: whole nanoseconds and the remainder apart.
+        let scaled = i128::from(at.0) * 125;
+        (phone - scaled / 6) as f64 - (scaled % 6) as f64 / 6.0
+    }
+
+    /// How wrong a stated relation is at a tick.
+    fn error_of(
+        &self,
+        phone: &Oscillator,
+        model: &ClockModel,
+        base: &Timebase,
+        at: Ticks,
+    ) -> OffsetError {
+        let stated = model.offset_at(at.into());
+        OffsetError {
+            error_us: stated.value * 1e6 - self.offset_ns(phone, base, at) * 1e-3,
+            sigma_us: stated.sigma * 1e6,
+        }
+    }
+
+    /// How wrong a twist's relation is where it is known best, and its skew.
+    fn judge_twist(&self, phone: &Oscillator, clock: &ClockModel, base: &Timebase) -> TwistVerdict {
+        /// Half of the distance over which the true skew is taken, seconds: the
+        /// clock is read in whole nanoseconds.
+        const REACH_S: f64 = 1.0;
+        let error_at = |from_reference: f64| {
+            let at = BoardSeconds(clock.reference.0 + from_reference);
+            self.error_of(phone, clock, base, at.ticks())
+        };
+        let apart_us = error_at(REACH_S).error_us - error_at(-REACH_S).error_us;
+        TwistVerdict {
+            offset: error_at(0.0),
+            skew_error_ppm: apart_us / (2.0 * REACH_S),
+            skew_sigma_ppm: clock.skew_sigma_at(clock.reference) * 1e6,
+        }
+    }
+
+    /// Judges the recording in `folder`.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be read, or a part that is judged is missing in it.
+    pub fn judge(&self, folder: &Path) -> Result<Verdict> {
+        let session = SessionFile::load(folder)?;
+        let (pulses, imu_samples) = read_streams(folder)?;
+        let base = self.timebase.refined(&pulses, &self.depth)?;
+        let alignment = session
+            .alignment
+            .context("the session has aligned nothing")?;
+        let clock = session
+            .clock
+            .context("the session knows no relation of the clocks")?;
+        let span = session
+            .recorded
+            .context("the session has recorded nothing")?;
+        let phase_ns = session
+            .video
+            .context("the session has started no video")?
+            .phase
+            .0;
+        let twist = last_twist(&session.twists, span).context("no twist related the clocks")?;
+        let video = video_at(&self.videos, phase_ns)?;
+        let phases = self.phases(&self.phone, video, &base, span);
+        let phase = summarise(&phases).context("the recorded span has no frames")?;
+        // A pair further apart than a quarter of a frame is none.
+        let quarter_us = video.frames.period_ns() * 0.25e-3;
+        let unpaired = phases
+            .iter()
+            .filter(|p| p.error_us.abs() > quarter_us)
+            .count();
+        let lost = session.counts.lost() + unpaired as u64;
+        Ok(Verdict {
+            twist: self.judge_twist(&self.phone, &twist, &base),
+            offset_start: self.error_of(&self.phone, &alignment.clock, &base, span.from),
+            offset_end: self.error_of(&self.phone, &clock, &base, span.to),
+            phase,
+            phases,
+            pulses: pulses.len() as u64,
+            imu_samples,
+            lost,
+            recorded_s: (span.to - span.from).as_secs_f64(),
+        })
+    }
+
+    /// Phase errors of a phone's frames in the recorded span.
+    fn phases(
+        &self,
+        phone: &Oscillator,
+        video: &VideoTruth,
+        base: &Timebase,
+        span: Span,
+    ) -> Vec<PhaseError> {
+        let phone_ns = |at: Ticks| phone.nanos_at(self.board.true_at(base.time(at)));
+        let from = phone_ns(span.from);
+        // A frame that had begun before may belong to the way to the grid.
+        let mut first = video.frames.complete_at(from);
+        while video.frames.start_ns(first) < from {
+            first += 1;
+        }
+        let count = video
+            .frames
+            .complete_at(phone_ns(span.to))
+            .min(video.count.unwrap_or(usize::MAX));
+        phase_errors(&video.frames, first..count, phone, &self.depth)
+    }
+
+    /// Judges what the recording in `folder` says of the further phones.
+    ///
+    /// # Errors
+    ///
+    /// The recording cannot be read, or a part that is judged is missing in it.
+    pub fn judge_others(&self, folder: &Path) -> Result<Vec<OtherVerdict>> {
+        let session = SessionFile::load(folder)?;
+        let (pulses, _) = read_streams(folder)?;
+        let base = self.timebase.refined(&pulses, &self.depth)?;
+        let span = session
+            .recorded
+            .context("the session has recorded nothing")?;
+        session
+            .phones
+            .iter()
+            .zip(&self.others)
+            .map(|(said, (clock, videos))| {
+                self.judge_other(said, (clock, videos), &base, span)
+                    .with_context(|| format!("phone {}", said.name))
+            })
+            .collect()
+    }
+
+    fn judge_other(
+        &self,
+        said: &OtherPhone,
+        (phone, videos): (&Oscillator, &[VideoTruth]),
+        base: &Timebase,
+        span: Span,
+    ) -> Result<OtherVerdict> {
+        let before = last_twist(&said.twists, span).context("no twist related its clock")?;
+        let clock = said.clock.context("its clock is not related")?;
+        let placed = said.placement.context("its frames are not placed")?;
+        let phase_ns = said.video.context("it has started no video")?.phase.0;
+        let video = video_at(videos, phase_ns)?;
+        let mut phases = self.phases(phone, video, base, span);
+        let period_us = video.frames.period_ns() * 1e-3;
+        let near = |value: f64| value - (value / period_us).round() * period_us;
+        // A frame that falls behind is paired with the next depth frame some time.
+        let mut last = phases.first().map_or(0.0, |phase| phase.error_us);
+        for phase in &mut phases {
+            last += near(phase.error_us - last);
+            phase.error_us = last;
+        }
+        let truth = summarise(&phases).context("the recorded span has no frames")?;
+        let first = phases.first().context("the recorded span has no frames")?;
+        let began = phone
+            .when_nanos(phase_ns)
+            .context("a time before power-on")?;
+        let minutes = (first.at_s - began.as_secs_f64()) / 60.0;
+        let stated = placed.offset_us + placed.drift_us_per_min * minutes;
+        Ok(OtherVerdict {
+            name: said.name.clone(),
+            offset_start: self.error_of(phone, &before, base, span.from),
+            offset_end: self.error_of(phone, &clock, base, span.to),
+            // The truth is depth minus phone.
+            placement: OffsetError {
+                error_us: near(stated + truth.start_us),
+                sigma_us: placed
+                    .offset_sigma_us
+                    .hypot(placed.drift_sigma_us_per_min * minutes),
+            },
+            drift_us_per_min: -truth.drift_us_per_min,
+            drift_error_us_per_min: placed.drift_us_per_min + truth.drift_us_per_min,
+            drift_sigma_us_per_min: placed.drift_sigma_us_per_min,
+        })
+    }
+}
+
+/// What the last accepted twist before a span said.
+fn last_twist(twists: &[Twist], span: Span) -> Option<ClockModel> {
+    twists
+        .iter()
+        .rfind(|twist| twist.accepted && twist.span.to < span.from)
+        .and_then(|twist| twist.clock)
+}
+
+/// The video that was being recorded at a time of the phone.
+fn video_at(videos: &[VideoTruth], phone_ns: i64) -> Result<&VideoTruth> {
+    videos
+        .iter()
+        .find(|v| (v.start_ns..v.stop_ns.unwrap_or(i64::MAX)).contains(&phone_ns))
+        .context("the phone has recorded no video in this session")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rig::oscillator::{OscillatorConfig, TrueTime};
+
+    fn frame(edge: SimTime) -> FrameRecord {
+        FrameRecord {
+            number: 0,
+            source: Source::Pulse { number: 0, edge },
+            first_flash: edge,
+            center: edge,
+            center_true: TrueTime::ZERO,
+            device_ticks: 0,
+            bad: false,
+            delivered: true,
+        }
+    }
+
+    #[test]
+    fn the_timebase_is_made_exact_though_the_camera_misses_pulses() {
+        let zero = SimTime::from_nanos(2_345_678);
+        let base = Timebase::new(zero);
+        let pulses: Vec<Ticks> = (0..300u64)
+            .map(|k| Ticks(5_000_000_000 + k * 1_600_000))
+            .collect();
+        let frames: Vec<FrameRecord> = pulses[2..290]
+            .iter()
+            .map(|&p| frame(base.time(p)))
+            .collect();
+        for off_ns in [0, 1_500, -1_500] {
+            let about = SimTime::from_nanos(2_345_678u64.saturating_add_signed(off_ns));
+            let found = Timebase::new(about).refined(&pulses, &frames).unwrap();
+            for &pulse in &pulses {
+                assert_eq!(found.ticks(base.time(pulse)), pulse);
+            }
+        }
+        // Pulses that the camera saw and the recording has not.
+        let gap = [&pulses[..50], &pulses[55..]].concat();
+        assert!(base.refined(&gap, &frames).is_err());
+        // Frames of another session do not matter.
+        assert!(base.refined(&pulses[5..100], &frames).is_ok());
+        assert!(base.refined(&pulses, &[]).is_err());
+    }
+
+    #[test]
+    fn a_true_relation_has_no_error() {
+        let config = |offset_ns, rate_ppm| OscillatorConfig {
+            offset_ns,
+            rate_ppm,
+            wander: 0.0,
+        };
+        let random = || rig::random::Seed(1).stream(rig::random::Stream::Test);
+        let truth = Truth {
+            board: BoardTime::new(config(0, 20.0), random()),
+            phone: Oscillator::new(config(4_000_000_000_000, -30.0), random()),
+            videos: Vec::new(),
+            others: Vec::new(),
+            depth: Vec::new(),
+            timebase: Timebase::new(SimTime::from_nanos(1_000_000)),
+        };
+        let base = truth.timebase;
+        let at = Ticks(48_000_000 * 100);
+        let skew = (1.0 - 30e-6) / (1.0 + 20e-6) - 1.0;
+        let model = ClockModel {
+            reference: Ticks(48_000_000 * 40).into(),
+            offset: truth.offset_ns(&truth.phone, &base, Ticks(48_000_000 * 40)) * 1e-9 + 3e-6,
+            skew,
+            covariance: [[1e-12, 0.0], [0.0, 0.0]],
+            wander: timebase::Wander(0.0),
+        };
+        let error = truth.error_of(&truth.phone, &model, &base, at);
+        // 3 µs of error were put in.
+        assert!((error.error_us - 3.0).abs() < 0.01, "{error:?}");
+        assert!((error.sigma_us - 1.0).abs() < 1e-6, "{error:?}");
+    }
+}

@@ -1,0 +1,206 @@
+//! Sessions of `smartdepthsync`, as processes of their own, one after the other
+//! on one simulated rig that runs all the time.
+//!
+//! The sessions see a serial port and a TCP port as on hardware. They are given
+//! a profile with the constants that a real rig's owner would have measured
+//! ([`rig::owner_profile`]), and nothing that a session finds out by itself.
+//! [`Stage::learn`] adds what a session has taught, by the tool's own command.
+//!
+//! The rig is twisted all the time: a session may ask for it at any moment. What
+//! else it does has no part in the figures.
+
+use rig::wiring;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, anyhow, bail};
+
+use super::judge::Truth;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::phone::PhoneConfig;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunningRig};
+use stm32f4_sim::time::SimTime;
+
+/// What a stage is made of.
+#[derive(Clone, Debug)]
+pub struct StageOptions {
+    /// The one seed of all randomness.
+    pub seed: u64,
+    /// Folder for recordings, the phone's files and the profile.
+    pub out: PathBuf,
+    /// The firmware's ELF; the one that was built last if not given.
+    pub elf: Option<PathBuf>,
+    /// The program `smartdepthsync`.
+    pub program: PathBuf,
+    /// At most so many times real time.
+    pub speed: f64,
+    /// Sessions say nothing unless they fail.
+    pub quiet: bool,
+}
+
+/// A rig that runs, and where its sessions leave their files.
+pub struct Stage {
+    options: StageOptions,
+    rig: RunningRig,
+    profile: PathBuf,
+}
+
+impl Stage {
+    /// Sets a rig up and lets it run.
+    ///
+    /// # Errors
+    ///
+    /// A part of it cannot be started, or a file cannot be written.
+    pub fn start(options: StageOptions) -> Result<Self> {
+        let out = &options.out;
+        std::fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+        let seed = Seed(options.seed);
+        let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
+        let mut phone = PhoneConfig::draw(seed);
+        phone.storage = Some(out.join("phone"));
+        let mut board = wiring::board();
+        if let Some(elf) = &options.elf {
+            board = board.elf(elf);
+        }
+        let pace = Pace {
+            speed: Some(options.speed),
+            wait_for_host: true,
+        };
+        let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
+        let profile = out.join("rig.toml");
+        std::fs::write(&profile, rig.profile()?)
+            .with_context(|| format!("cannot write {}", profile.display()))?;
+        Ok(Self {
+            options,
+            rig,
+            profile,
+        })
+    }
+
+    /// The rig profile, as it is by now.
+    #[must_use]
+    pub fn profile(&self) -> &Path {
+        &self.profile
+    }
+
+    /// Board time now.
+    #[must_use]
+    pub fn now(&self) -> SimTime {
+        self.rig.now()
+    }
+
+    /// Runs `smartdepthsync record` for `seconds` of board time with a second
+    /// twist at the end, and gives the recording's folder.
+    ///
+    /// # Errors
+    ///
+    /// The session fails, or finishes with loss.
+    pub fn session(&self, name: &str, seconds: u32, arguments: &[&str]) -> Result<PathBuf> {
+        let name = free_name(&self.options.out, name);
+        let mut command = Command::new(&self.options.program);
+        command
+            .arg("record")
+            .arg("--port")
+            .arg(self.rig.port())
+            .arg("--profile")
+            .arg(&self.profile)
+            .arg("--out")
+            .arg(&self.options.out)
+            .args(["--name", &name, "--yes"])
+            .args(["--duration", &format!("{seconds}s"), "--second-twist"])
+            .args(arguments);
+        let ended = self.run(&mut command);
+        if !self.rig.is_running() {
+            bail!("the simulated board has failed during a session");
+        }
+        ended?;
+        Ok(self.options.out.join(name))
+    }
+
+    /// Has `smartdepthsync profile learn` write into the profile what a session
+    /// has taught. It must be the last one that recorded a video.
+    ///
+    /// # Errors
+    ///
+    /// The phone has no files of it, or nothing can be learnt.
+    pub fn learn(&self, recording: &Path) -> Result<()> {
+        let phone = self.rig.phone().context("the rig has no phone")?;
+        phone
+            .wait_saved()
+            .map_err(|e| anyhow!("the simulated phone: {e}"))?;
+        let videos = phone.videos();
+        let video = videos.last().context("the phone has recorded no video")?;
+        let mut command = Command::new(&self.options.program);
+        command
+            .args(["profile", "learn"])
+            .arg(&self.profile)
+            .arg("--recording")
+            .arg(recording)
+            .arg("--timestamps")
+            .arg(&video.timestamps);
+        self.run(&mut command)
+    }
+
+    /// Ends the rig and tells the truth.
+    ///
+    /// # Errors
+    ///
+    /// The firmware has failed, or the phone could not save a file.
+    pub fn end(self) -> Result<Truth> {
+        Truth::of(self.rig.stop().context("the simulated rig")?)
+    }
+
+    /// Runs a program to its end.
+    fn run(&self, command: &mut Command) -> Result<()> {
+        command.stdin(Stdio::null());
+        let cannot = || {
+            format!(
+                "cannot start {}: build it with `cargo build --release -p smartdepthsync`",
+                self.options.program.display()
+            )
+        };
+        if self.options.quiet {
+            let output = command.output().with_context(cannot)?;
+            if !output.status.success() {
+                bail!(
+                    "{command:?} ended with {}: {}",
+                    output.status,
+                    String::from_utf8_lossy(&output.stderr).trim()
+                );
+            }
+        } else {
+            let status = command.status().with_context(cannot)?;
+            if !status.success() {
+                bail!("{command:?} ended with {status}");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A name in `folder` that is not taken.
+fn free_name(folder: &Path, name: &str) -> String {
+    let mut free = name.to_owned();
+    let mut number = 1u32;
+    while folder.join(&free).exists() {
+        number += 1;
+        free = format!("{name}_{number}");
+    }
+    free
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(free_name(folder.path(), "recording"), "recording");
+        std::fs::create_dir(folder.path().join("recording")).unwrap();
+        assert_eq!(free_name(folder.path(), "recording"), "recording_2");
+    }
+}

@@ -1,0 +1,279 @@
+//! What goes wrong in one run, drawn from its seed.
+
+use serde::Serialize;
+
+use rig::random::{Random, Seed, Stream};
+use stm32f4_sim::time::{SimDuration, SimTime};
+
+/// A fault. Those with an end last for the length of their [`Event`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+pub enum Fault {
+    /// The USB cable is pulled and put back.
+    UsbUnplugged,
+    /// The host's computer takes nothing from the bus.
+    HostStalled,
+    /// Bits flip on the way from the board.
+    CorruptedFromBoard,
+    /// Bits flip on the way to the board.
+    CorruptedToBoard,
+    /// SDA is held low.
+    I2cHeld,
+    /// The IMU has no power.
+    ImuPowerCut,
+    /// The wire of the IMU's clock is cut.
+    ImuClockCut,
+    /// 100 kHz on the strobe input.
+    StrobeFlooded,
+    /// The host program is killed: judged by the files as they are at that moment.
+    HostKilled,
+    /// The depth camera stops.
+    DepthCameraStopped,
+    /// The board's reset button is pressed.
+    ResetPressed,
+    /// A task of the board hangs until the watchdog resets it.
+    WatchdogReset,
+    /// The supply of board and IMU fails and comes back.
+    SupplyReset,
+    /// The host's time of day is set, by hours.
+    HostClockStepped,
+    /// The phone leaves the network.
+    PhoneGone,
+    /// The phone is on the network and nothing goes through.
+    WifiStalled,
+    /// No more fits onto the disk.
+    DiskFull,
+    /// The real process is killed.
+    ProcessKilled,
+}
+
+impl Fault {
+    /// All of them.
+    pub const ALL: [Self; 18] = [
+        Self::DepthCameraStopped,
+        Self::UsbUnplugged,
+        Self::HostStalled,
+        Self::CorruptedFromBoard,
+        Self::I2cHeld,
+        Self::ImuPowerCut,
+        Self::ImuClockCut,
+        Self::StrobeFlooded,
+        Self::HostKilled,
+        Self::WatchdogReset,
+        Self::SupplyReset,
+        Self::HostClockStepped,
+        Self::PhoneGone,
+        Self::WifiStalled,
+        Self::DiskFull,
+        Self::ProcessKilled,
+        Self::ResetPressed,
+        Self::CorruptedToBoard,
+    ];
+
+    /// Whether the board begins a new run by it.
+    #[must_use]
+    pub const fn is_reset(self) -> bool {
+        matches!(
+            self,
+            Self::ResetPressed | Self::WatchdogReset | Self::SupplyReset
+        )
+    }
+
+    /// Whether it needs the program as a process, and the phone.
+    #[must_use]
+    pub const fn needs_process(self) -> bool {
+        matches!(
+            self,
+            Self::PhoneGone | Self::WifiStalled | Self::DiskFull | Self::ProcessKilled
+        )
+    }
+
+    /// Whether it can be done to the rig of a run with the real program.
+    const fn goes_with_process(self) -> bool {
+        self.needs_process() || matches!(self, Self::UsbUnplugged | Self::ResetPressed)
+    }
+
+    /// Whether the session may end before it does.
+    const fn may_outlast(self) -> bool {
+        matches!(self, Self::PhoneGone | Self::WifiStalled)
+    }
+
+    /// Whether samples of the IMU are missing by it.
+    #[must_use]
+    pub const fn hits_imu(self) -> bool {
+        matches!(self, Self::I2cHeld | Self::ImuPowerCut | Self::ImuClockCut)
+    }
+
+    /// Shortest and longest duration in ms; none if it has no end.
+    const fn lasts(self) -> Option<(u64, u64)> {
+        match self {
+            Self::UsbUnplugged => Some((50, 8_000)),
+            Self::HostStalled => Some((200, 20_000)),
+            Self::CorruptedFromBoard | Self::CorruptedToBoard => Some((500, 5_000)),
+            Self::I2cHeld | Self::ImuPowerCut => Some((5, 4_000)),
+            Self::ImuClockCut | Self::StrobeFlooded => Some((100, 4_000)),
+            Self::DepthCameraStopped => Some((500, 5_000)),
+            Self::PhoneGone | Self::WifiStalled => Some((500, 20_000)),
+            Self::HostKilled
+            | Self::ResetPressed
+            | Self::WatchdogReset
+            | Self::SupplyReset
+            | Self::HostClockStepped
+            | Self::DiskFull
+            | Self::ProcessKilled => None,
+        }
+    }
+}
+
+/// A fault with its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Event {
+    /// What.
+    pub fault: Fault,
+    /// When, after the recording began, in µs.
+    pub at_us: u64,
+    /// For how long, in µs; 0 if it has no end.
+    pub for_us: u64,
+}
+
+impl Event {
+    /// Begin, of a recording that began at `zero`.
+    #[must_use]
+    pub fn begins(&self, zero: SimTime) -> SimTime {
+        zero + SimDuration::from_micros(self.at_us)
+    }
+
+    /// End; the begin if it has none.
+    #[must_use]
+    pub fn ends(&self, zero: SimTime) -> SimTime {
+        zero + SimDuration::from_micros(self.at_us + self.for_us)
+    }
+}
+
+/// A run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Plan {
+    /// Its seed.
+    pub seed: u64,
+    /// Faults in the order of their begin.
+    pub events: Vec<Event>,
+    /// Length of the recording if nothing ends it, in µs.
+    pub length_us: u64,
+    /// Damaged bytes in a million, where bytes are damaged.
+    pub corruption_ppm: u32,
+    /// What the host's time of day is set by, s.
+    pub clock_step_s: i64,
+}
+
+/// How long a recording goes on behind the last fault, in ms: 1 s for the watch
+/// to notice, 8 s for a link to come back, an IMU to be set up again, and a
+/// status.
+const QUIET_MS: u64 = 9_000;
+
+impl Plan {
+    /// Draws one to four faults. At most one of them resets the board, and
+    /// nothing comes behind it but what had begun.
+    #[must_use]
+    pub fn draw(seed: Seed) -> Self {
+        let mut random = seed.stream(Stream::Test);
+        // Every fault leads in turn, so that few seeds try all of them.
+        let first = Fault::ALL[(seed.0 % Fault::ALL.len() as u64) as usize];
+        let mut faults = vec![first];
+        let fitting: Vec<Fault> = Fault::ALL
+            .into_iter()
+            .filter(|fault| match first.needs_process() {
+                true => fault.goes_with_process(),
+                false => !fault.needs_process(),
+            })
+            .collect();
+        for _ in 0..random.bits() % 4 {
+            let fault = fitting[(random.bits() % fitting.len() as u64) as usize];
+            let again = faults
+                .iter()
+                .any(|f| *f == fault || f.is_reset() && fault.is_reset());
+            if !again {
+                faults.push(fault);
+            }
+        }
+        let mut events: Vec<Event> = faults
+            .into_iter()
+            .map(|fault| Self::place(fault, &mut random))
+            .collect();
+        events.sort_by_key(|event| event.at_us);
+        let end = |event: &Event| match event.fault.may_outlast() {
+            true => event.at_us,
+            false => event.at_us + event.for_us,
+        };
+        let last = events.iter().map(end).max();
+        let hours = 1 + (random.bits() % 12) as i64;
+        let clock_step_s = if random.bits().is_multiple_of(2) {
+            hours * 3_600
+        } else {
+            hours * -3_600
+        };
+        Self {
+            seed: seed.0,
+            events,
+            length_us: last.unwrap_or(0) + QUIET_MS * 1000,
+            corruption_ppm: 100 + (random.bits() % 2_000) as u32,
+            clock_step_s,
+        }
+    }
+
+    fn place(fault: Fault, random: &mut Random) -> Event {
+        let for_us = fault.lasts().map_or(0, |(shortest, longest)| {
+            // As many short ones as long ones.
+            let (low, high) = ((shortest as f64).ln(), (longest as f64).ln());
+            (random.uniform(low, high).exp() * 1000.0) as u64
+        });
+        Event {
+            fault,
+            at_us: 2_000_000 + random.bits() % 10_000_000,
+            for_us,
+        }
+    }
+
+    /// Whether one of the faults is `fault`.
+    #[must_use]
+    pub fn has(&self, fault: Fault) -> bool {
+        self.events.iter().any(|event| event.fault == fault)
+    }
+
+    /// Whether the board is reset.
+    #[must_use]
+    pub fn resets(&self) -> bool {
+        self.events.iter().any(|event| event.fault.is_reset())
+    }
+}
+
+impl core::fmt::Display for Plan {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "seed {}:", self.seed)?;
+        for event in &self.events {
+            write!(f, " {:?} at {:.6} s", event.fault, event.at_us as f64 / 1e6)?;
+            if event.for_us > 0 {
+                write!(f, " for {:.6} s", event.for_us as f64 / 1e6)?;
+            }
+            write!(f, ",")?;
+        }
+        write!(f, " {:.3} s in all", self.length_us as f64 / 1e6)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_is_one_plan_and_eighteen_in_a_row_have_every_fault() {
+        for seed in 0..200 {
+            let plan = Plan::draw(Seed(seed));
+            assert_eq!(plan, Plan::draw(Seed(seed)));
+            let resets = plan.events.iter().filter(|e| e.fault.is_reset()).count();
+            assert!(resets <= 1, "{plan}");
+        }
+        for fault in Fault::ALL {
+            let among = (1..=18).any(|seed| Plan::draw(Seed(seed)).has(fault));
+            assert!(among, "{fault:?}");
+        }
+    }
+}

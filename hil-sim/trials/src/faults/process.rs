@@ -1,0 +1,481 @@
+//! Runs with the real program: `smartdepthsync record` as a process of its own, on
+//! the running rig with its phone, for the faults that need one of these.
+//!
+//! Such a run has its faults at the same board times each time it is made; when the
+//! processes get to run is the machine's, so it is not the same to the byte.
+//!
+//! Judged: the exit code and the words; the files, which `verify` must not find
+//! damaged; every sample in them against the sensor's registers and its edge, to the
+//! tick; every pulse against the grid; a killed or broken-off recording lacks at
+//! most its last second; the phone is left as it should be.
+
+use rig::wiring;
+use std::io::Read as _;
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus as ProcessStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use board::imu::Scale;
+use protocol::{ImuFlags, ImuSample, Ticks};
+use recording::MCAP_FILE;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
+use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
+use smartdepthsync::outcome::ExitStatus;
+use verify::{Verdict as Checked, verify};
+
+use super::plan::{Event, Fault, Plan};
+use super::{Programs, Verdict};
+use crate::board_truth::UNITS_PER_TICK;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::mpu9150::SampleRecord;
+use rig::phone::{LinkFault, PhoneConfig, SimPhone};
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunTruth, RunningRig};
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::time::SimTime;
+
+/// The longest that anything is waited for, in real time.
+const PATIENCE: Duration = Duration::from_secs(180);
+/// What a kill or a full disk may cost, s.
+const COSTS_S: f64 = 1.0;
+/// How often a session is begun: its patience with the phone is real time, which a
+/// busy machine may not have.
+const TRIES: usize = 3;
+/// What it says when it records.
+const RECORDS: &str = "recording for";
+
+/// A process with what it says.
+struct Session {
+    child: Child,
+    said: Arc<Mutex<String>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+impl Session {
+    fn start(command: &mut Command) -> Result<Self, String> {
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| format!("cannot start {command:?}: {error}"))?;
+        let said = Arc::new(Mutex::new(String::new()));
+        let mut pipes: Vec<Box<dyn std::io::Read + Send>> = Vec::new();
+        if let Some(out) = child.stdout.take() {
+            pipes.push(Box::new(out));
+        }
+        if let Some(err) = child.stderr.take() {
+            pipes.push(Box::new(err));
+        }
+        let readers = pipes
+            .into_iter()
+            .map(|mut pipe| {
+                let heard = Arc::clone(&said);
+                std::thread::spawn(move || {
+                    let mut buffer = [0; 1024];
+                    while let Ok(count @ 1..) = pipe.read(&mut buffer) {
+                        let text = String::from_utf8_lossy(buffer.get(..count).unwrap_or_default());
+                        lock(&heard).push_str(&text);
+                    }
+                })
+            })
+            .collect();
+        Ok(Self {
+            child,
+            said,
+            readers,
+        })
+    }
+
+    fn said(&self) -> String {
+        lock(&self.said).clone()
+    }
+
+    fn pid(&self) -> Result<Pid, String> {
+        i32::try_from(self.child.id())
+            .ok()
+            .and_then(Pid::from_raw)
+            .ok_or_else(|| "a process without a number".to_owned())
+    }
+
+    fn ended(&mut self) -> Result<Option<ProcessStatus>, String> {
+        self.child.try_wait().map_err(|error| error.to_string())
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        // It has ended, or nobody wants it any more.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        for reader in self.readers.drain(..) {
+            let _ = reader.join();
+        }
+    }
+}
+
+/// What was done and seen.
+struct Seen {
+    status: ProcessStatus,
+    said: String,
+    /// When it was killed.
+    killed: Option<SimTime>,
+    /// When the disk was full.
+    full: Option<SimTime>,
+    /// When the phone was last not to be reached.
+    phone_away: Option<SimTime>,
+    /// It still recorded when the session had ended.
+    phone_records: bool,
+}
+
+/// Runs a plan.
+pub(super) fn run(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Verdict, String> {
+    let place = folder.join(format!("seed-{}", plan.seed));
+    if place.exists() {
+        std::fs::remove_dir_all(&place).map_err(|error| error.to_string())?;
+    }
+    std::fs::create_dir_all(&place).map_err(|error| error.to_string())?;
+    let rig = start_rig(plan, programs, &place)?;
+    let mut last = None;
+    for attempt in 0..TRIES {
+        let name = format!("try-{attempt}");
+        let mut session = Session::start(&mut command(&rig, plan, programs, &place, &name)?)?;
+        if !records(&mut session)? {
+            last = Some(session.said());
+            drop(session);
+            stop_phone(phone(&rig)?);
+            continue;
+        }
+        let recording = place.join(&name);
+        let seen = happen(&rig, plan, session, &recording)?;
+        stop_phone(phone(&rig)?);
+        let truth = rig.stop().map_err(|error| format!("{error:#}"))?;
+        return judge(plan, &seen, &recording, &truth);
+    }
+    Err(format!(
+        "no session came to record: {}",
+        last.unwrap_or_default()
+    ))
+}
+
+fn start_rig(plan: &Plan, programs: &Programs, place: &Path) -> Result<RunningRig, String> {
+    let seed = Seed(plan.seed);
+    let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
+    let mut phone = PhoneConfig::draw(seed);
+    // Small and quick: videos are not what is judged here.
+    phone.camera.rows = 120;
+    phone.camera.columns = 16;
+    phone.camera.first_frame_ms = (20.0, 50.0);
+    phone.storage = Some(place.join("phone"));
+    let mut board = wiring::board().tolerate_failures();
+    if let Some(elf) = &programs.elf {
+        board = board.elf(elf);
+    }
+    let pace = Pace {
+        speed: Some(programs.speed),
+        wait_for_host: false,
+    };
+    RunningRig::start(config, board, Some((phone, 0)), pace).map_err(|error| format!("{error:#}"))
+}
+
+fn phone(rig: &RunningRig) -> Result<&SimPhone, String> {
+    rig.phone().ok_or_else(|| "the rig has no phone".to_owned())
+}
+
+/// Its owner stops what a session left.
+fn stop_phone(phone: &SimPhone) {
+    if phone.is_recording() {
+        phone.press_record();
+    }
+}
+
+fn command(
+    rig: &RunningRig,
+    plan: &Plan,
+    programs: &Programs,
+    place: &Path,
+    name: &str,
+) -> Result<Command, String> {
+    let profile = rig.profile().map_err(|error| format!("{error:#}"))?;
+    let profile = profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n");
+    let file = place.join("rig.toml");
+    std::fs::write(&file, profile + "\n[align]\nslew_us = 1000\n")
+        .map_err(|error| error.to_string())?;
+    // A file that may not grow is then an error to the program, as a full disk is.
+    let mut command = Command::new("env");
+    command
+        .arg("--ignore-signal=XFSZ")
+        .arg(&programs.smartdepthsync)
+        .arg("record")
+        .arg("--port")
+        .arg(rig.port())
+        .arg("--profile")
+        .arg(file)
+        .arg("--out")
+        .arg(place)
+        .args(["--name", name, "--yes", "--duration"])
+        .arg(format!("{}s", plan.length_us.div_ceil(1_000_000)));
+    Ok(command)
+}
+
+/// Waits until it records; false if it ends before.
+fn records(session: &mut Session) -> Result<bool, String> {
+    let begun = Instant::now();
+    while !session.said().contains(RECORDS) {
+        if session.ended()?.is_some() {
+            return Ok(false);
+        }
+        if begun.elapsed() > PATIENCE {
+            return Err(format!("it never records: {}", session.said()));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    Ok(true)
+}
+
+/// Lets happen what is planned, until the session ends.
+fn happen(
+    rig: &RunningRig,
+    plan: &Plan,
+    mut session: Session,
+    recording: &Path,
+) -> Result<Seen, String> {
+    let zero = rig.now();
+    let mut turns: Vec<(SimTime, Event, bool)> = Vec::new();
+    for event in &plan.events {
+        turns.push((event.begins(zero), *event, true));
+        if event.for_us > 0 {
+            turns.push((event.ends(zero), *event, false));
+        }
+    }
+    turns.sort_by_key(|turn| std::cmp::Reverse(turn.0));
+    let (mut killed, mut full, mut away) = (None, None, 0_u32);
+    let mut last_away = None;
+    let begun = Instant::now();
+    let status = loop {
+        if let Some(status) = session.ended()? {
+            break status;
+        }
+        if begun.elapsed() > PATIENCE || !rig.is_running() {
+            return Err(format!("it does not end: {}", session.said()));
+        }
+        let now = rig.now();
+        if away > 0 {
+            last_away = Some(now);
+        }
+        let Some((_, event, begins)) = turns.pop_if(|turn| turn.0 <= now) else {
+            std::thread::sleep(Duration::from_millis(1));
+            continue;
+        };
+        let phone = phone(rig)?;
+        match event.fault {
+            Fault::PhoneGone if begins => {
+                away += 1;
+                phone.leave_network();
+            }
+            Fault::PhoneGone => {
+                away -= 1;
+                phone.join_network().map_err(|error| error.to_string())?;
+            }
+            Fault::WifiStalled => {
+                away = if begins { away + 1 } else { away - 1 };
+                phone.set_fault(begins.then_some(LinkFault::Silent));
+            }
+            Fault::DiskFull => {
+                full = Some(now);
+                fill_disk(&session, recording)?;
+            }
+            Fault::ProcessKilled => {
+                kill_process(session.pid()?, Signal::KILL).map_err(|error| error.to_string())?;
+                killed = Some(rig.now());
+            }
+            Fault::UsbUnplugged if begins => rig.unplug(),
+            Fault::UsbUnplugged => rig.plug(),
+            Fault::ResetPressed => rig.press_reset(),
+            other => return Err(format!("{other:?} is no fault of this kind of run")),
+        }
+    };
+    // What it said last may still be on its way.
+    for reader in session.readers.drain(..) {
+        let _ = reader.join();
+    }
+    let phone = phone(rig)?;
+    let seen = Seen {
+        status,
+        said: session.said(),
+        killed,
+        full,
+        phone_away: last_away,
+        phone_records: phone.is_recording(),
+    };
+    phone.set_fault(None);
+    if away > 0 {
+        phone.join_network().map_err(|error| error.to_string())?;
+    }
+    Ok(seen)
+}
+
+/// From now on no file of the process may grow beyond what the recording is.
+fn fill_disk(session: &Session, recording: &Path) -> Result<(), String> {
+    let size = std::fs::metadata(recording.join(MCAP_FILE)).map_err(|error| error.to_string())?;
+    let limit = Rlimit {
+        current: Some(size.len()),
+        maximum: Some(size.len()),
+    };
+    prlimit(Some(session.pid()?), Resource::Fsize, limit)
+        .map(drop)
+        .map_err(|error| error.to_string())
+}
+
+fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result<Verdict, String> {
+    let said = |what: String| format!("{what}; it said: {}", seen.said.trim());
+    let file = SessionFile::load(recording).map_err(|error| error.to_string())?;
+    let kinds: Vec<&str> = file.problems.iter().map(|p| p.kind.as_str()).collect();
+    let disturbed = plan.has(Fault::UsbUnplugged) || plan.has(Fault::ResetPressed);
+    // Only a phone that was away while it was to be stopped may be given up, and only
+    // that may be left recording.
+    let missed = kinds.contains(&"phone_lost");
+    let zero = truth.zero.ok_or("the board's zero is not known")?;
+    let to_be_stopped = file.recorded.map_or(Ticks(0), |span| span.to);
+    if missed
+        && seen
+            .phone_away
+            .is_none_or(|last| ticks_at(zero, last) < to_be_stopped)
+    {
+        return Err(said(format!(
+            "the phone was there and is missed: {kinds:?}"
+        )));
+    }
+    if seen.phone_records && seen.killed.is_none() && !missed {
+        return Err(said("the phone was left recording".to_owned()));
+    }
+    let expected = match (seen.killed, seen.full) {
+        (Some(_), _) => None,
+        (None, Some(_)) => Some(ExitStatus::Storage),
+        (None, None) if disturbed || missed => Some(ExitStatus::Loss),
+        (None, None) => Some(ExitStatus::Good),
+    };
+    let code = expected.map(|status| i32::from(status.code()));
+    if seen.status.code() != code || (code.is_none() && seen.status.signal() != Some(9)) {
+        return Err(said(format!(
+            "it ended with {}, expected {expected:?}; {kinds:?}",
+            seen.status
+        )));
+    }
+    if expected == Some(ExitStatus::Storage) && !seen.said.contains("File too large") {
+        return Err(said("it does not say that the disk is full".to_owned()));
+    }
+    let resets = usize::from(plan.has(Fault::ResetPressed));
+    let ended_early = seen.killed.or(seen.full);
+    if ended_early.is_none() && file.runs.len() != resets {
+        return Err(said(format!(
+            "{} resets in the session file",
+            file.runs.len()
+        )));
+    }
+    let checked = verify(recording).map_err(|error| error.to_string())?;
+    if checked.verdict == Checked::Damaged {
+        return Err(format!("verify says: {:?}", checked.findings));
+    }
+    let compared = compare(recording, &file, truth)?;
+    if let Some(at) = ended_early {
+        // While the link or the board is away, nothing comes to be lost.
+        let end = at.since(zero).as_secs_f64();
+        let missing = end - compared.last_s;
+        if missing > COSTS_S && !disturbed {
+            return Err(said(format!("{missing:.3} s are missing at the end")));
+        }
+    }
+    let lost = |name: &str| checked.streams.get(name).map_or(0, |stream| stream.missing);
+    let mut problems = std::collections::BTreeMap::new();
+    for kind in kinds {
+        *problems.entry(kind.to_owned()).or_default() += 1;
+    }
+    Ok(Verdict {
+        plan: plan.clone(),
+        exit_code: expected.map_or(137, ExitStatus::code),
+        virtual_s: truth.end.as_secs_f64(),
+        pulses: checked.grid.map_or(0, |grid| grid.checked),
+        delivered: compared.samples,
+        disturbed: 0,
+        pulses_lost: lost("pulses"),
+        samples_lost: lost("imu"),
+        captures_lost: lost("captures"),
+        damaged_frames: u32::try_from(checked.damaged_frames).unwrap_or(u32::MAX),
+        reconnects: file.reconnects,
+        runs: 1 + file.runs.len(),
+        joint_error_us: None,
+        joint_sigma_us: file.runs.last().map(|run| run.shift_sigma_us),
+        problems,
+        digest: 0,
+    })
+}
+
+/// The board's tick count at a time, if it was zero at `zero`.
+fn ticks_at(zero: SimTime, at: SimTime) -> Ticks {
+    Ticks(at.units().saturating_sub(zero.units()) / UNITS_PER_TICK)
+}
+
+struct Compared {
+    samples: u64,
+    last_s: f64,
+}
+
+/// Every sample of the first run is that of the sensor's registers, at its edge.
+fn compare(recording: &Path, file: &SessionFile, truth: &RunTruth) -> Result<Compared, String> {
+    let zero = truth.zero.ok_or("the board's zero is not known")?;
+    let scale: Scale = file
+        .imu
+        .as_ref()
+        .ok_or("no scale in the session file")?
+        .scale;
+    let tick = |record: &SampleRecord| ticks_at(zero, record.at);
+    let mut records = truth.imu.iter().filter(|record| record.edge).peekable();
+    let mut compared = Compared {
+        samples: 0,
+        last_s: 0.0,
+    };
+    for entry in Reader::open(recording).map_err(|error| error.to_string())? {
+        let entry = entry.map_err(|error| error.to_string())?;
+        match entry.item {
+            // Later runs are placed by the host's clock, which is slower here.
+            Item::Run(_) => break,
+            Item::Imu(imu) => {
+                while records.next_if(|record| tick(record) < entry.at).is_some() {}
+                let Some(record) = records.next().filter(|record| tick(record) == entry.at) else {
+                    return Err(format!("a sample at {:?} without an edge", entry.at));
+                };
+                let expected = scale.apply(&ImuSample {
+                    seq: 0,
+                    at: entry.at,
+                    flags: ImuFlags::default(),
+                    accel: record.values.accel,
+                    temperature: record.values.temperature,
+                    gyro: record.values.gyro,
+                });
+                let found: [f64; 3] = imu.angular_velocity.into();
+                if found != expected.gyro {
+                    return Err(format!(
+                        "the sample at {:?} is {found:?}, in the registers {:?}",
+                        entry.at, expected.gyro
+                    ));
+                }
+                compared.samples += 1;
+                compared.last_s = entry.at.as_secs_f64();
+            }
+            _ => {}
+        }
+    }
+    Ok(compared)
+}
+
+/// Whether a run of this plan needs the program as a process.
+pub(super) fn is_needed(plan: &Plan) -> bool {
+    plan.events.iter().any(|event| event.fault.needs_process())
+}

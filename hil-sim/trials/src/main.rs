@@ -1,0 +1,52 @@
+//! `hil-sim`: runs the firmware's ELF on a simulated board.
+
+mod commands;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// The simulated rig of SmartDepthSync.
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Run the board and offer its USB serial port as a pseudo-terminal.
+    Serve(rig::serve::Args),
+    /// Run a whole session on the simulated rig and judge it by the truth.
+    Demo(commands::demo::Args),
+    /// Phase and drift of the frames from launch to launch, against the truth.
+    FrameSync(commands::frame_sync::Args),
+    /// Check extraction and evaluation on recordings of the whole rig, by the truth.
+    Chain(commands::chain::Args),
+    /// Measure the simulator and the firmware in it.
+    Bench(commands::bench::Args),
+    /// Hours of trigger, IMU and strobe in one run, every edge compared.
+    LongRun(commands::long_run::Args),
+    /// Recordings during which things go wrong, judged by the truth.
+    Faults(commands::faults::Args),
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Serve(args) => rig::serve::run(&args),
+        Command::Demo(args) => commands::demo::run(&args),
+        Command::FrameSync(args) => commands::frame_sync::run(&args),
+        Command::Chain(args) => commands::chain::run(&args),
+        Command::Bench(args) => commands::bench::run(&args),
+        Command::LongRun(args) => commands::long_run::run(&args),
+        Command::Faults(args) => commands::faults::run(&args),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

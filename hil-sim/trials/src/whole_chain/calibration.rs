@@ -1,0 +1,134 @@
+//! Calibration: a constant that nobody knows is measured from the strobes,
+//! written into the profile, and gone in the next recording.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+
+use super::{Plan, Programs, ask, number, record};
+use crate::whole_chain::evaluation::{Measured, bias};
+use stm32f4_sim::time::SimDuration;
+
+/// What may be left of the bias, µs.
+pub const LIMIT_US: f64 = 5.0;
+
+/// Seconds of the recording from which skew and frame period are learnt.
+const LEARNT_S: u32 = 60;
+
+/// What came out.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct CalibrationFigures {
+    /// What was hidden in the camera, µs.
+    pub hidden_us: f64,
+    /// Bias of the recording before, as measured and by the truth, µs.
+    pub before: Measured,
+    /// What was written into the profile, with its 1-sigma, µs.
+    pub written_us: (f64, f64),
+    /// Bias of the next recording, µs.
+    pub after: Measured,
+}
+
+impl CalibrationFigures {
+    /// Whether the bias of the next recording is gone, by the truth.
+    #[must_use]
+    pub fn good(&self) -> bool {
+        self.after.truth.abs() <= LIMIT_US
+    }
+
+    /// As text.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let row = |name: &str, m: &Measured| {
+            format!(
+                "{name:<22} measured {:+.3} ± {:.3} µs, by the truth {:+.3} µs\n",
+                m.value, m.sigma, m.truth
+            )
+        };
+        format!(
+            "Simulated, whole chain, {:+.0} µs hidden in the camera\n{}\
+             {:<22} {:+.3} ± {:.3} µs\n{}",
+            self.hidden_us,
+            row("bias before", &self.before),
+            "written",
+            self.written_us.0,
+            self.written_us.1,
+            row("bias after", &self.after),
+        )
+    }
+}
+
+/// Records with a camera that flashes `hidden` later than anybody knows, learns
+/// the clocks, calibrates, and records again.
+///
+/// One twist knows the skew of the clocks to 1 to 3 ppm, which is 10 to 30 µs
+/// within a recording of ten seconds: as on a real rig, a longer recording comes
+/// first, from which `extract --learn` takes skew and frame period.
+///
+/// # Errors
+///
+/// A step fails.
+pub fn check(
+    plan: &Plan,
+    hidden: SimDuration,
+    programs: &Programs,
+    out: &Path,
+) -> Result<CalibrationFigures> {
+    let session = |name: &str, seconds: u32, profile: Option<&Path>| {
+        let plan = Plan {
+            name: format!("{}_{name}", plan.name),
+            seconds,
+            hidden_delay: hidden,
+            profile: profile.map(Path::to_owned),
+            ..plan.clone()
+        };
+        record(&plan, programs, out)
+    };
+    let long = session("long", LEARNT_S, None)?;
+    let text = |path: &Path| path.to_string_lossy().into_owned();
+    let data = long.folder.with_file_name("data");
+    ask(
+        programs,
+        &[
+            "extract",
+            "--phone",
+            &text(&long.phone),
+            "--out",
+            &text(&data),
+            "--learn",
+            &text(&long.profile),
+        ],
+        &[&long.folder],
+    )?;
+    let first = session("before", plan.seconds, Some(&long.profile))?;
+    let before = bias(&first, programs)?;
+    let json = ask(
+        programs,
+        &[
+            "evaluate",
+            "precision",
+            "--calibrate",
+            &text(&first.profile),
+        ],
+        &[&first.folder],
+    )?;
+    let written = json.get("calibrated").context("nothing was written")?;
+    let second = session("after", plan.seconds, Some(&first.profile))?;
+    Ok(CalibrationFigures {
+        hidden_us: hidden.as_nanos() as f64 * 1e-3,
+        before,
+        written_us: (
+            number(written, "bias_us")?,
+            number(written, "bias_sigma_us")?,
+        ),
+        after: bias(&second, programs)?,
+    })
+}
+
+/// Removes the recordings of a check.
+pub fn discard(plan: &Plan, out: &Path) {
+    for name in ["long", "before", "after"] {
+        // What is left over does no harm.
+        let _ = std::fs::remove_dir_all(out.join(format!("{}_{name}", plan.name)));
+    }
+}

@@ -1,0 +1,322 @@
+//! Checks of the whole chain: real firmware, phone, depth camera and a session
+//! of `smartdepthsync record` on the simulated rig; then `extract` or `evaluate`
+//! on what it has left, as processes; and every result against the truth.
+//!
+//! Nothing is handed from the simulator to the programs but what a real rig
+//! gives: the board's port, the phone's port and files, the depth recorder's
+//! file, and the owner's profile. The depth recording is written after the
+//! session from the frames that the camera delivered, as its recorder would
+//! have written it had it been started before the board was powered.
+//!
+//! All figures that come out of here are of simulated recordings.
+
+pub mod calibration;
+pub mod evaluation;
+pub mod extraction;
+pub mod several;
+
+use rig::wiring;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use anyhow::{Context, Result, bail};
+use protocol::Ticks;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
+use serde_json::Value;
+
+use crate::demo::judge::{Timebase, Truth};
+use rig::k4a_mkv::{self, K4aSettings};
+use rig::motion::gesture::Gesture;
+use rig::motion::{MotionSpec, Step};
+use rig::oscillator::{BoardTime, Oscillator, TrueTime};
+use rig::owner_profile::owner_profile;
+use rig::phone::PhoneConfig;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunningRig};
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
+
+/// How long the rig is twisted at first, seconds: the session connects, and
+/// then needs 9 s of it.
+const TWIST_S: f64 = 45.0;
+
+/// What all checks need.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    /// The program `smartdepthsync`.
+    pub smartdepthsync: PathBuf,
+    /// The firmware's ELF; the one that was built last if not given.
+    pub elf: Option<PathBuf>,
+    /// At most so many times real time.
+    pub speed: f64,
+}
+
+/// One recording that is to be made.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The one seed of all randomness.
+    pub seed: u64,
+    /// Seconds of board time to record.
+    pub seconds: u32,
+    /// Name of its folder.
+    pub name: String,
+    /// Share of the depth frames that get lost on the way to the computer.
+    pub drop_probability: f64,
+    /// By how much the camera flashes later than the owner's profile says.
+    pub hidden_delay: SimDuration,
+    /// A profile of the same rig from an earlier session, with what was learnt
+    /// and calibrated since; the owner's first one if not given.
+    pub profile: Option<PathBuf>,
+}
+
+impl Plan {
+    /// A recording with nothing wrong.
+    #[must_use]
+    pub fn new(seed: u64, seconds: u32) -> Self {
+        Self {
+            seed,
+            seconds,
+            name: format!("seed_{seed}"),
+            drop_probability: 0.0,
+            hidden_delay: SimDuration::ZERO,
+            profile: None,
+        }
+    }
+}
+
+/// A recording of the whole chain, with its truth.
+#[derive(Debug)]
+pub struct Recorded {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Folder of the phone's files.
+    pub phone: PathBuf,
+    /// The depth recording.
+    pub depth: PathBuf,
+    /// The profile that it was made with.
+    pub profile: PathBuf,
+    /// What the session says.
+    pub session: SessionFile,
+    /// The truth.
+    pub truth: Truth,
+    /// The relation of board time to the recording's ticks, exact.
+    pub base: Timebase,
+    /// All pulses of the recording, in order.
+    pub pulses: Vec<Ticks>,
+}
+
+impl Recorded {
+    /// Writes the depth recording of the frames in the truth, as small images that
+    /// name their frame: what is in them is tested elsewhere.
+    fn write_depth(&self) -> Result<()> {
+        let cannot = || format!("cannot write {}", self.depth.display());
+        let file = BufWriter::new(File::create(&self.depth).with_context(cannot)?);
+        let frames = &self.truth.depth;
+        k4a_mkv::write_frames(file, K4aSettings::small(), frames, |number, pixels| {
+            for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
+                *pixel = (500 + (number * 131 + index * 7) % 12_000) as u16;
+            }
+        })
+        .with_context(cannot)?;
+        Ok(())
+    }
+}
+
+/// Makes a recording under `out`.
+///
+/// A session's patience with the phone is real time, and virtual time stands still
+/// with a machine that is busy with other things: a session that fails is tried
+/// once more, and said.
+///
+/// # Errors
+///
+/// The rig cannot be built, the session fails twice, or its recording cannot be
+/// read.
+pub fn record(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
+    match attempt(plan, programs, out) {
+        Ok(recorded) => Ok(recorded),
+        Err(error) => {
+            eprintln!("{}: once more, after {error:#}", plan.name);
+            attempt(plan, programs, out)
+        }
+    }
+}
+
+fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
+    let run = out.join(&plan.name);
+    if run.exists() {
+        std::fs::remove_dir_all(&run)
+            .with_context(|| format!("cannot remove the former {}", run.display()))?;
+    }
+    std::fs::create_dir_all(&run).with_context(|| format!("cannot make {}", run.display()))?;
+    let seed = Seed(plan.seed);
+    let step = |gesture, seconds| Step { gesture, seconds };
+    let motion = MotionSpec::Script(vec![
+        step(Gesture::Twist, Some(TWIST_S)),
+        step(Gesture::Walk, None),
+    ]);
+    // What the owner has measured; what is hidden from him comes on top.
+    let known = RigConfig::published(seed).with_motion(motion);
+    let mut config = known.clone();
+    if let Some(camera) = &mut config.depth_camera {
+        camera.drop_probability = plan.drop_probability;
+        camera.flash_delay = camera.flash_delay + plan.hidden_delay;
+    }
+    let mut phone = PhoneConfig::draw(seed);
+    let storage = run.join("phone");
+    phone.storage = Some(storage.clone());
+    let mut board = wiring::board();
+    if let Some(elf) = &programs.elf {
+        board = board.elf(elf);
+    }
+    let pace = Pace {
+        speed: Some(programs.speed),
+        wait_for_host: true,
+    };
+    let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
+    let text = owner_profile(&known, rig.phone().context("the rig has no phone")?)?;
+    let text = match &plan.profile {
+        None => text,
+        Some(path) => moved(path, &text)?,
+    };
+    let recorded = session(rig, programs, &text, &run, storage, plan.seconds)
+        .with_context(|| format!("seed {}", plan.seed))?;
+    recorded.write_depth()?;
+    Ok(recorded)
+}
+
+/// Runs one session of a rig, with `profile` as its profile and `phone` as the folder
+/// of the phone's files, into the folder `recording` under `out`. The depth recording
+/// is not written yet.
+fn session(
+    rig: RunningRig,
+    programs: &Programs,
+    profile: &str,
+    out: &Path,
+    phone: PathBuf,
+    seconds: u32,
+) -> Result<Recorded> {
+    let path = out.join("rig.toml");
+    std::fs::write(&path, profile).with_context(|| format!("cannot write {}", path.display()))?;
+    let output = Command::new(&programs.smartdepthsync)
+        .arg("record")
+        .arg("--port")
+        .arg(rig.port())
+        .arg("--profile")
+        .arg(&path)
+        .arg("--out")
+        .arg(out)
+        .args(["--name", "recording", "--yes", "--fetch-video"])
+        .args(["--duration", &format!("{seconds}s")])
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| cannot_start(&programs.smartdepthsync))?;
+    if !output.status.success() {
+        // A board that has died is the reason for whatever the session says.
+        rig.stop().context("the simulated rig")?;
+        bail!("the session failed: {}", said(&output));
+    }
+    let folder = out.join("recording");
+    let truth = Truth::of(rig.stop().context("the simulated rig")?)?;
+    let pulses = pulses(&folder)?;
+    Ok(Recorded {
+        phone,
+        depth: folder.join("depth.mkv"),
+        profile: path,
+        session: SessionFile::load(&folder)?,
+        base: truth.timebase.refined(&pulses, &truth.depth)?,
+        folder,
+        truth,
+        pulses,
+    })
+}
+
+/// The profile at `path` with the phone's address of the new profile: a phone is
+/// given another one each day.
+fn moved(path: &Path, new: &str) -> Result<String> {
+    let old =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let is_address = |line: &&str| line.starts_with("address");
+    let address = new
+        .lines()
+        .find(is_address)
+        .context("the new profile has no address")?;
+    let mut text = String::new();
+    for line in old.lines() {
+        text += if is_address(&line) { address } else { line };
+        text.push('\n');
+    }
+    Ok(text)
+}
+
+fn pulses(folder: &Path) -> Result<Vec<Ticks>> {
+    let mut pulses = Vec::new();
+    for entry in Reader::open(folder)? {
+        if let Item::Pulse(pulse) = entry?.item {
+            pulses.push(Ticks(pulse.ticks));
+        }
+    }
+    pulses.sort_unstable();
+    Ok(pulses)
+}
+
+/// Runs `smartdepthsync` with `--json` and gives what it prints. Exit code 4,
+/// finished with loss, is an answer too.
+fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
+    let output = Command::new(&programs.smartdepthsync)
+        .arg("--json")
+        .args(arguments)
+        .args(paths)
+        .stdin(Stdio::null())
+        .output()
+        .with_context(|| cannot_start(&programs.smartdepthsync))?;
+    if !matches!(output.status.code(), Some(0 | 4)) {
+        bail!("smartdepthsync {arguments:?} failed: {}", said(&output));
+    }
+    serde_json::from_slice(&output.stdout)
+        .with_context(|| format!("smartdepthsync {arguments:?} printed no JSON"))
+}
+
+fn cannot_start(program: &Path) -> String {
+    format!(
+        "cannot start {}: build it with `cargo build --release -p smartdepthsync`",
+        program.display()
+    )
+}
+
+fn said(output: &Output) -> String {
+    format!(
+        "{}: {}{}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout).trim(),
+        String::from_utf8_lossy(&output.stderr).trim()
+    )
+}
+
+/// A number of a JSON answer.
+fn number(json: &Value, key: &str) -> Result<f64> {
+    json[key]
+        .as_f64()
+        .with_context(|| format!("the answer has no number {key}"))
+}
+
+impl Recorded {
+    /// Board time as the recording counts it, ns, of an instant of board time.
+    fn nanos(&self, at: SimTime) -> i64 {
+        let zero = self.base.time(Ticks(0));
+        let units = i128::from(at.units()) - i128::from(zero.units());
+        i64::try_from(units / i128::from(UNITS_PER_NANO)).unwrap_or(i64::MAX)
+    }
+
+    /// The same of an instant of the phone's clock, ns.
+    fn nanos_of_phone(&self, phone: &Oscillator, phone_ns: i64) -> Result<i64> {
+        let at: TrueTime = phone
+            .when_nanos(phone_ns)
+            .context("a phone time before power-on")?;
+        let board: &BoardTime = &self.truth.board;
+        Ok(self.nanos(board.board_at(at)))
+    }
+}

@@ -1,0 +1,440 @@
+//! A rig of several sensors: two phones, the depth camera, further cameras on the
+//! trigger outputs 2 to 4, and a lidar. One session records all, one extraction puts
+//! all into board time, and each is judged against the truth: the phones' frames and
+//! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
+
+use rig::wiring;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+use anyhow::{Context, Result, ensure};
+use protocol::TICK_HZ;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
+use super::extraction::{table, whole};
+use super::{Programs, Recorded, ask, session};
+use crate::demo::judge::{OtherVerdict, Verdict};
+use rig::lidar::{Lidar, LidarConfig, LidarFaults};
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::phone::PhoneConfig;
+use rig::pin_log::PinLog;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunningRig};
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::pin::Pin;
+
+/// Names of the phones; the trigger is aligned to the first.
+pub const PHONES: [&str; 2] = ["left phone", "right phone"];
+
+/// Names, pins and settings of the cameras on the further outputs: number, pulses of
+/// the trigger to one, µs later.
+const CAMERAS: [(&str, Pin, u8, u32, f64); 3] = [
+    ("slow", Pin::PE11, 2, 6, 0.0),
+    ("side", Pin::PE13, 3, 1, 160.0),
+    ("top", Pin::PE14, 4, 2, 8_000.5),
+];
+
+/// How long after the recorded span the depth recorder has stopped, ticks.
+const RECORDER_STOPS: u64 = TICK_HZ as u64;
+
+/// What the phones' seeds are apart.
+const NEXT_SEED: u64 = 1_000;
+
+/// One rig and how long it records.
+#[derive(Clone, Debug)]
+pub struct SeveralPlan {
+    /// The one seed of all randomness.
+    pub seed: u64,
+    /// Seconds of board time to record.
+    pub seconds: u32,
+    /// Small pictures, where videos are not what is looked at.
+    pub small: bool,
+}
+
+/// A phone against the truth.
+#[derive(Clone, Debug, Serialize)]
+pub struct PhoneFigures {
+    /// Its name in the profile.
+    pub name: String,
+    /// Starts of exposure of its frames.
+    pub start: Errors,
+    /// Middles of exposure of their middle rows.
+    pub middle: Errors,
+    /// Largest 1-sigma that the report states for its times, µs.
+    pub sigma_us: f64,
+    /// Frames against the depth images at the beginning, as extracted, µs.
+    pub grid_offset_us: f64,
+    /// The same minus the truth, µs.
+    pub grid_error_us: f64,
+    /// How they move, as extracted, µs/min.
+    pub grid_drift_us_per_min: f64,
+}
+
+/// A camera on a further output against the truth.
+#[derive(Clone, Debug, Serialize)]
+pub struct OutputFigures {
+    /// Its name in the profile.
+    pub name: String,
+    /// Its pulses, each of which was compared with the edge at the pin.
+    pub pulses: usize,
+    /// Pulses that are not at the tick of their edge.
+    pub off: usize,
+    /// Edges between the first and the last pulse that are not in the file.
+    pub missing: usize,
+}
+
+/// The lidar against the truth.
+#[derive(Clone, Debug, Serialize)]
+pub struct LidarFigures {
+    /// Seconds in the file.
+    pub seconds: usize,
+    /// Those that are not at the tick of their edge at the lidar's pin.
+    pub off: usize,
+    /// Those with another UTC than the lidar was told.
+    pub other_utc: usize,
+    /// What went wrong on the lidar's inputs.
+    pub faults: LidarFaults,
+}
+
+/// What came out.
+#[derive(Clone, Debug, Serialize)]
+pub struct SeveralFigures {
+    /// Simulated: always true.
+    pub simulated: bool,
+    /// The seed.
+    pub seed: u64,
+    /// Seconds of board time that were recorded.
+    pub recorded_s: f64,
+    /// The phones, the reference first.
+    pub phones: Vec<PhoneFigures>,
+    /// What the session said of the further phones.
+    pub session: Vec<OtherVerdict>,
+    /// Frame sync of the reference phone: depth minus phone at the beginning, µs.
+    pub phase_us: f64,
+    /// Centres of exposure of the depth frames.
+    pub depth: Errors,
+    /// The cameras on the further outputs.
+    pub outputs: Vec<OutputFigures>,
+    /// The lidar.
+    pub lidar: LidarFigures,
+    /// Messages lost on the link, and frames without a partner.
+    pub lost: u64,
+    /// The recording.
+    #[serde(skip)]
+    pub recording: PathBuf,
+    /// The data set.
+    #[serde(skip)]
+    pub data: PathBuf,
+}
+
+impl SeveralFigures {
+    /// Whether all is within the limits: phones and depth camera in µs, what the
+    /// board itself makes to the tick.
+    #[must_use]
+    pub fn good(&self) -> bool {
+        let phones = self.phones.iter().all(|phone| {
+            phone.start.largest_us <= PHONE_LIMIT_US && phone.middle.largest_us <= PHONE_LIMIT_US
+        });
+        let outputs = self
+            .outputs
+            .iter()
+            .all(|output| output.pulses > 0 && output.off == 0 && output.missing == 0);
+        let lidar = &self.lidar;
+        phones
+            && outputs
+            && self.depth.largest_us <= DEPTH_LIMIT_US
+            && lidar.seconds > 0
+            && lidar.off + lidar.other_utc == 0
+            && lidar.faults == LidarFaults::default()
+    }
+
+    /// As text.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut text = format!(
+            "Several sensors, simulated: seed {}, {:.0} s recorded, {} lost\n",
+            self.seed, self.recorded_s, self.lost
+        );
+        for phone in &self.phones {
+            text += &format!(
+                "{:<14} {:>5} frames, middle of exposure rms {:.2} µs, at most {:.2} µs \
+                 (limit {PHONE_LIMIT_US} µs; stated {:.2} µs, 1 σ)\n{:<14} {:+.1} µs from the depth \
+                 images (error {:+.2} µs), moving by {:+.1} µs/min\n",
+                phone.name,
+                phone.middle.count,
+                phone.middle.rms_us,
+                phone.middle.largest_us,
+                phone.sigma_us,
+                "",
+                phone.grid_offset_us,
+                phone.grid_error_us,
+                phone.grid_drift_us_per_min,
+            );
+        }
+        text += &format!(
+            "{:<14} {:>5} frames, centre of exposure rms {:.2} µs, at most {:.2} µs (limit \
+             {DEPTH_LIMIT_US} µs)\n",
+            "depth camera", self.depth.count, self.depth.rms_us, self.depth.largest_us
+        );
+        for output in &self.outputs {
+            text += &format!(
+                "{:<14} {:>5} pulses compared with the pin, {} not at their tick, {} missing\n",
+                output.name, output.pulses, output.off, output.missing
+            );
+        }
+        text += &format!(
+            "{:<14} {:>5} seconds compared with the lidar, {} not at their tick, {} with another \
+             UTC, {}\n",
+            "lidar",
+            self.lidar.seconds,
+            self.lidar.off,
+            self.lidar.other_utc,
+            if self.lidar.faults == LidarFaults::default() {
+                String::from("no fault on its inputs")
+            } else {
+                format!("{:?}", self.lidar.faults)
+            }
+        );
+        text
+    }
+}
+
+/// Records, extracts and judges; everything lies below `out` then. What is done next
+/// is told with `tell`.
+///
+/// # Errors
+///
+/// A step fails, or a frame has a wrong pulse.
+pub fn run(
+    plan: &SeveralPlan,
+    programs: &Programs,
+    out: &Path,
+    tell: impl Fn(&str),
+) -> Result<SeveralFigures> {
+    if out.exists() {
+        fs::remove_dir_all(out)
+            .with_context(|| format!("cannot remove the former {}", out.display()))?;
+    }
+    fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+    let motion = MotionSpec::always(Gesture::Twist);
+    let config = RigConfig::published(Seed(plan.seed)).with_motion(motion);
+    let phones = (0_u64..).zip(PHONES).map(|(number, name)| {
+        let mut phone = PhoneConfig::draw(Seed(plan.seed + NEXT_SEED * number));
+        if plan.small {
+            phone.camera.rows = 120;
+            phone.camera.columns = 16;
+        }
+        phone.storage = Some(out.join("phones").join(name));
+        (phone, 0)
+    });
+    let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
+    let pins = Arc::new(Mutex::new(PinLog::new(&CAMERAS.map(|camera| camera.1))));
+    let mut board = wiring::board()
+        .model(Arc::clone(&lidar))
+        .model(Arc::clone(&pins));
+    if let Some(elf) = &programs.elf {
+        board = board.elf(elf);
+    }
+    let pace = Pace {
+        speed: Some(programs.speed),
+        wait_for_host: true,
+    };
+    let rig = RunningRig::with_phones(config, board, phones.collect(), pace)?;
+    let profile = profile_of(&rig)?;
+    tell(&format!(
+        "recording {} s with two phones, four cameras and a lidar, and fetching the videos",
+        plan.seconds
+    ));
+    let mut recorded = session(
+        rig,
+        programs,
+        &profile,
+        out,
+        out.join("phones"),
+        plan.seconds,
+    )?;
+    // As its recorder would have been stopped with the session.
+    let span = recorded.session.recorded.context("nothing was recorded")?;
+    let end = span.to.0 + RECORDER_STOPS;
+    let base = &recorded.base;
+    recorded
+        .truth
+        .depth
+        .retain(|frame| base.ticks(frame.center).0 <= end);
+    recorded.write_depth()?;
+    tell("extracting everything in board time");
+    let data = out.join("data");
+    let mut arguments = vec![
+        "extract".to_owned(),
+        "--out".to_owned(),
+        data.display().to_string(),
+    ];
+    for name in PHONES {
+        let files = recorded.phone.join(name);
+        arguments.push("--phone".to_owned());
+        arguments.push(format!("{name}={}", files.display()));
+    }
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let report = ask(programs, &arguments, &[&recorded.folder])?;
+    tell("comparing with the truth");
+    let verdict = recorded.truth.judge(&recorded.folder)?;
+    let figures = Judge {
+        recorded: &recorded,
+        data: &data,
+        report: &report,
+    };
+    Ok(SeveralFigures {
+        simulated: true,
+        seed: plan.seed,
+        recorded_s: verdict.recorded_s,
+        phones: figures.phones(&verdict)?,
+        session: recorded.truth.judge_others(&recorded.folder)?,
+        phase_us: verdict.phase.start_us,
+        depth: Errors::of(depth_frames(&recorded, &data)?.0.into_iter()),
+        outputs: figures.outputs(&lock(&pins))?,
+        lidar: figures.lidar(&mut lock(&lidar))?,
+        lost: verdict.lost,
+        recording: recorded.folder.clone(),
+        data: data.clone(),
+    })
+}
+
+/// The owner's profile with all sensors.
+fn profile_of(rig: &RunningRig) -> Result<String> {
+    let mut text = rig.profile_of(&PHONES)?;
+    for (name, _, output, every, delay) in CAMERAS {
+        text += &format!(
+            "\n[[outputs]]\noutput = {output}\nname = \"{name}\"\nevery = {every}\n\
+             delay_us = {delay:?}\n"
+        );
+    }
+    Ok(text + "\n[lidar]\nname = \"VLP-16\"\n")
+}
+
+struct Judge<'a> {
+    recorded: &'a Recorded,
+    data: &'a Path,
+    report: &'a Value,
+}
+
+impl Judge<'_> {
+    fn phones(&self, verdict: &Verdict) -> Result<Vec<PhoneFigures>> {
+        let truth = &self.recorded.truth;
+        let first = (&truth.phone, &truth.videos);
+        let others = truth.others.iter().map(|(clock, videos)| (clock, videos));
+        let mut figures = Vec::new();
+        for (place, (name, (clock, videos))) in PHONES
+            .iter()
+            .zip(std::iter::once(first).chain(others))
+            .enumerate()
+        {
+            let (said, folder) = match place.checked_sub(1) {
+                None => (self.report, PathBuf::new()),
+                Some(index) => (
+                    &self.report["phones"][index],
+                    Path::new("phones").join(name),
+                ),
+            };
+            let called = if place == 0 { "reference" } else { "name" };
+            ensure!(said[called] == *name, "the report has no phone {name}");
+            let video = videos.last().context("no video")?;
+            let frames = self.data.join(folder).join("phone_frames.csv");
+            let (starts, middles) = phone_frames(self.recorded, clock, video, &frames)?;
+            let number = |value: &Value, key: &str| {
+                let number = value[key].as_f64();
+                number.with_context(|| format!("the report states no {key} of phone {name}"))
+            };
+            let offset = number(&said["grid"], "offset_us")?;
+            let true_offset = if place == 0 {
+                -verdict.phase.start_us
+            } else {
+                self.true_offset(&middles)?
+            };
+            figures.push(PhoneFigures {
+                name: (*name).to_owned(),
+                start: Errors::of(starts.into_iter()),
+                middle: Errors::of(middles.into_iter()),
+                sigma_us: said["clock"]["sigma_us"][1]
+                    .as_f64()
+                    .context("the report states no uncertainty of the phone's times")?,
+                grid_offset_us: offset,
+                grid_error_us: offset - true_offset,
+                grid_drift_us_per_min: number(&said["grid"], "drift_us_per_min")?,
+            });
+        }
+        Ok(figures)
+    }
+
+    /// Phone minus depth at the first pulse of the recorded span, by the truth, µs.
+    fn true_offset(&self, middles: &[(i64, i64)]) -> Result<f64> {
+        let span = self.recorded.session.recorded.context("nothing recorded")?;
+        let from = i64::try_from(span.from.as_nanos())?;
+        let centres = self.recorded.truth.depth.iter();
+        let centre = centres
+            .map(|frame| self.recorded.nanos(frame.center))
+            .find(|&centre| centre >= from)
+            .context("no depth frame in the recorded span")?;
+        let distances = middles.iter().map(|middle| middle.1 - centre);
+        let nearest = distances.min_by_key(|distance| distance.abs());
+        Ok(nearest.context("no frame")? as f64 * 1e-3)
+    }
+
+    fn outputs(&self, pins: &PinLog) -> Result<Vec<OutputFigures>> {
+        let mut figures = Vec::new();
+        for (name, pin, ..) in CAMERAS {
+            let path = self.data.join(format!("mav0/outputs/{name}.csv"));
+            let edges: Vec<i64> = pins
+                .rising(pin)
+                .into_iter()
+                .map(|at| Ok(i64::try_from(self.recorded.base.ticks(at).as_nanos())?))
+                .collect::<Result<_>>()?;
+            let mut found = Vec::new();
+            for row in table(&path, &[0])? {
+                found.push(whole(row[0])?);
+            }
+            let off = found.iter().filter(|at| !edges.contains(at)).count();
+            let range = found.first()..=found.last();
+            let missing = edges
+                .iter()
+                .filter(|at| range.contains(&Some(at)) && !found.contains(at))
+                .count();
+            figures.push(OutputFigures {
+                name: name.to_owned(),
+                pulses: found.len(),
+                off,
+                missing,
+            });
+        }
+        Ok(figures)
+    }
+
+    fn lidar(&self, lidar: &mut Lidar) -> Result<LidarFigures> {
+        let seconds = lidar.take_all_seconds();
+        let rows = table(&self.data.join("mav0/outputs/VLP_16.csv"), &[0, 1])?;
+        let (mut off, mut other_utc) = (0, 0);
+        for (index, row) in rows.iter().enumerate() {
+            let (at, utc) = (whole(row[0])?, whole(row[1])?);
+            let second = seconds.iter().find(|second| {
+                i64::try_from(self.recorded.base.ticks(second.pulse).as_nanos()) == Ok(at)
+            });
+            match second.map(|second| second.utc) {
+                Some(Some(told)) if told * 1_000_000_000 == utc => {}
+                // The last one may end with the session, before it was told.
+                Some(None) if index + 1 == rows.len() => {}
+                Some(_) => other_utc += 1,
+                None => off += 1,
+            }
+        }
+        Ok(LidarFigures {
+            seconds: rows.len(),
+            off,
+            other_utc,
+            faults: lidar.faults(),
+        })
+    }
+}

@@ -1,0 +1,129 @@
+//! `smartdepthsync doctor` as a process on the simulated rig: what it finds when
+//! all is well, and what it says to do for each thing that is not.
+
+use crate::support;
+use std::path::Path;
+use std::process::Command;
+
+use crate::whole_rig::WholeRig;
+use serde_json::Value;
+
+/// Runs it; gives the exit code and each check by its name.
+struct Doctor<'a> {
+    rig: &'a WholeRig,
+    profile: String,
+    path: Option<&'a Path>,
+}
+
+impl<'a> Doctor<'a> {
+    fn new(rig: &'a WholeRig) -> Self {
+        Self {
+            rig,
+            profile: rig.profile(),
+            path: None,
+        }
+    }
+
+    fn run(&self) -> (i32, Value) {
+        let file = self.rig.folder.path().join("doctor.toml");
+        std::fs::write(&file, &self.profile).unwrap();
+        let mut command = Command::new(support::smartdepthsync());
+        command
+            .args(["doctor", "--json", "--port"])
+            .arg(self.rig.rig.port())
+            .arg("--profile")
+            .arg(file)
+            .arg("--out")
+            .arg(self.rig.out());
+        if let Some(path) = self.path {
+            command.env("PATH", path);
+        }
+        let output = command.output().unwrap();
+        let checks = serde_json::from_slice(&output.stdout)
+            .unwrap_or_else(|error| panic!("{error}: {output:?}"));
+        (output.status.code().unwrap(), checks)
+    }
+}
+
+/// Verdict, what was found and what to do, of one check.
+fn check(checks: &Value, name: &str) -> (String, String, String) {
+    let all = checks["checks"].as_array().unwrap();
+    let check = all
+        .iter()
+        .find(|check| check["name"] == name)
+        .unwrap_or_else(|| panic!("no check {name} in {checks}"));
+    let text = |key: &str| check[key].as_str().unwrap_or_default().to_owned();
+    (text("verdict"), text("found"), text("next_step"))
+}
+
+#[test]
+fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
+    let rig = WholeRig::with(21, 10.0, |config, _| {
+        config.motion = "rest".parse().unwrap();
+    });
+    let (code, checks) = Doctor::new(&rig).run();
+    assert_eq!(code, 0, "{checks}");
+    for name in [
+        "profile",
+        "disk",
+        "ffmpeg",
+        "board",
+        "IMU",
+        "IMU clock",
+        "IMU noise",
+        "accelerometer",
+        "link",
+        "phone",
+    ] {
+        let (verdict, found, _) = check(&checks, name);
+        assert_eq!(verdict, "good", "{name}: {found}");
+    }
+    // Nothing was learnt yet, and the published rig has no read-back: worth
+    // knowing, and no reason to end.
+    for (name, words) in [
+        ("constant bias", "evaluate precision"),
+        ("trigger read-back", "PA3"),
+    ] {
+        let (verdict, _, next) = check(&checks, name);
+        assert_eq!(verdict, "warning", "{name}");
+        assert!(next.contains(words), "{name}: {next}");
+    }
+
+    // A search path without programs, and a recorder that is not there.
+    let nowhere = rig.folder.path().join("nowhere");
+    let recorder = "\n[depth.recorder]\ncommand = [\"no-such-recorder\"]\n";
+    let (code, checks) = Doctor {
+        profile: rig.profile() + recorder,
+        path: Some(&nowhere),
+        ..Doctor::new(&rig)
+    }
+    .run();
+    assert_eq!(code, 14, "{checks}");
+    let (verdict, found, next) = check(&checks, "depth recorder");
+    assert_eq!(verdict, "bad");
+    assert!(found.contains("no-such-recorder"), "{found}");
+    assert!(next.contains("[depth.recorder]"), "{next}");
+    let (verdict, _, next) = check(&checks, "ffmpeg");
+    assert_eq!(verdict, "warning");
+    assert!(next.contains("install ffmpeg"), "{next}");
+
+    rig.phone().leave_network();
+    let (code, checks) = Doctor::new(&rig).run();
+    assert_eq!(code, 12, "{checks}");
+    let (verdict, found, next) = check(&checks, "phone");
+    assert_eq!(verdict, "bad");
+    assert!(
+        found.contains(&rig.phone().address().to_string()),
+        "{found}"
+    );
+    assert!(!next.is_empty());
+    rig.phone().join_network().unwrap();
+
+    rig.rig.unplug();
+    let (code, checks) = Doctor::new(&rig).run();
+    assert_eq!(code, 5, "{checks}");
+    let (verdict, _, next) = check(&checks, "board");
+    assert_eq!(verdict, "bad");
+    assert!(!next.is_empty());
+    assert_eq!(check(&checks, "phone").0, "good");
+}

@@ -1,0 +1,188 @@
+//! Every command of `hil-sim` and `cargo xtask`, and every option that the documents
+//! mention by itself, is in a program's `--help`.
+
+use crate::documents;
+use crate::support;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+use crate::documents::{Code, arguments, pages};
+
+/// What the help of a command says.
+#[derive(Debug, Default)]
+struct Help {
+    options: BTreeSet<String>,
+    below: BTreeMap<String, Help>,
+    /// What follows is another program's.
+    passes_on: bool,
+}
+
+impl Help {
+    fn read(program: &Path, path: &mut Vec<String>) -> Self {
+        let output = Command::new(program)
+            .args(&*path)
+            .arg("--help")
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0), "{path:?}: {output:?}");
+        let text = String::from_utf8(output.stdout).unwrap();
+        let mut help = Self {
+            passes_on: text.contains("[CARGO_ARGS]"),
+            ..Self::default()
+        };
+        let mut in_commands = false;
+        for line in text.lines() {
+            let trimmed = line.trim_start();
+            if !line.starts_with(' ') {
+                in_commands = line == "Commands:";
+            } else if trimmed.starts_with('-') {
+                let words = trimmed.split([' ', ',', '=', '[']);
+                let options = words.filter_map(|word| word.strip_prefix("--"));
+                help.options.extend(options.map(str::to_owned));
+            } else if in_commands && line.starts_with("  ") && !line.starts_with("   ") {
+                let name = trimmed.split_whitespace().next().unwrap();
+                if name != "help" {
+                    path.push(name.to_owned());
+                    help.below
+                        .insert(name.to_owned(), Self::read(program, path));
+                    path.pop();
+                }
+            }
+        }
+        help
+    }
+
+    /// What of a command line is not there.
+    fn unknown(&self, words: &[String]) -> Option<String> {
+        let mut help = self;
+        for (index, word) in words.iter().enumerate() {
+            if let Some(option) = word.strip_prefix("--") {
+                let name = option.split('=').next().unwrap();
+                if !help.passes_on && !name.is_empty() && !help.options.contains(name) {
+                    return Some(word.clone());
+                }
+            } else if let Some(below) = help.below.get(word) {
+                help = below;
+            } else if index == 0 && word.chars().all(|c| c.is_ascii_lowercase() || c == '-') {
+                return Some(word.clone());
+            }
+        }
+        None
+    }
+
+    fn all_options(&self, into: &mut BTreeSet<String>) {
+        into.extend(self.options.iter().cloned());
+        for below in self.below.values() {
+            below.all_options(into);
+        }
+    }
+}
+
+fn xtask() -> Help {
+    let program = support::smartdepthsync().with_file_name("xtask");
+    assert!(
+        program.is_file(),
+        "{} is missing: run this test through `cargo xtask test`",
+        program.display()
+    );
+    Help::read(&program, &mut Vec::new())
+}
+
+fn hil_sim() -> Help {
+    let program = Path::new(env!("CARGO_BIN_EXE_hil-sim"));
+    Help::read(program, &mut Vec::new())
+}
+
+#[test]
+fn commands_of_the_other_programs_are_in_their_help() {
+    let mut wrong = Vec::new();
+    for (name, help, least) in [("cargo xtask", xtask(), 30), ("hil-sim", hil_sim(), 3)] {
+        assert!(help.below.len() > 5, "{help:?}");
+        let mut checked = 0;
+        for (page, text) in pages() {
+            for line in Code::of(&text).all() {
+                let Some(words) = arguments(line, name) else {
+                    continue;
+                };
+                checked += 1;
+                if let Some(what) = help.unknown(&words) {
+                    wrong.push(format!("{}: {what}: {line}", page.display()));
+                }
+            }
+        }
+        assert!(checked >= least, "only {checked} commands of {name}");
+    }
+    assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn options_that_stand_by_themselves_are_in_a_help() {
+    let mut known = BTreeSet::new();
+    hil_sim().all_options(&mut known);
+    xtask().all_options(&mut known);
+    Help::read(support::smartdepthsync(), &mut Vec::new()).all_options(&mut known);
+    // Of cargo and of the shell's tools.
+    let others = ["locked", "no-default-features"];
+    let mut checked = 0;
+    let mut wrong = Vec::new();
+    for (page, text) in pages() {
+        for span in Code::of(&text).spans {
+            if !span.starts_with("--") {
+                continue;
+            }
+            let words = span.split([' ', '=', '[', ',', '/']);
+            for option in words.filter_map(|word| word.strip_prefix("--")) {
+                checked += 1;
+                if !known.contains(option) && !others.contains(&option) {
+                    wrong.push(format!("{}: --{option}", page.display()));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "not there:\n{}", wrong.join("\n"));
+    assert!(checked >= 50, "only {checked} options");
+}
+
+#[test]
+fn examples_and_fuzz_targets_are_there() {
+    let mut checked = 0;
+    for (page, text) in pages() {
+        for line in Code::of(&text).all() {
+            let words: Vec<&str> = line.split_whitespace().collect();
+            for pair in words.windows(2) {
+                let found = match pair {
+                    ["--example", name] => ["host", "hil-sim"].iter().any(|package| {
+                        let file = format!("{package}/examples/{name}.rs");
+                        documents::root().join(file).is_file()
+                    }),
+                    ["run", name] if line.contains("cargo +nightly fuzz") => {
+                        ["host", "protocol"].iter().any(|package| {
+                            let file = format!("{package}/fuzz/Cargo.toml");
+                            let text = std::fs::read_to_string(documents::root().join(file));
+                            text.is_ok_and(|text| text.contains(&format!("name = \"{name}\"")))
+                        })
+                    }
+                    _ => continue,
+                };
+                assert!(found, "{}: {line}", page.display());
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked >= 2, "{checked}");
+}
+
+#[test]
+fn the_check_finds_what_is_not_there() {
+    let help = hil_sim();
+    let unknown = |line: &str| help.unknown(&arguments(line, "hil-sim").unwrap());
+    assert_eq!(unknown("target/release/hil-sim serve --realtime"), None);
+    assert_eq!(unknown("cargo run -p hil-sim -- serve --for 10s"), None);
+    assert!(unknown("hil-sim sevre").is_some());
+    assert!(unknown("hil-sim serve --no-such").is_some());
+    assert_eq!(
+        arguments("cargo build -p hil-sim --release", "hil-sim"),
+        None
+    );
+}

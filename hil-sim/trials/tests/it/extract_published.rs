@@ -1,0 +1,213 @@
+//! A bag of the published system, written by public tools from the real gyroscope
+//! recordings, extracted and read back by public tools.
+
+use crate::python;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::{Progress, Silent};
+use extract::report::Report;
+use extract::run::{ExtractError, Job, run};
+
+fn script(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/python")
+        .join(name)
+}
+
+fn twist() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/tests/data/twist")
+}
+
+fn make_bag(folder: &Path, compression: &str) {
+    let arguments = [&twist(), folder, Path::new(compression)];
+    python::run_script(&script("make_published_bag.py"), &arguments);
+}
+
+fn job(folder: &Path, format: Format) -> Job {
+    Job {
+        recording: folder.join("published.bag"),
+        phone: Some(folder.join("phone")),
+        depth: None,
+        format,
+        out: folder.join(format!("out-{}", format.name())),
+        options: Options {
+            exposure_ns: Some(10_000_000),
+            readout_ns: Some(11_006_000),
+            // The published layout has the stamps of the pulses.
+            depth_center_ns: Some(if format == Format::Topics {
+                0
+            } else {
+                6_362_500
+            }),
+            ..Options::default()
+        },
+    }
+}
+
+fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
+    let job = job(folder, format);
+    (run(&job, &Silent).unwrap(), job.out)
+}
+
+/// Somebody who presses Ctrl-C after so many looks.
+struct Stops(AtomicUsize);
+
+impl Progress for Stops {
+    fn begin(&self, _what: &str, _total: u64) {}
+
+    fn at(&self, _position: u64) {}
+
+    fn end(&self) {}
+
+    fn cancelled(&self) -> bool {
+        let looked = |left: usize| left.checked_sub(1);
+        self.0
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, looked)
+            .is_err()
+    }
+}
+
+#[test]
+fn the_bag_extracts_to_the_same_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    make_bag(folder.path(), "bz2");
+    let (topics_report, topics) = extract(folder.path(), Format::Topics);
+    let (report, euroc) = extract(folder.path(), Format::Euroc);
+    let (_, tum) = extract(folder.path(), Format::Tum);
+    let printed = python::run_script(
+        &script("check_published.py"),
+        &[folder.path(), &topics, &euroc, &tum],
+    );
+    assert_eq!(printed.trim(), "ok");
+
+    // What is missing is said: there is no video, and the camera dropped frames.
+    let parts: Vec<&str> = report.losses.iter().map(|loss| loss.part).collect();
+    assert_eq!(parts, ["phone", "depth"], "{:#?}", report.losses);
+    assert_eq!(topics_report.board.imu.samples, 4883);
+
+    // The clocks by the gyroscopes, against the sync math on the whole files.
+    let clock = report.clock.unwrap();
+    assert_eq!(clock.source, "gyroscopes");
+    let expected = whole_twist();
+    assert!(
+        (clock.offset_s - expected).abs() < 30e-6,
+        "{} and {expected}",
+        clock.offset_s
+    );
+}
+
+/// Phone − board of the real twist by the sync math, in the middle of the data.
+fn whole_twist() -> f64 {
+    use twist_sync::{GyroTrack, Options, estimate_offset};
+    let read = |name: &str| {
+        let text = std::fs::read_to_string(twist().join(name)).unwrap();
+        let mut times = Vec::new();
+        let mut rates = Vec::new();
+        for line in text.lines().skip(1) {
+            let row: Vec<f64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+            times.push(row[0]);
+            rates.push([row[1], row[2], row[3]]);
+        }
+        GyroTrack::from_seconds(&times, rates)
+    };
+    let options = Options {
+        mcu_delay_s: 1.9e-3,
+        ..Options::default()
+    };
+    let mcu = read("mcu_gyro_data.csv");
+    let phone = read("smartphone_gyro_data.csv");
+    let estimate = estimate_offset(&mcu, &phone, &options).unwrap();
+    let middle = mcu.epoch_s + 0.5 * mcu.t[mcu.t.len() - 1];
+    estimate.clock.offset_at(middle).value
+}
+
+#[test]
+fn every_compression_and_a_bag_cut_off_are_read() {
+    let mut reports = Vec::new();
+    for compression in ["none", "lz4"] {
+        let folder = tempfile::tempdir().unwrap();
+        make_bag(folder.path(), compression);
+        let (report, _) = extract(folder.path(), Format::Euroc);
+        assert!(
+            report.losses.iter().all(|loss| loss.part != "board"),
+            "{:#?}",
+            report.losses
+        );
+        reports.push((report.board.clone(), report.depth.clone()));
+        if compression == "none" {
+            // The last third of the bag is lost.
+            let bag = folder.path().join("published.bag");
+            let bytes = std::fs::read(&bag).unwrap();
+            std::fs::write(&bag, &bytes[..bytes.len() * 2 / 3]).unwrap();
+            std::fs::remove_dir_all(folder.path().join("out-euroc")).unwrap();
+            let (report, _) = extract(folder.path(), Format::Euroc);
+            assert!(report.losses.iter().any(|loss| loss.part == "board"));
+            assert!(report.board.imu.samples > 2000, "{:?}", report.board.imu);
+            assert!(report.board.imu.samples < 4883);
+        }
+    }
+    assert_eq!(reports[0], reports[1]);
+}
+
+#[test]
+fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
+    let folder = tempfile::tempdir().unwrap();
+    make_bag(folder.path(), "lz4");
+    let before = snapshot(folder.path());
+    let (first, out) = extract(folder.path(), Format::Euroc);
+    let written = snapshot(&out);
+    let (second, _) = extract(folder.path(), Format::Euroc);
+    assert_eq!(first, second);
+    assert_eq!(written, snapshot(&out));
+    // A run that was stopped in the middle of the images: the next one ends alike.
+    let images: Vec<PathBuf> = written
+        .iter()
+        .map(|(path, _)| path.clone())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "png"))
+        .collect();
+    for image in images.iter().step_by(3) {
+        std::fs::remove_file(out.join(image)).unwrap();
+    }
+    std::fs::remove_file(out.join("report.json")).unwrap();
+    std::fs::remove_file(out.join(".extraction/depth.json")).unwrap();
+    let (third, _) = extract(folder.path(), Format::Euroc);
+    assert_eq!(first, third);
+    assert_eq!(written, snapshot(&out));
+    // One that is stopped at every place, later each time, and taken up again.
+    std::fs::remove_dir_all(&out).unwrap();
+    let mut stops = 0;
+    let last = loop {
+        let progress = Stops(AtomicUsize::new(stops));
+        match run(&job(folder.path(), Format::Euroc), &progress) {
+            Err(ExtractError::Cancelled) => stops += 1,
+            end => break end.unwrap(),
+        }
+    };
+    assert!(stops > 3, "{stops}");
+    assert_eq!(first, last);
+    assert_eq!(written, snapshot(&out));
+    std::fs::remove_dir_all(&out).unwrap();
+    assert_eq!(before, snapshot(folder.path()));
+}
+
+/// All files below a folder with their bytes.
+fn snapshot(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                let bytes = std::fs::read(&path).unwrap();
+                files.push((path.strip_prefix(folder).unwrap().to_owned(), bytes));
+            }
+        }
+    }
+    files.sort();
+    files
+}

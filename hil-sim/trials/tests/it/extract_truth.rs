@@ -1,0 +1,348 @@
+//! Extraction judged against the truth, on synthetic recordings: ten virtual
+//! minutes of hand-held motion, clocks that wander, a depth camera 300 ppm off
+//! that drops frames. All figures here are of simulated recordings.
+
+use crate::browser;
+use std::path::{Path, PathBuf};
+
+use crate::synthetic::{Synthetic, Truth, make};
+use smartdepthsync::extract::inputs::Options;
+use smartdepthsync::extract::layout::Format;
+use smartdepthsync::extract::progress::Silent;
+use smartdepthsync::extract::report::Report;
+use smartdepthsync::extract::run::{Job, run};
+
+struct Case {
+    folder: tempfile::TempDir,
+    truth: Truth,
+}
+
+impl Case {
+    fn new(config: &Synthetic) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = folder.path().join("recording");
+        std::fs::create_dir(&recording).unwrap();
+        let truth = make(&recording, config);
+        Self { folder, truth }
+    }
+
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+
+    fn extract(&self, options: Options) -> Report {
+        let job = Job {
+            recording: self.folder.path().join("recording"),
+            phone: None,
+            depth: None,
+            format: Format::Euroc,
+            out: self.out(),
+            options,
+        };
+        run(&job, &Silent).unwrap()
+    }
+}
+
+/// Columns of a CSV table as integers; empty cells are `None`.
+fn table(path: &Path, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let row = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        columns
+            .iter()
+            .map(|&column| cells[column].parse().ok())
+            .collect()
+    };
+    text.lines().skip(1).map(row).collect()
+}
+
+/// Largest error and root mean square, µs.
+fn errors(pairs: impl Iterator<Item = (i64, i64)>) -> (f64, f64) {
+    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
+    for (found, true_time) in pairs {
+        let error = (found - true_time) as f64 / 1000.0;
+        largest = largest.max(error.abs());
+        squares += error * error;
+        count += 1;
+    }
+    (largest, (squares / f64::from(count.max(1))).sqrt())
+}
+
+fn check_depth(case: &Case) -> (f64, f64) {
+    let rows = table(&case.out().join("depth_frames.csv"), &[2, 5]);
+    let delivered: Vec<_> = case
+        .truth
+        .depth
+        .iter()
+        .filter(|frame| frame.delivered)
+        .collect();
+    assert_eq!(rows.len(), delivered.len());
+    for (row, frame) in rows.iter().zip(&delivered) {
+        assert_eq!(
+            row[1],
+            Some(frame.pulse as i64),
+            "a depth frame has the wrong pulse"
+        );
+    }
+    errors(
+        rows.iter()
+            .zip(&delivered)
+            .map(|(row, frame)| (row[0].unwrap(), frame.center_ns)),
+    )
+}
+
+#[test]
+fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
+    let case = Case::new(&Synthetic {
+        seed: 7,
+        seconds: 600,
+        ..Synthetic::default()
+    });
+    let truth = &case.truth;
+    let report = case.extract(Options::default());
+    let color = table(&case.out().join("phone_frames.csv"), &[2, 3]);
+    assert_eq!(color.len(), truth.color_start_ns.len());
+    let start = errors(
+        color
+            .iter()
+            .map(|row| row[0].unwrap())
+            .zip(truth.color_start_ns.iter().copied()),
+    );
+    let middle = errors(
+        color
+            .iter()
+            .map(|row| row[1].unwrap())
+            .zip(truth.color_middle_ns.iter().copied()),
+    );
+    let depth = check_depth(&case);
+    println!(
+        "simulated, 10 min: phone frames at most {:.2} µs (rms {:.2}), middles {:.2} (rms {:.2}), depth frames at most {:.2} µs (rms {:.2})",
+        start.0, start.1, middle.0, middle.1, depth.0, depth.1
+    );
+    assert!(
+        start.0 <= 10.0 && middle.0 <= 10.0,
+        "phone frames: {start:?} {middle:?}"
+    );
+    assert!(depth.0 <= 6.0, "depth frames: {depth:?}");
+
+    // All dropped frames are named, and nothing else.
+    let found = report.depth.as_ref().unwrap();
+    let last = truth
+        .depth
+        .iter()
+        .rposition(|frame| frame.delivered)
+        .unwrap();
+    let first = truth
+        .depth
+        .iter()
+        .position(|frame| frame.delivered)
+        .unwrap();
+    let dropped: Vec<u64> = truth.depth[first..=last]
+        .iter()
+        .filter(|frame| !frame.delivered)
+        .map(|frame| frame.pulse)
+        .collect();
+    assert!(dropped.len() > 100);
+    assert_eq!(found.missing, dropped);
+    assert_eq!(
+        found.matched,
+        truth.depth.iter().filter(|frame| frame.delivered).count()
+    );
+    let (rate, sigma) = found.rate_ppm.unwrap();
+    assert!((rate - 300.0).abs() < 40.0 && sigma < 0.1, "{rate} {sigma}");
+
+    // Every pair is the true one: middles that were aligned to each other.
+    let pairs = table(&case.out().join("pairs.csv"), &[0, 2, 4]);
+    let depth_of: Vec<_> = truth.depth.iter().filter(|frame| frame.delivered).collect();
+    let mut expected = Vec::new();
+    for (index, frame) in depth_of.iter().enumerate() {
+        let place = truth
+            .color_middle_ns
+            .partition_point(|&at| at < frame.center_ns - 16_665_000);
+        if let Some(&at) = truth.color_middle_ns.get(place)
+            && (at - frame.center_ns).abs() < 16_665_000
+        {
+            expected.push((place as i64, index as i64));
+        }
+    }
+    let found: Vec<(i64, i64)> = pairs
+        .iter()
+        .map(|row| (row[0].unwrap(), row[1].unwrap()))
+        .collect();
+    assert_eq!(found, expected);
+    for row in &pairs {
+        let true_difference = truth.color_middle_ns[row[0].unwrap() as usize]
+            - depth_of[row[1].unwrap() as usize].center_ns;
+        assert!((row[2].unwrap() - true_difference).abs() < 15_000);
+    }
+
+    // What the report says about itself.
+    let clock = report.clock.as_ref().unwrap();
+    assert_eq!(clock.source, "gyroscopes");
+    assert!(
+        clock.used > 40,
+        "{} of {} windows",
+        clock.used,
+        clock.windows
+    );
+    assert!(
+        (clock.skew_ppm - truth.skew_ppm).abs() < 0.5,
+        "{} {}",
+        clock.skew_ppm,
+        truth.skew_ppm
+    );
+    let (period, sigma) = clock.frame_period_ns.unwrap();
+    assert!(
+        (period - truth.frame_period_ns).abs() < 5.0 * sigma.max(0.001),
+        "{period} {sigma}"
+    );
+    assert!(clock.sigma_us[1] < 10.0, "{:?}", clock.sigma_us);
+
+    // And as people see it.
+    let pairs = format!("{} pairs of frames", expected.len());
+    browser::check(
+        &case.out().join("report.html"),
+        "extract",
+        &[
+            "Extraction of recording",
+            &pairs,
+            "Missing or damaged",
+            "Time difference of the pairs",
+            "Clock of the phone",
+            "1-sigma of the course",
+            "Settings: constants",
+        ],
+    );
+}
+
+#[test]
+fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous() {
+    let config = Synthetic {
+        seed: 11,
+        seconds: 60,
+        slew: false,
+        camera_imu: true,
+        ..Synthetic::default()
+    };
+    let case = Case::new(&config);
+    let report = case.extract(Options::default());
+    let (largest, _) = check_depth(&case);
+    assert!(largest <= 6.0, "{largest}");
+    let decided = report.depth.unwrap().decided_by;
+    assert!(decided.starts_with("the camera's gyroscope"), "{decided}");
+
+    // The same without the camera's IMU: not guessed.
+    let case = Case::new(&Synthetic {
+        camera_imu: false,
+        ..config
+    });
+    let report = case.extract(Options::default());
+    let depth = report.depth.unwrap();
+    assert!(depth.not_matched.unwrap().contains("ambiguous"));
+    assert_eq!(depth.images, 0);
+    assert!(!case.out().join("mav0/depth0").exists());
+    let loss = report
+        .losses
+        .iter()
+        .find(|loss| loss.part == "depth")
+        .unwrap();
+    assert!(loss.what.contains("--depth-first-pulse"), "{}", loss.what);
+
+    // The user knows it: frame 0 was made by pulse 2.
+    std::fs::remove_dir_all(case.out()).unwrap();
+    let first = case
+        .truth
+        .depth
+        .iter()
+        .find(|frame| frame.delivered)
+        .unwrap()
+        .pulse;
+    let report = case.extract(Options {
+        first_pulse: Some(first as usize),
+        ..Options::default()
+    });
+    assert!(report.depth.unwrap().decided_by.starts_with("the user"));
+    check_depth(&case);
+}
+
+#[test]
+fn damaged_and_missing_parts_leave_the_rest() {
+    let case = Case::new(&Synthetic {
+        seed: 3,
+        seconds: 40,
+        crashed: true,
+        marks: vec![20, 30],
+        ..Synthetic::default()
+    });
+    let recording = case.folder.path().join("recording");
+    let whole = case.extract(Options::default());
+    let said = |report: &Report, part: &str, what: &str| {
+        let found = report
+            .losses
+            .iter()
+            .any(|loss| loss.part == part && loss.what.contains(what));
+        assert!(found, "{part}: {what}\n{:#?}", report.losses);
+    };
+    // A depth recorder that was killed, a phone without its video.
+    said(&whole, "depth", "did not close the file");
+    said(&whole, "phone", "video");
+    assert!(whole.depth.as_ref().unwrap().images > 1000);
+    check_depth(&case);
+    let folders: Vec<&str> = whole
+        .sequences
+        .iter()
+        .map(|part| part.folder.as_str())
+        .collect();
+    assert_eq!(folders, ["seq_0", "seq_1", "seq_2"]);
+    assert!(case.out().join("seq_1/mav0/depth0/data.csv").exists());
+
+    // The board's file cut off in the middle, and a chunk of it damaged.
+    let mcap = recording.join("recording.mcap");
+    let bytes = std::fs::read(&mcap).unwrap();
+    let mut damaged = bytes[..bytes.len() * 3 / 5].to_vec();
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 0xFF;
+    std::fs::write(&mcap, &damaged).unwrap();
+    std::fs::remove_file(recording.join("depth.mkv")).unwrap();
+    std::fs::remove_dir_all(case.out()).unwrap();
+    let part = case.extract(Options::default());
+    said(&part, "board", "was not closed");
+    said(&part, "board", "the chunk from second");
+    said(&part, "depth", "there is no depth recording");
+    let (all, left) = (whole.board.imu.samples, part.board.imu.samples);
+    assert!(left > all / 2 && left < all * 2 / 3, "{left} of {all}");
+    assert!(case.out().join("seq_1/mav0/imu1/data.csv").exists());
+
+    // Without the phone's gyroscope the session's relation has to do.
+    let gyro = recording.join("phone/20260131_140327/VID_20260131_140327gyro.csv");
+    std::fs::remove_file(gyro).unwrap();
+    std::fs::remove_dir_all(case.out()).unwrap();
+    let session = case.extract(Options::default());
+    assert_eq!(session.clock.as_ref().unwrap().source, "session");
+    said(&session, "phone", "gyroscope");
+    let color = table(&case.out().join("phone_frames.csv"), &[2]);
+    let worst = errors(
+        color
+            .iter()
+            .map(|row| row[0].unwrap())
+            .zip(case.truth.color_start_ns.iter().copied()),
+    );
+    assert!(worst.0 < 100.0, "{worst:?}");
+
+    // Nothing of the board: an error that says what was expected.
+    std::fs::remove_file(&mcap).unwrap();
+    std::fs::remove_dir_all(case.out()).unwrap();
+    let job = Job {
+        recording,
+        phone: None,
+        depth: None,
+        format: Format::Tum,
+        out: case.out(),
+        options: Options::default(),
+    };
+    let error = run(&job, &Silent).unwrap_err().to_string();
+    assert!(
+        error.contains("expected a folder with recording.mcap"),
+        "{error}"
+    );
+}

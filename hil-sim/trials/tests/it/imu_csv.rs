@@ -1,0 +1,133 @@
+//! A simulated twist through the whole chain: rig, firmware, pseudo-terminal,
+//! `smartdepthsync imu --csv`, and pandas.
+
+use crate::support;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// Virtual time against real time: a program that is slow to start must not miss
+/// the rest before the twist.
+const SPEED: &str = "3";
+
+/// Seconds of the CSV; the first three are at rest.
+const SECONDS: &str = "14";
+
+/// `hil-sim serve` with its port; ends with the test.
+struct Serve {
+    child: Child,
+    port: String,
+}
+
+impl Serve {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
+            .arg("serve")
+            .args(arguments)
+            .args(["--wait-for-host", "--quiet", "--speed", SPEED])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap())
+            .read_line(&mut line)
+            .unwrap();
+        let port = line
+            .trim()
+            .strip_prefix("port: ")
+            .unwrap_or_else(|| panic!("no port: {line:?}"))
+            .to_owned();
+        Self { child, port }
+    }
+}
+
+impl Drop for Serve {
+    fn drop(&mut self) {
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
+
+/// The Python environment that `cargo xtask test` makes.
+fn python() -> PathBuf {
+    let target = Path::new(env!("CARGO_BIN_EXE_hil-sim"))
+        .parent()
+        .and_then(Path::parent)
+        .unwrap();
+    let python = target.join("venv/bin/python3");
+    assert!(
+        python.is_file(),
+        "{} is missing: run this test through `cargo xtask test`, which makes it",
+        python.display()
+    );
+    python
+}
+
+#[test]
+fn pandas_sees_the_twist_in_the_csv() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("twist.csv");
+    let rig = Serve::start(&["--seed", "5", "--motion", "rest:6,twist:10,rest"]);
+    let output = Command::new(support::smartdepthsync())
+        .args(["imu", "--port", &rig.port, "--seconds", SECONDS, "--csv"])
+        .arg(&csv)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/twist_csv.py");
+    let output = Command::new(python())
+        .arg(script)
+        .arg(&csv)
+        .arg("3")
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    println!("{}", String::from_utf8_lossy(&output.stdout).trim());
+}
+
+/// The CSV is a motion that the rig can repeat: replayed, the sensor shows the
+/// same peaks, two milliseconds of filter delay later.
+#[test]
+fn a_recorded_csv_is_replayed_as_a_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = |motion: &str, name: &str| {
+        let csv = folder.path().join(name);
+        let rig = Serve::start(&["--seed", "5", "--motion", motion]);
+        let output = Command::new(support::smartdepthsync())
+            .args(["imu", "--port", &rig.port, "--seconds", "9", "--csv"])
+            .arg(&csv)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{output:?}");
+        csv
+    };
+    let peak = |csv: &Path| {
+        let mut reader = csv::Reader::from_path(csv).unwrap();
+        let mut peak = [0.0f64; 3];
+        for row in reader.records() {
+            let row = row.unwrap();
+            for (axis, peak) in peak.iter_mut().enumerate() {
+                let rate: f64 = row[2 + axis].parse().unwrap();
+                *peak = peak.max(rate.abs());
+            }
+        }
+        peak
+    };
+    let first = record("rest:4,twist:3,rest", "first.csv");
+    let second = record(first.to_str().unwrap(), "second.csv");
+    let (a, b) = (peak(&first), peak(&second));
+    for axis in 0..3 {
+        assert!(a[axis] > 1.5, "{a:?}");
+        // The same specimen adds its bias and scale error a second time.
+        assert!((a[axis] - b[axis]).abs() < 0.12, "{a:?} {b:?}");
+    }
+}

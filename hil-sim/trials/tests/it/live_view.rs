@@ -1,0 +1,253 @@
+//! The live view in a real terminal emulator (tmux), on the simulated rig: three
+//! sizes, a storm of sizes, a terminal that is closed, keys. What was on the screen
+//! is kept in `target/tmp/live_view` for people to look at.
+
+use crate::support;
+use std::fs;
+use std::path::PathBuf;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use crate::whole_rig::WholeRig;
+use smartdepthsync::recording::reader::Reader;
+use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use smartdepthsync::verify::{Verdict, verify};
+
+const PATIENCE: Duration = Duration::from_secs(90);
+
+/// A terminal of a tmux server of its own, with a program in it. The program's exit
+/// code comes from a file: tmux (3.3a) loses it now and then, where the terminal is
+/// closed before the program's end is noticed.
+struct Tmux {
+    /// Holds the server's socket and the exit code.
+    folder: tempfile::TempDir,
+    gone: bool,
+}
+
+impl Tmux {
+    fn start(width: u16, height: u16, program: &Command) -> Self {
+        let terminal = Self {
+            folder: tempfile::tempdir().unwrap(),
+            gone: false,
+        };
+        let (width, height) = (width.to_string(), height.to_string());
+        let size = ["new-session", "-d", "-x", &width, "-y", &height];
+        let code = terminal.code_file().to_string_lossy().into_owned();
+        let shell = ["sh", "-c", r#""$@"; echo $? > "$0""#, &code];
+        let program: Vec<String> = std::iter::once(program.get_program())
+            .chain(program.get_args())
+            .map(|word| word.to_string_lossy().into_owned())
+            .collect();
+        let arguments: Vec<&str> = ["-f", "/dev/null"]
+            .into_iter()
+            .chain(size)
+            .chain(shell)
+            .chain(program.iter().map(String::as_str))
+            // What it leaves on the screen stays readable.
+            .chain([";", "set-option", "-g", "remain-on-exit", "on"])
+            .collect();
+        terminal.run(&arguments);
+        terminal
+    }
+
+    fn code_file(&self) -> PathBuf {
+        self.folder.path().join("exit_code")
+    }
+
+    fn run(&self, arguments: &[&str]) -> String {
+        let output = Command::new("tmux")
+            .arg("-S")
+            .arg(self.folder.path().join("socket"))
+            .args(arguments)
+            // As over SSH: a terminal of sixteen colours at least.
+            .env("TERM", "xterm")
+            .output()
+            .expect("this test needs tmux: sudo apt-get install tmux");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    }
+
+    fn screen(&self) -> String {
+        self.run(&["capture-pane", "-p"])
+    }
+
+    fn keys(&self, keys: &str) {
+        self.run(&["send-keys", keys]);
+    }
+
+    fn resize(&self, width: u16, height: u16) {
+        let (width, height) = (width.to_string(), height.to_string());
+        self.run(&["resize-window", "-x", &width, "-y", &height]);
+    }
+
+    /// Waits until all words are on the screen at a time.
+    fn wait_for(&self, words: &[&str]) -> String {
+        let begun = Instant::now();
+        loop {
+            let screen = self.screen();
+            if words.iter().all(|word| screen.contains(word)) {
+                return screen;
+            }
+            assert!(begun.elapsed() < PATIENCE, "no {words:?} on\n{screen}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// The exit code of the program, once it has ended.
+    fn ended(&self) -> i32 {
+        let begun = Instant::now();
+        loop {
+            let written = fs::read_to_string(self.code_file()).unwrap_or_default();
+            if let Some(code) = written.strip_suffix('\n') {
+                return code.parse().unwrap();
+            }
+            assert!(begun.elapsed() < PATIENCE, "it goes on:\n{}", self.screen());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// The terminal is closed with everything in it.
+    fn close(&mut self) {
+        self.run(&["kill-server"]);
+        self.gone = true;
+    }
+}
+
+impl Drop for Tmux {
+    fn drop(&mut self) {
+        if !self.gone {
+            self.close();
+        }
+    }
+}
+
+fn keep(name: &str, screen: &str) {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("live_view");
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join(format!("{name}.txt")), screen).unwrap();
+}
+
+fn monitor(rig: &WholeRig) -> Command {
+    let mut command = Command::new(support::smartdepthsync());
+    command.arg("monitor").arg("--port").arg(rig.rig.port());
+    command
+}
+
+#[test]
+fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
+    let rig = WholeRig::new(31, 4.0);
+    let shown = [
+        "MONITOR",
+        "trigger and clocks",
+        "rates and losses",
+        "0 messages",
+        "gyroscope of the board",
+        "now",
+        "q stop",
+    ];
+    for (width, height) in [(80, 24), (120, 40), (200, 60)] {
+        let name = format!("monitor_{width}x{height}");
+        let terminal = Tmux::start(width, height, &monitor(&rig));
+        // The IMU gives 500 samples a second.
+        terminal.wait_for(&["500.0/s"]);
+        let screen = terminal.wait_for(&shown);
+        keep(&name, &screen);
+        assert!(
+            screen
+                .lines()
+                .all(|line| line.chars().count() <= usize::from(width))
+        );
+        terminal.keys("h");
+        terminal.wait_for(&["help", "set a mark"]);
+        terminal.keys("h");
+        terminal.keys("q");
+        assert_eq!(terminal.ended(), 0, "{}", terminal.screen());
+    }
+
+    let terminal = Tmux::start(80, 24, &monitor(&rig));
+    terminal.wait_for(&shown);
+    for step in 0..120_u16 {
+        terminal.resize(1 + step * 37 % 200, 1 + step * 13 % 60);
+    }
+    terminal.resize(80, 24);
+    let screen = terminal.wait_for(&shown);
+    assert!(screen.contains("0 messages"), "{screen}");
+    terminal.keys("C-c");
+    // Nothing was lost meanwhile: that would be 4.
+    assert_eq!(terminal.ended(), 0, "{}", terminal.screen());
+}
+
+#[test]
+fn without_a_terminal_there_are_plain_lines_and_one_object() {
+    let rig = WholeRig::new(32, 10.0);
+    let lines = monitor(&rig).args(["--duration", "4s"]).output().unwrap();
+    assert_eq!(lines.status.code(), Some(0), "{lines:?}");
+    let text = String::from_utf8(lines.stdout).unwrap();
+    assert!((3..=6).contains(&text.lines().count()), "{text}");
+    let last = text.lines().last().unwrap();
+    for word in ["monitor", "imu 500/s", "lost 0"] {
+        assert!(last.contains(word), "{word}: {last}");
+    }
+    assert!(!text.contains('\u{1b}'), "no codes of a terminal: {text:?}");
+
+    let json = monitor(&rig)
+        .args(["--duration", "3s", "--json"])
+        .output()
+        .unwrap();
+    assert_eq!(json.status.code(), Some(0), "{json:?}");
+    let state: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert_eq!(state["losses"]["messages"], 0);
+    assert!(
+        (state["rates"]["imu"].as_f64().unwrap() - 500.0).abs() < 1.0,
+        "{state}"
+    );
+}
+
+#[test]
+fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
+    let rig = WholeRig::new(33, 3.0);
+    let command = rig.record("seen", &[]);
+    let terminal = Tmux::start(80, 24, &command);
+    let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
+    keep("record_twist_80x24", &screen);
+    terminal.wait_for(&["RECORDING", "us off grid"]);
+    terminal.keys("m");
+    let screen = terminal.wait_for(&["marker 1 at", "GB free"]);
+    keep("record_80x24", &screen);
+    terminal.keys("q");
+    assert_eq!(terminal.ended(), 0, "{}", terminal.screen());
+    let session = SessionFile::load(&rig.recording("seen")).unwrap();
+    assert_eq!(session.outcome, Some(SessionOutcome::Good));
+    assert_eq!(session.markers.len(), 1);
+    // What it leaves on the terminal is the summary, as without the view.
+    let screen = terminal.screen();
+    assert!(screen.contains("alignment"), "{screen}");
+    let report = verify(&rig.recording("seen")).unwrap();
+    assert_ne!(report.verdict, Verdict::Damaged, "{report:#?}");
+}
+
+#[test]
+fn a_closed_terminal_ends_the_recording_in_order() {
+    let rig = WholeRig::new(34, 3.0);
+    let command = rig.record("cut", &[]);
+    let mut terminal = Tmux::start(100, 30, &command);
+    terminal.wait_for(&["RECORDING"]);
+    rig.wait_ms(2_000);
+    terminal.close();
+    // It is closed as by Ctrl-C: devices stopped, files finished.
+    let folder = rig.recording("cut");
+    let begun = Instant::now();
+    let session = loop {
+        let session = SessionFile::load(&folder).unwrap();
+        if session.outcome.is_some() {
+            break session;
+        }
+        assert!(begun.elapsed() < PATIENCE, "the session was not closed");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    assert_eq!(session.outcome, Some(SessionOutcome::Interrupted));
+    assert_eq!(session.counts.lost(), 0);
+    assert!(!rig.phone().is_recording());
+    let mut reader = Reader::open(&folder).unwrap();
+    assert!(reader.by_ref().all(|entry| entry.is_ok()));
+    assert!(!reader.broken_off());
+}

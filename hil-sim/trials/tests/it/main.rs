@@ -1,0 +1,40 @@
+//! Sessions, recordings and their results on the simulated rig.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../../../../host/tests/support/browser.rs"]
+mod browser;
+mod doctor;
+mod documented_commands;
+#[path = "../../../../host/tests/support/documents.rs"]
+mod documents;
+mod evaluate_rendered;
+mod evaluate_video;
+mod extract_mkv;
+mod extract_published;
+mod extract_truth;
+mod faults;
+mod foxglove;
+mod imu_csv;
+mod json_objects;
+mod live_view;
+mod long_run;
+#[path = "../../../../host/tests/support/objects.rs"]
+mod objects;
+#[path = "../../../rig/tests/it/phone_bench.rs"]
+mod phone_bench;
+mod phone_command;
+mod phone_twist;
+#[path = "../../../../host/tests/support/python.rs"]
+mod python;
+mod record;
+mod record_faults;
+mod record_kill;
+mod record_outputs;
+mod record_phones;
+mod record_reset;
+mod several_sensors;
+mod strobes;
+mod support;
+mod synthetic;
+mod whole_chain;
+mod whole_rig;

@@ -1,0 +1,171 @@
+//! `smartdepthsync phone …` as a process against the simulated phone.
+
+use std::process::{Command, Output};
+
+use rig::phone::{LinkFault, VideoMode};
+
+use crate::phone_bench::Bench;
+
+fn json(output: &Output) -> serde_json::Value {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+fn fails(output: &Output, code: i32, words: &str) {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{stderr}");
+    assert!(stderr.contains(words), "{words:?} not in: {stderr}");
+}
+
+#[test]
+fn imu_start_stop_and_get_video() {
+    for version in ["v.0.1", "v.0.1.1"] {
+        let bench = Bench::new(20, 10.0, |c| {
+            c.version = version.to_owned();
+            c.camera.rows = 120;
+            c.camera.columns = 16;
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let run = |arguments: &[&str]| bench.command(arguments, folder.path());
+
+        let imu = [
+            "imu",
+            "--seconds",
+            "2",
+            "--accel",
+            "--magnetic",
+            "--out",
+            ".",
+            "--json",
+        ];
+        let imu = json(&run(&imu));
+        assert_eq!(imu["sensors"][1]["sensor"], "gyroscope");
+        let rate = imu["sensors"][1]["rate_hz"].as_f64().unwrap();
+        let true_rate = bench.phone.config().gyroscope.rate_hz;
+        assert!(
+            (rate / true_rate - 1.0).abs() < 1e-4,
+            "{rate} Hz of {true_rate} Hz"
+        );
+        for name in ["gyro.csv", "accel.csv", "magnetic.csv"] {
+            assert!(folder.path().join(name).exists(), "{name}");
+        }
+
+        let start = json(&run(&["start", "--json"]));
+        let video = bench.phone.videos()[0].clone();
+        let phase = start["phase_ns"].as_i64().unwrap();
+        assert!((phase - video.frames.start_ns(60)).abs() < 6_000);
+        assert_eq!(start["exposure_ns"].is_u64(), version == "v.0.1.1");
+        fails(&run(&["imu", "--seconds", "1"]), 12, "stop the video first");
+        assert_eq!(json(&run(&["stop", "--json"]))["stopped"], true);
+
+        let saved = json(&run(&["get-video", "--json"]));
+        let path = folder.path().join(saved["path"].as_str().unwrap());
+        bench.phone.wait_saved().unwrap();
+        assert!(std::fs::read(&path).unwrap() == std::fs::read(&video.path).unwrap());
+        let count = bench.phone.videos()[0].count.unwrap();
+        assert_eq!(frames_of(&path), count);
+    }
+}
+
+fn frames_of(path: &std::path::Path) -> usize {
+    let out = Command::new("ffprobe")
+        .args(["-v", "error", "-count_frames", "-of", "csv=p=0"])
+        .args(["-show_entries", "stream=nb_read_frames"])
+        .arg(path)
+        .output()
+        .unwrap();
+    String::from_utf8(out.stdout)
+        .unwrap()
+        .trim()
+        .parse()
+        .unwrap()
+}
+
+#[test]
+fn another_version_is_refused() {
+    let bench = Bench::new(21, 20.0, |c| c.version = "v.0.1.2".to_owned());
+    let folder = tempfile::tempdir().unwrap();
+    fails(&bench.command(&["stop"], folder.path()), 12, "v.0.1.2");
+}
+
+#[test]
+fn a_busy_phone_serves_the_next_client_when_the_first_leaves() {
+    let bench = Bench::new(22, 20.0, |_| ());
+    let folder = tempfile::tempdir().unwrap();
+    let mut other = bench.connect();
+    assert_eq!(other.ask("x")[0], "ERROR");
+    let blocked = bench.command(&["stop", "--timeout", "0.5"], folder.path());
+    fails(&blocked, 12, "one at a time");
+    drop(other);
+    let served = bench.command(&["stop"], folder.path());
+    assert_eq!(served.status.code(), Some(0));
+}
+
+#[test]
+fn faults_of_the_link_are_named() {
+    let bench = Bench::new(23, 20.0, |c| {
+        c.camera.rows = 64;
+        c.camera.columns = 16;
+        c.video_name = Some("../../../evil\u{202e}.mp4".to_owned());
+    });
+    let outer = tempfile::tempdir().unwrap();
+    let folder = outer.path().join("in");
+    std::fs::create_dir(&folder).unwrap();
+    let run = |arguments: &[&str], fault| {
+        bench.phone.set_fault(fault);
+        bench.command(arguments, &folder)
+    };
+    let imu = ["imu", "--seconds", "1", "--timeout", "2"];
+    let cut = run(&imu, Some(LinkFault::CutAfter(500)));
+    fails(&cut, 12, "closed the connection");
+    let slow = run(&imu, Some(LinkFault::Slow(100)));
+    fails(&slow, 12, "within 3s");
+    let endless = run(&imu, Some(LinkFault::Endless));
+    fails(&endless, 12, "damaged");
+    let silent = run(&imu, Some(LinkFault::Silent));
+    fails(&silent, 12, "within 3s");
+
+    assert_eq!(run(&["start"], None).status.code(), Some(0));
+    assert_eq!(run(&["stop"], None).status.code(), Some(0));
+    let short = run(&["get-video"], Some(LinkFault::ShortVideo(1)));
+    fails(&short, 12, "nothing was saved");
+    let long = run(&["get-video"], Some(LinkFault::LongVideo(1)));
+    fails(&long, 12, "more than");
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0);
+    let good = run(&["get-video"], None);
+    assert_eq!(good.status.code(), Some(0));
+    assert!(folder.join("evil_.mp4").exists());
+    assert_eq!(std::fs::read_dir(outer.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_phone_that_goes_away_is_noticed() {
+    let bench = Bench::new(24, 1.0, |c| c.video = VideoMode::Never);
+    let folder = tempfile::tempdir().unwrap();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while bench.clock.waiters() == 0 {
+                std::thread::sleep(std::time::Duration::from_millis(10));
+            }
+            bench.phone.leave_network();
+        });
+        let output = bench.command(&["imu", "--seconds", "20"], folder.path());
+        fails(&output, 12, "closed the connection");
+    });
+    fails(&bench.command(&["stop"], folder.path()), 12, "same network");
+}
+
+#[test]
+fn a_probe_changes_nothing() {
+    use phone::{PhoneClient, ServerVersion, Settings};
+    let bench = Bench::new(25, 20.0, |_| ());
+    let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
+    assert_eq!(client.version(), None);
+    for _ in 0..3 {
+        assert_eq!(client.probe().unwrap(), ServerVersion::V0_1_1);
+    }
+    assert!(!bench.phone.is_recording());
+    // The connection is still in step.
+    client.stop_video().unwrap();
+}

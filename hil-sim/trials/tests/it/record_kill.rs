@@ -1,0 +1,72 @@
+//! A session that is killed at any moment leaves a file that opens and lacks at
+//! most the last second, and a rig on which the next session simply starts.
+
+use crate::whole_rig::{Session, WholeRig};
+use rig::random::{Seed, Stream};
+use rustix::process::Signal;
+use smartdepthsync::recording::reader::{Item, Reader};
+use smartdepthsync::recording::session_file::SessionFile;
+
+const TRIALS: usize = 50;
+
+/// Virtual time against real time. The higher it is, the more board time passes
+/// in the milliseconds that a sample needs from the board to the file.
+const SPEED: f64 = 8.0;
+
+/// Most board time that may be missing at the end, s.
+const MOST_MISSING: f64 = 1.0;
+
+#[test]
+fn a_kill_loses_at_most_a_second() {
+    let rig = WholeRig::with(11, SPEED, |_, phone| {
+        // The app's wait for its 60th frame is 2 s; a faster camera saves time.
+        phone.camera.first_frame_ms = (20.0, 50.0);
+    });
+    let mut random = Seed(11).stream(Stream::Test);
+    // A whole session to its first seconds of recording takes 14 s of board time.
+    let moments: Vec<f64> = (0..TRIALS).map(|_| random.uniform(0.0, 16.0)).collect();
+    let mut worst = 0.0f64;
+    let mut recorded = 0;
+    for (trial, moment) in moments.into_iter().enumerate() {
+        let name = format!("trial_{trial}");
+        let mut session = Session::start(&mut rig.record(&name, &["--duration", "600s"]));
+        session.wait_for("recording into");
+        let begun = rig.rig.now();
+        rig.wait_ms((moment * 1e3) as u64);
+        session.signal(Signal::KILL);
+        let killed = rig.rig.now();
+        let (status, said) = session.end();
+        assert_eq!(status.code(), None, "trial {trial}: {said}");
+        recorded += usize::from(said.contains("recording for"));
+        // The phone's owner stops what the session could not.
+        rig.stop_phone();
+
+        let folder = rig.recording(&name);
+        SessionFile::load(&folder).unwrap_or_else(|e| panic!("trial {trial}: {e}"));
+        // Without a sample yet, all since the beginning is missing.
+        let last = last_sample(&folder).max(begun.as_secs_f64());
+        let missing = killed.as_secs_f64() - last;
+        assert!(
+            missing < MOST_MISSING,
+            "trial {trial}, killed after {moment:.1} s: {missing:.3} s are missing; {said}"
+        );
+        worst = worst.max(missing);
+    }
+    println!("{TRIALS} kills, {recorded} while recording: at most {worst:.3} s missing");
+    assert!(recorded >= 3, "only {recorded} kills came while recording");
+
+    // The last one left a train that runs: the next session takes it over.
+    Session::start(&mut rig.record("after", &["--duration", "2s"])).ends_with(0);
+}
+
+/// Board time of the last sample, s; 0 without any.
+fn last_sample(folder: &std::path::Path) -> f64 {
+    let mut last = 0.0;
+    for entry in Reader::open(folder).unwrap() {
+        let entry = entry.unwrap();
+        if matches!(entry.item, Item::Imu(_)) {
+            last = entry.at.as_secs_f64();
+        }
+    }
+    last
+}

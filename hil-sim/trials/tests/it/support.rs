@@ -1,0 +1,63 @@
+//! The program under test.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+use std::time::SystemTime;
+
+use crate::phone_bench::Bench;
+
+impl Bench {
+    /// Runs `smartdepthsync phone …` against this phone.
+    pub(crate) fn command(&self, arguments: &[&str], folder: &Path) -> Output {
+        Command::new(smartdepthsync())
+            .arg("phone")
+            .args(arguments)
+            .args(["--phone", &self.address()])
+            .current_dir(folder)
+            .output()
+            .unwrap()
+    }
+}
+
+/// Cargo builds it with the whole workspace; with this
+/// package alone it may be missing or old, and is built here.
+pub(crate) fn smartdepthsync() -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| {
+        let test = std::env::current_exe().unwrap();
+        let profile = test.parent().and_then(Path::parent).unwrap();
+        let program = profile.join(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX));
+        let built = program.metadata().and_then(|m| m.modified());
+        let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host");
+        if built.is_ok_and(|built| built > newest(&sources)) {
+            return program;
+        }
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.args(["build", "-p", "smartdepthsync", "--bin", "smartdepthsync"]);
+        if profile.ends_with("release") {
+            cargo.arg("--release");
+        }
+        let status = cargo.status().unwrap();
+        assert!(status.success(), "smartdepthsync could not be built");
+        program
+    })
+}
+
+/// When the newest file of the program below `folder` was changed.
+fn newest(folder: &Path) -> SystemTime {
+    let mut newest = SystemTime::UNIX_EPOCH;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let entry = entry.unwrap();
+        if entry.file_name() == "tests" || entry.file_name() == "fuzz" {
+            continue;
+        }
+        let metadata = entry.metadata().unwrap();
+        newest = newest.max(if metadata.is_dir() {
+            self::newest(&entry.path())
+        } else {
+            metadata.modified().unwrap()
+        });
+    }
+    newest
+}

@@ -1,0 +1,114 @@
+//! Extraction, evaluation and calibration on recordings of the whole chain: the
+//! real firmware, phone, depth camera and a session of the program, then the
+//! program's own answers against the truth. The long versions of the same are
+//! `cargo xtask bench --chain`.
+
+use crate::objects;
+use crate::support;
+use rig::wiring;
+use std::process::Command;
+
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunningRig};
+use serde_json::Value;
+use stm32f4_sim::time::SimDuration;
+use trials::whole_chain::{Plan, Programs, calibration, evaluation, extraction};
+
+fn programs() -> Programs {
+    Programs {
+        smartdepthsync: support::smartdepthsync().to_owned(),
+        elf: None,
+        speed: 20.0,
+    }
+}
+
+#[test]
+fn every_timestamp_pair_and_dropped_frame_is_right() {
+    let out = tempfile::tempdir().unwrap();
+    let plan = Plan {
+        drop_probability: 0.02,
+        ..Plan::new(3, 40)
+    };
+    let figures = extraction::check(&plan, &programs(), out.path()).unwrap();
+    println!("{}", figures.table());
+    assert!(figures.depth.largest_us <= extraction::DEPTH_LIMIT_US);
+    assert!(figures.pairs > 1100 && figures.dropped > 5, "{figures:?}");
+    let limit = 6.0 * figures.phone_sigma_us.hypot(1.0);
+    assert!(figures.phone_start.largest_us < limit, "{figures:?}");
+}
+
+#[test]
+fn bias_and_drift_are_as_the_truth_says() {
+    let out = tempfile::tempdir().unwrap();
+    for seed in [101, 102] {
+        let found = evaluation::check(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
+        println!("{found:?}");
+        // One seed in 50 may be outside the 99 % interval; none far outside.
+        for measured in [found.bias, found.drift] {
+            assert!(
+                measured.error().abs() < 2.0 * measured.uncertainty_99,
+                "{found:?}"
+            );
+        }
+        assert!(found.bias.uncertainty_99 < 1.0, "{found:?}");
+        assert!(found.drift.uncertainty_99 < 5.0, "{found:?}");
+    }
+}
+
+#[test]
+fn a_hidden_constant_is_gone_after_calibration() {
+    let out = tempfile::tempdir().unwrap();
+    let plan = Plan::new(5, 8);
+    let hidden = SimDuration::from_millis(3);
+    let figures = calibration::check(&plan, hidden, &programs(), out.path()).unwrap();
+    println!("{}", figures.table());
+    assert!((figures.before.truth - 3000.0).abs() < 50.0, "{figures:?}");
+    assert!(figures.good(), "{figures:?}");
+}
+
+#[test]
+fn the_photodiode_gives_the_time_from_trigger_to_centre() {
+    let config = RigConfig::published(Seed(9));
+    let (board, camera) = (config.board_clock, config.depth_camera.unwrap());
+    let pace = Pace {
+        speed: Some(20.0),
+        wait_for_host: false,
+    };
+    let rig = RunningRig::start(config, wiring::board(), None, pace).unwrap();
+    let trigger = |arguments: &[&str]| {
+        Command::new(support::smartdepthsync())
+            .args(["--json", "trigger", "--port"])
+            .arg(rig.port())
+            .args(arguments)
+            .output()
+            .unwrap()
+    };
+    let refused = trigger(&["latency", "--pulses", "5"]);
+    assert_eq!(refused.status.code(), Some(3), "{refused:?}");
+    assert!(String::from_utf8_lossy(&refused.stdout).contains("trigger start"));
+    let started = trigger(&["start", "--fps", "30"]);
+    assert!(started.status.success(), "{started:?}");
+    let output = trigger(&["latency", "--pulses", "60"]);
+    // The camera's first frame comes on the second pulse.
+    assert!(matches!(output.status.code(), Some(0 | 4)), "{output:?}");
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    objects::check("trigger latency", &[&found]);
+    assert!(found["pulses"].as_u64().unwrap() >= 57, "{found}");
+    // The camera counts its delays on its own clock.
+    let rate = (1.0 + 1e-6 * board.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);
+    let flash_us = camera.flash_delay.as_nanos() as f64 * 1e-3;
+    let center_us = flash_us + camera.mode.flashes().center_offset_ns() as f64 * 1e-3;
+    for (key, truth, limit) in [
+        ("center", center_us, 0.03),
+        ("first_flash", flash_us, 0.03),
+        ("pitch", 1575.0, 0.01),
+        ("duration", 125.0, 0.03),
+    ] {
+        let mean = found[key]["mean_us"].as_f64().unwrap();
+        assert!((mean - truth * rate).abs() < limit, "{key}: {found}");
+    }
+    // A train of another mode is not there.
+    let wrong = trigger(&["latency", "--pulses", "5", "--train", "7,1575,125"]);
+    assert_eq!(wrong.status.code(), Some(3), "{wrong:?}");
+}

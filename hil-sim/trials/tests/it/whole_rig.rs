@@ -1,0 +1,292 @@
+//! Sessions of `smartdepthsync record`, as processes, on the whole rig.
+
+use crate::support;
+use rig::wiring;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use rig::phone::{PhoneConfig, SimPhone};
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::running_rig::{Pace, RunningRig};
+use rustix::process::{Pid, Signal, kill_process};
+use stm32f4_sim::time::SimDuration;
+
+/// The longest that anything is waited for, in real time.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A rig whose operator twists it all the time, with a folder for recordings.
+pub(crate) struct WholeRig {
+    pub(crate) rig: RunningRig,
+    pub(crate) folder: tempfile::TempDir,
+}
+
+impl WholeRig {
+    pub(crate) fn new(seed: u64, speed: f64) -> Self {
+        Self::with(seed, speed, |_, _| {})
+    }
+
+    pub(crate) fn with(
+        seed: u64,
+        speed: f64,
+        edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
+    ) -> Self {
+        Self::with_phones(seed, speed, 1, edit)
+    }
+
+    /// With so many phones, of which only the first is edited.
+    pub(crate) fn with_phones(
+        seed: u64,
+        speed: f64,
+        phones: u64,
+        edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
+    ) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
+        let mut phones: Vec<(PhoneConfig, u16)> = (0..phones)
+            .map(|number| {
+                let mut phone = PhoneConfig::draw(Seed(seed + 1_000 * number));
+                // A small picture: videos are not what is tested here.
+                phone.camera.rows = 120;
+                phone.camera.columns = 16;
+                let storage = match number {
+                    0 => String::from("phone"),
+                    further => format!("phone_{further}"),
+                };
+                phone.storage = Some(folder.path().join(storage));
+                (phone, 0)
+            })
+            .collect();
+        edit(&mut config, &mut phones[0].0);
+        let pace = Pace {
+            speed: Some(speed),
+            wait_for_host: false,
+        };
+        let board = wiring::board().tolerate_failures();
+        let rig = RunningRig::with_phones(config, board, phones, pace).unwrap();
+        Self { rig, folder }
+    }
+
+    pub(crate) fn phone(&self) -> &SimPhone {
+        self.rig.phone().unwrap()
+    }
+
+    /// The owner's profile, with a shorter twist and a faster way to the grid.
+    pub(crate) fn profile(&self) -> String {
+        Self::hasty(&self.rig.profile().unwrap())
+    }
+
+    /// The same with all phones, by name.
+    pub(crate) fn profile_of(&self, names: &[&str]) -> String {
+        Self::hasty(&self.rig.profile_of(names).unwrap())
+    }
+
+    fn hasty(profile: &str) -> String {
+        profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n") + "\n[align]\nslew_us = 1000\n"
+    }
+
+    /// Waits for so much board time.
+    pub(crate) fn wait_ms(&self, ms: u64) {
+        let until = self.rig.now() + SimDuration::from_millis(ms);
+        while self.rig.now() < until {
+            assert!(self.rig.is_running(), "the board has failed");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// `smartdepthsync record` on this rig, not yet started, with nobody there.
+    pub(crate) fn record(&self, name: &str, arguments: &[&str]) -> Command {
+        self.record_with(name, &self.profile(), arguments)
+    }
+
+    pub(crate) fn record_with(&self, name: &str, profile: &str, arguments: &[&str]) -> Command {
+        let file = self.folder.path().join(format!("{name}.toml"));
+        std::fs::write(&file, profile).unwrap();
+        let mut command = Command::new(support::smartdepthsync());
+        command
+            .arg("record")
+            .arg("--port")
+            .arg(self.rig.port())
+            .arg("--profile")
+            .arg(file)
+            .arg("--out")
+            .arg(self.out())
+            .args(["--name", name, "--yes"])
+            .args(arguments);
+        command
+    }
+
+    /// The folder of all recordings.
+    pub(crate) fn out(&self) -> PathBuf {
+        self.folder.path().join("recordings")
+    }
+
+    pub(crate) fn recording(&self, name: &str) -> PathBuf {
+        self.out().join(name)
+    }
+
+    /// A phone that was left recording by a session that died is stopped by its
+    /// owner.
+    pub(crate) fn stop_phone(&self) {
+        if self.phone().is_recording() {
+            self.phone().press_record();
+        }
+    }
+}
+
+/// A session that runs, with what it says as it says it.
+pub(crate) struct Session {
+    child: Child,
+    said: Arc<Mutex<String>>,
+    readers: Vec<JoinHandle<()>>,
+}
+
+impl Session {
+    pub(crate) fn start(command: &mut Command) -> Self {
+        Self::spawn(command.stdin(Stdio::null()))
+    }
+
+    /// With somebody there, whose lines are written to the second one.
+    pub(crate) fn at_keys(command: &mut Command) -> (Self, ChildStdin) {
+        let mut session = Self::spawn(command.stdin(Stdio::piped()));
+        let keys = session.child.stdin.take().unwrap();
+        (session, keys)
+    }
+
+    fn spawn(command: &mut Command) -> Self {
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let said = Arc::new(Mutex::new(String::new()));
+        let mut readers = Vec::new();
+        for mut pipe in [
+            Box::new(child.stdout.take().unwrap()) as Box<dyn std::io::Read + Send>,
+            Box::new(child.stderr.take().unwrap()),
+        ] {
+            let heard = Arc::clone(&said);
+            readers.push(std::thread::spawn(move || {
+                let mut buffer = [0; 1024];
+                while let Ok(count) = pipe.read(&mut buffer) {
+                    if count == 0 {
+                        return;
+                    }
+                    let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
+                    heard.lock().unwrap().push_str(&text);
+                }
+            }));
+        }
+        Self {
+            child,
+            said,
+            readers,
+        }
+    }
+
+    /// The process's number.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub(crate) fn said(&self) -> String {
+        self.said.lock().unwrap().clone()
+    }
+
+    /// Waits until it says something; fails when it ends before.
+    pub(crate) fn wait_for(&mut self, words: &str) {
+        let begun = Instant::now();
+        while !self.said().contains(words) {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                // What it said last may still be on its way.
+                std::thread::sleep(Duration::from_millis(100));
+                assert!(
+                    self.said().contains(words),
+                    "ended ({status}) before {words:?}: {}",
+                    self.said()
+                );
+                return;
+            }
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "{words:?} never came: {}",
+                self.said()
+            );
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        let pid = Pid::from_raw(self.child.id().try_into().unwrap()).unwrap();
+        kill_process(pid, signal).unwrap();
+    }
+
+    /// Waits for its end: status, and all that it said.
+    pub(crate) fn end(mut self) -> (ExitStatus, String) {
+        let begun = Instant::now();
+        let status = loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            if begun.elapsed() > PATIENCE {
+                let _ = self.child.kill();
+                panic!("it does not end: {}", self.said());
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        };
+        for reader in self.readers.drain(..) {
+            reader.join().unwrap();
+        }
+        (status, self.said())
+    }
+
+    /// Waits for its end, which must be this exit code.
+    pub(crate) fn ends_with(self, code: i32) -> String {
+        let (status, said) = self.end();
+        assert_eq!(status.code(), Some(code), "{said}");
+        said
+    }
+}
+
+impl Drop for Session {
+    /// A test that fails leaves no process behind.
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The Python environment that `cargo xtask test` makes.
+pub(crate) fn python() -> PathBuf {
+    // target/<profile>/deps/<test>
+    let test = std::env::current_exe().unwrap();
+    let python = test.ancestors().nth(3).unwrap().join("venv/bin/python3");
+    assert!(
+        python.is_file(),
+        "{} is missing: run this test through `cargo xtask test`, which makes it",
+        python.display()
+    );
+    python
+}
+
+/// Runs a script beside the tests and gives what it prints.
+pub(crate) fn run_python(script: &str, arguments: &[&Path]) -> Vec<u8> {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/python")
+        .join(script);
+    let output = Command::new(python())
+        .arg(script)
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    output.stdout
+}
