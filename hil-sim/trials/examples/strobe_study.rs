@@ -10,11 +10,11 @@
 #[path = "../tests/it/strobes.rs"]
 mod strobes;
 
+use evaluate::Settings;
+use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::recording::Recording;
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
-use smartdepthsync::evaluate::Settings;
-use smartdepthsync::evaluate::precision::{RecordingResult, evaluate_recording};
-use smartdepthsync::evaluate::recording::Recording;
 use strobes::Scene;
 
 fn rms(values: &[f64]) -> f64 {

@@ -1,12 +1,12 @@
 //! The evaluation on rendered frames with known truth. All figures are simulated.
 
 use crate::strobes::Scene;
+use evaluate::classify::Reference;
+use evaluate::frame::Rotation;
+use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::train::TrainGeometry;
+use evaluate::{EvaluateError, Settings, drift};
 use rig::rolling_shutter::{Flicker, Readout, RollingShutter};
-use smartdepthsync::evaluate::classify::Reference;
-use smartdepthsync::evaluate::frame::Rotation;
-use smartdepthsync::evaluate::precision::{RecordingResult, evaluate_recording};
-use smartdepthsync::evaluate::train::TrainGeometry;
-use smartdepthsync::evaluate::{EvaluateError, Settings, drift};
 
 /// Row times known to the tool make the tests fast; what it does without is tested
 /// where it matters.

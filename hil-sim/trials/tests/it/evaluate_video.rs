@@ -4,11 +4,11 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::strobes::Scene;
+use evaluate::precision::{self, Evaluated, evaluate_recording};
+use evaluate::recording::Recording;
+use evaluate::{EvaluateError, Settings, plot, report};
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
-use smartdepthsync::evaluate::precision::{self, Evaluated, evaluate_recording};
-use smartdepthsync::evaluate::recording::Recording;
-use smartdepthsync::evaluate::{EvaluateError, Settings, plot, report};
 
 fn scene(exposure_us: f64, row_time_us: f64, amplitude: f64, bias_us: f64) -> Scene {
     Scene {

@@ -4,8 +4,8 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use extract::mkv::k4a::{Content, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
-use smartdepthsync::extract::mkv::k4a::{Content, RawImage, Recording, StartOffset};
 
 const START_US: u64 = 5_123_457;
 const FRAMES: u64 = 120;

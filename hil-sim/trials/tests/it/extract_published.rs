@@ -18,7 +18,7 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn twist() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/tests/data/twist")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/cli/tests/data/twist")
 }
 
 fn make_bag(folder: &Path, compression: &str) {

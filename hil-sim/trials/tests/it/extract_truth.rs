@@ -6,11 +6,11 @@ use crate::browser;
 use std::path::{Path, PathBuf};
 
 use crate::synthetic::{Synthetic, Truth, make};
-use smartdepthsync::extract::inputs::Options;
-use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::Silent;
-use smartdepthsync::extract::report::Report;
-use smartdepthsync::extract::run::{Job, run};
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::Silent;
+use extract::report::Report;
+use extract::run::{Job, run};
 
 struct Case {
     folder: tempfile::TempDir,

@@ -9,6 +9,7 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use crate::whole_rig::{Session, WholeRig};
+use board::imu::Sample;
 use protocol::{ImuFlags, Ticks};
 use recording::messages::{Imu, Pulse, from_cdr};
 use recording::reader::{Item, Reader, ticks_of_nanos};

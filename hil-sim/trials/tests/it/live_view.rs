@@ -9,9 +9,9 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::whole_rig::WholeRig;
-use smartdepthsync::recording::reader::Reader;
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
-use smartdepthsync::verify::{Verdict, verify};
+use recording::reader::Reader;
+use recording::session_file::{SessionFile, SessionOutcome};
+use verify::{Verdict, verify};
 
 const PATIENCE: Duration = Duration::from_secs(90);
 

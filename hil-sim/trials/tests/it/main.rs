@@ -1,11 +1,11 @@
 //! Sessions, recordings and their results on the simulated rig.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../../../host/tests/support/browser.rs"]
+#[path = "../../../../host/cli/tests/support/browser.rs"]
 mod browser;
 mod doctor;
 mod documented_commands;
-#[path = "../../../../host/tests/support/documents.rs"]
+#[path = "../../../../host/cli/tests/support/documents.rs"]
 mod documents;
 mod evaluate_rendered;
 mod evaluate_video;
@@ -18,13 +18,13 @@ mod imu_csv;
 mod json_objects;
 mod live_view;
 mod long_run;
-#[path = "../../../../host/tests/support/objects.rs"]
+#[path = "../../../../host/cli/tests/support/objects.rs"]
 mod objects;
 #[path = "../../../rig/tests/it/phone_bench.rs"]
 mod phone_bench;
 mod phone_command;
 mod phone_twist;
-#[path = "../../../../host/tests/support/python.rs"]
+#[path = "../../../../host/cli/tests/support/python.rs"]
 mod python;
 mod record;
 mod record_faults;

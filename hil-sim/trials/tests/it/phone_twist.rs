@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use phone::{ImuRequest, PhoneClient, Sensor, Settings};
 use rig::flash_log::Dark;
 use rig::inertial_channel::{Channel, ChannelConfig, LowPass, quantise};
 use rig::motion::MotionSpec;
@@ -11,10 +12,9 @@ use rig::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
 use rig::random::{Seed, Stream, rotation};
 use rig::true_clock::TrueClock;
-use smartdepthsync::phone::{ImuRequest, PhoneClient, Sensor, Settings};
-use smartdepthsync::sync::{GyroTrack, Options, estimate_offset};
-use smartdepthsync::time::BoardSeconds;
 use stm32f4_sim::time::SimTime;
+use timebase::phone_track;
+use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// When the phone begins, and for how long, in true seconds.
 const BEGIN: u64 = 3;

@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use crate::whole_rig::{Session, WholeRig, run_python};
+use recording::MCAP_FILE;
+use recording::reader::{Item, Reader};
+use recording::session_file::Verdict;
+use recording::session_file::{SessionFile, SessionOutcome};
 use rig::mpu9150::SampleRecord;
 use serde_json::Value;
-use smartdepthsync::record::preflight::Verdict;
-use smartdepthsync::recording::MCAP_FILE;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 use trials::demo::judge::Truth;
 
 #[test]

@@ -8,12 +8,12 @@ use std::process::Command;
 
 use crate::support::smartdepthsync;
 use crate::whole_rig::{Session, WholeRig};
+use recording::reader::{Item, Reader};
+use recording::session_file::Verdict;
+use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
-use smartdepthsync::record::preflight::Verdict;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
 
 /// Virtual time against real time: fast enough for many sessions, slow enough
 /// that a test can act within a state.

@@ -2,10 +2,10 @@
 //! most the last second, and a rig on which the next session simply starts.
 
 use crate::whole_rig::{Session, WholeRig};
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
 use rig::random::{Seed, Stream};
 use rustix::process::Signal;
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::SessionFile;
 
 const TRIALS: usize = 50;
 

@@ -2,8 +2,8 @@
 //! join the aligned trigger, and the recording has them by name.
 
 use crate::whole_rig::{Session, WholeRig};
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
 
 const FURTHER: &str = r#"
 [[outputs]]

@@ -2,8 +2,8 @@
 //! clocks, both record, and what is said of each is true.
 
 use crate::whole_rig::{Session, WholeRig};
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
 use trials::demo::judge::Truth;
 
 #[test]

@@ -7,21 +7,21 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use crate::whole_rig::{Session, WholeRig};
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::Silent;
+use extract::report::BoardRunReport;
+use extract::run::{Job, run};
 use protocol::ResetCause;
+use recording::reader::{Item, Reader};
+use recording::session_file::{SessionFile, SessionOutcome};
 use rig::depth_camera::{FrameRecord, Source};
 use rig::k4a_mkv::{K4aSettings, write_frames};
 use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;
 use rig::running_rig::RunTruth;
-use smartdepthsync::extract::inputs::Options;
-use smartdepthsync::extract::layout::Format;
-use smartdepthsync::extract::progress::Silent;
-use smartdepthsync::extract::report::BoardRunReport;
-use smartdepthsync::extract::run::{Job, run};
-use smartdepthsync::recording::reader::{Item, Reader};
-use smartdepthsync::recording::session_file::{SessionFile, SessionOutcome};
-use smartdepthsync::verify::{Verdict, verify};
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO};
+use verify::{Verdict, verify};
 
 /// Virtual time against real time. The host's clock then says little about how long
 /// the board was away, and the session must know that.

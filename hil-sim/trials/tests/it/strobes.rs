@@ -2,13 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use evaluate::frame::GreyView;
+use evaluate::precision::{RecordingResult, evaluate_recording};
+use evaluate::recording::Recording;
+use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
+use evaluate::{EvaluateError, Settings};
 use rig::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
 use rig::video_writer::{Mp4Writer, Quality, VideoSettings};
-use smartdepthsync::evaluate::frame::GreyView;
-use smartdepthsync::evaluate::precision::{RecordingResult, evaluate_recording};
-use smartdepthsync::evaluate::recording::Recording;
-use smartdepthsync::evaluate::source::{FrameSource, FrameTimes, SourceInfo};
-use smartdepthsync::evaluate::{EvaluateError, Settings};
 
 /// A camera on the re-transmitted light of a depth camera, with the truth.
 #[derive(Debug, Clone)]

@@ -13,19 +13,19 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
+use board::imu::Sample;
 use protocol::{ImuFlags, Period, Pulse, TICK_HZ, Ticks};
+use recording::profile::Profile;
+use recording::session_file::SessionFile;
+use recording::writer::Writer;
 use rig::inertial_channel::{Channel, ChannelConfig, LowPass};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
 use rig::motion::{Motion, MotionSpec, MotionView};
 use rig::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use rig::random::{Random, Seed, Stream, rotation};
-use smartdepthsync::imu::Sample;
-use smartdepthsync::profile::Profile;
-use smartdepthsync::recording::session_file::SessionFile;
-use smartdepthsync::recording::writer::Writer;
-use smartdepthsync::sync::{ClockModel, Wander};
-use smartdepthsync::time::BoardSeconds;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
+use timebase::BoardSeconds;
+use timebase::{ClockModel, Wander};
 
 /// Units of simulated time in a tick of the board.
 const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
