@@ -238,15 +238,6 @@ impl<W: Write + Seek> K4aMkvWriter<W> {
         Ok(())
     }
 
-    /// Adds any bytes as a depth frame: for damaged frames.
-    ///
-    /// # Errors
-    ///
-    /// Writing fails.
-    pub fn write_raw_depth(&mut self, us: u64, bytes: Vec<u8>) -> io::Result<()> {
-        self.push(us, DEPTH_TRACK, bytes)
-    }
-
     /// Adds a sample of the IMU.
     ///
     /// # Errors

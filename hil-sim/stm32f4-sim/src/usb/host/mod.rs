@@ -148,7 +148,7 @@ enum Transaction {
 
 /// The host and its end of the serial port.
 #[derive(Debug)]
-pub struct UsbHost {
+pub(crate) struct UsbHost {
     phase: Phase,
     failure: String,
     control: Option<Control>,
@@ -213,7 +213,7 @@ impl UsbHost {
 
     /// How far the host has got.
     #[must_use]
-    pub fn state(&self) -> UsbState {
+    pub(crate) fn state(&self) -> UsbState {
         match self.phase {
             Phase::Unplugged => UsbState::Unplugged,
             Phase::NoDevice => UsbState::NoDevice,
@@ -225,25 +225,25 @@ impl UsbHost {
 
     /// What the device said about itself in the last enumeration.
     #[must_use]
-    pub fn device(&self) -> &DeviceInfo {
+    pub(crate) fn device(&self) -> &DeviceInfo {
         &self.info
     }
 
     /// What went over the bus.
     #[must_use]
-    pub fn traffic(&self) -> UsbTraffic {
+    pub(crate) fn traffic(&self) -> UsbTraffic {
         self.traffic
     }
 
     /// What the host noticed, with its time.
     #[must_use]
-    pub fn log(&self) -> &[(SimTime, String)] {
+    pub(crate) fn log(&self) -> &[(SimTime, String)] {
         &self.log
     }
 
     /// Bytes of the serial port that have arrived and were not taken yet.
     #[must_use]
-    pub fn available(&self) -> usize {
+    pub(crate) fn available(&self) -> usize {
         self.from_device.len()
     }
 
@@ -254,7 +254,7 @@ impl UsbHost {
 
     /// Bytes that were written and have not gone over the bus yet.
     #[must_use]
-    pub fn unsent(&self) -> usize {
+    pub(crate) fn unsent(&self) -> usize {
         self.to_device.len()
     }
 
