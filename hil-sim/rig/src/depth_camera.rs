@@ -46,10 +46,10 @@ use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 
 /// Shortest pulse that does *not* count (vendor: it needs more than 8 µs).
-pub const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
+pub(crate) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Device timestamps count at this rate, in the camera's time.
-pub const TIMESTAMP_HZ: u64 = 90_000;
+pub(crate) const TIMESTAMP_HZ: u64 = 90_000;
 
 /// Depth modes with their flashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -276,7 +276,7 @@ impl DepthCamera {
     /// Writes every flash into `log` too, as it is planned (at least 9 µs before
     /// it happens): for other cameras that see the light.
     #[must_use]
-    pub fn with_flash_log(mut self, log: FlashLog) -> Self {
+    pub(crate) fn with_flash_log(mut self, log: FlashLog) -> Self {
         self.flash_log = Some(log);
         self
     }

@@ -42,7 +42,7 @@ pub struct LowPass {
 const HALF: i32 = 6;
 /// Points at which the kernel samples the signal: 13, out to three standard
 /// deviations.
-pub const TAPS: usize = 2 * HALF as usize + 1;
+pub(crate) const TAPS: usize = 2 * HALF as usize + 1;
 /// Distance of these points, in standard deviations of the kernel.
 const TAP_DISTANCE: f64 = 0.5;
 /// Standard deviation of the kernel times its -3 dB frequency. For a whole
@@ -132,7 +132,7 @@ impl Channel {
 
     /// Changes the low-pass and the distance of internal samples. Numbering of
     /// internal samples may begin anew.
-    pub fn set_filter(&mut self, low_pass: LowPass, tick_s: f64) {
+    pub(crate) fn set_filter(&mut self, low_pass: LowPass, tick_s: f64) {
         self.low_pass = low_pass;
         self.tick_s = tick_s;
         let sigma_ticks = SIGMA_TIMES_BANDWIDTH / low_pass.bandwidth_hz / tick_s;

@@ -230,7 +230,7 @@ impl Oscillator {
 
     /// The earliest true time at which [`Oscillator::ticks_at`] is `ticks`.
     #[must_use]
-    pub fn when_ticks(&self, ticks: u64, rate: Rate) -> TrueTime {
+    pub(crate) fn when_ticks(&self, ticks: u64, rate: Rate) -> TrueTime {
         let (num, den) = rate.fraction();
         if num == 0 {
             return TrueTime::NEVER;

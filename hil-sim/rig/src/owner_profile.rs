@@ -35,7 +35,7 @@ pub fn owner_profile(config: &RigConfig, phone: &SimPhone) -> Result<String> {
 /// # Errors
 ///
 /// The rig has no depth camera, or there is no phone.
-pub fn owner_profile_of(config: &RigConfig, phones: &[(&str, &SimPhone)]) -> Result<String> {
+pub(crate) fn owner_profile_of(config: &RigConfig, phones: &[(&str, &SimPhone)]) -> Result<String> {
     let ((name, first), others) = phones.split_first().context("the rig has no phone")?;
     let mut text = owner_profile(config, first)?;
     text = text.replace("[phone]\n", &format!("[phone]\nname = \"{name}\"\n"));

@@ -144,7 +144,7 @@ impl RigParts {
 
     /// The first record of a truth file.
     #[must_use]
-    pub fn run_record(&self) -> Run {
+    pub(crate) fn run_record(&self) -> Run {
         Run {
             imu: self.config.imu,
             depth_camera: self.config.depth_camera,
@@ -158,7 +158,7 @@ impl RigParts {
 
     /// What the clocks of these parts show.
     #[must_use]
-    pub fn clocks_at(&self, at: TrueTime) -> Clocks {
+    pub(crate) fn clocks_at(&self, at: TrueTime) -> Clocks {
         let camera = self.depth_camera.as_ref().map(|c| lock(c).clock().clone());
         Clocks::at(at, &self.board, None, camera.as_ref())
     }

@@ -69,7 +69,7 @@ impl FlashTrain {
     }
 
     /// The flashes of an exposure whose first flash starts at `first_ns`.
-    pub fn starting_at(&self, first_ns: i64) -> impl Iterator<Item = Flash> + use<> {
+    pub(crate) fn starting_at(&self, first_ns: i64) -> impl Iterator<Item = Flash> + use<> {
         let Self {
             count,
             pitch_ns,
@@ -213,7 +213,7 @@ impl RollingShutter {
     ///
     /// `flashes` may hold any flashes in any order; those outside the frame add
     /// nothing. Returns (room light, flash light) of every row.
-    pub fn row_light(&self, frame_start_ns: i64, flashes: &[Flash]) -> Vec<(f64, f64)> {
+    pub(crate) fn row_light(&self, frame_start_ns: i64, flashes: &[Flash]) -> Vec<(f64, f64)> {
         let texture = self.row_texture();
         // Relative to the frame's start, so that f64 keeps sub-nanosecond steps.
         let relative: Vec<(f64, f64)> = flashes

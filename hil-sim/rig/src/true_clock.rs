@@ -100,7 +100,11 @@ impl TrueClock {
     /// # Errors
     ///
     /// The rig was stopped, or the wait cancelled.
-    pub fn wait_unless(&self, until: TrueTime, cancelled: &AtomicBool) -> Result<(), RigStopped> {
+    pub(crate) fn wait_unless(
+        &self,
+        until: TrueTime,
+        cancelled: &AtomicBool,
+    ) -> Result<(), RigStopped> {
         let mut waiting = self.0.waiting();
         waiting.times.push(until.units());
         self.0.note_next(&waiting);
@@ -130,7 +134,7 @@ impl TrueClock {
     }
 
     /// Makes everyone who waits look whether they were cancelled.
-    pub fn wake(&self) {
+    pub(crate) fn wake(&self) {
         // Taken and given back, so that nobody is between looking and waiting.
         drop(self.0.waiting());
         self.0.woken.notify_all();
@@ -144,7 +148,7 @@ impl TrueClock {
 
     /// Whether the rig was stopped.
     #[must_use]
-    pub fn is_stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.0.waiting().stopped
     }
 

@@ -23,7 +23,7 @@ const CLOCKS: SimDuration = SimDuration::from_secs(1);
 
 /// Keeps a truth file.
 #[derive(Debug)]
-pub struct TruthRecorder<W: Write> {
+pub(crate) struct TruthRecorder<W: Write> {
     writer: TruthWriter<W>,
     parts: RigParts,
     next_clocks: SimTime,
@@ -36,7 +36,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn new(to: W, rig: &mut Sim, parts: &RigParts) -> Result<Self, TruthError> {
+    pub(crate) fn new(to: W, rig: &mut Sim, parts: &RigParts) -> Result<Self, TruthError> {
         rig.log_pin(wiring::TRIGGER);
         Ok(Self {
             writer: TruthWriter::new(to, parts.run_record())?,
@@ -51,7 +51,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn poll(&mut self, rig: &mut Sim) -> Result<(), TruthError> {
+    pub(crate) fn poll(&mut self, rig: &mut Sim) -> Result<(), TruthError> {
         self.timebase(rig)?;
         for (pin, level, at) in rig.take_edges() {
             if pin == wiring::TRIGGER {
@@ -98,7 +98,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn flush(&mut self) -> Result<(), TruthError> {
+    pub(crate) fn flush(&mut self) -> Result<(), TruthError> {
         self.writer.flush()
     }
 }
@@ -106,7 +106,7 @@ impl<W: Write> TruthRecorder<W> {
 impl RigParts {
     /// Takes what the parts have noted since the last call, part by part.
     #[must_use]
-    pub fn take_records(&self) -> Vec<TruthRecord> {
+    pub(crate) fn take_records(&self) -> Vec<TruthRecord> {
         let mut records = Vec::new();
         if let Some(imu) = &self.imu {
             let samples = lock(imu).log_mut().take();

@@ -8,7 +8,7 @@ use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Sim, SimBuilder, Timer};
 
 /// Environment variable that names the ELF which tests and tools use.
-pub const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
+pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
 /// The timer whose counter is the board's time.
 pub const TIMEBASE: Timer = Timer::Tim2;
@@ -16,31 +16,31 @@ pub const TIMEBASE: Timer = Timer::Tim2;
 /// Camera trigger (TIM2 CH1).
 pub const TRIGGER: Pin = Pin::PA5;
 /// Data-ready of the IMU (TIM2 CH2).
-pub const IMU_READY: Pin = Pin::PA1;
+pub(crate) const IMU_READY: Pin = Pin::PA1;
 /// Strobe input (TIM2 CH3).
 pub const STROBE: Pin = Pin::PA2;
 /// The trigger's wire, read back (TIM2 CH4).
-pub const READBACK: Pin = Pin::PA3;
+pub(crate) const READBACK: Pin = Pin::PA3;
 /// Clock of the IMU (MCO1).
-pub const IMU_CLOCK: Pin = Pin::PA8;
+pub(crate) const IMU_CLOCK: Pin = Pin::PA8;
 /// Clock of the I2C bus (I2C1).
-pub const SCL: Pin = Pin::PB6;
+pub(crate) const SCL: Pin = Pin::PB6;
 /// Data of the I2C bus (I2C1).
 pub const SDA: Pin = Pin::PB7;
 /// Sentences for a lidar (UART5 TX).
-pub const NMEA: Pin = Pin::PC12;
+pub(crate) const NMEA: Pin = Pin::PC12;
 /// Pulse per second for a lidar (TIM1 CH1).
-pub const PPS: Pin = Pin::PE9;
+pub(crate) const PPS: Pin = Pin::PE9;
 /// The further trigger outputs (TIM1 CH2 to CH4).
 pub const OUTPUTS: [Pin; 3] = [Pin::PE11, Pin::PE13, Pin::PE14];
 /// LED: the IMU is alive.
-pub const LED_IMU: Pin = Pin::PD12;
+pub(crate) const LED_IMU: Pin = Pin::PD12;
 /// LED: a pulse.
-pub const LED_PULSE: Pin = Pin::PD13;
+pub(crate) const LED_PULSE: Pin = Pin::PD13;
 /// LED: a fault.
-pub const LED_FAULT: Pin = Pin::PD14;
+pub(crate) const LED_FAULT: Pin = Pin::PD14;
 /// LED: the host is linked.
-pub const LED_LINK: Pin = Pin::PD15;
+pub(crate) const LED_LINK: Pin = Pin::PD15;
 
 /// Frequency of the crystal.
 const CRYSTAL_HZ: u64 = 8_000_000;

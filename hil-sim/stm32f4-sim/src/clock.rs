@@ -154,7 +154,7 @@ impl Clock {
 
     /// The same edge count going on at another rate from `at` on.
     #[must_use]
-    pub fn re_rated(&self, rate: Rate, at: SimTime) -> Self {
+    pub(crate) fn re_rated(&self, rate: Rate, at: SimTime) -> Self {
         let edge = self.edge_at(at);
         Self::new(rate, at, edge)
     }

@@ -199,7 +199,7 @@ impl Firmware {
 
     /// The function that holds an address: name and offset.
     #[must_use]
-    pub fn function_at(&self, address: u32) -> Option<(&str, u32)> {
+    pub(crate) fn function_at(&self, address: u32) -> Option<(&str, u32)> {
         let (start, (size, name)) = self.functions.range(..=address).next_back()?;
         let offset = address - start;
         (*size == 0 || offset < *size).then_some((name.as_str(), offset))
@@ -207,7 +207,7 @@ impl Firmware {
 
     /// An address for people: inlined functions outwards, with their source lines.
     #[must_use]
-    pub fn describe(&self, address: u32) -> Vec<String> {
+    pub(crate) fn describe(&self, address: u32) -> Vec<String> {
         let mut out = Vec::new();
         if let Some(loader) = &self.lines
             && let Ok(mut frames) = loader.find_frames(u64::from(address))

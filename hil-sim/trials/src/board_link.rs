@@ -2,8 +2,8 @@
 //! work on the firmware without the host tool.
 
 use protocol::{
-    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
-    MAX_FRAME, Refusal, Reply, Status, encode,
+    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, MAX_FRAME, Refusal,
+    Reply, Status, encode,
 };
 
 use stm32f4_sim::sim::{Sim, SimError};
@@ -87,12 +87,6 @@ impl BoardLink {
     #[must_use]
     pub fn errors(&self) -> &[FrameError] {
         &self.errors
-    }
-
-    /// What the parser counted.
-    #[must_use]
-    pub fn counters(&self) -> LinkCounters {
-        self.decoder.counters()
     }
 
     /// Queues a command and returns its id.

@@ -22,7 +22,7 @@ use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// Virtual time in one tick of the board.
-pub const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
 
 /// How long after its data-ready edge a sample is read at the latest.
 const TRANSFER: SimDuration = SimDuration::from_millis(2);
@@ -30,7 +30,7 @@ const TRANSFER: SimDuration = SimDuration::from_millis(2);
 /// Something that the board did or said is not what it should be.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub struct Wrong(pub String);
+pub(crate) struct Wrong(pub String);
 
 fn wrong<T>(text: String) -> Result<T, Wrong> {
     Err(Wrong(text))
@@ -38,7 +38,7 @@ fn wrong<T>(text: String) -> Result<T, Wrong> {
 
 /// A train as it was started: edge `k` is `floor(first + k · period)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Train {
+pub(crate) struct Train {
     /// Edge 0.
     pub first: Ticks,
     /// Distance of edges.
@@ -49,7 +49,7 @@ pub struct Train {
 
 /// What was compared, and what was not delivered.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Compared {
+pub(crate) struct Compared {
     /// Trigger pulses at the pin, each equal to the arithmetic.
     pub pulses: u64,
     /// Reports of pulses, each equal to the pin.
@@ -71,7 +71,7 @@ pub struct Compared {
 
 /// See the module.
 #[derive(Debug, Default)]
-pub struct BoardTruth {
+pub(crate) struct BoardTruth {
     /// Units of virtual time at tick 0 of this run of the board.
     zero: Option<u64>,
     train: Option<Train>,
@@ -88,44 +88,44 @@ pub struct BoardTruth {
 impl BoardTruth {
     /// Before the board is powered on.
     #[must_use]
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::default()
     }
 
     /// Makes the rig log what is looked at here.
-    pub fn watch(&self, rig: &mut Sim) {
+    pub(crate) fn watch(&self, rig: &mut Sim) {
         rig.log_pin(wiring::TRIGGER);
         rig.log_pin(wiring::STROBE);
     }
 
     /// The train that was started, from its answer on.
-    pub fn started(&mut self, train: Train) {
+    pub(crate) fn started(&mut self, train: Train) {
         self.train = Some(train);
         self.made = 0;
     }
 
     /// What was compared so far.
     #[must_use]
-    pub fn compared(&self) -> Compared {
+    pub(crate) fn compared(&self) -> Compared {
         self.compared
     }
 
     /// When tick 0 of this run of the board was, once it is known.
     #[must_use]
-    pub fn zero(&self) -> Option<SimTime> {
+    pub(crate) fn zero(&self) -> Option<SimTime> {
         self.zero.map(SimTime::from_units)
     }
 
     /// The tick in which a point of virtual time lies, once tick 0 is known.
     #[must_use]
-    pub fn tick_of(&self, at: SimTime) -> Option<Ticks> {
+    pub(crate) fn tick_of(&self, at: SimTime) -> Option<Ticks> {
         let since = at.units().checked_sub(self.zero?)?;
         Some(Ticks(since / UNITS_PER_TICK))
     }
 
     /// The board has said hello, at its time `now`. To be called within 80 s
     /// of that.
-    pub fn begin(&mut self, rig: &Sim, now: Ticks) {
+    pub(crate) fn begin(&mut self, rig: &Sim, now: Ticks) {
         if self.zero.is_some() {
             return;
         }
@@ -136,7 +136,7 @@ impl BoardTruth {
 
     /// Something happened to the I2C bus or the sensor at `at`: the transfer of a
     /// sample under way may be damaged, which nothing on that bus can tell.
-    pub fn disturbed(&mut self, at: SimTime) {
+    pub(crate) fn disturbed(&mut self, at: SimTime) {
         self.disturbances.push(at);
     }
 
@@ -147,7 +147,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse before the reset was wrong.
-    pub fn restart(
+    pub(crate) fn restart(
         &mut self,
         rig: &mut Sim,
         sensor: &Shared<Mpu9150>,
@@ -173,7 +173,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse is not where the arithmetic has it.
-    pub fn take(&mut self, rig: &mut Sim, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
+    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
         self.take_up_to(rig, sensor, SimTime::NEVER)
     }
 
@@ -238,7 +238,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// It is about something that did not happen, or not then, or not so.
-    pub fn message(&mut self, message: &DeviceToHost) -> Result<(), Wrong> {
+    pub(crate) fn message(&mut self, message: &DeviceToHost) -> Result<(), Wrong> {
         match message {
             DeviceToHost::Pulse(pulse) => self.pulse(pulse),
             DeviceToHost::Imu(sample) => self.sample(sample),

@@ -45,7 +45,7 @@ pub struct PhaseSummary {
 /// `depth` are the depth frames in order of time; bad ones and those that the
 /// camera made on its own clock count like any other.
 #[must_use]
-pub fn phase_errors(
+pub(crate) fn phase_errors(
     phone: &FrameTimes,
     range: std::ops::Range<usize>,
     phone_clock: &Oscillator,
@@ -84,7 +84,7 @@ fn difference_us(a: TrueTime, b: TrueTime) -> f64 {
 
 /// Start, drift and spread of phase errors; nothing for fewer than two.
 #[must_use]
-pub fn summarise(errors: &[PhaseError]) -> Option<PhaseSummary> {
+pub(crate) fn summarise(errors: &[PhaseError]) -> Option<PhaseSummary> {
     let first = errors.first()?;
     let n = errors.len() as f64;
     let x = |e: &PhaseError| e.at_s - first.at_s;

@@ -2,9 +2,9 @@
 //! the long run and the whole chain. Test code, not a part of the simulator.
 
 pub mod board_link;
-pub mod board_truth;
+pub(crate) mod board_truth;
 pub mod demo;
 pub mod faults;
-pub mod frame_phase;
+pub(crate) mod frame_phase;
 pub mod long_run;
 pub mod whole_chain;

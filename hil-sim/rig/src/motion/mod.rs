@@ -31,7 +31,7 @@ use recorded::{Recording, RecordingError};
 pub use view::MotionView;
 
 /// Standard gravity, m/s².
-pub const STANDARD_GRAVITY: f64 = 9.806_65;
+pub(crate) const STANDARD_GRAVITY: f64 = 9.806_65;
 
 /// A motion that was chosen, before it is drawn or loaded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

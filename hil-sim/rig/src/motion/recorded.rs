@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 use super::STANDARD_GRAVITY;
 
 /// Time in which the rates fade outside of the recording, in seconds.
-pub const FADE: f64 = 0.25;
+pub(crate) const FADE: f64 = 0.25;
 
 /// Names of columns that are looked for in a header row, in the order of this
 /// module's own columns. A header that has the first four decides where they
 /// are; any other header is skipped.
-pub const NAMES: [&str; 7] = [
+pub(crate) const NAMES: [&str; 7] = [
     "time_s",
     "gyro_x_rad_s",
     "gyro_y_rad_s",
@@ -145,39 +145,17 @@ impl Recording {
                     ));
                 }
             };
-            if columns.is_empty() {
-                if numbers.len() != 4 && numbers.len() != 7 {
-                    return Err(bad(
-                        line,
-                        format!(
-                            "{} columns: expected 4 (time in s, rate x, y, z in rad/s) or 7 \
-                             (the same and specific force x, y, z in m/s²)",
-                            numbers.len()
-                        ),
-                    ));
-                }
+            let first_row = columns.is_empty();
+            check_row(&numbers, (!first_row).then_some(columns.len() + 1))
+                .map_err(|problem| bad(line, problem))?;
+            if first_row {
                 columns = vec![Vec::new(); numbers.len() - 1];
                 origin = numbers[0];
             }
-            if numbers.len() != columns.len() + 1 {
-                return Err(bad(
-                    line,
-                    format!(
-                        "{} columns where the first row has {}",
-                        numbers.len(),
-                        columns.len() + 1
-                    ),
-                ));
-            }
-            if let Some(n) = numbers.iter().find(|n| !n.is_finite()) {
-                return Err(bad(line, format!("{n} is not a finite number")));
-            }
             let t = numbers[0] - origin;
             if times.last().is_some_and(|&last| t <= last) {
-                return Err(bad(
-                    line,
-                    format!("time {} is not after the row before", numbers[0]),
-                ));
+                let problem = format!("time {} is not after the row before", numbers[0]);
+                return Err(bad(line, problem));
             }
             times.push(t);
             for (column, value) in columns.iter_mut().zip(&numbers[1..]) {
@@ -250,6 +228,25 @@ impl Recording {
             return [0.0, 0.0, STANDARD_GRAVITY];
         }
         [3, 4, 5].map(|axis| self.value(&self.columns[axis], t))
+    }
+}
+
+/// Whether a row has as many columns as it should, all finite. `width` is that of the
+/// first row, if this is not the first itself.
+fn check_row(numbers: &[f64], width: Option<usize>) -> Result<(), String> {
+    let found = numbers.len();
+    match width {
+        None if found != 4 && found != 7 => Err(format!(
+            "{found} columns: expected 4 (time in s, rate x, y, z in rad/s) or 7 \
+             (the same and specific force x, y, z in m/s²)"
+        )),
+        Some(width) if found != width => {
+            Err(format!("{found} columns where the first row has {width}"))
+        }
+        _ => match numbers.iter().find(|n| !n.is_finite()) {
+            Some(n) => Err(format!("{n} is not a finite number")),
+            None => Ok(()),
+        },
     }
 }
 

@@ -64,7 +64,7 @@ use registers::{DATA_RDY, address, int_pin, power};
 use sampling::Sampling;
 
 /// Address on the I2C bus with AD0 low.
-pub const ADDRESS: u8 = 0x68;
+pub(crate) const ADDRESS: u8 = 0x68;
 
 /// Length of the data-ready pulse if it is not latched (register 55).
 pub const PULSE: SimDuration = SimDuration::from_micros(50);

@@ -17,68 +17,68 @@ pub mod address {
     /// Full scale and self-test of the accelerometer (4.5).
     pub const ACCEL_CONFIG: u8 = 0x1c;
     /// Level, drive, latch and clearing of the interrupt pin (register 55).
-    pub const INT_PIN_CFG: u8 = 0x37;
+    pub(crate) const INT_PIN_CFG: u8 = 0x37;
     /// Interrupt sources that drive the pin (register 56).
-    pub const INT_ENABLE: u8 = 0x38;
+    pub(crate) const INT_ENABLE: u8 = 0x38;
     /// Interrupts that came (register 58).
-    pub const INT_STATUS: u8 = 0x3a;
+    pub(crate) const INT_STATUS: u8 = 0x3a;
     /// First of the 14 bytes of acceleration, temperature and angular rate (registers 59 to 72).
     pub const ACCEL_XOUT_H: u8 = 0x3b;
     /// Last of these bytes.
-    pub const GYRO_ZOUT_L: u8 = 0x48;
+    pub(crate) const GYRO_ZOUT_L: u8 = 0x48;
     /// Resets of the analogue and digital signal paths (register 104).
-    pub const SIGNAL_PATH_RESET: u8 = 0x68;
+    pub(crate) const SIGNAL_PATH_RESET: u8 = 0x68;
     /// FIFO, auxiliary bus, and their resets (register 106).
-    pub const USER_CTRL: u8 = 0x6a;
+    pub(crate) const USER_CTRL: u8 = 0x6a;
     /// Reset, sleep, clock (register 107).
-    pub const PWR_MGMT_1: u8 = 0x6b;
+    pub(crate) const PWR_MGMT_1: u8 = 0x6b;
     /// Standby of single axes (register 108).
-    pub const PWR_MGMT_2: u8 = 0x6c;
+    pub(crate) const PWR_MGMT_2: u8 = 0x6c;
     /// FIFO data (register 116): the address does not move on.
-    pub const FIFO_R_W: u8 = 0x74;
+    pub(crate) const FIFO_R_W: u8 = 0x74;
     /// Identity (register 117).
-    pub const WHO_AM_I: u8 = 0x75;
+    pub(crate) const WHO_AM_I: u8 = 0x75;
 }
 
 /// Bits of INT_PIN_CFG (register 55).
-pub mod int_pin {
+pub(crate) mod int_pin {
     /// Active low.
-    pub const INT_LEVEL: u8 = 0x80;
+    pub(crate) const INT_LEVEL: u8 = 0x80;
     /// Open drain.
-    pub const INT_OPEN: u8 = 0x40;
+    pub(crate) const INT_OPEN: u8 = 0x40;
     /// Held until cleared, instead of a pulse of 50 µs.
-    pub const LATCH_INT_EN: u8 = 0x20;
+    pub(crate) const LATCH_INT_EN: u8 = 0x20;
     /// Any read clears, instead of a read of INT_STATUS only.
-    pub const INT_RD_CLEAR: u8 = 0x10;
+    pub(crate) const INT_RD_CLEAR: u8 = 0x10;
 }
 
 /// DATA_RDY_EN of INT_ENABLE and DATA_RDY_INT of INT_STATUS.
-pub const DATA_RDY: u8 = 0x01;
+pub(crate) const DATA_RDY: u8 = 0x01;
 
 /// Bits of PWR_MGMT_1 (register 107).
 pub mod power {
     /// Resets all registers; clears itself.
-    pub const DEVICE_RESET: u8 = 0x80;
+    pub(crate) const DEVICE_RESET: u8 = 0x80;
     /// Low-power sleep.
-    pub const SLEEP: u8 = 0x40;
+    pub(crate) const SLEEP: u8 = 0x40;
     /// Wakes from time to time.
-    pub const CYCLE: u8 = 0x20;
+    pub(crate) const CYCLE: u8 = 0x20;
     /// Temperature sensor off.
-    pub const TEMP_DIS: u8 = 0x08;
+    pub(crate) const TEMP_DIS: u8 = 0x08;
     /// Clock source.
-    pub const CLKSEL: u8 = 0x07;
+    pub(crate) const CLKSEL: u8 = 0x07;
 }
 
 /// SIG_COND_RESET of USER_CTRL (register 106): resets signal paths and sensor registers.
-pub const SIG_COND_RESET: u8 = 0x01;
+pub(crate) const SIG_COND_RESET: u8 = 0x01;
 
 /// Number of registers that have an address.
-pub const REGISTERS: usize = 128;
+pub(crate) const REGISTERS: usize = 128;
 
 /// What registers hold after power-on or DEVICE_RESET (section 3): zero, but
 /// PWR_MGMT_1 asleep and the identity.
 #[must_use]
-pub fn reset_values() -> [u8; REGISTERS] {
+pub(crate) fn reset_values() -> [u8; REGISTERS] {
     let mut registers = [0; REGISTERS];
     registers[address::PWR_MGMT_1 as usize] = power::SLEEP;
     registers[address::WHO_AM_I as usize] = 0x68;
@@ -87,7 +87,7 @@ pub fn reset_values() -> [u8; REGISTERS] {
 
 /// Whether the controller can write the register (section 3, table of registers).
 #[must_use]
-pub fn writable(register: u8) -> bool {
+pub(crate) fn writable(register: u8) -> bool {
     matches!(register,
         0x0d..=0x10 | 0x19..=0x1c | 0x1f..=0x22 | 0x23..=0x34 | 0x37 | 0x38
         | 0x63..=0x69 | 0x6a..=0x6c | 0x72..=0x74)
@@ -106,12 +106,12 @@ pub struct SignalPath {
 }
 
 /// Internal samples of the accelerometer a second (4.2): always 1 kHz.
-pub const ACCEL_HZ: u64 = 1000;
+pub(crate) const ACCEL_HZ: u64 = 1000;
 
 /// The table of section 4.3. Setting 7 is reserved; the model takes it as 0
 /// (same internal rate).
 #[must_use]
-pub fn signal_path(config: u8) -> SignalPath {
+pub(crate) fn signal_path(config: u8) -> SignalPath {
     // Bandwidth in Hz and delay in µs of the gyroscope, then the accelerometer.
     let (gyro, accel, gyro_hz) = match config & 0x07 {
         1 => ((188.0, 1_900), (184.0, 2_000), 1000),
@@ -135,7 +135,7 @@ pub fn signal_path(config: u8) -> SignalPath {
 
 /// Counts per degree a second at a GYRO_CONFIG (4.4).
 #[must_use]
-pub fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
+pub(crate) fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
     match gyro_config >> 3 & 3 {
         0 => 131.0,
         1 => 65.5,
@@ -146,7 +146,7 @@ pub fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
 
 /// Counts per g at an ACCEL_CONFIG (4.5).
 #[must_use]
-pub fn accel_counts_per_g(accel_config: u8) -> f64 {
+pub(crate) fn accel_counts_per_g(accel_config: u8) -> f64 {
     match accel_config >> 3 & 3 {
         0 => 16_384.0,
         1 => 8_192.0,
@@ -157,7 +157,7 @@ pub fn accel_counts_per_g(accel_config: u8) -> f64 {
 
 /// Counts at a die temperature in °C: `raw / 340 + 35` (registers 65 and 66).
 #[must_use]
-pub fn temperature_counts(celsius: f64) -> i16 {
+pub(crate) fn temperature_counts(celsius: f64) -> i16 {
     crate::inertial_channel::quantise(celsius - 35.0, 340.0)
 }
 
@@ -178,7 +178,7 @@ pub enum ClockSource {
 
 /// The source that PWR_MGMT_1 selects.
 #[must_use]
-pub fn clock_source(power_management: u8) -> ClockSource {
+pub(crate) fn clock_source(power_management: u8) -> ClockSource {
     match power_management & power::CLKSEL {
         1..=3 => ClockSource::GyroPll,
         4 => ClockSource::External32k,

@@ -43,9 +43,6 @@ pub use camera::FrameTimes;
 pub use config::{CameraConfig, PhoneConfig, SensorConfig, StreamFaults, VideoMode};
 pub use server::LinkFault;
 
-/// TCP port of the app on a real phone.
-pub const APP_PORT: u16 = 6969;
-
 /// What a phone needs of the rig.
 #[derive(Clone)]
 pub struct Surroundings {

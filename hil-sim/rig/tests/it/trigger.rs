@@ -322,6 +322,7 @@ fn a_new_period_goes_on_from_the_armed_edge() {
     }
 }
 
+// Long by its tables of what is refused.
 #[test]
 fn values_out_of_range_are_refused_and_change_nothing() {
     let mut board = board();

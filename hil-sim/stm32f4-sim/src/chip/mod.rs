@@ -25,7 +25,7 @@ pub(crate) mod tim;
 pub(crate) mod uart;
 
 use crate::clock::{Clock, Rate};
-use crate::cpu::exec::Bus;
+use crate::cpu::access::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
 use crate::random::{Random, Seed};

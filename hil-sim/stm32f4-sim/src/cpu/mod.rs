@@ -16,8 +16,13 @@
 //! code that runs from RAM is left to rsemu. Flash wait states and bus
 //! contention are not modelled.
 
-pub(crate) mod exec;
-pub(crate) mod op;
+pub(crate) mod access;
+mod alu;
+mod code;
+mod decode;
+mod exec;
+mod op;
+mod state;
 
 #[cfg(test)]
 mod differential;
@@ -30,7 +35,10 @@ use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
 
 use crate::chip::Soc;
-use exec::{Bus, Code, Fast, Stop};
+use access::Bus;
+use code::Code;
+use exec::Stop;
+use state::Fast;
 
 /// Number of the HardFault exception.
 pub(crate) const HARD_FAULT: u16 = 3;
@@ -292,8 +300,8 @@ impl Cpu {
         }
     }
 
-    /// One step by rsemu: an exception entry or one instruction.
-    pub(crate) fn slow_step(&mut self) -> Event {
+    /// Tells rsemu of the interrupts that came or went since its last step.
+    fn tell_interrupts(&mut self) {
         let now_irq;
         {
             let mut soc = lock(&self.soc);
@@ -308,8 +316,10 @@ impl Cpu {
             self.arm.set_irq(n as u16, now_irq & (1 << n) != 0);
         }
         self.known_irq = now_irq;
+    }
 
-        // Hand the registers over.
+    /// Hands the registers and the time that passed over to rsemu.
+    fn hand_over(&mut self, in_it: bool, uses_psp: bool) {
         self.regs.r = self.fast.r;
         self.regs.xpsr = self.fast.xpsr();
         self.regs.primask = self.fast.primask;
@@ -317,11 +327,9 @@ impl Cpu {
         // rsemu 0.0.7 stacks xPSR without ITSTATE on exception entry (DDI 0403
         // B1.5.6 wants it), so that the rest of an interrupted IT block would
         // run unconditionally. Interrupts therefore wait for its end.
-        let in_it = self.fast.in_it();
         if in_it {
             self.regs.primask = true;
         }
-        let uses_psp = !self.regs.in_handler() && self.regs.control & sys::control::SPSEL != 0;
         if uses_psp {
             self.regs.psp = self.regs.r[13];
         } else {
@@ -337,6 +345,14 @@ impl Cpu {
                 }
             });
         }
+    }
+
+    /// One step by rsemu: an exception entry or one instruction.
+    pub(crate) fn slow_step(&mut self) -> Event {
+        self.tell_interrupts();
+        let in_it = self.fast.in_it();
+        let uses_psp = !self.regs.in_handler() && self.regs.control & sys::control::SPSEL != 0;
+        self.hand_over(in_it, uses_psp);
 
         let before = usize::from(self.regs.exception().0);
         let pc = self.regs.r[15];

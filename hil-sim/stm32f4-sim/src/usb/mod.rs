@@ -4,4 +4,5 @@ mod descriptors;
 mod host;
 
 pub use descriptors::{CdcAcm, DeviceInfo};
-pub use host::{UsbHost, UsbState, UsbTraffic};
+pub(crate) use host::UsbHost;
+pub use host::{UsbState, UsbTraffic};

@@ -22,7 +22,7 @@ use super::stage::{Stage, StageOptions};
 
 /// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
 /// from launch to launch, 16.34 µs/min of drift).
-pub const PAPER: (f64, f64, f64) = (66.3, 61.6, 16.34);
+pub(crate) const PAPER: (f64, f64, f64) = (66.3, 61.6, 16.34);
 
 /// What is to be measured.
 #[derive(Clone, Debug)]

@@ -112,7 +112,7 @@ pub struct Timebase {
 
 impl Timebase {
     /// How many ticks a first guess may be off: far less than the shortest period.
-    pub const NEAR: u64 = 100;
+    pub(crate) const NEAR: u64 = 100;
 
     /// The tick count that was zero at `zero`.
     #[must_use]
@@ -130,7 +130,7 @@ impl Timebase {
     /// # Errors
     ///
     /// The edges are not pulses of the recording.
-    pub fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
+    pub(crate) fn refined(self, pulses: &[Ticks], frames: &[FrameRecord]) -> Result<Self> {
         let near = |pulse: Option<&Ticks>| pulse.copied().context("there are no pulses");
         let (begin, end) = (near(pulses.first())?, near(pulses.last())?);
         let range = begin.0.saturating_sub(Self::NEAR)..=end.0.saturating_add(Self::NEAR);

@@ -71,7 +71,7 @@ impl Fault {
 
     /// Whether the board begins a new run by it.
     #[must_use]
-    pub const fn is_reset(self) -> bool {
+    pub(crate) const fn is_reset(self) -> bool {
         matches!(
             self,
             Self::ResetPressed | Self::WatchdogReset | Self::SupplyReset
@@ -80,7 +80,7 @@ impl Fault {
 
     /// Whether it needs the program as a process, and the phone.
     #[must_use]
-    pub const fn needs_process(self) -> bool {
+    pub(crate) const fn needs_process(self) -> bool {
         matches!(
             self,
             Self::PhoneGone | Self::WifiStalled | Self::DiskFull | Self::ProcessKilled
@@ -99,7 +99,7 @@ impl Fault {
 
     /// Whether samples of the IMU are missing by it.
     #[must_use]
-    pub const fn hits_imu(self) -> bool {
+    pub(crate) const fn hits_imu(self) -> bool {
         matches!(self, Self::I2cHeld | Self::ImuPowerCut | Self::ImuClockCut)
     }
 
@@ -240,7 +240,7 @@ impl Plan {
 
     /// Whether the board is reset.
     #[must_use]
-    pub fn resets(&self) -> bool {
+    pub(crate) fn resets(&self) -> bool {
         self.events.iter().any(|event| event.fault.is_reset())
     }
 }

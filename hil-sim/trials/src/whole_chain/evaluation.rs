@@ -14,7 +14,7 @@ use crate::frame_phase::{phase_errors, summarise};
 /// Frames that `evaluate precision` uses, the last ones.
 const FRAMES: usize = 16;
 /// Share of the seeds that must be right within the stated uncertainty.
-pub const REQUIRED_SHARE: f64 = 0.95;
+pub(crate) const REQUIRED_SHARE: f64 = 0.95;
 
 /// A measured value against the truth.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -12,7 +12,7 @@ use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;
 
 /// Largest error of a phone frame's time, µs.
-pub const PHONE_LIMIT_US: f64 = 10.0;
+pub(crate) const PHONE_LIMIT_US: f64 = 10.0;
 /// Largest error of a depth frame's time, µs; its clock ticks at 11.1 µs.
 pub const DEPTH_LIMIT_US: f64 = 6.0;
 /// Two frames further apart than this are no pair, ns: half a frame.

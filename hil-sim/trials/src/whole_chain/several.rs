@@ -29,14 +29,14 @@ use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
 
 /// Names of the phones; the trigger is aligned to the first.
-pub const PHONES: [&str; 2] = ["left phone", "right phone"];
+pub(crate) const PHONES: [&str; 2] = ["left phone", "right phone"];
 
 /// Names, pins and settings of the cameras on the further outputs: number, pulses of
 /// the trigger to one, µs later.
 const CAMERAS: [(&str, Pin, u8, u32, f64); 3] = [
-    ("slow", Pin::PE11, 2, 6, 0.0),
-    ("side", Pin::PE13, 3, 1, 160.0),
-    ("top", Pin::PE14, 4, 2, 8_000.5),
+    ("slow", wiring::OUTPUTS[0], 2, 6, 0.0),
+    ("side", wiring::OUTPUTS[1], 3, 1, 160.0),
+    ("top", wiring::OUTPUTS[2], 4, 2, 8_000.5),
 ];
 
 /// How long after the recorded span the depth recorder has stopped, ticks.

@@ -91,6 +91,7 @@ fn check_depth(case: &Case) -> (f64, f64) {
     )
 }
 
+// One recording, judged from all sides: it is too dear to be made for each.
 #[test]
 fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
     let case = Case::new(&Synthetic {

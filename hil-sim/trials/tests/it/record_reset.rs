@@ -100,6 +100,7 @@ fn many_resets_are_extracted() {
     }
 }
 
+/// One session, judged from all sides: it is too dear to be recorded for each.
 fn over_a_reset(seed: u64) {
     let rig = WholeRig::with(seed, SPEED, |config, _| {
         config.depth_camera.as_mut().unwrap().drop_probability = 0.01;

@@ -1,0 +1,286 @@
+//! The bus, the interrupt pin, switches and faults.
+
+use super::*;
+
+#[test]
+fn a_burst_read_never_mixes_two_samples() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(2));
+    bench.model.log_mut().take();
+    let mut bursts = Vec::new();
+    // 17 bytes of 22.5 µs: the reads drift through the sample period of 2 ms.
+    for _ in 0..3000 {
+        bursts.push((bench.now, bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap()));
+        bench.run(SimDuration::from_micros(101));
+    }
+    let samples: Vec<_> = bench.model.log().iter().collect();
+    let mut across = 0;
+    for (start, bytes) in &bursts {
+        // What was newest when the transaction began (its address byte ended
+        // 22.5 µs later).
+        let begun = *start + SimDuration::from_nanos(22_500);
+        let Some(newest) = samples.iter().rfind(|r| r.at < begun) else {
+            continue;
+        };
+        assert_eq!(bytes[..], newest.values.bytes());
+        let end = begun + SimDuration::from_nanos(16 * 22_500);
+        across += usize::from(samples.iter().any(|r| r.at > begun && r.at < end));
+    }
+    assert!(across > 300, "samples did fall into transactions: {across}");
+}
+
+#[test]
+fn a_sample_during_a_transaction_shows_after_its_stop() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(2));
+    bench.start(ADDRESS, Direction::Write);
+    bench.write_byte(ACCEL_XOUT_H);
+    let before = bench.model.peek(GYRO_ZOUT_L);
+    let old: Vec<u8> = (ACCEL_XOUT_H..=GYRO_ZOUT_L)
+        .map(|r| bench.model.peek(r))
+        .collect();
+    bench.run(SimDuration::from_millis(10));
+    assert_eq!(bench.model.peek(GYRO_ZOUT_L), before);
+    let newest = bench.model.log().iter().last().unwrap().values.bytes();
+    assert_ne!(old[..], newest);
+    bench.stop();
+    let now: Vec<u8> = (ACCEL_XOUT_H..=GYRO_ZOUT_L)
+        .map(|r| bench.model.peek(r))
+        .collect();
+    assert_eq!(now[..], newest);
+}
+
+#[test]
+fn the_interrupt_pin_follows_its_configuration() {
+    // (INT_PIN_CFG, idle, asserted)
+    for (config, idle, asserted) in [
+        (0x00, Drive::Low, Drive::High),
+        (0x80, Drive::High, Drive::Low),
+        (0x40, Drive::Low, Drive::Floating),
+        (0xc0, Drive::Floating, Drive::Low),
+    ] {
+        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        bench.write(ADDRESS, INT_PIN_CFG, &[config]).unwrap();
+        bench.run(SimDuration::from_millis(100));
+        bench.driven.clear();
+        bench.run(SimDuration::from_millis(100));
+        let up = bench.times(Pin::PA1, asserted);
+        let down = bench.times(Pin::PA1, idle);
+        assert_eq!(up.len(), 50, "{config:#x}");
+        assert!(up.iter().zip(&down).all(|(u, d)| *d - *u == PULSE));
+    }
+}
+
+#[test]
+fn a_latched_interrupt_stays_until_it_is_cleared() {
+    // Only by INT_STATUS.
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.write(ADDRESS, INT_PIN_CFG, &[0x20]).unwrap();
+    bench.run(SimDuration::from_millis(100));
+    assert_eq!(bench.times(Pin::PA1, Drive::High).len(), 1);
+    bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap();
+    assert_eq!(bench.driven.last().unwrap().2, Drive::High);
+    assert_eq!(bench.read(ADDRESS, INT_STATUS, 1).unwrap(), [1]);
+    assert_eq!(bench.driven.last().unwrap().2, Drive::Low);
+    assert_eq!(bench.read(ADDRESS, INT_STATUS, 1).unwrap(), [0]);
+    // By any read.
+    bench.write(ADDRESS, INT_PIN_CFG, &[0x30]).unwrap();
+    bench.run(SimDuration::from_millis(3));
+    assert_eq!(bench.driven.last().unwrap().2, Drive::High);
+    bench.read(ADDRESS, WHO_AM_I, 1).unwrap();
+    assert_eq!(bench.driven.last().unwrap().2, Drive::Low);
+    // Samples that came while it was latched made no edge, and the log says so.
+    let (with, without): (Vec<SampleRecord>, Vec<SampleRecord>) =
+        bench.model.log().iter().copied().partition(|r| r.edge);
+    assert!(without.len() > 30, "{} {}", with.len(), without.len());
+    assert_eq!(with.len(), bench.times(Pin::PA1, Drive::High).len());
+    // Disabled: no edge at all.
+    bench.write(ADDRESS, INT_ENABLE, &[0]).unwrap();
+    bench.run(SimDuration::from_millis(1));
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(20));
+    assert!(bench.driven.is_empty());
+}
+
+#[test]
+fn full_scales_change_counts_and_saturate() {
+    let mut config = Mpu9150Config::ideal();
+    config.gyro.bias = [7.0, -7.0, 0.5];
+    let mut counts = Vec::new();
+    for setting in [0x00, 0x08, 0x10, 0x18] {
+        let mut bench = running(config, "rest");
+        bench
+            .write(ADDRESS, GYRO_CONFIG, &[setting, setting])
+            .unwrap();
+        bench.run(SimDuration::from_millis(100));
+        let v = bench.model.log().iter().last().unwrap().values;
+        counts.push((v.gyro, v.accel[2]));
+    }
+    // 7 rad/s = 401.07 °/s; 0.5 rad/s = 28.648 °/s.
+    assert_eq!(
+        counts,
+        [
+            ([32767, -32768, 3753], 16384),
+            ([26270, -26270, 1876], 8192),
+            ([13155, -13155, 940], 4096),
+            ([6578, -6578, 470], 2048),
+        ]
+    );
+}
+
+#[test]
+fn standby_and_temperature_switches_hold_values() {
+    let mut config = Mpu9150Config::ideal();
+    config.temperature_c = 20.0;
+    config.self_heating_c = 10.0;
+    config.warm_up_s = 1.0;
+    let mut bench = running(config, "twist");
+    bench.run(SimDuration::from_secs(3));
+    let warm = bench.model.log().iter().last().unwrap().values.temperature;
+    // 20 + 10 · (1 - e^-3.02) °C.
+    assert!(
+        (f64::from(warm) / 340.0 + 35.0 - 29.51).abs() < 0.02,
+        "{warm}"
+    );
+    bench.write(ADDRESS, PWR_MGMT_1, &[0x0d, 0x24]).unwrap(); // TEMP_DIS, x axes
+    let held = bench.model.log().iter().last().unwrap().values;
+    bench.model.log_mut().take();
+    bench.run(SimDuration::from_secs(1));
+    for r in bench.model.log().iter() {
+        assert_eq!(r.values.temperature, held.temperature);
+        assert_eq!(r.values.gyro[0], held.gyro[0]);
+        assert_eq!(r.values.accel[0], held.accel[0]);
+    }
+    assert!(
+        bench
+            .model
+            .log()
+            .iter()
+            .any(|r| r.values.gyro[1] != held.gyro[1])
+    );
+}
+
+#[test]
+fn a_device_reset_forgets_everything() {
+    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    bench.run(SimDuration::from_secs(1));
+    bench.write(ADDRESS, PWR_MGMT_1, &[0x80]).unwrap();
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(100));
+    assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [0x40]);
+    assert_eq!(bench.read(ADDRESS, SMPLRT_DIV, 2).unwrap(), [0, 0]);
+    assert_eq!(bench.read(ADDRESS, ACCEL_XOUT_H, 14).unwrap(), [0; 14]);
+    assert!(bench.times(Pin::PA1, Drive::High).is_empty());
+}
+
+#[test]
+fn a_power_cut_loses_registers_and_floats_the_pin() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_millis(100));
+    let (off, on) = (
+        SimTime::from_nanos(200_000_000),
+        SimTime::from_nanos(3_200_000_000),
+    );
+    bench.model.schedule(on, Fault::PowerOn);
+    bench.model.schedule(off, Fault::PowerOff);
+    bench.run_until(off);
+    assert_eq!(
+        *bench.driven.last().unwrap(),
+        (off, Pin::PA1, Drive::Floating)
+    );
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.run_until(on);
+    assert_eq!(*bench.driven.last().unwrap(), (on, Pin::PA1, Drive::Low));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
+    bench.run(SimDuration::from_millis(11));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+    assert_eq!(bench.read(ADDRESS, PWR_MGMT_1, 1).unwrap(), [0x40]);
+    let last = bench.model.log().iter().last().unwrap();
+    assert!(last.at <= off);
+}
+
+#[test]
+fn a_missing_acknowledge_hits_the_byte_it_was_told_to() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    for byte in 0..3 {
+        bench
+            .model
+            .schedule(bench.now, Fault::Nack { byte, times: 2 });
+        bench.run(SimDuration::from_micros(1));
+        for _ in 0..2 {
+            assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(byte as usize));
+        }
+        assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+    }
+    // In a burst write, the hit byte and those after it are not stored.
+    bench.write(ADDRESS, SMPLRT_DIV, &[9, 1, 0x18]).unwrap();
+    bench
+        .model
+        .schedule(bench.now, Fault::Nack { byte: 3, times: 1 });
+    bench.run(SimDuration::from_micros(1));
+    assert_eq!(bench.write(ADDRESS, SMPLRT_DIV, &[5, 6, 7]), Err(3));
+    assert_eq!(bench.read(ADDRESS, SMPLRT_DIV, 3).unwrap(), [5, 1, 0x18]);
+}
+
+#[test]
+fn a_held_bus_is_freed_by_nine_clocks_or_never() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.model.schedule(bench.now, Fault::HoldSda(Some(9)));
+    bench.run(SimDuration::from_micros(1));
+    assert!(bench.model.holds_sda_low());
+    assert_eq!(bench.start(ADDRESS, Direction::Write), Ack::Nack);
+    for _ in 0..8 {
+        bench.model.bus_clear_pulse(bench.now);
+        assert!(bench.model.holds_sda_low());
+    }
+    bench.model.bus_clear_pulse(bench.now);
+    assert!(!bench.model.holds_sda_low());
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x68]);
+
+    bench.model.schedule(bench.now, Fault::HoldSda(None));
+    bench.run(SimDuration::from_micros(1));
+    for _ in 0..100 {
+        bench.model.bus_clear_pulse(bench.now);
+    }
+    assert!(bench.model.holds_sda_low());
+    bench.model.schedule(bench.now, Fault::ReleaseSda);
+    bench.run(SimDuration::from_micros(1));
+    assert!(!bench.model.holds_sda_low());
+    // Samples went on meanwhile.
+    let times: Vec<_> = bench.model.log().iter().map(|r| r.at).collect();
+    assert!(intervals(&times).iter().all(|i| *i % (48_000 * TICK) == 0));
+}
+
+#[test]
+fn another_identity_and_cut_wires() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    bench.run(SimDuration::from_millis(50));
+    bench.model.schedule(bench.now, Fault::Identity(0x71));
+    bench.model.schedule(bench.now, Fault::DataReadyCut(true));
+    bench.run(SimDuration::from_micros(1));
+    assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1).unwrap(), [0x71]);
+    bench.driven.clear();
+    bench.run(SimDuration::from_millis(50));
+    assert!(bench.driven.is_empty());
+    bench.model.schedule(bench.now, Fault::DataReadyCut(false));
+    bench.model.schedule(bench.now, Fault::ClockCut(true));
+    let samples = bench.model.sampling.count();
+    bench.run(SimDuration::from_millis(50));
+    assert_eq!(bench.model.sampling.count(), samples);
+    bench.model.schedule(bench.now, Fault::ClockCut(false));
+    bench.run(SimDuration::from_millis(50));
+    assert!(bench.model.sampling.count() > samples + 15);
+}
+
+#[test]
+fn ignored_settings_are_named() {
+    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    assert!(bench.model.unmodelled().is_empty());
+    bench.write(ADDRESS, 0x23, &[0x78]).unwrap(); // FIFO_EN
+    bench.write(ADDRESS, GYRO_CONFIG, &[0xe0]).unwrap(); // self-test
+    assert_eq!(
+        bench.model.unmodelled().iter().copied().collect::<Vec<_>>(),
+        [GYRO_CONFIG, 0x23]
+    );
+}

@@ -1,0 +1,184 @@
+//! Loads and stores of the fast interpreter.
+
+use super::decode::extend_load;
+use super::op::Kind;
+use super::state::Fast;
+use crate::chip::memory::Memory;
+
+/// What the core is connected to.
+pub(crate) trait Bus {
+    /// Flash and RAM.
+    fn memory(&mut self) -> &mut Memory;
+    /// Reads a peripheral at the given core cycle; nothing if there is none.
+    fn io_read(&mut self, addr: u32, bytes: u32, cycle: u64) -> Option<u32>;
+    /// Writes a peripheral at the given core cycle; false if there is none.
+    fn io_write(&mut self, addr: u32, bytes: u32, value: u32, cycle: u64) -> bool;
+    /// Core cycle at which the interpreter has to stop; it may move with every access.
+    fn limit(&self) -> u64;
+}
+
+/// Whether an address is a peripheral that the interpreter reaches itself
+/// (the bit-band alias is rsemu's).
+#[inline(always)]
+fn is_io(addr: u32) -> bool {
+    addr >> 28 == 5 || addr >> 25 == 0x4000_0000 >> 25
+}
+
+#[inline(always)]
+pub(super) fn load<B: Bus>(
+    bus: &mut B,
+    kind: Kind,
+    addr: u32,
+    cycle: u64,
+    limit: &mut u64,
+) -> Option<u32> {
+    let mem = bus.memory();
+    let raw = match kind {
+        Kind::Word => mem.read32(addr),
+        Kind::Half | Kind::SignedHalf => mem.read16(addr),
+        Kind::Byte | Kind::SignedByte => mem.read8(addr),
+    };
+    match raw {
+        Some(raw) => Some(extend_load(kind, raw)),
+        None => load_io(bus, kind, addr, cycle, limit),
+    }
+}
+
+#[inline(never)]
+fn load_io<B: Bus>(bus: &mut B, kind: Kind, addr: u32, cycle: u64, limit: &mut u64) -> Option<u32> {
+    let bytes = bytes_of(kind);
+    if !is_io(addr) || !addr.is_multiple_of(bytes) {
+        return None;
+    }
+    let raw = bus.io_read(addr, bytes, cycle)?;
+    *limit = bus.limit();
+    Some(extend_load(kind, raw))
+}
+
+#[inline(always)]
+pub(super) fn store<B: Bus>(
+    bus: &mut B,
+    kind: Kind,
+    addr: u32,
+    value: u32,
+    cycle: u64,
+    limit: &mut u64,
+) -> bool {
+    let mem = bus.memory();
+    let done = match kind {
+        Kind::Word => mem.write32(addr, value),
+        Kind::Half | Kind::SignedHalf => mem.write16(addr, value),
+        Kind::Byte | Kind::SignedByte => mem.write8(addr, value),
+    };
+    done || store_io(bus, kind, addr, value, cycle, limit)
+}
+
+#[inline(never)]
+fn store_io<B: Bus>(
+    bus: &mut B,
+    kind: Kind,
+    addr: u32,
+    value: u32,
+    cycle: u64,
+    limit: &mut u64,
+) -> bool {
+    let bytes = bytes_of(kind);
+    if !is_io(addr) || !addr.is_multiple_of(bytes) {
+        return false;
+    }
+    let value = match bytes {
+        1 => value & 0xff,
+        2 => value & 0xffff,
+        _ => value,
+    };
+    let done = bus.io_write(addr, bytes, value, cycle);
+    *limit = bus.limit();
+    done
+}
+
+pub(super) fn bytes_of(kind: Kind) -> u32 {
+    match kind {
+        Kind::Word => 4,
+        Kind::Half | Kind::SignedHalf => 2,
+        Kind::Byte | Kind::SignedByte => 1,
+    }
+}
+
+/// The first address of a transfer of several registers, and the base after it.
+#[inline]
+fn span(base: u32, count: u32, before: bool) -> (u32, u32) {
+    if before {
+        let start = base.wrapping_sub(count * 4);
+        (start, start)
+    } else {
+        (base, base.wrapping_add(count * 4))
+    }
+}
+
+/// LDM: loads the registers of `list`. Returns the new program counter, if that is
+/// among them; nothing if it is not for the interpreter.
+#[inline]
+pub(super) fn load_multi(
+    st: &mut Fast,
+    mem: &Memory,
+    rn: u8,
+    list: u16,
+    wback: bool,
+    before: bool,
+) -> Option<Option<u32>> {
+    let count = list.count_ones();
+    let (start, end) = span(st.reg(rn), count, before);
+    if start & 3 != 0 || !mem.holds(start, count * 4, false) {
+        return None;
+    }
+    let mut target = None;
+    if list & (1 << 15) != 0 {
+        let at = start.wrapping_add((count - 1) * 4);
+        let value = mem.read32(at).unwrap_or(0);
+        if value & 1 == 0 || value >= 0xf000_0000 {
+            return None;
+        }
+        target = Some(value & !1);
+    }
+    if wback {
+        st.set(rn, end);
+    }
+    let mut addr = start;
+    let mut rest = list & 0x7fff;
+    while rest != 0 {
+        let index = rest.trailing_zeros();
+        rest &= rest - 1;
+        st.r[(index & 15) as usize] = mem.read32(addr).unwrap_or(0);
+        addr = addr.wrapping_add(4);
+    }
+    Some(target)
+}
+
+/// STM: stores the registers of `list`; false if it is not for the interpreter.
+#[inline]
+pub(super) fn store_multi(
+    st: &mut Fast,
+    mem: &mut Memory,
+    rn: u8,
+    list: u16,
+    wback: bool,
+    before: bool,
+) -> bool {
+    let count = list.count_ones();
+    let (start, end) = span(st.reg(rn), count, before);
+    if start & 3 != 0 || !mem.holds(start, count * 4, true) {
+        return false;
+    }
+    let mut addr = start;
+    let mut rest = list;
+    while rest != 0 {
+        let index = rest.trailing_zeros();
+        rest &= rest - 1;
+        mem.write32(addr, st.r[(index & 15) as usize]);
+        addr = addr.wrapping_add(4);
+    }
+    if wback {
+        st.set(rn, end);
+    }
+    true
+}
