@@ -34,12 +34,10 @@ use super::{
 };
 use crate::depth_clock::PulseTime;
 use crate::time::{BoardNanos, SECOND};
-use recording::messages::{
-    self, BoardRun, CdrError, ClockModel, Imu, Pulse, Temperature, TimeReference, from_cdr,
-};
+use recording::messages::{self, ClockModel};
 use recording::reader::{is_end, record_reader};
 use recording::scan::{MAX_CHUNK, is_intact, records_of, unpack_records};
-use recording::topic;
+use recording::{Item, Topic};
 use timebase::BoardSeconds;
 use timebase::Wander;
 
@@ -49,36 +47,25 @@ const BATCH_BYTES: usize = 32 << 20;
 /// How many faults are kept with their text.
 const MAX_FAULTS: usize = 50;
 
-/// The topics that are looked at.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Imu,
-    Temperature,
-    Trigger,
-    Pulse,
-    Clock,
-    PhoneClock,
-    Marker,
-    Output,
-    Gnss,
-    Run,
-}
-
-impl Kind {
-    fn of(topic: &str) -> Option<Self> {
-        Some(match topic {
-            topic::IMU => Self::Imu,
-            topic::TEMPERATURE => Self::Temperature,
-            topic::TRIGGER => Self::Trigger,
-            topic::PULSE => Self::Pulse,
-            topic::CLOCK => Self::Clock,
-            topic::PHONE_CLOCK => Self::PhoneClock,
-            topic::MARKER => Self::Marker,
-            topic::OUTPUT => Self::Output,
-            topic::GNSS => Self::Gnss,
-            topic::RUN => Self::Run,
-            _ => return None,
-        })
+/// Whether the messages of a topic are looked at.
+const fn is_of_use(topic: Topic) -> bool {
+    match topic {
+        Topic::Imu
+        | Topic::Temperature
+        | Topic::Trigger
+        | Topic::Pulse
+        | Topic::Clock
+        | Topic::PhoneClock
+        | Topic::Marker
+        | Topic::Output
+        | Topic::Gnss
+        | Topic::Run => true,
+        Topic::Strobe
+        | Topic::Capture
+        | Topic::Status
+        | Topic::Link
+        | Topic::HostTime
+        | Topic::Log => false,
     }
 }
 
@@ -115,7 +102,8 @@ pub(super) struct McapStream {
     file: BufReader<File>,
     path: PathBuf,
     position: u64,
-    kinds: HashMap<u16, Kind>,
+    /// Those that are of use.
+    topics: HashMap<u16, Topic>,
     names: Names,
     events: VecDeque<BoardEvent>,
     /// Memory of the last batch's unpacked chunks, for the next one: asking the system for
@@ -146,7 +134,7 @@ impl McapStream {
             file: BufReader::with_capacity(1 << 20, file),
             path: path.to_owned(),
             position: 0,
-            kinds: HashMap::new(),
+            topics: HashMap::new(),
             names: Names {
                 cameras: "/mcu_cameras_ts".into(),
                 phone: "/mcu_s10_ts".into(),
@@ -241,9 +229,9 @@ impl McapStream {
 
     fn channel(&mut self, data: &[u8]) {
         if let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, data)
-            && let Some(kind) = Kind::of(&channel.topic)
+            && let Some(topic) = Topic::of(&channel.topic).filter(|topic| is_of_use(*topic))
         {
-            self.kinds.insert(channel.id, kind);
+            self.topics.insert(channel.id, topic);
         }
     }
 
@@ -274,11 +262,11 @@ impl McapStream {
                 self.channel(data);
             }
         }
-        let (kinds, names) = (&self.kinds, &self.names);
+        let (topics, names) = (&self.topics, &self.names);
         let outcomes: Vec<Outcome> = unpacked
             .par_iter()
             .map(|chunk| match chunk {
-                Ok(chunk) => decode(chunk, kinds, names),
+                Ok(chunk) => decode(chunk, topics, names),
                 Err(fault) => Outcome {
                     fault: Some(fault.clone()),
                     ..Outcome::default()
@@ -420,7 +408,7 @@ fn unpack(chunk: Packed, out: Vec<u8>) -> Result<Vec<u8>, String> {
     Ok(data)
 }
 
-fn decode(chunk: &[u8], kinds: &HashMap<u16, Kind>, names: &Names) -> Outcome {
+fn decode(chunk: &[u8], topics: &HashMap<u16, Topic>, names: &Names) -> Outcome {
     let mut out = Outcome::default();
     for (opcode, body) in records_of(chunk) {
         if opcode != op::MESSAGE {
@@ -433,11 +421,12 @@ fn decode(chunk: &[u8], kinds: &HashMap<u16, Kind>, names: &Names) -> Outcome {
         };
         let channel = u16::from_le_bytes([head[0], head[1]]);
         let sequence = u32::from_le_bytes([head[2], head[3], head[4], head[5]]);
-        let Some(kind) = kinds.get(&channel) else {
+        let Some(topic) = topics.get(&channel) else {
             continue;
         };
-        if message(*kind, sequence, data, names, &mut out.decoded).is_err() {
-            out.broken += 1;
+        match topic.read(data) {
+            Ok(item) => message(item, sequence, names, &mut out.decoded),
+            Err(_) => out.broken += 1,
         }
     }
     out
@@ -454,18 +443,11 @@ fn relation(model: &ClockModel) -> timebase::ClockModel {
     }
 }
 
-fn message(
-    kind: Kind,
-    sequence: u32,
-    data: &[u8],
-    names: &Names,
-    out: &mut Vec<Decoded>,
-) -> Result<(), CdrError> {
+fn message(item: Item, sequence: u32, names: &Names, out: &mut Vec<Decoded>) {
     let stamp = |header: &messages::Header| BoardNanos(header.stamp.nanos());
     let mut event = |event| out.push(Decoded::Event(event));
-    match kind {
-        Kind::Imu => {
-            let imu: Imu = from_cdr(data)?;
+    match item {
+        Item::Imu(imu) => {
             event(BoardEvent::Imu(ImuRow {
                 at: stamp(&imu.header),
                 gyro: imu.angular_velocity.into(),
@@ -473,15 +455,13 @@ fn message(
                 temperature: None,
             }));
         }
-        Kind::Temperature => {
-            let value: Temperature = from_cdr(data)?;
+        Item::Temperature(value) => {
             out.push(Decoded::Temperature(
                 stamp(&value.header),
                 value.temperature,
             ));
         }
-        Kind::Trigger => {
-            let times: TimeReference = from_cdr(data)?;
+        Item::Trigger(times) => {
             event(BoardEvent::Times(TimePair {
                 topic: names.cameras.clone(),
                 seq: sequence,
@@ -489,16 +469,14 @@ fn message(
                 other: times.time_ref.nanos(),
             }));
         }
-        Kind::Pulse => {
-            let pulse: Pulse = from_cdr(data)?;
+        Item::Pulse(pulse) => {
             event(BoardEvent::Pulse(PulseTime {
                 train: pulse.train,
                 number: pulse.number,
                 at: protocol::Ticks(pulse.ticks).into(),
             }));
         }
-        Kind::Marker => {
-            let times: TimeReference = from_cdr(data)?;
+        Item::Marker(times) => {
             let stamp = stamp(&times.header);
             event(BoardEvent::Mark(stamp));
             event(BoardEvent::Times(TimePair {
@@ -508,8 +486,7 @@ fn message(
                 other: times.time_ref.nanos(),
             }));
         }
-        Kind::Output => {
-            let pulse: Pulse = from_cdr(data)?;
+        Item::Output(pulse) => {
             let at = stamp(&pulse.header);
             event(BoardEvent::Times(TimePair {
                 topic: format!("{OUTPUT_TOPICS}{}", pulse.header.frame_id).into(),
@@ -518,8 +495,7 @@ fn message(
                 other: at.0,
             }));
         }
-        Kind::Gnss => {
-            let times: TimeReference = from_cdr(data)?;
+        Item::Gnss(times) => {
             event(BoardEvent::Times(TimePair {
                 topic: names.lidar.clone(),
                 seq: sequence,
@@ -527,16 +503,14 @@ fn message(
                 other: times.time_ref.nanos(),
             }));
         }
-        Kind::Run => {
-            let run: BoardRun = from_cdr(data)?;
+        Item::Run(run) => {
             event(BoardEvent::Run(RunMark {
                 from: stamp(&run.header),
                 last: protocol::Ticks(run.last_ticks).into(),
                 sigma_s: run.shift_sigma_s,
             }));
         }
-        Kind::Clock => {
-            let model: ClockModel = from_cdr(data)?;
+        Item::Clock(model) => {
             let relation = relation(&model);
             let stamp = stamp(&model.header);
             event(BoardEvent::Times(TimePair {
@@ -550,11 +524,15 @@ fn message(
             }));
             event(BoardEvent::Clock(None, relation));
         }
-        Kind::PhoneClock => {
-            let model: ClockModel = from_cdr(data)?;
+        Item::PhoneClock(model) => {
             let relation = relation(&model);
             event(BoardEvent::Clock(Some(model.header.frame_id), relation));
         }
+        Item::Strobe(_)
+        | Item::Capture(_)
+        | Item::Status(_)
+        | Item::Link(_)
+        | Item::HostTime(_)
+        | Item::Log(_) => {}
     }
-    Ok(())
 }

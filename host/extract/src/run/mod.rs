@@ -26,7 +26,6 @@ use index_files::Written;
 use super::board::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
-use super::image::write_whole;
 use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
 use super::inputs::{Inputs, InputsError, Options, PhoneInput};
@@ -264,7 +263,7 @@ impl Run<'_> {
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {
-        write_whole(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
+        files::replace(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
     }
 
     fn judge_board(&mut self, survey: &Survey) {

@@ -1,0 +1,164 @@
+//! Profiles as their users write them.
+
+use super::*;
+
+#[test]
+fn the_default_profile_is_valid_and_is_the_published_rig() {
+    let profile = Profile::published().unwrap();
+    assert_eq!(profile.pulse_width(), 576);
+    assert_eq!(profile.slew(), 4_800);
+    assert_eq!(profile.frame_ratio(), 1);
+    assert!((profile.middle_row_us() - 5_503.0).abs() < 1e-9);
+    assert_eq!(profile.imu_config().unwrap().divider, 1);
+    assert_eq!(profile.phone.learnt, None);
+}
+
+#[test]
+fn the_commented_examples_are_valid_too() {
+    let mut text = String::new();
+    for line in DEFAULT.lines() {
+        // Examples are comments that look like TOML; prose has no '=' or '['.
+        let body = line.strip_prefix("# ").unwrap_or(line);
+        let example = body.starts_with('[')
+            || body
+                .split_once(" = ")
+                .is_some_and(|(key, _)| !key.contains(' '));
+        if line.starts_with("# ") && example {
+            if body.starts_with("command") {
+                continue;
+            }
+            text.push_str(body);
+        } else {
+            text.push_str(line);
+        }
+        text.push('\n');
+    }
+    let profile = Profile::parse(&text, None).unwrap();
+    let learnt = profile.phone.learnt.unwrap();
+    assert_eq!(learnt.skew, Some(1.2e-5));
+    assert!(profile.frame_sync.bias_measured.is_some());
+}
+
+#[test]
+fn what_is_left_out_has_its_default_and_what_is_unknown_is_an_error() {
+    let profile = Profile::parse("[phone]\naddress = \"10.0.0.7\"\n", None).unwrap();
+    assert_eq!(profile.phone.address, "10.0.0.7");
+    assert_eq!(profile.phone.rows, 1080);
+
+    let error = Profile::parse("[phone]\nadress = \"x\"\n", None).unwrap_err();
+    assert!(error.to_string().contains("adress"), "{error}");
+    let error = Profile::parse("[phone\n", None).unwrap_err();
+    assert!(error.to_string().contains("line 1"), "{error}");
+}
+
+#[test]
+fn values_out_of_range_name_their_key_and_what_is_expected() {
+    for (text, key) in [
+        (
+            "[[outputs]]\noutput = 5\nname = \"a\"\nevery = 1\n",
+            "outputs.output",
+        ),
+        (
+            "[[outputs]]\noutput = 2\nname = \" \"\nevery = 1\n",
+            "outputs.name",
+        ),
+        (
+            "[[outputs]]\noutput = 2\nname = \"a\"\nevery = 0\n",
+            "outputs.every",
+        ),
+        ("[lidar]\nname = \"v\"\nbaud = 9601\n", "lidar.baud"),
+        ("[lidar]\nname = \"\"\n", "lidar.name"),
+        (
+            "[[outputs]]\noutput = 2\nname = \"a\"\nevery = 1\n[lidar]\nname = \"a\"\n",
+            "lidar.name",
+        ),
+        ("[depth]\nfps = 25\n", "depth.fps"),
+        ("[depth]\npulse_width_us = 5\n", "depth.pulse_width_us"),
+        ("[imu]\nrate_hz = 300\n", "imu.rate_hz"),
+        ("[imu]\nrate_hz = 0\n", "imu.rate_hz"),
+        ("[phone]\nreadout_us = nan\n", "phone.readout_us"),
+        ("[phone]\nmiddle_row = 1080\n", "phone.middle_row"),
+        ("[frame_sync]\nbias_us = inf\n", "frame_sync.bias_us"),
+        ("reference = \"left\"\n", "reference"),
+        ("[phone]\nname = \"a/b\"\n", "phone.name"),
+        ("[[phones]]\naddress = \"x\"\n", "phone.name"),
+        (
+            "[[phones]]\nname = \"Phone\"\naddress = \"x\"\n",
+            "phones.name",
+        ),
+        (
+            "[[phones]]\nname = \"left\"\naddress = \"x\"\nrows = 1\n",
+            "phone.rows",
+        ),
+    ] {
+        let error = Profile::parse(text, None).unwrap_err().to_string();
+        assert!(error.contains(key), "{text}: {error}");
+        assert!(error.contains("expected"), "{error}");
+    }
+}
+
+#[test]
+fn what_is_expected_is_told_with_its_unit() {
+    let learnt = "[phone.learnt]\nlearnt = 2024-05-17\nframe_period_ns = 33e6\n\
+                  frame_period_sigma_ns = 1\nskew = 0.1\n";
+    for (text, told) in [
+        (
+            "[depth]\npulse_width_us = 5\n",
+            "`depth.pulse_width_us` is 5, expected 8 to 10000 (µs)",
+        ),
+        (
+            "[frame_sync]\nbias_us = inf\n",
+            "`frame_sync.bias_us` is inf, expected -1000000 to 1000000 (µs)",
+        ),
+        (
+            "[phone]\nrows = 1\n",
+            "`phone.rows` is 1, expected 2 to 100000",
+        ),
+        (
+            learnt,
+            "`phone.learnt.skew` is 0.1, expected -0.001 to 0.001",
+        ),
+        (
+            "[phone]\ntwist_s = 2\n",
+            "`phone.twist_s` is 2, expected 3 to 60 (s)",
+        ),
+    ] {
+        let error = Profile::parse(text, None).unwrap_err().to_string();
+        assert_eq!(error, format!("in the rig profile, {told}"));
+    }
+}
+
+#[test]
+fn several_phones_have_defaults_and_one_of_them_is_the_reference() {
+    let text = "[phone]\nname = \"left\"\nrows = 720\n\n\
+                [[phones]]\nname = \"right\"\naddress = \"10.0.0.8\"\n";
+    let profile = Profile::parse(text, None).unwrap();
+    assert_eq!(
+        (profile.phone.name.as_str(), profile.phone.rows),
+        ("left", 720)
+    );
+    let right = &profile.phones[0];
+    assert_eq!((right.address.as_str(), right.rows), ("10.0.0.8", 1080));
+
+    let other = Profile::parse(&format!("reference = \"right\"\n{text}"), None).unwrap();
+    assert_eq!(other.phone, profile.phones[0]);
+    assert_eq!(other.phones, [profile.phone]);
+    // What a session file keeps reads back as the same.
+    let kept = toml::to_string(&other).unwrap();
+    assert_eq!(Profile::parse(&kept, None).unwrap(), other);
+
+    let mut moved = other.clone();
+    moved.set_address("left=10.0.0.9:7000").unwrap();
+    moved.set_address("10.0.0.10").unwrap();
+    assert_eq!(moved.phones[0].address, "10.0.0.9:7000");
+    assert_eq!(moved.phone.address, "10.0.0.10");
+    assert!(moved.set_address("middle=10.0.0.9").is_err());
+
+    let error = Profile::parse("[[phones]]\nname = \"right\"\n", None).unwrap_err();
+    assert!(error.to_string().contains("address"), "{error}");
+    let alone = Profile::parse("[phone]\nrows = 720\n", None).unwrap();
+    assert_eq!(
+        (alone.phone.name.as_str(), alone.phones.len()),
+        ("phone", 0)
+    );
+}
