@@ -7,12 +7,11 @@ use std::io::Cursor;
 use std::time::Duration;
 
 use board::session::Session;
-use evaluate::source::{parse_probe, read_timestamps};
+use evaluate::source::read_timestamps;
 use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
 use extract::bag::reader::{Bag, BagError};
 use extract::mkv::k4a::{Content, Recording};
 use extract::phone::csv::Rows;
-use extract::video::parse_presentation_times;
 use phone::ImuRequest;
 use phone::answer::{AnswerDecoder, AnswerEvent};
 use phone::file_name::safe_file_name;
@@ -22,6 +21,7 @@ use recording::profile::Profile;
 use recording::reader::Reader;
 use verify::repair::repair;
 use verify::verify;
+use video::{parse_presentation_times, parse_probe};
 
 /// Any bytes as a ROS 1 bag: no panic.
 pub(crate) fn bag(data: &[u8]) {
@@ -203,8 +203,9 @@ pub(crate) fn commands(data: &[u8]) {
 /// Any bytes as what is known of a video: the answers of `ffprobe`, and the phone's
 /// file of frame times.
 pub(crate) fn video_metadata(data: &[u8]) {
-    if let Ok((_, _, Some(rate))) = parse_probe(data) {
-        assert!(rate.is_finite() && rate > 0.0);
+    if let Ok(info) = parse_probe(data) {
+        assert!(info.width > 0 && info.height > 0);
+        assert!(info.rate.is_none_or(|rate| rate.is_finite() && rate > 0.0));
     }
     if let Some(times) = parse_presentation_times(&String::from_utf8_lossy(data)) {
         assert!(times.first() == Some(&0) && times.is_sorted());

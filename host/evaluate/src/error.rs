@@ -1,9 +1,11 @@
 //! What can go wrong in an evaluation. Each message says what was expected and
 //! what to do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use super::frame::Region;
+use video::VideoError;
+
+use super::frame::{MAX_SIDE, Region};
 
 /// An evaluation that could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -70,19 +72,9 @@ pub enum EvaluateError {
         /// Longest side.
         max: usize,
     },
-    /// `ffmpeg` or `ffprobe` is missing.
-    #[error(
-        "`{0}` was not found: videos are decoded by ffmpeg; install it (Debian, Ubuntu: `apt install ffmpeg`) and see that it is on the PATH, or give a folder of images"
-    )]
-    NoFfmpeg(&'static str),
-    /// `ffmpeg` or `ffprobe` could not be run.
-    #[error("`{program}` could not be run: {source}")]
-    RunFfmpeg {
-        /// Which of the two.
-        program: &'static str,
-        /// Why.
-        source: std::io::Error,
-    },
+    /// `ffmpeg` or `ffprobe` is missing, or cannot be run.
+    #[error(transparent)]
+    Ffmpeg(VideoError),
     /// Not a readable video.
     #[error("{path}: not a readable video: {message}")]
     NotAVideo {
@@ -177,4 +169,26 @@ pub enum EvaluateError {
     /// A picture could not be drawn.
     #[error("the plot could not be drawn: {0}")]
     Plot(String),
+}
+
+impl EvaluateError {
+    pub(crate) fn of_video(path: &Path, error: VideoError) -> Self {
+        let not_a_video = |message| Self::NotAVideo {
+            path: path.to_owned(),
+            message,
+        };
+        match error {
+            VideoError::Missing(_) | VideoError::Run { .. } => Self::Ffmpeg(error),
+            VideoError::NotAVideo(message) => not_a_video(message),
+            VideoError::Decode(said) => not_a_video(format!(
+                "no frame could be decoded; the file may be truncated, copy it again. ffmpeg says: {said}"
+            )),
+            VideoError::Size { width, height } => Self::Unsupported {
+                path: path.to_owned(),
+                width,
+                height,
+                max: MAX_SIDE,
+            },
+        }
+    }
 }

@@ -326,8 +326,7 @@ pub fn evaluate(
 fn concerns_all(error: &EvaluateError) -> bool {
     matches!(
         error,
-        EvaluateError::NoFfmpeg(_)
-            | EvaluateError::RunFfmpeg { .. }
+        EvaluateError::Ffmpeg(_)
             | EvaluateError::Setting(_)
             | EvaluateError::Train(_)
             | EvaluateError::RegionOutside { .. }

@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use rayon::prelude::*;
+use video::{Video, VideoError};
 
 use super::depth::{DepthError, DepthImage, DepthInput};
 use super::image::{Pixels, encode_png, write_whole};
 use super::layout::Layout;
 use super::progress::Progress;
-use super::video::{RgbFrame, Video, VideoError};
 
 /// Bytes in a batch.
 const BATCH_BYTES: usize = 16 << 20;
@@ -220,22 +220,24 @@ pub fn write_video(
     places: &[Option<PathBuf>],
     progress: &dyn Progress,
 ) -> Result<VideoOutcome, ImagesError> {
-    let (sender, receiver) = sync_channel::<Result<Vec<(usize, RgbFrame)>, VideoError>>(1);
+    let (sender, receiver) = sync_channel::<Result<Vec<(usize, Vec<u8>)>, VideoError>>(1);
+    let size = (video.info().width, video.info().height);
     std::thread::scope(|scope| {
         scope.spawn(move || {
             let mut video = video;
             let mut batch = Batch::new(sender);
             let mut index = 0;
             loop {
-                match video.next_frame() {
-                    Ok(Some(frame)) => {
-                        let bytes = frame.pixels.len();
+                let mut frame = Vec::new();
+                match video.next_frame(&mut frame) {
+                    Ok(true) => {
+                        let bytes = frame.len();
                         if !batch.push((index, frame), bytes) {
                             return;
                         }
                         index += 1;
                     }
-                    Ok(None) => {
+                    Ok(false) => {
                         batch.send();
                         return;
                     }
@@ -249,17 +251,14 @@ pub fn write_video(
         let mut outcome = VideoOutcome::default();
         progress.begin("decoding the phone's video", places.len() as u64);
         let mut failed = None;
-        let each = |batch: Vec<(usize, RgbFrame)>| {
+        let each = |batch: Vec<(usize, Vec<u8>)>| {
             outcome.decoded += batch.len() as u64;
-            if let Some((_, frame)) = batch.first() {
-                outcome.size.get_or_insert((frame.width, frame.height));
-            }
+            outcome.size.get_or_insert(size);
             let written: Result<Vec<bool>, ImagesError> = batch
                 .par_iter()
                 .map(|(index, frame)| match places.get(*index) {
                     Some(Some(path)) => {
-                        let size = (frame.width, frame.height);
-                        write_missing(path, size, Pixels::Rgb8(&frame.pixels)).map(|()| true)
+                        write_missing(path, size, Pixels::Rgb8(frame)).map(|()| true)
                     }
                     _ => Ok(false),
                 })

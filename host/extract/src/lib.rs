@@ -3,7 +3,7 @@
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
 //! - Inputs: [`inputs`] finds them; [`board`] (our MCAP, [`bag`]s of the published
-//!   system), [`phone`] (CSV files, [`video`] by ffmpeg), [`depth`] ([`mkv`]).
+//!   system), [`phone`] (CSV files, `video` by ffmpeg), [`depth`] ([`mkv`]).
 //! - Time: [`time`] (integers only), [`gyro_clock`] and [`phone_clock`] (the
 //!   phone's clock over the whole recording), [`depth_clock`] and [`depth_match`]
 //!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`],
@@ -42,5 +42,4 @@ pub mod streams;
 pub mod survey;
 pub mod tables;
 pub mod time;
-pub mod video;
 pub mod workplace;

@@ -239,7 +239,7 @@ fn next_step(error: &EvaluateError) -> &'static str {
             "give a --region inside the picture, or leave it out"
         }
         E::FrameSize { .. } => "evaluate recordings of one camera mode at a time",
-        E::NoFfmpeg(_) | E::RunFfmpeg { .. } => {
+        E::Ffmpeg(_) => {
             "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder of \
              images"
         }

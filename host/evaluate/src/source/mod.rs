@@ -1,4 +1,4 @@
-//! Where frames come from: videos through `ffmpeg`, folders of images.
+//! Where frames come from: videos, folders of images.
 
 mod images;
 mod timestamps;
@@ -7,7 +7,6 @@ mod video;
 use std::path::{Path, PathBuf};
 
 pub use timestamps::{FrameTimes, read_timestamps};
-pub use video::parse_probe;
 
 use super::EvaluateError;
 use super::frame::{GreyView, MAX_SIDE};

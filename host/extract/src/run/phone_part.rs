@@ -4,6 +4,8 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
+use video::{Pixels, Video, VideoError, presentation_times};
+
 use super::{ExtractError, Run};
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
@@ -17,7 +19,6 @@ use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
 use crate::time::PhoneNanos;
-use crate::video::{Video, presentation_times};
 
 /// The phone's part after reading.
 pub(super) struct Phone {
@@ -182,7 +183,7 @@ impl Run<'_> {
         };
         let outcome = match self.place.done::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
-            None => match Video::open(&video) {
+            None => match Video::open(&video, Pixels::Rgb) {
                 Ok(decoder) => {
                     let outcome = write_video(decoder, &places, self.progress)?;
                     // With an error the next run tries again.
@@ -193,10 +194,15 @@ impl Run<'_> {
                     }
                     outcome
                 }
-                Err(error) => {
-                    self.lose("video", input.about(&error.to_string()));
+                Err(error @ VideoError::Missing(_)) => {
+                    let again = "run the extraction again: it goes on where it stopped";
+                    self.lose("video", input.about(&format!("{error}, and {again}")));
                     return Ok(None);
                 }
+                Err(error) => VideoOutcome {
+                    error: Some(error.to_string()),
+                    ..VideoOutcome::default()
+                },
             },
         };
         if let Some(error) = &outcome.error {

@@ -1,0 +1,81 @@
+//! Frames and times of videos, by the programs `ffmpeg` and `ffprobe` of `PATH`.
+//!
+//! [`probe`] asks what a file says about itself, [`presentation_times`] when its
+//! frames are shown, and [`Video`] decodes it: `ffmpeg` writes raw pictures into a
+//! pipe, and memory is one frame whatever the length of the video. Each coded frame
+//! comes once (nothing is dropped or doubled to reach a constant rate), and it is not
+//! turned upright: rows stay the sensor's rows, which is what a rolling shutter is
+//! about.
+
+mod decode;
+mod probe;
+
+use std::ffi::OsString;
+use std::io::{self, ErrorKind};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+pub use decode::{Pixels, Video};
+pub use probe::{Info, parse_presentation_times, parse_probe, presentation_times, probe};
+
+/// Longest side of a frame, pixels: a damaged head of a file must not allocate
+/// gigabytes.
+pub const MAX_SIDE: u32 = 16_384;
+
+/// Why there are no frames, or no more of them.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// The program is not there.
+    #[error(
+        "`{0}` was not found: ffmpeg is needed to decode videos; install it (Debian, Ubuntu: \
+         `sudo apt install ffmpeg`) and see that it is on the PATH"
+    )]
+    Missing(&'static str),
+    /// The program could not be run, or its output could not be read.
+    #[error("running {program}: {source}")]
+    Run {
+        /// Which of the two.
+        program: &'static str,
+        /// Why.
+        source: io::Error,
+    },
+    /// `ffprobe` finds no video in the file.
+    #[error("not a readable video: {0}")]
+    NotAVideo(String),
+    /// The file states a size that no camera has.
+    #[error("frames of {width}x{height} pixels are not supported (1 to {MAX_SIDE} a side)")]
+    Size {
+        /// Width, pixels.
+        width: u64,
+        /// Height, pixels.
+        height: u64,
+    },
+    /// `ffmpeg` complained, in these words. The frames before are good.
+    #[error("ffmpeg cannot decode the video to its end: {0}")]
+    Decode(String),
+}
+
+/// A program of the two that reads files only: without a terminal, quiet but for
+/// errors.
+fn program(name: &'static str) -> Command {
+    let mut command = Command::new(name);
+    command
+        .args(["-v", "error", "-protocol_whitelist", "file"])
+        .stdin(Stdio::null());
+    command
+}
+
+/// A path as an address that can be taken neither for an option nor for a device or
+/// another protocol.
+fn file_url(path: &Path) -> OsString {
+    let mut url = OsString::from("file:");
+    url.push(path);
+    url
+}
+
+fn start_error(program: &'static str, source: io::Error) -> VideoError {
+    match source.kind() {
+        ErrorKind::NotFound => VideoError::Missing(program),
+        _ => VideoError::Run { program, source },
+    }
+}

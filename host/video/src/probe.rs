@@ -1,0 +1,215 @@
+//! What `ffprobe` says about a file.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::{MAX_SIDE, VideoError, file_url, program, start_error};
+
+/// What a file says about its first video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Info {
+    /// Pixels in a row, 1 to [`MAX_SIDE`].
+    pub width: u32,
+    /// Rows, 1 to [`MAX_SIDE`].
+    pub height: u32,
+    /// Number of frames, if stated.
+    pub frames: Option<u64>,
+    /// Frames a second, if stated.
+    pub rate: Option<f64>,
+    /// Whether black is 0 and white 255, and not 16 and 235.
+    pub full_range: bool,
+    /// ffmpeg's name of it.
+    pixel_format: String,
+}
+
+impl Info {
+    /// Whether the luma is a plane of several.
+    pub(crate) fn has_planes(&self) -> bool {
+        has_luma(&self.pixel_format) && !self.pixel_format.starts_with("gray")
+    }
+}
+
+#[derive(Default, Deserialize)]
+struct Answer {
+    #[serde(default)]
+    streams: Vec<Stream>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Stream {
+    width: u64,
+    height: u64,
+    pix_fmt: String,
+    color_range: String,
+    avg_frame_rate: String,
+    nb_frames: String,
+    duration: String,
+}
+
+/// Asks `ffprobe` about a file.
+///
+/// # Errors
+///
+/// `ffprobe` is missing or cannot be run, or the file has no video of a size up to
+/// [`MAX_SIDE`].
+pub fn probe(path: &Path) -> Result<Info, VideoError> {
+    let output = program("ffprobe")
+        .args(["-select_streams", "v:0", "-of", "json", "-show_entries"])
+        .arg("stream=width,height,pix_fmt,color_range,avg_frame_rate,nb_frames,duration")
+        .arg("-i")
+        .arg(file_url(path))
+        .output()
+        .map_err(|error| start_error("ffprobe", error))?;
+    if output.status.success() {
+        return parse_probe(&output.stdout);
+    }
+    let said = String::from_utf8_lossy(&output.stderr);
+    let said = said.lines().next().unwrap_or("no reason given");
+    let hint = if said.contains("moov atom not found") {
+        "; the file is truncated: the camera writes its index at the end. Copy it again"
+    } else {
+        ""
+    };
+    let said: String = said.chars().take(300).collect();
+    Err(VideoError::NotAVideo(format!("ffprobe says: {said}{hint}")))
+}
+
+/// [`probe`]'s answer in JSON.
+///
+/// # Errors
+///
+/// It has no video of a size up to [`MAX_SIDE`].
+pub fn parse_probe(answer: &[u8]) -> Result<Info, VideoError> {
+    let answer: Answer = serde_json::from_slice(answer).map_err(|error| {
+        VideoError::NotAVideo(format!("ffprobe's answer was not understood: {error}"))
+    })?;
+    let stream = answer.streams.into_iter().next();
+    let stream =
+        stream.ok_or_else(|| VideoError::NotAVideo("the file has no video in it".to_owned()))?;
+    let side = |pixels| {
+        let sides = 1..=MAX_SIDE;
+        u32::try_from(pixels).ok().filter(|n| sides.contains(n))
+    };
+    let (Some(width), Some(height)) = (side(stream.width), side(stream.height)) else {
+        return Err(VideoError::Size {
+            width: stream.width,
+            height: stream.height,
+        });
+    };
+    Ok(Info {
+        width,
+        height,
+        frames: stream.nb_frames.parse().ok().filter(|&frames| frames > 0),
+        rate: frame_rate(&stream),
+        full_range: stream.color_range == "pc" || !has_luma(&stream.pix_fmt),
+        pixel_format: stream.pix_fmt,
+    })
+}
+
+fn has_luma(pixel_format: &str) -> bool {
+    let formats = ["yuv", "nv", "gray", "p0"];
+    formats.iter().any(|name| pixel_format.starts_with(name))
+}
+
+fn frame_rate(stream: &Stream) -> Option<f64> {
+    let sane = |rate: f64| (rate.is_finite() && rate > 0.1 && rate < 10_000.0).then_some(rate);
+    let ratio = |a: &str, b: &str| sane(a.parse::<f64>().ok()? / b.parse::<f64>().ok()?);
+    let stated = stream.avg_frame_rate.split_once('/');
+    stated
+        .and_then(|(frames, seconds)| ratio(frames, seconds))
+        .or_else(|| ratio(&stream.nb_frames, &stream.duration))
+}
+
+/// When the frames of a video are shown, in ns from the first, in order. `None` if
+/// the file does not say, or there is no `ffprobe`.
+#[must_use]
+pub fn presentation_times(path: &Path) -> Option<Vec<i64>> {
+    let output = program("ffprobe")
+        .args(["-select_streams", "v:0", "-of", "csv=p=0"])
+        .args(["-show_entries", "packet=pts:stream=time_base", "-i"])
+        .arg(file_url(path))
+        .output()
+        .ok()?;
+    parse_presentation_times(&String::from_utf8_lossy(&output.stdout))
+}
+
+/// [`presentation_times`]' answer: lines of integers in units of a fraction such as
+/// `1/90000` s that stands in a line of its own. `None` if there is no fraction, or
+/// no times.
+#[must_use]
+pub fn parse_presentation_times(text: &str) -> Option<Vec<i64>> {
+    let mut base = None;
+    let mut times: Vec<i128> = Vec::new();
+    for line in text.lines() {
+        let line = line.trim().trim_end_matches(',');
+        if let Some((num, den)) = line.split_once('/') {
+            // 32 bits each in the file; no product below leaves 128.
+            base = Some((
+                i128::from(num.parse::<u32>().ok()?),
+                i128::from(den.parse::<u32>().ok().filter(|&den| den > 0)?),
+            ));
+        } else if let Ok(time) = line.parse::<i64>() {
+            times.push(time.into());
+        }
+    }
+    let (num, den) = base?;
+    // Packets stand in decoding order.
+    times.sort_unstable();
+    let first = *times.first()?;
+    let nanos = times
+        .into_iter()
+        .map(|time| i64::try_from((time - first) * num * 1_000_000_000 / den).ok());
+    nanos.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frame_rates_of_metadata() {
+        let stream = |rate: &str, frames: &str, seconds: &str| Stream {
+            avg_frame_rate: rate.to_owned(),
+            nb_frames: frames.to_owned(),
+            duration: seconds.to_owned(),
+            ..Stream::default()
+        };
+        assert_eq!(frame_rate(&stream("30/1", "", "")), Some(30.0));
+        assert_eq!(frame_rate(&stream("0/0", "60", "2.0")), Some(30.0));
+        assert_eq!(frame_rate(&stream("0/0", "", "")), None);
+        assert_eq!(frame_rate(&stream("1/0", "5", "0")), None);
+        assert_eq!(frame_rate(&stream("-30/1", "N/A", "1")), None);
+    }
+
+    #[test]
+    fn answers_are_read_and_what_is_no_video_is_refused() {
+        let answer = r#"{"streams": [{"width": 1920, "height": 1080, "pix_fmt": "yuv420p",
+            "avg_frame_rate": "30000/1001", "nb_frames": "90", "color_range": "tv"}]}"#;
+        let info = parse_probe(answer.as_bytes()).unwrap();
+        assert_eq!(
+            (info.width, info.height, info.frames),
+            (1920, 1080, Some(90))
+        );
+        assert!(!info.full_range && info.has_planes());
+        for (answer, words) in [
+            (r#"{"streams": []}"#, "no video in it"),
+            ("{", "not understood"),
+            (r#"{"streams": [{"width": 99999, "height": 8}]}"#, "99999x8"),
+            (r#"{"streams": [{"height": 8}]}"#, "0x8"),
+        ] {
+            let error = parse_probe(answer.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(words), "{answer}: {error}");
+        }
+    }
+
+    #[test]
+    fn presentation_times_are_integers() {
+        let text = "0,\n3003\n1501,\n1/90000\n";
+        let times = parse_presentation_times(text).unwrap();
+        assert_eq!(times, [0, 16_677_777, 33_366_666]);
+        assert_eq!(parse_presentation_times("garbage"), None);
+        assert_eq!(parse_presentation_times("1\n1/0\n"), None);
+    }
+}
