@@ -28,8 +28,7 @@ pub struct GridReport {
 }
 
 /// Measures it: frames and centres in board time, in order. `None` for too few.
-#[must_use]
-pub fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
+pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
     let mut steps: Vec<i64> = frames
         .windows(2)
         .map(|pair| pair[1].0.saturating_sub(pair[0].0))

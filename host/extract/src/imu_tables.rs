@@ -8,7 +8,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::board::ImuRow;
+use super::board_data::ImuRow;
 use super::image::WholeFile;
 use super::layout::ImuTable;
 use super::phone::csv::Sample;
@@ -23,7 +23,7 @@ const PIECE: usize = 2_048;
 const MAX_GAP: i64 = 50_000_000;
 
 /// A table that is being written.
-pub struct TableWriter<'a> {
+pub(crate) struct TableWriter<'a> {
     table: ImuTable,
     out: &'a Path,
     sequences: &'a Sequences,
@@ -35,8 +35,12 @@ pub struct TableWriter<'a> {
 
 impl<'a> TableWriter<'a> {
     /// A table below `out`. `delay` (ns) is subtracted if the format wants it so.
-    #[must_use]
-    pub fn new(table: ImuTable, out: &'a Path, sequences: &'a Sequences, delay: i64) -> Self {
+    pub(crate) fn new(
+        table: ImuTable,
+        out: &'a Path,
+        sequences: &'a Sequences,
+        delay: i64,
+    ) -> Self {
         Self {
             delay: if table.subtract_delay { delay } else { 0 },
             table,
@@ -53,7 +57,7 @@ impl<'a> TableWriter<'a> {
     /// # Errors
     ///
     /// Writing fails.
-    pub fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
+    pub(crate) fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
         row.at = BoardNanos(row.at.0.saturating_sub(self.delay));
         self.rows.push(row);
         if self.rows.len() == BLOCK {
@@ -106,7 +110,7 @@ impl<'a> TableWriter<'a> {
     /// # Errors
     ///
     /// Writing fails.
-    pub fn finish(mut self) -> io::Result<u64> {
+    pub(crate) fn finish(mut self) -> io::Result<u64> {
         self.flush_rows()?;
         for file in self.files.into_iter().flatten() {
             file.finish()?;
@@ -121,19 +125,18 @@ impl<'a> TableWriter<'a> {
 /// Times in between are compared as integers; only the accelerations themselves
 /// are numbers with a fraction.
 #[derive(Debug)]
-pub struct Joiner<A> {
+pub(crate) struct Joiner<A> {
     accel: A,
     before: Option<Sample>,
     after: Option<Sample>,
     ended: bool,
     /// Gyroscope samples without an acceleration around them.
-    pub without_accel: u64,
+    pub(crate) without_accel: u64,
 }
 
 impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     /// Takes the accelerometer's samples in order of time.
-    #[must_use]
-    pub fn new(accel: A) -> Self {
+    pub(crate) fn new(accel: A) -> Self {
         Self {
             accel,
             before: None,
@@ -148,7 +151,7 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     /// # Errors
     ///
     /// Reading fails.
-    pub fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
+    pub(crate) fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
         while !self.ended && self.after.is_none_or(|after| after.at < time) {
             match (self.accel)()? {
                 Some(sample) => {
@@ -185,8 +188,7 @@ fn between(before: &Sample, after: &Sample, time: PhoneNanos) -> Option<[f64; 3]
 }
 
 /// A phone sample in board time.
-#[must_use]
-pub fn in_board_time(
+pub(crate) fn in_board_time(
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
     gyro: &Sample,
     accel: [f64; 3],

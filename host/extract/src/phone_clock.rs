@@ -8,7 +8,7 @@
 //! is the one that the trigger was aligned to that says so; the clocks of the others are
 //! then related to the runs as they were moved.
 
-use super::board::{BoardError, BoardInput};
+use super::board_data::{BoardError, BoardInput};
 use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
 use super::inputs::PhoneInput;
 use super::phone::files::PhoneFiles;
@@ -32,12 +32,12 @@ const NONE: &str = "none";
 
 /// A relation of phone and board.
 #[derive(Clone, Debug)]
-pub struct PhoneClock {
+pub(crate) struct PhoneClock {
     /// Phone time to board time, the runs of the board being where
     /// [`PhoneClock::moves`] puts them.
-    pub map: PiecewiseMap<PhoneNanos, BoardNanos>,
+    pub(crate) map: PiecewiseMap<PhoneNanos, BoardNanos>,
     /// Worth knowing.
-    pub remarks: Vec<String>,
+    pub(crate) remarks: Vec<String>,
     runs: Vec<RunClock>,
     middle: BoardNanos,
 }
@@ -62,7 +62,7 @@ struct RunClock {
 
 /// Why looking for it ended.
 #[derive(Debug)]
-pub enum Stopped {
+pub(crate) enum Stopped {
     /// The user stopped it.
     Cancelled,
     /// The board's recording cannot be read.
@@ -71,7 +71,7 @@ pub enum Stopped {
 
 /// What becomes of the board's runs, where there are several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Runs {
+pub(crate) enum Runs {
     /// Each is moved to where the phone's clock has it behind the one before.
     Moved,
     /// They stay where they are: another phone's clock has put them there.
@@ -84,8 +84,7 @@ pub enum Runs {
 /// Of a further phone it is what was said of that phone alone: the recording's own
 /// clock models and pairs of times are of the one that the trigger was aligned to.
 /// `moved` is how much later the last run is in `survey` than in the session, ns.
-#[must_use]
-pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
+pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
     let known = survey.clocks_of(input.other_name());
     let latest = known.last().copied().flatten().map(Prior::of);
     // The session's relation is that of the last run.
@@ -116,7 +115,7 @@ pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Pri
 /// # Errors
 ///
 /// Stopped, or the board's recording cannot be read.
-pub fn find(
+pub(crate) fn find(
     board: &BoardInput,
     files: &PhoneFiles,
     survey: &Survey,
@@ -322,16 +321,14 @@ impl RunClock {
 impl PhoneClock {
     /// How much later each run of the board is than the recording has it, ns;
     /// nothing if all are where they should be.
-    #[must_use]
-    pub fn moves(&self) -> Option<Vec<i64>> {
+    pub(crate) fn moves(&self) -> Option<Vec<i64>> {
         let moves: Vec<i64> = self.runs.iter().map(|run| run.moved).collect();
         moves.iter().any(|&by| by != 0).then_some(moves)
     }
 
     /// For each run after the first: how much later it is than the recording has
     /// it, ns, 1-sigma of its distance to the run before in s, and by what.
-    #[must_use]
-    pub fn joints(&self) -> Vec<(i64, f64, &'static str)> {
+    pub(crate) fn joints(&self) -> Vec<(i64, f64, &'static str)> {
         let joint = |pair: &[RunClock]| {
             let by_gyros = pair.iter().all(|run| run.gyros.is_some());
             let by = if by_gyros {
@@ -345,8 +342,7 @@ impl PhoneClock {
     }
 
     /// The relation at a board time, with its uncertainty.
-    #[must_use]
-    pub fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
+    pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
         let run = self
             .runs
             .iter()
@@ -360,8 +356,7 @@ impl PhoneClock {
     }
 
     /// What the report says about it, over these frames.
-    #[must_use]
-    pub fn report(&self, frames: &[ColorFrame]) -> ClockReport {
+    pub(crate) fn report(&self, frames: &[ColorFrame]) -> ClockReport {
         let middle = self.model_at(self.middle);
         let sigmas = frames
             .iter()
@@ -400,7 +395,7 @@ impl PhoneClock {
 mod tests {
     use std::path::PathBuf;
 
-    use super::super::board::{RunMark, TimePair};
+    use super::super::board_data::{RunMark, TimePair};
     use super::super::inputs::RigFacts;
     use super::super::survey::PhoneClocks;
     use super::*;

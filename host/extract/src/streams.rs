@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
-use super::board::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::depth::{DepthError, DepthInput};
 use super::gyro_clock::{GyroSample, GyroStream};
 use super::phone::csv::Rows;
@@ -16,7 +16,7 @@ const LOOK: u64 = 8192;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
-pub enum StreamError {
+pub(crate) enum StreamError {
     /// The board's recording.
     #[error(transparent)]
     Board(#[from] BoardError),
@@ -41,7 +41,7 @@ pub enum StreamError {
 /// # Errors
 ///
 /// The recording cannot be opened.
-pub fn board<'a>(
+pub(crate) fn board<'a>(
     input: &BoardInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
@@ -58,7 +58,7 @@ pub fn board<'a>(
 /// # Errors
 ///
 /// The recording cannot be opened.
-pub fn board_between<'a>(
+pub(crate) fn board_between<'a>(
     input: &BoardInput,
     (from, to): (BoardNanos, BoardNanos),
     progress: &'a dyn Progress,
@@ -115,7 +115,7 @@ impl Iterator for BoardGyro<'_> {
 /// # Errors
 ///
 /// The file cannot be opened.
-pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
+pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let fail = {
         let path = path.to_owned();
         move |error| StreamError::Phone {
@@ -143,7 +143,7 @@ pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError
 /// # Errors
 ///
 /// The file cannot be opened.
-pub fn camera<'a>(
+pub(crate) fn camera<'a>(
     input: &DepthInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 use index_files::Written;
 
-use super::board::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image::write_whole;
