@@ -11,9 +11,9 @@ use rayon::prelude::*;
 use super::board_data::ImuRow;
 use super::image::WholeFile;
 use super::layout::ImuTable;
-use super::phone::csv::Sample;
 use super::sequence::Sequences;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap};
+use phone::samples::PhoneSample;
 
 /// Rows that are made at a time.
 const BLOCK: usize = 32_768;
@@ -127,14 +127,14 @@ impl<'a> TableWriter<'a> {
 #[derive(Debug)]
 pub(crate) struct Joiner<A> {
     accel: A,
-    before: Option<Sample>,
-    after: Option<Sample>,
+    before: Option<PhoneSample>,
+    after: Option<PhoneSample>,
     ended: bool,
     /// Gyroscope samples without an acceleration around them.
     pub(crate) without_accel: u64,
 }
 
-impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
+impl<A: FnMut() -> io::Result<Option<PhoneSample>>> Joiner<A> {
     /// Takes the accelerometer's samples in order of time.
     pub(crate) fn new(accel: A) -> Self {
         Self {
@@ -152,7 +152,7 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     ///
     /// Reading fails.
     pub(crate) fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
-        while !self.ended && self.after.is_none_or(|after| after.at < time) {
+        while !self.ended && self.after.is_none_or(|after| after.time < time) {
             match (self.accel)()? {
                 Some(sample) => {
                     self.before = self.after;
@@ -162,7 +162,7 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
             }
         }
         let value = match (self.before, self.after) {
-            (_, Some(after)) if after.at == time => Some(after.value),
+            (_, Some(after)) if after.time == time => Some(after.xyz),
             (Some(before), Some(after)) => between(&before, &after, time),
             _ => None,
         };
@@ -173,16 +173,16 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     }
 }
 
-fn between(before: &Sample, after: &Sample, time: PhoneNanos) -> Option<[f64; 3]> {
-    let run = after.at.0.checked_sub(before.at.0)?;
-    let way = time.0.checked_sub(before.at.0)?;
+fn between(before: &PhoneSample, after: &PhoneSample, time: PhoneNanos) -> Option<[f64; 3]> {
+    let run = after.time.0.checked_sub(before.time.0)?;
+    let way = time.0.checked_sub(before.time.0)?;
     if !(0..=run).contains(&way) || run > MAX_GAP || run == 0 {
         return None;
     }
     let share = way as f64 / run as f64;
     let mut value = [0.0; 3];
     for (axis, slot) in value.iter_mut().enumerate() {
-        *slot = before.value[axis] + (after.value[axis] - before.value[axis]) * share;
+        *slot = before.xyz[axis] + (after.xyz[axis] - before.xyz[axis]) * share;
     }
     Some(value)
 }
@@ -190,12 +190,12 @@ fn between(before: &Sample, after: &Sample, time: PhoneNanos) -> Option<[f64; 3]
 /// A phone sample in board time.
 pub(crate) fn in_board_time(
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
-    gyro: &Sample,
+    gyro: &PhoneSample,
     accel: [f64; 3],
 ) -> Option<ImuRow> {
     Some(ImuRow {
-        at: clock.apply(gyro.at)?,
-        gyro: gyro.value,
+        at: clock.apply(gyro.time)?,
+        gyro: gyro.xyz,
         accel,
         temperature: None,
     })
@@ -205,10 +205,10 @@ pub(crate) fn in_board_time(
 mod tests {
     use super::*;
 
-    fn sample(at: i64, x: f64) -> Sample {
-        Sample {
-            at: PhoneNanos(at),
-            value: [x, -x, 0.0],
+    fn sample(at: i64, x: f64) -> PhoneSample {
+        PhoneSample {
+            time: PhoneNanos(at),
+            xyz: [x, -x, 0.0],
         }
     }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::board_data::BoardInput;
 use super::depth::DepthInput;
 use super::gyro_clock::Prior;
-use super::phone::files::{self, FilesError, PhoneFiles};
+use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
 use recording::profile::Phone;
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
@@ -40,7 +40,7 @@ pub(crate) struct PhoneInput {
     /// Its name in the rig profile, if there is a session.
     pub(crate) name: Option<String>,
     /// Its files.
-    pub(crate) files: Option<PhoneFiles>,
+    pub(crate) files: Option<VideoFiles>,
     /// What the session says about it.
     pub(crate) rig: RigFacts,
     /// Its folder below the output; the output itself for the phone that the trigger
@@ -332,15 +332,15 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
 fn find_phone(
     recording: Option<&Path>,
     place: Option<&Path>,
-) -> Result<Option<PhoneFiles>, FilesError> {
+) -> Result<Option<VideoFiles>, FilesError> {
     let Some(place) = place else {
-        return recording.map_or(Ok(None), |folder| files::find(folder, None));
+        return recording.map_or(Ok(None), |folder| video_files::find(folder, None));
     };
-    let own = recording.and_then(|folder| files::find(folder, None).ok().flatten());
+    let own = recording.and_then(|folder| video_files::find(folder, None).ok().flatten());
     let fetched = own.filter(|own| own.video.is_some());
     let name = fetched.as_ref().map(|own| own.name.as_str());
-    let found = files::find(place, name)?;
-    Ok(found.map(|found| PhoneFiles {
+    let found = video_files::find(place, name)?;
+    Ok(found.map(|found| VideoFiles {
         video: found
             .video
             .clone()

@@ -11,7 +11,6 @@
 use super::board_data::{BoardError, BoardInput};
 use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
 use super::inputs::PhoneInput;
-use super::phone::files::PhoneFiles;
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
 use super::streams::{self, StreamError};
@@ -19,6 +18,7 @@ use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::FrameTrain;
+use phone::video_files::VideoFiles;
 use timebase::ClockModel;
 use twist_sync::smoother::ClockCourse;
 
@@ -117,7 +117,7 @@ pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Opt
 /// Stopped, or the board's recording cannot be read.
 pub(crate) fn find(
     board: &BoardInput,
-    files: &PhoneFiles,
+    files: &VideoFiles,
     survey: &Survey,
     (priors, runs_are): (&[Option<Prior>], Runs),
     constants: &Constants,
@@ -192,7 +192,7 @@ fn join(runs: &mut [RunClock], survey: &Survey) {
 /// The relation within one run; with it, what is worth knowing.
 fn find_run(
     board: &BoardInput,
-    files: &PhoneFiles,
+    files: &VideoFiles,
     survey: &Survey,
     prior: Option<Prior>,
     constants: &Constants,

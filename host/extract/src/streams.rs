@@ -1,13 +1,12 @@
 //! Gyroscopes of all devices as streams that can be opened again.
 
-use std::fs::File;
-use std::io::{self, BufReader};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::depth::{DepthError, DepthInput};
 use super::gyro_clock::{GyroSample, GyroStream};
-use super::phone::csv::Rows;
+use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
 
@@ -123,14 +122,13 @@ pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, Stre
             error,
         }
     };
-    let file = File::open(path).map_err(&fail)?;
-    let mut rows = Rows::new(BufReader::with_capacity(256 * 1024, file));
+    let mut rows = PhoneRows::open(path).map_err(&fail)?;
     Ok(Box::new(std::iter::from_fn(move || {
         match rows.next_sample() {
             Ok(sample) => sample.map(|sample| {
                 Ok(GyroSample {
-                    at: sample.at.0,
-                    rate: sample.value,
+                    at: sample.time.0,
+                    rate: sample.xyz,
                 })
             }),
             Err(error) => Some(Err(fail(error))),

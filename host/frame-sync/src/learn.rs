@@ -34,14 +34,6 @@ pub enum LearnError {
         /// How many there are.
         found: usize,
     },
-    /// A line is no timestamp.
-    #[error("line {line} is no timestamp in nanoseconds: {text:?}")]
-    NoTimestamp {
-        /// Counted from 1.
-        line: usize,
-        /// The line.
-        text: String,
-    },
     /// The timestamps are no train of frames.
     #[error("the timestamps are not those of frames: {reason}")]
     NoTrain {
@@ -63,32 +55,6 @@ pub struct FramePeriod {
     pub frames: usize,
     /// Frames that are missing between the first and the last.
     pub missing: u64,
-}
-
-/// Reads the app's file of frame timestamps: one integer a line, nanoseconds.
-///
-/// # Errors
-///
-/// A line is no number. A first line that is none is a heading.
-pub fn parse_timestamps(text: &str) -> Result<Vec<PhoneNanos>, LearnError> {
-    let mut times = Vec::new();
-    for (index, line) in text.lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() {
-            continue;
-        }
-        match line.parse() {
-            Ok(nanos) => times.push(PhoneNanos(nanos)),
-            Err(_) if index == 0 => {}
-            Err(_) => {
-                return Err(LearnError::NoTimestamp {
-                    line: index + 1,
-                    text: line.chars().take(40).collect(),
-                });
-            }
-        }
-    }
-    Ok(times)
 }
 
 /// Fits a straight line through the timestamps of frames. Missing frames are
@@ -352,19 +318,6 @@ mod tests {
             frame_period(&shifted),
             Err(LearnError::NoTrain { .. })
         ));
-    }
-
-    #[test]
-    fn timestamps_are_integers_a_line() {
-        let times = parse_timestamps("timestamp\n1\n\n 2 \n-3\n").unwrap();
-        assert_eq!(times, [PhoneNanos(1), PhoneNanos(2), PhoneNanos(-3)]);
-        assert_eq!(
-            parse_timestamps("1\n2.5\n"),
-            Err(LearnError::NoTimestamp {
-                line: 2,
-                text: String::from("2.5")
-            })
-        );
     }
 
     #[test]

@@ -11,6 +11,8 @@ use serde::Serialize;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use frame_sync::learn::{self, FramePeriod};
+use phone::frame_timestamps;
+use phone::rows::RowError;
 use recording::profile::{DEFAULT, Learnt, Profile};
 use recording::session_file::SessionFile;
 
@@ -107,14 +109,16 @@ fn teach(
 ) -> anyhow::Result<Outcome> {
     let text = read(file)?;
     let session = SessionFile::load(recording).map_err(Failure::from)?;
-    let times = learn::parse_timestamps(&read(timestamps)?)
-        .map_err(|error| {
-            Failure::new(ExitStatus::Error, error.to_string()).next_step(
+    let times = frame_timestamps::read(timestamps).map_err(|error| match error {
+        RowError::Io(error) => Failure::file("read", timestamps, &error),
+        RowError::Bad(row) => {
+            let what = format!("{}: {row}", timestamps.display());
+            Failure::new(ExitStatus::Error, what).next_step(
                 "give the app's `..._timestamps.csv` of that recording: one integer of \
-                 nanoseconds a line",
+                     nanoseconds a line",
             )
-        })
-        .with_context(|| format!("{}", timestamps.display()))?;
+        }
+    })?;
     let period = learn::frame_period(&times)
         .map_err(|error| {
             Failure::new(ExitStatus::Refused, error.to_string())

@@ -30,7 +30,7 @@ pub enum Format {
 
 impl Format {
     /// Its name on the command line.
-    pub(crate) fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         match self {
             Self::Euroc => "euroc",
             Self::Tum => "tum",
