@@ -17,7 +17,7 @@ use super::streams::{self, StreamError};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
-use frame_sync::train::FrameTrain;
+use frame_sync::train::frame_period;
 use phone::video_files::VideoFiles;
 use timebase::ClockModel;
 use twist_sync::smoother::ClockCourse;
@@ -384,8 +384,9 @@ impl PhoneClock {
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
             sigma_us: range.unwrap_or([0.0, 0.0]),
             residual_us: residual_rms(&course) * 1e6,
-            frame_period_ns: FrameTrain::from_timestamps(&phone)
-                .map(|train| (train.period_s * 1e9, train.period_sigma_s * 1e9)),
+            frame_period_ns: frame_period(&phone)
+                .ok()
+                .map(|found| (found.period_ns, found.sigma_ns)),
             course,
         }
     }
@@ -449,6 +450,31 @@ mod tests {
             folder: PathBuf::from(folder),
             ..PhoneInput::default()
         }
+    }
+
+    #[test]
+    fn a_wrong_timestamp_does_not_move_the_frame_period_and_few_have_none() {
+        let clock = PhoneClock {
+            map: PiecewiseMap::from_knots([]),
+            remarks: Vec::new(),
+            runs: Vec::new(),
+            middle: BoardNanos(0),
+        };
+        let mut frames: Vec<ColorFrame> = (0..1_000)
+            .map(|k| ColorFrame {
+                phone: PhoneNanos(k * 33_330_652),
+                start: BoardNanos(0),
+                at: BoardNanos(0),
+                image: None,
+            })
+            .collect();
+        frames[900].phone.0 += 4_000_000;
+        let (period, sigma) = clock.report(&frames).frame_period_ns.unwrap();
+        assert!(
+            (period - 33_330_652.0).abs() < 1e-6 && sigma < 1e-3,
+            "{period} {sigma}"
+        );
+        assert_eq!(clock.report(&frames[..299]).frame_period_ns, None);
     }
 
     #[test]

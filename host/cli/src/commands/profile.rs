@@ -10,7 +10,8 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use frame_sync::learn::{self, FramePeriod};
+use frame_sync::learn;
+use frame_sync::train::{FramePeriod, frame_period};
 use phone::frame_timestamps;
 use phone::rows::RowError;
 use recording::profile::{DEFAULT, Learnt, Profile};
@@ -119,7 +120,7 @@ fn teach(
             )
         }
     })?;
-    let period = learn::frame_period(&times)
+    let period = frame_period(&times)
         .map_err(|error| {
             Failure::new(ExitStatus::Refused, error.to_string())
                 .next_step("give the timestamps of a longer recording, whole as the app wrote them")
@@ -138,7 +139,8 @@ fn teach(
     let resets = session.runs.len();
     let board_id = session.board.as_ref().map(|board| board.id.as_str());
     let today = jiff::Zoned::now().date();
-    let learnt = learn::learnt(clocks, resets, board_id, &period, today);
+    let skew = learn::skew_of_twists(clocks, resets);
+    let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, board_id, today);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
     replace(file, &taught)?;
     let report = Report {
