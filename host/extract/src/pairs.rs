@@ -13,7 +13,7 @@ pub(crate) struct Pair {
     pub(crate) color: usize,
     /// Index of the depth frame in its table.
     pub(crate) depth: usize,
-    /// Phone − depth, ns.
+    /// Depth − phone, ns.
     pub(crate) difference: i64,
 }
 
@@ -31,7 +31,7 @@ pub(crate) fn find(
         };
         let (depth_index, depth_at) = depth[partner];
         let back = nearest(color, depth_at).map(|place| color[place].0);
-        let difference = at.0.saturating_sub(depth_at.0);
+        let difference = depth_at.0.saturating_sub(at.0);
         if back == Some(index) && difference.saturating_abs() <= limit {
             pairs.push(Pair {
                 color: index,
@@ -166,7 +166,7 @@ mod tests {
             .iter()
             .map(|p| (p.color, p.depth, p.difference))
             .collect();
-        assert_eq!(found, [(0, 0, -5), (1, 1, 2), (3, 3, -6), (4, 4, 40)]);
+        assert_eq!(found, [(0, 0, 5), (1, 1, -2), (3, 3, 6), (4, 4, -40)]);
         assert_eq!(find(&color, &[], 50), []);
         let far = times(&[i64::MIN, i64::MAX]);
         assert_eq!(find(&color, &far, 50), []);

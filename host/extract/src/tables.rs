@@ -219,7 +219,7 @@ pub(crate) fn write_pairs(
     depth: &[DepthFrame],
 ) -> io::Result<()> {
     let header =
-        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],difference [ns]";
+        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],depth_minus_phone [ns]";
     write_rows(path, header, pairs, |text, _, pair| {
         let phone = color.get(pair.color).map(|frame| frame.at.0);
         let centre = depth

@@ -44,7 +44,7 @@ use super::time::BoardNanos;
 use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
 
 /// Version of the report's form.
-const REPORT_VERSION: u32 = 1;
+const REPORT_VERSION: u32 = 2;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]
