@@ -11,11 +11,11 @@ use evaluate::source::read_timestamps;
 use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
 use extract::bag::reader::{Bag, BagError};
 use extract::mkv::k4a::{Content, Recording};
-use extract::phone::csv::Rows;
 use phone::ImuRequest;
 use phone::answer::{AnswerDecoder, AnswerEvent};
 use phone::file_name::safe_file_name;
 use phone::requests::{ImuBody, VideoHeaderBody, VideoStartBody};
+use phone::rows::{RowError, Rows};
 use protocol::{Decoder, HostToDevice};
 use recording::profile::Profile;
 use recording::reader::Reader;
@@ -63,13 +63,19 @@ pub(crate) fn depth_recording(data: &[u8]) {
 pub(crate) fn phone_csv(data: &[u8]) {
     let mut rows = Rows::new(data);
     let mut last = None;
-    while let Ok(Some(sample)) = rows.next_sample() {
-        assert!(last.is_none_or(|last| sample.at > last));
-        assert!(sample.value.iter().all(|value| value.is_finite()));
-        last = Some(sample.at);
+    loop {
+        match rows.next_sample() {
+            Ok(Some(sample)) => {
+                assert!(last.is_none_or(|last| sample.time > last));
+                assert!(sample.xyz.iter().all(|value| value.is_finite()));
+                last = Some(sample.time);
+            }
+            Err(RowError::Bad(_)) => {}
+            Ok(None) | Err(RowError::Io(_)) => break,
+        }
     }
     let mut rows = Rows::new(data);
-    while let Ok(Some(_)) = rows.next_frame() {}
+    while !matches!(rows.next_timestamp(), Ok(None) | Err(RowError::Io(_))) {}
 }
 
 /// Events of the answer in `bytes`, given in pieces of `step` bytes.

@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::board::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::gyro_clock::GyroSample;
 use super::mkv::k4a::{Batch, Content, K4aError, Recording, StartOffset};
 use super::time::DeviceNanos;
@@ -19,7 +19,7 @@ const MAX_FAULTS: usize = 50;
 
 /// Where depth comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum DepthInput {
+pub(crate) enum DepthInput {
     /// A file of the camera's recorder.
     Mkv(PathBuf),
     /// `/azure/depth/image_raw` of the board's bag.
@@ -52,54 +52,53 @@ pub enum DepthError {
 
 /// A frame's time and size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DepthStamp {
+pub(crate) struct DepthStamp {
     /// Device time.
-    pub at: DeviceNanos,
+    pub(crate) at: DeviceNanos,
     /// Whether it has the bytes of a whole image (unknown for bags before pixels
     /// are read: true).
-    pub whole: bool,
+    pub(crate) whole: bool,
 }
 
 /// What a depth recording holds.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct DepthIndex {
+pub(crate) struct DepthIndex {
     /// Frames in the order of the file.
-    pub frames: Vec<DepthStamp>,
+    pub(crate) frames: Vec<DepthStamp>,
     /// Width and height.
-    pub size: (u32, u32),
+    pub(crate) size: (u32, u32),
     /// Where the device times begin.
-    pub start_offset: Option<StartOffset>,
+    pub(crate) start_offset: Option<StartOffset>,
     /// The camera's calibration.
-    pub calibration: Option<Vec<u8>>,
+    pub(crate) calibration: Option<Vec<u8>>,
     /// `K4A_DEPTH_MODE`.
-    pub mode: Option<String>,
+    pub(crate) mode: Option<String>,
     /// `K4A_DEVICE_SERIAL_NUMBER`.
-    pub serial: Option<String>,
+    pub(crate) serial: Option<String>,
     /// `K4A_WIRED_SYNC_MODE`.
-    pub sync_mode: Option<String>,
+    pub(crate) sync_mode: Option<String>,
     /// Whether there are samples of the camera's IMU.
-    pub has_imu: bool,
+    pub(crate) has_imu: bool,
     /// What is damaged, in words.
-    pub faults: Vec<String>,
+    pub(crate) faults: Vec<String>,
 }
 
 /// A frame with its pixels.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DepthImage {
+pub(crate) struct DepthImage {
     /// Its number in the recording.
-    pub index: usize,
+    pub(crate) index: usize,
     /// Big-endian millimetres; a whole image or nothing.
-    pub depth: Vec<u8>,
+    pub(crate) depth: Vec<u8>,
     /// Big-endian infrared of the same time, if there is any.
-    pub infrared: Option<Vec<u8>>,
+    pub(crate) infrared: Option<Vec<u8>>,
     /// The checksum of its part of the file is wrong.
-    pub damaged: bool,
+    pub(crate) damaged: bool,
 }
 
 impl DepthInput {
     /// The file.
-    #[must_use]
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         match self {
             Self::Mkv(path) | Self::Bag(path) => path,
         }
@@ -117,7 +116,7 @@ impl DepthInput {
     /// # Errors
     ///
     /// It is no depth recording, or reading fails.
-    pub fn index(&self, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
+    pub(crate) fn index(&self, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
         match self {
             Self::Mkv(path) => index_mkv(path, progress),
             Self::Bag(path) => index_bag(path, progress),
@@ -129,7 +128,7 @@ impl DepthInput {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub fn images(&self) -> Result<DepthImages, DepthError> {
+    pub(crate) fn images(&self) -> Result<DepthImages, DepthError> {
         let source = match self {
             Self::Mkv(path) => Source::Mkv(Box::new(Self::recording(path)?)),
             Self::Bag(path) => Source::Bag(BoardInput::Bag(path.clone()).open(Images::Pixels)?),
@@ -146,7 +145,7 @@ impl DepthInput {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub fn gyro(&self) -> Result<CameraGyro, DepthError> {
+    pub(crate) fn gyro(&self) -> Result<CameraGyro, DepthError> {
         match self {
             Self::Mkv(path) => Ok(CameraGyro {
                 recording: Some(Self::recording(path)?),
@@ -190,7 +189,7 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
             whole: image.size == size,
         });
         index.frames.extend(stamps);
-        progress(recording.progress().0);
+        progress(recording.position());
     }
     let damage = recording.damage().iter().take(MAX_FAULTS);
     index.faults = damage
@@ -233,28 +232,19 @@ enum Source {
 }
 
 /// Images one batch after the other.
-pub struct DepthImages {
+pub(crate) struct DepthImages {
     source: Source,
     path: PathBuf,
     next: usize,
 }
 
 impl DepthImages {
-    /// Bytes read so far.
-    #[must_use]
-    pub fn position(&self) -> u64 {
-        match &self.source {
-            Source::Mkv(recording) => recording.progress().0,
-            Source::Bag(stream) => stream.position(),
-        }
-    }
-
     /// The next images (perhaps none); `None` at the end.
     ///
     /// # Errors
     ///
     /// Reading fails.
-    pub fn next_images(&mut self) -> Result<Option<Vec<DepthImage>>, DepthError> {
+    pub(crate) fn next_images(&mut self) -> Result<Option<Vec<DepthImage>>, DepthError> {
         match &mut self.source {
             Source::Mkv(recording) => {
                 let size = recording.image_bytes();
@@ -308,7 +298,7 @@ fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<DepthImage> {
 }
 
 /// The camera's gyroscope as a stream.
-pub struct CameraGyro {
+pub(crate) struct CameraGyro {
     recording: Option<Recording<BufReader<File>>>,
     path: PathBuf,
     waiting: Vec<GyroSample>,

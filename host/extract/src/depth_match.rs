@@ -7,7 +7,7 @@
 //! unless told not to), which gives the offset of the clocks far better than half
 //! a period; the recorded offset of the published system.
 
-use super::board::{BoardError, BoardInput};
+use super::board_data::{BoardError, BoardInput};
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::resets::{OverResets, Reset, match_over_resets};
 use super::depth_clock::{
@@ -32,13 +32,13 @@ const EVERY: usize = 3;
 
 /// Frames with their pulses.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Matched {
+pub(crate) struct Matched {
     /// The frames.
-    pub found: DepthMatch,
+    pub(crate) found: DepthMatch,
     /// Worth knowing.
-    pub remarks: Vec<String>,
+    pub(crate) remarks: Vec<String>,
     /// Frames without a board time, in words.
-    pub losses: Vec<String>,
+    pub(crate) losses: Vec<String>,
     by: &'static str,
 }
 
@@ -93,8 +93,7 @@ impl Matched {
     }
 
     /// What decided, in words.
-    #[must_use]
-    pub fn decided_by(&self) -> String {
+    pub(crate) fn decided_by(&self) -> String {
         match self.found.decision {
             Decision::Pattern { margin } if margin.is_finite() => {
                 format!("the pattern of the pulses (χ² margin {margin:.0})")
@@ -107,7 +106,7 @@ impl Matched {
 
 /// Why matching ended.
 #[derive(Debug)]
-pub enum Stopped {
+pub(crate) enum Stopped {
     /// The user stopped it.
     Cancelled,
     /// The board's recording cannot be read.
@@ -120,7 +119,7 @@ pub enum Stopped {
 ///
 /// Stopped, or the board's recording cannot be read. The inner error says why
 /// frames and pulses were not matched.
-pub fn find(
+pub(crate) fn find(
     board: &BoardInput,
     input: &DepthInput,
     index: &DepthIndex,

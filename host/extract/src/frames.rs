@@ -17,42 +17,39 @@ const ALIKE: f64 = 200e3;
 
 /// When a frame was exposed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameTiming {
+pub(crate) struct FrameTiming {
     /// Exposure of a row, ns.
-    pub exposure: Option<i64>,
+    pub(crate) exposure: Option<i64>,
     /// From the first row's to the last row's start of exposure, ns.
-    pub readout: Option<i64>,
+    pub(crate) readout: Option<i64>,
 }
 
 impl FrameTiming {
     /// From the timestamp (start of exposure of the first row) to the middle of
     /// exposure of the middle row. Parts that are not known count as 0.
-    #[must_use]
-    pub fn to_middle(&self) -> i64 {
+    pub(crate) fn to_middle(&self) -> i64 {
         let half = |part: Option<i64>| part.unwrap_or(0) / 2;
         half(self.exposure).saturating_add(half(self.readout))
     }
 
     /// Whether both parts are known.
-    #[must_use]
-    pub fn is_known(&self) -> bool {
+    pub(crate) fn is_known(&self) -> bool {
         self.exposure.is_some() && self.readout.is_some()
     }
 }
 
 /// Which row of the timestamps each image has.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Alignment {
+pub(crate) struct Alignment {
     /// For each image, its row.
-    pub rows: Vec<Option<usize>>,
+    pub(crate) rows: Vec<Option<usize>>,
     /// What is worth saying.
-    pub remark: Option<String>,
+    pub(crate) remark: Option<String>,
 }
 
 impl Alignment {
     /// Images and rows in order: what is left when there are no presentation times.
-    #[must_use]
-    pub fn in_order(images: usize, rows: usize) -> Self {
+    pub(crate) fn in_order(images: usize, rows: usize) -> Self {
         Self {
             rows: (0..images)
                 .map(|image| (image < rows).then_some(image))
@@ -63,8 +60,7 @@ impl Alignment {
 }
 
 /// Aligns images (presentation times in ns from the first) with timestamps.
-#[must_use]
-pub fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
+pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
     if images.len() == stamps.len() {
         return Alignment::in_order(images.len(), stamps.len());
     }

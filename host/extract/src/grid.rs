@@ -2,7 +2,8 @@
 //!
 //! The trigger follows one phone. The frames of that one should lie on the grid, and
 //! those of another at a distance that is constant as far as the two phones' frame
-//! periods are the same. Both are measured here, from the extracted times: a straight
+//! periods are the same. Both are measured here, depth minus phone, from the extracted
+//! times: a straight
 //! line through the distance of each centre of a depth exposure (pulse and constant)
 //! to the nearest frame, followed over the places where another frame becomes the
 //! nearest.
@@ -18,18 +19,17 @@ const MIN_PULSES: usize = 10;
 pub struct GridReport {
     /// Pulses with a frame near them.
     pub pulses: usize,
-    /// Middle of exposure of the phone's middle row minus the centre of exposure that
-    /// the pulse makes, at the first pulse, from the line, µs.
+    /// Depth minus phone: the centre of exposure that the pulse makes minus the middle of
+    /// exposure of the phone's middle row, at the first pulse, from the line, µs.
     pub offset_us: f64,
-    /// How it changes, µs/min.
+    /// How it changes, µs/min; positive: the depth camera falls behind.
     pub drift_us_per_min: f64,
     /// Root mean square about the line, µs.
     pub residual_us: f64,
 }
 
 /// Measures it: frames and centres in board time, in order. `None` for too few.
-#[must_use]
-pub fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
+pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridReport> {
     let mut steps: Vec<i64> = frames
         .windows(2)
         .map(|pair| pair[1].0.saturating_sub(pair[0].0))
@@ -50,7 +50,7 @@ pub fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<GridRepo
             .into_iter()
             .flatten()
             .filter_map(|place| frames.get(place))
-            .map(|frame| frame.0.saturating_sub(centre.0))
+            .map(|frame| centre.0.saturating_sub(frame.0))
             .min_by_key(|distance| distance.unsigned_abs());
         // Before the first frame, behind the last, or where frames are missing.
         let Some(distance) = near.filter(|distance| distance.abs() <= period / 2 + period / 8)
@@ -97,9 +97,9 @@ mod tests {
         let frames = train(5_014_000_000 - 66_660_000, 33_333_000.0, 1_900);
         let found = measure(&frames, &centres).unwrap();
         assert_eq!(found.pulses, 1_800);
-        assert!((found.offset_us - 14_006.0).abs() < 0.1, "{found:?}");
+        assert!((found.offset_us + 14_006.0).abs() < 0.1, "{found:?}");
         let drift = 3.0 / 33.333e-3 * 60.0;
-        assert!((found.drift_us_per_min - drift).abs() < 1.0, "{found:?}");
+        assert!((found.drift_us_per_min + drift).abs() < 1.0, "{found:?}");
         assert!(found.residual_us < 2.0, "{found:?}");
         // Every sixth frame only, and some frames missing.
         let sixths: Vec<BoardNanos> = centres.iter().copied().step_by(6).collect();
@@ -107,7 +107,7 @@ mod tests {
         gappy.drain(500..520);
         let sparse = measure(&gappy, &sixths).unwrap();
         assert!(sparse.pulses < 300 && sparse.pulses > 290, "{sparse:?}");
-        assert!((sparse.offset_us - 14_006.0).abs() < 1.0, "{sparse:?}");
+        assert!((sparse.offset_us + 14_006.0).abs() < 1.0, "{sparse:?}");
     }
 
     #[test]

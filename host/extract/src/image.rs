@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// An image as it is written.
 #[derive(Clone, Copy, Debug)]
-pub enum Pixels<'a> {
+pub(crate) enum Pixels<'a> {
     /// 16 bits a pixel, big-endian, as PNG has them.
     Gray16(&'a [u8]),
     /// 8 bits each of red, green and blue.
@@ -22,7 +22,7 @@ pub enum Pixels<'a> {
 /// # Errors
 ///
 /// The number of bytes is not that of the size.
-pub fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Result<Vec<u8>> {
+pub(crate) fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Result<Vec<u8>> {
     let mut out = Vec::with_capacity(match pixels {
         Pixels::Gray16(bytes) | Pixels::Rgb8(bytes) => bytes.len() / 2,
     });
@@ -50,8 +50,7 @@ pub fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Result<Vec
 /// into 16 bits (beyond 13.107 m) becomes 0, "none", and is counted.
 ///
 /// `big_endian` holds 16-bit pixels.
-#[must_use]
-pub fn depth_to_tum(big_endian: &[u8]) -> (Vec<u8>, u64) {
+pub(crate) fn depth_to_tum(big_endian: &[u8]) -> (Vec<u8>, u64) {
     let mut lost = 0;
     let mut out = Vec::with_capacity(big_endian.len());
     for pixel in big_endian.chunks_exact(2) {
@@ -70,7 +69,7 @@ pub fn depth_to_tum(big_endian: &[u8]) -> (Vec<u8>, u64) {
 /// # Errors
 ///
 /// Writing fails.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = WholeFile::create(path)?;
     file.write_all(bytes)?;
     file.finish()
@@ -79,7 +78,7 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// A file that takes its name only when it is finished; without that, it is
 /// removed.
 #[derive(Debug)]
-pub struct WholeFile {
+pub(crate) struct WholeFile {
     writer: Option<BufWriter<File>>,
     partial: PathBuf,
     path: PathBuf,
@@ -91,7 +90,7 @@ impl WholeFile {
     /// # Errors
     ///
     /// It cannot be created.
-    pub fn create(path: &Path) -> io::Result<Self> {
+    pub(crate) fn create(path: &Path) -> io::Result<Self> {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder)?;
         }
@@ -113,7 +112,7 @@ impl WholeFile {
     /// # Errors
     ///
     /// Writing or renaming fails.
-    pub fn finish(mut self) -> io::Result<()> {
+    pub(crate) fn finish(mut self) -> io::Result<()> {
         if let Some(mut writer) = self.writer.take() {
             writer.flush()?;
         }

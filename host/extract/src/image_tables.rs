@@ -42,28 +42,28 @@ pub enum ImagesError {
 
 /// Where one depth frame goes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct DepthPlace {
+pub(crate) struct DepthPlace {
     /// Depth; `None` if the frame has no place in the data set.
-    pub depth: Option<PathBuf>,
+    pub(crate) depth: Option<PathBuf>,
     /// Infrared.
-    pub infrared: Option<PathBuf>,
+    pub(crate) infrared: Option<PathBuf>,
 }
 
 /// What the depth images were like.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct DepthOutcome {
+pub(crate) struct DepthOutcome {
     /// Images with a place that are there.
-    pub written: u64,
+    pub(crate) written: u64,
     /// Infrared images that are there, by frame.
-    pub infrared: Vec<usize>,
+    pub(crate) infrared: Vec<usize>,
     /// Frames without a whole image.
-    pub broken: Vec<usize>,
+    pub(crate) broken: Vec<usize>,
     /// Frames in a part of the file whose checksum is wrong.
-    pub damaged: Vec<usize>,
+    pub(crate) damaged: Vec<usize>,
     /// Frames without any depth in them.
-    pub empty: Vec<usize>,
+    pub(crate) empty: Vec<usize>,
     /// Pixels too far away for the format.
-    pub out_of_range: u64,
+    pub(crate) out_of_range: u64,
 }
 
 /// Writes the depth images. `places` has one entry a frame.
@@ -71,7 +71,7 @@ pub struct DepthOutcome {
 /// # Errors
 ///
 /// Reading or writing fails, or it was stopped.
-pub fn write_depth(
+pub(crate) fn write_depth(
     input: &DepthInput,
     places: &[DepthPlace],
     size: (u32, u32),
@@ -198,15 +198,15 @@ fn write_missing(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<()
 
 /// What the video was like.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct VideoOutcome {
+pub(crate) struct VideoOutcome {
     /// Frames that were decoded.
-    pub decoded: u64,
+    pub(crate) decoded: u64,
     /// Images that are there.
-    pub written: u64,
+    pub(crate) written: u64,
     /// Width and height.
-    pub size: Option<(u32, u32)>,
+    pub(crate) size: Option<(u32, u32)>,
     /// Why decoding did not come to its end.
-    pub error: Option<String>,
+    pub(crate) error: Option<String>,
 }
 
 /// Writes the phone's images. `places` has one entry a frame of the video; frames
@@ -215,7 +215,7 @@ pub struct VideoOutcome {
 /// # Errors
 ///
 /// Writing fails, or it was stopped. What ffmpeg says is in the outcome.
-pub fn write_video(
+pub(crate) fn write_video(
     video: Video,
     places: &[Option<PathBuf>],
     progress: &dyn Progress,

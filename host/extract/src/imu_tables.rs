@@ -8,12 +8,12 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use super::board::ImuRow;
+use super::board_data::ImuRow;
 use super::image::WholeFile;
 use super::layout::ImuTable;
-use super::phone::csv::Sample;
 use super::sequence::Sequences;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap};
+use phone::samples::PhoneSample;
 
 /// Rows that are made at a time.
 const BLOCK: usize = 32_768;
@@ -23,7 +23,7 @@ const PIECE: usize = 2_048;
 const MAX_GAP: i64 = 50_000_000;
 
 /// A table that is being written.
-pub struct TableWriter<'a> {
+pub(crate) struct TableWriter<'a> {
     table: ImuTable,
     out: &'a Path,
     sequences: &'a Sequences,
@@ -35,8 +35,12 @@ pub struct TableWriter<'a> {
 
 impl<'a> TableWriter<'a> {
     /// A table below `out`. `delay` (ns) is subtracted if the format wants it so.
-    #[must_use]
-    pub fn new(table: ImuTable, out: &'a Path, sequences: &'a Sequences, delay: i64) -> Self {
+    pub(crate) fn new(
+        table: ImuTable,
+        out: &'a Path,
+        sequences: &'a Sequences,
+        delay: i64,
+    ) -> Self {
         Self {
             delay: if table.subtract_delay { delay } else { 0 },
             table,
@@ -53,7 +57,7 @@ impl<'a> TableWriter<'a> {
     /// # Errors
     ///
     /// Writing fails.
-    pub fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
+    pub(crate) fn push(&mut self, mut row: ImuRow) -> io::Result<()> {
         row.at = BoardNanos(row.at.0.saturating_sub(self.delay));
         self.rows.push(row);
         if self.rows.len() == BLOCK {
@@ -106,7 +110,7 @@ impl<'a> TableWriter<'a> {
     /// # Errors
     ///
     /// Writing fails.
-    pub fn finish(mut self) -> io::Result<u64> {
+    pub(crate) fn finish(mut self) -> io::Result<u64> {
         self.flush_rows()?;
         for file in self.files.into_iter().flatten() {
             file.finish()?;
@@ -121,19 +125,18 @@ impl<'a> TableWriter<'a> {
 /// Times in between are compared as integers; only the accelerations themselves
 /// are numbers with a fraction.
 #[derive(Debug)]
-pub struct Joiner<A> {
+pub(crate) struct Joiner<A> {
     accel: A,
-    before: Option<Sample>,
-    after: Option<Sample>,
+    before: Option<PhoneSample>,
+    after: Option<PhoneSample>,
     ended: bool,
     /// Gyroscope samples without an acceleration around them.
-    pub without_accel: u64,
+    pub(crate) without_accel: u64,
 }
 
-impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
+impl<A: FnMut() -> io::Result<Option<PhoneSample>>> Joiner<A> {
     /// Takes the accelerometer's samples in order of time.
-    #[must_use]
-    pub fn new(accel: A) -> Self {
+    pub(crate) fn new(accel: A) -> Self {
         Self {
             accel,
             before: None,
@@ -148,8 +151,8 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     /// # Errors
     ///
     /// Reading fails.
-    pub fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
-        while !self.ended && self.after.is_none_or(|after| after.at < time) {
+    pub(crate) fn at(&mut self, time: PhoneNanos) -> io::Result<Option<[f64; 3]>> {
+        while !self.ended && self.after.is_none_or(|after| after.time < time) {
             match (self.accel)()? {
                 Some(sample) => {
                     self.before = self.after;
@@ -159,7 +162,7 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
             }
         }
         let value = match (self.before, self.after) {
-            (_, Some(after)) if after.at == time => Some(after.value),
+            (_, Some(after)) if after.time == time => Some(after.xyz),
             (Some(before), Some(after)) => between(&before, &after, time),
             _ => None,
         };
@@ -170,30 +173,29 @@ impl<A: FnMut() -> io::Result<Option<Sample>>> Joiner<A> {
     }
 }
 
-fn between(before: &Sample, after: &Sample, time: PhoneNanos) -> Option<[f64; 3]> {
-    let run = after.at.0.checked_sub(before.at.0)?;
-    let way = time.0.checked_sub(before.at.0)?;
+fn between(before: &PhoneSample, after: &PhoneSample, time: PhoneNanos) -> Option<[f64; 3]> {
+    let run = after.time.0.checked_sub(before.time.0)?;
+    let way = time.0.checked_sub(before.time.0)?;
     if !(0..=run).contains(&way) || run > MAX_GAP || run == 0 {
         return None;
     }
     let share = way as f64 / run as f64;
     let mut value = [0.0; 3];
     for (axis, slot) in value.iter_mut().enumerate() {
-        *slot = before.value[axis] + (after.value[axis] - before.value[axis]) * share;
+        *slot = before.xyz[axis] + (after.xyz[axis] - before.xyz[axis]) * share;
     }
     Some(value)
 }
 
 /// A phone sample in board time.
-#[must_use]
-pub fn in_board_time(
+pub(crate) fn in_board_time(
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
-    gyro: &Sample,
+    gyro: &PhoneSample,
     accel: [f64; 3],
 ) -> Option<ImuRow> {
     Some(ImuRow {
-        at: clock.apply(gyro.at)?,
-        gyro: gyro.value,
+        at: clock.apply(gyro.time)?,
+        gyro: gyro.xyz,
         accel,
         temperature: None,
     })
@@ -203,10 +205,10 @@ pub fn in_board_time(
 mod tests {
     use super::*;
 
-    fn sample(at: i64, x: f64) -> Sample {
-        Sample {
-            at: PhoneNanos(at),
-            value: [x, -x, 0.0],
+    fn sample(at: i64, x: f64) -> PhoneSample {
+        PhoneSample {
+            time: PhoneNanos(at),
+            xyz: [x, -x, 0.0],
         }
     }
 

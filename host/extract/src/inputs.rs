@@ -4,10 +4,10 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board::BoardInput;
+use super::board_data::BoardInput;
 use super::depth::DepthInput;
 use super::gyro_clock::Prior;
-use super::phone::files::{self, FilesError, PhoneFiles};
+use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
 use recording::profile::Phone;
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
@@ -36,35 +36,32 @@ pub struct Options {
 
 /// A phone and its files.
 #[derive(Clone, Debug, Default)]
-pub struct PhoneInput {
+pub(crate) struct PhoneInput {
     /// Its name in the rig profile, if there is a session.
-    pub name: Option<String>,
+    pub(crate) name: Option<String>,
     /// Its files.
-    pub files: Option<PhoneFiles>,
+    pub(crate) files: Option<VideoFiles>,
     /// What the session says about it.
-    pub rig: RigFacts,
+    pub(crate) rig: RigFacts,
     /// Its folder below the output; the output itself for the phone that the trigger
     /// was aligned to.
-    pub folder: PathBuf,
+    pub(crate) folder: PathBuf,
 }
 
 impl PhoneInput {
     /// Whether it is one beside the phone that the trigger was aligned to.
-    #[must_use]
-    pub fn is_other(&self) -> bool {
+    pub(crate) fn is_other(&self) -> bool {
         !self.folder.as_os_str().is_empty()
     }
 
     /// Its name, if it is such a one.
-    #[must_use]
-    pub fn other_name(&self) -> Option<&str> {
+    pub(crate) fn other_name(&self) -> Option<&str> {
         let name = self.name.as_deref().unwrap_or_default();
         self.is_other().then_some(name)
     }
 
     /// A text about it, with its name where that is needed.
-    #[must_use]
-    pub fn about(&self, text: &str) -> String {
+    pub(crate) fn about(&self, text: &str) -> String {
         match &self.name {
             Some(name) if self.is_other() => format!("{name}: {text}"),
             _ => text.to_owned(),
@@ -74,42 +71,42 @@ impl PhoneInput {
 
 /// What is known about the rig of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RigFacts {
+pub(crate) struct RigFacts {
     /// Exposure of a row of the phone, ns.
-    pub exposure_ns: Option<i64>,
+    pub(crate) exposure_ns: Option<i64>,
     /// From the first to the last row of the phone, ns.
-    pub readout_ns: Option<i64>,
+    pub(crate) readout_ns: Option<i64>,
     /// From the trigger pulse to the depth timestamp, ns.
-    pub depth_center_ns: Option<i64>,
+    pub(crate) depth_center_ns: Option<i64>,
     /// Low-pass delay of the board's IMU, ns.
-    pub board_imu_delay_ns: Option<i64>,
+    pub(crate) board_imu_delay_ns: Option<i64>,
     /// Low-pass delay of the phone's gyroscope, ns.
-    pub phone_imu_delay_ns: Option<i64>,
+    pub(crate) phone_imu_delay_ns: Option<i64>,
     /// What the session knows about the clocks.
-    pub prior: Option<Prior>,
+    pub(crate) prior: Option<Prior>,
 }
 
 /// Everything that is read.
 #[derive(Clone, Debug)]
-pub struct Inputs {
+pub(crate) struct Inputs {
     /// Name of the recording.
-    pub name: String,
+    pub(crate) name: String,
     /// The board's recording.
-    pub board: BoardInput,
+    pub(crate) board: BoardInput,
     /// The phone; of several the one that the trigger was aligned to.
-    pub phone: PhoneInput,
+    pub(crate) phone: PhoneInput,
     /// Further phones.
-    pub others: Vec<PhoneInput>,
+    pub(crate) others: Vec<PhoneInput>,
     /// The depth recording.
-    pub depth: Option<DepthInput>,
+    pub(crate) depth: Option<DepthInput>,
     /// The board's unique ID.
-    pub board_id: Option<String>,
+    pub(crate) board_id: Option<String>,
     /// What the lidar is called, if there is a session.
-    pub lidar: Option<String>,
+    pub(crate) lidar: Option<String>,
     /// Board time of the recorded span, in which the trigger was on its grid, ns.
-    pub recorded: Option<(i64, i64)>,
+    pub(crate) recorded: Option<(i64, i64)>,
     /// Worth knowing.
-    pub remarks: Vec<String>,
+    pub(crate) remarks: Vec<String>,
 }
 
 /// Why there is nothing to extract from.
@@ -169,7 +166,7 @@ const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 /// # Errors
 ///
 /// There is no recording, or it is not clear what belongs to it.
-pub fn find(
+pub(crate) fn find(
     recording: &Path,
     phone: Option<&Path>,
     depth: Option<&Path>,
@@ -335,15 +332,15 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
 fn find_phone(
     recording: Option<&Path>,
     place: Option<&Path>,
-) -> Result<Option<PhoneFiles>, FilesError> {
+) -> Result<Option<VideoFiles>, FilesError> {
     let Some(place) = place else {
-        return recording.map_or(Ok(None), |folder| files::find(folder, None));
+        return recording.map_or(Ok(None), |folder| video_files::find(folder, None));
     };
-    let own = recording.and_then(|folder| files::find(folder, None).ok().flatten());
+    let own = recording.and_then(|folder| video_files::find(folder, None).ok().flatten());
     let fetched = own.filter(|own| own.video.is_some());
     let name = fetched.as_ref().map(|own| own.name.as_str());
-    let found = files::find(place, name)?;
-    Ok(found.map(|found| PhoneFiles {
+    let found = video_files::find(place, name)?;
+    Ok(found.map(|found| VideoFiles {
         video: found
             .video
             .clone()

@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 
 use super::report::{ClockReport, Report};
-use frame_sync::learn::{REPEATABILITY, into_profile as edited};
+use frame_sync::learn::{into_profile as edited, learnt as taught};
 use recording::profile::{Learnt, ProfileError};
 
 /// Windows of motion that a skew is learnt from: a minute of them.
@@ -21,7 +21,8 @@ const MIN_WINDOWS: usize = 6;
 pub enum LearnError {
     /// There is no frame period.
     #[error(
-        "nothing to learn: there are no frame timestamps of the phone, or no relation of its clock"
+        "nothing to learn: there is no relation of the phone's clock, or its frame timestamps have no \
+         period (expected 300 or more of them, at regular distances)"
     )]
     NoFrames,
     /// The relation is not from the whole recording.
@@ -55,21 +56,15 @@ fn learnt(
     date: jiff::civil::Date,
 ) -> Result<Learnt, LearnError> {
     let clock = clock.ok_or(LearnError::NoFrames)?;
-    let (period, sigma) = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
+    let period = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
     if clock.source != "gyroscopes" || clock.used < MIN_WINDOWS {
         return Err(LearnError::TooLittle {
             used: clock.used,
             source_of_it: clock.source,
         });
     }
-    Ok(Learnt {
-        frame_period_ns: period,
-        frame_period_sigma_ns: sigma.hypot(REPEATABILITY * period),
-        skew: Some(clock.skew_ppm * 1e-6),
-        skew_sigma: Some((clock.skew_sigma_ppm * 1e-6).hypot(REPEATABILITY)),
-        learnt: date,
-        board_id: board_id.map(str::to_owned),
-    })
+    let skew = (clock.skew_ppm * 1e-6, clock.skew_sigma_ppm * 1e-6);
+    Ok(taught(period, Some(skew), board_id, date))
 }
 
 /// Writes what a report teaches into a rig profile; comments and order stay.

@@ -2,7 +2,7 @@
 //! time, in the formats that people load.
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
-//! - Inputs: [`inputs`] finds them; [`board`] (our MCAP, [`bag`]s of the published
+//! - Inputs: [`inputs`] finds them; [`board_data`] (our MCAP, [`bag`]s of the published
 //!   system), [`phone`] (CSV files, `video` by ffmpeg), [`depth`] ([`mkv`]).
 //! - Time: [`time`] (integers only), [`gyro_clock`] and [`phone_clock`] (the
 //!   phone's clock over the whole recording), [`depth_clock`] and [`depth_match`]
@@ -17,29 +17,30 @@
 //! report, and the rest is extracted.
 
 pub mod bag;
-pub mod board;
-pub mod depth;
-pub mod depth_clock;
-pub mod depth_match;
-pub mod frames;
-pub mod grid;
+mod board_data;
+mod depth;
+mod depth_clock;
+mod depth_match;
+mod faults;
+mod frames;
+mod grid;
 pub mod gyro_clock;
-pub mod image;
-pub mod image_tables;
-pub mod imu_tables;
+mod image;
+mod image_tables;
+mod imu_tables;
 pub mod inputs;
 pub mod layout;
 pub mod learn;
 pub mod mkv;
-pub mod pairs;
-pub mod phone;
-pub mod phone_clock;
+mod pairs;
+mod phone_clock;
+mod phone_rows;
 pub mod progress;
 pub mod report;
 pub mod run;
-pub mod sequence;
-pub mod streams;
-pub mod survey;
-pub mod tables;
-pub mod time;
+mod sequence;
+mod streams;
+mod survey;
+mod tables;
+mod time;
 pub mod workplace;

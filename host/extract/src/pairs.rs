@@ -8,19 +8,22 @@ use super::time::BoardNanos;
 
 /// Two frames that belong together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pair {
+pub(crate) struct Pair {
     /// Index of the phone frame in its table.
-    pub color: usize,
+    pub(crate) color: usize,
     /// Index of the depth frame in its table.
-    pub depth: usize,
-    /// Phone − depth, ns.
-    pub difference: i64,
+    pub(crate) depth: usize,
+    /// Depth − phone, ns.
+    pub(crate) difference: i64,
 }
 
 /// Finds the pairs. Both lists are (table index, time), sorted by time; `limit` is
 /// half a frame period in ns.
-#[must_use]
-pub fn find(color: &[(usize, BoardNanos)], depth: &[(usize, BoardNanos)], limit: i64) -> Vec<Pair> {
+pub(crate) fn find(
+    color: &[(usize, BoardNanos)],
+    depth: &[(usize, BoardNanos)],
+    limit: i64,
+) -> Vec<Pair> {
     let mut pairs = Vec::with_capacity(color.len().min(depth.len()));
     for &(index, at) in color {
         let Some(partner) = nearest(depth, at) else {
@@ -28,7 +31,7 @@ pub fn find(color: &[(usize, BoardNanos)], depth: &[(usize, BoardNanos)], limit:
         };
         let (depth_index, depth_at) = depth[partner];
         let back = nearest(color, depth_at).map(|place| color[place].0);
-        let difference = at.0.saturating_sub(depth_at.0);
+        let difference = depth_at.0.saturating_sub(at.0);
         if back == Some(index) && difference.saturating_abs() <= limit {
             pairs.push(Pair {
                 color: index,
@@ -67,8 +70,7 @@ pub struct Histogram {
 const BINS: i64 = 60;
 
 /// A histogram over all differences, with bins of 1, 2 or 5 · 10ⁿ ns. `None` without pairs.
-#[must_use]
-pub fn histogram(pairs: &[Pair]) -> Option<Histogram> {
+pub(crate) fn histogram(pairs: &[Pair]) -> Option<Histogram> {
     let smallest = pairs.iter().map(|pair| pair.difference).min()?;
     let largest = pairs.iter().map(|pair| pair.difference).max()?;
     let range = largest.saturating_sub(smallest).saturating_add(1);
@@ -105,8 +107,7 @@ pub fn histogram(pairs: &[Pair]) -> Option<Histogram> {
 /// The pairs near to the median: within ten times the distance of the quartiles of
 /// them. What is further away (pairs before the trigger has arrived on the phone's
 /// frames) would hide the shape of all others in a histogram.
-#[must_use]
-pub fn central(pairs: &[Pair], spread: &Spread) -> Vec<Pair> {
+pub(crate) fn central(pairs: &[Pair], spread: &Spread) -> Vec<Pair> {
     let [low, high] = spread.quartiles_ns;
     let reach = high.saturating_sub(low).max(1_000).saturating_mul(10);
     let range = low.saturating_sub(reach)..=high.saturating_add(reach);
@@ -128,8 +129,7 @@ pub struct Spread {
 }
 
 /// The spread of the differences; `None` without pairs.
-#[must_use]
-pub fn spread(pairs: &[Pair]) -> Option<Spread> {
+pub(crate) fn spread(pairs: &[Pair]) -> Option<Spread> {
     let mut sorted: Vec<i64> = pairs.iter().map(|pair| pair.difference).collect();
     sorted.sort_unstable();
     let at = |numerator: usize| {
@@ -166,7 +166,7 @@ mod tests {
             .iter()
             .map(|p| (p.color, p.depth, p.difference))
             .collect();
-        assert_eq!(found, [(0, 0, -5), (1, 1, 2), (3, 3, -6), (4, 4, 40)]);
+        assert_eq!(found, [(0, 0, 5), (1, 1, -2), (3, 3, 6), (4, 4, -40)]);
         assert_eq!(find(&color, &[], 50), []);
         let far = times(&[i64::MIN, i64::MAX]);
         assert_eq!(find(&color, &far, 50), []);

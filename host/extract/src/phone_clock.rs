@@ -8,17 +8,17 @@
 //! is the one that the trigger was aligned to that says so; the clocks of the others are
 //! then related to the runs as they were moved.
 
-use super::board::{BoardError, BoardInput};
+use super::board_data::{BoardError, BoardInput};
 use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
 use super::inputs::PhoneInput;
-use super::phone::files::PhoneFiles;
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
 use super::streams::{self, StreamError};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
-use frame_sync::train::FrameTrain;
+use frame_sync::train::frame_period;
+use phone::video_files::VideoFiles;
 use timebase::ClockModel;
 use twist_sync::smoother::ClockCourse;
 
@@ -32,12 +32,12 @@ const NONE: &str = "none";
 
 /// A relation of phone and board.
 #[derive(Clone, Debug)]
-pub struct PhoneClock {
+pub(crate) struct PhoneClock {
     /// Phone time to board time, the runs of the board being where
     /// [`PhoneClock::moves`] puts them.
-    pub map: PiecewiseMap<PhoneNanos, BoardNanos>,
+    pub(crate) map: PiecewiseMap<PhoneNanos, BoardNanos>,
     /// Worth knowing.
-    pub remarks: Vec<String>,
+    pub(crate) remarks: Vec<String>,
     runs: Vec<RunClock>,
     middle: BoardNanos,
 }
@@ -62,7 +62,7 @@ struct RunClock {
 
 /// Why looking for it ended.
 #[derive(Debug)]
-pub enum Stopped {
+pub(crate) enum Stopped {
     /// The user stopped it.
     Cancelled,
     /// The board's recording cannot be read.
@@ -71,7 +71,7 @@ pub enum Stopped {
 
 /// What becomes of the board's runs, where there are several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Runs {
+pub(crate) enum Runs {
     /// Each is moved to where the phone's clock has it behind the one before.
     Moved,
     /// They stay where they are: another phone's clock has put them there.
@@ -84,8 +84,7 @@ pub enum Runs {
 /// Of a further phone it is what was said of that phone alone: the recording's own
 /// clock models and pairs of times are of the one that the trigger was aligned to.
 /// `moved` is how much later the last run is in `survey` than in the session, ns.
-#[must_use]
-pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
+pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
     let known = survey.clocks_of(input.other_name());
     let latest = known.last().copied().flatten().map(Prior::of);
     // The session's relation is that of the last run.
@@ -116,9 +115,9 @@ pub fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Pri
 /// # Errors
 ///
 /// Stopped, or the board's recording cannot be read.
-pub fn find(
+pub(crate) fn find(
     board: &BoardInput,
-    files: &PhoneFiles,
+    files: &VideoFiles,
     survey: &Survey,
     (priors, runs_are): (&[Option<Prior>], Runs),
     constants: &Constants,
@@ -193,7 +192,7 @@ fn join(runs: &mut [RunClock], survey: &Survey) {
 /// The relation within one run; with it, what is worth knowing.
 fn find_run(
     board: &BoardInput,
-    files: &PhoneFiles,
+    files: &VideoFiles,
     survey: &Survey,
     prior: Option<Prior>,
     constants: &Constants,
@@ -322,16 +321,14 @@ impl RunClock {
 impl PhoneClock {
     /// How much later each run of the board is than the recording has it, ns;
     /// nothing if all are where they should be.
-    #[must_use]
-    pub fn moves(&self) -> Option<Vec<i64>> {
+    pub(crate) fn moves(&self) -> Option<Vec<i64>> {
         let moves: Vec<i64> = self.runs.iter().map(|run| run.moved).collect();
         moves.iter().any(|&by| by != 0).then_some(moves)
     }
 
     /// For each run after the first: how much later it is than the recording has
     /// it, ns, 1-sigma of its distance to the run before in s, and by what.
-    #[must_use]
-    pub fn joints(&self) -> Vec<(i64, f64, &'static str)> {
+    pub(crate) fn joints(&self) -> Vec<(i64, f64, &'static str)> {
         let joint = |pair: &[RunClock]| {
             let by_gyros = pair.iter().all(|run| run.gyros.is_some());
             let by = if by_gyros {
@@ -345,8 +342,7 @@ impl PhoneClock {
     }
 
     /// The relation at a board time, with its uncertainty.
-    #[must_use]
-    pub fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
+    pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
         let run = self
             .runs
             .iter()
@@ -360,8 +356,7 @@ impl PhoneClock {
     }
 
     /// What the report says about it, over these frames.
-    #[must_use]
-    pub fn report(&self, frames: &[ColorFrame]) -> ClockReport {
+    pub(crate) fn report(&self, frames: &[ColorFrame]) -> ClockReport {
         let middle = self.model_at(self.middle);
         let sigmas = frames
             .iter()
@@ -389,8 +384,9 @@ impl PhoneClock {
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
             sigma_us: range.unwrap_or([0.0, 0.0]),
             residual_us: residual_rms(&course) * 1e6,
-            frame_period_ns: FrameTrain::from_timestamps(&phone)
-                .map(|train| (train.period_s * 1e9, train.period_sigma_s * 1e9)),
+            frame_period_ns: frame_period(&phone)
+                .ok()
+                .map(|found| (found.period_ns, found.sigma_ns)),
             course,
         }
     }
@@ -400,7 +396,7 @@ impl PhoneClock {
 mod tests {
     use std::path::PathBuf;
 
-    use super::super::board::{RunMark, TimePair};
+    use super::super::board_data::{RunMark, TimePair};
     use super::super::inputs::RigFacts;
     use super::super::survey::PhoneClocks;
     use super::*;
@@ -454,6 +450,31 @@ mod tests {
             folder: PathBuf::from(folder),
             ..PhoneInput::default()
         }
+    }
+
+    #[test]
+    fn a_wrong_timestamp_does_not_move_the_frame_period_and_few_have_none() {
+        let clock = PhoneClock {
+            map: PiecewiseMap::from_knots([]),
+            remarks: Vec::new(),
+            runs: Vec::new(),
+            middle: BoardNanos(0),
+        };
+        let mut frames: Vec<ColorFrame> = (0..1_000)
+            .map(|k| ColorFrame {
+                phone: PhoneNanos(k * 33_330_652),
+                start: BoardNanos(0),
+                at: BoardNanos(0),
+                image: None,
+            })
+            .collect();
+        frames[900].phone.0 += 4_000_000;
+        let (period, sigma) = clock.report(&frames).frame_period_ns.unwrap();
+        assert!(
+            (period - 33_330_652.0).abs() < 1e-6 && sigma < 1e-3,
+            "{period} {sigma}"
+        );
+        assert_eq!(clock.report(&frames[..299]).frame_period_ns, None);
     }
 
     #[test]

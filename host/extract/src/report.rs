@@ -228,9 +228,9 @@ pub struct DepthReport {
 /// Pairs of frames.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct PairsReport {
-    /// Phone − depth.
+    /// Depth − phone.
     pub spread: Spread,
-    /// Phone − depth, all of them.
+    /// Depth − phone, all of them.
     pub histogram: Histogram,
     /// Those near to the median ([`super::pairs::central`]).
     pub central: Histogram,
@@ -323,7 +323,7 @@ impl Report {
             lines.push((
                 "pairs",
                 format!(
-                    "{}, phone − depth: median {} µs, quartiles {} to {} µs",
+                    "{}, depth − phone: median {} µs, quartiles {} to {} µs",
                     spread.count,
                     us(spread.median_ns),
                     us(spread.quartiles_ns[0]),
@@ -346,7 +346,7 @@ impl Report {
     pub fn verdict(&self) -> (Level, String) {
         let pairs = self.pairs.as_ref().map_or(String::new(), |pairs| {
             format!(
-                " {} pairs of frames; phone − depth is {:.1} µs in the median.",
+                " {} pairs of frames; depth − phone is {:.1} µs in the median.",
                 pairs.spread.count,
                 pairs.spread.median_ns as f64 / 1000.0
             )
@@ -402,14 +402,14 @@ impl Report {
             page.section("Time difference of the pairs");
             let histogram = &pairs.central;
             let svg = chart::histogram(
-                "phone − depth, µs",
+                "depth − phone, µs",
                 "pairs",
                 histogram.first_ns as f64 / 1000.0,
                 histogram.bin_ns as f64 / 1000.0,
                 &histogram.counts,
             );
             let mut caption = String::from(
-                "Middle of exposure of the phone's frame minus that of the depth image it is paired \
+                "Middle of exposure of the depth image minus that of the phone's frame it is paired \
                  with, both in board time.",
             );
             let shown: u64 = histogram.counts.iter().sum();
@@ -485,7 +485,7 @@ impl ClockReport {
 impl GridReport {
     fn line(&self) -> String {
         format!(
-            "{:+.1} µs from the depth exposures, moving by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
+            "depth − phone {:+.1} µs, drifting by {:+.1} µs/min, scatter {:.1} µs, {} pulses",
             self.offset_us, self.drift_us_per_min, self.residual_us, self.pulses
         )
     }

@@ -10,40 +10,35 @@ use super::time::BoardNanos;
 
 /// The marks of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Sequences {
+pub(crate) struct Sequences {
     marks: Vec<BoardNanos>,
 }
 
 impl Sequences {
     /// From the marks in any order; equal ones count once.
-    #[must_use]
-    pub fn new(mut marks: Vec<BoardNanos>) -> Self {
+    pub(crate) fn new(mut marks: Vec<BoardNanos>) -> Self {
         marks.sort_unstable();
         marks.dedup();
         Self { marks }
     }
 
     /// How many sequences there are.
-    #[must_use]
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.marks.len() + 1
     }
 
     /// The marks in order.
-    #[must_use]
-    pub fn marks(&self) -> &[BoardNanos] {
+    pub(crate) fn marks(&self) -> &[BoardNanos] {
         &self.marks
     }
 
     /// The sequence of an instant.
-    #[must_use]
-    pub fn at(&self, time: BoardNanos) -> usize {
+    pub(crate) fn at(&self, time: BoardNanos) -> usize {
         self.marks.partition_point(|&mark| mark <= time)
     }
 
     /// The folder of a sequence, relative to the output.
-    #[must_use]
-    pub fn folder(&self, sequence: usize) -> PathBuf {
+    pub(crate) fn folder(&self, sequence: usize) -> PathBuf {
         if self.marks.is_empty() {
             PathBuf::new()
         } else {

@@ -1,13 +1,12 @@
 //! Gyroscopes of all devices as streams that can be opened again.
 
-use std::fs::File;
-use std::io::{self, BufReader};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::depth::{DepthError, DepthInput};
 use super::gyro_clock::{GyroSample, GyroStream};
-use super::phone::csv::Rows;
+use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
 
@@ -16,7 +15,7 @@ const LOOK: u64 = 8192;
 
 /// Why a stream ended early.
 #[derive(Debug, thiserror::Error)]
-pub enum StreamError {
+pub(crate) enum StreamError {
     /// The board's recording.
     #[error(transparent)]
     Board(#[from] BoardError),
@@ -41,7 +40,7 @@ pub enum StreamError {
 /// # Errors
 ///
 /// The recording cannot be opened.
-pub fn board<'a>(
+pub(crate) fn board<'a>(
     input: &BoardInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
@@ -58,7 +57,7 @@ pub fn board<'a>(
 /// # Errors
 ///
 /// The recording cannot be opened.
-pub fn board_between<'a>(
+pub(crate) fn board_between<'a>(
     input: &BoardInput,
     (from, to): (BoardNanos, BoardNanos),
     progress: &'a dyn Progress,
@@ -115,7 +114,7 @@ impl Iterator for BoardGyro<'_> {
 /// # Errors
 ///
 /// The file cannot be opened.
-pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
+pub(crate) fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let fail = {
         let path = path.to_owned();
         move |error| StreamError::Phone {
@@ -123,14 +122,13 @@ pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError
             error,
         }
     };
-    let file = File::open(path).map_err(&fail)?;
-    let mut rows = Rows::new(BufReader::with_capacity(256 * 1024, file));
+    let mut rows = PhoneRows::open(path).map_err(&fail)?;
     Ok(Box::new(std::iter::from_fn(move || {
         match rows.next_sample() {
             Ok(sample) => sample.map(|sample| {
                 Ok(GyroSample {
-                    at: sample.at.0,
-                    rate: sample.value,
+                    at: sample.time.0,
+                    rate: sample.xyz,
                 })
             }),
             Err(error) => Some(Err(fail(error))),
@@ -143,7 +141,7 @@ pub fn phone<'a>(path: &Path) -> Result<GyroStream<'a, StreamError>, StreamError
 /// # Errors
 ///
 /// The file cannot be opened.
-pub fn camera<'a>(
+pub(crate) fn camera<'a>(
     input: &DepthInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {

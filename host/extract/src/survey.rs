@@ -2,37 +2,37 @@
 
 use std::collections::BTreeMap;
 
-use super::board::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair};
 use super::depth_clock::PulseTime;
 use super::progress::Progress;
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
 
 /// Relations of phones' clocks to the board's, by the names of the phones.
-pub type PhoneClocks = BTreeMap<Option<String>, ClockModel>;
+pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockModel>;
 
 /// What the board recorded, in short.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Survey {
+pub(crate) struct Survey {
     /// Pulses in order of time, each once.
-    pub pulses: Vec<PulseTime>,
+    pub(crate) pulses: Vec<PulseTime>,
     /// Marks.
-    pub marks: Vec<BoardNanos>,
+    pub(crate) marks: Vec<BoardNanos>,
     /// Pairs of times.
-    pub times: Vec<TimePair>,
+    pub(crate) times: Vec<TimePair>,
     /// The last relation that was recorded of each phone; without a name, of the one
     /// that the trigger was aligned to.
-    pub clocks: PhoneClocks,
+    pub(crate) clocks: PhoneClocks,
     /// Runs of the board after resets.
-    pub runs: Vec<RunMark>,
+    pub(crate) runs: Vec<RunMark>,
     /// The same of each run that another followed.
-    pub former_clocks: Vec<PhoneClocks>,
+    pub(crate) former_clocks: Vec<PhoneClocks>,
     /// The IMU's samples.
-    pub imu: ImuSpan,
+    pub(crate) imu: ImuSpan,
     /// Depth images in the recording itself (bags).
-    pub images: u64,
+    pub(crate) images: u64,
     /// What could not be read, in words.
-    pub damage: Vec<String>,
+    pub(crate) damage: Vec<String>,
 }
 
 /// The samples of an IMU in short.
@@ -52,7 +52,7 @@ pub struct ImuSpan {
 
 impl ImuSpan {
     /// Takes a sample's time.
-    pub fn add(&mut self, at: i64) {
+    pub(crate) fn add(&mut self, at: i64) {
         if self.samples == 0 {
             self.first_ns = at;
             self.last_ns = at;
@@ -66,8 +66,7 @@ impl ImuSpan {
     }
 
     /// Samples a second; `None` with fewer than two.
-    #[must_use]
-    pub fn rate(&self) -> Option<f64> {
+    pub(crate) fn rate(&self) -> Option<f64> {
         let span = self.last_ns.saturating_sub(self.first_ns);
         (self.samples > 1 && span > 0)
             .then(|| (self.samples - 1) as f64 * SECOND as f64 / span as f64)
@@ -77,16 +76,14 @@ impl ImuSpan {
 impl Survey {
     /// The last clock model that was known in each run of the board: of the phone of
     /// that name; without one, of the phone that the trigger was aligned to.
-    #[must_use]
-    pub fn clocks_of(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
+    pub(crate) fn clocks_of(&self, other: Option<&str>) -> Vec<Option<ClockModel>> {
         let phone = other.map(str::to_owned);
         let runs = self.former_clocks.iter().chain([&self.clocks]);
         runs.map(|known| known.get(&phone).copied()).collect()
     }
 
     /// Median distance of pulses, ns.
-    #[must_use]
-    pub fn pulse_period(&self) -> Option<i64> {
+    pub(crate) fn pulse_period(&self) -> Option<i64> {
         let mut steps: Vec<i64> = self
             .pulses
             .windows(2)
@@ -100,8 +97,7 @@ impl Survey {
     }
 
     /// Pulses that are missing within a train: (train, first number, how many).
-    #[must_use]
-    pub fn missing_pulses(&self) -> Vec<(u32, u64, u64)> {
+    pub(crate) fn missing_pulses(&self) -> Vec<(u32, u64, u64)> {
         let step = |pair: &[PulseTime]| {
             let same = pair[0].train == pair[1].train;
             let gap = pair[1].number.checked_sub(pair[0].number)?;
@@ -116,7 +112,10 @@ impl Survey {
 /// # Errors
 ///
 /// The recording cannot be read.
-pub fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Option<Survey>, BoardError> {
+pub(crate) fn survey(
+    input: &BoardInput,
+    progress: &dyn Progress,
+) -> Result<Option<Survey>, BoardError> {
     let mut stream = input.open(Images::Stamps)?;
     let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
     progress.begin("reading the board's recording", length);

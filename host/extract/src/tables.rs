@@ -13,47 +13,45 @@ use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap};
 
 /// A frame of the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ColorFrame {
+pub(crate) struct ColorFrame {
     /// Its timestamp: start of exposure of the first row.
-    pub phone: PhoneNanos,
+    pub(crate) phone: PhoneNanos,
     /// The same instant on the board.
-    pub start: BoardNanos,
+    pub(crate) start: BoardNanos,
     /// Middle of exposure of the middle row on the board: the image's time.
-    pub at: BoardNanos,
+    pub(crate) at: BoardNanos,
     /// Frame of the video, if there is one.
-    pub image: Option<usize>,
+    pub(crate) image: Option<usize>,
 }
 
 /// A frame of the depth camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DepthFrame {
+pub(crate) struct DepthFrame {
     /// Its timestamp on its own clock.
-    pub device: DeviceNanos,
+    pub(crate) device: DeviceNanos,
     /// Centre of exposure on the board; `None` if frames and pulses were not
     /// matched.
-    pub at: Option<BoardNanos>,
+    pub(crate) at: Option<BoardNanos>,
     /// What it is; `None` if not matched.
-    pub state: Option<FrameState>,
+    pub(crate) state: Option<FrameState>,
     /// Index of its pulse.
-    pub pulse: Option<usize>,
+    pub(crate) pulse: Option<usize>,
     /// Frame − pulse on the fitted clock, ns.
-    pub residual: i64,
+    pub(crate) residual: i64,
     /// Whether it has the bytes of a whole image.
-    pub whole: bool,
+    pub(crate) whole: bool,
 }
 
 impl DepthFrame {
     /// Whether it has a place in the data set.
-    #[must_use]
-    pub fn is_used(&self) -> bool {
+    pub(crate) fn is_used(&self) -> bool {
         self.at.is_some() && self.whole && self.state != Some(FrameState::Doubled)
     }
 }
 
 /// The phone's frames in board time. Frames that the clock does not map are left
 /// out (none, with a clock).
-#[must_use]
-pub fn color_frames(
+pub(crate) fn color_frames(
     stamps: &[PhoneNanos],
     images: &[Option<usize>],
     clock: &PiecewiseMap<PhoneNanos, BoardNanos>,
@@ -73,8 +71,7 @@ pub fn color_frames(
 }
 
 /// The depth frames in board time.
-#[must_use]
-pub fn depth_frames(
+pub(crate) fn depth_frames(
     index: &DepthIndex,
     found: Option<&DepthMatch>,
     pulses: &[PulseTime],
@@ -129,7 +126,7 @@ fn write_rows<T>(
 /// # Errors
 ///
 /// Writing fails.
-pub fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
+pub(crate) fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
     let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame";
     write_rows(path, header, frames, |text, index, frame| {
         let image = optional(frame.image);
@@ -147,7 +144,11 @@ pub fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
 /// # Errors
 ///
 /// Writing fails.
-pub fn write_depth(path: &Path, frames: &[DepthFrame], pulses: &[PulseTime]) -> io::Result<()> {
+pub(crate) fn write_depth(
+    path: &Path,
+    frames: &[DepthFrame],
+    pulses: &[PulseTime],
+) -> io::Result<()> {
     let header =
         "#frame,device_timestamp [ns],timestamp [ns],pulse,train,number,residual [ns],state,whole";
     write_rows(path, header, frames, |text, index, frame| {
@@ -179,7 +180,11 @@ pub fn write_depth(path: &Path, frames: &[DepthFrame], pulses: &[PulseTime]) -> 
 /// # Errors
 ///
 /// Writing fails.
-pub fn write_pulses(path: &Path, pulses: &[PulseTime], frames: &[DepthFrame]) -> io::Result<()> {
+pub(crate) fn write_pulses(
+    path: &Path,
+    pulses: &[PulseTime],
+    frames: &[DepthFrame],
+) -> io::Result<()> {
     let mut frame_of = vec![None; pulses.len()];
     for (index, frame) in frames.iter().enumerate() {
         let matched = frame.state == Some(FrameState::Matched);
@@ -207,14 +212,14 @@ pub fn write_pulses(path: &Path, pulses: &[PulseTime], frames: &[DepthFrame]) ->
 /// # Errors
 ///
 /// Writing fails.
-pub fn write_pairs(
+pub(crate) fn write_pairs(
     path: &Path,
     pairs: &[Pair],
     color: &[ColorFrame],
     depth: &[DepthFrame],
 ) -> io::Result<()> {
     let header =
-        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],difference [ns]";
+        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],depth_minus_phone [ns]";
     write_rows(path, header, pairs, |text, _, pair| {
         let phone = color.get(pair.color).map(|frame| frame.at.0);
         let centre = depth

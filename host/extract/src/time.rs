@@ -12,18 +12,17 @@
 //! to ±10 %: no two clocks of a rig are further apart.
 
 use std::fmt;
-use std::marker::PhantomData;
 
 use protocol::units::Ticks;
 use serde::{Deserialize, Serialize};
 
-pub use timebase::PhoneNanos;
+pub(crate) use timebase::PhoneNanos;
 
 /// Nanoseconds in a second.
-pub const SECOND: i64 = 1_000_000_000;
+pub(crate) const SECOND: i64 = 1_000_000_000;
 
 /// Largest rate error that a map accepts (dimensionless).
-pub const MAX_RATE: f64 = 0.1;
+pub(crate) const MAX_RATE: f64 = 0.1;
 
 const FRACTION_BITS: u32 = 62;
 
@@ -91,38 +90,12 @@ impl From<Ticks> for BoardNanos {
 }
 
 /// An affine relation of two clocks in integer arithmetic.
-///
-/// The inverse ([`AffineMap::inverse`]) returns to the same nanosecond ±1.
-pub struct AffineMap<From, To> {
-    from: i64,
-    to: i64,
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct AffineMap<From, To> {
+    from: From,
+    to: To,
     /// Rate of `To` against `From`, minus one, with [`FRACTION_BITS`] fraction bits.
     rate: i64,
-    clocks: PhantomData<(From, To)>,
-}
-
-impl<F, T> Clone for AffineMap<F, T> {
-    fn clone(&self) -> Self {
-        *self
-    }
-}
-
-impl<F, T> Copy for AffineMap<F, T> {}
-
-impl<F, T> PartialEq for AffineMap<F, T> {
-    fn eq(&self, other: &Self) -> bool {
-        (self.from, self.to, self.rate) == (other.from, other.to, other.rate)
-    }
-}
-
-impl<F, T> fmt::Debug for AffineMap<F, T> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("AffineMap")
-            .field("from", &self.from)
-            .field("to", &self.to)
-            .field("rate_ppm", &(self.rate_error() * 1e6))
-            .finish()
-    }
 }
 
 impl<F: ClockNanos, T: ClockNanos> AffineMap<F, T> {
@@ -130,55 +103,25 @@ impl<F: ClockNanos, T: ClockNanos> AffineMap<F, T> {
     /// `1 + rate_error` times as fast as `From`.
     ///
     /// `None` if the rate error is not a number or beyond ±[`MAX_RATE`].
-    #[must_use]
-    pub fn new(from: F, to: T, rate_error: f64) -> Option<Self> {
+    pub(crate) fn new(from: F, to: T, rate_error: f64) -> Option<Self> {
         if rate_error.is_nan() || rate_error.abs() > MAX_RATE {
             return None;
         }
-        Some(Self {
-            from: from.nanos(),
-            to: to.nanos(),
-            rate: (rate_error * (1_i64 << FRACTION_BITS) as f64) as i64,
-            clocks: PhantomData,
-        })
+        let rate = (rate_error * (1_i64 << FRACTION_BITS) as f64) as i64;
+        Some(Self { from, to, rate })
     }
 
     /// The instant on the other clock. Saturates at the ends of 64 bits.
-    #[must_use]
-    pub fn apply(&self, from: F) -> T {
-        let distance = i128::from(from.nanos()) - i128::from(self.from);
+    pub(crate) fn apply(&self, from: F) -> T {
+        let distance = i128::from(from.nanos()) - i128::from(self.from.nanos());
         let half = 1_i128 << (FRACTION_BITS - 1);
         let stretch = (distance * i128::from(self.rate) + half) >> FRACTION_BITS;
-        T::from_nanos(saturate(i128::from(self.to) + distance + stretch))
-    }
-
-    /// The map the other way round.
-    #[must_use]
-    pub fn inverse(&self) -> AffineMap<T, F> {
-        // 1/(1+r) − 1 = −r/(1+r), in fixed point.
-        let one = 1_i128 << FRACTION_BITS;
-        let rate = i128::from(self.rate);
-        let inverse = -((rate << FRACTION_BITS) / (one + rate));
-        AffineMap {
-            from: self.to,
-            to: self.from,
-            rate: saturate(inverse),
-            clocks: PhantomData,
-        }
+        T::from_nanos(saturate(i128::from(self.to.nanos()) + distance + stretch))
     }
 
     /// The instant of `From` at which the map is anchored.
-    #[must_use]
-    pub fn anchor(&self) -> F {
-        F::from_nanos(self.from)
-    }
-}
-
-impl<F, T> AffineMap<F, T> {
-    /// Rate of `To` against `From`, minus one (for display).
-    #[must_use]
-    pub fn rate_error(&self) -> f64 {
-        self.rate as f64 / (1_i64 << FRACTION_BITS) as f64
+    pub(crate) fn anchor(&self) -> F {
+        self.from
     }
 }
 
@@ -189,18 +132,10 @@ pub struct PiecewiseMap<F, T> {
     knots: Vec<(F, T)>,
 }
 
-impl<F, T> Default for PiecewiseMap<F, T> {
-    /// No knots: nothing is mapped.
-    fn default() -> Self {
-        Self { knots: Vec::new() }
-    }
-}
-
 impl<F: ClockNanos, T: ClockNanos> PiecewiseMap<F, T> {
     /// From pairs of the same instant. Pairs that do not lie behind the one before
     /// on both clocks are left out.
-    #[must_use]
-    pub fn from_knots(pairs: impl IntoIterator<Item = (F, T)>) -> Self {
+    pub(crate) fn from_knots(pairs: impl IntoIterator<Item = (F, T)>) -> Self {
         let mut knots: Vec<(F, T)> = Vec::new();
         for (from, to) in pairs {
             let later = knots
@@ -215,8 +150,7 @@ impl<F: ClockNanos, T: ClockNanos> PiecewiseMap<F, T> {
 
     /// The instant on the other clock; `None` without two knots. Saturates at the
     /// ends of 64 bits.
-    #[must_use]
-    pub fn apply(&self, from: F) -> Option<T> {
+    pub(crate) fn apply(&self, from: F) -> Option<T> {
         if self.knots.len() < 2 {
             return None;
         }
@@ -234,12 +168,6 @@ impl<F: ClockNanos, T: ClockNanos> PiecewiseMap<F, T> {
         let to = i128::from(t0.nanos()) + scaled.div_euclid(run);
         Some(T::from_nanos(saturate(to)))
     }
-
-    /// First and last knot.
-    #[must_use]
-    pub fn span(&self) -> Option<(F, F)> {
-        Some((self.knots.first()?.0, self.knots.last()?.0))
-    }
 }
 
 fn saturate(value: i128) -> i64 {
@@ -248,8 +176,7 @@ fn saturate(value: i128) -> i64 {
 
 /// Nanoseconds as decimal seconds with `digits` digits after the point (at most
 /// 9), rounded to nearest, by integer arithmetic: `1264.250903`.
-#[must_use]
-pub fn decimal_seconds(nanos: i64, digits: u32) -> String {
+pub(crate) fn decimal_seconds(nanos: i64, digits: u32) -> String {
     let digits = digits.min(9);
     let step = 10_i128.pow(9 - digits);
     let units = (i128::from(nanos) + step / 2).div_euclid(step);
@@ -310,10 +237,8 @@ mod tests {
             [0, 501, 1_001, 2_000]
         );
         assert_eq!([at(0), at(4_000)], [-1_001, 2_999]);
-        assert_eq!(
-            PiecewiseMap::<PhoneNanos, BoardNanos>::default().apply(PhoneNanos(1)),
-            None
-        );
+        let empty = PiecewiseMap::<PhoneNanos, BoardNanos>::from_knots([]);
+        assert_eq!(empty.apply(PhoneNanos(1)), None);
     }
 
     #[test]
@@ -328,21 +253,22 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_inverse_returns(
+        fn the_map_of_the_inverse_rate_returns(
             from in -SECOND * 1_000_000..SECOND * 1_000_000,
             to in -SECOND * 1_000_000..SECOND * 1_000_000,
             rate in -0.05..0.05f64,
             t in -SECOND * 1_000_000..SECOND * 1_000_000,
         ) {
             let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
-            let back = map.inverse().apply(map.apply(PhoneNanos(t)));
+            let inverse = AffineMap::new(BoardNanos(to), PhoneNanos(from), 1.0 / (1.0 + rate) - 1.0);
+            let back = inverse.unwrap().apply(map.apply(PhoneNanos(t)));
             prop_assert!((back.0 - t).abs() <= 1);
         }
 
         #[test]
         fn no_time_panics(from: i64, to: i64, rate in -0.1..0.1f64, t: i64) {
             let map = Map::new(PhoneNanos(from), BoardNanos(to), rate).unwrap();
-            let _ = map.inverse().apply(map.apply(PhoneNanos(t)));
+            let _ = map.apply(PhoneNanos(t));
             let _ = decimal_seconds(t, 6);
             let pieces = PiecewiseMap::from_knots([
                 (PhoneNanos(from), BoardNanos(to)),

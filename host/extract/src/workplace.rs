@@ -59,7 +59,7 @@ pub enum WorkplaceError {
 
 /// A file as it was read.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct FileMark {
+pub(crate) struct FileMark {
     name: String,
     size: u64,
     changed_ns: u128,
@@ -71,7 +71,7 @@ impl FileMark {
     /// # Errors
     ///
     /// It is not there.
-    pub fn of(path: &Path) -> io::Result<Self> {
+    pub(crate) fn of(path: &Path) -> io::Result<Self> {
         let meta = fs::metadata(path)?;
         let changed = meta.modified()?.duration_since(UNIX_EPOCH);
         Ok(Self {
@@ -88,9 +88,9 @@ impl FileMark {
 
 /// An output folder in use.
 #[derive(Debug)]
-pub struct Workplace {
+pub(crate) struct Workplace {
     /// The folder.
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
 }
 
 #[derive(Serialize)]
@@ -106,7 +106,7 @@ impl Workplace {
     /// # Errors
     ///
     /// See [`WorkplaceError`].
-    pub fn open<T: Serialize>(
+    pub(crate) fn open<T: Serialize>(
         out: &Path,
         files: &[FileMark],
         options: T,
@@ -146,8 +146,7 @@ impl Workplace {
     }
 
     /// The outcome of a step that an earlier run finished.
-    #[must_use]
-    pub fn done<T: DeserializeOwned>(&self, step: &str) -> Option<T> {
+    pub(crate) fn done<T: DeserializeOwned>(&self, step: &str) -> Option<T> {
         let text = fs::read(self.step_path(step)).ok()?;
         serde_json::from_slice(&text).ok()
     }
@@ -157,7 +156,7 @@ impl Workplace {
     /// # Errors
     ///
     /// Writing fails.
-    pub fn keep<T: Serialize>(&self, step: &str, outcome: &T) -> io::Result<()> {
+    pub(crate) fn keep<T: Serialize>(&self, step: &str, outcome: &T) -> io::Result<()> {
         write_whole(&self.step_path(step), &serde_json::to_vec(outcome)?)
     }
 
@@ -171,7 +170,7 @@ impl Workplace {
 /// # Errors
 ///
 /// It does.
-pub fn check_outside(out: &Path, recording: &Path) -> Result<(), WorkplaceError> {
+pub(crate) fn check_outside(out: &Path, recording: &Path) -> Result<(), WorkplaceError> {
     let Ok(recording) = recording.canonicalize() else {
         return Ok(());
     };

@@ -1,7 +1,7 @@
 //! The phone's frames against the trigger's grid.
 //!
-//! - [`train`]: frames as a regular train in the phone's clock.
-//! - [`learn`]: what a whole recording teaches about that train and the clocks.
+//! - [`train`]: the frames' period in the phone's clock, from their timestamps.
+//! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
 //!   same instant.
 #![forbid(unsafe_code)]

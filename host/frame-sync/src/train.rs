@@ -1,167 +1,228 @@
-//! Frame phase: when the phone's frames fall in board time, now and ahead.
+//! The phone's frames as a regular train in its own clock: their period, and how
+//! well it is known.
 //!
-//! The phone's frames are a train `start + n · period` in its own clock, known
-//! from timestamps with jitter. Carried to board time through [`ClockModel`],
-//! the train's phase against the trigger is what has to be aligned. Three things
-//! make a prediction uncertain: where the train is (jitter), its period, and the
-//! clock relation; their variances add, and the last two grow with the distance.
+//! `video_start` reports the mean of 59 intervals; a whole recording has
+//! thousands of timestamps, and a straight line through them knows the slope
+//! with a 1-sigma of `σ·√12 / N^1.5` intervals: 1 µs of jitter over 5 min is
+//! 0.004 ns a frame. Both `profile learn` and `extract` take the period from here.
 
-use serde::{Deserialize, Serialize};
+use timebase::PhoneNanos;
 
-use timebase::{BoardSeconds, PhoneNanos, PhoneSeconds};
-use timebase::{ClockModel, WithSigma};
-use twist_sync::robust;
+/// The least number of frames.
+const MIN_FRAMES: usize = 300;
 
-/// A regular train of frames in the phone's clock.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FrameTrain {
-    /// Time of the reference frame (the middle of the frames it is learnt from).
-    pub start: PhoneSeconds,
-    /// Number of the reference frame; frame 0 is the first that was given.
-    pub start_frame: f64,
-    /// 1-sigma of the start, seconds.
-    pub start_sigma_s: f64,
-    /// Seconds between frames.
-    pub period_s: f64,
-    /// 1-sigma of the period, seconds.
-    pub period_sigma_s: f64,
+/// Why timestamps have no frame period.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum TrainError {
+    /// Too few frames.
+    #[error("{found} timestamps are too few to learn from, expected {MIN_FRAMES} or more")]
+    TooFew {
+        /// How many there are.
+        found: usize,
+    },
+    /// The timestamps are no train of frames.
+    #[error("the timestamps are not those of frames: {reason}")]
+    NoTrain {
+        /// What is odd.
+        reason: String,
+    },
 }
 
-impl FrameTrain {
-    /// Learns the train from frame timestamps; lost frames leave a hole in the
-    /// numbering, not an error. `None` with fewer than three frames or without
-    /// a regular distance.
-    #[must_use]
-    pub fn from_timestamps(frames: &[PhoneNanos]) -> Option<Self> {
-        let first = frames.first()?.0;
-        let t: Vec<f64> = frames
-            .iter()
-            .map(|f| (i128::from(f.0) - i128::from(first)) as f64 * 1e-9)
-            .collect();
-        let steps: Vec<f64> = t.windows(2).map(|p| p[1] - p[0]).collect();
-        let typical = robust::median(&steps);
-        if t.len() < 3 || typical.is_nan() || typical <= 0.0 {
-            return None;
-        }
-        let mut numbers = vec![0.0];
-        for step in &steps {
-            let before = numbers[numbers.len() - 1];
-            numbers.push(before + (step / typical).round().max(1.0));
-        }
-        let (mean, period_s, centre) = robust::line(&numbers, &t);
-        let residuals: Vec<f64> = numbers
-            .iter()
-            .zip(&t)
-            .map(|(n, t)| t - mean - period_s * (n - centre))
-            .collect();
-        let count = t.len() as f64;
-        let variance = residuals.iter().map(|r| r * r).sum::<f64>() / (count - 2.0);
-        let spread: f64 = numbers.iter().map(|n| (n - centre).powi(2)).sum();
-        Some(Self {
-            start: PhoneSeconds(PhoneNanos(first).seconds().0 + mean),
-            start_frame: centre,
-            start_sigma_s: (variance / count).sqrt(),
-            period_s,
-            period_sigma_s: (variance / spread).sqrt(),
-        })
-    }
+/// A frame period and how well it is known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FramePeriod {
+    /// ns of the phone's time.
+    pub period_ns: f64,
+    /// 1-sigma within this recording, ns.
+    pub sigma_ns: f64,
+    /// Spread of the timestamps about the line, ns.
+    pub jitter_ns: f64,
+    /// Frames used.
+    pub frames: usize,
+    /// Frames that are missing between the first and the last.
+    pub missing: u64,
+}
 
-    /// Board time of a frame's timestamp, with its 1-sigma.
-    #[must_use]
-    pub fn board_time(&self, frame: f64, clock: &ClockModel) -> (BoardSeconds, WithSigma) {
-        let distance = frame - self.start_frame;
-        let phone = PhoneSeconds(self.start.0 + distance * self.period_s);
-        let board = clock.to_board(phone);
-        let relation = clock.offset_at(board).sigma;
-        let sigma = self
-            .start_sigma_s
-            .hypot(distance * self.period_sigma_s)
-            .hypot(relation);
-        (
-            board,
-            WithSigma {
-                value: board.0,
-                sigma,
-            },
-        )
+/// Fits a straight line through the timestamps of frames. Missing frames are
+/// recognised by their distance; single timestamps far off the line are left out.
+///
+/// # Errors
+///
+/// Too few, or no train.
+pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
+    let odd = |reason: &str| TrainError::NoTrain {
+        reason: reason.to_owned(),
+    };
+    if times.len() < MIN_FRAMES {
+        return Err(TrainError::TooFew { found: times.len() });
     }
-
-    /// Phase of the frames against a trigger train with an edge at `edge` and
-    /// `trigger_period_s`, at the frame nearest to board time `at`: frame minus
-    /// nearest edge, in `-period/2 ..= period/2`, with its 1-sigma. All in board
-    /// time; `shift_s` is added to the frame's time (middle of exposure and
-    /// readout minus the depth camera's centre).
-    #[must_use]
-    pub fn phase(
-        &self,
-        clock: &ClockModel,
-        at: BoardSeconds,
-        edge: BoardSeconds,
-        trigger_period_s: f64,
-        shift_s: f64,
-    ) -> WithSigma {
-        let phone = clock.to_phone(at);
-        let frame = (self.start_frame + (phone.0 - self.start.0) / self.period_s).round();
-        let (time, with_sigma) = self.board_time(frame, clock);
-        let cycles = (time.0 + shift_s - edge.0) / trigger_period_s;
-        WithSigma {
-            value: (cycles - cycles.round()) * trigger_period_s,
-            sigma: with_sigma.sigma,
+    let first = times.first().copied().unwrap_or_default();
+    let relative: Vec<f64> = times
+        .iter()
+        .map(|time| (i128::from(time.0) - i128::from(first.0)) as f64)
+        .collect();
+    let mut steps: Vec<f64> = relative.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    let rough = steps[steps.len() / 2];
+    if !(1e6..=1e9).contains(&rough) {
+        return Err(odd("their distance is not within 1 ms and 1 s"));
+    }
+    if steps.first().is_some_and(|&least| least <= 0.0) {
+        return Err(odd("they do not grow"));
+    }
+    // Number the frames step by step: each step is a whole number of periods.
+    let mut points = vec![(0.0, 0.0)];
+    let mut number = 0.0;
+    for pair in relative.windows(2) {
+        let step = (pair[1] - pair[0]) / rough;
+        let whole = step.round().max(1.0);
+        if (step - whole).abs() > 0.3 {
+            return Err(odd("a distance is no multiple of the frame period"));
         }
+        number += whole;
+        points.push((number, pair[1]));
     }
+    let missing = number as u64 + 1 - points.len() as u64;
+    let mut line = fit(&points);
+    for _ in 0..3 {
+        let limit = 5.0 * line.spread.max(1.0);
+        let kept: Vec<(f64, f64)> = points
+            .iter()
+            .copied()
+            .filter(|&(k, t)| (t - line.at(k)).abs() <= limit)
+            .collect();
+        if kept.len() == points.len() {
+            break;
+        }
+        if kept.len() < MIN_FRAMES {
+            return Err(odd("they scatter too much"));
+        }
+        points = kept;
+        line = fit(&points);
+    }
+    Ok(FramePeriod {
+        period_ns: line.slope,
+        sigma_ns: line.slope_sigma,
+        jitter_ns: line.spread,
+        frames: points.len(),
+        missing,
+    })
+}
+
+struct Line {
+    slope: f64,
+    slope_sigma: f64,
+    mean_x: f64,
+    mean_y: f64,
+    spread: f64,
+}
+
+impl Line {
+    fn at(&self, x: f64) -> f64 {
+        self.mean_y + self.slope * (x - self.mean_x)
+    }
+}
+
+/// Least squares about the means, so that large times cost no precision.
+fn fit(points: &[(f64, f64)]) -> Line {
+    let count = points.len() as f64;
+    let mean_x = points.iter().map(|p| p.0).sum::<f64>() / count;
+    let mean_y = points.iter().map(|p| p.1).sum::<f64>() / count;
+    let xx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
+    let xy: f64 = points.iter().map(|p| (p.0 - mean_x) * (p.1 - mean_y)).sum();
+    let slope = xy / xx;
+    let mut line = Line {
+        slope,
+        slope_sigma: 0.0,
+        mean_x,
+        mean_y,
+        spread: 0.0,
+    };
+    let squares: f64 = points.iter().map(|p| (p.1 - line.at(p.0)).powi(2)).sum();
+    line.spread = (squares / (count - 2.0)).sqrt();
+    line.slope_sigma = line.spread / xx.sqrt();
+    line
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use timebase::Wander;
 
-    fn clock() -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(100.0),
-            offset: 5000.0,
-            skew: 30e-6,
-            covariance: [[4e-12, 0.0], [0.0, 1e-16]],
-            wander: Wander::from_ppm(0.01),
-        }
+    /// Frames of 33,330,652.54 ns with a deterministic jitter of about 1 µs.
+    fn frames(count: usize) -> Vec<PhoneNanos> {
+        let mut state = 1_u64;
+        (0..count)
+            .map(|k| {
+                // Sum of four uniforms: nearly normal, sigma 1.15 · 0.866 µs.
+                let mut jitter = 0.0;
+                for _ in 0..4 {
+                    state = state
+                        .wrapping_mul(6_364_136_223_846_793_005)
+                        .wrapping_add(1);
+                    jitter += (state >> 40) as f64 / 16_777_216.0 - 0.5;
+                }
+                let time = 900_000e9 + k as f64 * 33_330_652.54 + jitter * 1_732.0;
+                PhoneNanos(time.round() as i64)
+            })
+            .collect()
     }
 
     #[test]
-    fn the_train_is_learnt_across_lost_frames() {
-        let period = 33_330_652;
-        let frames: Vec<PhoneNanos> = (0..300_i64)
+    fn five_minutes_know_the_period_to_a_hundredth_of_a_nanosecond() {
+        let learnt = frame_period(&frames(9_000)).unwrap();
+        let error = learnt.period_ns - 33_330_652.54;
+        assert!(learnt.sigma_ns < 0.006, "{learnt:?}");
+        assert!(error.abs() < 4.0 * learnt.sigma_ns, "{error} {learnt:?}");
+        assert!((learnt.jitter_ns - 1_000.0).abs() < 50.0, "{learnt:?}");
+    }
+
+    #[test]
+    fn missing_frames_and_single_wrong_timestamps_do_no_harm() {
+        let mut times = frames(3_000);
+        times[700].0 += 4_000_000;
+        times.drain(1_000..1_007);
+        times.remove(2_000);
+        let learnt = frame_period(&times).unwrap();
+        assert_eq!(learnt.missing, 8);
+        assert_eq!(learnt.frames, times.len() - 1);
+        assert!(
+            (learnt.period_ns - 33_330_652.54).abs() < 0.15,
+            "{learnt:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_no_train_is_told() {
+        assert_eq!(
+            frame_period(&frames(10)),
+            Err(TrainError::TooFew { found: 10 })
+        );
+        let mut backwards = frames(400);
+        backwards.reverse();
+        assert!(matches!(
+            frame_period(&backwards),
+            Err(TrainError::NoTrain { .. })
+        ));
+        let mut shifted = frames(400);
+        for time in &mut shifted[200..] {
+            time.0 += 15_000_000;
+        }
+        assert!(matches!(
+            frame_period(&shifted),
+            Err(TrainError::NoTrain { .. })
+        ));
+    }
+
+    #[test]
+    fn the_period_is_learnt_across_lost_frames() {
+        let frames: Vec<PhoneNanos> = (0..400_i64)
             .filter(|n| n % 37 != 5)
-            .map(|n| PhoneNanos(5_100_000_000_000 + n * period + (n * 7919 % 2001) - 1000))
+            .map(|n| PhoneNanos(5_100_000_000_000 + n * 33_330_652 + (n * 7919 % 2001) - 1000))
             .collect();
-        let train = FrameTrain::from_timestamps(&frames).unwrap();
-        assert!((train.period_s - 0.033_330_652).abs() < 4.0 * train.period_sigma_s + 1e-12);
-        assert!(train.period_sigma_s < 1e-9);
-        assert!(FrameTrain::from_timestamps(&frames[..2]).is_none());
-        assert!(FrameTrain::from_timestamps(&[PhoneNanos(5); 9]).is_none());
-    }
-
-    #[test]
-    fn phase_is_periodic_and_its_sigma_grows() {
-        let train = FrameTrain {
-            start: PhoneSeconds(5100.0),
-            start_frame: 0.0,
-            start_sigma_s: 1e-6,
-            period_s: 1.0 / 30.0 * (1.0 + 30e-6),
-            period_sigma_s: 1e-9,
-        };
-        // One period of the frames is one of the trigger in board time.
-        let (first, _) = train.board_time(0.0, &clock());
-        for seconds in [0.0, 10.0, 100.0] {
-            let phase = train.phase(
-                &clock(),
-                BoardSeconds(100.0 + seconds),
-                BoardSeconds(first.0 - 0.004),
-                1.0 / 30.0,
-                0.001,
-            );
-            assert!((phase.value - 0.005).abs() < 1e-8, "{phase:?}");
-        }
-        let sigma = |frame| train.board_time(frame, &clock()).1.sigma;
-        assert!(sigma(0.0) < sigma(300.0) && sigma(300.0) < sigma(18_000.0));
+        let found = frame_period(&frames).unwrap();
+        assert!((found.period_ns - 33_330_652.0).abs() < 4.0 * found.sigma_ns + 1e-3);
+        assert!(found.sigma_ns < 1.0);
+        assert_eq!(found.missing, 11);
+        assert!(frame_period(&[PhoneNanos(5); 400]).is_err());
     }
 }

@@ -23,9 +23,12 @@ mod connection;
 mod download;
 pub mod error;
 pub mod file_name;
+pub mod frame_timestamps;
 pub mod gyro_csv;
 pub mod requests;
+pub mod rows;
 pub mod samples;
+pub mod video_files;
 
 pub use answer::ServerVersion;
 pub use client::{PhoneClient, Settings, StopSignal};

@@ -67,7 +67,7 @@ pub struct PhoneFigures {
     pub middle: Errors,
     /// Largest 1-sigma that the report states for its times, µs.
     pub sigma_us: f64,
-    /// Frames against the depth images at the beginning, as extracted, µs.
+    /// Depth images minus its frames at the beginning, as extracted, µs.
     pub grid_offset_us: f64,
     /// The same minus the truth, µs.
     pub grid_error_us: f64,
@@ -163,8 +163,8 @@ impl SeveralFigures {
         for phone in &self.phones {
             text += &format!(
                 "{:<14} {:>5} frames, middle of exposure rms {:.2} µs, at most {:.2} µs \
-                 (limit {PHONE_LIMIT_US} µs; stated {:.2} µs, 1 σ)\n{:<14} {:+.1} µs from the depth \
-                 images (error {:+.2} µs), moving by {:+.1} µs/min\n",
+                 (limit {PHONE_LIMIT_US} µs; stated {:.2} µs, 1 σ)\n{:<14} depth minus phone {:+.1} µs \
+                 (error {:+.2} µs), drifting by {:+.1} µs/min\n",
                 phone.name,
                 phone.middle.count,
                 phone.middle.rms_us,
@@ -351,7 +351,7 @@ impl Judge<'_> {
             };
             let offset = number(&said["grid"], "offset_us")?;
             let true_offset = if place == 0 {
-                -verdict.phase.start_us
+                verdict.phase.start_us
             } else {
                 self.true_offset(&middles)?
             };
@@ -370,7 +370,7 @@ impl Judge<'_> {
         Ok(figures)
     }
 
-    /// Phone minus depth at the first pulse of the recorded span, by the truth, µs.
+    /// Depth minus phone at the first pulse of the recorded span, by the truth, µs.
     fn true_offset(&self, middles: &[(i64, i64)]) -> Result<f64> {
         let span = self.recorded.session.recorded.context("nothing recorded")?;
         let from = i64::try_from(span.from.as_nanos())?;
@@ -379,7 +379,7 @@ impl Judge<'_> {
             .map(|frame| self.recorded.nanos(frame.center))
             .find(|&centre| centre >= from)
             .context("no depth frame in the recorded span")?;
-        let distances = middles.iter().map(|middle| middle.1 - centre);
+        let distances = middles.iter().map(|middle| centre - middle.1);
         let nearest = distances.min_by_key(|distance| distance.abs());
         Ok(nearest.context("no frame")? as f64 * 1e-3)
     }

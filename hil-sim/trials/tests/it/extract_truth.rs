@@ -172,8 +172,8 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
         .collect();
     assert_eq!(found, expected);
     for row in &pairs {
-        let true_difference = truth.color_middle_ns[row[0].unwrap() as usize]
-            - depth_of[row[1].unwrap() as usize].center_ns;
+        let true_difference = depth_of[row[1].unwrap() as usize].center_ns
+            - truth.color_middle_ns[row[0].unwrap() as usize];
         assert!((row[2].unwrap() - true_difference).abs() < 15_000);
     }
 

@@ -10,10 +10,10 @@ use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
 use extract::learn;
-use extract::phone::files::FilesError;
 use extract::progress::Progress;
 use extract::run::{ExtractError, Job, run as extract};
 use extract::workplace::WorkplaceError;
+use phone::video_files::FilesError;
 
 /// Turn a recording into a data set whose timestamps are all in board time.
 ///

@@ -10,7 +10,10 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use frame_sync::learn::{self, FramePeriod};
+use frame_sync::learn;
+use frame_sync::train::{FramePeriod, frame_period};
+use phone::frame_timestamps;
+use phone::rows::RowError;
 use recording::profile::{DEFAULT, Learnt, Profile};
 use recording::session_file::SessionFile;
 
@@ -107,15 +110,17 @@ fn teach(
 ) -> anyhow::Result<Outcome> {
     let text = read(file)?;
     let session = SessionFile::load(recording).map_err(Failure::from)?;
-    let times = learn::parse_timestamps(&read(timestamps)?)
-        .map_err(|error| {
-            Failure::new(ExitStatus::Error, error.to_string()).next_step(
+    let times = frame_timestamps::read(timestamps).map_err(|error| match error {
+        RowError::Io(error) => Failure::file("read", timestamps, &error),
+        RowError::Bad(row) => {
+            let what = format!("{}: {row}", timestamps.display());
+            Failure::new(ExitStatus::Error, what).next_step(
                 "give the app's `..._timestamps.csv` of that recording: one integer of \
-                 nanoseconds a line",
+                     nanoseconds a line",
             )
-        })
-        .with_context(|| format!("{}", timestamps.display()))?;
-    let period = learn::frame_period(&times)
+        }
+    })?;
+    let period = frame_period(&times)
         .map_err(|error| {
             Failure::new(ExitStatus::Refused, error.to_string())
                 .next_step("give the timestamps of a longer recording, whole as the app wrote them")
@@ -134,7 +139,8 @@ fn teach(
     let resets = session.runs.len();
     let board_id = session.board.as_ref().map(|board| board.id.as_str());
     let today = jiff::Zoned::now().date();
-    let learnt = learn::learnt(clocks, resets, board_id, &period, today);
+    let skew = learn::skew_of_twists(clocks, resets);
+    let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, board_id, today);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;

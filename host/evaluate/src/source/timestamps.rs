@@ -1,17 +1,15 @@
 //! When each frame was taken.
 //!
-//! The phone's app writes one integer of nanoseconds a frame into
-//! `{VIDEO}_imu_timestamps.csv` (older versions: `{VIDEO}_timestamps.csv`), in a
-//! folder named by the video's date. Without such a file frames are taken to
-//! come at a constant rate. Only differences of these times are used.
+//! The phone's app writes them beside the video ([`phone::frame_timestamps`]).
+//! Without such a file frames are taken to come at a constant rate. Only differences
+//! of these times are used.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
-use crate::EvaluateError;
+use phone::rows::{LATER, RowError};
+use phone::{frame_timestamps, video_files};
 
-/// More frames than this are not read: 100 hours at 60 fps.
-const MAX_TIMESTAMPS: usize = 21_600_000;
+use crate::EvaluateError;
 
 /// Times of the frames of one input.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,56 +33,28 @@ impl FrameTimes {
     }
 }
 
-/// Reads one integer a line; further columns after a comma are ignored, and a
-/// first line that is a header is skipped.
+/// Reads the times of the frames: see [`phone::frame_timestamps`].
 pub fn read_timestamps(path: &Path) -> Result<Vec<i64>, EvaluateError> {
-    let io = |source| EvaluateError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let file = std::fs::File::open(path).map_err(io)?;
-    let mut times: Vec<i64> = Vec::new();
-    for (i, line) in BufReader::new(file).lines().enumerate() {
-        let line = line.map_err(io)?;
-        let field = line.split(',').next().unwrap_or_default().trim();
-        if field.is_empty() {
-            continue;
-        }
-        let wrong = |found: &str| EvaluateError::Timestamps {
+    let times = frame_timestamps::read(path).map_err(|error| match error {
+        RowError::Io(source) => EvaluateError::Io {
             path: path.to_owned(),
-            line: i + 1,
-            found: found.chars().take(60).collect(),
-        };
-        match field.parse::<i64>() {
-            Ok(t) if times.last().is_none_or(|&before| t > before) => times.push(t),
-            Ok(_) => return Err(wrong(&format!("{field} (not later than the line before)"))),
-            // A header has no digit in front.
-            Err(_) if i == 0 && !field.starts_with(|c: char| c.is_ascii_digit() || c == '-') => {}
-            Err(_) => return Err(wrong(field)),
-        }
-        if times.len() > MAX_TIMESTAMPS {
-            return Err(wrong("more timestamps than any recording has"));
-        }
-    }
-    Ok(times)
+            source,
+        },
+        RowError::Bad(row) => EvaluateError::Timestamps {
+            path: path.to_owned(),
+            line: usize::try_from(row.line).unwrap_or(usize::MAX),
+            found: match row.expected {
+                LATER => format!("{} (not later than the line before)", row.found),
+                _ => row.found,
+            },
+        },
+    })?;
+    Ok(times.into_iter().map(|time| time.0).collect())
 }
 
 /// The app's timestamp file of a video, if there is one.
 pub(super) fn beside(video: &Path) -> Option<PathBuf> {
-    let stem = video.file_stem()?.to_str()?;
-    let folder = video.parent().unwrap_or(Path::new(""));
-    // VID_20240131_120000 -> 20240131_120000
-    let date = stem.trim_start_matches(|c: char| !c.is_ascii_digit());
-    let mut folders = vec![folder.to_owned(), folder.join(stem)];
-    if !date.is_empty() && date != stem {
-        folders.push(folder.join(date));
-    }
-    folders
-        .iter()
-        .flat_map(|f| {
-            ["_imu_timestamps.csv", "_timestamps.csv"].map(|end| f.join(format!("{stem}{end}")))
-        })
-        .find(|p| p.is_file())
+    video_files::of_video(video).ok().flatten()?.frames
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ const TOLERANCE: f64 = 1e6;
 /// What a frame is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum FrameState {
+pub(crate) enum FrameState {
     /// It has a pulse of its own.
     Matched,
     /// Another frame lies nearer to the same pulse.
@@ -30,13 +30,13 @@ pub enum FrameState {
 
 /// A frame's pulse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Assignment {
+pub(crate) struct Assignment {
     /// What it is.
-    pub state: FrameState,
+    pub(crate) state: FrameState,
     /// Index of its pulse; of the nearest one for a doubled frame.
-    pub pulse: Option<usize>,
+    pub(crate) pulse: Option<usize>,
     /// Frame − pulse on the fitted clock, in ns.
-    pub residual: i64,
+    pub(crate) residual: i64,
 }
 
 pub(super) fn assign(

@@ -11,7 +11,7 @@
 use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// Distance of knots, in ns.
-pub const KNOT_SPACING: f64 = 30e9;
+pub(crate) const KNOT_SPACING: f64 = 30e9;
 /// How far neighbouring knots may be apart (1-sigma), in ns.
 const KNOT_TIE: f64 = 20e3;
 /// Iterations of the robust fit.
@@ -19,18 +19,17 @@ const ITERATIONS: usize = 4;
 
 /// Result of a fit `y ≈ a + b·x + knots(x)`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Smooth {
+pub(crate) struct Smooth {
     /// Value at x = 0.
-    pub a: f64,
+    pub(crate) a: f64,
     /// Slope.
-    pub b: f64,
+    pub(crate) b: f64,
     knots: Vec<f64>,
 }
 
 impl Smooth {
     /// The value at `x`.
-    #[must_use]
-    pub fn at(&self, x: f64) -> f64 {
+    pub(crate) fn at(&self, x: f64) -> f64 {
         self.a + self.b * x + self.knot_value(x)
     }
 
@@ -55,8 +54,7 @@ fn knot(x: f64, count: usize) -> Option<(usize, f64)> {
 
 /// Fits points (x ≥ 0 in ns, y in ns) of noise about `sigma`. `None` if there are
 /// fewer than three.
-#[must_use]
-pub fn smooth(points: &[(f64, f64)], sigma: f64) -> Option<Smooth> {
+pub(crate) fn smooth(points: &[(f64, f64)], sigma: f64) -> Option<Smooth> {
     if points.len() < 3 {
         return None;
     }
@@ -170,8 +168,7 @@ fn tied_knots(points: &[(f64, f64)], a: f64, b: f64, sigma: f64, count: usize) -
 }
 
 /// The median; 0 of nothing.
-#[must_use]
-pub fn median(mut values: Vec<f64>) -> f64 {
+pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;
     }

@@ -28,35 +28,35 @@
 //! half of the frames have a pulse in the recording, or more than half of the pulses
 //! a frame; at least [`MIN_FRAMES`].
 
-pub mod assign;
-pub mod fit;
-pub mod pattern;
-pub mod resets;
+pub(crate) mod assign;
+pub(crate) mod fit;
+pub(crate) mod pattern;
+pub(crate) mod resets;
 
-pub use assign::{Assignment, FrameState};
+pub(crate) use assign::{Assignment, FrameState};
 
 use crate::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// Fewest frames and pulses that are matched.
-pub const MIN_FRAMES: usize = 10;
+pub(crate) const MIN_FRAMES: usize = 10;
 
 /// Tick of the camera's clock: 90 kHz.
-pub const DEVICE_TICK_NS: f64 = 1e9 / 90_000.0;
+pub(crate) const DEVICE_TICK_NS: f64 = 1e9 / 90_000.0;
 
 /// A trigger pulse as recorded by the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PulseTime {
+pub(crate) struct PulseTime {
     /// The train it belongs to.
-    pub train: u32,
+    pub(crate) train: u32,
     /// Its number in the train, from 0.
-    pub number: u64,
+    pub(crate) number: u64,
     /// Rising edge.
-    pub at: BoardNanos,
+    pub(crate) at: BoardNanos,
 }
 
 /// Something that tells shifts by whole periods apart.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Hint {
+pub(crate) enum Hint {
     /// A relation of the clocks found by other means.
     Clock {
         /// Device time to board time.
@@ -72,7 +72,7 @@ pub enum Hint {
 
 /// What decided between shifts.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Decision {
+pub(crate) enum Decision {
     /// The pattern of the pulses alone. `margin` is by how much the next best
     /// shift fits worse (χ²).
     Pattern {
@@ -88,26 +88,26 @@ pub enum Decision {
 
 /// Frames with their pulses.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DepthMatch {
+pub(crate) struct DepthMatch {
     /// One for each frame, in the order given.
-    pub frames: Vec<Assignment>,
+    pub(crate) frames: Vec<Assignment>,
     /// Indices of pulses between the first and last matched one that have no frame.
-    pub missing: Vec<usize>,
+    pub(crate) missing: Vec<usize>,
     /// What decided.
-    pub decision: Decision,
+    pub(crate) decision: Decision,
     /// Rate of the camera's clock against the board's, minus one.
-    pub rate_error: f64,
+    pub(crate) rate_error: f64,
     /// 1-sigma of the rate.
-    pub rate_sigma: f64,
+    pub(crate) rate_sigma: f64,
     /// Robust standard deviation of frame time against pulse, in ns.
-    pub residual: f64,
+    pub(crate) residual: f64,
     /// Device time to *pulse* time (add the edge-to-centre time), in pieces.
-    pub clock: PiecewiseMap<DeviceNanos, BoardNanos>,
+    pub(crate) clock: PiecewiseMap<DeviceNanos, BoardNanos>,
 }
 
 /// Why frames and pulses were not matched.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum MatchError {
+pub(crate) enum MatchError {
     /// Not enough to work with.
     #[error(
         "{frames} depth frames and {pulses} pulses cannot be matched; expected at least {MIN_FRAMES} of each"
@@ -176,16 +176,16 @@ pub enum MatchError {
 
 /// The shifts that remain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Ambiguity {
+pub(crate) struct Ambiguity {
     /// How many shifts.
-    pub shifts: usize,
+    pub(crate) shifts: usize,
     /// Pulse index of the first frame at the smallest of them.
-    pub first: i64,
+    pub(crate) first: i64,
     /// The same at the largest.
-    pub last: i64,
+    pub(crate) last: i64,
     /// The trigger moved faster than a camera follows for certain, so that a
     /// neighbouring shift cannot be ruled out.
-    pub moved_fast: bool,
+    pub(crate) moved_fast: bool,
 }
 
 impl Ambiguity {
@@ -206,7 +206,7 @@ impl Ambiguity {
 /// # Errors
 ///
 /// See [`MatchError`]: nothing is guessed.
-pub fn match_frames(
+pub(crate) fn match_frames(
     frames: &[DeviceNanos],
     pulses: &[PulseTime],
     hint: Option<Hint>,

@@ -57,7 +57,7 @@ const MAX_RATE_DIFFERENCE: f64 = 0.002;
 
 /// Frames and pulses with their ordinals.
 #[derive(Clone, Debug)]
-pub struct Grid {
+pub(crate) struct Grid {
     /// Distance of pulses, ns.
     pub(super) period: f64,
     /// Distance of frames, ns of the device.
@@ -80,25 +80,25 @@ pub struct Grid {
 
 /// What the search found.
 #[derive(Clone, Debug)]
-pub struct Found {
+pub(crate) struct Found {
     /// The best shift.
-    pub best: i64,
+    pub(crate) best: i64,
     /// All shifts that it cannot be told apart from, itself among them.
-    pub left: Vec<i64>,
+    pub(crate) left: Vec<i64>,
     /// χ² of the next best less that of the best.
-    pub margin: f64,
+    pub(crate) margin: f64,
     /// Robust standard deviation at the best shift, ns.
-    pub scatter: f64,
+    pub(crate) scatter: f64,
 }
 
 /// A fit at one shift.
 #[derive(Clone, Debug)]
-pub struct Fitted {
+pub(crate) struct Fitted {
     /// Frame − pulse (as distances, frame scaled by the ratio of the periods)
     /// against the frame's scaled distance.
-    pub smooth: Smooth,
+    pub(crate) smooth: Smooth,
     /// Robust standard deviation, ns.
-    pub scatter: f64,
+    pub(crate) scatter: f64,
 }
 
 impl Grid {
@@ -107,7 +107,7 @@ impl Grid {
     /// # Errors
     ///
     /// The camera does not run at the rate of the pulses.
-    pub fn new(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<Self, MatchError> {
+    pub(crate) fn new(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<Self, MatchError> {
         let mut order: Vec<DeviceNanos> = frames.to_vec();
         order.sort_unstable();
         // A stamp that is days away from the others is damaged; it must not
@@ -235,8 +235,7 @@ impl Grid {
     }
 
     /// The fit at a shift, over all frames.
-    #[must_use]
-    pub fn fit(&self, shift: i64) -> Fitted {
+    pub(crate) fn fit(&self, shift: i64) -> Fitted {
         self.fit_points(&self.points(shift, 1))
     }
 
@@ -407,8 +406,7 @@ fn worse(best: &Distances, other: &Distances, sigma: f64) -> f64 {
 }
 
 /// Compares the shifts.
-#[must_use]
-pub fn search(grid: &Grid) -> Found {
+pub(crate) fn search(grid: &Grid) -> Found {
     let mut found = search_all(grid);
     if grid.moved_fast {
         for shift in [found.best - 1, found.best + 1] {

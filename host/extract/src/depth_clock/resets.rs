@@ -30,7 +30,7 @@ mod join;
 
 use std::ops::Range;
 
-pub use error::RunError;
+pub(crate) use error::RunError;
 
 use super::fit::median;
 use super::pattern::distance;
@@ -42,48 +42,48 @@ const FLOOR: f64 = 2.0 * DEVICE_TICK_NS;
 
 /// The beginning of a run after a reset.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reset {
+pub(crate) struct Reset {
     /// Index of its first pulse.
-    pub first_pulse: usize,
+    pub(crate) first_pulse: usize,
     /// 1-sigma of its distance to the run before, ns.
-    pub sigma: f64,
+    pub(crate) sigma: f64,
 }
 
 /// A run that was matched by the camera's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Carried {
+pub(crate) struct Carried {
     /// Which, from 0.
-    pub run: usize,
+    pub(crate) run: usize,
     /// 1-sigma of the prediction, ns.
-    pub sigma: f64,
+    pub(crate) sigma: f64,
     /// How far frames were beside it, ns.
-    pub off: f64,
+    pub(crate) off: f64,
 }
 
 /// A run whose frames have no board time.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LeftOut {
+pub(crate) struct LeftOut {
     /// Which, from 0.
-    pub run: usize,
+    pub(crate) run: usize,
     /// Its frames.
-    pub frames: usize,
+    pub(crate) frames: usize,
     /// Why.
-    pub why: RunError,
+    pub(crate) why: RunError,
 }
 
 /// Frames with their pulses over resets.
 #[derive(Clone, Debug, PartialEq)]
-pub struct OverResets {
+pub(crate) struct OverResets {
     /// All frames.
-    pub found: DepthMatch,
+    pub(crate) found: DepthMatch,
     /// The run that was matched by itself.
-    pub anchor: usize,
+    pub(crate) anchor: usize,
     /// Runs that the camera's clock reached.
-    pub carried: Vec<Carried>,
+    pub(crate) carried: Vec<Carried>,
     /// Runs that it did not.
-    pub left_out: Vec<LeftOut>,
+    pub(crate) left_out: Vec<LeftOut>,
     /// Frames between runs, timed by the camera's clock.
-    pub in_gaps: usize,
+    pub(crate) in_gaps: usize,
 }
 
 /// A run of the board.
@@ -124,7 +124,7 @@ struct Recording<'a> {
 ///
 /// No run can be matched by itself; the error is that of the run that came nearest to
 /// it. Or the match of one does not fit to the next.
-pub fn match_over_resets(
+pub(crate) fn match_over_resets(
     frames: &[DeviceNanos],
     pulses: &[PulseTime],
     resets: &[Reset],

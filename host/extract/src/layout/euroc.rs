@@ -13,7 +13,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_numbers};
-use crate::board::ImuRow;
+use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::BoardNanos;
 

@@ -10,7 +10,7 @@ use std::io;
 use std::path::Path;
 
 use super::SequenceTables;
-use crate::board::{LIDAR_TOPIC, OUTPUT_TOPICS};
+use crate::board_data::{LIDAR_TOPIC, OUTPUT_TOPICS};
 use crate::image::write_whole;
 
 /// Writes them below `folder`; nothing if there are none.

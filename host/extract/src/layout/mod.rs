@@ -13,8 +13,7 @@ use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board::{ImuRow, TimePair};
-use super::phone::csv::Sample;
+use super::board_data::{ImuRow, TimePair};
 use super::time::BoardNanos;
 
 /// Which format.
@@ -31,7 +30,6 @@ pub enum Format {
 
 impl Format {
     /// Its name on the command line.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Euroc => "euroc",
@@ -41,8 +39,7 @@ impl Format {
     }
 
     /// Its layout.
-    #[must_use]
-    pub fn layout(self) -> &'static dyn Layout {
+    pub(crate) fn layout(self) -> &'static dyn Layout {
         match self {
             Self::Euroc => &euroc::Euroc,
             Self::Tum => &tum::Tum,
@@ -53,72 +50,72 @@ impl Format {
 
 /// A stream of samples as a CSV file.
 #[derive(Clone, Copy, Debug)]
-pub struct ImuTable {
+pub(crate) struct ImuTable {
     /// Where, relative to a sequence's folder.
-    pub path: &'static str,
+    pub(crate) path: &'static str,
     /// First line with its line end; may be empty.
-    pub header: &'static str,
+    pub(crate) header: &'static str,
     /// Whether the low-pass delay is subtracted from the times.
-    pub subtract_delay: bool,
+    pub(crate) subtract_delay: bool,
     /// Appends a row.
-    pub row: fn(&mut String, &ImuRow),
+    pub(crate) row: fn(&mut String, &ImuRow),
 }
 
 /// A written image.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ImageRow {
+pub(crate) struct ImageRow {
     /// Board time.
-    pub at: BoardNanos,
+    pub(crate) at: BoardNanos,
     /// The stamp that it had in its own clock, ns.
-    pub own: i64,
+    pub(crate) own: i64,
     /// Its file, relative to the sequence's folder.
-    pub path: PathBuf,
+    pub(crate) path: PathBuf,
 }
 
 /// What is known about the data, for the files beside it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Facts {
+pub(crate) struct Facts {
     /// Phone frames a second.
-    pub color_rate: Option<f64>,
+    pub(crate) color_rate: Option<f64>,
     /// Depth frames a second.
-    pub depth_rate: Option<f64>,
+    pub(crate) depth_rate: Option<f64>,
     /// Samples a second of the board's IMU.
-    pub board_imu_rate: Option<f64>,
+    pub(crate) board_imu_rate: Option<f64>,
     /// Samples a second of the phone's gyroscope.
-    pub phone_imu_rate: Option<f64>,
+    pub(crate) phone_imu_rate: Option<f64>,
     /// Width and height of the phone's images.
-    pub color_size: Option<(u32, u32)>,
+    pub(crate) color_size: Option<(u32, u32)>,
     /// Width and height of depth and infrared.
-    pub depth_size: Option<(u32, u32)>,
+    pub(crate) depth_size: Option<(u32, u32)>,
     /// Low-pass delay that is subtracted from the board's IMU times, ns.
-    pub board_imu_delay: i64,
+    pub(crate) board_imu_delay: i64,
     /// The same of the phone.
-    pub phone_imu_delay: i64,
+    pub(crate) phone_imu_delay: i64,
     /// From the pulse to the depth timestamp, ns.
-    pub depth_center: i64,
+    pub(crate) depth_center: i64,
     /// From the phone's frame timestamp to the image's time, ns.
-    pub color_middle: i64,
+    pub(crate) color_middle: i64,
 }
 
 /// What a sequence's index files are made of.
 #[derive(Clone, Debug, Default)]
-pub struct SequenceTables {
+pub(crate) struct SequenceTables {
     /// The phone's images in order of time.
-    pub color: Vec<ImageRow>,
+    pub(crate) color: Vec<ImageRow>,
     /// Depth images in order of time.
-    pub depth: Vec<ImageRow>,
+    pub(crate) depth: Vec<ImageRow>,
     /// Infrared images in order of time.
-    pub infrared: Vec<ImageRow>,
+    pub(crate) infrared: Vec<ImageRow>,
     /// Pairs as indices into `color` and `depth`.
-    pub pairs: Vec<(usize, usize)>,
+    pub(crate) pairs: Vec<(usize, usize)>,
     /// Pairs of times on the recording's topics.
-    pub times: Vec<TimePair>,
+    pub(crate) times: Vec<TimePair>,
     /// What the lidar is called, if that is known.
-    pub lidar: Option<String>,
+    pub(crate) lidar: Option<String>,
 }
 
 /// A format.
-pub trait Layout: Sync {
+pub(crate) trait Layout: Sync {
     /// A phone image.
     fn color_path(&self, at: BoardNanos) -> PathBuf;
 
@@ -149,23 +146,11 @@ pub trait Layout: Sync {
 }
 
 /// The camera's calibration goes beside the depth images.
-#[must_use]
-pub fn calibration_path(format: Format) -> &'static str {
+pub(crate) fn calibration_path(format: Format) -> &'static str {
     match format {
         Format::Euroc => "mav0/depth0/calibration.json",
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
-    }
-}
-
-/// A sample of the phone as a row.
-#[must_use]
-pub fn phone_row(at: BoardNanos, gyro: &Sample, accel: [f64; 3]) -> ImuRow {
-    ImuRow {
-        at,
-        gyro: gyro.value,
-        accel,
-        temperature: None,
     }
 }
 

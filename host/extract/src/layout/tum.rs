@@ -11,7 +11,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, slashed};
-use crate::board::ImuRow;
+use crate::board_data::ImuRow;
 use crate::image::{depth_to_tum, write_whole};
 use crate::time::{BoardNanos, decimal_seconds};
 

@@ -41,7 +41,7 @@ pub enum EbmlError {
 
 /// The size of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Size {
+pub(crate) enum Size {
     /// Bytes of data.
     Known(u64),
     /// Until an element of a higher level, or the end of the file.
@@ -50,22 +50,21 @@ pub enum Size {
 
 /// The head of an element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Head {
+pub(crate) struct Head {
     /// The ID with its marker bits, as the Matroska specification writes it.
-    pub id: u32,
+    pub(crate) id: u32,
     /// Size of the data.
-    pub size: Size,
+    pub(crate) size: Size,
     /// Position of the first byte of the head.
-    pub at: u64,
+    pub(crate) at: u64,
     /// Position of the first byte of the data.
-    pub data: u64,
+    pub(crate) data: u64,
 }
 
 impl Head {
     /// The first position behind the element; `None` for an unknown size or one
     /// that no file can have.
-    #[must_use]
-    pub fn end(&self) -> Option<u64> {
+    pub(crate) fn end(&self) -> Option<u64> {
         match self.size {
             Size::Known(size) => self.data.checked_add(size),
             Size::Unknown => None,
@@ -80,7 +79,7 @@ fn id_length(first: u8) -> Option<usize> {
 }
 
 /// A reader that knows its position and length.
-pub struct Source<R> {
+pub(crate) struct Source<R> {
     reader: R,
     position: u64,
     length: u64,
@@ -92,7 +91,7 @@ impl<R: Read + Seek> Source<R> {
     /// # Errors
     ///
     /// Seeking fails.
-    pub fn new(mut reader: R) -> io::Result<Self> {
+    pub(crate) fn new(mut reader: R) -> io::Result<Self> {
         let length = reader.seek(SeekFrom::End(0))?;
         reader.seek(SeekFrom::Start(0))?;
         Ok(Self {
@@ -103,20 +102,17 @@ impl<R: Read + Seek> Source<R> {
     }
 
     /// The position of the next byte.
-    #[must_use]
-    pub fn position(&self) -> u64 {
+    pub(crate) fn position(&self) -> u64 {
         self.position
     }
 
     /// Bytes in all.
-    #[must_use]
-    pub fn length(&self) -> u64 {
+    pub(crate) fn length(&self) -> u64 {
         self.length
     }
 
     /// Bytes from here to the end.
-    #[must_use]
-    pub fn remaining(&self) -> u64 {
+    pub(crate) fn remaining(&self) -> u64 {
         self.length.saturating_sub(self.position)
     }
 
@@ -125,7 +121,7 @@ impl<R: Read + Seek> Source<R> {
     /// # Errors
     ///
     /// Seeking fails.
-    pub fn seek(&mut self, position: u64) -> io::Result<()> {
+    pub(crate) fn seek(&mut self, position: u64) -> io::Result<()> {
         let position = position.min(self.length);
         let distance = i128::from(position) - i128::from(self.position);
         if let Ok(near) = i64::try_from(distance) {
@@ -144,7 +140,12 @@ impl<R: Read + Seek> Source<R> {
     /// # Errors
     ///
     /// More than `limit`, or the file ends before.
-    pub fn read_into(&mut self, size: u64, limit: u64, out: &mut Vec<u8>) -> Result<(), EbmlError> {
+    pub(crate) fn read_into(
+        &mut self,
+        size: u64,
+        limit: u64,
+        out: &mut Vec<u8>,
+    ) -> Result<(), EbmlError> {
         let at = self.position;
         if size > limit {
             return Err(EbmlError::TooLarge { at, size, limit });
@@ -181,7 +182,7 @@ impl<R: Read + Seek> Source<R> {
     ///
     /// The bytes are no head, or the file ends within it. The position is then
     /// somewhere within the head.
-    pub fn head(&mut self) -> Result<Option<Head>, EbmlError> {
+    pub(crate) fn head(&mut self) -> Result<Option<Head>, EbmlError> {
         let at = self.position;
         if self.remaining() == 0 {
             return Ok(None);
@@ -228,7 +229,7 @@ impl<R: Read + Seek> Source<R> {
     /// # Errors
     ///
     /// Reading fails.
-    pub fn find(&mut self, id: u32, from: u64) -> io::Result<bool> {
+    pub(crate) fn find(&mut self, id: u32, from: u64) -> io::Result<bool> {
         self.seek(from)?;
         let pattern = id.to_be_bytes();
         let mut block = vec![0_u8; 64 * 1024];
@@ -254,8 +255,7 @@ impl<R: Read + Seek> Source<R> {
 }
 
 /// An unsigned integer of at most eight bytes.
-#[must_use]
-pub fn unsigned(data: &[u8]) -> Option<u64> {
+pub(crate) fn unsigned(data: &[u8]) -> Option<u64> {
     if data.len() > 8 {
         return None;
     }
@@ -266,8 +266,7 @@ pub fn unsigned(data: &[u8]) -> Option<u64> {
 }
 
 /// UTF-8 text without the zeros that may follow it; wrong bytes are replaced.
-#[must_use]
-pub fn text(data: &[u8]) -> String {
+pub(crate) fn text(data: &[u8]) -> String {
     let end = data
         .iter()
         .position(|&byte| byte == 0)
@@ -275,20 +274,9 @@ pub fn text(data: &[u8]) -> String {
     String::from_utf8_lossy(&data[..end]).into_owned()
 }
 
-/// A float of 0, 4 or 8 bytes.
-#[must_use]
-pub fn float(data: &[u8]) -> Option<f64> {
-    match data.len() {
-        0 => Some(0.0),
-        4 => Some(f32::from_be_bytes(data.try_into().ok()?).into()),
-        8 => Some(f64::from_be_bytes(data.try_into().ok()?)),
-        _ => None,
-    }
-}
-
 /// The elements of a master element that is in memory; stops at the first that
 /// is broken or goes beyond the end.
-pub fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
+pub(crate) fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
     let mut rest = data;
     std::iter::from_fn(move || {
         let (id, after) = memory_id(rest)?;
@@ -309,8 +297,7 @@ fn memory_id(data: &[u8]) -> Option<(u32, &[u8])> {
 
 /// A variable-length integer and what follows it; the inner `None` is the
 /// reserved value of all ones (unknown).
-#[must_use]
-pub fn variable(data: &[u8]) -> Option<(Option<u64>, &[u8])> {
+pub(crate) fn variable(data: &[u8]) -> Option<(Option<u64>, &[u8])> {
     let first = *data.first()?;
     let length = first.leading_zeros() as usize + 1;
     if length > 8 {

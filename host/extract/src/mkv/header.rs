@@ -7,65 +7,53 @@ const MAX_ITEMS: usize = 4096;
 
 /// One track.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Track {
+pub(crate) struct Track {
     /// The number in the blocks.
-    pub number: u64,
+    pub(crate) number: u64,
     /// The number in the tags.
-    pub uid: u64,
+    pub(crate) uid: u64,
     /// Its name.
-    pub name: String,
+    pub(crate) name: String,
     /// Its codec.
-    pub codec: String,
+    pub(crate) codec: String,
     /// Set-up data of the codec.
-    pub codec_private: Vec<u8>,
-    /// Nominal distance of frames in ns.
-    pub frame_duration: Option<u64>,
+    pub(crate) codec_private: Vec<u8>,
     /// Width and height in pixels.
-    pub pixels: Option<(u64, u64)>,
+    pub(crate) pixels: Option<(u64, u64)>,
 }
 
 /// What stands beside the clusters.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Header {
+pub(crate) struct Header {
     /// Nanoseconds in one unit of time; `None` if the segment information is lost.
-    pub scale: Option<u64>,
-    /// Duration in units, if it was written.
-    pub duration: Option<f64>,
-    /// The program that wrote it.
-    pub writing_app: Option<String>,
+    pub(crate) scale: Option<u64>,
     /// The tracks.
-    pub tracks: Vec<Track>,
+    pub(crate) tracks: Vec<Track>,
     /// Names and values of the tags.
-    pub tags: Vec<(String, String)>,
+    pub(crate) tags: Vec<(String, String)>,
     /// Names and bytes of the attached files.
-    pub attachments: Vec<(String, Vec<u8>)>,
-    /// Whether an index was found: it is written last, so a file without one was
-    /// not closed.
-    pub has_cues: bool,
-    /// Whether the segment knows its size: written at closing too.
-    pub has_size: bool,
+    pub(crate) attachments: Vec<(String, Vec<u8>)>,
+    /// Whether the segment knows its size: it is written last, so a file without it
+    /// was not closed.
+    pub(crate) has_size: bool,
 }
 
 impl Header {
     /// The value of a tag.
-    #[must_use]
-    pub fn tag(&self, name: &str) -> Option<&str> {
+    pub(crate) fn tag(&self, name: &str) -> Option<&str> {
         let found = self.tags.iter().find(|(tag, _)| tag == name)?;
         Some(&found.1)
     }
 }
 
 pub(super) fn read_info(data: &[u8], header: &mut Header) {
-    for (child, data) in ebml::children(data) {
-        match child {
-            id::TIMESTAMP_SCALE => header.scale = ebml::unsigned(data).filter(|&scale| scale > 0),
-            id::DURATION => header.duration = ebml::float(data),
-            id::WRITING_APP => header.writing_app = Some(ebml::text(data)),
-            _ => {}
-        }
-    }
+    let mut children = ebml::children(data);
+    let scale = children.find(|(child, _)| *child == id::TIMESTAMP_SCALE);
     // Present but without a scale: the specification's default of one millisecond.
-    header.scale.get_or_insert(1_000_000);
+    header.scale = scale
+        .and_then(|(_, data)| ebml::unsigned(data))
+        .filter(|&scale| scale > 0)
+        .or(Some(1_000_000));
 }
 
 pub(super) fn read_tracks(data: &[u8], tracks: &mut Vec<Track>) {
@@ -81,7 +69,6 @@ pub(super) fn read_tracks(data: &[u8], tracks: &mut Vec<Track>) {
                 id::NAME => track.name = ebml::text(data),
                 id::CODEC_ID => track.codec = ebml::text(data),
                 id::CODEC_PRIVATE => track.codec_private = data.to_vec(),
-                id::DEFAULT_DURATION => track.frame_duration = ebml::unsigned(data),
                 id::VIDEO => track.pixels = read_pixels(data),
                 _ => {}
             }

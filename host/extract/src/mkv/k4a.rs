@@ -216,20 +216,7 @@ impl<R: Read + Seek> Recording<R> {
         self.offset
     }
 
-    /// Whether there is an infrared track.
-    #[must_use]
-    pub fn has_ir(&self) -> bool {
-        self.ir.is_some()
-    }
-
-    /// Whether there is an IMU track.
-    #[must_use]
-    pub fn has_imu(&self) -> bool {
-        self.imu.is_some()
-    }
-
-    /// Whether the recorder closed the file: it has its information, its index
-    /// and its size.
+    /// Whether the recorder closed the file: it has its information and its size.
     #[must_use]
     pub fn was_closed(&self) -> bool {
         let header = self.mkv.header();
@@ -258,10 +245,10 @@ impl<R: Read + Seek> Recording<R> {
         self.mkv.damage()
     }
 
-    /// Position and length in bytes.
+    /// How far reading is, in bytes.
     #[must_use]
-    pub fn progress(&self) -> (u64, u64) {
-        self.mkv.progress()
+    pub fn position(&self) -> u64 {
+        self.mkv.position()
     }
 
     /// What the next cluster holds; `None` at the end.

@@ -16,8 +16,8 @@
 //! compressed tracks. Memory is bounded by one cluster ([`reader::MAX_CLUSTER`]).
 
 mod block;
-pub mod ebml;
-pub mod header;
+mod ebml;
+mod header;
 mod id;
 pub mod k4a;
-pub mod reader;
+mod reader;

@@ -15,12 +15,12 @@ use super::id;
 
 /// Most bytes of one cluster (the camera's hold 32 ms; the largest colour mode,
 /// uncompressed 4K, makes 66 MB of them).
-pub const MAX_CLUSTER: u64 = 256 << 20;
+pub(crate) const MAX_CLUSTER: u64 = 256 << 20;
 /// Most bytes of the elements in front of the clusters, each.
 const MAX_HEADER: u64 = 16 << 20;
 /// Most frames in one cluster.
 const MAX_FRAMES: usize = 100_000;
-/// Most entries in the list of damage; later ones are counted only.
+/// Most entries in the list of damage.
 const MAX_DAMAGE: usize = 1000;
 
 /// IDs that stand in a segment: behind one of these, a cluster of unknown size is over.
@@ -64,26 +64,26 @@ impl From<io::Error> for MkvError {
 
 /// One frame of a track.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Frame {
+pub(crate) struct Frame {
     /// The track's number.
-    pub track: u64,
+    pub(crate) track: u64,
     /// Time of the block in units of the file; frames that share a block share it.
-    pub time: i64,
+    pub(crate) time: i64,
     /// Size in bytes.
-    pub size: usize,
+    pub(crate) size: usize,
     /// The bytes; empty if they were not asked for.
-    pub data: Vec<u8>,
+    pub(crate) data: Vec<u8>,
 }
 
 /// One cluster.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Cluster {
+pub(crate) struct Cluster {
     /// Where it begins in the file.
-    pub at: u64,
+    pub(crate) at: u64,
     /// Its frames as they stand in the file.
-    pub frames: Vec<Frame>,
+    pub(crate) frames: Vec<Frame>,
     /// Whether it agrees with its CRC; `None` if it has none or was not read in full.
-    pub crc_ok: Option<bool>,
+    pub(crate) crc_ok: Option<bool>,
 }
 
 /// A part of the file that could not be read.
@@ -98,15 +98,14 @@ pub struct Damage {
 }
 
 /// Whose bytes are wanted; of other tracks only time and size are given.
-pub type Wanted<'a> = &'a dyn Fn(u64) -> bool;
+pub(crate) type Wanted<'a> = &'a dyn Fn(u64) -> bool;
 
 /// An open file.
-pub struct Mkv<R> {
+pub(crate) struct Mkv<R> {
     source: Source<R>,
     header: Header,
     end: u64,
     damage: Vec<Damage>,
-    damage_count: u64,
     buffer: Vec<u8>,
 }
 
@@ -116,7 +115,7 @@ impl<R: Read + Seek> Mkv<R> {
     /// # Errors
     ///
     /// It is no Matroska file, or has no tracks.
-    pub fn open(reader: R) -> Result<Self, MkvError> {
+    pub(crate) fn open(reader: R) -> Result<Self, MkvError> {
         let mut source = Source::new(reader)?;
         check_document(&mut source)?;
         let segment = loop {
@@ -135,7 +134,6 @@ impl<R: Read + Seek> Mkv<R> {
                 ..Header::default()
             },
             damage: Vec::new(),
-            damage_count: 0,
             buffer: Vec::new(),
         };
         mkv.read_header()?;
@@ -143,27 +141,18 @@ impl<R: Read + Seek> Mkv<R> {
     }
 
     /// What stands beside the clusters.
-    #[must_use]
-    pub fn header(&self) -> &Header {
+    pub(crate) fn header(&self) -> &Header {
         &self.header
     }
 
     /// What could not be read so far.
-    #[must_use]
-    pub fn damage(&self) -> &[Damage] {
+    pub(crate) fn damage(&self) -> &[Damage] {
         &self.damage
     }
 
-    /// How many parts could not be read so far (the list is limited).
-    #[must_use]
-    pub fn damage_count(&self) -> u64 {
-        self.damage_count
-    }
-
-    /// How far reading is, and the whole length, in bytes.
-    #[must_use]
-    pub fn progress(&self) -> (u64, u64) {
-        (self.source.position(), self.end)
+    /// How far reading is, in bytes.
+    pub(crate) fn position(&self) -> u64 {
+        self.source.position()
     }
 
     fn read_header(&mut self) -> Result<(), MkvError> {
@@ -218,9 +207,6 @@ impl<R: Read + Seek> Mkv<R> {
             return Ok(());
         };
         let wanted = matches!(head.id, id::INFO | id::TRACKS | id::ATTACHMENTS | id::TAGS);
-        if head.id == id::CUES {
-            self.header.has_cues = head.end().is_some_and(|end| end <= self.end);
-        }
         if !wanted {
             self.source.seek(head.data.saturating_add(size))?;
             return Ok(());
@@ -253,7 +239,7 @@ impl<R: Read + Seek> Mkv<R> {
     /// # Errors
     ///
     /// Reading fails (damage is no error).
-    pub fn next_cluster(&mut self, wanted: Wanted<'_>) -> io::Result<Option<Cluster>> {
+    pub(crate) fn next_cluster(&mut self, wanted: Wanted<'_>) -> io::Result<Option<Cluster>> {
         loop {
             let at = self.source.position();
             let result = match self.source.head() {
@@ -465,7 +451,6 @@ impl<R: Read + Seek> Mkv<R> {
     }
 
     fn note(&mut self, at: u64, bytes: u64, what: String) {
-        self.damage_count += 1;
         if self.damage.len() < MAX_DAMAGE {
             self.damage.push(Damage { at, bytes, what });
         }

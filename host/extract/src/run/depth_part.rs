@@ -1,7 +1,7 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
 use super::{ExtractError, Run};
-use crate::board::BoardInput;
+use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{self, Matched};

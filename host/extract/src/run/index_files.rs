@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{ExtractError, Run};
-use crate::board::TimePair;
+use crate::board_data::TimePair;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
 use crate::layout::{Facts, ImageRow, SequenceTables};
 use crate::pairs::Pair;

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 use index_files::Written;
 
-use super::board::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image_tables::ImagesError;
@@ -43,7 +43,7 @@ use super::time::BoardNanos;
 use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
 
 /// Version of the report's form.
-const REPORT_VERSION: u32 = 1;
+const REPORT_VERSION: u32 = 2;
 
 /// What is to be done.
 #[derive(Clone, Debug, PartialEq)]

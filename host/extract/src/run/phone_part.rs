@@ -1,19 +1,19 @@
 //! The phone's part of an extraction: timestamps, clock, images, samples.
 
-use std::fs::File;
-use std::io::{self, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use phone::video_files::VideoFiles;
 
 use video::{Pixels, Video, VideoError, presentation_times};
 
 use super::{ExtractError, Run};
+use crate::faults::Faults;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
 use crate::inputs::PhoneInput;
-use crate::phone::csv::{Faults, Rows};
-use crate::phone::files::PhoneFiles;
 use crate::phone_clock::{self, PhoneClock, Runs};
+use crate::phone_rows::PhoneRows;
 use crate::report::{Constants, Loss, PhoneReport};
 use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
@@ -61,10 +61,11 @@ impl Run<'_> {
         }
         let mut stamps = Vec::new();
         if let Some(path) = &files.frames {
-            match read_stamps(path) {
-                Ok((read, faults)) => {
+            let read = PhoneRows::open(path).and_then(|mut rows| Ok((rows.timestamps()?, rows)));
+            match read {
+                Ok((read, rows)) => {
                     stamps = read;
-                    self.note_faults(input, "frame timestamps", &faults);
+                    self.note_faults(input, "frame timestamps", rows.faults());
                 }
                 Err(error) => {
                     let what = format!("reading {}: {error}", path.display());
@@ -123,7 +124,7 @@ impl Run<'_> {
     fn align_video(
         &mut self,
         input: &PhoneInput,
-        files: &PhoneFiles,
+        files: &VideoFiles,
         stamps: &[PhoneNanos],
     ) -> Alignment {
         let Some(video) = &files.video else {
@@ -144,9 +145,9 @@ impl Run<'_> {
     }
 
     fn note_faults(&mut self, input: &PhoneInput, what: &str, faults: &Faults) {
-        if faults.count > 0 {
-            let first = faults.first.join("; ");
-            let what = format!("{} rows of the {what} are left out: {first}", faults.count);
+        if faults.count() > 0 {
+            let (count, first) = (faults.count(), faults.first().join("; "));
+            let what = format!("{count} rows of the {what} are left out: {first}");
             self.lose("phone", input.about(&what));
         }
     }
@@ -238,8 +239,7 @@ impl Run<'_> {
         ) else {
             return Ok(PhoneImu::default());
         };
-        let open = |path: &Path| File::open(path).map(|file| Rows::new(BufReader::new(file)));
-        let (mut gyro, mut accel) = match (open(gyro), open(accel)) {
+        let (mut gyro, mut accel) = match (PhoneRows::open(gyro), PhoneRows::open(accel)) {
             (Ok(gyro), Ok(accel)) => (gyro, accel),
             (Err(error), _) | (_, Err(error)) => {
                 let what = format!("opening the sensor files: {error}");
@@ -258,11 +258,11 @@ impl Run<'_> {
                 Ok(None) => break None,
                 Err(error) => break Some(error),
             };
-            span.add(sample.at.0);
+            span.add(sample.time.0);
             if span.samples.is_multiple_of(8192) && self.progress.cancelled() {
                 return Err(ExtractError::Cancelled);
             }
-            let value = match joiner.at(sample.at) {
+            let value = match joiner.at(sample.time) {
                 Ok(Some(value)) => value,
                 Ok(None) => continue,
                 Err(error) => break Some(error),
@@ -278,9 +278,8 @@ impl Run<'_> {
             let what = format!("reading the sensor files: {error}");
             self.lose("phone", input.about(&what));
         }
-        let (gyro_faults, accel_faults) = (gyro.faults().clone(), accel.faults().clone());
-        self.note_faults(input, "gyroscope", &gyro_faults);
-        self.note_faults(input, "accelerometer", &accel_faults);
+        self.note_faults(input, "gyroscope", gyro.faults());
+        self.note_faults(input, "accelerometer", accel.faults());
         if without > 0 {
             self.remarks.push(input.about(&format!(
                 "{without} samples of the phone's gyroscope have no acceleration around them and no row"
@@ -305,13 +304,4 @@ impl Phone {
             imu_rows: imu.rows,
         }
     }
-}
-
-fn read_stamps(path: &Path) -> io::Result<(Vec<PhoneNanos>, Faults)> {
-    let mut rows = Rows::new(BufReader::new(File::open(path)?));
-    let mut stamps = Vec::new();
-    while let Some(stamp) = rows.next_frame()? {
-        stamps.push(stamp);
-    }
-    Ok((stamps, rows.faults().clone()))
 }

@@ -4,7 +4,7 @@ use crate::depth_clock::MatchError;
 
 /// Why a run's frames have no pulses.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum RunError {
+pub(crate) enum RunError {
     /// Too few to work with.
     #[error("{frames} frames and {pulses} pulses are too few")]
     TooFew {

@@ -15,53 +15,53 @@ use super::time::BoardNanos;
 use timebase::ClockModel;
 
 /// Topics of further outputs begin so; the sensor's name follows.
-pub const OUTPUT_TOPICS: &str = "/output/";
+pub(crate) const OUTPUT_TOPICS: &str = "/output/";
 
 /// Pulses per second with the UTC that a lidar was told.
-pub const LIDAR_TOPIC: &str = "/mcu_lidar_ts";
+pub(crate) const LIDAR_TOPIC: &str = "/mcu_lidar_ts";
 
 /// One sample of the board's IMU.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImuRow {
+pub(crate) struct ImuRow {
     /// The data-ready edge; the filter's delay is not subtracted.
-    pub at: BoardNanos,
+    pub(crate) at: BoardNanos,
     /// rad/s.
-    pub gyro: [f64; 3],
+    pub(crate) gyro: [f64; 3],
     /// m/s².
-    pub accel: [f64; 3],
+    pub(crate) accel: [f64; 3],
     /// °C.
-    pub temperature: Option<f64>,
+    pub(crate) temperature: Option<f64>,
 }
 
 /// A pair of times of one instant.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct TimePair {
+pub(crate) struct TimePair {
     /// The topic that it came on.
-    pub topic: Arc<str>,
+    pub(crate) topic: Arc<str>,
     /// Counted by the publisher.
-    pub seq: u32,
+    pub(crate) seq: u32,
     /// Board time.
-    pub stamp: BoardNanos,
+    pub(crate) stamp: BoardNanos,
     /// The other time, in ns.
-    pub other: i64,
+    pub(crate) other: i64,
 }
 
 /// A depth image of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BagImage {
+pub(crate) struct BagImage {
     /// Its stamp: the depth camera's clock, as the driver gives it.
-    pub stamp: i64,
+    pub(crate) stamp: i64,
     /// Pixels in a row.
-    pub width: u32,
+    pub(crate) width: u32,
     /// Rows.
-    pub height: u32,
+    pub(crate) height: u32,
     /// Big-endian 16-bit pixels in mm.
-    pub pixels: Vec<u8>,
+    pub(crate) pixels: Vec<u8>,
 }
 
 /// Something that the board recorded.
 #[derive(Clone, Debug, PartialEq)]
-pub enum BoardEvent {
+pub(crate) enum BoardEvent {
     /// A sample of the IMU.
     Imu(ImuRow),
     /// A trigger pulse.
@@ -81,14 +81,14 @@ pub enum BoardEvent {
 
 /// The beginning of a run of the board after a reset.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RunMark {
+pub(crate) struct RunMark {
     /// All of the run lies at or behind this time.
-    pub from: BoardNanos,
+    pub(crate) from: BoardNanos,
     /// The last time known of the run before.
-    pub last: BoardNanos,
+    pub(crate) last: BoardNanos,
     /// How well the two runs are related, 1-sigma in s: as a stream has it by the
     /// session.
-    pub sigma_s: f64,
+    pub(crate) sigma_s: f64,
 }
 
 /// Why a recording cannot be read.
@@ -132,7 +132,7 @@ pub enum BoardError {
 
 /// Where the board's recording lies.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BoardInput {
+pub(crate) enum BoardInput {
     /// Our own `recording.mcap`.
     Mcap(PathBuf),
     /// The same with its runs moved against each other: what the board said in run
@@ -143,7 +143,7 @@ pub enum BoardInput {
 }
 
 /// Events one after the other.
-pub trait BoardStream: Send {
+pub(crate) trait BoardStream: Send {
     /// The next event; `None` at the end.
     ///
     /// # Errors
@@ -160,7 +160,7 @@ pub trait BoardStream: Send {
 
 /// What is wanted of a stream: images are large.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Images {
+pub(crate) enum Images {
     /// Images with pixels.
     Pixels,
     /// Images with their stamps only.
@@ -171,16 +171,14 @@ pub enum Images {
 
 impl BoardInput {
     /// The file.
-    #[must_use]
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         match self {
             Self::Mcap(path) | Self::Moved(path, _) | Self::Bag(path) => path,
         }
     }
 
     /// How much later the last run of the board is than it stands in the file, ns.
-    #[must_use]
-    pub fn last_moved(&self) -> i64 {
+    pub(crate) fn last_moved(&self) -> i64 {
         match self {
             Self::Moved(_, by) => by.last().copied().unwrap_or_default(),
             Self::Mcap(_) | Self::Bag(_) => 0,
@@ -192,7 +190,7 @@ impl BoardInput {
     /// # Errors
     ///
     /// It cannot be opened or is of another kind.
-    pub fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
+    pub(crate) fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
         match self {
             Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path, &[])?)),
             Self::Moved(path, by) => Ok(Box::new(mcap::McapStream::open(path, by)?)),

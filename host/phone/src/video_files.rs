@@ -3,8 +3,9 @@
 //! The app saves `{VIDEO}.mp4`, and in a folder named by the video's date
 //! `{VIDEO}gyro.csv`, `{VIDEO}accel.csv`, and `{VIDEO}_imu_timestamps.csv` (older
 //! versions: `{VIDEO}_timestamps.csv`). The folder may hold the video too, or lie
-//! beside it, so three levels are searched. Names are compared as they are; nothing
-//! is opened but what matches.
+//! beside it, so three levels are searched. Of two files of a kind the one that lies
+//! nearer is taken, and beside each other the one of the newer app. Names are compared
+//! as they are; nothing is opened.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -23,7 +24,7 @@ const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps.csv", "_timestamps.csv"];
 
 /// The files of one video. Any of them may be missing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct PhoneFiles {
+pub struct VideoFiles {
     /// Common beginning of the names.
     pub name: String,
     /// The video.
@@ -36,7 +37,7 @@ pub struct PhoneFiles {
     pub accel: Option<PathBuf>,
 }
 
-impl PhoneFiles {
+impl VideoFiles {
     fn count(&self) -> usize {
         [&self.video, &self.frames, &self.gyro, &self.accel]
             .iter()
@@ -126,31 +127,19 @@ fn classify(name: &str) -> Option<(Part, &str)> {
 /// # Errors
 ///
 /// The place cannot be read, or there are several videos.
-pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<PhoneFiles>, FilesError> {
+pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<VideoFiles>, FilesError> {
     let fail = |error| FilesError::Io {
         path: place.to_owned(),
         error,
     };
-    let is_file = fs::metadata(place).map_err(fail)?.is_file();
-    let folder = if is_file {
-        match place.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent,
-            _ => Path::new("."),
-        }
-    } else {
-        place
-    };
-    let mut groups: BTreeMap<String, PhoneFiles> = BTreeMap::new();
-    let mut left = MAX_ENTRIES;
-    collect(folder, LEVELS, &mut left, &mut groups).map_err(fail)?;
-    if is_file {
-        let stem = place.file_stem().and_then(|stem| stem.to_str());
-        let group = stem.and_then(|stem| groups.remove(stem));
-        return Ok(group.map(|group| PhoneFiles {
+    if fs::metadata(place).map_err(fail)?.is_file() {
+        let group = of_video(place).map_err(fail)?;
+        return Ok(group.map(|group| VideoFiles {
             video: Some(place.to_owned()),
             ..group
         }));
     }
+    let mut groups = collect(place).map_err(fail)?;
     if groups.len() <= 1 {
         return Ok(groups.into_values().next());
     }
@@ -174,26 +163,51 @@ pub fn find(place: &Path, wanted: Option<&str>) -> Result<Option<PhoneFiles>, Fi
     })
 }
 
+/// The files beside a video and in the folders there that go by its name, whether it
+/// is there itself or not.
+///
+/// # Errors
+///
+/// Its folder cannot be read.
+pub fn of_video(video: &Path) -> io::Result<Option<VideoFiles>> {
+    let folder = match video.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut groups = collect(folder)?;
+    let stem = video.file_stem().and_then(|stem| stem.to_str());
+    Ok(stem.and_then(|stem| groups.remove(stem)))
+}
+
 /// One video and one set of CSV files under another name: the video was renamed.
-fn join_renamed(groups: &BTreeMap<String, PhoneFiles>) -> Option<PhoneFiles> {
+fn join_renamed(groups: &BTreeMap<String, VideoFiles>) -> Option<VideoFiles> {
     let mut videos = groups.values().filter(|group| group.video.is_some());
     let mut sets = groups.values().filter(|group| group.video.is_none());
     let (video, set) = (videos.next()?, sets.next()?);
     if videos.next().is_some() || sets.next().is_some() || video.count() > 1 {
         return None;
     }
-    Some(PhoneFiles {
+    Some(VideoFiles {
         video: video.video.clone(),
         ..set.clone()
     })
 }
 
-fn collect(
+/// All there is below a folder, by the names of the videos.
+fn collect(folder: &Path) -> io::Result<BTreeMap<String, VideoFiles>> {
+    let mut groups = BTreeMap::new();
+    let mut left = MAX_ENTRIES;
+    collect_in(folder, LEVELS, &mut left, &mut groups)?;
+    Ok(groups)
+}
+
+fn collect_in(
     folder: &Path,
     depth: u32,
     left: &mut usize,
-    groups: &mut BTreeMap<String, PhoneFiles>,
+    groups: &mut BTreeMap<String, VideoFiles>,
 ) -> io::Result<()> {
+    let mut folders = Vec::new();
     let mut entries = fs::read_dir(folder)?.collect::<io::Result<Vec<_>>>()?;
     entries.sort_by_key(fs::DirEntry::file_name);
     for entry in entries {
@@ -202,12 +216,8 @@ fn collect(
             return Ok(());
         }
         let path = entry.path();
-        let kind = entry.file_type()?;
-        if kind.is_dir() {
-            if depth > 1 {
-                // A folder that may not be read is somebody else's.
-                let _ = collect(&path, depth - 1, left, groups);
-            }
+        if entry.file_type()?.is_dir() {
+            folders.push(path);
             continue;
         }
         let name = entry.file_name();
@@ -223,6 +233,11 @@ fn collect(
             Part::Accel => &mut group.accel,
         };
         slot.get_or_insert(path);
+    }
+    // What lies nearer goes before what lies deeper.
+    for folder in folders.iter().filter(|_| depth > 1) {
+        // A folder that may not be read is somebody else's.
+        let _ = collect_in(folder, depth - 1, left, groups);
     }
     Ok(())
 }
@@ -298,6 +313,23 @@ mod tests {
         assert!(found(&twists).is_err());
         let two = ["b.mp4", "d/bgyro.csv", twists[0]];
         assert!(found(&[&whole, &two[..]].concat()).is_err());
+    }
+
+    #[test]
+    fn a_video_is_found_by_its_name_and_the_nearer_file_first() {
+        let name = "VID_20240131_120000";
+        let deep = format!("20240131_120000/{name}_imu_timestamps.csv");
+        let folder = folder(&[&deep]);
+        // The video itself need not be there.
+        let video = folder.path().join(format!("{name}.mp4"));
+        let frames = || of_video(&video).unwrap().unwrap().frames.unwrap();
+        assert!(frames().ends_with(&deep));
+        for near in ["_timestamps.csv", "_imu_timestamps.csv"] {
+            let near = folder.path().join(format!("{name}{near}"));
+            fs::write(&near, "").unwrap();
+            assert_eq!(frames(), near);
+        }
+        assert_eq!(of_video(&video.with_file_name("VID_2.mp4")).unwrap(), None);
     }
 
     #[test]

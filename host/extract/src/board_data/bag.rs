@@ -21,6 +21,7 @@ use super::{BagImage, BoardError, BoardEvent, BoardStream, Images, ImuRow, TimeP
 use crate::bag::messages::{Image, Imu, Short, Temperature, TimeReference};
 use crate::bag::reader::{Bag, BagError, Message};
 use crate::depth_clock::PulseTime;
+use crate::faults::Faults;
 use crate::time::BoardNanos;
 
 /// How many samples wait for their temperature.
@@ -40,8 +41,7 @@ struct Sorter {
     waiting: VecDeque<ImuRow>,
     pulses: u64,
     topics: Vec<Arc<str>>,
-    faults: Vec<String>,
-    fault_count: u64,
+    faults: Faults,
 }
 
 enum Failure {
@@ -76,8 +76,7 @@ impl BagStream {
                 waiting: VecDeque::new(),
                 pulses: 0,
                 topics: Vec::new(),
-                faults: Vec::new(),
-                fault_count: 0,
+                faults: Faults::new(MAX_FAULTS),
             },
         })
     }
@@ -113,11 +112,7 @@ impl BoardStream for BagStream {
         let mut all: Vec<String> = damage
             .map(|damage| format!("byte {}: {}", damage.at, damage.what))
             .collect();
-        all.extend(self.sorter.faults.iter().cloned());
-        let more = self.sorter.fault_count - self.sorter.faults.len() as u64;
-        if more > 0 {
-            all.push(format!("and {more} more messages that cannot be read"));
-        }
+        all.extend(self.sorter.faults.words("messages that cannot be read"));
         all
     }
 
@@ -162,7 +157,8 @@ impl Sorter {
             _ => Ok(()),
         };
         if let Err(Short(place)) = result {
-            self.fault(format!("topic {topic}: a message ends within {place}"));
+            self.faults
+                .add(format!("topic {topic}: a message ends within {place}"));
         }
         Ok(())
     }
@@ -220,7 +216,8 @@ impl Sorter {
                 Ok(pixels) => pixels,
                 Err(what) => {
                     // It still counts as a frame: frames are numbered.
-                    self.fault(format!("a depth image at {} ns {what}", image.header.stamp));
+                    self.faults
+                        .add(format!("a depth image at {} ns {what}", image.header.stamp));
                     Vec::new()
                 }
             }
@@ -243,13 +240,6 @@ impl Sorter {
         let name: Arc<str> = topic.into();
         self.topics.push(name.clone());
         name
-    }
-
-    fn fault(&mut self, text: String) {
-        self.fault_count += 1;
-        if self.faults.len() < MAX_FAULTS {
-            self.faults.push(text);
-        }
     }
 }
 

@@ -33,6 +33,7 @@ use super::{
     BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, RunMark, TimePair,
 };
 use crate::depth_clock::PulseTime;
+use crate::faults::Faults;
 use crate::time::{BoardNanos, SECOND};
 use recording::messages::{self, ClockModel};
 use recording::reader::{is_end, record_reader};
@@ -117,8 +118,7 @@ pub(super) struct McapStream {
     trains: (u32, u32),
     /// The last sample, until its temperature or the next sample comes.
     waiting: Option<ImuRow>,
-    faults: Vec<String>,
-    fault_count: u64,
+    faults: Faults,
     ended: bool,
 }
 
@@ -147,17 +147,9 @@ impl McapStream {
             run: 0,
             trains: (0, 0),
             waiting: None,
-            faults: Vec::new(),
-            fault_count: 0,
+            faults: Faults::new(MAX_FAULTS),
             ended: false,
         })
-    }
-
-    fn fault(&mut self, text: String) {
-        self.fault_count += 1;
-        if self.faults.len() < MAX_FAULTS {
-            self.faults.push(text);
-        }
     }
 
     /// The next record of the file that matters here. `None` at its end.
@@ -175,7 +167,7 @@ impl McapStream {
                         return Err(self.not_mcap(&error));
                     }
                     let at = self.position;
-                    self.fault(if is_end(&error) {
+                    self.faults.add(if is_end(&error) {
                         format!(
                             "the recording was not closed: it ends at byte {at}, and at most its last second is missing"
                         )
@@ -203,7 +195,7 @@ impl McapStream {
                                 data: data.into_owned(),
                             }));
                         }
-                        _ => self.fault("a chunk's head cannot be read".into()),
+                        _ => self.faults.add("a chunk's head cannot be read".into()),
                     },
                     op::CHANNEL => {
                         let data = data.to_vec();
@@ -276,10 +268,11 @@ impl McapStream {
         self.spare.extend(unpacked.into_iter().flatten());
         for outcome in outcomes {
             if let Some(fault) = outcome.fault {
-                self.fault(fault);
+                self.faults.add(fault);
             }
             if outcome.broken > 0 {
-                self.fault(format!("{} messages cannot be decoded", outcome.broken));
+                self.faults
+                    .add(format!("{} messages cannot be decoded", outcome.broken));
             }
             for decoded in outcome.decoded {
                 self.give(decoded);
@@ -368,12 +361,7 @@ impl BoardStream for McapStream {
     }
 
     fn damage(&self) -> Vec<String> {
-        let mut all = self.faults.clone();
-        let more = self.fault_count - self.faults.len() as u64;
-        if more > 0 {
-            all.push(format!("and {more} more damaged parts"));
-        }
-        all
+        self.faults.words("damaged parts")
     }
 
     fn position(&self) -> u64 {
