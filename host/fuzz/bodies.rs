@@ -1,6 +1,6 @@
 //! What each fuzz target does with its bytes. One place for the targets of
 //! `cargo fuzz` (in `fuzz_targets/`) and for the short run over corpus and
-//! mutations that is part of the tests (`tests/fuzz_smoke.rs`).
+//! mutations that is part of the tests (`host/cli/tests/it/fuzz_smoke.rs`).
 #![allow(dead_code, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::Cursor;

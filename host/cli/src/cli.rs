@@ -1,8 +1,8 @@
 //! The command line: one subcommand a file in `commands/`.
 //!
 //! A new subcommand is a module in `commands/` with a documented
-//! `#[derive(clap::Args)] pub struct Args` and
-//! `pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome>`,
+//! `#[derive(clap::Args)] pub(crate) struct Args` and
+//! `pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure>`,
 //! a variant of [`Command`] and an arm in [`Command::run`].
 //!
 //! Results go to standard output (text, or one JSON document with `--json`);
@@ -21,7 +21,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::commands;
 use crate::log::LogOutput;
-use crate::outcome::{ExitStatus, Failure, Outcome, Report};
+use crate::outcome::{ExitStatus, Failure, Outcome};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
 #[derive(Debug, Parser)]
@@ -33,10 +33,10 @@ use crate::outcome::{ExitStatus, Failure, Outcome, Report};
 pub struct Cli {
     /// Options of every subcommand.
     #[command(flatten)]
-    pub global: Global,
+    global: Global,
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    command: Command,
 }
 
 /// Options of every subcommand.
@@ -64,7 +64,7 @@ pub enum LogFormat {
 
 /// The subcommands.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+enum Command {
     /// Who the board is
     Info(commands::info::Args),
     /// The clock relation of two gyroscope recordings, with its uncertainty
@@ -104,7 +104,7 @@ pub enum Command {
 }
 
 impl Command {
-    fn run(&self, context: &Context) -> anyhow::Result<Outcome> {
+    fn run(&self, context: &Context) -> Result<Outcome, Failure> {
         match self {
             Self::Info(args) => commands::info::run(args, context),
             Self::Offset(args) => commands::offset::run(args, context),
@@ -153,19 +153,17 @@ impl Said {
     }
 
     /// A live view takes the terminal, or gives it back.
-    pub fn divert(&self, to_view: bool) {
+    pub(crate) fn divert(&self, to_view: bool) {
         *self.slot() = to_view.then(VecDeque::new);
     }
 
     /// Whether a live view has the terminal.
-    #[must_use]
-    pub fn is_diverted(&self) -> bool {
+    pub(crate) fn is_diverted(&self) -> bool {
         self.slot().is_some()
     }
 
     /// The last lines.
-    #[must_use]
-    pub fn lines(&self) -> Vec<String> {
+    pub(crate) fn lines(&self) -> Vec<String> {
         self.slot().iter().flatten().cloned().collect()
     }
 
@@ -191,11 +189,11 @@ impl Context {
     /// # Errors
     ///
     /// Standard output cannot be written, or the value has no JSON form.
-    pub fn print<T: Serialize>(
+    pub(crate) fn print<T: Serialize>(
         &self,
         value: &T,
         text: impl FnOnce() -> String,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), Failure> {
         let mut text = if self.global.json {
             serde_json::to_string_pretty(value)?
         } else {
@@ -210,7 +208,7 @@ impl Context {
 
     /// Says something to the person who waits, on standard error; silent with
     /// `--json`.
-    pub fn say(&self, text: impl AsRef<str>) {
+    pub(crate) fn say(&self, text: impl AsRef<str>) {
         if !self.global.json && !self.said.take(text.as_ref()) {
             // Nobody to tell it to if standard error is gone.
             let _ = writeln!(io::stderr().lock(), "{}", text.as_ref());
@@ -218,8 +216,7 @@ impl Context {
     }
 
     /// Whether a progress bar would be seen.
-    #[must_use]
-    pub fn shows_progress(&self) -> bool {
+    pub(crate) fn shows_progress(&self) -> bool {
         !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal()
     }
 }
@@ -233,13 +230,12 @@ pub struct Interrupt(Arc<AtomicU32>);
 
 impl Interrupt {
     /// Whether to stop.
-    #[must_use]
-    pub fn requested(&self) -> bool {
+    pub(crate) fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed) > 0
     }
 
     /// Asks to stop, as Ctrl-C does.
-    pub fn request(&self) {
+    pub(crate) fn request(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -262,9 +258,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
             if error.use_stderr() && args.iter().any(|arg| arg == "--json") {
                 let message = error.render().to_string();
                 let message = message.trim_start_matches("error: ").trim_end();
-                print_error(&Report::of(
-                    &Failure::new(ExitStatus::Usage, message).into(),
-                ));
+                print_error(&Failure::new(ExitStatus::Usage, message));
             }
             // Help and version are asked for and go to standard output.
             let _ = error.print();
@@ -287,31 +281,29 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     };
     match cli.command.run(&context) {
         Ok(outcome) => outcome.into(),
-        Err(error) => report(&context, &error),
+        Err(failure) => {
+            tell_failure(&context, &failure);
+            failure.status()
+        }
     }
 }
 
-fn report(context: &Context, error: &anyhow::Error) -> ExitStatus {
-    let report = Report::of(error);
+fn tell_failure(context: &Context, failure: &Failure) {
     if context.global.json {
-        print_error(&report);
-    } else {
-        let mut text = format!("error: {}\n", report.message);
-        if let Some(step) = report.next_step {
-            text.push_str(&format!("  what to do: {step}\n"));
-        }
-        let _ = io::stderr().lock().write_all(text.as_bytes());
+        return print_error(failure);
     }
-    report.status
+    let step = failure.what_to_do();
+    let text = format!("error: {failure}\n  what to do: {step}\n");
+    let _ = io::stderr().lock().write_all(text.as_bytes());
 }
 
 /// An error as the one object of `--json`.
-fn print_error(report: &Report) {
+fn print_error(failure: &Failure) {
     let document = json!({ "error": {
-        "exit_code": report.status.code(),
-        "name": format!("{:?}", report.status),
-        "message": report.message,
-        "next_step": report.next_step,
+        "exit_code": failure.status().code(),
+        "name": format!("{:?}", failure.status()),
+        "message": failure.to_string(),
+        "next_step": failure.what_to_do(),
     }});
     let _ = write_stdout(format!("{document:#}\n").as_bytes());
 }

@@ -10,14 +10,14 @@ const MAX_DIGITS: usize = 18;
 
 /// A non-negative decimal number, exact: `digits · 10^-places`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Decimal {
+pub(crate) struct Decimal {
     digits: u64,
     places: u32,
 }
 
 /// Why a text is no number for this use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum DecimalError {
+pub(crate) enum DecimalError {
     /// Not digits with at most one point.
     #[error("expected a decimal number such as 33330.652")]
     NotANumber,
@@ -72,7 +72,7 @@ impl Decimal {
     /// # Errors
     ///
     /// Not within 1 ms and 1 s.
-    pub fn micros_period(self) -> Result<Period, DecimalError> {
+    pub(crate) fn micros_period(self) -> Result<Period, DecimalError> {
         let raw = self.micros_in_raw_ticks();
         u64::try_from(raw)
             .ok()
@@ -86,7 +86,7 @@ impl Decimal {
     /// # Errors
     ///
     /// Not within 1 and 1000.
-    pub fn fps_period(self) -> Result<Period, DecimalError> {
+    pub(crate) fn fps_period(self) -> Result<Period, DecimalError> {
         let digits = u128::from(self.digits);
         if digits == 0 {
             return Err(DecimalError::Zero);
@@ -105,7 +105,7 @@ impl Decimal {
     /// # Errors
     ///
     /// More than 32 bits of ticks.
-    pub fn micros_ticks(self) -> Result<u32, DecimalError> {
+    pub(crate) fn micros_ticks(self) -> Result<u32, DecimalError> {
         let ticks = (self.micros_in_raw_ticks() + (1 << 31)) >> 32;
         u32::try_from(ticks).map_err(|_| DecimalError::TooLarge)
     }
@@ -116,7 +116,7 @@ impl Decimal {
 /// # Errors
 ///
 /// Not a number, or no period that the board takes.
-pub fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
+pub(crate) fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
     text.parse::<Decimal>()?.micros_period()
 }
 
@@ -125,7 +125,7 @@ pub fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
 /// # Errors
 ///
 /// Not a number, or no period that the board takes.
-pub fn parse_fps(text: &str) -> Result<Period, DecimalError> {
+pub(crate) fn parse_fps(text: &str) -> Result<Period, DecimalError> {
     text.parse::<Decimal>()?.fps_period()
 }
 
@@ -134,7 +134,7 @@ pub fn parse_fps(text: &str) -> Result<Period, DecimalError> {
 /// # Errors
 ///
 /// Not a number, or too many ticks.
-pub fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
+pub(crate) fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
     text.parse::<Decimal>()?.micros_ticks()
 }
 

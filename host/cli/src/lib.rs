@@ -1,22 +1,22 @@
 //! The program `smartdepthsync`, as a library that tests can drive in their own process.
 //!
-//! - [`cli`], [`commands`]: the command line, one subcommand a file.
+//! - [`cli`], `commands`: the command line, one subcommand a file.
 //! - [`outcome`]: exit codes; `advice`: what to do about the libraries' errors.
 //! - [`record`]: a session from the twist to the aligned recording.
-//! - [`view`]: what the operator sees while a session runs.
+//! - `view`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
-//! - [`session_report`]: the HTML report of a recording.
-//! - [`log`]: where log lines go.
-//! - [`decimal`]: numbers of the command line as exact times.
+//! - `session_report`: the HTML report of a recording.
+//! - `log`: where log lines go.
+//! - `decimal`: numbers of the command line as exact times.
 #![forbid(unsafe_code)]
 
 mod advice;
 pub mod cli;
-pub mod commands;
-pub mod decimal;
+mod commands;
+mod decimal;
 pub mod live_data;
-pub mod log;
+mod log;
 pub mod outcome;
 pub mod record;
-pub mod session_report;
-pub mod view;
+mod session_report;
+mod view;

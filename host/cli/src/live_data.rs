@@ -25,7 +25,7 @@ use crate::cli::Context;
 use crate::outcome::Failure;
 
 /// The port that Foxglove tries first.
-pub const PORT: u16 = 8765;
+const PORT: u16 = 8765;
 
 /// The topic of the live view's state, as JSON: that of `monitor --json`.
 pub const STATE_TOPIC: &str = "/session/state";
@@ -51,7 +51,7 @@ impl FoxgloveArg {
     /// # Errors
     ///
     /// The address cannot be listened on; or this build cannot serve.
-    pub fn open(&self, context: &Context) -> Result<Option<LiveData>, Failure> {
+    pub(crate) fn open(&self, context: &Context) -> Result<Option<LiveData>, Failure> {
         let Some(asked) = self.foxglove else {
             return Ok(None);
         };
@@ -192,7 +192,7 @@ mod serve {
         }
 
         /// The state that the live view shows.
-        pub fn state(&self, snapshot: &Snapshot) {
+        pub(crate) fn state(&self, snapshot: &Snapshot) {
             if !self.0.state.has_sinks() {
                 return;
             }
@@ -271,7 +271,7 @@ mod absent {
         }
 
         /// Shows it to nobody.
-        pub const fn state(&self, _snapshot: &Snapshot) {}
+        pub(crate) const fn state(&self, _snapshot: &Snapshot) {}
     }
 
     impl Output for LiveData {

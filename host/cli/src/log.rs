@@ -49,12 +49,12 @@ fn held() -> MutexGuard<'static, Option<Held>> {
 }
 
 /// Holds lines back from now on.
-pub fn hold() {
+pub(crate) fn hold() {
     held().get_or_insert_default();
 }
 
 /// Writes what was held back to standard error; lines go there again.
-pub fn release() {
+pub(crate) fn release() {
     // Taken out first: nobody who logs must wait for the terminal.
     let held = held().take();
     if let Some(held) = held {
@@ -65,7 +65,7 @@ pub fn release() {
 
 /// Standard error for log lines, for `tracing_subscriber`.
 #[derive(Clone, Copy, Debug)]
-pub struct LogOutput;
+pub(crate) struct LogOutput;
 
 impl<'a> MakeWriter<'a> for LogOutput {
     type Writer = Self;

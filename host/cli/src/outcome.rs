@@ -1,12 +1,11 @@
 //! How a command ends: the exit codes, in one place, and errors that know theirs.
 //!
-//! A command returns `anyhow::Result<Outcome>`. An [`Outcome`] is a command that
-//! did its work, perhaps with loss; an error ends in the exit code of the first
-//! [`Failure`] in its chain, or [`ExitStatus::Error`] without one. Errors of the
-//! library convert into [`Failure`]s, so commands simply use `?`.
+//! A command returns `Result<Outcome, Failure>`. An [`Outcome`] is a command that
+//! did its work, perhaps with loss; a [`Failure`] knows its exit code. Errors of the
+//! libraries convert into [`Failure`]s (see `advice`), so commands simply use `?`.
 //!
-//! Every error says what to do next: its own next step, else what the system's reason
-//! for a file suggests, else what its exit code does.
+//! Every error says what to do next: its own next step, else what its exit code
+//! suggests.
 //!
 //! `docs/exit-codes.md` is the table for users; a test compares it with
 //! [`ExitStatus::ALL`].
@@ -84,7 +83,7 @@ impl ExitStatus {
 
     /// What to do about an error of which no more is known.
     #[must_use]
-    pub const fn next_step(self) -> &'static str {
+    pub(crate) const fn next_step(self) -> &'static str {
         match self {
             Self::Good | Self::Loss => "read the result: it says what is missing",
             Self::Error => {
@@ -178,7 +177,7 @@ impl Failure {
     /// A file or folder that cannot be used: `action` is what was tried, such as
     /// "read".
     #[must_use]
-    pub fn file(action: &str, path: &Path, error: &io::Error) -> Self {
+    pub(crate) fn file(action: &str, path: &Path, error: &io::Error) -> Self {
         let message = format!("cannot {action} {}: {error}", path.display());
         Self::new(ExitStatus::Storage, message).next_step(file_step(error.kind()))
     }
@@ -189,7 +188,7 @@ impl Failure {
         self.next_step.is_some()
     }
 
-    /// What the user can do about it.
+    /// The same, with what the user can do about it.
     #[must_use]
     pub fn next_step(mut self, step: impl Into<String>) -> Self {
         self.next_step = Some(step.into());
@@ -198,7 +197,7 @@ impl Failure {
 
     /// The same with what it is about before it.
     #[must_use]
-    pub fn about(mut self, what: &str) -> Self {
+    pub(crate) fn about(mut self, what: &str) -> Self {
         self.message = format!("{what}: {}", self.message);
         self
     }
@@ -207,6 +206,12 @@ impl Failure {
     #[must_use]
     pub const fn status(&self) -> ExitStatus {
         self.status
+    }
+
+    /// What the user can do: its own next step, else the exit code's.
+    pub(crate) fn what_to_do(&self) -> &str {
+        let own = self.next_step.as_deref();
+        own.unwrap_or_else(|| self.status.next_step())
     }
 }
 
@@ -220,7 +225,7 @@ impl std::error::Error for Failure {}
 
 /// What to do about a file that cannot be used, for the system's reason.
 #[must_use]
-pub const fn file_step(reason: ErrorKind) -> &'static str {
+pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {
     match reason {
         ErrorKind::NotFound => "check the path: there is no such file or folder",
         ErrorKind::PermissionDenied => "check its owner and rights: you may not use it",
@@ -234,86 +239,43 @@ pub const fn file_step(reason: ErrorKind) -> &'static str {
     }
 }
 
-/// What is said about an error: its code, its text with all causes, and what to
-/// do next.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Report {
-    /// Exit code.
-    pub status: ExitStatus,
-    /// The error and its causes, joined by `: `.
-    pub message: String,
-    /// What the user can do.
-    pub next_step: Option<String>,
+impl From<io::Error> for Failure {
+    fn from(error: io::Error) -> Self {
+        Self::new(ExitStatus::Error, error.to_string()).next_step(file_step(error.kind()))
+    }
 }
 
-impl Report {
-    /// Looks through the chain of causes for the first [`Failure`]. There always is a
-    /// next step.
-    #[must_use]
-    pub fn of(error: &anyhow::Error) -> Self {
-        let failure = error
-            .chain()
-            .find_map(|cause| cause.downcast_ref::<Failure>());
-        let mut message = String::new();
-        for cause in error.chain() {
-            let cause = cause.to_string();
-            // Many errors print their source themselves: say it once.
-            if message.ends_with(&cause) {
-                continue;
-            }
-            if !message.is_empty() {
-                message.push_str(": ");
-            }
-            message.push_str(&cause);
-        }
-        let status = failure.map_or(ExitStatus::Error, Failure::status);
-        let file = error
-            .chain()
-            .find_map(|cause| cause.downcast_ref::<io::Error>());
-        let next_step = failure
-            .and_then(|failure| failure.next_step.clone())
-            .or_else(|| file.map(|error| file_step(error.kind()).to_owned()))
-            .unwrap_or_else(|| status.next_step().to_owned());
-        Self {
-            status,
-            message,
-            next_step: Some(next_step),
-        }
+impl From<serde_json::Error> for Failure {
+    fn from(error: serde_json::Error) -> Self {
+        Self::new(ExitStatus::Error, error.to_string())
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use anyhow::Context as _;
-
     use super::*;
 
     #[test]
-    fn the_code_is_found_below_context() {
+    fn what_an_error_is_about_stands_before_it() {
         let failure = Failure::new(ExitStatus::Busy, "it is open").next_step("close it");
-        let error = Err::<(), _>(failure).context("cannot connect").unwrap_err();
-        let report = Report::of(&error);
-        assert_eq!(report.status, ExitStatus::Busy);
-        assert_eq!(report.message, "cannot connect: it is open");
-        assert_eq!(report.next_step.as_deref(), Some("close it"));
-    }
-
-    #[test]
-    fn an_error_without_a_code_is_a_plain_error() {
-        let report = Report::of(&anyhow::anyhow!("odd"));
-        assert_eq!(report.status, ExitStatus::Error);
-        assert!(report.next_step.unwrap().contains("-vv"));
+        let failure = failure.about("cannot connect");
+        assert_eq!(failure.status(), ExitStatus::Busy);
+        assert_eq!(failure.to_string(), "cannot connect: it is open");
+        assert_eq!(failure.what_to_do(), "close it");
     }
 
     #[test]
     fn every_error_has_a_next_step() {
-        let error = anyhow::Error::from(io::Error::from(ErrorKind::StorageFull)).context("saving");
-        let step = Report::of(&error).next_step.unwrap();
+        let full = io::Error::from(ErrorKind::StorageFull);
+        let error = Failure::from(full).about("saving");
+        assert_eq!(error.status(), ExitStatus::Error);
+        let step = error.what_to_do();
         assert!(step.contains("free some space"), "{step}");
         for status in ExitStatus::ALL {
-            let report = Report::of(&Failure::new(status, "odd").into());
-            assert_eq!(report.next_step.as_deref(), Some(status.next_step()));
+            let failure = Failure::new(status, "odd");
+            assert_eq!(failure.what_to_do(), status.next_step());
         }
+        assert!(ExitStatus::Error.next_step().contains("-vv"));
     }
 
     #[test]

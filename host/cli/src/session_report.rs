@@ -19,14 +19,14 @@ use recording::session_file::{FramePeriodSource, SessionFile, SessionOutcome};
 use timebase::BoardSeconds;
 
 /// Name of the report in a recording's folder.
-pub const REPORT_FILE: &str = "report.html";
+pub(crate) const REPORT_FILE: &str = "report.html";
 
 /// The most problems and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
 /// What the plots need of the recording.
 #[derive(Debug, Default)]
-pub struct Curves {
+pub(crate) struct Curves {
     gyro: [Envelope; 3],
     off_grid: Envelope,
     readback: Envelope,
@@ -55,7 +55,7 @@ impl Curves {
     ///
     /// It cannot be opened. A recording that breaks somewhere gives what stands
     /// before.
-    pub fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
+    pub(crate) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
         let mut curves = Self::default();
         let mut reader = Reader::open(recording)?;
         for entry in reader.by_ref() {
@@ -134,7 +134,7 @@ impl Curves {
 /// # Errors
 ///
 /// The recording cannot be read, or the report cannot be written.
-pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
+pub(crate) fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session)?;
     let path = folder.join(REPORT_FILE);
     std::fs::write(&path, page(session, &curves).html()).map_err(|source| RecordingError::Io {
@@ -146,8 +146,7 @@ pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingE
 }
 
 /// The verdict over a session in words.
-#[must_use]
-pub fn verdict(session: &SessionFile) -> (Level, String) {
+pub(crate) fn verdict(session: &SessionFile) -> (Level, String) {
     let lost = session.counts.lost();
     let expected = session.alignment.map_or(String::new(), |alignment| {
         format!(
@@ -211,8 +210,7 @@ pub fn verdict(session: &SessionFile) -> (Level, String) {
 }
 
 /// The report as a page.
-#[must_use]
-pub fn page(session: &SessionFile, curves: &Curves) -> Page {
+pub(crate) fn page(session: &SessionFile, curves: &Curves) -> Page {
     let (level, verdict) = verdict(session);
     let mut page = Page::new(&format!("Recording {}", session.name), level, &verdict);
     page.facts(&facts(session));

@@ -4,12 +4,12 @@ use clap::CommandFactory as _;
 use clap_complete::Shell;
 
 use crate::cli::{Cli, Context};
-use crate::outcome::Outcome;
+use crate::outcome::{Failure, Outcome};
 
 /// Print the completions for a shell, for example
 /// `smartdepthsync completions bash > ~/.local/share/bash-completion/completions/smartdepthsync`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The shell
     #[arg(value_enum)]
     shell: Shell,
@@ -26,7 +26,7 @@ struct Script {
 /// # Errors
 ///
 /// Standard output cannot be written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut script = Vec::new();
     clap_complete::generate(
         args.shell,

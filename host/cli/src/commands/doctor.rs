@@ -23,7 +23,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     /// The rig profile; without it, the published rig's
@@ -48,7 +48,7 @@ pub struct Args {
 /// # Errors
 ///
 /// None but those of printing; what is wrong is in the result.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut checks = Checks::default();
     let profile = match &args.profile {
         Some(path) => Profile::load(path),
@@ -63,7 +63,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             Some(profile)
         }
         Err(error) => {
-            checks.bad("profile", error.into());
+            checks.bad("profile", error);
             None
         }
     };
@@ -73,7 +73,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             let looked = check_imu(&mut board, &mut checks, context)
                 .and_then(|()| check_trigger(args, &mut board, &mut checks, context));
             if let Err(error) = looked {
-                checks.bad("board", error.into());
+                checks.bad("board", error);
             }
         }
         Err(failure) => checks.bad("board", failure),
@@ -170,7 +170,7 @@ fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
         PhoneClient::connect(&profile.phone.address, settings).and_then(|mut phone| phone.probe());
     match version {
         Ok(version) => checks.phone(&version.to_string(), &profile.phone.address),
-        Err(error) => checks.bad("phone", Failure::from(error)),
+        Err(error) => checks.bad("phone", error),
     }
 }
 

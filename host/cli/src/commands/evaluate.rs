@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::Context as _;
 use clap::{Subcommand, ValueEnum};
 use jiff::civil::Date;
 use serde::Serialize;
@@ -23,7 +22,7 @@ use evaluate::{EvaluateError, Settings, plot};
 
 /// Arguments of `evaluate`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(subcommand)]
     what: What,
 }
@@ -200,7 +199,7 @@ struct DriftOutput<'a> {
 /// # Errors
 ///
 /// Nothing could be measured, or a file cannot be read or written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     match &args.what {
         What::Precision(args) => run_precision(args, context),
         What::Drift(args) => run_drift(args, context),
@@ -262,16 +261,16 @@ fn next_step(error: &EvaluateError) -> &'static str {
     }
 }
 
-fn write_file(path: &Path, text: &str) -> anyhow::Result<()> {
-    std::fs::write(path, text).map_err(|error| Failure::file("write", path, &error).into())
+fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(path, text).map_err(|error| Failure::file("write", path, &error))
 }
 
-fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outcome> {
+fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Failure> {
     let started = Instant::now();
-    let settings = args.common.settings(None).map_err(Failure::from)?;
+    let settings = args.common.settings(None)?;
     // A profile that cannot be read is found out before hours of work.
     let profile_bias = match &args.calibrate {
-        Some(profile) => read_bias(profile).map_err(Failure::from)?,
+        Some(profile) => read_bias(profile)?,
         None => 0.0,
     };
     let count = args.inputs.len();
@@ -294,8 +293,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outc
                 context.say(format!("{done}/{count} {}: {said}", path.display()));
             }
         },
-    )
-    .map_err(Failure::from)?;
+    )?;
     let Some(shown) = shown else {
         if context.interrupt.requested() {
             return Ok(Outcome::Interrupted);
@@ -310,8 +308,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> anyhow::Result<Outc
                     .map_or("no reason", |l| l.reason.as_str())
             ),
         )
-        .next_step("mend what the reason names; with -v every recording's reason is told")
-        .into());
+        .next_step("mend what the reason names; with -v every recording's reason is told"));
     };
     if let Some(path) = &args.common.plot {
         let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us)?;
@@ -351,7 +348,7 @@ fn calibrate(
     profile_bias: f64,
     args: &PrecisionArgs,
     result: &Precision,
-) -> anyhow::Result<Calibrated> {
+) -> Result<Calibrated, Failure> {
     // What each recording left over, and what had been subtracted from it.
     let applied: Vec<f64> = result
         .recordings
@@ -369,7 +366,8 @@ fn calibrate(
         .map(|(r, applied)| r.bias_us + applied)
         .collect();
     let sigmas: Vec<f64> = result.recordings.iter().map(|r| r.sigma_us).collect();
-    let bias = Spread::of(&whole, &sigmas).context("no bias was measured")?;
+    let bias = Spread::of(&whole, &sigmas)
+        .ok_or_else(|| Failure::new(ExitStatus::Error, "no bias was measured"))?;
     let open = result.recordings.iter().any(|r| !r.identity.unique);
     if open && args.common.near.is_none() {
         return Err(Failure::new(
@@ -382,8 +380,7 @@ fn calibrate(
         .next_step(format!(
             "record with the trigger moved by some milliseconds (a `frame_sync.bias_us` that is about {:.0} µs off) so that an end of the train comes into the picture; or, if the bias is known to half a pitch, give it with --near",
             2.5 * args.common.train.pitch_us
-        ))
-        .into());
+        )));
     }
     let new = Calibrated {
         profile: profile.to_owned(),
@@ -392,7 +389,7 @@ fn calibrate(
         bias_sigma_us: bias.mean_sigma_us,
         measured: jiff::Zoned::now().date(),
     };
-    write_bias(profile, new.bias_us, new.bias_sigma_us, new.measured).map_err(Failure::from)?;
+    write_bias(profile, new.bias_us, new.bias_sigma_us, new.measured)?;
     Ok(new)
 }
 
@@ -488,19 +485,14 @@ fn spread_text(text: &mut String, name: &str, s: &Spread) {
     }
 }
 
-fn run_drift(args: &DriftArgs, context: &Context) -> anyhow::Result<Outcome> {
+fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     let started = Instant::now();
-    let settings = args
-        .common
-        .settings(args.timestamps.clone())
-        .map_err(Failure::from)?;
+    let settings = args.common.settings(args.timestamps.clone())?;
     let recording = Recording::read(&args.input, &settings, None, &|| {
         context.interrupt.requested()
-    })
-    .map_err(Failure::from)?;
+    })?;
     let waiting_for_input_s = recording.waited.as_secs_f64();
-    let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)
-        .map_err(Failure::from)?;
+    let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
     if let Some(path) = &args.common.plot {
         let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us)?;
         write_file(path, &svg)?;

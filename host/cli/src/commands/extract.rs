@@ -43,7 +43,7 @@ impl From<FormatArg> for Format {
 
 /// Options of `extract`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The recording: its folder, a recording.mcap, or a ROS 1 bag of the published system
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
@@ -92,7 +92,7 @@ pub struct Args {
 ///
 /// There is no recording, the output folder cannot be used, or a file cannot be
 /// written. Missing and damaged parts end in [`Outcome::Loss`].
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let out = match &args.out {
         Some(out) => out.clone(),
         None => default_out(&args.recording, args.format.into())?,
@@ -108,8 +108,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
                     ExitStatus::Usage,
                     "--phone was given twice without a name",
                 )
-                .next_step("of several phones, give --phone NAME=PATH")
-                .into());
+                .next_step("of several phones, give --phone NAME=PATH"));
             }
         }
     }
@@ -140,7 +139,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         Err(error) => return Err(Failure::from(error).into()),
     };
     if let Some(profile) = &args.learn {
-        let text = learn::into_profile(&report, profile).map_err(Failure::from)?;
+        let text = learn::into_profile(&report, profile)?;
         context.say(text);
     }
     context.print(&report, || {
@@ -154,7 +153,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 }
 
 /// `RECORDING-FORMAT` beside the recording.
-fn default_out(recording: &Path, format: Format) -> anyhow::Result<PathBuf> {
+fn default_out(recording: &Path, format: Format) -> Result<PathBuf, Failure> {
     let full = recording.canonicalize().map_err(|error| {
         Failure::new(
             ExitStatus::Storage,

@@ -15,7 +15,7 @@ use board::gnss::{NMEA_DELAY_MS, parse_baud, utc_at_zero};
 
 /// Options of `gnss`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     #[command(subcommand)]
@@ -85,7 +85,7 @@ struct SettingsReport {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut board = args.port.open()?;
     let report = match args.action {
         Action::Start {
@@ -119,7 +119,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         Action::Stop => board.stop_gnss(),
         Action::Status => board.gnss(),
     };
-    let report = Report::from(&report.map_err(Failure::from)?);
+    let report = Report::from(&report?);
     context.print(&report, || report.text())?;
     Ok(if report.late > 0 || report.missed > 0 {
         Outcome::Loss

@@ -29,7 +29,7 @@ const LINK_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `imu`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     /// How long, in seconds of board time
@@ -45,7 +45,7 @@ pub struct Args {
 
 /// Settings to change first; what is not given stays.
 #[derive(Clone, Copy, Debug, Default, clap::Args)]
-pub struct Settings {
+pub(crate) struct Settings {
     /// Samples a second: 1000 divided by a whole number up to 256
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     rate: Option<u8>,
@@ -131,13 +131,13 @@ struct Report {
 ///
 /// The board cannot be reached, its IMU gives nothing, or the file cannot be
 /// written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut csv = args.csv.as_deref().map(Csv::create).transpose()?;
     let mut board = args.port.open()?;
-    let mut setup = board.imu().map_err(Failure::from)?;
+    let mut setup = board.imu()?;
     let wanted = args.settings.over(setup.config);
     if wanted != setup.config {
-        setup = board.configure_imu(wanted).map_err(Failure::from)?;
+        setup = board.configure_imu(wanted)?;
     }
     let scale = imu_scale(&setup)?;
     let mut summary = Summary::default();
@@ -146,7 +146,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
         csv.finish()?;
     }
     // The clock is only known once samples have come.
-    setup = board.imu().map_err(Failure::from)?;
+    setup = board.imu()?;
     let report = Report {
         clock: setup.status.clock,
         scale,
@@ -176,7 +176,7 @@ fn stream(
     scale: &Scale,
     summary: &mut Summary,
     csv: &mut Option<Csv>,
-) -> anyhow::Result<Ended> {
+) -> Result<Ended, Failure> {
     let bar = progress_bar(context, u64::from(args.seconds));
     let mut last_sign = board.session().latest();
     let mut quiet_since = board.now();
@@ -185,15 +185,13 @@ fn stream(
             bar.finish_and_clear();
             return Ok(Ended::Interrupted);
         }
-        let event = board
-            .next_event(Duration::from_millis(100))
-            .map_err(Failure::from)?;
+        let event = board.next_event(Duration::from_millis(100))?;
         if event.is_some() {
             quiet_since = board.now();
         } else if board.now().saturating_sub(quiet_since) > LINK_PATIENCE {
-            return Err(Failure::from(BoardError::NoAnswer {
+            return Err(BoardError::NoAnswer {
                 command: "IMU samples",
-            })
+            }
             .into());
         }
         match event {
@@ -227,7 +225,7 @@ fn stream(
             _ => {
                 let silent = (board.session().latest() - last_sign).0;
                 if silent > PATIENCE_TICKS as i64 {
-                    return Err(no_samples(board).into());
+                    return Err(no_samples(board));
                 }
             }
         }

@@ -14,7 +14,7 @@ use board::{Board, BoardError, reset_cause};
 
 /// Options of `info`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     /// Then print the board's status messages for this many seconds of board time
@@ -62,9 +62,9 @@ struct StatusReport {
 /// # Errors
 ///
 /// The board cannot be reached.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut board = args.port.open()?;
-    let (_, round_trip) = board.ping().map_err(Failure::from)?;
+    let (_, round_trip) = board.ping()?;
     let mut info = Info::new(board.hello(), round_trip);
     if !context.global.json {
         context.print(&info, || info.text())?;
@@ -81,7 +81,7 @@ fn watch(
     board: &mut Board,
     context: &Context,
     reports: &mut Vec<StatusReport>,
-) -> anyhow::Result<Outcome> {
+) -> Result<Outcome, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let mut silent_since = board.now();
     let mut before = None;
@@ -89,10 +89,7 @@ fn watch(
         if context.interrupt.requested() {
             return Ok(Outcome::Interrupted);
         }
-        match board
-            .next_event(Duration::from_millis(100))
-            .map_err(Failure::from)?
-        {
+        match board.next_event(Duration::from_millis(100))? {
             Some(Event::Message(DeviceToHost::Status(status))) => {
                 silent_since = board.now();
                 let report = StatusReport::from(&status);
@@ -105,9 +102,9 @@ fn watch(
             Some(_) => {}
             // It comes once a second of board time; a simulated board may be slower.
             None if board.now().saturating_sub(silent_since) > Duration::from_secs(20) => {
-                return Err(Failure::from(BoardError::NoAnswer {
+                return Err(BoardError::NoAnswer {
                     command: "status message",
-                })
+                }
                 .into());
             }
             None => {}

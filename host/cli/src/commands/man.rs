@@ -10,7 +10,7 @@ use crate::outcome::{ExitStatus, Failure, Outcome};
 /// Write the manual pages, one a command, into a folder, for example
 /// `smartdepthsync man ~/.local/share/man/man1`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The folder; it is made if it is not there
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
@@ -26,7 +26,7 @@ struct Written {
 /// # Errors
 ///
 /// The folder cannot be written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let failed = |error: std::io::Error| {
         Failure::new(
             ExitStatus::Storage,

@@ -1,33 +1,33 @@
 //! The subcommands of `smartdepthsync`, one a file.
 
-pub mod completions;
-pub mod doctor;
-pub mod evaluate;
-pub mod extract;
-pub mod gnss;
-pub mod imu;
-pub mod info;
-pub mod man;
-pub mod monitor;
-pub mod offset;
-pub mod phone;
-pub mod ports;
-pub mod profile;
-pub mod record;
-pub mod repair;
-pub mod report;
-pub mod trigger;
-pub mod verify;
+pub(crate) mod completions;
+pub(crate) mod doctor;
+pub(crate) mod evaluate;
+pub(crate) mod extract;
+pub(crate) mod gnss;
+pub(crate) mod imu;
+pub(crate) mod info;
+pub(crate) mod man;
+pub(crate) mod monitor;
+pub(crate) mod offset;
+pub(crate) mod phone;
+pub(crate) mod ports;
+pub(crate) mod profile;
+pub(crate) mod record;
+pub(crate) mod repair;
+pub(crate) mod report;
+pub(crate) mod trigger;
+pub(crate) mod verify;
 
 use crate::outcome::Failure;
 use board::Board;
 
 /// The option of every command that talks to the board.
 #[derive(Clone, Debug, clap::Args)]
-pub struct PortArg {
+pub(crate) struct PortArg {
     /// The board's serial port; may be left out if exactly one board is plugged in
     #[arg(long, value_name = "PATH", global = true)]
-    pub port: Option<String>,
+    pub(crate) port: Option<String>,
 }
 
 impl PortArg {
@@ -37,7 +37,7 @@ impl PortArg {
     ///
     /// No such port, no permission, busy, not this board, another version, no
     /// answer.
-    pub fn open(&self) -> Result<Board, Failure> {
+    pub(crate) fn open(&self) -> Result<Board, Failure> {
         Board::open(self.port.as_deref()).map_err(Failure::from)
     }
 }

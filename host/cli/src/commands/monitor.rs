@@ -32,7 +32,7 @@ const LINE_TICKS: u64 = TICK_HZ as u64;
 /// On a terminal a live view (h shows its keys), else a line a second. With --json
 /// the state at the end.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     /// How long, in board time: 90s, 5m, 1h; until stopped if not given
@@ -53,10 +53,10 @@ pub struct Args {
 /// # Errors
 ///
 /// The board cannot be reached, or does not come back.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let onlookers = args.foxglove.open(context)?;
     let mut board = args.port.open()?;
-    let setup = board.imu().map_err(Failure::from)?;
+    let setup = board.imu()?;
     let scale = imu_scale(&setup)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let mut connector = SerialConnector {
@@ -67,7 +67,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     gauge.board.clone_from(&id);
     let mut topics = onlookers.clone().map(Publisher::new);
     let profile = match &args.profile {
-        Some(path) => Some(Profile::load(path).map_err(Failure::from)?),
+        Some(path) => Some(Profile::load(path)?),
         None => None,
     };
     if let Some(profile) = &profile {
@@ -93,8 +93,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
                 Ok(Some(Event::Message(message))) => {
                     gauge.take(&message, Some(&scale));
                     if let Some(topics) = &mut topics {
-                        show_live(topics, &message, &scale, &id, profile.as_ref())
-                            .map_err(Failure::from)?;
+                        show_live(topics, &message, &scale, &id, profile.as_ref())?;
                     }
                 }
                 Ok(Some(Event::Lost { stream, count })) => {
@@ -111,7 +110,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
                     last_line = None;
                 }
                 Ok(Some(Event::OtherVersion { found })) => {
-                    return Err(Failure::from(BoardError::OtherVersion { found }).into());
+                    return Err(BoardError::OtherVersion { found }.into());
                 }
                 Ok(Some(_)) => {}
                 Ok(None) => break,

@@ -5,7 +5,6 @@ mod plot;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use serde::Serialize;
 
 use crate::cli::Context;
@@ -16,35 +15,35 @@ use twist_sync::{Action, Estimate, Fault, FaultKind, Gate, Options, Stream, esti
 
 /// Options of `offset`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The board's gyroscope: CSV with a header (time in seconds; x, y, z in rad/s), or in
     /// the phone app's form (no header: x, y, z, integer nanoseconds)
     #[arg(long, value_name = "FILE")]
-    pub mcu: PathBuf,
+    pub(crate) mcu: PathBuf,
     /// The phone's gyroscope, in either form
     #[arg(long, value_name = "FILE")]
-    pub phone: PathBuf,
+    pub(crate) phone: PathBuf,
     /// Draw both gyroscopes before and after, the residual and what was left out
     #[arg(long, value_name = "FILE.svg")]
-    pub plot: Option<PathBuf>,
+    pub(crate) plot: Option<PathBuf>,
     /// Delay of the board gyroscope's low-pass in µs (MPU-9150: 1900 at DLPF 188 Hz)
     #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = delay, allow_negative_numbers = true)]
-    pub mcu_delay_us: f64,
+    pub(crate) mcu_delay_us: f64,
     /// Delay of the phone gyroscope's low-pass in µs, from the rig's profile
     #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = delay, allow_negative_numbers = true)]
-    pub phone_delay_us: f64,
+    pub(crate) phone_delay_us: f64,
     /// Refuse an offset with a larger 1-sigma, µs
     #[arg(long, value_name = "US", default_value_t = 100.0, value_parser = positive)]
-    pub max_sigma_us: f64,
+    pub(crate) max_sigma_us: f64,
     /// −3 dB frequency of the zero-phase low-pass, Hz
     #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = low_pass)]
-    pub low_pass_hz: f64,
+    pub(crate) low_pass_hz: f64,
     /// Degree of the splines
     #[arg(long, value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
-    pub spline_degree: String,
+    pub(crate) spline_degree: String,
     /// Do not look for faults of the streams, to see what they do to the result
     #[arg(long)]
-    pub keep_faults: bool,
+    pub(crate) keep_faults: bool,
 }
 
 fn finite(text: &str) -> Result<f64, String> {
@@ -146,14 +145,13 @@ impl Input {
 ///
 /// A file cannot be read or is damaged, or the plot cannot be written. A refused
 /// estimate is no error but [`Outcome::Refused`].
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let options = args.options();
     let mcu = read(&args.mcu)?;
     let phone = read(&args.phone)?;
     let result = estimate_offset(&mcu.track, &phone.track, &options);
     if let Some(path) = &args.plot {
-        let svg = plot::svg(&mcu.track, &phone.track, &result, &options)
-            .context("cannot draw the plot")?;
+        let svg = plot::svg(&mcu.track, &phone.track, &result, &options)?;
         std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
         context.say(format!("plot: {}", path.display()));
     }
@@ -197,7 +195,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     Ok(outcome)
 }
 
-fn read(path: &Path) -> anyhow::Result<GyroFile> {
+fn read(path: &Path) -> Result<GyroFile, Failure> {
     gyro_csv::read_file(path).map_err(|error| {
         match error {
             gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),

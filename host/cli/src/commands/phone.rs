@@ -16,7 +16,7 @@ use phone::{
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     connection: ConnectionArgs,
     #[command(subcommand)]
@@ -93,33 +93,7 @@ struct GetVideoArgs {
 ///
 /// The phone cannot be reached, does not keep to its protocol, or refuses; or
 /// a file cannot be written. All are [`Failure`]s.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
-    match carry_out(args, context) {
-        Ok(()) => Ok(Outcome::Good),
-        Err(Ended::Phone(error)) => Err(Failure::from(error).into()),
-        Err(Ended::Other(error)) => Err(error),
-    }
-}
-
-/// Why a request did not come to its end.
-enum Ended {
-    Phone(PhoneError),
-    Other(anyhow::Error),
-}
-
-impl From<PhoneError> for Ended {
-    fn from(error: PhoneError) -> Self {
-        Self::Phone(error)
-    }
-}
-
-impl From<anyhow::Error> for Ended {
-    fn from(error: anyhow::Error) -> Self {
-        Self::Other(error)
-    }
-}
-
-fn carry_out(args: &Args, context: &Context) -> Result<(), Ended> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let address = args.connection.phone.as_deref().ok_or_else(|| {
         PhoneError::Argument(
             "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
@@ -141,11 +115,12 @@ fn carry_out(args: &Args, context: &Context) -> Result<(), Ended> {
     }
     let mut client = PhoneClient::connect(address, settings)?;
     match &args.request {
-        Request::Imu(imu) => record_imu(&mut client, imu, context),
-        Request::Start => start(&mut client, context),
-        Request::Stop => stop(&mut client, context),
-        Request::GetVideo(video) => get_video(&mut client, video, context),
+        Request::Imu(imu) => record_imu(&mut client, imu, context)?,
+        Request::Start => start(&mut client, context)?,
+        Request::Stop => stop(&mut client, context)?,
+        Request::GetVideo(video) => get_video(&mut client, video, context)?,
     }
+    Ok(Outcome::Good)
 }
 
 /// What a recording of one sensor was like.
@@ -252,7 +227,7 @@ fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
     Ok(())
 }
 
-fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Result<(), Ended> {
+fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Result<(), Failure> {
     let request = imu_request(args);
     let bar = if context.shows_progress() {
         let bar = ProgressBar::new_spinner();
@@ -293,11 +268,10 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
             .map(SensorSummary::text)
             .collect::<Vec<_>>()
             .join("\n")
-    })?;
-    Ok(())
+    })
 }
 
-fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {
+fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
     #[derive(Serialize)]
     struct Started {
         app_version: Option<&'static str>,
@@ -323,23 +297,21 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {
             started.frame_duration_ns * 1e-3,
             1e9 / started.frame_duration_ns,
         )
-    })?;
-    Ok(())
+    })
 }
 
-fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {
+fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
     client.stop_video()?;
     context.print(&serde_json::json!({ "stopped": true }), || {
         "video stopped".to_owned()
-    })?;
-    Ok(())
+    })
 }
 
 fn get_video(
     client: &mut PhoneClient,
     args: &GetVideoArgs,
     context: &Context,
-) -> Result<(), Ended> {
+) -> Result<(), Failure> {
     #[derive(Serialize)]
     struct Saved<'a> {
         path: &'a Path,
@@ -378,8 +350,7 @@ fn get_video(
     };
     context.print(&report, || {
         format!("{}: {} bytes", saved.path.display(), saved.size)
-    })?;
-    Ok(())
+    })
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

@@ -11,7 +11,7 @@ use board::transport::ports::{self, Port};
 
 /// Options of `ports`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// List boards only, and end with the code for "no port" if there is none
     #[arg(long)]
     boards: bool,
@@ -29,7 +29,7 @@ struct Ports<'a> {
 ///
 /// The system does not list its ports; or no board, where only boards were
 /// asked for.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut ports = ports::list().map_err(|error| {
         Failure::new(
             ExitStatus::Error,

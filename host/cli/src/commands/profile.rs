@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use clap::Subcommand;
 use serde::Serialize;
 
@@ -19,7 +18,7 @@ use recording::session_file::SessionFile;
 
 /// Options of `profile`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(subcommand)]
     action: Action,
 }
@@ -73,12 +72,15 @@ struct Report {
 /// # Errors
 ///
 /// A file cannot be read or written, or nothing can be learnt.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     match &args.action {
         Action::Init { file } => init(file, context),
         Action::Check { file } => {
-            let profile = Profile::load(file).map_err(Failure::from)?;
-            let text = toml::to_string_pretty(&profile).context("the profile has no TOML form")?;
+            let profile = Profile::load(file)?;
+            let text = toml::to_string_pretty(&profile).map_err(|error| {
+                let message = format!("the profile has no TOML form: {error}");
+                Failure::new(ExitStatus::Error, message)
+            })?;
             context.print(&profile, || text)?;
             Ok(Outcome::Good)
         }
@@ -91,7 +93,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     }
 }
 
-fn init(file: &Path, context: &Context) -> anyhow::Result<Outcome> {
+fn init(file: &Path, context: &Context) -> Result<Outcome, Failure> {
     File::create_new(file)
         .and_then(|mut created| created.write_all(DEFAULT.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
@@ -107,25 +109,21 @@ fn teach(
     phone: Option<&str>,
     timestamps: &Path,
     context: &Context,
-) -> anyhow::Result<Outcome> {
+) -> Result<Outcome, Failure> {
     let text = read(file)?;
-    let session = SessionFile::load(recording).map_err(Failure::from)?;
+    let session = SessionFile::load(recording)?;
+    let shown = timestamps.display();
     let times = frame_timestamps::read(timestamps).map_err(|error| match error {
         RowError::Io(error) => Failure::file("read", timestamps, &error),
-        RowError::Bad(row) => {
-            let what = format!("{}: {row}", timestamps.display());
-            Failure::new(ExitStatus::Error, what).next_step(
-                "give the app's `..._timestamps.csv` of that recording: one integer of \
-                     nanoseconds a line",
-            )
-        }
+        RowError::Bad(row) => Failure::new(ExitStatus::Error, format!("{shown}: {row}")).next_step(
+            "give the app's `..._timestamps.csv` of that recording: one integer of nanoseconds a \
+             line",
+        ),
     })?;
-    let period = frame_period(&times)
-        .map_err(|error| {
-            Failure::new(ExitStatus::Refused, error.to_string())
-                .next_step("give the timestamps of a longer recording, whole as the app wrote them")
-        })
-        .with_context(|| format!("{}", timestamps.display()))?;
+    let period = frame_period(&times).map_err(|error| {
+        Failure::new(ExitStatus::Refused, format!("{shown}: {error}"))
+            .next_step("give the timestamps of a longer recording, whole as the app wrote them")
+    })?;
     let own = session.profile.phone.name.clone();
     let phone = phone.unwrap_or(&own);
     let known = |name: &str| {
@@ -141,7 +139,7 @@ fn teach(
     let today = jiff::Zoned::now().date();
     let skew = learn::skew_of_twists(clocks, resets);
     let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, board_id, today);
-    let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
+    let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;
     let report = Report {

@@ -18,7 +18,7 @@ use recording::session_file::{OtherPhone, SessionFile};
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The board's serial port; may be left out if exactly one board is plugged in
     #[arg(long, value_name = "PATH")]
     port: Option<String>,
@@ -68,7 +68,7 @@ pub struct Args {
 /// # Errors
 ///
 /// It is none, or not within 0 and a week.
-pub fn parse_duration(text: &str) -> Result<u64, String> {
+pub(crate) fn parse_duration(text: &str) -> Result<u64, String> {
     let expected = || String::from("expected a duration such as 90s, 5m or 1h, at most a week");
     let (number, unit) = match text.char_indices().last() {
         Some((at, 's')) => (text.get(..at), 1),
@@ -105,17 +105,16 @@ struct Report<'a> {
 /// # Errors
 ///
 /// A step failed; what was recorded before is kept.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut profile = match &args.profile {
         Some(path) => Profile::load(path),
         None => Profile::published(),
-    }
-    .map_err(Failure::from)?;
+    }?;
     for phone in &args.phone {
-        profile.set_address(phone).map_err(Failure::from)?;
+        profile.set_address(phone)?;
     }
     if let Some(name) = &args.reference {
-        profile.set_reference(name).map_err(Failure::from)?;
+        profile.set_reference(name)?;
     }
     let options = Options {
         out: args.out.clone(),

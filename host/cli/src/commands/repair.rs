@@ -12,7 +12,7 @@ use verify::repair::{Repaired, repair};
 /// Ends with exit code 0 if nothing had to be left out, 4 if something had to, 13
 /// if nothing can be read, or OUT is there already.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The recording: its folder, or a recording.mcap
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
@@ -26,8 +26,8 @@ pub struct Args {
 /// # Errors
 ///
 /// There is no such recording, or the new one cannot be written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
-    let result = repair(&args.recording, &args.out).map_err(Failure::from)?;
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let result = repair(&args.recording, &args.out)?;
     context.print(&result, || text(&result))?;
     Ok(if result.lost {
         Outcome::Loss

@@ -14,7 +14,7 @@ use recording::session_file::SessionFile;
 /// `record` does this at its end by itself; after a repair, or for an older
 /// recording, this does.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The folder of the recording
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
@@ -31,9 +31,9 @@ struct Written {
 /// # Errors
 ///
 /// There is no such recording, or its folder cannot be written.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
-    let file = SessionFile::load(&args.recording).map_err(Failure::from)?;
-    let report = session_report::write(&args.recording, &file).map_err(Failure::from)?;
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let file = SessionFile::load(&args.recording)?;
+    let report = session_report::write(&args.recording, &file)?;
     let (_, verdict) = session_report::verdict(&file);
     let written = Written { report, verdict };
     context.print(&written, || {

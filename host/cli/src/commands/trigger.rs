@@ -24,7 +24,7 @@ const PULSE_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `trigger`.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
     /// Which trigger output: 1 is the camera's (PA5); 2, 3, 4 are PE11, PE13, PE14
@@ -160,7 +160,7 @@ struct ArrivedReport {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     // Wrong options are told before the port is opened.
     if let Action::Period { period } = &args.action
         && period.given().is_none()
@@ -169,8 +169,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             ExitStatus::Usage,
             "trigger period needs --fps or --period-us",
         )
-        .next_step("give one of them, for example `trigger period --fps 30`")
-        .into());
+        .next_step("give one of them, for example `trigger period --fps 30`"));
     }
     let output = Output::from_number(args.output);
     let fraction = match args.action {
@@ -185,16 +184,14 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
             crate::outcome::ExitStatus::Usage,
             "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
         )
-        .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4")
-        .into());
+        .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4"));
     }
     if output.is_some() && matches!(args.action, Action::Latency { .. }) {
         return Err(Failure::new(
             ExitStatus::Usage,
             "the latency is measured on the camera's trigger, output 1",
         )
-        .next_step("leave --output out")
-        .into());
+        .next_step("leave --output out"));
     }
     let board = args.port.open()?;
     let mut target = Target { board, output };
@@ -274,7 +271,7 @@ impl Target {
     }
 }
 
-fn act(action: &Action, board: &mut Target, context: &Context) -> anyhow::Result<Outcome> {
+fn act(action: &Action, board: &mut Target, context: &Context) -> Result<Outcome, Failure> {
     let status = match *action {
         Action::Latency { train, pulses } => {
             return measure_latency(&mut board.board, context, &train, pulses as usize);
@@ -316,7 +313,7 @@ fn act(action: &Action, board: &mut Target, context: &Context) -> anyhow::Result
         Action::Stop => board.stop(),
         Action::Status => board.status(),
     };
-    let status = status.map_err(Failure::from)?;
+    let status = status?;
     let mut report = TriggerReport::from(&status);
     if board.output.is_some() {
         report.readback.state = String::from("none on this output");
@@ -335,15 +332,14 @@ fn measure_latency(
     context: &Context,
     train: &TrainGeometry,
     wanted: usize,
-) -> anyhow::Result<Outcome> {
-    let status = board.trigger().map_err(Failure::from)?;
+) -> Result<Outcome, Failure> {
+    let status = board.trigger()?;
     if status.state == TrainState::Stopped {
         return Err(Failure::new(
             ExitStatus::Refused,
             "the trigger is stopped: there is nothing to measure",
         )
-        .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera")
-        .into());
+        .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera"));
     }
     let (mut pulses, mut captures) = (Vec::new(), Vec::new());
     let mut quiet_since = board.now();
@@ -352,10 +348,7 @@ fn measure_latency(
         if context.interrupt.requested() {
             return Ok(Outcome::Interrupted);
         }
-        match board
-            .next_event(Duration::from_millis(100))
-            .map_err(Failure::from)?
-        {
+        match board.next_event(Duration::from_millis(100))? {
             Some(Event::Message(DeviceToHost::Pulse(pulse))) => {
                 pulses.push(pulse.at);
                 quiet_since = board.now();
@@ -378,8 +371,7 @@ fn measure_latency(
                 2 * train.count
             ),
         )
-        .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's")
-        .into());
+        .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's"));
     };
     context.print(&found, || latency_text(&found))?;
     Ok(if found.left_out > 0 {
@@ -423,21 +415,19 @@ struct Align {
 }
 
 impl Align {
-    fn run(&self, board: &mut Target, context: &Context) -> anyhow::Result<Outcome> {
+    fn run(&self, board: &mut Target, context: &Context) -> Result<Outcome, Failure> {
         let period = match self.period {
             Some(period) => period,
-            None => board.status().map_err(Failure::from)?.period,
+            None => board.status()?.period,
         };
-        let plan = board
-            .align(
-                TriggerAlign {
-                    anchor: self.anchor,
-                    period,
-                    slew: self.slew,
-                },
-                self.anchor_fraction,
-            )
-            .map_err(Failure::from)?;
+        let plan = board.align(
+            TriggerAlign {
+                anchor: self.anchor,
+                period,
+                slew: self.slew,
+            },
+            self.anchor_fraction,
+        )?;
         let mut report = AlignReport::from(&plan);
         if !context.global.json {
             context.print(&report, || report.text())?;

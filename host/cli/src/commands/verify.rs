@@ -12,7 +12,7 @@ use verify::{Verdict, verify};
 /// Ends with exit code 0 if the recording is whole, 4 if something is missing or
 /// damaged, 13 if it cannot be read at all.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(crate) struct Args {
     /// The recording: its folder, or a recording.mcap
     #[arg(value_name = "RECORDING")]
     recording: PathBuf,
@@ -23,8 +23,8 @@ pub struct Args {
 /// # Errors
 ///
 /// There is no such recording.
-pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
-    let report = verify(&args.recording).map_err(Failure::from)?;
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let report = verify(&args.recording)?;
     context.print(&report, || report.text())?;
     Ok(match report.verdict {
         Verdict::Whole => Outcome::Good,

@@ -14,7 +14,7 @@ use super::rig::{Parts, Rig};
 use super::{Connector, Options, Stop};
 use crate::advice::imu_scale;
 use crate::cli::Context;
-use crate::outcome::{Failure, Report};
+use crate::outcome::Failure;
 use board::Board;
 use board::imu::Scale;
 use recording::folder;
@@ -64,11 +64,8 @@ pub fn connect<'a>(
             Err(Stop::Failed(failure)) if asks => failure,
             Err(stop) => return Err(stop),
         };
-        let report = Report::of(&failure.into());
-        context.say(format!("error: {}", report.message));
-        if let Some(next) = &report.next_step {
-            context.say(format!("  -> {next}"));
-        }
+        context.say(format!("error: {failure}"));
+        context.say(format!("  -> {}", failure.what_to_do()));
         context.say("[Enter] or [r] try again, [q] quit");
         let choice = loop {
             if context.interrupt.requested() {
@@ -81,12 +78,7 @@ pub fn connect<'a>(
             std::thread::sleep(Duration::from_millis(20));
         };
         if matches!(choice, Choice::Quit | Choice::Skip) {
-            let failure = Failure::new(report.status, report.message);
-            return Err(match report.next_step {
-                Some(next) => failure.next_step(next),
-                None => failure,
-            }
-            .into());
+            return Err(failure.into());
         }
     };
     let mut rig = set_up(sides, operator, live, options, profile, context, connector)?;

@@ -46,7 +46,7 @@ pub enum Step {
 /// The view of a session.
 pub struct Live {
     /// Gathers.
-    pub gauge: Gauge,
+    pub(crate) gauge: Gauge,
     /// How long is to be recorded, ticks.
     pub length: Option<u64>,
     /// Who looks on from elsewhere.
@@ -85,7 +85,7 @@ impl Live {
     }
 
     /// The keys of the view, if there is one; once.
-    pub fn take_keys(&mut self) -> Option<Receiver<Key>> {
+    pub(crate) fn take_keys(&mut self) -> Option<Receiver<Key>> {
         self.screen.as_mut().and_then(Screen::take_keys)
     }
 

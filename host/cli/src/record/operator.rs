@@ -60,7 +60,7 @@ impl Operator {
     /// Somebody is at the keys of the live view. Nothing is asked if `asks` is
     /// false; marks can be set all the same.
     #[must_use]
-    pub const fn at_keys(keys: Receiver<Key>, asks: bool) -> Self {
+    pub(crate) const fn at_keys(keys: Receiver<Key>, asks: bool) -> Self {
         Self {
             lines: None,
             keys: Some(keys),

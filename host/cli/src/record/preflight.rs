@@ -14,7 +14,7 @@ use protocol::{ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
 use serde::Serialize;
 
 use super::rig::free_space;
-use crate::outcome::{ExitStatus, Failure, Report as ErrorReport};
+use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use board::imu::{Sample, Spread, Summary};
 use recording::profile::Profile;
@@ -80,10 +80,11 @@ impl Checks {
     }
 
     /// A recording will not work.
-    pub fn bad(&mut self, name: &str, failure: Failure) {
+    pub fn bad(&mut self, name: &str, failure: impl Into<Failure>) {
+        let failure = failure.into();
         self.failed.get_or_insert(failure.status());
-        let report = ErrorReport::of(&failure.into());
-        self.add(name, Verdict::Bad, report.message, report.next_step);
+        let step = failure.what_to_do().to_owned();
+        self.add(name, Verdict::Bad, failure.to_string(), Some(step));
     }
 
     fn add(&mut self, name: &str, verdict: Verdict, found: String, next: Option<String>) {

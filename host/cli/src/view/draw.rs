@@ -32,7 +32,7 @@ const DIM: Style = Style::new().fg(Color::DarkGray);
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
 
 /// Draws it. `help` shows what the keys do.
-pub fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
+pub(crate) fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
     let area = frame.area();
     if area.width < 20 || area.height < 6 {
         frame.render_widget(

@@ -39,7 +39,7 @@ const KEPT: usize = 8;
 /// "Sync math"). The slope is taken between means of ten samples, so that noise
 /// adds little to it; what noise adds on the average is taken off.
 #[derive(Clone, Debug, Default)]
-pub struct Coach {
+pub(crate) struct Coach {
     block: Vec<(Ticks, [f64; 3])>,
     last: Option<(f64, [f64; 3])>,
     information: f64,
@@ -51,7 +51,7 @@ pub struct Coach {
 
 impl Coach {
     /// A sample of the board's gyroscope, rad/s.
-    pub fn add(&mut self, at: Ticks, rate: [f64; 3]) {
+    pub(crate) fn add(&mut self, at: Ticks, rate: [f64; 3]) {
         self.first.get_or_insert(at);
         self.latest = at;
         self.count += 1;
@@ -88,8 +88,7 @@ impl Coach {
     }
 
     /// Expected 1-sigma of the offset from the motion so far, s.
-    #[must_use]
-    pub fn sigma_s(&self) -> Option<f64> {
+    pub(crate) fn sigma_s(&self) -> Option<f64> {
         // Below this there is no motion at all: a millisecond.
         (self.information > 1e6).then(|| self.information.sqrt().recip())
     }
@@ -142,13 +141,13 @@ impl Rate {
 
 /// The latest state of everything.
 #[derive(Clone, Debug, Default)]
-pub struct Gauge {
+pub(crate) struct Gauge {
     /// What the session does.
-    pub state: String,
+    pub(crate) state: String,
     /// The board's ID.
-    pub board: String,
+    pub(crate) board: String,
     /// How often the link was lost.
-    pub reconnects: u32,
+    pub(crate) reconnects: u32,
     now: Ticks,
     gyro: VecDeque<(Ticks, [f64; 3])>,
     trigger: Trigger,
@@ -218,7 +217,7 @@ const fn state_word(state: TrainState) -> &'static str {
 
 impl Gauge {
     /// What the sensors of a rig are called.
-    pub fn name_sensors(&mut self, profile: &Profile) {
+    pub(crate) fn name_sensors(&mut self, profile: &Profile) {
         for output in Output::ALL {
             let number = output.number();
             let sensor = profile
@@ -240,7 +239,7 @@ impl Gauge {
     }
 
     /// What a session knows of its further phones by now.
-    pub fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
+    pub(crate) fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
         let now = timebase::BoardSeconds::from(self.now);
         self.phones = phones
             .iter()
@@ -255,7 +254,7 @@ impl Gauge {
     }
 
     /// A message of the board.
-    pub fn take(&mut self, message: &DeviceToHost, scale: Option<&Scale>) {
+    pub(crate) fn take(&mut self, message: &DeviceToHost, scale: Option<&Scale>) {
         match message {
             DeviceToHost::Imu(raw) => {
                 self.time(raw.at);
@@ -353,28 +352,28 @@ impl Gauge {
     }
 
     /// Messages that are missing.
-    pub const fn lost(&mut self, count: u32) {
+    pub(crate) const fn lost(&mut self, count: u32) {
         self.losses.messages = self.losses.messages.saturating_add(count as u64);
     }
 
     /// A damaged frame.
-    pub const fn damaged(&mut self) {
+    pub(crate) const fn damaged(&mut self) {
         self.losses.damaged = self.losses.damaged.saturating_add(1);
     }
 
     /// What was lost is counted from here on.
-    pub fn start_counting(&mut self) {
+    pub(crate) fn start_counting(&mut self) {
         self.losses = Losses::default();
         self.dropped = None;
     }
 
     /// A mark of the user.
-    pub fn marker(&mut self, at: Ticks, label: &str) {
+    pub(crate) fn marker(&mut self, at: Ticks, label: &str) {
         keep(&mut self.markers, (at, label.to_owned()));
     }
 
     /// Something went wrong. `kind` is its stable word.
-    pub fn warning(&mut self, kind: &str, text: &str) {
+    pub(crate) fn warning(&mut self, kind: &str, text: &str) {
         keep(
             &mut self.warnings,
             Warning {
@@ -386,18 +385,21 @@ impl Gauge {
     }
 
     /// A twist begins: so long in s, and what is enough in µs.
-    pub fn begin_twist(&mut self, length_s: f64, enough_us: f64) {
+    pub(crate) fn begin_twist(&mut self, length_s: f64, enough_us: f64) {
         self.coach = Some((Coach::default(), length_s, enough_us));
     }
 
     /// It has ended.
-    pub fn end_twist(&mut self) {
+    pub(crate) fn end_twist(&mut self) {
         self.coach = None;
     }
 
     /// The latest state, with what only the session knows.
-    #[must_use]
-    pub fn snapshot(&self, clock: Option<&ClockModel>, alignment: Option<&Alignment>) -> Snapshot {
+    pub(crate) fn snapshot(
+        &self,
+        clock: Option<&ClockModel>,
+        alignment: Option<&Alignment>,
+    ) -> Snapshot {
         let board_now = timebase::BoardSeconds::from(self.now);
         let mut trigger = self.trigger.clone();
         if let (Some(alignment), Some(at)) = (alignment, self.last_pulse)

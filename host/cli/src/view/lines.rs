@@ -6,8 +6,7 @@ use std::fmt::Write as _;
 use super::Snapshot;
 
 /// The line.
-#[must_use]
-pub fn line(snapshot: &Snapshot) -> String {
+pub(crate) fn line(snapshot: &Snapshot) -> String {
     let mut line = format!("{:.1} s  {}", snapshot.now.as_secs_f64(), snapshot.state);
     if let Some(recording) = &snapshot.recording {
         let _ = write!(line, " {:.0} s", recording.elapsed_s);

@@ -10,10 +10,10 @@
 //! and draws it. A slow line only makes the picture old; a terminal that is closed
 //! ends that thread and nothing else.
 
-pub mod draw;
-pub mod gauge;
-pub mod lines;
-pub mod screen;
+pub(crate) mod draw;
+pub(crate) mod gauge;
+pub(crate) mod lines;
+pub(crate) mod screen;
 
 use std::time::Duration;
 
@@ -21,109 +21,108 @@ use protocol::Ticks;
 use serde::Serialize;
 
 /// How often a new picture is made.
-pub const PERIOD: Duration = Duration::from_millis(100);
+pub(crate) const PERIOD: Duration = Duration::from_millis(100);
 
 /// The state of everything at one moment.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Snapshot {
+pub(crate) struct Snapshot {
     /// What the session does: `monitor`, `twist 1`, `recording`, ...
-    pub state: String,
+    pub(crate) state: String,
     /// The board's ID.
-    pub board: String,
+    pub(crate) board: String,
     /// Latest board time.
-    pub now: Ticks,
+    pub(crate) now: Ticks,
     /// The board's gyroscope over the last seconds: board time in s, rad/s.
     #[serde(skip)]
-    pub gyro: Vec<(f64, [f64; 3])>,
+    pub(crate) gyro: Vec<(f64, [f64; 3])>,
     /// The trigger.
-    pub trigger: Trigger,
+    pub(crate) trigger: Trigger,
     /// The relation of the clocks, once there is one.
-    pub clock: Option<Clock>,
+    pub(crate) clock: Option<Clock>,
     /// What the further trigger outputs and the lidar do, by the sensor's name.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub sensors: Vec<Sensor>,
+    pub(crate) sensors: Vec<Sensor>,
     /// Phones beside the one that the trigger is aligned to.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub phones: Vec<OtherPhone>,
+    pub(crate) phones: Vec<OtherPhone>,
     /// Samples and messages a second.
-    pub rates: Rates,
+    pub(crate) rates: Rates,
     /// What was lost.
-    pub losses: Losses,
+    pub(crate) losses: Losses,
     /// The disk, while something is recorded.
-    pub disk: Option<Disk>,
+    pub(crate) disk: Option<Disk>,
     /// The recording, while it runs.
-    pub recording: Option<Recording>,
+    pub(crate) recording: Option<Recording>,
     /// The twist, while it runs.
-    pub twist: Option<Twist>,
+    pub(crate) twist: Option<Twist>,
     /// The last marks: board time and label.
-    pub markers: Vec<(Ticks, String)>,
+    pub(crate) markers: Vec<(Ticks, String)>,
     /// What is wrong, and what to do; the latest last.
-    pub warnings: Vec<Warning>,
+    pub(crate) warnings: Vec<Warning>,
     /// What was said last, the latest last.
     #[serde(skip)]
-    pub said: Vec<String>,
+    pub(crate) said: Vec<String>,
     /// What the keys do now.
     #[serde(skip)]
-    pub keys: Keys,
+    pub(crate) keys: Keys,
 }
 
 /// The trigger.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Trigger {
+pub(crate) struct Trigger {
     /// State of the train in words; empty before the first status.
-    pub state: String,
+    pub(crate) state: String,
     /// Pulses a second, from the period.
-    pub fps: Option<f64>,
+    pub(crate) fps: Option<f64>,
     /// Number of the last pulse.
-    pub pulse: Option<u64>,
+    pub(crate) pulse: Option<u64>,
     /// The last pulse against the grid on the phone's frames, µs.
-    pub phase_us: Option<f64>,
+    pub(crate) phase_us: Option<f64>,
     /// 1-sigma of where that grid lies against the phone's frames now, µs.
-    pub phase_sigma_us: Option<f64>,
+    pub(crate) phase_sigma_us: Option<f64>,
     /// From the edge to the wire, ns; nothing if it was not seen.
-    pub readback_ns: Option<f64>,
+    pub(crate) readback_ns: Option<f64>,
     /// Pulses that the wire did not show.
-    pub readback_missing: u32,
+    pub(crate) readback_missing: u32,
     /// Edges that came late.
-    pub late: u32,
+    pub(crate) late: u32,
 }
 
 /// The relation of the clocks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Clock {
+pub(crate) struct Clock {
     /// Phone minus board now, s.
-    pub offset_s: f64,
+    pub(crate) offset_s: f64,
     /// Expected error of it now, 1-sigma, µs.
-    pub sigma_us: f64,
+    pub(crate) sigma_us: f64,
     /// Rate of the phone, ppm.
-    pub skew_ppm: f64,
+    pub(crate) skew_ppm: f64,
     /// Time since its data, s.
-    pub age_s: f64,
+    pub(crate) age_s: f64,
 }
 
 /// A sensor on a further trigger output, or a lidar.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Sensor {
+pub(crate) struct Sensor {
     /// What it is called; where it is connected if that is not known.
-    pub name: String,
+    pub(crate) name: String,
     /// Where it is connected: `output 2`, `gnss`.
-    pub at: String,
+    pub(crate) at: String,
     /// State of the train in words; empty before the first status.
-    pub state: String,
+    pub(crate) state: String,
     /// Pulses a second.
-    pub rate: f64,
+    pub(crate) rate: f64,
     /// Number of its last pulse, or of the pulses per second so far.
-    pub pulse: Option<u64>,
+    pub(crate) pulse: Option<u64>,
     /// Edges that came late, and sentences that were left out.
-    pub late: u32,
+    pub(crate) late: u32,
     /// The UTC that a lidar was told last, in seconds since 1970.
-    pub utc: Option<i64>,
+    pub(crate) utc: Option<i64>,
 }
 
 impl Sensor {
     /// The UTC as text.
-    #[must_use]
-    pub fn utc_text(&self) -> Option<String> {
+    pub(crate) fn utc_text(&self) -> Option<String> {
         let time = jiff::Timestamp::from_second(self.utc?).ok()?;
         Some(time.strftime("%Y-%m-%d %H:%M:%S UTC").to_string())
     }
@@ -131,90 +130,88 @@ impl Sensor {
 
 /// A phone beside the one that the trigger is aligned to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct OtherPhone {
+pub(crate) struct OtherPhone {
     /// What it is called.
-    pub name: String,
+    pub(crate) name: String,
     /// Its clock, once it is related.
-    pub clock: Option<Clock>,
+    pub(crate) clock: Option<Clock>,
     /// Its frames against the depth images when its video began, as predicted: µs,
     /// and 1-sigma.
-    pub placement_us: Option<(f64, f64)>,
+    pub(crate) placement_us: Option<(f64, f64)>,
 }
 
 /// Messages a second, over the last two.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Rates {
+pub(crate) struct Rates {
     /// IMU samples.
-    pub imu: f64,
+    pub(crate) imu: f64,
     /// Pulses.
-    pub pulses: f64,
+    pub(crate) pulses: f64,
     /// Edges on the strobe input.
-    pub captures: f64,
+    pub(crate) captures: f64,
     /// Load of the board's processor, %.
-    pub load_percent: f64,
+    pub(crate) load_percent: f64,
     /// Temperature of the IMU, °C.
-    pub temperature: Option<f64>,
+    pub(crate) temperature: Option<f64>,
     /// The IMU's state in words.
     #[serde(skip)]
-    pub imu_running: Option<bool>,
+    pub(crate) imu_running: Option<bool>,
 }
 
 /// What was lost since the begin.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Losses {
+pub(crate) struct Losses {
     /// Messages by the board's numbers.
-    pub messages: u64,
+    pub(crate) messages: u64,
     /// Of these, dropped by the board itself.
-    pub dropped: u64,
+    pub(crate) dropped: u64,
     /// Damaged frames.
-    pub damaged: u64,
+    pub(crate) damaged: u64,
     /// How often the link was lost.
-    pub reconnects: u32,
+    pub(crate) reconnects: u32,
 }
 
 /// The disk.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Disk {
+pub(crate) struct Disk {
     /// Free, bytes.
-    pub free: u64,
+    pub(crate) free: u64,
     /// How long a recording can still go on at the rate so far, s.
-    pub left_s: Option<f64>,
+    pub(crate) left_s: Option<f64>,
 }
 
 /// A recording that runs.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Recording {
+pub(crate) struct Recording {
     /// So long, s.
-    pub elapsed_s: f64,
+    pub(crate) elapsed_s: f64,
     /// Of so much, s; until it is stopped if there is none.
-    pub length_s: Option<f64>,
+    pub(crate) length_s: Option<f64>,
 }
 
 /// A twist that runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Twist {
+pub(crate) struct Twist {
     /// So long, s.
-    pub elapsed_s: f64,
+    pub(crate) elapsed_s: f64,
     /// Of so much, s.
-    pub length_s: f64,
+    pub(crate) length_s: f64,
     /// Expected 1-sigma of the offset from the motion so far, µs.
-    pub sigma_us: Option<f64>,
+    pub(crate) sigma_us: Option<f64>,
     /// What is enough, µs.
-    pub enough_us: f64,
+    pub(crate) enough_us: f64,
     /// Root mean square of each axis, rad/s.
-    pub rms: [f64; 3],
+    pub(crate) rms: [f64; 3],
 }
 
 impl Twist {
     /// Whether the motion so far suffices.
-    #[must_use]
-    pub fn is_enough(&self) -> bool {
+    pub(crate) fn is_enough(&self) -> bool {
         self.sigma_us.is_some_and(|sigma| sigma <= self.enough_us)
     }
 
     /// What to do, in words.
-    #[must_use]
-    pub fn advice(&self) -> &'static str {
+    pub(crate) fn advice(&self) -> &'static str {
         let mut sorted = self.rms;
         sorted.sort_by(f64::total_cmp);
         if sorted[2] < 0.5 {
@@ -231,18 +228,18 @@ impl Twist {
 
 /// Something that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Warning {
+pub(crate) struct Warning {
     /// Board time.
-    pub at: Ticks,
+    pub(crate) at: Ticks,
     /// What.
-    pub text: String,
+    pub(crate) text: String,
     /// What to do about it.
-    pub todo: &'static str,
+    pub(crate) todo: &'static str,
 }
 
 /// What the keys do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keys {
+pub(crate) enum Keys {
     /// Only to look at: stop, help.
     #[default]
     Look,
@@ -253,8 +250,7 @@ pub enum Keys {
 }
 
 /// What to do about a kind of problem, in one line.
-#[must_use]
-pub fn todo_for(kind: &str) -> &'static str {
+pub(crate) fn todo_for(kind: &str) -> &'static str {
     match kind {
         "link_lost" => "check the USB cable; it is taken up again by itself",
         "pulses_missing" | "phase_off" | "trigger_late" => {

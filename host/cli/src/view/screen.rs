@@ -25,7 +25,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 /// A key that means something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Key {
+pub(crate) enum Key {
     /// Enter.
     GoOn,
     /// `r`.
@@ -45,7 +45,7 @@ struct Slot {
 }
 
 /// The view, while it is on the terminal. Dropping it gives the terminal back.
-pub struct Screen {
+pub(crate) struct Screen {
     slot: Arc<Mutex<Slot>>,
     keys: Option<Receiver<Key>>,
     done: Receiver<()>,
@@ -53,8 +53,7 @@ pub struct Screen {
 }
 
 /// Whether there is a terminal that can show the view, and a person at its keys.
-#[must_use]
-pub fn is_possible() -> bool {
+pub(crate) fn is_possible() -> bool {
     let dumb = std::env::var_os("TERM").is_none_or(|term| term == "dumb");
     stderr().is_terminal() && stdin().is_terminal() && !dumb
 }
@@ -62,8 +61,7 @@ pub fn is_possible() -> bool {
 impl Screen {
     /// Takes the terminal. `None` if it cannot be taken. A Ctrl-C becomes an
     /// interrupt, as it does without the view.
-    #[must_use]
-    pub fn open(interrupt: &Interrupt) -> Option<Self> {
+    pub(crate) fn open(interrupt: &Interrupt) -> Option<Self> {
         if !is_possible() || enable_raw_mode().is_err() {
             return None;
         }
@@ -100,17 +98,17 @@ impl Screen {
     }
 
     /// The keys; once.
-    pub const fn take_keys(&mut self) -> Option<Receiver<Key>> {
+    pub(crate) const fn take_keys(&mut self) -> Option<Receiver<Key>> {
         self.keys.take()
     }
 
     /// Puts a new state into the slot. Never waits for the terminal.
-    pub fn show(&self, snapshot: Snapshot) {
+    pub(crate) fn show(&self, snapshot: Snapshot) {
         lock(&self.slot).snapshot = snapshot;
     }
 
     /// Gives the terminal back, if it still takes anything.
-    pub fn close(&mut self) {
+    pub(crate) fn close(&mut self) {
         let Some(thread) = self.thread.take() else {
             return;
         };

@@ -1,7 +1,10 @@
 //! A stand-in for the board on a pseudo-terminal, for tests of the program's
 //! ways to fail. The real firmware is tested in `hil-sim`.
-#![allow(dead_code, reason = "each test program uses a part of it")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+pub(crate) mod browser;
+pub(crate) mod documents;
+pub(crate) mod objects;
+pub(crate) mod synthetic;
 
 use std::fs::File;
 use std::io::{Read, Write};

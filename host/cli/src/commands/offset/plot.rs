@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use anyhow::{Result, anyhow};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
+use crate::outcome::{ExitStatus, Failure};
 use twist_sync::compare::{self, Pair};
 use twist_sync::{Estimate, GyroTrack, Options, Refusal, Stream};
 
@@ -74,7 +74,7 @@ pub(super) fn svg(
     phone: &GyroTrack,
     result: &Result<Estimate, Refusal>,
     options: &Options,
-) -> Result<String> {
+) -> Result<String, Failure> {
     let mut out = String::new();
     {
         let root = SVGBackend::with_string(&mut out, SIZE).into_drawing_area();
@@ -147,8 +147,8 @@ pub(super) fn svg(
 type Area<'a, 'b> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 type Points = Vec<(f64, f64)>;
 
-fn text(error: impl std::fmt::Display) -> anyhow::Error {
-    anyhow!("{error}")
+fn text(error: impl std::fmt::Display) -> Failure {
+    Failure::new(ExitStatus::Error, format!("cannot draw the plot: {error}"))
 }
 
 fn wrapped(words: &str, width: usize) -> Vec<String> {
@@ -166,7 +166,7 @@ fn wrapped(words: &str, width: usize) -> Vec<String> {
     lines
 }
 
-fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<()> {
+fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(), Failure> {
     let start = pairs.first().map_or(0.0, |p| p.board_s);
     let lines = |of: fn(&Pair) -> [f64; 3], axis: usize| -> Points {
         pairs
@@ -198,7 +198,7 @@ fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<()>
     )
 }
 
-fn residual(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<()> {
+fn residual(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(), Failure> {
     let start = pairs.first().map_or(0.0, |p| p.board_s);
     let points = |used: bool, axis: usize| -> Points {
         pairs
@@ -237,7 +237,7 @@ fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
     }
 }
 
-fn panel(area: &Area<'_, '_>, caption: &str, unit: &str, series: &[Series]) -> Result<()> {
+fn panel(area: &Area<'_, '_>, caption: &str, unit: &str, series: &[Series]) -> Result<(), Failure> {
     let all = || series.iter().flat_map(|s| &s.points);
     let (mut x, y) = (range(all().map(|p| p.0)), range(all().map(|p| p.1)));
     x.end += LEGEND * (x.end - x.start);

@@ -1,19 +1,16 @@
 //! `trigger` and `imu` as a process against a stand-in: exact units on the way
 //! to the board, losses on the way back, files in SI units.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg(unix)]
-
-mod support;
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
+use crate::support::{Behaviour, StandIn, code, frame, polite, run, text};
 use protocol::{
     AccelRange, AlignPlan, Answer, Arrived, Command, DeviceToHost, GyroRange, HostToDevice,
     ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, LowPass, Period,
     Readback, Refusal, Reply, TickDelta, Ticks, TrainState, TriggerStatus,
 };
 use serde_json::Value;
-use support::{Behaviour, StandIn, code, frame, polite, run, text};
 
 fn answer(id: u32, result: Result<Reply, Refusal>) -> Vec<u8> {
     frame(&DeviceToHost::Answer(Answer { id, result }))

@@ -5,7 +5,6 @@
 //!
 //! A finding of a long run goes into `host/fuzz/corpus/<target>/`, and is tried
 //! here from then on.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,15 +16,15 @@ use protocol::{
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
-#[path = "../../fuzz/bodies.rs"]
+use crate::support::documents::root;
+use crate::support::synthetic;
+
+#[path = "../../../fuzz/bodies.rs"]
 mod bodies;
-mod synthetic;
 
 /// Bytes of one kind that are right, to be changed.
 fn corpus(target: &str) -> Vec<Vec<u8>> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("fuzz/corpus")
-        .join(target);
+    let folder = root().join("host/fuzz/corpus").join(target);
     let mut files: Vec<PathBuf> = fs::read_dir(&folder)
         .map(|entries| entries.map(|entry| entry.unwrap().path()).collect())
         .unwrap_or_default();

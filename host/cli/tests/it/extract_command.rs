@@ -1,5 +1,4 @@
 //! `smartdepthsync extract` as a process: exit codes, output, the video by ffmpeg.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::path::{Path, PathBuf};

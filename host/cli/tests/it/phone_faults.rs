@@ -1,7 +1,6 @@
 //! `smartdepthsync phone …` as a process against phones that do not keep to the
 //! protocol: each fault must end soon, with its own clear error, the phone's
 //! exit code, and nothing left on the disk.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};

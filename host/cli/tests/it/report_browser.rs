@@ -1,5 +1,4 @@
 //! The report of a recording, opened in a browser.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::process::Command;
 
@@ -7,11 +6,8 @@ use board::session::{StreamCount, StreamCounts};
 use protocol::Ticks;
 use recording::session_file::{Marker, Problem, SessionFile, SessionOutcome, Span, Twist};
 
-#[path = "support/browser.rs"]
-mod browser;
-mod synthetic;
-
-use synthetic::{SECONDS, Wrong, make};
+use crate::support::browser;
+use crate::support::synthetic::{SECONDS, Wrong, make};
 
 #[test]
 fn a_recordings_report_is_readable_on_phone_desk_and_paper() {

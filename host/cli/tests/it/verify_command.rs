@@ -1,6 +1,5 @@
 //! `verify` finds every damage and every contradiction that is put into a
 //! recording; `repair` saves what can be read, and never touches the original.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::path::Path;
@@ -13,9 +12,7 @@ use recording::session_file::{SessionFile, SessionOutcome};
 use verify::repair::repair;
 use verify::{Report, Verdict, verify};
 
-mod synthetic;
-
-use synthetic::{SECONDS, Wrong, make};
+use crate::support::synthetic::{SECONDS, Wrong, make};
 
 const MCAP: &str = "recording.mcap";
 

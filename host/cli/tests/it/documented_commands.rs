@@ -1,17 +1,14 @@
 //! Every command and option that the documents mention exists; every command has
 //! help, completions and a manual page; every command prints JSON if asked to.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "support/documents.rs"]
-mod documents;
 
 use std::fs;
 use std::process::{Command, Output};
 
 use clap::CommandFactory as _;
 use clap::error::ErrorKind;
-use documents::{Code, arguments, pages};
 use smartdepthsync::cli::Cli;
+
+use crate::support::documents::{self, Code, arguments, pages};
 
 fn run(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

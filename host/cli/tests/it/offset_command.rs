@@ -1,8 +1,4 @@
 //! `smartdepthsync offset` as a process: outputs, exit codes, damaged files.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "support/objects.rs"]
-mod objects;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -11,6 +7,8 @@ use std::process::{Command, Output};
 use serde_json::Value;
 use twist_sync::GyroTrack;
 use twist_sync::simulate::{self, Twist, TwistSpec};
+
+use crate::support::objects;
 
 fn offset(mcu: &Path, phone: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

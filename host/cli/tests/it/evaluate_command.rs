@@ -1,5 +1,4 @@
 //! `smartdepthsync evaluate` as a process: files in, JSON and pictures out.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -8,10 +7,7 @@ use std::time::Duration;
 use evaluate::train::{Shape, TrainGeometry, row_light};
 use serde_json::Value;
 
-#[path = "support/browser.rs"]
-mod browser;
-#[path = "support/objects.rs"]
-mod objects;
+use crate::support::{browser, objects};
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))

@@ -1,17 +1,14 @@
 //! The program as a process, against ports of all kinds: what `info` and
 //! `ports` print, and how each way to fail ends.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg(unix)]
-
-mod support;
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 
+use crate::support::{self, StandIn, code, frame, hello, polite, run, text};
 use protocol::{DeviceToHost, HostToDevice, usb};
 use serde_json::Value;
-use support::{StandIn, code, frame, hello, polite, run, text};
 
 #[test]
 fn info_tells_who_the_board_is() {
@@ -165,7 +162,7 @@ fn a_wrong_command_line_has_the_code_of_usage() {
 
 #[test]
 fn the_udev_rule_names_this_board() {
-    let rule = include_str!("../../udev/60-smartdepthsync.rules");
+    let rule = include_str!("../../../udev/60-smartdepthsync.rules");
     let rule: Vec<&str> = rule.lines().filter(|line| !line.starts_with('#')).collect();
     assert_eq!(rule.len(), 1);
     for part in [

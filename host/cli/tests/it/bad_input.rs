@@ -1,6 +1,5 @@
 //! Bad input of every command: the exit code, a message that names what is wrong, and
 //! a next step that fits.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::path::Path;

@@ -1,0 +1,17 @@
+//! The tests of the program and of the libraries as it uses them, in one binary:
+//! `cargo test -p smartdepthsync --test it verify_command` runs one module.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod bad_input;
+mod connect;
+mod documented_commands;
+mod evaluate_command;
+mod extract_command;
+mod fuzz_smoke;
+mod offset_command;
+mod phone_faults;
+mod report_browser;
+#[path = "../support/mod.rs"]
+mod support;
+mod trigger_imu;
+mod verify_command;
