@@ -1,9 +1,9 @@
 //! `cargo xtask`: the one entry point, the same locally and in CI.
 //!
-//! Every command sets up what it needs by itself (the firmware's target, the
-//! Python environment, ffmpeg) or stops with the one line that says what to
-//! run. It calls cargo and other programs as processes and depends on no other
-//! crate of this workspace, so it builds in seconds.
+//! Every command sets up what it needs (the firmware's target, the Python
+//! environment, ffmpeg), or stops and prints the one command to run. It calls
+//! cargo and other programs as processes and depends on no other crate of this
+//! workspace, so it builds in seconds.
 
 mod chain_bench;
 mod demo;
@@ -23,7 +23,7 @@ use std::process::ExitCode;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-/// Build, test, demo and bench of SmartDepthSync.
+/// Build, test, demo and bench SmartDepthSync.
 #[derive(Parser)]
 #[command(name = "cargo xtask", bin_name = "cargo xtask")]
 struct Cli {
@@ -37,26 +37,26 @@ enum Command {
     Build,
     /// Run every test, on the host and in the simulator.
     Test {
-        /// Passed on to cargo test, for example `-p hil-sim trigger`.
+        /// Passed on to cargo test, for example `-p smartdepthsync verify_command`.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         cargo_args: Vec<String>,
     },
-    /// A whole session on the simulated rig, judged by the truth: table, report.
+    /// Run a whole session on the simulated rig and judge it by the truth: table, report.
     Demo(demo::Args),
-    /// Formatting, lints and the book.
+    /// Check formatting, lints, dependencies and the book.
     Check {
-        /// Check the book's links without building it: building mdBook itself
-        /// takes minutes.
+        /// Check the book's links without building the book: building mdBook
+        /// itself takes minutes.
         #[arg(long)]
         no_book: bool,
     },
-    /// Hours of trigger, IMU and strobe on the simulated board, every edge and
-    /// sample compared with what it should be.
+    /// Run trigger, IMU and strobe on the simulated board for hours, and compare
+    /// every edge and sample with what it should be.
     Longrun {
-        /// How much virtual time, for example 6h or 3min.
+        /// Virtual time, for example 6h or 3min.
         #[arg(long = "for", value_name = "DURATION", default_value = "6h")]
         length: String,
-        /// Share of the time in which the link is filled up as far as USB goes.
+        /// Share of the time in which the link is as full as USB allows.
         #[arg(long, value_name = "PERCENT", default_value_t = 10)]
         full_link: u8,
         /// Leave the strobe input dark.
@@ -66,26 +66,27 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
-    /// An hour of virtual time with all four trigger outputs and the lidar's,
-    /// every edge compared with the arithmetic.
+    /// Run all four trigger outputs and the lidar's for an hour of virtual time,
+    /// and compare every edge with the arithmetic.
     Hour,
-    /// The fault campaign: recordings on the simulated board during which things
-    /// go wrong, judged by the truth.
+    /// Run the fault campaign: things go wrong during recordings on the simulated
+    /// board, and the truth judges them.
     Faults {
         /// The first seed.
         #[arg(long, default_value_t = 1)]
         seed: u64,
-        /// How many seeds.
+        /// Number of seeds.
         #[arg(long, default_value_t = 200)]
         count: u64,
     },
-    /// Measure; figures are ratios within one run.
+    /// Measure the simulator or, with an option, another part. Compare figures
+    /// within one run only.
     Bench {
-        /// Only the speed of `smartdepthsync evaluate`.
+        /// The speed of `smartdepthsync evaluate`.
         #[arg(long, conflicts_with = "sync")]
         evaluate: bool,
-        /// The clock estimate instead of the simulator: error, honesty and time
-        /// on simulated twists, beside the published Python package.
+        /// The clock estimate: error, honesty and time on simulated twists, beside
+        /// the published Python package.
         #[arg(long)]
         sync: bool,
         /// With --sync: twists per scenario.
@@ -95,7 +96,7 @@ enum Command {
         /// simulated rig, with a fresh and a learnt profile.
         #[arg(long, conflicts_with_all = ["sync", "evaluate", "extract"])]
         frame_sync: bool,
-        /// With --frame-sync: how many rigs.
+        /// With --frame-sync: number of rigs.
         #[arg(long, default_value_t = 20, requires = "frame_sync")]
         launches: u32,
         /// The extraction: speed and memory, beside a plain Python reader.
@@ -105,31 +106,31 @@ enum Command {
         #[arg(long, default_value_t = 10, requires = "extract")]
         depth_minutes: u32,
         /// Extraction, evaluation and calibration on recordings of the whole simulated
-        /// rig, by the truth.
+        /// rig, judged by the truth.
         #[arg(long, conflicts_with_all = ["sync", "extract", "evaluate"])]
         chain: bool,
-        /// With --chain: seconds of the recording that is extracted.
+        /// With --chain: length of the extracted recording, in seconds.
         #[arg(long, default_value_t = 600, requires = "chain")]
         seconds: u32,
-        /// With --chain: seeds of the evaluation.
+        /// With --chain: number of seeds of the evaluation.
         #[arg(long, default_value_t = 50, requires = "chain")]
         seeds: u32,
     },
-    /// Drift after twists and natural motion, simulated: the tables of
+    /// Measure the drift after simulated twists and natural motion: the tables of
     /// docs/sync-study.md.
     Study {
         /// Sessions per case.
         #[arg(long, default_value_t = 60)]
         trials: u32,
     },
-    /// Licences and sources of all dependencies, and where unsafe code stands.
+    /// Check licences and sources of all dependencies, and every unsafe block.
     Dependencies,
-    /// The Debian package with host tool, udev rule and firmware; tried in a root
-    /// of its own.
+    /// Build the Debian package with host tool, udev rule and firmware, and try it
+    /// in a root of its own.
     Package,
     /// Build the book into target/book and check its links.
     Docs,
-    /// Make the book's figures anew from simulated runs.
+    /// Draw the book's figures again from simulated runs.
     DocsFigures,
 }
 
