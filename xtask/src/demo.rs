@@ -10,7 +10,7 @@ use crate::process;
 /// Options of `cargo xtask demo`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The one seed of all randomness: clocks, mounting, motion, noise.
+    /// Seed of all randomness: clocks, mounting, motion, noise.
     #[arg(long)]
     seed: Option<u64>,
     /// The rig: `published`, or `multi` with two phones, four cameras and a lidar.
@@ -19,8 +19,8 @@ pub(crate) struct Args {
     /// Seconds of board time to record.
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u32>,
-    /// Show a session on a rig that has learnt nothing, without one before it that
-    /// teaches.
+    /// Run one session only, on an uncalibrated rig, without an earlier one to learn
+    /// from.
     #[arg(long)]
     fresh: bool,
     /// Write the figures to this file, as JSON.
