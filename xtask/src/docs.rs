@@ -2,7 +2,8 @@
 //!
 //! mdBook itself does not fail on a broken link, so the links are walked here:
 //! a relative target must exist, a fragment must be the slug of a heading of
-//! its page, every page must be listed in `SUMMARY.md`.
+//! its page, every page must be listed in `SUMMARY.md`. A file of the source tree
+//! that a page names in code, from the root, must exist too.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,9 +16,19 @@ use crate::{process, tools};
 
 const MDBOOK_VERSION: &str = "0.5.4";
 
+/// The folders whose files the book names by their path from the root.
+const SOURCES: [&str; 6] = [
+    "firmware/",
+    "protocol/",
+    "host/",
+    "hil-sim/",
+    "xtask/",
+    "docs/",
+];
+
 /// Fails on any broken local link of the book.
 pub(crate) fn check() -> Result<()> {
-    check_links(&process::root().join("docs"))
+    check_links(&process::root().join("docs"), &process::root())
 }
 
 /// Builds the book into `target/book` and fails on any broken local link.
@@ -42,10 +53,12 @@ pub(crate) fn build_and_check() -> Result<()> {
 #[derive(Default)]
 struct Page {
     links: Vec<String>,
+    /// Paths of the source tree, from the root.
+    sources: Vec<String>,
     anchors: BTreeSet<String>,
 }
 
-fn check_links(docs: &Path) -> Result<()> {
+fn check_links(docs: &Path, root: &Path) -> Result<()> {
     let mut pages = BTreeMap::new();
     for path in markdown_files(docs)? {
         let text =
@@ -70,6 +83,9 @@ fn check_links(docs: &Path) -> Result<()> {
             if let Some(reason) = broken_link(path, link, &pages) {
                 broken.push(format!("{}: {link}: {reason}", path.display()));
             }
+        }
+        for source in page.sources.iter().filter(|it| !root.join(it).exists()) {
+            broken.push(format!("{}: {source}: no such file", path.display()));
         }
     }
     if !broken.is_empty() {
@@ -150,15 +166,20 @@ fn parse(text: &str) -> Page {
                     }
                 }
             }
-            Event::Text(text) | Event::Code(text) => {
+            Event::Text(text) | Event::Code(text) if heading.is_some() => {
                 if let Some(title) = &mut heading {
                     title.push_str(&text);
                 }
             }
+            Event::Code(text) if is_source(&text) => page.sources.push(text.into_string()),
             _ => {}
         }
     }
     page
+}
+
+fn is_source(code: &str) -> bool {
+    SOURCES.iter().any(|folder| code.starts_with(folder)) && !code.contains([' ', '*', '<'])
 }
 
 /// The id that mdBook gives a heading.
@@ -196,14 +217,29 @@ mod tests {
         write("SUMMARY.md", "[A](a.md)\n[B](b.md)");
         write("a.md", "# A\n[b](b.md#b) [web](https://example.org/x)");
         write("b.md", "# B\n[a](a.md)");
-        check_links(folder.path()).unwrap();
+        check_links(folder.path(), folder.path()).unwrap();
         write("b.md", "# B\n[a](a.md#nowhere) [c](c.md)");
-        let error = check_links(folder.path()).unwrap_err().to_string();
+        let error = check_links(folder.path(), folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("a.md#nowhere: no such heading"), "{error}");
         assert!(error.contains("c.md: no such file"), "{error}");
+        write(
+            "b.md",
+            "# B\n`host/src/gone.rs`, but `cargo run --path host/x`",
+        );
+        let error = check_links(folder.path(), folder.path())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.ends_with("b.md: host/src/gone.rs: no such file"),
+            "{error}"
+        );
         write("b.md", "# B");
         write("d.md", "# D");
-        let error = check_links(folder.path()).unwrap_err().to_string();
+        let error = check_links(folder.path(), folder.path())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("d.md is not listed"), "{error}");
     }
 }
