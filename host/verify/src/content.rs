@@ -10,7 +10,7 @@ use protocol::{Decoder, DeviceToHost, Period, Status, Ticks};
 
 use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
-use board::session::Stream;
+use board::Stream;
 use recording::messages::{BoardRun, Header, LinkFrame, Pulse};
 use recording::reader::ticks_of_nanos;
 use recording::session_file::{self, Alignment, SessionFile};
