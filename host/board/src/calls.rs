@@ -328,10 +328,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn align(&mut self, align: TriggerAlign) -> Result<AlignPlan> {
-        match self.call(&Command::TriggerAlign(align))? {
-            Reply::Align(plan) => Ok(plan),
-            _ => Err(BoardError::OddReply { command: "align" }),
-        }
+        self.call_align(&Command::TriggerAlign(align))
     }
 
     /// A command to one of the further trigger outputs, all but an align.
@@ -350,10 +347,7 @@ impl Board {
     /// As [`Board::call`].
     pub fn align_output(&mut self, output: Output, to: OutputAlign) -> Result<AlignPlan> {
         let action = OutputAction::Align(to);
-        match self.call(&Command::Output { output, action })? {
-            Reply::Align(plan) => Ok(plan),
-            _ => Err(BoardError::OddReply { command: "align" }),
-        }
+        self.call_align(&Command::Output { output, action })
     }
 
     /// The pulse per second.
@@ -370,7 +364,7 @@ impl Board {
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
+    pub(crate) fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
         self.call_gnss(&Command::GnssStart(settings))
     }
 
@@ -381,13 +375,6 @@ impl Board {
     /// As [`Board::call`].
     pub fn stop_gnss(&mut self) -> Result<GnssReport> {
         self.call_gnss(&Command::GnssStop)
-    }
-
-    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
-        match self.call(command)? {
-            Reply::Gnss(report) => Ok(report),
-            _ => Err(BoardError::OddReply { command: "gnss" }),
-        }
     }
 
     /// The IMU's setup and state.
@@ -436,32 +423,38 @@ impl Board {
         self.wire.conversation.send(now, command, ANSWER_TIMEOUT)
     }
 
-    /// Says hello again: a board that was reset has something new to say.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn hello_again(&mut self) -> Result<&Hello> {
-        self.hello = self.wire.say_hello()?;
-        Ok(&self.hello)
-    }
-
     fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
         match self.call(command)? {
             Reply::Trigger(status) => Ok(status),
-            _ => Err(BoardError::OddReply {
-                command: command_name(command),
-            }),
+            _ => Err(odd_reply(command)),
+        }
+    }
+
+    fn call_align(&mut self, command: &Command) -> Result<AlignPlan> {
+        match self.call(command)? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(odd_reply(command)),
+        }
+    }
+
+    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
+        match self.call(command)? {
+            Reply::Gnss(report) => Ok(report),
+            _ => Err(odd_reply(command)),
         }
     }
 
     fn call_imu(&mut self, command: &Command) -> Result<ImuSetup> {
         match self.call(command)? {
             Reply::Imu(setup) => Ok(setup),
-            _ => Err(BoardError::OddReply {
-                command: command_name(command),
-            }),
+            _ => Err(odd_reply(command)),
         }
+    }
+}
+
+const fn odd_reply(command: &Command) -> BoardError {
+    BoardError::OddReply {
+        command: command_name(command),
     }
 }
 

@@ -31,7 +31,7 @@ use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
 
 /// Version of the form of [`Report`].
-pub const FORM: u32 = 1;
+const FORM: u32 = 1;
 
 /// How bad a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -196,8 +196,7 @@ pub struct Report {
 }
 
 /// The file of a recording: the one in a folder, or the file itself.
-#[must_use]
-pub fn mcap_of(recording: &Path) -> std::path::PathBuf {
+fn mcap_of(recording: &Path) -> std::path::PathBuf {
     if recording.is_dir() {
         recording.join(MCAP_FILE)
     } else {
