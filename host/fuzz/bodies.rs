@@ -6,7 +6,7 @@
 use std::io::Cursor;
 use std::time::Duration;
 
-use board::session::Session;
+use board::Conversation;
 use evaluate::source::read_timestamps;
 use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
 use extract::bag::reader::{Bag, BagError};
@@ -129,13 +129,13 @@ pub(crate) fn link(data: &[u8]) {
         return;
     };
     let events = |step: usize| {
-        let mut session = Session::new(1);
-        session.keep_frames(true);
+        let mut conversation = Conversation::new(1);
+        conversation.keep_frames(true);
         for piece in bytes.chunks(step.max(1)) {
-            session.receive(piece);
+            conversation.receive(piece);
         }
         let mut events = Vec::new();
-        while let Some(event) = session.next_event() {
+        while let Some(event) = conversation.next_event() {
             events.push(format!("{event:?}"));
         }
         events

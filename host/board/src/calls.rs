@@ -13,7 +13,7 @@ use protocol::{
     TriggerAlign, TriggerStart, TriggerStatus,
 };
 
-use crate::session::{Event, Session};
+use crate::conversation::{Conversation, Event};
 use crate::transport::serial::{OpenError, SerialLink};
 use crate::transport::{Link, LinkError, ports};
 
@@ -193,7 +193,7 @@ impl Board {
     pub fn connect_from(link: Box<dyn Link>, first_id: u32) -> Result<Self> {
         let mut wire = Wire {
             link,
-            session: Session::new(first_id),
+            conversation: Conversation::new(first_id),
             events: VecDeque::new(),
             buffer: Vec::new(),
         };
@@ -201,20 +201,20 @@ impl Board {
         // What came before lay in some buffer and is nobody's business; the gap
         // behind it may have come together with the answer.
         wire.events.clear();
-        while wire.session.next_event().is_some() {}
-        wire.session.start_counting();
+        while wire.conversation.next_event().is_some() {}
+        wire.conversation.start_counting();
         Ok(Self { wire, hello })
     }
 
     /// Gives the link back, broken as it is: a port that is still there can be
     /// opened again only by who does not hold it any more.
     pub fn hang_up(&mut self) {
-        self.wire.session.cut();
+        self.wire.conversation.cut();
         let now = self.wire.link.now();
         self.wire.link = Box::new(HungUp { now });
     }
 
-    /// Goes on with the same session on a new link, after the old one broke.
+    /// Goes on with the same conversation on a new link, after the old one broke.
     /// What the board dropped meanwhile shows as [`Event::Lost`]; a reset
     /// meanwhile as [`Event::Restarted`].
     ///
@@ -222,7 +222,7 @@ impl Board {
     ///
     /// The board does not answer on the new link either; try again later.
     pub fn reconnect(&mut self, link: Box<dyn Link>) -> Result<()> {
-        self.wire.session.cut();
+        self.wire.conversation.cut();
         self.wire.link = link;
         self.hello = self.wire.say_hello()?;
         Ok(())
@@ -236,18 +236,18 @@ impl Board {
 
     /// Counters of the conversation.
     #[must_use]
-    pub const fn session(&self) -> &Session {
-        &self.wire.session
+    pub const fn conversation(&self) -> &Conversation {
+        &self.wire.conversation
     }
 
     /// Whether raw frames are given out as [`Event::Frame`].
     pub const fn keep_frames(&mut self, keep: bool) {
-        self.wire.session.keep_frames(keep);
+        self.wire.conversation.keep_frames(keep);
     }
 
     /// Counts the streams anew from their next message on.
     pub fn start_counting(&mut self) {
-        self.wire.session.start_counting();
+        self.wire.conversation.start_counting();
     }
 
     /// The link's clock.
@@ -261,7 +261,7 @@ impl Board {
         let wire = &mut self.wire;
         wire.events
             .pop_front()
-            .or_else(|| wire.session.next_event())
+            .or_else(|| wire.conversation.next_event())
     }
 
     /// The next event; waits for it at most for `wait`.
@@ -274,7 +274,7 @@ impl Board {
             return Ok(Some(event));
         }
         self.wire.pump(wait)?;
-        Ok(self.wire.session.next_event())
+        Ok(self.wire.conversation.next_event())
     }
 
     /// Sends a command and waits for its answer. Up to three tries.
@@ -328,10 +328,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn align(&mut self, align: TriggerAlign) -> Result<AlignPlan> {
-        match self.call(&Command::TriggerAlign(align))? {
-            Reply::Align(plan) => Ok(plan),
-            _ => Err(BoardError::OddReply { command: "align" }),
-        }
+        self.call_align(&Command::TriggerAlign(align))
     }
 
     /// A command to one of the further trigger outputs, all but an align.
@@ -350,10 +347,7 @@ impl Board {
     /// As [`Board::call`].
     pub fn align_output(&mut self, output: Output, to: OutputAlign) -> Result<AlignPlan> {
         let action = OutputAction::Align(to);
-        match self.call(&Command::Output { output, action })? {
-            Reply::Align(plan) => Ok(plan),
-            _ => Err(BoardError::OddReply { command: "align" }),
-        }
+        self.call_align(&Command::Output { output, action })
     }
 
     /// The pulse per second.
@@ -370,7 +364,7 @@ impl Board {
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
+    pub(crate) fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
         self.call_gnss(&Command::GnssStart(settings))
     }
 
@@ -381,13 +375,6 @@ impl Board {
     /// As [`Board::call`].
     pub fn stop_gnss(&mut self) -> Result<GnssReport> {
         self.call_gnss(&Command::GnssStop)
-    }
-
-    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
-        match self.call(command)? {
-            Reply::Gnss(report) => Ok(report),
-            _ => Err(BoardError::OddReply { command: "gnss" }),
-        }
     }
 
     /// The IMU's setup and state.
@@ -433,35 +420,41 @@ impl Board {
         let now = self.wire.link.now();
         let host_time = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
         let command = Command::Ping { host_time };
-        self.wire.session.send(now, command, ANSWER_TIMEOUT)
-    }
-
-    /// Says hello again: a board that was reset has something new to say.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn hello_again(&mut self) -> Result<&Hello> {
-        self.hello = self.wire.say_hello()?;
-        Ok(&self.hello)
+        self.wire.conversation.send(now, command, ANSWER_TIMEOUT)
     }
 
     fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
         match self.call(command)? {
             Reply::Trigger(status) => Ok(status),
-            _ => Err(BoardError::OddReply {
-                command: command_name(command),
-            }),
+            _ => Err(odd_reply(command)),
+        }
+    }
+
+    fn call_align(&mut self, command: &Command) -> Result<AlignPlan> {
+        match self.call(command)? {
+            Reply::Align(plan) => Ok(plan),
+            _ => Err(odd_reply(command)),
+        }
+    }
+
+    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
+        match self.call(command)? {
+            Reply::Gnss(report) => Ok(report),
+            _ => Err(odd_reply(command)),
         }
     }
 
     fn call_imu(&mut self, command: &Command) -> Result<ImuSetup> {
         match self.call(command)? {
             Reply::Imu(setup) => Ok(setup),
-            _ => Err(BoardError::OddReply {
-                command: command_name(command),
-            }),
+            _ => Err(odd_reply(command)),
         }
+    }
+}
+
+const fn odd_reply(command: &Command) -> BoardError {
+    BoardError::OddReply {
+        command: command_name(command),
     }
 }
 
@@ -490,10 +483,10 @@ impl Link for HungUp {
     }
 }
 
-/// A session on its link.
+/// A conversation on its link.
 struct Wire {
     link: Box<dyn Link>,
-    session: Session,
+    conversation: Conversation,
     /// What came while a call waited.
     events: VecDeque<Event>,
     buffer: Vec<u8>,
@@ -504,7 +497,7 @@ impl Wire {
         let name = command_name(command);
         for _ in 0..TRIES {
             let id = self
-                .session
+                .conversation
                 .send(self.link.now(), command.clone(), ANSWER_TIMEOUT);
             if let Some(result) = self.wait_for(id)? {
                 return result.map_err(|refusal| BoardError::Refused {
@@ -519,21 +512,21 @@ impl Wire {
 
     /// Sends what is to be sent, takes what has come, lets commands expire.
     fn pump(&mut self, wait: Duration) -> Result<()> {
-        let outgoing = self.session.take_outgoing();
+        let outgoing = self.conversation.take_outgoing();
         if !outgoing.is_empty() {
             self.link.send(&outgoing)?;
         }
         self.buffer.clear();
         let result = self.link.receive(&mut self.buffer, wait);
-        self.session.receive(&self.buffer);
-        self.session.tick(self.link.now());
+        self.conversation.receive(&self.buffer);
+        self.conversation.tick(self.link.now());
         Ok(result?)
     }
 
     /// Waits for one answer; `None` if it expired.
     fn wait_for(&mut self, id: u32) -> Result<Option<std::result::Result<Reply, Refusal>>> {
         loop {
-            while let Some(event) = self.session.next_event() {
+            while let Some(event) = self.conversation.next_event() {
                 match event {
                     Event::Answer(answer) if answer.id == id => return Ok(Some(answer.result)),
                     Event::Expired { id: expired } if expired == id => return Ok(None),
@@ -550,14 +543,14 @@ impl Wire {
     /// The hello that is answered last before the answer is the current one:
     /// what lay in the system's buffers from before comes earlier.
     fn say_hello(&mut self) -> Result<Hello> {
-        let before = self.session.bytes();
+        let before = self.conversation.bytes();
         match self.call(&Command::Hello) {
             Ok(_) => {}
             Err(BoardError::NoAnswer { .. }) => {
-                let bytes = self.session.bytes() - before;
+                let bytes = self.conversation.bytes() - before;
                 return Err(if bytes == 0 {
                     BoardError::Silent
-                } else if self.session.frames() == 0 {
+                } else if self.conversation.frames() == 0 {
                     BoardError::NotThisBoard { bytes }
                 } else {
                     BoardError::NoAnswer { command: "hello" }

@@ -1,16 +1,20 @@
 //! The link to the board, from bytes to answers.
 //!
 //! - [`transport`]: bytes to and from the board, nothing else.
-//! - [`session`]: bytes in, events out; command ids, deadlines, losses. No I/O.
-//! - [`Board`]: a session on a transport, with calls that wait for the answer.
+//! - [`Conversation`]: bytes in, events out; command ids, deadlines, losses. No I/O.
+//! - [`Stream`]: the numbered streams of the board, what came and what was lost.
+//! - [`Board`]: a conversation on a transport, with calls that wait for the answer.
 //! - [`imu`]: the board's IMU samples in SI units.
 //! - [`gnss`]: the board as a lidar's GNSS receiver.
 #![forbid(unsafe_code)]
 
 mod calls;
+mod conversation;
 pub mod gnss;
 pub mod imu;
-pub mod session;
+mod streams;
 pub mod transport;
 
 pub use calls::{Board, BoardError, Result, choose_port, explain, reset_cause};
+pub use conversation::{Conversation, Event};
+pub use streams::{Stream, StreamCount, StreamCounts};

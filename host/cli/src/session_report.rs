@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use protocol::{Period, Ticks};
 use serde_json::json;
 
-use board::session::StreamCount;
+use board::StreamCount;
 use page::chart::{self, Data, Envelope, Series};
 use page::{Level, Page};
 use recording::RecordingError;

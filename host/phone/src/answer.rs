@@ -28,9 +28,7 @@ pub enum ServerVersion {
 }
 
 impl ServerVersion {
-    /// The version that a version line names, if it is a known one.
-    #[must_use]
-    pub fn from_line(line: &str) -> Option<Self> {
+    fn from_line(line: &str) -> Option<Self> {
         match line {
             "v.0.1" => Some(Self::V0_1),
             "v.0.1.1" => Some(Self::V0_1_1),
@@ -166,8 +164,7 @@ impl AnswerDecoder {
     }
 
     /// Number of the line that was read last, from 1.
-    #[must_use]
-    pub fn line_number(&self) -> u64 {
+    pub(crate) fn line_number(&self) -> u64 {
         self.lines
     }
 
@@ -286,8 +283,7 @@ impl AnswerDecoder {
 
 /// At most 120 characters of text off the network, for an error message. (It is
 /// printed with `{:?}`, which escapes control characters.)
-#[must_use]
-pub fn shorten(text: &str) -> String {
+pub(crate) fn shorten(text: &str) -> String {
     const MOST: usize = 120;
     let mut short: String = text.chars().take(MOST).collect();
     if text.chars().nth(MOST).is_some() {

@@ -10,8 +10,7 @@ use super::connection::Connection;
 use super::download::{Pace, SavedVideo, VideoTarget, check_free, receive};
 use super::error::PhoneError;
 use super::requests::{
-    ImuBody, ImuRecording, ImuRequest, VideoHeaderBody, VideoStart, VideoStartBody,
-    small_answer_limit,
+    ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeaderBody, VideoStart, VideoStartBody,
 };
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
@@ -46,9 +45,7 @@ impl StopSignal {
         Self(Arc::new(question))
     }
 
-    /// Whether to stop.
-    #[must_use]
-    pub fn is_set(&self) -> bool {
+    pub(super) fn is_set(&self) -> bool {
         (self.0)()
     }
 }
@@ -112,13 +109,6 @@ impl PhoneClient {
         self.version
     }
 
-    /// Whether the connection is still in step. Any error but a refusal in the
-    /// app's own words closes it.
-    #[must_use]
-    pub fn is_connected(&self) -> bool {
-        self.connection.is_some()
-    }
-
     /// Whether the connection is in step and the phone has not closed it meanwhile,
     /// as far as this system has heard: a request would at least be sent.
     #[must_use]
@@ -145,7 +135,7 @@ impl PhoneClient {
         let margin = self.settings.margin;
         let answer = self.in_step(|connection| {
             connection.send(REQUEST, "\n", margin)?;
-            connection.answer(REQUEST, small_answer_limit(), margin, |_, _| Ok(()))
+            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
         });
         let version = match answer {
             Ok(version) | Err(PhoneError::Refused { version, .. }) => version,
@@ -189,10 +179,9 @@ impl PhoneClient {
             connection.send(REQUEST, "video_start\n", margin)?;
             let mut body = VideoStartBody::default();
             let patience = APP_PHASE_TIMEOUT.saturating_add(margin);
-            let version =
-                connection.answer(REQUEST, small_answer_limit(), patience, |number, line| {
-                    body.line(number, line)
-                })?;
+            let version = connection.answer(REQUEST, SMALL_ANSWER, patience, |number, line| {
+                body.line(number, line)
+            })?;
             let start = body.finish().map_err(|source| PhoneError::Malformed {
                 request: REQUEST,
                 source,
@@ -209,7 +198,7 @@ impl PhoneClient {
         let margin = self.settings.margin;
         let version = self.in_step(|connection| {
             connection.send(REQUEST, "video_stop\n", margin)?;
-            connection.answer(REQUEST, small_answer_limit(), margin, |_, _| Ok(()))
+            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
         })?;
         self.version = Some(version);
         Ok(())
@@ -239,12 +228,10 @@ impl PhoneClient {
         let (version, saved) = self.in_step(|connection| {
             connection.send(REQUEST, "get_video\n", margin)?;
             let mut body = VideoHeaderBody::default();
-            let version = connection.answer(
-                REQUEST,
-                small_answer_limit(),
-                video_ready,
-                |number, line| body.line(number, line),
-            )?;
+            let version =
+                connection.answer(REQUEST, SMALL_ANSWER, video_ready, |number, line| {
+                    body.line(number, line)
+                })?;
             let header = body.finish().map_err(|source| PhoneError::Malformed {
                 request: REQUEST,
                 source,

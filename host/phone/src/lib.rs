@@ -38,4 +38,4 @@ pub use requests::{ImuRecording, ImuRequest, SensorRecording, VideoStart};
 pub use samples::{PhoneSample, Sensor, save_samples};
 
 /// TCP port of the app.
-pub const DEFAULT_PORT: u16 = 6969;
+pub(crate) const DEFAULT_PORT: u16 = 6969;

@@ -20,7 +20,7 @@ const IMU_BYTES_PER_SECOND: u64 = 600_000;
 
 /// Bytes of answer that are accepted beside an IMU recording's samples, and in
 /// all for the other requests.
-const SMALL_ANSWER: u64 = 64 * 1024;
+pub(super) const SMALL_ANSWER: u64 = 64 * 1024;
 
 /// A request to record the phone's motion sensors for a while.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -91,11 +91,6 @@ impl ImuRequest {
             .saturating_mul(IMU_BYTES_PER_SECOND)
             .saturating_add(SMALL_ANSWER)
     }
-}
-
-/// Most bytes of text of an answer to `video_start`, `video_stop` or `get_video`.
-pub(super) const fn small_answer_limit() -> u64 {
-    SMALL_ANSWER
 }
 
 /// A recording of one sensor.

@@ -49,8 +49,7 @@ impl Sensor {
     }
 
     /// The sensor whose file is named `name`.
-    #[must_use]
-    pub fn of_file(name: &str) -> Option<Self> {
+    pub(crate) fn of_file(name: &str) -> Option<Self> {
         Self::ALL
             .into_iter()
             .find(|sensor| name.ends_with(sensor.file_suffix()))
@@ -77,7 +76,7 @@ pub struct PhoneSample {
 }
 
 /// What a line of a sensor's CSV must be.
-pub const SAMPLE_LINE: &str = "a CSV line x,y,z,timestamp_ns";
+pub(crate) const SAMPLE_LINE: &str = "a CSV line x,y,z,timestamp_ns";
 
 /// Reads one line `x,y,z,timestamp_ns`; `None` if it is not one.
 #[must_use]

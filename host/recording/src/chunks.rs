@@ -16,8 +16,8 @@
 //! # }
 //! ```
 //!
-//! Memory is bounded by the file's length and by [`MAX_RECORD`] packed and
-//! [`MAX_CHUNK`] unpacked, whatever the file claims. For files that are damaged in the
+//! Memory is bounded by the file's length and by 256 MiB of each chunk, packed and
+//! unpacked, whatever the file claims. For files that are damaged in the
 //! middle there is [`super::scan`].
 //!
 //! Limits: chunks are stored as they are or with LZ4, which is all that this program
@@ -34,7 +34,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 
 /// The longest record that is taken: far above a chunk of this program, far below what
 /// would exhaust memory.
-pub const MAX_RECORD: u64 = 256 << 20;
+pub(crate) const MAX_RECORD: u64 = 256 << 20;
 
 /// The largest chunk when unpacked.
 pub const MAX_CHUNK: u64 = 256 << 20;

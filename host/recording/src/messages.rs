@@ -11,7 +11,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// A ROS 2 message.
-pub trait RosMessage: Serialize + DeserializeOwned {
+pub(crate) trait RosMessage: Serialize + DeserializeOwned {
     /// Full name of the type.
     const TYPE: &'static str;
     /// Definition in the ROS 2 message language, without the types it uses.
@@ -390,7 +390,7 @@ pub enum CdrError {
 /// # Errors
 ///
 /// A text or list is longer than 32 bits.
-pub fn to_cdr<M: Serialize>(message: &M) -> Result<Vec<u8>, CdrError> {
+pub(crate) fn to_cdr<M: Serialize>(message: &M) -> Result<Vec<u8>, CdrError> {
     let mut bytes = CDR_LE.to_vec();
     bytes.extend(cdr_encoding::to_vec::<M, byteorder::LittleEndian>(message)?);
     Ok(bytes)

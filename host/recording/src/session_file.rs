@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
 use crate::profile::Profile;
+use board::StreamCounts;
 use board::imu::Scale;
-use board::session::StreamCounts;
 use timebase::ClockModel;
 use timebase::PhoneNanos;
 

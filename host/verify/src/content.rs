@@ -3,17 +3,25 @@
 //! Everything is followed message by message; nothing but a few states is kept,
 //! so hours of recording need no memory.
 
+mod counters;
+mod pulses;
+mod topics;
+
 use std::collections::{BTreeMap, VecDeque};
 
 use mcap::records::MessageHeader;
-use protocol::{Decoder, DeviceToHost, Period, Status, Ticks};
+use protocol::{Decoder, DeviceToHost, Status, Ticks};
+
+use counters::Counters;
+use pulses::Pulses;
+use topics::Topics;
 
 use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
-use board::session::Stream;
-use recording::messages::{BoardRun, Header, LinkFrame, Pulse};
+use board::Stream;
+use recording::messages::{BoardRun, Header, LinkFrame};
 use recording::reader::ticks_of_nanos;
-use recording::session_file::{self, Alignment, SessionFile};
+use recording::session_file::{self, SessionFile};
 use recording::{Item, RecordingError, Topic};
 
 /// How many streams the board numbers.
@@ -33,41 +41,15 @@ const fn topic_of(stream: Stream) -> Option<Topic> {
     }
 }
 
-/// Whether messages of a topic come in the order of their times. Pulses of several
-/// outputs may fall on one tick.
-const fn in_order(topic: Topic) -> bool {
-    matches!(
-        topic,
-        Topic::Imu
-            | Topic::Temperature
-            | Topic::Pulse
-            | Topic::Capture
-            | Topic::Status
-            | Topic::Gnss
-    )
-}
-
-/// How many messages may be under way between a status and the streams that it
-/// counts: the queues of the board hold at most a few.
-const UNDER_WAY: u64 = 8;
-
-/// The most topics that are counted one by one.
-const MAX_TOPICS: usize = 1_000;
-
-/// What the messages say.
-pub struct Outcome {
+/// What the messages say; see [`super::Report`].
+pub(crate) struct Outcome {
     /// First and last board time, ns.
-    pub span: Option<(u64, u64)>,
-    /// Runs of the board.
-    pub runs: u64,
-    /// Frames that are no message.
-    pub damaged_frames: u64,
-    /// See [`super::Report`].
-    pub streams: BTreeMap<&'static str, StreamReport>,
-    /// See [`super::Report`].
-    pub topics: BTreeMap<String, TopicReport>,
-    /// See [`super::Report`].
-    pub grid: Option<GridReport>,
+    pub(crate) span: Option<(u64, u64)>,
+    pub(crate) runs: u64,
+    pub(crate) damaged_frames: u64,
+    pub(crate) streams: BTreeMap<&'static str, StreamReport>,
+    pub(crate) topics: BTreeMap<String, TopicReport>,
+    pub(crate) grid: Option<GridReport>,
 }
 
 /// One numbered stream in the frames of the link, and its topic.
@@ -81,70 +63,23 @@ struct Numbers {
     seen: bool,
 }
 
-/// The board's counters at its first and its last status of a run.
-#[derive(Clone)]
-struct Counters {
-    first: Status,
-    first_imu: u64,
-    last: Status,
-    last_imu: u64,
-    missing_at_first: [u64; STREAMS],
-}
-
-/// The last pulse.
-#[derive(Clone, Copy)]
-struct LastPulse {
-    train: u32,
-    number: u64,
-    at: Ticks,
-    aligned: bool,
-}
-
-/// Time from an edge to its being counted, at most: far longer than an interrupt waits.
-const COUNTED_WITHIN: u64 = protocol::TICK_HZ as u64 / 1000;
-
-impl LastPulse {
-    /// Whether a status of `at` that counts `made` pulses should have counted this one.
-    /// Pulses are sent before a status that waits, so one that came first may be younger
-    /// than it.
-    const fn is_uncounted(&self, made: u64, at: Ticks) -> bool {
-        self.number >= made && self.at.0.saturating_add(COUNTED_WITHIN) <= at.0
-    }
-}
-
-/// A topic's running number and time.
-#[derive(Default)]
-struct TopicState {
-    report: TopicReport,
-    expected: Option<u32>,
-    last: Option<u64>,
-}
-
 /// The checks while they run.
-pub struct Content {
-    alignment: Option<Alignment>,
-    recorded_to: Option<Ticks>,
-    /// The same as the session file has it.
-    session_to: Option<Ticks>,
+pub(crate) struct Content {
     /// Later runs as the session file has them.
     runs_in_file: Vec<session_file::BoardRun>,
     /// Recorded ticks less the board's in this run.
     shift: u64,
     imu_interval: Option<u64>,
-    topics: BTreeMap<String, TopicState>,
+    topics: Topics,
     streams: [Numbers; STREAMS],
     epoch: Option<u32>,
     runs: u64,
     damaged_frames: u64,
     in_step: bool,
-    counters: Option<Counters>,
-    dropped: [u64; STREAMS],
-    pulse: Option<LastPulse>,
-    steps: Option<(u64, u64)>,
+    counters: Counters,
+    pulses: Pulses,
     last_imu: Option<(Ticks, u32)>,
-    grid: GridReport,
     markers: u64,
-    span: Option<(u64, u64)>,
     /// Something is missing in the file here.
     after_gap: bool,
     gaps: u64,
@@ -152,50 +87,37 @@ pub struct Content {
 
 impl Content {
     /// Before the first message.
-    #[must_use]
-    pub fn new(session: Option<&SessionFile>) -> Self {
-        let finished = session.is_some_and(|session| session.outcome.is_some());
-        let recorded_to = session
-            .filter(|_| finished)
-            .and_then(|session| session.recorded)
-            .map(|span| span.to);
+    pub(crate) fn new(session: Option<&SessionFile>) -> Self {
         Self {
-            alignment: session.and_then(|session| session.alignment),
-            recorded_to,
-            session_to: recorded_to,
             runs_in_file: session.map_or_else(Vec::new, |session| session.runs.clone()),
             shift: 0,
             imu_interval: session
                 .and_then(|session| session.imu.as_ref())
                 .map(|imu| u64::from(imu.setup.interval)),
-            topics: BTreeMap::new(),
+            topics: Topics::default(),
             streams: Default::default(),
             epoch: None,
             runs: 1,
             damaged_frames: 0,
             in_step: false,
-            counters: None,
-            dropped: [0; STREAMS],
-            pulse: None,
-            steps: None,
+            counters: Counters::default(),
+            pulses: Pulses::new(session),
             last_imu: None,
-            grid: GridReport::default(),
             markers: 0,
-            span: None,
             after_gap: false,
             gaps: 0,
         }
     }
 
     /// What came of it.
-    #[must_use]
-    pub fn finish(
+    pub(crate) fn finish(
         mut self,
         file: &FileReport,
         session: Option<&SessionFile>,
         findings: &mut Findings,
     ) -> Outcome {
-        self.close_run(findings);
+        self.counters
+            .close_run(self.missing(), self.gaps > 0, findings);
         let whole = file.closed && self.gaps == 0;
         for (numbers, stream) in self.streams.iter().zip(Stream::ALL) {
             let left = numbers.pending.len() as u64;
@@ -222,28 +144,11 @@ impl Content {
             }
         }
         if let Some(session) = session.filter(|_| whole) {
-            if session.markers.len() as u64 != self.markers {
-                findings.add(Grade::Error, "markers_differ", None, || {
-                    format!(
-                        "the session file has {} marks, the recording {}",
-                        session.markers.len(),
-                        self.markers
-                    )
-                });
-            }
-            let missing: u64 = self.streams.iter().map(|s| s.report.missing).sum();
-            if session.counts.lost() > missing {
-                findings.add(Grade::Error, "losses_differ", None, || {
-                    format!(
-                        "the session counted {} lost messages, but by the board's numbers {missing} \
-                         are missing",
-                        session.counts.lost()
-                    )
-                });
-            }
+            self.compare_with(session, findings);
         }
         Outcome {
-            span: self.span,
+            span: self.topics.span(),
+            grid: self.pulses.report(),
             runs: self.runs,
             damaged_frames: self.damaged_frames,
             streams: Stream::ALL
@@ -252,71 +157,30 @@ impl Content {
                 .filter(|(of, _)| topic_of(**of).is_some())
                 .map(|(of, stream)| (of.name(), stream.report))
                 .collect(),
-            topics: self
-                .topics
-                .into_iter()
-                .map(|(name, state)| (name, state.report))
-                .collect(),
-            grid: self.alignment.map(|_| self.grid),
+            topics: self.topics.reports(),
         }
     }
 
-    /// The number of a message in its topic, and its time.
-    fn place(
-        &mut self,
-        name: &str,
-        topic: Option<Topic>,
-        header: &MessageHeader,
-        findings: &mut Findings,
-    ) {
-        let at = header.log_time;
-        if self.topics.len() >= MAX_TOPICS && !self.topics.contains_key(name) {
-            return;
+    /// What the session counted against what is in the file.
+    fn compare_with(&self, session: &SessionFile, findings: &mut Findings) {
+        if session.markers.len() as u64 != self.markers {
+            findings.add(Grade::Error, "markers_differ", None, || {
+                format!(
+                    "the session file has {} marks, the recording {}",
+                    session.markers.len(),
+                    self.markers
+                )
+            });
         }
-        let state = self.topics.entry(name.to_owned()).or_default();
-        state.report.messages += 1;
-        if let Some(expected) = state.expected {
-            let missing = header.sequence.wrapping_sub(expected);
-            if missing > u32::MAX / 2 {
-                findings.add(Grade::Error, "order", Some(ticks_of_nanos(at)), || {
-                    format!(
-                        "message {} of {name} comes twice or too late",
-                        header.sequence
-                    )
-                });
-            } else if missing > 0 {
-                state.report.missing += u64::from(missing);
-                findings.add_many(
-                    Grade::Error,
-                    "messages_cut_out",
-                    Some(ticks_of_nanos(at)),
-                    u64::from(missing),
-                    || format!("{missing} messages of {name} are gone from the file"),
-                );
-            }
-        }
-        state.expected = Some(header.sequence.wrapping_add(1));
-        if topic.is_some_and(in_order) {
-            if let Some(last) = state.last
-                && at <= last
-            {
-                findings.add(
-                    Grade::Error,
-                    "time_not_monotonic",
-                    Some(ticks_of_nanos(at)),
-                    || {
-                        format!(
-                            "a message of {name} is {:.6} s older than the one before it",
-                            (last - at) as f64 * 1e-9
-                        )
-                    },
-                );
-            }
-            state.last = Some(at);
-            self.span = Some(
-                self.span
-                    .map_or((at, at), |(from, to)| (from.min(at), to.max(at))),
-            );
+        let missing: u64 = self.missing().iter().sum();
+        if session.counts.lost() > missing {
+            findings.add(Grade::Error, "losses_differ", None, || {
+                format!(
+                    "the session counted {} lost messages, but by the board's numbers {missing} \
+                     are missing",
+                    session.counts.lost()
+                )
+            });
         }
     }
 
@@ -380,7 +244,7 @@ impl Content {
             }
         }
         if let DeviceToHost::Status(status) = message {
-            self.status(status, findings);
+            self.status(&status, findings);
         }
     }
 
@@ -420,39 +284,15 @@ impl Content {
         self.last_imu = Some((at, seq));
     }
 
-    fn status(&mut self, status: Status, findings: &mut Findings) {
+    fn status(&mut self, status: &Status, findings: &mut Findings) {
         let imu = self
             .streams
             .get(Stream::Imu as usize)
             .and_then(|stream| stream.expected)
             .map_or(0, u64::from);
-        let missing = self.missing();
-        match &mut self.counters {
-            None => {
-                self.counters = Some(Counters {
-                    first: status.clone(),
-                    first_imu: imu,
-                    last: status.clone(),
-                    last_imu: imu,
-                    missing_at_first: missing,
-                });
-            }
-            Some(counters) => {
-                counters.last = status.clone();
-                counters.last_imu = imu;
-            }
-        }
-        // The pulses that were made against those that came.
-        if let Some(pulse) = self.pulse
-            && pulse.train == status.trigger.train
-            && !self.after_gap
-        {
-            let made = status.trigger.pulses;
-            if pulse.is_uncounted(made, status.at) {
-                findings.add(Grade::Error, "pulse_count", Some(status.at), || {
-                    format!("pulse {} came, but the board counts {made}", pulse.number)
-                });
-            }
+        self.counters.take(status, imu, self.missing());
+        if !self.after_gap {
+            self.pulses.count(status, findings);
         }
     }
 
@@ -464,7 +304,12 @@ impl Content {
     /// counted with the further outputs.
     fn share_drops(&mut self) {
         let mut left_of_outputs = 0;
-        for ((numbers, of), dropped) in self.streams.iter_mut().zip(Stream::ALL).zip(self.dropped) {
+        for ((numbers, of), dropped) in self
+            .streams
+            .iter_mut()
+            .zip(Stream::ALL)
+            .zip(self.counters.dropped)
+        {
             let dropped = match of {
                 Stream::Pps => left_of_outputs,
                 _ => dropped,
@@ -481,25 +326,16 @@ impl Content {
     fn recorded_run(&mut self, mark: &BoardRun, findings: &mut Findings) {
         self.run(mark.epoch, findings);
         self.shift = mark.shift_ticks;
-        // Its grid begins anew, with the session file's word for it.
-        self.recorded_to = self.session_to;
-        let anchor = self
-            .runs_in_file
-            .iter()
-            .find(|run| run.shift == mark.shift_ticks)
-            .and_then(|run| run.anchor);
-        if let (Some(alignment), Some(anchor)) = (&mut self.alignment, anchor) {
-            alignment.anchor = anchor;
-            alignment.arrival = Some(anchor);
-        } else {
-            self.recorded_to = Some(Ticks(0));
-        }
+        let mut runs = self.runs_in_file.iter();
+        let run = runs.find(|run| run.shift == mark.shift_ticks);
+        self.pulses.realign(run.and_then(|run| run.anchor));
     }
 
     /// The board may have been reset since the last message.
     fn run(&mut self, epoch: u32, findings: &mut Findings) {
         if self.epoch.is_some_and(|known| known != epoch) {
-            self.close_run(findings);
+            self.counters
+                .close_run(self.missing(), self.gaps > 0, findings);
             self.runs += 1;
             findings.add(Grade::Warning, "board_reset", None, || {
                 String::from("the board was reset within the recording")
@@ -508,62 +344,12 @@ impl Content {
                 stream.expected = None;
                 stream.pending.clear();
             }
-            for state in self.topics.values_mut() {
-                state.last = None;
-            }
-            self.counters = None;
-            self.pulse = None;
-            self.steps = None;
+            self.topics.begin_run();
+            self.pulses.begin_run();
             self.last_imu = None;
-            // The alignment in the session file is of one run only.
             self.shift = 0;
-            self.recorded_to = Some(Ticks(0));
         }
         self.epoch = Some(epoch);
-    }
-
-    /// The board's own counters over a run against what is missing.
-    fn close_run(&mut self, findings: &mut Findings) {
-        let Some(counters) = self.counters.take() else {
-            return;
-        };
-        let grown =
-            |f: fn(&Status) -> u32| u64::from(f(&counters.last).wrapping_sub(f(&counters.first)));
-        let dropped = Stream::ALL.map(|stream| {
-            let of = |status: &Status| stream.dropped(&status.dropped).unwrap_or_default();
-            u64::from(of(&counters.last).wrapping_sub(of(&counters.first)))
-        });
-        let missing = self.missing();
-        for index in 0..dropped.len() {
-            let (Some(&dropped), Some(total), Some(&missing), Some(&before), Some(of)) = (
-                dropped.get(index),
-                self.dropped.get_mut(index),
-                missing.get(index),
-                counters.missing_at_first.get(index),
-                Stream::ALL.get(index),
-            ) else {
-                continue;
-            };
-            *total += dropped;
-            let here = missing - before;
-            // What was dropped last shows with the stream's next message only.
-            if dropped > here + 1 && self.gaps == 0 && here > 0 {
-                findings.add(Grade::Note, "drops_not_seen", None, || {
-                    let name = of.name();
-                    format!("the board dropped {dropped} {name}, of which {here} show as a gap")
-                });
-            }
-        }
-        let made = grown(|status| status.imu.samples);
-        let numbered = counters.last_imu.wrapping_sub(counters.first_imu) & u64::from(u32::MAX);
-        if self.gaps == 0 && made.abs_diff(numbered) > UNDER_WAY {
-            findings.add(Grade::Error, "imu_count", Some(counters.last.at), || {
-                format!(
-                    "the board read {made} IMU samples between its first and last status, but their \
-                     numbers grew by {numbered}"
-                )
-            });
-        }
     }
 
     /// A message must have a frame of its own, in order.
@@ -594,86 +380,6 @@ impl Content {
         }
     }
 
-    fn pulse(&mut self, pulse: &Pulse, findings: &mut Findings) {
-        let at = Ticks(pulse.ticks);
-        let now = LastPulse {
-            train: pulse.train,
-            number: pulse.number,
-            at,
-            aligned: pulse.aligned,
-        };
-        if let Some(last) = self.pulse.replace(now)
-            && last.train == pulse.train
-        {
-            let step = pulse.number.wrapping_sub(last.number);
-            if step == 0 || step > u64::MAX / 2 {
-                findings.add(Grade::Error, "pulse_twice", Some(at), || {
-                    format!("pulse {} comes after {}", pulse.number, last.number)
-                });
-            } else if step > 1 {
-                findings.add_many(Grade::Warning, "pulses_missing", Some(at), step - 1, || {
-                    format!(
-                        "{} pulses are missing before pulse {}",
-                        step - 1,
-                        pulse.number
-                    )
-                });
-            }
-            self.step(last, now, step, findings);
-        } else {
-            self.steps = None;
-        }
-        self.hold_against_grid(pulse, at, findings);
-    }
-
-    /// Without a known grid: steps of a train on its grid differ by a tick at most.
-    fn step(&mut self, last: LastPulse, now: LastPulse, step: u64, findings: &mut Findings) {
-        if self.alignment.is_some() || step != 1 || !last.aligned || !now.aligned {
-            self.steps = None;
-            return;
-        }
-        let length = now.at.0.saturating_sub(last.at.0);
-        let (low, high) = self.steps.map_or((length, length), |(low, high)| {
-            (low.min(length), high.max(length))
-        });
-        if high - low > 1 {
-            findings.add(Grade::Error, "grid", Some(now.at), || {
-                format!(
-                    "pulse {} comes {length} ticks after the one before, others {low} to {high}",
-                    now.number
-                )
-            });
-            self.steps = None;
-        } else {
-            self.steps = Some((low, high));
-        }
-    }
-
-    fn hold_against_grid(&mut self, pulse: &Pulse, at: Ticks, findings: &mut Findings) {
-        let Some(alignment) = self.alignment else {
-            return;
-        };
-        let arrived = alignment.arrival.unwrap_or(alignment.anchor);
-        if at < arrived || self.recorded_to.is_some_and(|to| at > to) {
-            return;
-        }
-        let off = Period(alignment.period_q32)
-            .phase_error(alignment.anchor, at)
-            .0
-            .unsigned_abs();
-        self.grid.checked += 1;
-        if off != 0 {
-            self.grid.off += 1;
-            self.grid.worst_ticks = self.grid.worst_ticks.max(off);
-            findings.add(Grade::Error, "off_grid", Some(at), || {
-                format!(
-                    "pulse {} is {off} ticks off the grid of the alignment",
-                    pulse.number
-                )
-            });
-        }
-    }
-
     /// What a message says, against the frames of the link and the ones before it.
     fn item(&mut self, item: &Item, at: u64, findings: &mut Findings) {
         let ticks = ticks_of_nanos(at);
@@ -699,7 +405,7 @@ impl Content {
                     });
                 }
                 self.came_of(Stream::Pulses, ticks, findings);
-                self.pulse(pulse, findings);
+                self.pulses.pulse(pulse, findings);
             }
             Item::Capture(capture) => {
                 self.from_link(Stream::Captures, &capture.header, at, findings);
@@ -762,7 +468,7 @@ impl Sink for Content {
             }
             None => {}
         }
-        self.place(name, topic, header, findings);
+        self.topics.place(name, topic, header, findings);
         self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log));
         Ok(())
     }
@@ -774,28 +480,8 @@ impl Sink for Content {
             stream.pending.clear();
             stream.seen = false;
         }
-        self.pulse = None;
-        self.steps = None;
+        self.pulses.forget();
         self.last_imu = None;
-        self.counters = None;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_pulse_younger_than_the_status_behind_it_need_not_be_counted() {
-        let pulse = LastPulse {
-            train: 1,
-            number: 2_203,
-            at: Ticks(480_000),
-            aligned: true,
-        };
-        let later = Ticks(480_000 + COUNTED_WITHIN);
-        assert!(pulse.is_uncounted(2_203, later));
-        assert!(!pulse.is_uncounted(2_204, later));
-        assert!(!pulse.is_uncounted(2_203, Ticks(479_999)));
+        self.counters.forget();
     }
 }

@@ -12,32 +12,18 @@ use recording::scan::{Piece, Scan, has_magic, parse};
 use recording::writer::known_channels;
 
 /// What is done with what can be read.
-pub trait Sink {
+pub(crate) trait Sink {
     /// The definition of a type.
-    ///
-    /// # Errors
-    ///
-    /// It cannot be taken.
     fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), RecordingError> {
         let _ = (header, data);
         Ok(())
     }
 
-    /// A topic.
-    ///
-    /// # Errors
-    ///
-    /// It cannot be taken.
     fn channel(&mut self, channel: &Channel) -> Result<(), RecordingError> {
         let _ = channel;
         Ok(())
     }
 
-    /// A message.
-    ///
-    /// # Errors
-    ///
-    /// It cannot be taken.
     fn message(
         &mut self,
         topic: &str,
@@ -46,11 +32,6 @@ pub trait Sink {
         findings: &mut Findings,
     ) -> Result<(), RecordingError>;
 
-    /// A chunk has ended.
-    ///
-    /// # Errors
-    ///
-    /// It cannot be taken.
     fn end_of_chunk(&mut self) -> Result<(), RecordingError> {
         Ok(())
     }
@@ -68,12 +49,9 @@ struct Walk<'s> {
     counted: u64,
 }
 
-/// Goes through a file and hands everything that can be read to `sink`.
-///
-/// # Errors
-///
-/// It cannot be read, or is no MCAP file at all; or an error of the sink.
-pub fn walk(
+/// Goes through a file and hands everything that can be read to `sink`. An error if the
+/// file cannot be read or is no MCAP file at all, or of the sink.
+pub(crate) fn walk(
     path: &Path,
     findings: &mut Findings,
     sink: &mut dyn Sink,

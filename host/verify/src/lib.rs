@@ -1,8 +1,8 @@
 //! Is a recording whole, and do its parts agree with each other?
 //!
-//! - [`file`](mod@file): bytes. Checksums of every chunk, of the data and of the index; where
+//! - `file`: bytes. Checksums of every chunk, of the data and of the index; where
 //!   the file breaks and where it can be taken up again.
-//! - [`content`]: messages. Each frame of the link is decoded again and compared
+//! - `content`: messages. Each frame of the link is decoded again and compared
 //!   with the message that was made of it; the numbers that the board gave are
 //!   followed and held against the board's own counters; pulses must be on their
 //!   grid, times must go on.
@@ -15,8 +15,8 @@
 //! Limits: the phone's and the depth recorder's files are only looked for, not
 //! read; `smartdepthsync extract` does that.
 
-pub mod content;
-pub mod file;
+mod content;
+mod file;
 pub mod repair;
 
 use std::collections::BTreeMap;
@@ -31,7 +31,7 @@ use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
 
 /// Version of the form of [`Report`].
-pub const FORM: u32 = 1;
+const FORM: u32 = 1;
 
 /// How bad a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -62,11 +62,11 @@ pub struct Finding {
 
 /// What was found, one entry a kind, in order of appearance.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Findings(Vec<Finding>);
+pub(crate) struct Findings(Vec<Finding>);
 
 impl Findings {
     /// Adds one of a kind; its text and time are kept if it is the first.
-    pub fn add(
+    pub(crate) fn add(
         &mut self,
         grade: Grade,
         kind: &'static str,
@@ -77,7 +77,7 @@ impl Findings {
     }
 
     /// As [`Findings::add`], for `count` of them.
-    pub fn add_many(
+    pub(crate) fn add_many(
         &mut self,
         grade: Grade,
         kind: &'static str,
@@ -99,7 +99,7 @@ impl Findings {
 
     /// All of them.
     #[must_use]
-    pub fn all(&self) -> &[Finding] {
+    pub(crate) fn all(&self) -> &[Finding] {
         &self.0
     }
 }
@@ -196,8 +196,7 @@ pub struct Report {
 }
 
 /// The file of a recording: the one in a folder, or the file itself.
-#[must_use]
-pub fn mcap_of(recording: &Path) -> std::path::PathBuf {
+fn mcap_of(recording: &Path) -> std::path::PathBuf {
     if recording.is_dir() {
         recording.join(MCAP_FILE)
     } else {

@@ -39,8 +39,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use board::Board;
+use board::StreamCounts;
 use board::imu::Scale;
-use board::session::StreamCounts;
 use protocol::{Period, TICK_HZ, TriggerStart};
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
@@ -272,8 +272,8 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         foxglove: FoxgloveArg::default(),
     };
     let result = close::close(&mut host, &options, result);
-    let counts = host.board.session().counts();
-    let damaged_frames = host.board.session().damaged_frames();
+    let counts = host.board.conversation().counts();
+    let damaged_frames = host.board.conversation().damaged_frames();
     let (status, next_step) = match &result {
         Ok(()) if host.has_problems() => (ExitStatus::Loss, true),
         Ok(()) => (ExitStatus::Good, true),

@@ -3,7 +3,7 @@
 use rig::wiring;
 use std::time::Duration;
 
-use board::session::{Event, Session, Stream as HostStream};
+use board::{Conversation, Event, Stream as HostStream};
 use protocol::{Command, DeviceToHost, Period, Reply, Status, TICK_HZ, TriggerStart};
 
 use super::{Growth, Interrupt, LongRunError, Options, Report};
@@ -79,7 +79,7 @@ struct Fields {
 /// The rig of a run, the host's end of its link, and what is compared.
 pub(super) struct Bench {
     rig: Sim,
-    session: Session,
+    conversation: Conversation,
     sensor: stm32f4_sim::i2c::Shared<Mpu9150>,
     camera: stm32f4_sim::i2c::Shared<DepthCamera>,
     truth: BoardTruth,
@@ -120,7 +120,7 @@ impl Bench {
         truth.watch(&mut rig);
         Ok(Self {
             rig,
-            session: Session::new(1),
+            conversation: Conversation::new(1),
             sensor,
             camera,
             truth,
@@ -178,7 +178,7 @@ impl Bench {
             other => return Err(self.wrong(format!("{other:?}"))),
         }
         // From here on nothing may be lost.
-        self.session.start_counting();
+        self.conversation.start_counting();
         self.first_status = None;
         self.statuses = 0;
         Ok(())
@@ -202,8 +202,8 @@ impl Bench {
     fn ask(&mut self, command: Command) -> Result<Reply, LongRunError> {
         let now = Duration::from_nanos(self.rig.now().as_nanos());
         let what = format!("{command:?}");
-        let id = self.session.send(now, command, Duration::from_secs(2));
-        let bytes = self.session.take_outgoing();
+        let id = self.conversation.send(now, command, Duration::from_secs(2));
+        let bytes = self.conversation.take_outgoing();
         self.rig.usb_write(&bytes);
         for _ in 0..2_000 {
             // The first pulse comes a millisecond after its start: nothing is
@@ -232,17 +232,17 @@ impl Bench {
         self.receive()
     }
 
-    /// Takes what the board has sent through the host's session.
+    /// Takes what the board has sent through the host's side of the conversation.
     fn receive(&mut self) -> Result<(), LongRunError> {
         let bytes = self.rig.usb_read();
-        self.session.receive(&bytes);
+        self.conversation.receive(&bytes);
         let now = Duration::from_nanos(self.rig.now().as_nanos());
-        self.session.tick(now);
+        self.conversation.tick(now);
         // What a message is about has happened before it was sent.
         self.truth
             .take(&mut self.rig, &self.sensor)
             .map_err(|wrong| self.differs(wrong))?;
-        while let Some(event) = self.session.next_event() {
+        while let Some(event) = self.conversation.next_event() {
             match event {
                 Event::Message(message) => self.message(message)?,
                 Event::Answer(answer) => self.answers.push(answer),
@@ -331,7 +331,7 @@ impl Bench {
             return Err(self.wrong("no status came".to_owned()));
         };
         let compared = self.truth.compared();
-        let counts = self.session.counts();
+        let counts = self.conversation.counts();
         let mut complaints = Vec::new();
         let mut expect = |right: bool, what: String| {
             if !right {
@@ -369,8 +369,8 @@ impl Bench {
         );
         expect(last.epoch == first.epoch, "the board was reset".to_owned());
         expect(
-            self.session.damaged_frames() == 0,
-            format!("{} frames were damaged", self.session.damaged_frames()),
+            self.conversation.damaged_frames() == 0,
+            format!("{} frames were damaged", self.conversation.damaged_frames()),
         );
         if let Some(complaint) = complaints.first() {
             return Err(self.wrong(complaint.clone()));
@@ -394,7 +394,7 @@ impl Bench {
         report.captures = compared.captures;
         report.statuses = self.statuses;
         report.fillers = self.fillers;
-        report.link_bytes = self.session.bytes();
+        report.link_bytes = self.conversation.bytes();
         report.lost = counts.lost();
         report.wraps = (last.at.0 >> 32) - (first.at.0 >> 32);
         report.stack_used = last.stack_used;

@@ -79,7 +79,7 @@ fn what_lay_in_the_buffers_before_the_connection_is_no_loss() {
     while let Some(event) = board.next_event(Duration::ZERO).unwrap() {
         assert!(!matches!(event, Event::Lost { .. }), "{event:?}");
     }
-    assert_eq!(board.session().counts().lost(), 0);
+    assert_eq!(board.conversation().counts().lost(), 0);
     // From then on gaps are losses.
     board.call(&Command::Hello).unwrap();
     let lost = std::iter::from_fn(|| board.next_event(Duration::ZERO).unwrap())

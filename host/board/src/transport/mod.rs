@@ -1,6 +1,6 @@
 //! Bytes to and from the board, and nothing else: no frames, no messages.
 //!
-//! [`Link`] is what a [`Session`](crate::session::Session) is driven through.
+//! [`Link`] is what a [`Conversation`](crate::conversation::Conversation) is driven through.
 //! [`serial::SerialLink`] is the one for boards: a USB serial port, or any other
 //! terminal device such as the pseudo-terminal of a simulated board. A link
 //! also keeps the time by which deadlines are counted, so that a rig in the same

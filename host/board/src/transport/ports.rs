@@ -74,8 +74,7 @@ impl UsbDevice {
     /// Whether this is how the board shows itself. The numbers alone do not
     /// suffice: they are a pair for tests that others use too. Some systems put
     /// underscores for the spaces of a string.
-    #[must_use]
-    pub fn is_board(&self) -> bool {
+    fn is_board(&self) -> bool {
         self.vendor_id == usb::VENDOR_ID
             && self.product_id == usb::PRODUCT_ID
             && self

@@ -11,8 +11,8 @@ use super::PortArg;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::record::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME};
+use board::Event;
 use board::imu::Scale;
-use board::session::Event;
 use board::{Board, BoardError};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
@@ -101,7 +101,7 @@ fn listen(
     let (now, _) = board.ping()?;
     let end = now.0.saturating_add(ticks);
     let mut sign = board.now();
-    while board.session().latest().0 < end && !context.interrupt.requested() {
+    while board.conversation().latest().0 < end && !context.interrupt.requested() {
         match board.next_event(Duration::from_millis(100))? {
             Some(event) => {
                 sign = board.now();
@@ -130,8 +130,8 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
         _ => {}
     })?;
     checks.imu(&look, &board.imu()?);
-    let session = board.session();
-    checks.link(session.counts().lost(), session.damaged_frames());
+    let link = board.conversation();
+    checks.link(link.counts().lost(), link.damaged_frames());
     Ok(())
 }
 

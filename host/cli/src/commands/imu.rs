@@ -17,8 +17,8 @@ use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use board::imu::{Sample, Scale, Summary, SummaryReport};
-use board::session::{Event, Stream};
 use board::{Board, BoardError};
+use board::{Event, Stream};
 
 /// How long, in board time, samples may stay away before it is given up. The
 /// board recovers a sensor within a second.
@@ -152,7 +152,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         scale,
         nominal_interval_ticks: setup.interval,
         summary: summary.report(),
-        missed: board.session().counts().of(Stream::Imu).lost,
+        missed: board.conversation().counts().of(Stream::Imu).lost,
         csv: args.csv.clone(),
     };
     context.print(&report, || report.text())?;
@@ -178,7 +178,7 @@ fn stream(
     csv: &mut Option<Csv>,
 ) -> Result<Ended, Failure> {
     let bar = progress_bar(context, u64::from(args.seconds));
-    let mut last_sign = board.session().latest();
+    let mut last_sign = board.conversation().latest();
     let mut quiet_since = board.now();
     loop {
         if context.interrupt.requested() {
@@ -223,7 +223,7 @@ fn stream(
                 );
             }
             _ => {
-                let silent = (board.session().latest() - last_sign).0;
+                let silent = (board.conversation().latest() - last_sign).0;
                 if silent > PATIENCE_TICKS as i64 {
                     return Err(no_samples(board));
                 }

@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::PortArg;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
-use board::session::Event;
+use board::Event;
 use board::{Board, BoardError, reset_cause};
 
 /// Options of `info`.
@@ -85,7 +85,7 @@ fn watch(
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let mut silent_since = board.now();
     let mut before = None;
-    while board.session().latest().0 < end {
+    while board.conversation().latest().0 < end {
         if context.interrupt.requested() {
             return Ok(Outcome::Interrupted);
         }
@@ -110,7 +110,8 @@ fn watch(
             None => {}
         }
     }
-    let lost = board.session().counts().lost() > 0 || board.session().damaged_frames() > 0;
+    let lost =
+        board.conversation().counts().lost() > 0 || board.conversation().damaged_frames() > 0;
     Ok(if lost { Outcome::Loss } else { Outcome::Good })
 }
 

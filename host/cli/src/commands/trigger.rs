@@ -14,7 +14,7 @@ use super::PortArg;
 use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use board::session::Event;
+use board::Event;
 use board::{Board, BoardError, Result as BoardResult};
 use evaluate::latency::{Latency, latency};
 use evaluate::train::TrainGeometry;
@@ -491,7 +491,7 @@ fn wait_for_arrival(
             None => {}
         }
         let quiet = target.board.now().saturating_sub(quiet_since) > Duration::from_secs(20);
-        if quiet || target.board.session().latest().0 > latest {
+        if quiet || target.board.conversation().latest().0 > latest {
             let status = target.status()?;
             if status.state == TrainState::Running && status.pulses > plan.arrival_pulse {
                 return Ok(Wait::Unconfirmed);

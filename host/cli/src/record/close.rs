@@ -62,8 +62,8 @@ fn end_of_recording(rig: &mut Rig<'_>) {
     if let Some(span) = &mut rig.file.recorded {
         span.to = span.from.max(rig.now);
     }
-    rig.file.counts = rig.board.session().counts();
-    rig.file.damaged_frames = rig.board.session().damaged_frames();
+    rig.file.counts = rig.board.conversation().counts();
+    rig.file.damaged_frames = rig.board.conversation().damaged_frames();
 }
 
 /// Stops phone, depth recorder and trigger; what cannot be stopped is told.

@@ -200,8 +200,8 @@ pub(super) fn preflight(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop
     let look = rig.look.take().unwrap_or_default();
     looked?;
     checks.imu(&look, &rig.call(Board::imu)?);
-    let session = rig.board.session();
-    checks.link(session.counts().lost(), session.damaged_frames());
+    let link = rig.board.conversation();
+    checks.link(link.counts().lost(), link.damaged_frames());
     rig.file.preflight.clear();
     found(rig, checks)
 }

@@ -8,7 +8,7 @@ use super::relink::restarted;
 use super::rig::Rig;
 use crate::outcome::Failure;
 use board::BoardError;
-use board::session::Event;
+use board::Event;
 use recording::writer::Severity;
 use timebase::ClockModel;
 

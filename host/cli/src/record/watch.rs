@@ -5,7 +5,7 @@
 
 use protocol::{ImuFlags, ImuSample, ImuState, Period, Pulse, Status, TICK_HZ, Ticks};
 
-use board::session::Stream;
+use board::Stream;
 use recording::writer::Severity;
 
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use board::session::{StreamCount, StreamCounts};
+use board::{StreamCount, StreamCounts};
 use protocol::Ticks;
 use recording::session_file::{Marker, Problem, SessionFile, SessionOutcome, Span, Twist};
 

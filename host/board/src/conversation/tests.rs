@@ -36,21 +36,21 @@ fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
     })
 }
 
-fn events(session: &mut Session) -> Vec<Event> {
-    std::iter::from_fn(|| session.next_event()).collect()
+fn events(conversation: &mut Conversation) -> Vec<Event> {
+    std::iter::from_fn(|| conversation.next_event()).collect()
 }
 
 const SECOND: Duration = Duration::from_secs(1);
 
 #[test]
 fn an_answer_finds_its_command_and_a_late_one_finds_none() {
-    let mut session = Session::new(40);
-    let first = session.send(Duration::ZERO, Command::Hello, SECOND);
-    let second = session.send(Duration::ZERO, Command::TriggerStop, SECOND * 3);
+    let mut conversation = Conversation::new(40);
+    let first = conversation.send(Duration::ZERO, Command::Hello, SECOND);
+    let second = conversation.send(Duration::ZERO, Command::TriggerStop, SECOND * 3);
     assert_eq!((first, second), (40, 41));
 
-    session.tick(SECOND);
-    assert_eq!(events(&mut session), [Event::Expired { id: first }]);
+    conversation.tick(SECOND);
+    assert_eq!(events(&mut conversation), [Event::Expired { id: first }]);
 
     let late = DeviceToHost::Answer(Answer {
         id: first,
@@ -60,24 +60,24 @@ fn an_answer_finds_its_command_and_a_late_one_finds_none() {
         id: second,
         result: Err(Refusal::TriggerStopped),
     };
-    session.receive(&frame(&late));
-    session.receive(&frame(&DeviceToHost::Answer(refused.clone())));
-    assert_eq!(events(&mut session), [Event::Answer(refused)]);
-    session.tick(SECOND * 100);
-    assert_eq!(events(&mut session), []);
+    conversation.receive(&frame(&late));
+    conversation.receive(&frame(&DeviceToHost::Answer(refused.clone())));
+    assert_eq!(events(&mut conversation), [Event::Answer(refused)]);
+    conversation.tick(SECOND * 100);
+    assert_eq!(events(&mut conversation), []);
 }
 
 #[test]
 fn outgoing_bytes_decode_to_the_commands_even_after_garbage() {
-    let mut session = Session::new(0);
+    let mut conversation = Conversation::new(0);
     let command = Command::SelfTest {
         key: SELF_TEST_KEY,
         failure: protocol::Failure::Panic,
     };
-    session.send(Duration::ZERO, command.clone(), SECOND);
+    conversation.send(Duration::ZERO, command.clone(), SECOND);
     let mut bytes = vec![1, 2, 3];
-    bytes.extend(session.take_outgoing());
-    assert!(session.take_outgoing().is_empty());
+    bytes.extend(conversation.take_outgoing());
+    assert!(conversation.take_outgoing().is_empty());
     let mut decoder = Decoder::<HostToDevice>::new();
     let mut input = bytes.as_slice();
     assert!(matches!(decoder.next(&mut input), Some(Err(_))));
@@ -89,14 +89,14 @@ fn outgoing_bytes_decode_to_the_commands_even_after_garbage() {
 
 #[test]
 fn gaps_are_counted_across_the_wrap_of_the_number() {
-    let mut session = Session::new(0);
+    let mut conversation = Conversation::new(0);
     for seq in [u32::MAX - 1, u32::MAX, 3, 4] {
-        session.receive(&frame(&DeviceToHost::Filler(Filler {
+        conversation.receive(&frame(&DeviceToHost::Filler(Filler {
             seq,
             payload: Default::default(),
         })));
     }
-    let lost: Vec<_> = events(&mut session)
+    let lost: Vec<_> = events(&mut conversation)
         .into_iter()
         .filter(|event| matches!(event, Event::Lost { .. }))
         .collect();
@@ -107,20 +107,20 @@ fn gaps_are_counted_across_the_wrap_of_the_number() {
             count: 3
         }]
     );
-    let count = session.counts().of(Stream::Filler);
+    let count = conversation.counts().of(Stream::Filler);
     assert_eq!((count.received, count.lost), (4, 3));
-    assert_eq!(session.counts().lost(), 3);
+    assert_eq!(conversation.counts().lost(), 3);
 }
 
 #[test]
 fn a_damaged_frame_is_told_and_its_message_shows_as_lost() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&sample(10)));
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&sample(10)));
     let mut damaged = frame(&sample(11));
     damaged[4] ^= 0x10;
-    session.receive(&damaged);
-    session.receive(&frame(&sample(12)));
-    let told = events(&mut session);
+    conversation.receive(&damaged);
+    conversation.receive(&frame(&sample(12)));
+    let told = events(&mut conversation);
     assert_eq!(told.len(), 4, "{told:?}");
     assert!(matches!(told[1], Event::Damaged(_)));
     assert_eq!(
@@ -130,60 +130,60 @@ fn a_damaged_frame_is_told_and_its_message_shows_as_lost() {
             count: 1
         }
     );
-    assert_eq!(session.damaged_frames(), 1);
+    assert_eq!(conversation.damaged_frames(), 1);
 }
 
 #[test]
 fn half_a_frame_at_the_beginning_is_no_damage() {
-    let mut session = Session::new(0);
+    let mut conversation = Conversation::new(0);
     let whole = frame(&sample(1));
-    session.receive(&whole[7..]);
-    session.receive(&whole);
-    assert_eq!(events(&mut session), [Event::Message(sample(1))]);
-    assert_eq!(session.damaged_frames(), 0);
+    conversation.receive(&whole[7..]);
+    conversation.receive(&whole);
+    assert_eq!(events(&mut conversation), [Event::Message(sample(1))]);
+    assert_eq!(conversation.damaged_frames(), 0);
 }
 
 #[test]
 fn a_reset_is_noticed_and_is_no_loss() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(1_000_000)));
-    let last = session.latest();
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(1_000_000)));
+    let last = conversation.latest();
     assert_eq!(last, Ticks(1_000 + 1_000_000 * 96_000));
-    session.receive(&frame(&hello(2, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(0)));
-    let told = events(&mut session);
+    conversation.receive(&frame(&hello(2, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(0)));
+    let told = events(&mut conversation);
     assert_eq!(told[2], Event::Restarted { last });
-    assert_eq!(session.counts().lost(), 0);
-    assert_eq!(session.latest(), Ticks(5_000_000));
+    assert_eq!(conversation.counts().lost(), 0);
+    assert_eq!(conversation.latest(), Ticks(5_000_000));
 }
 
 #[test]
 fn what_was_dropped_while_the_line_was_cut_shows_as_loss() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(0)));
-    session.receive(&frame(&sample(1))[..5]);
-    let id = session.send(Duration::ZERO, Command::Hello, SECOND);
-    session.cut();
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(500)));
-    assert_eq!(session.counts().imu.lost, 499);
-    assert_eq!(session.damaged_frames(), 0);
-    assert!(events(&mut session).contains(&Event::Expired { id }));
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(0)));
+    conversation.receive(&frame(&sample(1))[..5]);
+    let id = conversation.send(Duration::ZERO, Command::Hello, SECOND);
+    conversation.cut();
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(500)));
+    assert_eq!(conversation.counts().imu.lost, 499);
+    assert_eq!(conversation.damaged_frames(), 0);
+    assert!(events(&mut conversation).contains(&Event::Expired { id }));
 }
 
 #[test]
 fn what_comes_before_the_hello_of_a_new_run_is_of_the_new_run() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(40)));
-    session.cut();
-    session.receive(&frame(&sample(0)));
-    session.receive(&frame(&sample(1)));
-    assert_eq!(events(&mut session).len(), 2);
-    session.receive(&frame(&hello(2, PROTOCOL_VERSION)));
-    let told = events(&mut session);
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(40)));
+    conversation.cut();
+    conversation.receive(&frame(&sample(0)));
+    conversation.receive(&frame(&sample(1)));
+    assert_eq!(events(&mut conversation).len(), 2);
+    conversation.receive(&frame(&hello(2, PROTOCOL_VERSION)));
+    let told = events(&mut conversation);
     assert_eq!(
         told[0],
         Event::Restarted {
@@ -192,52 +192,55 @@ fn what_comes_before_the_hello_of_a_new_run_is_of_the_new_run() {
     );
     assert_eq!(told[1], Event::Message(sample(0)));
     assert_eq!(told[2], Event::Message(sample(1)));
-    assert_eq!(session.counts().lost(), 0);
+    assert_eq!(conversation.counts().lost(), 0);
 }
 
 #[test]
 fn what_comes_before_the_hello_of_the_same_run_is_given_out_once() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    session.receive(&frame(&sample(40)));
-    session.cut();
-    session.receive(&frame(&sample(44)));
-    session.cut();
-    session.receive(&frame(&sample(46)));
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION)));
-    let samples: Vec<_> = events(&mut session)
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    conversation.receive(&frame(&sample(40)));
+    conversation.cut();
+    conversation.receive(&frame(&sample(44)));
+    conversation.cut();
+    conversation.receive(&frame(&sample(46)));
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
+    let samples: Vec<_> = events(&mut conversation)
         .into_iter()
         .filter(|event| matches!(event, Event::Message(DeviceToHost::Imu(_))))
         .collect();
     let expected = [40, 44, 46].map(|seq| Event::Message(sample(seq)));
     assert_eq!(samples, expected);
-    assert_eq!(session.counts().imu.lost, 4);
+    assert_eq!(conversation.counts().imu.lost, 4);
 }
 
 #[test]
 fn another_version_is_told_whether_or_not_its_hello_is_understood() {
-    let mut session = Session::new(0);
-    session.receive(&frame(&hello(1, PROTOCOL_VERSION + 8)));
+    let mut conversation = Conversation::new(0);
+    conversation.receive(&frame(&hello(1, PROTOCOL_VERSION + 8)));
     let found = PROTOCOL_VERSION + 8;
-    assert_eq!(events(&mut session), [Event::OtherVersion { found }]);
+    assert_eq!(events(&mut conversation), [Event::OtherVersion { found }]);
 
     // A Hello of a far version: the version, then fields nobody here knows.
     let strange = (0_u8, 700_u16, [0xFF_u8; 3], "unheard of");
     let mut buffer = [0; MAX_FRAME];
     let bytes = encode(&strange, &mut buffer).unwrap();
-    session.receive(bytes);
-    assert_eq!(events(&mut session), [Event::OtherVersion { found: 700 }]);
+    conversation.receive(bytes);
+    assert_eq!(
+        events(&mut conversation),
+        [Event::OtherVersion { found: 700 }]
+    );
 }
 
 #[test]
 fn frames_are_kept_as_they_came() {
-    let mut session = Session::new(0);
-    session.keep_frames(true);
+    let mut conversation = Conversation::new(0);
+    conversation.keep_frames(true);
     let whole = frame(&sample(1));
-    session.receive(&whole);
-    session.receive(&[9; MAX_FRAME + 40]);
-    session.receive(&[0]);
-    let told = events(&mut session);
+    conversation.receive(&whole);
+    conversation.receive(&[9; MAX_FRAME + 40]);
+    conversation.receive(&[0]);
+    let told = events(&mut conversation);
     assert_eq!(told[0], Event::Frame(whole[..whole.len() - 1].to_vec()));
     assert_eq!(told[1], Event::Message(sample(1)));
     assert_eq!(told[2], Event::Frame(vec![9; MAX_FRAME]));
@@ -250,17 +253,17 @@ proptest! {
         noise in proptest::collection::vec(any::<u8>(), 0..3_000),
         cut in 1_usize..200,
     ) {
-        let mut session = Session::new(0);
-        session.keep_frames(true);
+        let mut conversation = Conversation::new(0);
+        conversation.keep_frames(true);
         for part in noise.chunks(cut) {
-            session.receive(part);
-            while session.next_event().is_some() {}
+            conversation.receive(part);
+            while conversation.next_event().is_some() {}
         }
         // After one delimiter everything is understood again.
-        session.receive(&[0]);
-        while session.next_event().is_some() {}
-        session.receive(&frame(&sample(3)));
-        prop_assert!(events(&mut session).contains(&Event::Message(sample(3))));
+        conversation.receive(&[0]);
+        while conversation.next_event().is_some() {}
+        conversation.receive(&frame(&sample(3)));
+        prop_assert!(events(&mut conversation).contains(&Event::Message(sample(3))));
     }
 
     #[test]
@@ -273,11 +276,11 @@ proptest! {
             .iter()
             .flat_map(|&seq| frame(&DeviceToHost::Filler(Filler { seq, payload: payload.clone() })))
             .collect();
-        let mut session = Session::new(0);
+        let mut conversation = Conversation::new(0);
         for part in bytes.chunks(cut) {
-            session.receive(part);
+            conversation.receive(part);
         }
-        let got: Vec<u32> = events(&mut session)
+        let got: Vec<u32> = events(&mut conversation)
             .into_iter()
             .filter_map(|event| match event {
                 Event::Message(DeviceToHost::Filler(filler)) => Some(filler.seq),

@@ -1,9 +1,9 @@
 //! The conversation with a board, without I/O: bytes in, events out; commands
 //! in, bytes out.
 //!
-//! A session numbers commands, remembers until when each must be answered,
+//! A conversation numbers commands, remembers until when each must be answered,
 //! checks the protocol version, follows the sequence number of every stream and
-//! says what was lost. It survives its link: after a reconnect the same session
+//! says what was lost. It survives its link: after a reconnect the same conversation
 //! goes on, so messages that the board dropped meanwhile show as loss, and a
 //! board that was reset meanwhile shows by its epoch. What comes over a new link
 //! before the board has said which run it is in is held back until it has: a
@@ -16,123 +16,17 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
+use crate::streams::{Stream, StreamCounts};
 use protocol::{
-    Answer, Command, Decoder, DeviceToHost, Dropped, FrameError, Hello, HostToDevice, LinkCounters,
+    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
     MAX_FRAME, PROTOCOL_VERSION, Ticks, encode, hello_version,
 };
-use serde::{Deserialize, Serialize};
-
-/// The numbered streams of the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Stream {
-    /// [`DeviceToHost::Status`].
-    Status,
-    /// [`DeviceToHost::Pulse`].
-    Pulses,
-    /// [`DeviceToHost::Capture`].
-    Captures,
-    /// [`DeviceToHost::Imu`].
-    Imu,
-    /// [`DeviceToHost::Filler`].
-    Filler,
-    /// [`DeviceToHost::OutputPulse`].
-    Outputs,
-    /// [`DeviceToHost::Pps`].
-    Pps,
-}
-
-impl Stream {
-    /// All streams.
-    pub const ALL: [Self; 7] = [
-        Self::Status,
-        Self::Pulses,
-        Self::Captures,
-        Self::Imu,
-        Self::Filler,
-        Self::Outputs,
-        Self::Pps,
-    ];
-}
-
-impl Stream {
-    /// Stream, number and time of a message; none of a message of no stream. The
-    /// time of filler is 0.
-    #[must_use]
-    pub const fn of(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
-        Some(match message {
-            DeviceToHost::Status(status) => (Self::Status, status.seq, status.at),
-            DeviceToHost::Pulse(pulse) => (Self::Pulses, pulse.seq, pulse.at),
-            DeviceToHost::Capture(capture) => (Self::Captures, capture.seq, capture.at),
-            DeviceToHost::Imu(sample) => (Self::Imu, sample.seq, sample.at),
-            DeviceToHost::Filler(filler) => (Self::Filler, filler.seq, Ticks::ZERO),
-            DeviceToHost::OutputPulse(output) => (Self::Outputs, output.pulse.seq, output.pulse.at),
-            DeviceToHost::Pps(pps) => (Self::Pps, pps.seq, pps.at),
-            DeviceToHost::Hello(_)
-            | DeviceToHost::Answer(_)
-            | DeviceToHost::Arrived(_)
-            | DeviceToHost::OutputArrived(_) => return None,
-        })
-    }
-
-    /// Its name in reports.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Status => "status",
-            Self::Pulses => "pulses",
-            Self::Captures => "captures",
-            Self::Imu => "imu",
-            Self::Filler => "filler",
-            Self::Outputs => "outputs",
-            Self::Pps => "pps",
-        }
-    }
-
-    /// The board's counter of what it dropped of this stream; none if another
-    /// stream's counter holds it too, or if it never drops any. Pulses per second
-    /// are in the queue of the further outputs.
-    #[must_use]
-    pub const fn dropped(self, dropped: &Dropped) -> Option<u32> {
-        // Field by field: a counter that is new has a stream that is.
-        let Dropped {
-            answers: _,
-            pulses,
-            captures,
-            imu,
-            status,
-            outputs,
-        } = *dropped;
-        match self {
-            Self::Status => Some(status),
-            Self::Pulses => Some(pulses),
-            Self::Captures => Some(captures),
-            Self::Imu => Some(imu),
-            Self::Outputs => Some(outputs),
-            Self::Pps | Self::Filler => None,
-        }
-    }
-}
-
-impl std::fmt::Display for Stream {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Status => "status messages",
-            Self::Pulses => "pulses",
-            Self::Captures => "captures",
-            Self::Imu => "IMU samples",
-            Self::Filler => "filler messages",
-            Self::Outputs => "pulses of further outputs",
-            Self::Pps => "pulses per second",
-        })
-    }
-}
 
 /// The most messages that are held back until the run is known: over a minute of
 /// the IMU. Beyond it the oldest go, and show as lost.
 const MAX_HELD: usize = 32_768;
 
-/// What a session has to tell.
+/// What a conversation has to tell.
 #[derive(Clone, Debug, PartialEq)]
 #[allow(
     clippy::large_enum_variant,
@@ -140,11 +34,11 @@ const MAX_HELD: usize = 32_768;
 )]
 pub enum Event {
     /// A frame as it came, without its delimiter; before the events that come of
-    /// it. Only if [`Session::keep_frames`] is on.
+    /// it. Only if [`Conversation::keep_frames`] is on.
     Frame(Vec<u8>),
     /// A message other than an answer.
     Message(DeviceToHost),
-    /// The answer to a command of this session.
+    /// The answer to a command of this conversation.
     Answer(Answer),
     /// No answer came in time.
     Expired {
@@ -174,73 +68,9 @@ pub enum Event {
     },
 }
 
-/// What came and what was lost on one stream.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StreamCount {
-    /// Messages received.
-    pub received: u64,
-    /// Messages missing, by their numbers.
-    pub lost: u64,
-}
-
-/// Counts of all streams.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct StreamCounts {
-    /// Status.
-    pub status: StreamCount,
-    /// Pulses.
-    pub pulses: StreamCount,
-    /// Captures.
-    pub captures: StreamCount,
-    /// IMU samples.
-    pub imu: StreamCount,
-    /// Filler.
-    pub filler: StreamCount,
-    /// Pulses of the further outputs.
-    #[serde(default)]
-    pub outputs: StreamCount,
-    /// Pulses per second.
-    #[serde(default)]
-    pub pps: StreamCount,
-}
-
-impl StreamCounts {
-    /// The count of one stream.
-    #[must_use]
-    pub const fn of(&self, stream: Stream) -> StreamCount {
-        match stream {
-            Stream::Status => self.status,
-            Stream::Pulses => self.pulses,
-            Stream::Captures => self.captures,
-            Stream::Imu => self.imu,
-            Stream::Filler => self.filler,
-            Stream::Outputs => self.outputs,
-            Stream::Pps => self.pps,
-        }
-    }
-
-    /// Messages missing on all streams.
-    #[must_use]
-    pub fn lost(&self) -> u64 {
-        Stream::ALL.iter().map(|&stream| self.of(stream).lost).sum()
-    }
-
-    const fn get_mut(&mut self, stream: Stream) -> &mut StreamCount {
-        match stream {
-            Stream::Status => &mut self.status,
-            Stream::Pulses => &mut self.pulses,
-            Stream::Captures => &mut self.captures,
-            Stream::Imu => &mut self.imu,
-            Stream::Filler => &mut self.filler,
-            Stream::Outputs => &mut self.outputs,
-            Stream::Pps => &mut self.pps,
-        }
-    }
-}
-
 /// The state of a conversation. See the module.
 #[derive(Default)]
-pub struct Session {
+pub struct Conversation {
     decoder: Decoder<DeviceToHost>,
     /// Bytes of the frame that is being received; at most one frame.
     raw: Vec<u8>,
@@ -266,7 +96,7 @@ pub struct Session {
     outgoing: Vec<u8>,
 }
 
-impl Session {
+impl Conversation {
     /// A conversation that has not begun. `first_id` is the id of the first
     /// command; let it differ between runs of a program, so that a late answer
     /// to an earlier run is not mistaken.

@@ -1,0 +1,172 @@
+//! The numbered streams of the board, and what came and was lost on each.
+
+use protocol::{DeviceToHost, Dropped, Ticks};
+use serde::{Deserialize, Serialize};
+
+/// The numbered streams of the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stream {
+    /// [`DeviceToHost::Status`].
+    Status,
+    /// [`DeviceToHost::Pulse`].
+    Pulses,
+    /// [`DeviceToHost::Capture`].
+    Captures,
+    /// [`DeviceToHost::Imu`].
+    Imu,
+    /// [`DeviceToHost::Filler`].
+    Filler,
+    /// [`DeviceToHost::OutputPulse`].
+    Outputs,
+    /// [`DeviceToHost::Pps`].
+    Pps,
+}
+
+impl Stream {
+    /// All streams.
+    pub const ALL: [Self; 7] = [
+        Self::Status,
+        Self::Pulses,
+        Self::Captures,
+        Self::Imu,
+        Self::Filler,
+        Self::Outputs,
+        Self::Pps,
+    ];
+
+    /// Stream, number and time of a message; none of a message of no stream. The
+    /// time of filler is 0.
+    #[must_use]
+    pub const fn of(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
+        Some(match message {
+            DeviceToHost::Status(status) => (Self::Status, status.seq, status.at),
+            DeviceToHost::Pulse(pulse) => (Self::Pulses, pulse.seq, pulse.at),
+            DeviceToHost::Capture(capture) => (Self::Captures, capture.seq, capture.at),
+            DeviceToHost::Imu(sample) => (Self::Imu, sample.seq, sample.at),
+            DeviceToHost::Filler(filler) => (Self::Filler, filler.seq, Ticks::ZERO),
+            DeviceToHost::OutputPulse(output) => (Self::Outputs, output.pulse.seq, output.pulse.at),
+            DeviceToHost::Pps(pps) => (Self::Pps, pps.seq, pps.at),
+            DeviceToHost::Hello(_)
+            | DeviceToHost::Answer(_)
+            | DeviceToHost::Arrived(_)
+            | DeviceToHost::OutputArrived(_) => return None,
+        })
+    }
+
+    /// Its name in reports.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Status => "status",
+            Self::Pulses => "pulses",
+            Self::Captures => "captures",
+            Self::Imu => "imu",
+            Self::Filler => "filler",
+            Self::Outputs => "outputs",
+            Self::Pps => "pps",
+        }
+    }
+
+    /// The board's counter of what it dropped of this stream; none if another
+    /// stream's counter holds it too, or if it never drops any. Pulses per second
+    /// are in the queue of the further outputs.
+    #[must_use]
+    pub const fn dropped(self, dropped: &Dropped) -> Option<u32> {
+        // Field by field: a counter that is new has a stream that is.
+        let Dropped {
+            answers: _,
+            pulses,
+            captures,
+            imu,
+            status,
+            outputs,
+        } = *dropped;
+        match self {
+            Self::Status => Some(status),
+            Self::Pulses => Some(pulses),
+            Self::Captures => Some(captures),
+            Self::Imu => Some(imu),
+            Self::Outputs => Some(outputs),
+            Self::Pps | Self::Filler => None,
+        }
+    }
+}
+
+impl std::fmt::Display for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Status => "status messages",
+            Self::Pulses => "pulses",
+            Self::Captures => "captures",
+            Self::Imu => "IMU samples",
+            Self::Filler => "filler messages",
+            Self::Outputs => "pulses of further outputs",
+            Self::Pps => "pulses per second",
+        })
+    }
+}
+
+/// What came and what was lost on one stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StreamCount {
+    /// Messages received.
+    pub received: u64,
+    /// Messages missing, by their numbers.
+    pub lost: u64,
+}
+
+/// Counts of all streams.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct StreamCounts {
+    /// Status.
+    pub status: StreamCount,
+    /// Pulses.
+    pub pulses: StreamCount,
+    /// Captures.
+    pub captures: StreamCount,
+    /// IMU samples.
+    pub imu: StreamCount,
+    /// Filler.
+    pub filler: StreamCount,
+    /// Pulses of the further outputs.
+    #[serde(default)]
+    pub outputs: StreamCount,
+    /// Pulses per second.
+    #[serde(default)]
+    pub pps: StreamCount,
+}
+
+impl StreamCounts {
+    /// The count of one stream.
+    #[must_use]
+    pub const fn of(&self, stream: Stream) -> StreamCount {
+        match stream {
+            Stream::Status => self.status,
+            Stream::Pulses => self.pulses,
+            Stream::Captures => self.captures,
+            Stream::Imu => self.imu,
+            Stream::Filler => self.filler,
+            Stream::Outputs => self.outputs,
+            Stream::Pps => self.pps,
+        }
+    }
+
+    /// Messages missing on all streams.
+    #[must_use]
+    pub fn lost(&self) -> u64 {
+        Stream::ALL.iter().map(|&stream| self.of(stream).lost).sum()
+    }
+
+    pub(crate) const fn get_mut(&mut self, stream: Stream) -> &mut StreamCount {
+        match stream {
+            Stream::Status => &mut self.status,
+            Stream::Pulses => &mut self.pulses,
+            Stream::Captures => &mut self.captures,
+            Stream::Imu => &mut self.imu,
+            Stream::Filler => &mut self.filler,
+            Stream::Outputs => &mut self.outputs,
+            Stream::Pps => &mut self.pps,
+        }
+    }
+}
