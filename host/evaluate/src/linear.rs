@@ -20,13 +20,11 @@ pub(crate) fn orthonormal(columns: &DMatrix<f64>, least: &DVector<f64>) -> Ortho
     loop {
         let qr = columns.select_columns(&kept).qr();
         let r = qr.r();
-        let own = r.diagonal();
         let dependent = (0..kept.len()).find(|&k| {
             let least = kept.get(k).and_then(|&column| least.get(column));
-            // More columns than rows have no entry.
-            own.get(k)
-                .zip(least)
-                .is_none_or(|(own, least)| own <= least)
+            // Columns beyond the number of rows have no entry.
+            let own = r.get((k, k));
+            own.zip(least).is_none_or(|(own, least)| own <= least)
         });
         match dependent {
             Some(k) => kept.remove(k),
