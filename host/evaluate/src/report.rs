@@ -97,7 +97,7 @@ pub fn precision(
     picture(&mut page, &shown.recording, &shown.track, settings)?;
     page.section("Row profile and launches");
     page.figure(
-        &plot::precision(result, shown, &settings.train, settings.path_delay_us)?,
+        &plot::precision(result, shown, &settings.train, settings.path_delay_us),
         "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
          recordings, their biases.",
     );
@@ -210,7 +210,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     picture(&mut page, &drift.recording, &drift.track, settings)?;
     page.section("Row profile and drift");
     page.figure(
-        &plot::drift(drift, &settings.train, settings.path_delay_us)?,
+        &plot::drift(drift, &settings.train, settings.path_delay_us),
         "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
          against time with the fitted line.",
     );
@@ -328,7 +328,6 @@ fn picture(
 ) -> Result<(), EvaluateError> {
     let picture = &recording.picture;
     let (w, h) = (picture.width, picture.height);
-    let png_error = |e: image::ImageError| EvaluateError::Plot(e.to_string());
     let mut png = Cursor::new(Vec::new());
     image::write_buffer_with_format(
         &mut png,
@@ -337,8 +336,7 @@ fn picture(
         h as u32,
         image::ExtendedColorType::L8,
         image::ImageFormat::Png,
-    )
-    .map_err(png_error)?;
+    )?;
     let own = track.points.iter().find(|p| p.index == picture.index);
     // Beside a picture that is too narrow for them the labels have room.
     let beside = w < LABEL_WIDTH;

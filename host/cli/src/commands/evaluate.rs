@@ -257,7 +257,7 @@ fn next_step(error: &EvaluateError) -> &'static str {
         E::Profile { .. } => {
             "`smartdepthsync profile init rig.toml` writes a profile to start from"
         }
-        E::Plot(_) => "leave --plot and --report out, and report this",
+        E::Picture(_) => "leave --report out, and report this",
     }
 }
 
@@ -311,7 +311,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
         .next_step("mend what the reason names; with -v every recording's reason is told"));
     };
     if let Some(path) = &args.common.plot {
-        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us)?;
+        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
@@ -494,7 +494,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     let waiting_for_input_s = recording.waited.as_secs_f64();
     let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
     if let Some(path) = &args.common.plot {
-        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us)?;
+        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
