@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::fit::{FrameFit, Model};
+use super::footage::Footage;
 use super::linear::{Basis, polynomial_columns, side_by_side};
-use super::recording::Recording;
 use super::stats::{mean, median, quantile};
 use super::store::StoredFrame;
 use super::train::{Shape, TrainGeometry, row_light};
@@ -165,11 +165,11 @@ pub(crate) fn classify(seen: &mut [Seen], share: f64) {
 
 /// The frames of one class, with what was seen in them.
 pub(crate) fn frames_of<'a>(
-    recording: &'a Recording,
+    footage: &'a Footage,
     seen: &'a [Seen],
     class: FrameClass,
 ) -> impl Iterator<Item = (&'a StoredFrame, &'a Seen)> {
-    let frames = recording.frames.iter().zip(seen);
+    let frames = footage.frames.iter().zip(seen);
     frames.filter(move |(_, s)| s.class == class)
 }
 
@@ -177,12 +177,12 @@ pub(crate) fn frames_of<'a>(
 /// the frames with flashes: the train's end has only entered the picture. One such
 /// frame would put its flash into the scene of all.
 pub(crate) fn doubt_dark(
-    recording: &Recording,
+    footage: &Footage,
     seen: &mut [Seen],
     shape: &Shape,
     train: &TrainGeometry,
 ) {
-    let unlit = unlit_rows(recording, seen, shape, train);
+    let unlit = unlit_rows(footage, seen, shape, train);
     let (rows, scene): (Vec<usize>, Vec<f64>) = unlit
         .iter()
         .enumerate()
@@ -193,7 +193,7 @@ pub(crate) fn doubt_dark(
     let scene = DMatrix::from_vec(scene.len(), 1, scene);
     let free = Basis::spanning(&side_by_side(&ones, &scene));
     let allowed = light_allowed(seen);
-    for (frame, s) in recording.frames.iter().zip(seen) {
+    for (frame, s) in footage.frames.iter().zip(seen) {
         if s.class != FrameClass::Dark {
             continue;
         }
@@ -221,12 +221,12 @@ fn light_allowed(seen: &[Seen]) -> f64 {
 /// The scene from what is dark: frames without flashes; or each row from the frames in
 /// which it saw no flash, when every row has some.
 pub(crate) fn dark_scene(
-    recording: &Recording,
+    footage: &Footage,
     seen: &[Seen],
     shape: &Shape,
     train: &TrainGeometry,
 ) -> Option<(Basis, Reference)> {
-    let dark: Vec<&[f32]> = frames_of(recording, seen, FrameClass::Dark)
+    let dark: Vec<&[f32]> = frames_of(footage, seen, FrameClass::Dark)
         .map(|(frame, _)| frame.rows.as_slice())
         .collect();
     if !dark.is_empty() {
@@ -236,7 +236,7 @@ pub(crate) fn dark_scene(
             Reference::DarkFrames(dark.len()),
         ));
     }
-    let rows: Option<Vec<f64>> = unlit_rows(recording, seen, shape, train)
+    let rows: Option<Vec<f64>> = unlit_rows(footage, seen, shape, train)
         .into_iter()
         .collect();
     Some((with_reference(&rows?), Reference::DarkRows))
@@ -245,21 +245,21 @@ pub(crate) fn dark_scene(
 /// Each row's mean brightness over the frames in which the row saw no flash, where
 /// there are enough of them.
 fn unlit_rows(
-    recording: &Recording,
+    footage: &Footage,
     seen: &[Seen],
     shape: &Shape,
     train: &TrainGeometry,
 ) -> Vec<Option<f64>> {
-    let mut sums = vec![(0.0, 0u32); recording.rows.len];
+    let mut sums = vec![(0.0, 0u32); footage.rows.len];
     // A margin of one flash for what the first fit does not know well.
     let wide = Shape {
         exposure_us: shape.exposure_us + train.duration_us,
         ..*shape
     };
-    for (frame, s) in frames_of(recording, seen, FrameClass::Used) {
+    for (frame, s) in frames_of(footage, seen, FrameClass::Used) {
         let shape = wide.at(s.bias_us);
         for (i, ((sum, count), value)) in sums.iter_mut().zip(&frame.rows).enumerate() {
-            if row_light(train, &shape, recording.rows.position(i)).value <= 0.0 {
+            if row_light(train, &shape, footage.rows.position(i)).value <= 0.0 {
                 *sum += f64::from(*value);
                 *count += 1;
             }

@@ -3,9 +3,8 @@
 use page::chart::{Chart, Data, Ink, stack};
 
 use super::drift::EvaluatedDrift;
-use super::paper;
+use super::footage::Footage;
 use super::precision::{Evaluated, Precision, middle_row};
-use super::recording::Recording;
 use super::stats::quantile;
 use super::track::Track;
 use super::train::TrainGeometry;
@@ -27,7 +26,7 @@ pub fn precision(
     train: &TrainGeometry,
     path_delay_us: f64,
 ) -> String {
-    let profile = profile(&shown.recording, &shown.track, train, path_delay_us);
+    let profile = profile(&shown.footage, &shown.track, train, path_delay_us);
     let values: Vec<f64> = precision.recordings.iter().map(|r| r.bias_us).collect();
     if values.len() > 1 {
         stack(SIZE, &[profile, launches(&values)])
@@ -39,20 +38,20 @@ pub fn precision(
 /// Averaged row profile of the shown frames, and row against time with the line.
 #[must_use]
 pub fn drift(drift: &EvaluatedDrift, train: &TrainGeometry, path_delay_us: f64) -> String {
-    let profile = profile(&drift.recording, &drift.track, train, path_delay_us);
+    let profile = profile(&drift.footage, &drift.track, train, path_delay_us);
     stack(SIZE, &[profile, course(drift)])
 }
 
 /// Rows, from 0, where the flashes of a track lie, with their numbers from 1.
 pub(crate) fn flash_rows(
-    recording: &Recording,
+    footage: &Footage,
     track: &Track,
     train: &TrainGeometry,
     bias_us: f64,
 ) -> Vec<(u32, f64)> {
-    let middle = middle_row(recording);
-    let first = recording.reducer.first_row() as f64;
-    let last = first + recording.rows.len as f64;
+    let middle = middle_row(footage);
+    let first = footage.reducer.first_row() as f64;
+    let last = first + footage.rows.len as f64;
     (0..train.count)
         .map(|k| {
             let row = middle + train.flash_us(k, bias_us) / track.joint.row_time_us;
@@ -62,27 +61,17 @@ pub(crate) fn flash_rows(
         .collect()
 }
 
-fn profile(
-    recording: &Recording,
-    track: &Track,
-    train: &TrainGeometry,
-    path_delay_us: f64,
-) -> Chart {
-    let first = recording.reducer.first_row() as f64;
+fn profile(footage: &Footage, track: &Track, train: &TrainGeometry, path_delay_us: f64) -> Chart {
+    let first = footage.reducer.first_row() as f64;
     let points = |values: &[f64]| -> Vec<(f64, f64)> {
         let rows = values.iter().enumerate();
         rows.map(|(i, &v)| (first + i as f64, v)).collect()
     };
-    // Single rows far off the others must not squeeze the rest.
-    let smooth = paper::smooth(&track.mean_profile);
-    let low = smooth.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = smooth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let flashes = flash_rows(recording, track, train, track.shown_bias_us + path_delay_us);
+    let flashes = flash_rows(footage, track, train, track.shown_bias_us + path_delay_us);
     let flashes = flashes.into_iter().map(|(k, row)| (row, k.to_string()));
     Chart::new("sensor row", "grey level")
         .title("Mean brightness of rows, with the fitted train")
-        .xs(first..first + recording.rows.len as f64)
-        .least(low..high)
+        .xs(first..first + footage.rows.len as f64)
         .add(
             "measured",
             Data::Points(points(&track.mean_profile)),
@@ -100,7 +89,7 @@ fn profile(
         )
         .add(
             "",
-            Data::Upright(vec![middle_row(recording)]),
+            Data::Upright(vec![middle_row(footage)]),
             MARK.pale(0.4).wide(1),
         )
 }
@@ -141,7 +130,7 @@ fn launches(values: &[f64]) -> Chart {
 
 fn course(drift: &EvaluatedDrift) -> Chart {
     let row_time = drift.track.joint.row_time_us;
-    let middle = middle_row(&drift.recording);
+    let middle = middle_row(&drift.footage);
     let row = |bias: f64| middle + bias / row_time;
     let every = drift.points.len().div_ceil(MAX_POINTS).max(1);
     let points = drift.points.iter().step_by(every);

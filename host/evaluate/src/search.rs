@@ -15,7 +15,7 @@ use super::train::{Shape, TrainGeometry, overlap};
 
 /// Where the used rows lie, counted from the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RowGrid {
+pub(crate) struct RowGrid {
     /// Place of the first used row, in rows.
     pub first: f64,
     /// Rows from one sample to the next: 1, or more for binned rows.

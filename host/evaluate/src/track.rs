@@ -28,10 +28,10 @@ use super::classify::{
     mark_flicker, mean_of, with_reference,
 };
 use super::fit::{FrameFit, Model};
+use super::footage::Footage;
 use super::identity::{Identity, identify, unwrap_track};
 use super::joint::{JointFit, Prior, Priors};
 use super::linear::{Basis, polynomial_columns, side_by_side};
-use super::recording::Recording;
 use super::search::{CombSearch, Found, WideSearch};
 use super::stats::{mean, quantile};
 use super::store::StoredFrame;
@@ -58,7 +58,7 @@ const SHARPEN_FRAMES: usize = 8;
 
 /// One used frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct FramePoint {
+pub(crate) struct FramePoint {
     /// Number in the recording.
     pub index: usize,
     /// Seconds since the recording's first frame.
@@ -73,7 +73,7 @@ pub struct FramePoint {
 
 /// The result for one recording.
 #[derive(Debug, Clone)]
-pub struct Track {
+pub(crate) struct Track {
     /// The used frames in order of time.
     pub points: Vec<FramePoint>,
     /// Counts of all frames.
@@ -97,7 +97,7 @@ pub struct Track {
 
 /// Which of the frames with flashes are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Choice {
+pub(crate) enum Choice {
     /// The last so many.
     Last(usize),
     /// All.
@@ -117,34 +117,34 @@ type UsedFrame<'a> = (&'a StoredFrame, f64);
 
 /// Finds the train in every frame of a recording.
 pub(crate) fn track(
-    recording: &Recording,
+    footage: &Footage,
     settings: &Settings,
     choice: Choice,
 ) -> Result<Track, EvaluateError> {
-    let plain = Basis::polynomials(recording.rows.len, DEGREE);
-    let mut sighting = first_sight(recording, settings, &plain)
-        .map(|first| against_scene(first, recording, settings))
+    let plain = Basis::polynomials(footage.rows.len, DEGREE);
+    let mut sighting = first_sight(footage, settings, &plain)
+        .map(|first| against_scene(first, footage, settings))
         .filter(|found| found.seen.iter().any(|s| s.class == FrameClass::Used))
         .ok_or_else(|| EvaluateError::NoFlashes {
-            path: recording.path.clone(),
-            frames: recording.frames.len(),
+            path: footage.path.clone(),
+            frames: footage.frames.len(),
         })?;
     let flicker = mark_flicker(
         &sighting.model,
         &plain,
-        &recording.frames,
+        &footage.frames,
         &mut sighting.seen,
         &sighting.shape,
         settings.keep_flicker,
     );
     choice.spare(&mut sighting.seen);
-    let counts = FrameCounts::of(&sighting.seen, recording.read);
-    let used = sighting.used(recording);
+    let counts = FrameCounts::of(&sighting.seen, footage.read);
+    let used = sighting.used(footage);
     if used.is_empty() {
         return Err(EvaluateError::OnlyFlicker {
-            path: recording.path.clone(),
+            path: footage.path.clone(),
             flicker: counts.flicker,
-            frames: recording.frames.len(),
+            frames: footage.frames.len(),
             peak_to_peak: flicker.map_or(0.0, |f| f.peak_to_peak),
         });
     }
@@ -160,7 +160,7 @@ pub(crate) fn track(
 
     let times: Vec<f64> = used.iter().map(|(f, _)| f.time_s).collect();
     unwrap_track(&mut fits, &times, settings.train.pitch_us);
-    let dark = sighting.dark_level(recording);
+    let dark = sighting.dark_level(footage);
     let chosen = identify(
         &sighting.model,
         &profiles,
@@ -205,7 +205,7 @@ impl Sighting {
         model: Model,
         shape: Shape,
         reference: Reference,
-        recording: &Recording,
+        footage: &Footage,
         settings: &Settings,
     ) -> Self {
         let search = CombSearch::new(
@@ -216,7 +216,7 @@ impl Sighting {
             &model.smooth,
             0.25 * settings.train.duration_us,
         );
-        let mut seen: Vec<Seen> = recording
+        let mut seen: Vec<Seen> = footage
             .frames
             .par_iter()
             .map(|frame| {
@@ -230,7 +230,7 @@ impl Sighting {
             Reference::DarkFrames(_) | Reference::DarkRows => REFERENCE_SHARE,
         };
         classify(&mut seen, share);
-        doubt_dark(recording, &mut seen, &shape, &settings.train);
+        doubt_dark(footage, &mut seen, &shape, &settings.train);
         Self {
             model,
             shape,
@@ -239,15 +239,15 @@ impl Sighting {
         }
     }
 
-    fn used<'a>(&'a self, recording: &'a Recording) -> Vec<UsedFrame<'a>> {
-        frames_of(recording, &self.seen, FrameClass::Used)
+    fn used<'a>(&'a self, footage: &'a Footage) -> Vec<UsedFrame<'a>> {
+        frames_of(footage, &self.seen, FrameClass::Used)
             .map(|(frame, seen)| (frame, seen.bias_us))
             .collect()
     }
 
     /// Mean brightness of the frames without flashes, if there are any.
-    fn dark_level(&self, recording: &Recording) -> Option<f64> {
-        let dark = frames_of(recording, &self.seen, FrameClass::Dark);
+    fn dark_level(&self, footage: &Footage) -> Option<f64> {
+        let dark = frames_of(footage, &self.seen, FrameClass::Dark);
         let mean_rows = mean_of(dark.map(|(frame, _)| frame.rows.as_slice()));
         (!mean_rows.is_empty()).then(|| mean(&mean_rows))
     }
@@ -255,20 +255,20 @@ impl Sighting {
 
 /// Looks again with the scene as it is without flashes, where that is known and shows
 /// the train.
-fn against_scene(first: Sighting, recording: &Recording, settings: &Settings) -> Sighting {
-    let scene = dark_scene(recording, &first.seen, &first.shape, &settings.train);
+fn against_scene(first: Sighting, footage: &Footage, settings: &Settings) -> Sighting {
+    let scene = dark_scene(footage, &first.seen, &first.shape, &settings.train);
     let Some((basis, reference)) = scene else {
         return first;
     };
-    let model = Model::new(recording.rows, settings.train, basis);
-    let used = first.used(recording);
+    let model = Model::new(footage.rows, settings.train, basis);
+    let used = first.used(footage);
     let shape = if used.is_empty() {
         first.shape
     } else {
         let some = spread(used.len(), SHARPEN_FRAMES);
         fit_some(&model, &used, &some, &first.shape, settings).shape()
     };
-    let again = Sighting::new(model, shape, reference, recording, settings);
+    let again = Sighting::new(model, shape, reference, footage, settings);
     if again.seen.iter().any(|s| s.class == FrameClass::Used) {
         again
     } else {
@@ -402,17 +402,17 @@ pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
 
 /// Finds the train somewhere in the recording, with the scene taken for a smooth curve
 /// or for the darkest frames, and looks at every frame with its shape.
-fn first_sight(recording: &Recording, settings: &Settings, plain: &Basis) -> Option<Sighting> {
-    let searches = searches(recording, settings);
-    [Some(plain.clone()), darkest(&recording.frames)]
+fn first_sight(footage: &Footage, settings: &Settings, plain: &Basis) -> Option<Sighting> {
+    let searches = searches(footage, settings);
+    [Some(plain.clone()), darkest(&footage.frames)]
         .into_iter()
         .flatten()
         .find_map(|basis| {
-            let model = Model::new(recording.rows, settings.train, basis);
-            let shape = search_some(&model, &searches, recording, settings)?;
+            let model = Model::new(footage.rows, settings.train, basis);
+            let shape = search_some(&model, &searches, footage, settings)?;
             // The darkest frames may hold flashes: as strict as with a smooth curve.
             let reference = Reference::Polynomial;
-            Some(Sighting::new(model, shape, reference, recording, settings))
+            Some(Sighting::new(model, shape, reference, footage, settings))
         })
 }
 
@@ -430,10 +430,10 @@ fn darkest(frames: &[StoredFrame]) -> Option<Basis> {
 fn search_some(
     model: &Model,
     searches: &[WideSearch],
-    recording: &Recording,
+    footage: &Footage,
     settings: &Settings,
 ) -> Option<Shape> {
-    let mut order: Vec<(f64, &StoredFrame)> = recording
+    let mut order: Vec<(f64, &StoredFrame)> = footage
         .frames
         .par_iter()
         .map(|frame| (model.detrend(&frame.rows).norm_squared(), frame))
@@ -447,7 +447,7 @@ fn search_some(
     // A smooth curve with as many parameters as a train.
     let competitor = Basis::spanning(&side_by_side(
         model.smooth.columns(),
-        &polynomial_columns(recording.rows.len, COMPETITOR_DEGREE),
+        &polynomial_columns(footage.rows.len, COMPETITOR_DEGREE),
     ));
     searches.iter().find_map(|wide| {
         ranks.iter().find_map(|&rank| {
@@ -461,8 +461,8 @@ fn search_some(
 }
 
 /// Where to look: near what is known or was found before, then everywhere.
-fn searches(recording: &Recording, settings: &Settings) -> Vec<WideSearch> {
-    let rows = recording.reducer.sensor_rows();
+fn searches(footage: &Footage, settings: &Settings) -> Vec<WideSearch> {
+    let rows = footage.reducer.sensor_rows();
     let search = |row_time, exposure| WideSearch::new(rows, row_time, exposure, settings.near_us);
     let hinted_row_time = settings.row_time_us.or(settings.row_time_hint_us);
     let hinted_exposure = settings.exposure_us.or(settings.exposure_hint_us);
