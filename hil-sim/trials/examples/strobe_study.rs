@@ -11,8 +11,8 @@
 mod strobes;
 
 use evaluate::Settings;
+use evaluate::footage::Footage;
 use evaluate::precision::{RecordingResult, evaluate_recording};
-use evaluate::recording::Recording;
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
 use strobes::Scene;
@@ -56,7 +56,7 @@ fn run(case: &Case, seed: u64) -> Option<(RecordingResult, f64)> {
             let dir = tempfile::tempdir().unwrap();
             let path = dir.path().join("scene.mp4");
             scene.write_mp4(&path, quality);
-            Recording::read(&path, &settings, None, &|| false)
+            Footage::read(&path, &settings, None, &|| false)
                 .and_then(|r| evaluate_recording(r, &settings, 16, true))
                 .map(|e| e.result)
         }

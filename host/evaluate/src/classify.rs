@@ -1,16 +1,16 @@
 //! Frames with flashes, without, and with other light; and what the scene looks
 //! like without flashes.
 
+use nalgebra::{DMatrix, DVector, Vector4};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::Settings;
 use super::fit::{FrameFit, Model};
-use super::linear::{Basis, add_scaled, dot, polynomial_columns};
-use super::recording::Recording;
-use super::stats::{median, quantile};
+use super::footage::Footage;
+use super::linear::{Basis, polynomial_columns, side_by_side};
+use super::stats::{mean, median, quantile};
 use super::store::StoredFrame;
-use super::train::{Shape, row_light};
+use super::train::{Shape, TrainGeometry, row_light};
 
 /// Degree of what may change against the reference.
 const REFERENCE_DEGREE: usize = 3;
@@ -70,20 +70,35 @@ pub enum Reference {
     Polynomial,
 }
 
-/// What is kept of a frame's first fit.
-#[derive(Debug, Clone)]
-pub(super) struct Seen {
-    pub(super) bias_us: f64,
-    pub(super) significance: f64,
-    pub(super) share: f64,
-    pub(super) amplitude: f64,
-    pub(super) coefficients: [f64; 4],
-    pub(super) class: FrameClass,
+impl FrameCounts {
+    /// Of the classes of the frames that were looked at, among `read` in all.
+    pub(crate) fn of(seen: &[Seen], read: usize) -> Self {
+        let count = |class| seen.iter().filter(|s| s.class == class).count();
+        Self {
+            read,
+            examined: seen.len(),
+            used: count(FrameClass::Used),
+            spare: count(FrameClass::Spare),
+            without_flashes: count(FrameClass::Dark),
+            unclear: count(FrameClass::Unclear),
+            flicker: count(FrameClass::Flicker),
+        }
+    }
 }
 
-impl Seen {
-    /// Keeps what matters of a fit.
-    pub(super) fn new(fit: &FrameFit) -> Self {
+/// What is kept of a frame's first fit.
+#[derive(Debug, Clone)]
+pub(crate) struct Seen {
+    pub(crate) bias_us: f64,
+    significance: f64,
+    share: f64,
+    amplitude: f64,
+    coefficients: Vector4<f64>,
+    pub(crate) class: FrameClass,
+}
+
+impl From<&FrameFit> for Seen {
+    fn from(fit: &FrameFit) -> Self {
         Self {
             bias_us: fit.bias_us,
             significance: fit.significance,
@@ -93,27 +108,27 @@ impl Seen {
             class: FrameClass::Unclear,
         }
     }
+}
 
-    fn is_train(&self, share: f64) -> bool {
+impl Seen {
+    /// Whether it is a train of flashes that explains at least `share` of the frame.
+    pub(crate) fn is_train(&self, share: f64) -> bool {
         self.significance >= SEEN && self.share >= share && self.amplitude > 0.0
     }
 }
 
-/// Whether a fit is a train of flashes that explains at least `share` of a frame.
-pub(super) fn is_train(fit: &FrameFit, share: f64) -> bool {
-    fit.significance >= SEEN && fit.share.min(fit.edge_share) >= share && fit.amplitude > 0.0
-}
-
 /// The reference, and what may change against it.
-pub(super) fn with_reference(reference: Vec<f64>) -> Basis {
+pub(crate) fn with_reference(reference: &[f64]) -> Basis {
     let rows = reference.len();
-    let mut columns = polynomial_columns(rows, REFERENCE_DEGREE);
-    columns.push(reference);
-    Basis::spanning(columns)
+    let reference = DMatrix::from_column_slice(rows, 1, reference);
+    Basis::spanning(&side_by_side(
+        &polynomial_columns(rows, REFERENCE_DEGREE),
+        &reference,
+    ))
 }
 
 /// Mean of equally long rows.
-pub(super) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
+pub(crate) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
     rows: impl Iterator<Item = &'a [T]>,
 ) -> Vec<f64> {
     let mut sum: Vec<f64> = Vec::new();
@@ -130,7 +145,7 @@ pub(super) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
 }
 
 /// Sorts frames; a train must explain at least `share` of a frame.
-pub(super) fn classify(seen: &mut [Seen], share: f64) {
+pub(crate) fn classify(seen: &mut [Seen], share: f64) {
     let amplitudes: Vec<f64> = seen
         .iter()
         .filter(|s| s.is_train(share))
@@ -148,58 +163,49 @@ pub(super) fn classify(seen: &mut [Seen], share: f64) {
     }
 }
 
-/// The mean of the frames without flashes.
-pub(super) fn dark_frames(frames: &[StoredFrame], seen: &[Seen]) -> Option<(Basis, Reference)> {
-    let dark: Vec<&[f32]> = frames
-        .iter()
-        .zip(seen)
-        .filter(|(_, s)| s.class == FrameClass::Dark)
-        .map(|(f, _)| f.rows.as_slice())
-        .collect();
-    if dark.is_empty() {
-        return None;
-    }
-    let count = dark.len();
-    Some((
-        with_reference(mean_of(dark.into_iter())),
-        Reference::DarkFrames(count),
-    ))
+/// The frames of one class, with what was seen in them.
+pub(crate) fn frames_of<'a>(
+    footage: &'a Footage,
+    seen: &'a [Seen],
+    class: FrameClass,
+) -> impl Iterator<Item = (&'a StoredFrame, &'a Seen)> {
+    let frames = footage.frames.iter().zip(seen);
+    frames.filter(move |(_, s)| s.class == class)
 }
 
 /// Doubts frames that were taken for dark, but have light in rows that are dark in
 /// the frames with flashes: the train's end has only entered the picture. One such
 /// frame would put its flash into the scene of all.
-pub(super) fn doubt_dark(
-    recording: &Recording,
-    frames: &[StoredFrame],
+pub(crate) fn doubt_dark(
+    footage: &Footage,
     seen: &mut [Seen],
     shape: &Shape,
-    settings: &Settings,
+    train: &TrainGeometry,
 ) {
-    let unlit = unlit_rows(recording, frames, seen, shape, settings);
+    let unlit = unlit_rows(footage, seen, shape, train);
     let (rows, scene): (Vec<usize>, Vec<f64>) = unlit
         .iter()
         .enumerate()
         .filter_map(|(row, value)| Some((row, (*value)?)))
         .unzip();
     // The scene's brightness and a constant (automatic exposure) are free.
-    let free = Basis::spanning([vec![1.0; scene.len()], scene]);
+    let ones = DMatrix::repeat(scene.len(), 1, 1.0);
+    let scene = DMatrix::from_vec(scene.len(), 1, scene);
+    let free = Basis::spanning(&side_by_side(&ones, &scene));
     let allowed = light_allowed(seen);
-    for (frame, s) in frames.iter().zip(seen) {
+    for (frame, s) in footage.frames.iter().zip(seen) {
         if s.class != FrameClass::Dark {
             continue;
         }
-        let mut rest: Vec<f64> = rows
-            .iter()
-            .filter_map(|&row| frame.rows.get(row).map(|&v| f64::from(v)))
-            .collect();
+        let mut rest = DVector::from_iterator(
+            rows.len(),
+            rows.iter()
+                .map(|&row| frame.rows.get(row).map_or(0.0, |&v| v.into())),
+        );
         free.remove_from(&mut rest);
         // Part of a flash is many rows high; noise is not.
-        let mean = |some: &[f64]| some.iter().sum::<f64>() / some.len() as f64;
-        if rest
-            .chunks(DARK_ROWS_TOGETHER)
-            .any(|some| mean(some).abs() > allowed)
-        {
+        let mut together = rest.as_slice().chunks(DARK_ROWS_TOGETHER);
+        if together.any(|some| mean(some).abs() > allowed) {
             s.class = FrameClass::Unclear;
         }
     }
@@ -207,74 +213,67 @@ pub(super) fn doubt_dark(
 
 /// How far room light may differ from frame to frame, grey levels.
 fn light_allowed(seen: &[Seen]) -> f64 {
-    let amplitudes: Vec<f64> = seen
-        .iter()
-        .filter(|s| s.class == FrameClass::Used)
-        .map(|s| s.amplitude)
-        .collect();
+    let used = seen.iter().filter(|s| s.class == FrameClass::Used);
+    let amplitudes: Vec<f64> = used.map(|s| s.amplitude).collect();
     0.5 + 0.06 * median(&amplitudes)
 }
 
-/// Each row's brightness from the frames in which it saw no flash, when every
-/// row has some.
-pub(super) fn dark_rows(
-    recording: &Recording,
-    frames: &[StoredFrame],
+/// The scene from what is dark: frames without flashes; or each row from the frames in
+/// which it saw no flash, when every row has some.
+pub(crate) fn dark_scene(
+    footage: &Footage,
     seen: &[Seen],
     shape: &Shape,
-    settings: &Settings,
+    train: &TrainGeometry,
 ) -> Option<(Basis, Reference)> {
-    let rows: Option<Vec<f64>> = unlit_rows(recording, frames, seen, shape, settings)
+    let dark: Vec<&[f32]> = frames_of(footage, seen, FrameClass::Dark)
+        .map(|(frame, _)| frame.rows.as_slice())
+        .collect();
+    if !dark.is_empty() {
+        let reference = mean_of(dark.iter().copied());
+        return Some((
+            with_reference(&reference),
+            Reference::DarkFrames(dark.len()),
+        ));
+    }
+    let rows: Option<Vec<f64>> = unlit_rows(footage, seen, shape, train)
         .into_iter()
         .collect();
-    Some((with_reference(rows?), Reference::DarkRows))
+    Some((with_reference(&rows?), Reference::DarkRows))
 }
 
 /// Each row's mean brightness over the frames in which the row saw no flash, where
 /// there are enough of them.
 fn unlit_rows(
-    recording: &Recording,
-    frames: &[StoredFrame],
+    footage: &Footage,
     seen: &[Seen],
     shape: &Shape,
-    settings: &Settings,
+    train: &TrainGeometry,
 ) -> Vec<Option<f64>> {
-    let n = recording.rows.len;
-    let mut sum = vec![0.0; n];
-    let mut count = vec![0u32; n];
+    let mut sums = vec![(0.0, 0u32); footage.rows.len];
     // A margin of one flash for what the first fit does not know well.
     let wide = Shape {
-        exposure_us: shape.exposure_us + settings.train.duration_us,
+        exposure_us: shape.exposure_us + train.duration_us,
         ..*shape
     };
-    for (frame, s) in frames.iter().zip(seen) {
-        if s.class != FrameClass::Used {
-            continue;
-        }
-        let shape = Shape {
-            bias_us: s.bias_us,
-            ..wide
-        };
-        for (i, ((sum, count), value)) in
-            sum.iter_mut().zip(&mut count).zip(&frame.rows).enumerate()
-        {
-            let light = row_light(&settings.train, &shape, recording.rows.position(i));
-            if light.value <= 0.0 {
+    for (frame, s) in frames_of(footage, seen, FrameClass::Used) {
+        let shape = wide.at(s.bias_us);
+        for (i, ((sum, count), value)) in sums.iter_mut().zip(&frame.rows).enumerate() {
+            if row_light(train, &shape, footage.rows.position(i)).value <= 0.0 {
                 *sum += f64::from(*value);
                 *count += 1;
             }
         }
     }
-    sum.iter()
-        .zip(&count)
-        .map(|(s, &c)| (c >= DARK_ROWS).then(|| s / f64::from(c)))
+    sums.into_iter()
+        .map(|(sum, count)| (count >= DARK_ROWS).then(|| sum / f64::from(count)))
         .collect()
 }
 
 /// Frames whose room light is not that of the others.
-pub(super) struct Flicker {
-    pub(super) peak_to_peak: f64,
-    pub(super) note: String,
+pub(crate) struct Flicker {
+    pub(crate) peak_to_peak: f64,
+    pub(crate) note: String,
 }
 
 /// Marks frames whose smooth brightness has another form than the others'.
@@ -282,7 +281,7 @@ pub(super) struct Flicker {
 /// A change of the whole picture's brightness (automatic exposure) is no change of
 /// form. Flicker in step with the frame rate is the same in all frames and cannot
 /// be told from the scene; it is then part of the smooth part and does no harm.
-pub(super) fn mark_flicker(
+pub(crate) fn mark_flicker(
     model: &Model,
     plain: &Basis,
     frames: &[StoredFrame],
@@ -290,92 +289,48 @@ pub(super) fn mark_flicker(
     shape: &Shape,
     keep: bool,
 ) -> Option<Flicker> {
-    // How the light is distributed is the same in all frames; fitted in each frame
-    // on its own it would take a part of the smooth change along when the exposure
-    // is long. Only its strength is left free.
-    let mut usual_light = [0.0; 4];
-    let lit: Vec<&Seen> = seen
-        .iter()
-        .filter(|s| s.class == FrameClass::Used)
-        .collect();
-    for (k, sum) in usual_light.iter_mut().enumerate() {
-        let values: Vec<f64> = lit
-            .iter()
-            .filter_map(|s| s.coefficients.get(k).copied())
-            .collect();
-        *sum = median(&values);
-    }
-    // Coefficients of each frame's smooth part, flashes taken off.
-    let forms: Vec<Vec<f64>> = frames
-        .par_iter()
-        .zip(&*seen)
-        .map(|(frame, s)| {
-            let mut rest: Vec<f64> = frame.rows.iter().map(|&v| f64::from(v)).collect();
-            if s.class != FrameClass::Dark {
-                let place = Shape {
-                    bias_us: s.bias_us,
-                    ..*shape
-                };
-                let light = model.light(&place, &usual_light);
-                let mut bare = light.clone();
-                plain.remove_from(&mut bare);
-                let strength = dot(&bare, &rest) / dot(&bare, &bare).max(1e-12);
-                add_scaled(&mut rest, -strength, &light);
-            }
-            plain.coefficients(&rest)
-        })
-        .collect();
+    let forms = smooth_forms(model, plain, frames, seen, shape);
     // What to compare with: frames without flashes, if there are any.
     let dark = seen.iter().filter(|s| s.class == FrameClass::Dark).count();
-    let compared = |class: FrameClass| {
-        if dark >= 3 {
-            class == FrameClass::Dark
-        } else {
-            class == FrameClass::Used
-        }
+    let compared = if dark >= 3 {
+        FrameClass::Dark
+    } else {
+        FrameClass::Used
     };
     // The median: a few frames in which a flash was missed must not make all others
     // look wrong.
-    let usual: Vec<f64> = (0..plain.columns().len())
-        .map(|k| {
-            let values: Vec<f64> = forms
-                .iter()
-                .zip(&*seen)
-                .filter(|(_, s)| compared(s.class))
-                .filter_map(|(form, _)| form.get(k).copied())
-                .collect();
-            median(&values)
-        })
-        .collect();
+    let usual = |k: usize| {
+        let forms = forms.iter().zip(&*seen);
+        let values: Vec<f64> = forms
+            .filter(|(_, s)| s.class == compared)
+            .filter_map(|(form, _)| form.get(k).copied())
+            .collect();
+        median(&values)
+    };
     let allowed = light_allowed(seen);
-    // The constant and a multiple of the usual form are free.
-    let free = Basis::spanning([
-        {
-            let mut constant = vec![0.0; usual.len()];
-            if let Some(first) = constant.first_mut() {
-                *first = 1.0;
-            }
-            constant
+    // The constant, which is the first of the plain columns, and a multiple of the
+    // usual form are free.
+    let free = Basis::spanning(&DMatrix::from_fn(
+        plain.columns().ncols(),
+        2,
+        |k, column| match column {
+            0 => f64::from(k == 0),
+            _ => usual(k),
         },
-        usual,
-    ]);
+    ));
     let mut worst = Vec::new();
-    let mut marked = 0;
-    for (form, s) in forms.iter().zip(seen.iter_mut()) {
-        let mut change = form.clone();
+    for (mut change, s) in forms.into_iter().zip(seen.iter_mut()) {
         free.remove_from(&mut change);
         let curve = plain.curve(&change);
-        let high = curve.iter().copied().fold(f64::MIN, f64::max);
-        let low = curve.iter().copied().fold(f64::MAX, f64::min);
-        if high - low > allowed && s.class == FrameClass::Used {
-            worst.push(high - low);
-            marked += 1;
+        let height = curve.max() - curve.min();
+        if height > allowed && s.class == FrameClass::Used {
+            worst.push(height);
             if !keep {
                 s.class = FrameClass::Flicker;
             }
         }
     }
-    if marked == 0 {
+    if worst.is_empty() {
         return None;
     }
     let peak_to_peak = median(&worst);
@@ -387,7 +342,42 @@ pub(super) fn mark_flicker(
     Some(Flicker {
         peak_to_peak,
         note: format!(
-            "{marked} frames with flashes {done}: their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)"
+            "{} frames with flashes {done}: their room light differs from the other frames' by about {peak_to_peak:.1} grey levels (mains flicker, moving shadows)",
+            worst.len()
         ),
     })
+}
+
+/// Coefficients of each frame's smooth part, flashes taken off.
+fn smooth_forms(
+    model: &Model,
+    plain: &Basis,
+    frames: &[StoredFrame],
+    seen: &[Seen],
+    shape: &Shape,
+) -> Vec<DVector<f64>> {
+    // How the light is distributed is the same in all frames; fitted in each frame
+    // on its own it would take a part of the smooth change along when the exposure
+    // is long. Only its strength is left free.
+    let lit = || seen.iter().filter(|s| s.class == FrameClass::Used);
+    let usual_light = Vector4::from_fn(|k, _| {
+        let values: Vec<f64> = lit().map(|s| s.coefficients[k]).collect();
+        median(&values)
+    });
+    frames
+        .par_iter()
+        .zip(seen)
+        .map(|(frame, s)| {
+            let rows = frame.rows.iter().map(|&v| f64::from(v));
+            let mut rest = DVector::from_iterator(frame.rows.len(), rows);
+            if s.class != FrameClass::Dark {
+                let light = model.light(&shape.at(s.bias_us), &usual_light);
+                let mut bare = light.clone();
+                plain.remove_from(&mut bare);
+                let strength = bare.dot(&rest) / bare.norm_squared().max(1e-12);
+                rest.axpy(-strength, &light, 1.0);
+            }
+            plain.coefficients(&rest)
+        })
+        .collect()
 }

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use super::classify::{FrameCounts, Reference};
+use super::footage::Footage;
 use super::identity::Identity;
 use super::paper;
 use super::precision::middle_row;
-use super::recording::Recording;
 use super::stats::{COVERAGE_99, Line, robust_deviation};
 use super::track::{Choice, FramePoint, Track, track};
 use super::window::still;
@@ -46,7 +46,7 @@ pub struct PaperDrift {
 pub struct Drift {
     /// The input.
     pub path: PathBuf,
-    /// Drift, µs/min; positive: the depth camera falls behind.
+    /// Drift of depth minus phone, µs/min; positive: the depth camera falls behind.
     pub drift_us_per_min: f64,
     /// Standard uncertainty of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,
@@ -91,23 +91,23 @@ pub struct EvaluatedDrift {
     /// The result.
     pub result: Drift,
     /// The regression, µs against seconds.
-    pub line: Line,
+    pub(crate) line: Line,
     /// Used frames on the line.
-    pub points: Vec<FramePoint>,
+    pub(crate) points: Vec<FramePoint>,
     /// The frames' fits.
-    pub track: Track,
+    pub(crate) track: Track,
     /// The recording.
-    pub recording: Recording,
+    pub(crate) footage: Footage,
 }
 
 /// Evaluates the drift over all frames of a recording.
 pub fn evaluate(
-    recording: Recording,
+    footage: Footage,
     settings: &Settings,
     with_paper: bool,
 ) -> Result<EvaluatedDrift, EvaluateError> {
-    let settings = &settings.with_session(&recording);
-    let track = track(&recording, settings, Choice::All)?;
+    let settings = &settings.with_session(&footage);
+    let track = track(&footage, settings, Choice::All)?;
     let chosen = settings.from_s.is_some() || settings.to_s.is_some();
     let window = if chosen { None } else { still(&track.points) };
     let mut points = match window.clone().and_then(|w| track.points.get(w)) {
@@ -117,7 +117,7 @@ pub fn evaluate(
     let all = points.len();
     let window_s = window.and_then(|_| Some([points.first()?.time_s, points.last()?.time_s]));
     let too_few = |found: usize| EvaluateError::TooFewFrames {
-        path: recording.path.clone(),
+        path: footage.path.clone(),
         found,
         needed: MIN_FRAMES,
     };
@@ -146,7 +146,7 @@ pub fn evaluate(
         _ => return Err(too_few(0)),
     };
 
-    let mut notes = recording.notes.clone();
+    let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());
     let typical = super::stats::median(&points.iter().map(|p| p.sigma_us).collect::<Vec<_>>());
     if line.residual_sd > 20.0 * typical.max(0.05) {
@@ -162,13 +162,13 @@ pub fn evaluate(
         ));
     }
     let paper = with_paper
-        .then(|| paper_drift(&recording, &points, settings))
+        .then(|| paper_drift(&footage, &points, settings))
         .flatten();
     let per_minute = |v: f64| 60.0 * v;
-    let allowance = if recording.encoded { ENCODED } else { 1.0 };
+    let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let slope_sigma = allowance * line.slope_sigma;
     let result = Drift {
-        path: recording.path.clone(),
+        path: footage.path.clone(),
         drift_us_per_min: per_minute(line.slope),
         drift_sigma_us_per_min: per_minute(slope_sigma),
         drift_uncertainty_99_us_per_min: per_minute(COVERAGE_99 * slope_sigma),
@@ -193,7 +193,7 @@ pub fn evaluate(
         line,
         points,
         track,
-        recording,
+        footage,
     })
 }
 
@@ -205,16 +205,16 @@ fn fit(points: &[FramePoint]) -> Option<Line> {
 
 /// One flash's row in every 6th frame and a straight line through it.
 fn paper_drift(
-    recording: &Recording,
+    footage: &Footage,
     points: &[FramePoint],
     settings: &Settings,
 ) -> Option<PaperDrift> {
-    let middle = middle_row(recording);
+    let middle = middle_row(footage);
     let mut row_times = Vec::new();
     let mut rows: Vec<(f64, f64)> = Vec::new();
     let mut followed: Option<f64> = None;
     let mut used = points.iter().map(|p| p.index).peekable();
-    for frame in &recording.frames {
+    for frame in &footage.frames {
         while used.peek().is_some_and(|&i| i < frame.index) {
             used.next();
         }
@@ -222,7 +222,7 @@ fn paper_drift(
             continue;
         }
         let profile: Vec<f64> = frame.rows.iter().map(|&v| f64::from(v)).collect();
-        let found = paper::evaluate(&profile, recording.rows, middle, &settings.train, 0.0, None);
+        let found = paper::evaluate(&profile, footage.rows, middle, &settings.train, 0.0, None);
         row_times.extend(found.row_time_us);
         let aim = followed.unwrap_or(middle);
         let nearest = found

@@ -166,9 +166,9 @@ pub enum EvaluateError {
         /// What is wrong.
         message: String,
     },
-    /// A picture could not be drawn.
-    #[error("the plot could not be drawn: {0}")]
-    Plot(String),
+    /// The report's picture could not be made.
+    #[error("the report's picture could not be made: {0}")]
+    Picture(#[from] image::ImageError),
 }
 
 impl EvaluateError {

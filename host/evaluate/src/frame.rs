@@ -94,7 +94,7 @@ impl FromStr for Region {
 }
 
 /// Fewer rows than this do not hold two flashes of any sensor.
-pub const MIN_ROWS: usize = 64;
+pub(crate) const MIN_ROWS: usize = 64;
 /// Larger sides are refused: a damaged header must not allocate gigabytes.
 pub(crate) const MAX_SIDE: usize = video::MAX_SIDE as usize;
 

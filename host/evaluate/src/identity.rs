@@ -8,6 +8,7 @@
 //! longer by a pitch moves the bands by half a pitch and changes nothing else but
 //! the level.
 
+use nalgebra::DVector;
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -46,7 +47,7 @@ pub struct Candidate {
 
 /// Puts the frames on one track: between neighbours the train moves as little as
 /// the recent course allows, never by a whole pitch unseen.
-pub(super) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) {
+pub(crate) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) {
     let mut recent: Vec<(f64, f64)> = Vec::new();
     for (fit, &time) in fits.iter_mut().zip(times) {
         if let (Some(&(t0, b0)), Some(&(t1, b1))) = (recent.first(), recent.last()) {
@@ -63,9 +64,9 @@ pub(super) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) 
 }
 
 /// What was decided, and the exposure that belongs to it.
-pub(super) struct Chosen {
-    pub(super) identity: Identity,
-    pub(super) exposure_us: f64,
+pub(crate) struct Chosen {
+    pub(crate) identity: Identity,
+    pub(crate) exposure_us: f64,
 }
 
 /// One way to read the frames: an exposure longer by `extra` pitches, and the
@@ -86,7 +87,7 @@ impl Reading {
 ///
 /// `excess` is the mean brightness of the frames over that of frames without
 /// flashes, if there are any.
-pub(super) fn identify(
+pub(crate) fn identify(
     model: &Model,
     profiles: &[&[f32]],
     fits: &mut [FrameFit],
@@ -108,7 +109,7 @@ pub(super) fn identify(
             (nearest - reach..=nearest + reach).map(move |pitches| Reading { extra, pitches })
         })
         .collect();
-    let detrended: Vec<(Vec<f64>, &FrameFit)> = asked
+    let detrended: Vec<(DVector<f64>, &FrameFit)> = asked
         .iter()
         .filter_map(|&i| Some((model.detrend(profiles.get(i)?), fits.get(i)?)))
         .collect();
@@ -121,12 +122,11 @@ pub(super) fn identify(
                 .iter()
                 .map(|(y, fit)| {
                     let moved = Shape {
-                        bias_us: fit.bias_us + reading.shift_us(pitch),
                         exposure_us: exposure(reading.extra),
-                        ..*shape
+                        ..shape.at(fit.bias_us + reading.shift_us(pitch))
                     };
                     let noise = fit.rss / y.len().max(1) as f64;
-                    (model.rss_at(y, &moved) - fit.rss) / (noise * fit.inflation).max(1e-12)
+                    (model.local(y, &moved).rss - fit.rss) / (noise * fit.inflation).max(1e-12)
                 })
                 .collect();
             mean(&values)

@@ -20,10 +20,11 @@
 //! ## Design
 //!
 //! Frames are reduced to row profiles as they come ([`frame`], [`source`]), so
-//! memory does not depend on size or length of a video ([`store`]). Everything
-//! after that is pure computation: a coarse matched filter ([`search`]), a fit of
-//! the whole train ([`fit`]), and the steps from there to a recording's result
-//! ([`track`]). [`paper`] is the published pipeline for comparison.
+//! memory does not depend on size or length of a video ([`footage`]). Everything
+//! after that is pure computation: a coarse matched filter (`search`), a fit of
+//! the whole train (`fit`), of several frames together (`joint`), and the steps from
+//! there to a recording's result (`track`). `paper` is the published pipeline for
+//! comparison.
 //!
 //! ## Limits
 //!
@@ -41,29 +42,30 @@ pub mod calibrate;
 pub mod classify;
 pub mod drift;
 mod error;
-pub mod fit;
+mod fit;
+pub mod footage;
 pub mod frame;
-pub mod identity;
+mod identity;
+mod input;
+mod joint;
 pub mod latency;
-pub mod linear;
-pub mod paper;
+mod linear;
+mod paper;
 pub mod plot;
 pub mod precision;
-pub mod recording;
 pub mod report;
-pub mod search;
-pub mod session;
+mod search;
 pub mod source;
 pub mod stats;
-pub mod store;
-pub mod track;
+mod store;
+mod track;
 pub mod train;
-pub mod window;
+mod window;
 
 pub use error::EvaluateError;
 
+use footage::Footage;
 use frame::{Region, Rotation};
-use recording::Recording;
 use train::TrainGeometry;
 
 /// What the user says about camera and train.
@@ -126,8 +128,8 @@ impl Default for Settings {
 impl Settings {
     /// With the exposure that the recording's session knows, as a hint.
     #[must_use]
-    pub fn with_session(&self, recording: &Recording) -> Self {
-        let known = recording.applied.map(|a| a.exposure_us);
+    pub fn with_session(&self, footage: &Footage) -> Self {
+        let known = footage.applied.map(|a| a.exposure_us);
         Self {
             exposure_hint_us: known.filter(|e| (1.0..=1e5).contains(e)),
             ..self.clone()

@@ -1,90 +1,111 @@
 //! Orthonormal bases of row profiles, and what lies outside of them.
 
+use nalgebra::allocator::Allocator;
+use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
+
 /// Columns whose remainder is smaller than this share of them add nothing new.
 const DEPENDENT: f64 = 1e-4;
 
-/// Scalar product.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// Some columns made orthonormal in turn: `q · r` are the columns of number `kept`.
+pub(crate) struct Orthonormal {
+    pub(crate) q: DMatrix<f64>,
+    pub(crate) r: DMatrix<f64>,
+    pub(crate) kept: Vec<usize>,
 }
 
-/// `y += factor · x`.
-pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
-    for (y, x) in y.iter_mut().zip(x) {
-        *y += factor * x;
+/// Leaves out each column of which not more than `least` of its own is outside of the
+/// kept columns before it.
+pub(crate) fn orthonormal(columns: &DMatrix<f64>, least: &DVector<f64>) -> Orthonormal {
+    let mut kept: Vec<usize> = (0..columns.ncols()).collect();
+    loop {
+        let qr = columns.select_columns(&kept).qr();
+        let r = qr.r();
+        let dependent = (0..kept.len()).find(|&k| {
+            let least = kept.get(k).and_then(|&column| least.get(column));
+            // Columns beyond the number of rows have no entry.
+            let own = r.get((k, k));
+            own.zip(least).is_none_or(|(own, least)| own <= least)
+        });
+        match dependent {
+            Some(k) => kept.remove(k),
+            None => return Orthonormal { q: qr.q(), r, kept },
+        };
     }
 }
 
 /// An orthonormal basis.
-#[derive(Debug, Clone, Default)]
-pub struct Basis {
-    columns: Vec<Vec<f64>>,
+#[derive(Debug, Clone)]
+pub(crate) struct Basis {
+    columns: DMatrix<f64>,
 }
 
 impl Basis {
-    /// Spans the given columns (modified Gram-Schmidt, twice); dependent ones are
-    /// dropped.
-    pub fn spanning(raw: impl IntoIterator<Item = Vec<f64>>) -> Self {
-        let mut basis = Self::default();
-        for mut column in raw {
-            let before = dot(&column, &column).sqrt();
-            basis.remove_from(&mut column);
-            basis.remove_from(&mut column);
-            let after = dot(&column, &column).sqrt();
-            if after > DEPENDENT * before && after > 0.0 {
-                column.iter_mut().for_each(|v| *v /= after);
-                basis.columns.push(column);
-            }
+    /// Spans the given columns; dependent ones are dropped.
+    pub(crate) fn spanning(columns: &DMatrix<f64>) -> Self {
+        let least = columns.column_iter().map(|c| DEPENDENT * c.norm());
+        let least = DVector::from_iterator(columns.ncols(), least);
+        Self {
+            columns: orthonormal(columns, &least).q,
         }
-        basis
     }
 
-    /// Legendre-like polynomials of degree 0 to `degree` over `n` rows.
-    pub fn polynomials(n: usize, degree: usize) -> Self {
-        Self::spanning(polynomial_columns(n, degree))
+    /// Polynomials of degree 0 to `degree` over `n` rows.
+    pub(crate) fn polynomials(n: usize, degree: usize) -> Self {
+        Self::spanning(&polynomial_columns(n, degree))
     }
 
-    /// The columns.
-    pub fn columns(&self) -> &[Vec<f64>] {
+    pub(crate) const fn columns(&self) -> &DMatrix<f64> {
         &self.columns
     }
 
-    /// Takes the part inside the basis away from `y`.
-    pub fn remove_from(&self, y: &mut [f64]) {
-        for q in &self.columns {
-            let c = dot(q, y);
-            add_scaled(y, -c, q);
-        }
+    /// Takes the part inside the basis away from each column of `y`.
+    pub(crate) fn remove_from<C: Dim>(&self, y: &mut OMatrix<f64, Dyn, C>)
+    where
+        DefaultAllocator: Allocator<Dyn, C>,
+    {
+        let inside = &self.columns * self.columns.tr_mul(y);
+        *y -= inside;
     }
 
     /// Coefficients of the part of `y` inside the basis.
-    pub fn coefficients(&self, y: &[f64]) -> Vec<f64> {
-        self.columns.iter().map(|q| dot(q, y)).collect()
+    pub(crate) fn coefficients(&self, y: &DVector<f64>) -> DVector<f64> {
+        self.columns.tr_mul(y)
     }
 
     /// The curve with these coefficients.
-    pub fn curve(&self, coefficients: &[f64]) -> Vec<f64> {
-        let n = self.columns.first().map_or(0, Vec::len);
-        let mut sum = vec![0.0; n];
-        for (q, c) in self.columns.iter().zip(coefficients) {
-            add_scaled(&mut sum, *c, q);
-        }
-        sum
+    pub(crate) fn curve(&self, coefficients: &DVector<f64>) -> DVector<f64> {
+        &self.columns * coefficients
+    }
+
+    /// What it spans when `factor` neighbouring rows are taken together.
+    pub(crate) fn binned(&self, factor: usize) -> Self {
+        let (rows, columns) = self.columns.shape();
+        Self::spanning(&DMatrix::from_fn(rows / factor, columns, |row, column| {
+            let together = self.columns.rows(row * factor, factor);
+            together.column(column).mean()
+        }))
     }
 }
 
+/// The columns of both.
+pub(crate) fn side_by_side(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+    let columns = left.ncols() + right.ncols();
+    let mut both = left.clone().resize_horizontally(columns, 0.0);
+    both.columns_mut(left.ncols(), right.ncols())
+        .copy_from(right);
+    both
+}
+
 /// Powers of the place in `-1..=1`, degree 0 to `degree`.
-pub fn polynomial_columns(n: usize, degree: usize) -> Vec<Vec<f64>> {
+pub(crate) fn polynomial_columns(n: usize, degree: usize) -> DMatrix<f64> {
     let x = unit_places(n);
-    (0..=degree)
-        .map(|d| x.iter().map(|x| x.powi(d as i32)).collect())
-        .collect()
+    DMatrix::from_fn(n, degree + 1, |row, power| x[row].powi(power as i32))
 }
 
 /// Places of `n` rows in `-1..=1`.
-pub fn unit_places(n: usize) -> Vec<f64> {
+pub(crate) fn unit_places(n: usize) -> DVector<f64> {
     let half = (0.5 * (n as f64 - 1.0)).max(0.5);
-    (0..n).map(|i| (i as f64 - half) / half).collect()
+    DVector::from_fn(n, |i, _| (i as f64 - half) / half)
 }
 
 #[cfg(test)]
@@ -94,16 +115,13 @@ mod tests {
     #[test]
     fn polynomials_are_orthonormal_and_remove_polynomials() {
         let basis = Basis::polynomials(300, 5);
-        for (i, a) in basis.columns().iter().enumerate() {
-            for (j, b) in basis.columns().iter().enumerate() {
+        for (i, a) in basis.columns().column_iter().enumerate() {
+            for (j, b) in basis.columns().column_iter().enumerate() {
                 let expected = if i == j { 1.0 } else { 0.0 };
-                assert!((dot(a, b) - expected).abs() < 1e-12);
+                assert!((a.dot(&b) - expected).abs() < 1e-12);
             }
         }
-        let mut y: Vec<f64> = unit_places(300)
-            .iter()
-            .map(|x| 3.0 - x + 0.4 * x.powi(5))
-            .collect();
+        let mut y = unit_places(300).map(|x| 3.0 - x + 0.4 * x.powi(5));
         let back = basis.curve(&basis.coefficients(&y));
         assert!(back.iter().zip(&y).all(|(a, b)| (a - b).abs() < 1e-12));
         basis.remove_from(&mut y);
@@ -112,8 +130,21 @@ mod tests {
 
     #[test]
     fn dependent_columns_are_dropped() {
-        let a = vec![1.0, 2.0, 3.0];
-        let b = vec![2.0, 4.0, 6.0];
-        assert_eq!(Basis::spanning([a, b, vec![0.0; 3]]).columns().len(), 1);
+        let columns = DMatrix::from_columns(&[
+            DVector::from_vec(vec![1.0, 2.0, 3.0]),
+            DVector::from_vec(vec![2.0, 4.0, 6.0]),
+            DVector::zeros(3),
+            DVector::from_vec(vec![1.0, 0.0, 0.0]),
+        ]);
+        let found = orthonormal(&columns, &DVector::repeat(4, 1e-6));
+        assert_eq!(found.kept, [0, 3]);
+        let back = &found.q * &found.r;
+        assert!((back - columns.select_columns(&[0, 3])).norm() < 1e-12);
+        assert_eq!(Basis::spanning(&columns).columns().ncols(), 2);
+        // More columns than rows, and no rows at all.
+        let square = DMatrix::from_fn(2, 4, |i, j| (i + j) as f64);
+        assert_eq!(Basis::spanning(&square).columns().ncols(), 2);
+        let nothing = Basis::spanning(&DMatrix::zeros(0, 2));
+        nothing.remove_from(&mut DVector::zeros(0));
     }
 }

@@ -31,7 +31,7 @@ pub struct PaperResult {
 ///
 /// `middle_row` is that of the sensor; `row_time_us` is used when there is only
 /// one peak.
-pub fn evaluate(
+pub(crate) fn evaluate(
     profile: &[f64],
     rows: RowGrid,
     middle_row: f64,
@@ -64,7 +64,7 @@ pub fn evaluate(
 }
 
 /// Gaussian smoothing; the ends are continued with the last value.
-pub fn smooth(profile: &[f64]) -> Vec<f64> {
+fn smooth(profile: &[f64]) -> Vec<f64> {
     let half = (KERNEL / 2) as isize;
     let weights: Vec<f64> = (-half..=half)
         .map(|k| (-0.5 * (k as f64 / KERNEL_SIGMA).powi(2)).exp())

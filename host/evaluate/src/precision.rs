@@ -6,9 +6,9 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::classify::{FrameCounts, Reference};
+use super::footage::Footage;
 use super::identity::Identity;
 use super::paper::{self, PaperResult};
-use super::recording::Recording;
 use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
 use super::track::{Choice, Track, track};
 use super::{EvaluateError, Settings};
@@ -153,27 +153,27 @@ pub struct Evaluated {
     /// The result.
     pub result: RecordingResult,
     /// The frames' fits.
-    pub track: Track,
+    pub(crate) track: Track,
     /// The recording.
-    pub recording: Recording,
+    pub(crate) footage: Footage,
 }
 
 /// Evaluates one recording from its last `frames` frames with flashes.
 pub fn evaluate_recording(
-    recording: Recording,
+    footage: Footage,
     settings: &Settings,
     frames: usize,
     with_paper: bool,
 ) -> Result<Evaluated, EvaluateError> {
-    let settings = &settings.with_session(&recording);
-    let (recording, track) = settled(recording, settings, frames.max(1))?;
+    let settings = &settings.with_session(&footage);
+    let (footage, track) = settled(footage, settings, frames.max(1))?;
     let biases: Vec<f64> = track.points.iter().map(|p| p.bias_us).collect();
     let times: Vec<f64> = track.points.iter().map(|p| p.time_s).collect();
     let line = Line::fit(&times, &biases, 1);
     let scatter = line.map_or(0.0, |l| l.residual_sd / (biases.len() as f64).sqrt());
-    let allowance = if recording.encoded { ENCODED } else { 1.0 };
+    let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let sigma_us = allowance * track.joint.mean_sigma_us.max(scatter);
-    let mut notes = recording.notes.clone();
+    let mut notes = footage.notes.clone();
     notes.extend(track.notes.iter().cloned());
     let low = biases.iter().copied().fold(f64::MAX, f64::min);
     let high = biases.iter().copied().fold(f64::MIN, f64::max);
@@ -184,11 +184,11 @@ pub fn evaluate_recording(
             biases.len()
         ));
     }
-    let middle = middle_row(&recording);
+    let middle = middle_row(&footage);
     let paper = with_paper.then(|| {
         paper::evaluate(
             &track.mean_profile,
-            recording.rows,
+            footage.rows,
             middle,
             &settings.train,
             settings.near_us,
@@ -198,10 +198,10 @@ pub fn evaluate_recording(
     let amplitudes: Vec<f64> = track.points.iter().map(|p| p.amplitude).collect();
     let joint = &track.joint;
     let result = RecordingResult {
-        path: recording.path.clone(),
-        width: recording.width,
-        height: recording.height,
-        applied_bias_us: recording.applied.map(|a| a.bias_us),
+        path: footage.path.clone(),
+        width: footage.width,
+        height: footage.height,
+        applied_bias_us: footage.applied.map(|a| a.bias_us),
         bias_us: joint.mean_us,
         sigma_us,
         uncertainty_99_us: COVERAGE_99 * sigma_us,
@@ -221,7 +221,7 @@ pub fn evaluate_recording(
     Ok(Evaluated {
         result,
         track,
-        recording,
+        footage,
     })
 }
 
@@ -232,42 +232,42 @@ pub fn evaluate_recording(
 /// most frames seem to have another room light than the rest. In this case the
 /// first half is left aside, and once more.
 fn settled(
-    mut recording: Recording,
+    mut footage: Footage,
     settings: &Settings,
     frames: usize,
-) -> Result<(Recording, Track), EvaluateError> {
+) -> Result<(Footage, Track), EvaluateError> {
     let doubtful = |track: &Track| {
         let counts = &track.counts;
         counts.flicker > counts.used + counts.spare
     };
-    let mut found = track(&recording, settings, Choice::Last(frames))?;
+    let mut found = track(&footage, settings, Choice::Last(frames))?;
     for _ in 0..2 {
-        let half = recording.frames.len() / 2;
+        let half = footage.frames.len() / 2;
         if !doubtful(&found) || half < frames {
             break;
         }
-        let late = recording.frames.split_off(half);
-        let early = std::mem::replace(&mut recording.frames, late);
-        match track(&recording, settings, Choice::Last(frames)) {
+        let late = footage.frames.split_off(half);
+        let early = std::mem::replace(&mut footage.frames, late);
+        match track(&footage, settings, Choice::Last(frames)) {
             Ok(track) => {
                 found = track;
-                recording.notes.push(format!(
+                footage.notes.push(format!(
                     "the first {half} frames were left aside: they do not fit the later ones"
                 ));
             }
             Err(_) => {
-                let late = std::mem::replace(&mut recording.frames, early);
-                recording.frames.extend(late);
+                let late = std::mem::replace(&mut footage.frames, early);
+                footage.frames.extend(late);
                 break;
             }
         }
     }
-    Ok((recording, found))
+    Ok((footage, found))
 }
 
 /// The middle row's number in the sensor, from 0.
-pub fn middle_row(recording: &Recording) -> f64 {
-    recording.reducer.first_row() as f64 - recording.rows.first
+pub fn middle_row(footage: &Footage) -> f64 {
+    footage.reducer.first_row() as f64 - footage.rows.first
 }
 
 /// Evaluates recordings one after the other; only one is in memory at a time.
@@ -297,14 +297,14 @@ pub fn evaluate(
             row_time_hint_us: results.first().map(|r| r.row_time_us),
             ..settings.clone()
         };
-        let evaluated = Recording::read(path, settings, expected, stop)
+        let evaluated = Footage::read(path, settings, expected, stop)
             .and_then(|r| evaluate_recording(r, settings, frames, with_paper));
         match evaluated {
             Ok(evaluated) => {
                 each(
                     path,
                     &Ok(evaluated.result.clone()),
-                    evaluated.recording.waited,
+                    evaluated.footage.waited,
                 );
                 results.push(evaluated.result.clone());
                 shown.get_or_insert(evaluated);

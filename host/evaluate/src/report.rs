@@ -10,10 +10,10 @@ use serde_json::json;
 
 use super::classify::{FrameCounts, Reference};
 use super::drift::{Drift, EvaluatedDrift};
+use super::footage::Footage;
 use super::identity::Identity;
 use super::plot::{self, flash_rows};
 use super::precision::{Evaluated, Precision, Spread, middle_row};
-use super::recording::Recording;
 use super::track::Track;
 use super::{EvaluateError, Settings};
 use page::{Level, Page};
@@ -94,10 +94,10 @@ pub fn precision(
         page.note(Level::Bad, &text);
     }
     page.section("Frame with the rows found");
-    picture(&mut page, &shown.recording, &shown.track, settings)?;
+    picture(&mut page, &shown.footage, &shown.track, settings)?;
     page.section("Row profile and launches");
     page.figure(
-        &plot::precision(result, shown, &settings.train, settings.path_delay_us)?,
+        &plot::precision(result, shown, &settings.train, settings.path_delay_us),
         "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
          recordings, their biases.",
     );
@@ -155,7 +155,8 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
         Level::Warning
     };
     let verdict = format!(
-        "Over {:.1} s the exposures move against each other by {:+.2} ± {:.2} µs a minute, from \
+        "Over {:.1} s the depth camera's exposure moves against the phone's (depth minus phone) \
+         by {:+.2} ± {:.2} µs a minute, from \
          {:+.1} µs at the start to {:+.1} µs at the end.",
         r.span_s,
         r.drift_us_per_min,
@@ -170,7 +171,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     fact(
         "drift",
         format!(
-            "{:+.4} ± {:.4} µs/min (1 σ)",
+            "{:+.4} ± {:.4} µs/min, depth minus phone (1 σ)",
             r.drift_us_per_min, r.drift_sigma_us_per_min
         ),
     );
@@ -207,10 +208,10 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     page.facts(&facts);
     notes(&mut page, &r.path.display().to_string(), &r.notes);
     page.section("Frame with the rows found");
-    picture(&mut page, &drift.recording, &drift.track, settings)?;
+    picture(&mut page, &drift.footage, &drift.track, settings)?;
     page.section("Row profile and drift");
     page.figure(
-        &plot::drift(drift, &settings.train, settings.path_delay_us)?,
+        &plot::drift(drift, &settings.train, settings.path_delay_us),
         "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
          against time with the fitted line.",
     );
@@ -322,13 +323,12 @@ fn notes(page: &mut Page, path: &str, notes: &[String]) {
 /// The frame with lines where the flashes were found.
 fn picture(
     page: &mut Page,
-    recording: &Recording,
+    footage: &Footage,
     track: &Track,
     settings: &Settings,
 ) -> Result<(), EvaluateError> {
-    let picture = &recording.picture;
+    let picture = &footage.picture;
     let (w, h) = (picture.width, picture.height);
-    let png_error = |e: image::ImageError| EvaluateError::Plot(e.to_string());
     let mut png = Cursor::new(Vec::new());
     image::write_buffer_with_format(
         &mut png,
@@ -337,8 +337,7 @@ fn picture(
         h as u32,
         image::ExtendedColorType::L8,
         image::ImageFormat::Png,
-    )
-    .map_err(png_error)?;
+    )?;
     let own = track.points.iter().find(|p| p.index == picture.index);
     // Beside a picture that is too narrow for them the labels have room.
     let beside = w < LABEL_WIDTH;
@@ -355,7 +354,7 @@ fn picture(
     };
     // Places in the reduced picture: the centre of a row's pixels.
     let place = |row: f64| {
-        let (line, vertical) = recording.reducer.image_line(row);
+        let (line, vertical) = footage.reducer.image_line(row);
         ((line + 0.5) / picture.reduction as f64, vertical)
     };
     let across = |row: f64, from: f64, to: f64| {
@@ -377,7 +376,7 @@ fn picture(
     // Where the flashes of another frame lie says nothing about this one.
     let rows = own.map(|p| {
         let bias = p.bias_us + settings.path_delay_us;
-        flash_rows(recording, track, &settings.train, bias)
+        flash_rows(footage, track, &settings.train, bias)
     });
     for (number, row) in rows.unwrap_or_default() {
         // Only at the edges, so that the bands stay visible.
@@ -400,7 +399,7 @@ fn picture(
         );
     }
     if beside {
-        let (at, _) = place(middle_row(recording));
+        let (at, _) = place(middle_row(footage));
         let _ = writeln!(
             svg,
             "<text x=\"{}\" y=\"{:.1}\" fill=\"#0072b2\" font-family=\"sans-serif\" font-size=\"{size:.0}\">middle row</text>",
@@ -411,7 +410,7 @@ fn picture(
     let _ = writeln!(
         svg,
         "<line {} stroke=\"#39a0ff\" stroke-width=\"1.2\" stroke-dasharray=\"6 4\"/>",
-        across(middle_row(recording), 0.0, 1.0)
+        across(middle_row(footage), 0.0, 1.0)
     );
     svg.push_str("</svg>\n");
     page.picture(

@@ -7,14 +7,15 @@
 //! fits. `|T|²` comes from correlations of the trapezoid with itself on the same
 //! grid, so a whole search costs less than a millisecond a frame.
 
+use nalgebra::DVector;
 use rayon::prelude::*;
 
-use super::linear::{Basis, dot};
+use super::linear::Basis;
 use super::train::{Shape, TrainGeometry, overlap};
 
 /// Where the used rows lie, counted from the middle row.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RowGrid {
+pub(crate) struct RowGrid {
     /// Place of the first used row, in rows.
     pub first: f64,
     /// Rows from one sample to the next: 1, or more for binned rows.
@@ -25,13 +26,13 @@ pub struct RowGrid {
 
 impl RowGrid {
     /// Place of sample `i`.
-    pub fn position(&self, i: usize) -> f64 {
+    pub(crate) fn position(&self, i: usize) -> f64 {
         self.first + i as f64 * self.step
     }
 
     /// Neighbouring rows taken together by `factor`; rows left over at the end
     /// are dropped.
-    pub fn binned(&self, factor: usize) -> Self {
+    pub(crate) fn binned(&self, factor: usize) -> Self {
         Self {
             first: self.first + 0.5 * (factor as f64 - 1.0) * self.step,
             step: self.step * factor as f64,
@@ -41,7 +42,7 @@ impl RowGrid {
 }
 
 /// Means of `factor` neighbouring values.
-pub fn bin(values: &[f64], factor: usize) -> Vec<f64> {
+fn bin(values: &[f64], factor: usize) -> Vec<f64> {
     values
         .chunks_exact(factor)
         .map(|c| c.iter().sum::<f64>() / factor as f64)
@@ -50,23 +51,22 @@ pub fn bin(values: &[f64], factor: usize) -> Vec<f64> {
 
 /// What a search found.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Found {
+pub(crate) struct Found {
     /// The shape, on the search's grid.
-    pub shape: Shape,
+    pub(crate) shape: Shape,
     /// Part of the sum of squares that the template explains.
-    pub explained: f64,
+    pub(crate) explained: f64,
 }
 
 /// A matched filter for one row time and exposure.
 #[derive(Debug, Clone)]
-pub struct CombSearch {
+pub(crate) struct CombSearch {
     rows: RowGrid,
     train: TrainGeometry,
     row_time_us: f64,
     exposure_us: f64,
     start_us: f64,
     step_us: f64,
-    steps: usize,
     /// Rows that each grid time reaches, and the trapezoid there.
     reach: Vec<(usize, Vec<f64>)>,
     /// Candidates: (grid index of the first flash, may be negative; |T|²).
@@ -76,7 +76,7 @@ pub struct CombSearch {
 
 impl CombSearch {
     /// Prepares the search; times on a grid of about `step_us`.
-    pub fn new(
+    pub(crate) fn new(
         rows: RowGrid,
         train: &TrainGeometry,
         row_time_us: f64,
@@ -124,8 +124,8 @@ impl CombSearch {
             .collect();
         let on_smooth: Vec<Vec<f64>> = smooth
             .columns()
-            .iter()
-            .map(|q| reach.iter().map(|r| on_rows(r, q)).collect())
+            .column_iter()
+            .map(|q| reach.iter().map(|r| on_rows(r, q.as_slice())).collect())
             .collect();
 
         let own = products.first().map(Vec::as_slice).unwrap_or_default();
@@ -165,7 +165,6 @@ impl CombSearch {
             exposure_us,
             start_us,
             step_us,
-            steps,
             reach,
             candidates,
             per_pitch,
@@ -176,7 +175,7 @@ impl CombSearch {
     ///
     /// Where whole pitches more or less fit as well, the train nearest to
     /// `near_us` is taken. `None` when no bright comb fits at all.
-    pub fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
+    pub(crate) fn best(&self, y: &[f64], near_us: f64) -> Option<Found> {
         debug_assert_eq!(y.len(), self.rows.len);
         let single: Vec<f64> = self.reach.iter().map(|r| on_rows(r, y)).collect();
         let scored: Vec<(f64, f64)> = self
@@ -215,16 +214,11 @@ impl CombSearch {
             explained,
         })
     }
-
-    /// Number of grid times.
-    pub fn grid_len(&self) -> usize {
-        self.steps
-    }
 }
 
 fn on_rows((from, light): &(usize, Vec<f64>), y: &[f64]) -> f64 {
     y.get(*from..*from + light.len())
-        .map_or(0.0, |rows| dot(light, rows))
+        .map_or(0.0, |rows| light.iter().zip(rows).map(|(l, y)| l * y).sum())
 }
 
 fn shared(a: &(usize, Vec<f64>), b: &(usize, Vec<f64>)) -> f64 {
@@ -240,19 +234,19 @@ const KEEP: usize = 4;
 
 /// What a wide search tries.
 #[derive(Debug, Clone, PartialEq)]
-pub struct WideSearch {
+pub(crate) struct WideSearch {
     /// Row times, µs.
-    pub row_times_us: Vec<f64>,
+    pub(crate) row_times_us: Vec<f64>,
     /// Exposures, µs.
-    pub exposures_us: Vec<f64>,
+    pub(crate) exposures_us: Vec<f64>,
     /// Where the train is expected, µs.
-    pub near_us: f64,
+    pub(crate) near_us: f64,
 }
 
 impl WideSearch {
     /// All row times with which `sensor_rows` take 4 to 40 ms, and exposures from
     /// 60 µs to 4.5 ms; or near what is known.
-    pub fn new(
+    pub(crate) fn new(
         sensor_rows: usize,
         row_time_us: Option<f64>,
         exposure_us: Option<f64>,
@@ -276,7 +270,7 @@ impl WideSearch {
 
     /// The best few distinct shapes for one profile without its smooth part, on
     /// `rows`, best first.
-    pub fn run(
+    pub(crate) fn run(
         &self,
         rows: RowGrid,
         train: &TrainGeometry,
@@ -286,15 +280,15 @@ impl WideSearch {
         // Bins of about a fifth of a flash at the usual row times.
         let factor = (rows.len / 270).max(1);
         let coarse = rows.binned(factor);
-        let smooth = Basis::spanning(smooth.columns().iter().map(|q| bin(q, factor)));
-        let mut y = bin(profile, factor);
+        let smooth = smooth.binned(factor);
+        let mut y = DVector::from_vec(bin(profile, factor));
         smooth.remove_from(&mut y);
         let step_us = 0.5 * train.duration_us.max(40.0);
         let mut found: Vec<Found> = self
             .row_times_us
             .par_iter()
             .flat_map_iter(|&row_time| {
-                let (smooth, y) = (&smooth, &y);
+                let (smooth, y) = (&smooth, y.as_slice());
                 self.exposures_us.iter().filter_map(move |&exposure| {
                     CombSearch::new(coarse, train, row_time, exposure, smooth, step_us)
                         .best(y, self.near_us)
@@ -352,11 +346,11 @@ mod tests {
                     row_time_us: 10.2,
                     exposure_us: exposure,
                 };
-                let mut t: Vec<f64> = (0..ROWS.len)
-                    .map(|i| row_light(&TrainGeometry::NFOV, &shape, ROWS.position(i)).value)
-                    .collect();
+                let mut t = DVector::from_fn(ROWS.len, |i, _| {
+                    row_light(&TrainGeometry::NFOV, &shape, ROWS.position(i)).value
+                });
                 smooth.remove_from(&mut t);
-                let direct = dot(&t, &t);
+                let direct = t.norm_squared();
                 assert!(
                     (energy - direct).abs() < 1e-6 * (1.0 + direct),
                     "{exposure}: {energy} and {direct}"
@@ -375,11 +369,11 @@ mod tests {
                 row_time_us: 10.2,
                 exposure_us: 400.0,
             };
-            let mut y = profile(ROWS, &shape);
+            let mut y = DVector::from_vec(profile(ROWS, &shape));
             smooth.remove_from(&mut y);
-            let found = search.best(&y, 0.0).unwrap();
+            let found = search.best(y.as_slice(), 0.0).unwrap();
             assert!((found.shape.bias_us - bias_us).abs() < 31.0, "{found:?}");
-            assert!(found.explained > 0.9 * dot(&y, &y));
+            assert!(found.explained > 0.9 * y.norm_squared());
         }
     }
 

@@ -1,9 +1,7 @@
 //! Spread, regression, and the uncertainty of sums whose errors are correlated.
 
-use serde::Serialize;
-
 /// Factor from one standard deviation to the 99 % interval of a normal distribution.
-pub const COVERAGE_99: f64 = 2.576;
+pub(crate) const COVERAGE_99: f64 = 2.576;
 
 /// Quantile by linear interpolation between order statistics (the usual default,
 /// type 7 of Hyndman and Fan). `None` without values.
@@ -18,7 +16,7 @@ pub fn quantile(values: &[f64], q: f64) -> Option<f64> {
 }
 
 /// Median; zero without values.
-pub fn median(values: &[f64]) -> f64 {
+pub(crate) fn median(values: &[f64]) -> f64 {
     quantile(values, 0.5).unwrap_or(0.0)
 }
 
@@ -43,7 +41,7 @@ pub fn standard_deviation(values: &[f64]) -> Option<f64> {
 }
 
 /// A normal distribution's standard deviation from the median of absolute deviations.
-pub fn robust_deviation(values: &[f64]) -> f64 {
+pub(crate) fn robust_deviation(values: &[f64]) -> f64 {
     let m = median(values);
     let deviations: Vec<f64> = values.iter().map(|v| (v - m).abs()).collect();
     1.4826 * median(&deviations)
@@ -56,7 +54,7 @@ pub fn robust_deviation(values: &[f64]) -> f64 {
 /// `terms` come from residuals of a least-squares fit, which are smaller than the
 /// errors and sum to zero; the correlated part is scaled up for the number of
 /// terms that matter.
-pub fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
+pub(crate) fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
     let white: f64 = terms.iter().map(|e| e * e).sum();
     if white <= 0.0 {
         return 0.0;
@@ -82,7 +80,7 @@ pub fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
 
 /// By how much correlation between neighbours raises the variance of a sum of
 /// `residuals` over that of independent ones; at least 1.
-pub fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
+pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
     let zero: f64 = residuals.iter().map(|e| e * e).sum();
     if zero <= 0.0 {
         return 1.0;
@@ -100,24 +98,24 @@ pub fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
 }
 
 /// A straight line through points.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Line {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Line {
     /// Value in the middle of the data.
-    pub center_value: f64,
+    pub(crate) center_value: f64,
     /// The middle of the data.
-    pub center: f64,
+    pub(crate) center: f64,
     /// Change per unit of the abscissa.
-    pub slope: f64,
+    pub(crate) slope: f64,
     /// Standard uncertainty of the slope, with the correlation of the residuals.
-    pub slope_sigma: f64,
+    pub(crate) slope_sigma: f64,
     /// Standard deviation of the residuals.
-    pub residual_sd: f64,
+    pub(crate) residual_sd: f64,
 }
 
 impl Line {
     /// Least squares; `None` for fewer than three points or no spread in `x`.
     /// Residuals may be correlated over `lag` neighbours.
-    pub fn fit(x: &[f64], y: &[f64], lag: usize) -> Option<Self> {
+    pub(crate) fn fit(x: &[f64], y: &[f64], lag: usize) -> Option<Self> {
         let n = x.len().min(y.len());
         if n < 3 {
             return None;
@@ -158,7 +156,7 @@ impl Line {
     }
 
     /// Value at `x`.
-    pub fn at(&self, x: f64) -> f64 {
+    pub(crate) fn at(&self, x: f64) -> f64 {
         self.center_value + self.slope * (x - self.center)
     }
 }

@@ -9,11 +9,11 @@
 use super::frame::RowProfile;
 
 /// Memory for the profiles of one recording, bytes.
-pub const DEFAULT_CAPACITY: usize = 96 << 20;
+pub(crate) const DEFAULT_CAPACITY: usize = 96 << 20;
 
 /// One kept frame.
 #[derive(Debug, Clone, PartialEq)]
-pub struct StoredFrame {
+pub(crate) struct StoredFrame {
     /// Number of the frame in its recording, from 0.
     pub index: usize,
     /// Seconds since the recording's first frame, in the camera's clock.
@@ -24,7 +24,7 @@ pub struct StoredFrame {
 
 /// Keeps profiles up to a given amount of memory.
 #[derive(Debug, Clone)]
-pub struct ProfileStore {
+pub(crate) struct ProfileStore {
     frames: Vec<StoredFrame>,
     capacity: usize,
     bytes: usize,
@@ -34,7 +34,7 @@ pub struct ProfileStore {
 
 impl ProfileStore {
     /// A store of `capacity` bytes; at least 64 frames are kept in any case.
-    pub fn new(capacity: usize) -> Self {
+    pub(crate) fn new(capacity: usize) -> Self {
         Self {
             frames: Vec::new(),
             capacity,
@@ -44,7 +44,7 @@ impl ProfileStore {
     }
 
     /// Keeps the frame, or not.
-    pub fn push(&mut self, index: usize, time_s: f64, profile: &RowProfile) {
+    pub(crate) fn push(&mut self, index: usize, time_s: f64, profile: &RowProfile) {
         if hash(index).trailing_zeros() < self.level {
             return;
         }
@@ -68,12 +68,12 @@ impl ProfileStore {
     }
 
     /// One frame in this many was kept, on average.
-    pub fn one_in(&self) -> u64 {
+    pub(crate) fn one_in(&self) -> u64 {
         1u64.checked_shl(self.level).unwrap_or(u64::MAX)
     }
 
     /// The kept frames, in order.
-    pub fn into_frames(self) -> Vec<StoredFrame> {
+    pub(crate) fn into_frames(self) -> Vec<StoredFrame> {
         self.frames
     }
 }

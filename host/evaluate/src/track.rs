@@ -17,17 +17,21 @@
 //! pitches. All frames are put on one continuous track first, so that one frame
 //! with an end in view decides for all; what stays open is stated.
 
+use std::ops::Range;
+
+use nalgebra::DVector;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::classify::{
-    FrameClass, FrameCounts, Reference, Seen, classify, dark_frames, dark_rows, doubt_dark,
-    is_train, mark_flicker, mean_of, with_reference,
+    FrameClass, FrameCounts, Reference, Seen, classify, dark_scene, doubt_dark, frames_of,
+    mark_flicker, mean_of, with_reference,
 };
-use super::fit::{FrameFit, JointFit, Model, Prior, Priors};
+use super::fit::{FrameFit, Model};
+use super::footage::Footage;
 use super::identity::{Identity, identify, unwrap_track};
-use super::linear::{Basis, dot, polynomial_columns};
-use super::recording::Recording;
+use super::joint::{JointFit, Prior, Priors};
+use super::linear::{Basis, polynomial_columns, side_by_side};
 use super::search::{CombSearch, Found, WideSearch};
 use super::stats::{mean, quantile};
 use super::store::StoredFrame;
@@ -46,12 +50,15 @@ const COMPETITOR_DEGREE: usize = 13;
 /// By how much: share of the curve's sum of squares.
 const SHARPER: f64 = 0.2;
 /// Frames averaged for the report and for the published method.
-pub const SHOWN_FRAMES: usize = 16;
+const SHOWN_FRAMES: usize = 16;
 /// Frames fitted together for row time and exposure.
 const JOINT_FRAMES: usize = 48;
+/// Frames fitted together against a reference that was just found.
+const SHARPEN_FRAMES: usize = 8;
+
 /// One used frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct FramePoint {
+pub(crate) struct FramePoint {
     /// Number in the recording.
     pub index: usize,
     /// Seconds since the recording's first frame.
@@ -66,13 +73,13 @@ pub struct FramePoint {
 
 /// The result for one recording.
 #[derive(Debug, Clone)]
-pub struct Track {
+pub(crate) struct Track {
     /// The used frames in order of time.
     pub points: Vec<FramePoint>,
     /// Counts of all frames.
     pub counts: FrameCounts,
     /// Row time, exposure and, in precision, the mean of all used frames.
-    pub joint: JointFit,
+    pub(crate) joint: JointFit,
     /// Which flash is which.
     pub identity: Identity,
     /// Where the smooth part came from.
@@ -90,166 +97,82 @@ pub struct Track {
 
 /// Which of the frames with flashes are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Choice {
+pub(crate) enum Choice {
     /// The last so many.
     Last(usize),
     /// All.
     All,
 }
 
+/// The train as it was seen in each frame, against one model of the scene.
+struct Sighting {
+    model: Model,
+    shape: Shape,
+    seen: Vec<Seen>,
+    reference: Reference,
+}
+
+/// A frame to be measured on, and where the train was seen in it, µs.
+type UsedFrame<'a> = (&'a StoredFrame, f64);
+
 /// Finds the train in every frame of a recording.
-pub fn track(
-    recording: &Recording,
+pub(crate) fn track(
+    footage: &Footage,
     settings: &Settings,
     choice: Choice,
 ) -> Result<Track, EvaluateError> {
-    let mut notes = Vec::new();
-    let frames = &recording.frames;
-    let plain = Basis::polynomials(recording.rows.len, DEGREE);
-    let no_flashes = || EvaluateError::NoFlashes {
-        path: recording.path.clone(),
-        frames: frames.len(),
-    };
-    let (mut model, mut shape) = first_sight(recording, settings, &plain).ok_or_else(no_flashes)?;
-    let mut seen = look(&model, frames, &shape, settings);
-    classify(&mut seen, PLAIN_SHARE);
-    doubt_dark(recording, frames, &mut seen, &shape, settings);
-    let mut reference = Reference::Polynomial;
-
-    let refined = dark_frames(frames, &seen)
-        .or_else(|| dark_rows(recording, frames, &seen, &shape, settings));
-    if let Some((basis, kind)) = refined {
-        let basis = Model::new(recording.rows, settings.train, basis);
-        if let Some(better) = sharpen(&basis, frames, &seen, &shape, settings) {
-            shape = better;
-        }
-        let mut again = look(&basis, frames, &shape, settings);
-        classify(&mut again, REFERENCE_SHARE);
-        doubt_dark(recording, frames, &mut again, &shape, settings);
-        if again.iter().any(|s| s.class == FrameClass::Used) {
-            model = basis;
-            seen = again;
-            reference = kind;
-        }
-    }
-    if !seen.iter().any(|s| s.class == FrameClass::Used) {
-        return Err(no_flashes());
-    }
-
+    let plain = Basis::polynomials(footage.rows.len, DEGREE);
+    let mut sighting = first_sight(footage, settings, &plain)
+        .map(|first| against_scene(first, footage, settings))
+        .filter(|found| found.seen.iter().any(|s| s.class == FrameClass::Used))
+        .ok_or_else(|| EvaluateError::NoFlashes {
+            path: footage.path.clone(),
+            frames: footage.frames.len(),
+        })?;
     let flicker = mark_flicker(
-        &model,
+        &sighting.model,
         &plain,
-        frames,
-        &mut seen,
-        &shape,
+        &footage.frames,
+        &mut sighting.seen,
+        &sighting.shape,
         settings.keep_flicker,
     );
-    if let Some(flicker) = &flicker {
-        notes.push(flicker.note.clone());
-    }
-    let mut counts = FrameCounts {
-        read: recording.read,
-        examined: frames.len(),
-        ..FrameCounts::default()
-    };
-    let mut good: Vec<usize> = (0..seen.len())
-        .filter(|&i| seen.get(i).is_some_and(|s| s.class == FrameClass::Used))
-        .collect();
-    if let Choice::Last(n) = choice {
-        let spare = good.len().saturating_sub(n);
-        for i in good.drain(..spare) {
-            if let Some(s) = seen.get_mut(i) {
-                s.class = FrameClass::Spare;
-            }
-        }
-    }
-    for s in &seen {
-        match s.class {
-            FrameClass::Used => counts.used += 1,
-            FrameClass::Spare => counts.spare += 1,
-            FrameClass::Dark => counts.without_flashes += 1,
-            FrameClass::Unclear => counts.unclear += 1,
-            FrameClass::Flicker => counts.flicker += 1,
-        }
-    }
-    if good.is_empty() {
+    choice.spare(&mut sighting.seen);
+    let counts = FrameCounts::of(&sighting.seen, footage.read);
+    let used = sighting.used(footage);
+    if used.is_empty() {
         return Err(EvaluateError::OnlyFlicker {
-            path: recording.path.clone(),
+            path: footage.path.clone(),
             flicker: counts.flicker,
-            frames: frames.len(),
+            frames: footage.frames.len(),
             peak_to_peak: flicker.map_or(0.0, |f| f.peak_to_peak),
         });
     }
 
-    // Row time and exposure from frames spread over the recording.
-    let used: Vec<(&StoredFrame, f64)> = good
-        .iter()
-        .filter_map(|&i| Some((frames.get(i)?, seen.get(i)?.bias_us)))
-        .collect();
-    let shared = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
-    let (some, some_start): (Vec<Vec<f64>>, Vec<f64>) = shared
-        .iter()
-        .filter_map(|&i| used.get(i))
-        .map(|(frame, bias)| (model.detrend(&frame.rows), *bias))
-        .unzip();
-    let mut joint = model.fit_joint(&some, &some_start, &shape, &priors(settings));
-    let shape = Shape {
-        bias_us: 0.0,
-        row_time_us: joint.row_time_us,
-        exposure_us: joint.exposure_us,
-    };
-    // Of a long recording those in the middle are shown: at its begin the train may
-    // still be moved.
-    let first_shown = match choice {
-        Choice::Last(_) => 0,
-        Choice::All => used.len().saturating_sub(SHOWN_FRAMES) / 2,
-    };
-    let mut shown_residuals: Vec<Vec<f64>> = Vec::new();
-    let mut fits: Vec<FrameFit> = Vec::with_capacity(used.len());
-    // In pieces, because the curves of all frames together are large.
-    for piece in used.chunks(256) {
-        let mut some: Vec<FrameFit> = piece
-            .par_iter()
-            .map(|&(frame, bias_us)| {
-                model.fit_frame(&model.detrend(&frame.rows), &Shape { bias_us, ..shape })
-            })
-            .collect();
-        for (place, fit) in some.iter_mut().enumerate() {
-            let residuals = std::mem::take(&mut fit.residuals);
-            fit.light = Vec::new();
-            let is_shown =
-                (first_shown..first_shown + SHOWN_FRAMES).contains(&(fits.len() + place));
-            if is_shown {
-                shown_residuals.push(residuals);
-            }
-        }
-        fits.append(&mut some);
-    }
-
+    // Row time and exposure from frames spread over the recording; then every frame's
+    // centre once more.
+    let together = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
+    let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
+    let shown = choice.shown(used.len());
+    let mut fits = fit_each(&sighting.model, &used, &joint.shape(), &shown);
     let profiles: Vec<&[f32]> = used.iter().map(|(f, _)| f.rows.as_slice()).collect();
+    let (mean_profile, fitted_profile) = shown_profiles(&profiles, &fits, &shown);
+
     let times: Vec<f64> = used.iter().map(|(f, _)| f.time_s).collect();
     unwrap_track(&mut fits, &times, settings.train.pitch_us);
-    let excess = (reference_level(frames, &seen), mean(&levels(&profiles)));
+    let dark = sighting.dark_level(footage);
     let chosen = identify(
-        &model,
+        &sighting.model,
         &profiles,
         &mut fits,
-        &shape,
-        excess.0.map(|dark| excess.1 - dark),
+        &joint.shape(),
+        dark.map(|dark| mean(&mean_of(profiles.iter().copied())) - dark),
         settings,
     );
-    let identity = chosen.identity;
     joint.exposure_us = chosen.exposure_us;
-    // The joint fit's own frames were put elsewhere by whole or half pitches.
-    for (bias, &i) in joint.bias_us.iter_mut().zip(&shared) {
-        if let Some(fit) = fits.get(i) {
-            let half = 0.5 * settings.train.pitch_us;
-            *bias += ((fit.bias_us - *bias) / half).round() * half;
-        }
-    }
-    joint.mean_us = mean(&joint.bias_us);
+    follow(&mut joint, &together, &fits, settings);
 
-    let points = used
+    let points: Vec<FramePoint> = used
         .iter()
         .zip(&fits)
         .map(|((frame, _), fit)| FramePoint {
@@ -260,66 +183,185 @@ pub fn track(
             amplitude: fit.amplitude,
         })
         .collect();
-    let shown_profiles = profiles.iter().skip(first_shown).take(SHOWN_FRAMES);
-    let mean_profile = mean_of(shown_profiles.copied());
-    let shown_fits = fits.iter().skip(first_shown).take(SHOWN_FRAMES);
-    let shown_biases: Vec<f64> = shown_fits.map(|fit| fit.bias_us).collect();
-    let shown_bias_us = mean(&shown_biases) - settings.path_delay_us;
-    let residuals = mean_of(shown_residuals.iter().map(Vec::as_slice));
-    let fitted_profile = mean_profile
-        .iter()
-        .zip(&residuals)
-        .map(|(p, r)| p - r)
-        .collect();
-    joint.mean_us -= settings.path_delay_us;
-    joint
-        .bias_us
-        .iter_mut()
-        .for_each(|b| *b -= settings.path_delay_us);
-    if blind(&joint, settings) {
-        notes.push(format!(
-            "the exposure of {:.0} µs is close to a whole number of flash pitches ({} µs): every row sees almost the same light and only the train's ends tell its place. Choose another exposure",
-            joint.exposure_us, settings.train.pitch_us
-        ));
-    }
+    let shown = points.get(shown).unwrap_or_default();
+    let shown_bias_us = mean(&shown.iter().map(|p| p.bias_us).collect::<Vec<_>>());
+    let notes = flicker.map(|f| f.note).into_iter();
     Ok(Track {
+        shown_bias_us,
         points,
         counts,
-        joint,
-        identity,
-        reference,
+        identity: chosen.identity,
+        reference: sighting.reference,
         mean_profile,
         fitted_profile,
-        shown_bias_us,
-        notes,
+        notes: notes.chain(blind(&joint, settings)).collect(),
+        joint,
     })
 }
 
-/// Mean brightness of each frame.
-fn levels(profiles: &[&[f32]]) -> Vec<f64> {
-    profiles
+impl Sighting {
+    /// Searches and fits every frame with a shape of the train.
+    fn new(
+        model: Model,
+        shape: Shape,
+        reference: Reference,
+        footage: &Footage,
+        settings: &Settings,
+    ) -> Self {
+        let search = CombSearch::new(
+            model.rows,
+            &settings.train,
+            shape.row_time_us,
+            shape.exposure_us,
+            &model.smooth,
+            0.25 * settings.train.duration_us,
+        );
+        let mut seen: Vec<Seen> = footage
+            .frames
+            .par_iter()
+            .map(|frame| {
+                let y = model.detrend(&frame.rows);
+                let found = search.best(y.as_slice(), settings.near_us);
+                Seen::from(&model.fit_frame(&y, &found.map_or(shape, |f| f.shape)))
+            })
+            .collect();
+        let share = match reference {
+            Reference::Polynomial => PLAIN_SHARE,
+            Reference::DarkFrames(_) | Reference::DarkRows => REFERENCE_SHARE,
+        };
+        classify(&mut seen, share);
+        doubt_dark(footage, &mut seen, &shape, &settings.train);
+        Self {
+            model,
+            shape,
+            seen,
+            reference,
+        }
+    }
+
+    fn used<'a>(&'a self, footage: &'a Footage) -> Vec<UsedFrame<'a>> {
+        frames_of(footage, &self.seen, FrameClass::Used)
+            .map(|(frame, seen)| (frame, seen.bias_us))
+            .collect()
+    }
+
+    /// Mean brightness of the frames without flashes, if there are any.
+    fn dark_level(&self, footage: &Footage) -> Option<f64> {
+        let dark = frames_of(footage, &self.seen, FrameClass::Dark);
+        let mean_rows = mean_of(dark.map(|(frame, _)| frame.rows.as_slice()));
+        (!mean_rows.is_empty()).then(|| mean(&mean_rows))
+    }
+}
+
+/// Looks again with the scene as it is without flashes, where that is known and shows
+/// the train.
+fn against_scene(first: Sighting, footage: &Footage, settings: &Settings) -> Sighting {
+    let scene = dark_scene(footage, &first.seen, &first.shape, &settings.train);
+    let Some((basis, reference)) = scene else {
+        return first;
+    };
+    let model = Model::new(footage.rows, settings.train, basis);
+    let used = first.used(footage);
+    let shape = if used.is_empty() {
+        first.shape
+    } else {
+        let some = spread(used.len(), SHARPEN_FRAMES);
+        fit_some(&model, &used, &some, &first.shape, settings).shape()
+    };
+    let again = Sighting::new(model, shape, reference, footage, settings);
+    if again.seen.iter().any(|s| s.class == FrameClass::Used) {
+        again
+    } else {
+        Sighting { shape, ..first }
+    }
+}
+
+/// Row time and exposure from the frames of these places together.
+fn fit_some(
+    model: &Model,
+    used: &[UsedFrame<'_>],
+    places: &[usize],
+    start: &Shape,
+    settings: &Settings,
+) -> JointFit {
+    let (profiles, biases): (Vec<DVector<f64>>, Vec<f64>) = places
         .iter()
-        .map(|p| mean(&p.iter().map(|&v| f64::from(v)).collect::<Vec<_>>()))
+        .filter_map(|&place| used.get(place))
+        .map(|(frame, bias)| (model.detrend(&frame.rows), *bias))
+        .unzip();
+    model.fit_joint(&profiles, &biases, start, &priors(settings))
+}
+
+/// Each frame's centre with a common row time and exposure. Curves are kept of the
+/// shown ones only: those of all frames together are large.
+fn fit_each(
+    model: &Model,
+    used: &[UsedFrame<'_>],
+    shape: &Shape,
+    shown: &Range<usize>,
+) -> Vec<FrameFit> {
+    used.par_iter()
+        .enumerate()
+        .map(|(place, &(frame, bias_us))| {
+            let mut fit = model.fit_frame(&model.detrend(&frame.rows), &shape.at(bias_us));
+            if !shown.contains(&place) {
+                fit.residuals = DVector::zeros(0);
+            }
+            fit
+        })
         .collect()
 }
 
-/// Mean brightness of the frames without flashes.
-fn reference_level(frames: &[StoredFrame], seen: &[Seen]) -> Option<f64> {
-    let dark: Vec<&[f32]> = frames
-        .iter()
-        .zip(seen)
-        .filter(|(_, s)| s.class == FrameClass::Dark)
-        .map(|(f, _)| f.rows.as_slice())
-        .collect();
-    (!dark.is_empty()).then(|| mean(&levels(&dark)))
+/// Mean profile of the shown frames, and of what was fitted to them.
+fn shown_profiles(
+    profiles: &[&[f32]],
+    fits: &[FrameFit],
+    shown: &Range<usize>,
+) -> (Vec<f64>, Vec<f64>) {
+    let profiles = profiles.get(shown.clone()).unwrap_or_default();
+    let fits = fits.get(shown.clone()).unwrap_or_default();
+    let profile = mean_of(profiles.iter().copied());
+    let residuals = mean_of(fits.iter().map(|fit| fit.residuals.as_slice()));
+    let fitted = profile.iter().zip(&residuals).map(|(p, r)| p - r).collect();
+    (profile, fitted)
+}
+
+/// Puts the frames that were fitted together where the track was put since, by whole or
+/// half pitches, and takes the light path's delay off.
+fn follow(joint: &mut JointFit, together: &[usize], fits: &[FrameFit], settings: &Settings) {
+    let half = 0.5 * settings.train.pitch_us;
+    for (bias, &place) in joint.bias_us.iter_mut().zip(together) {
+        if let Some(fit) = fits.get(place) {
+            *bias += ((fit.bias_us - *bias) / half).round() * half;
+        }
+        *bias -= settings.path_delay_us;
+    }
+    joint.mean_us = mean(&joint.bias_us);
 }
 
 impl Choice {
+    /// Marks what is beyond the choice.
+    fn spare(self, seen: &mut [Seen]) {
+        let Self::Last(n) = self else { return };
+        let used = seen.iter_mut().filter(|s| s.class == FrameClass::Used);
+        used.rev().skip(n).for_each(|s| s.class = FrameClass::Spare);
+    }
+
     fn limit(self) -> usize {
         match self {
             Self::Last(n) => n.min(256),
             Self::All => 0,
         }
+    }
+
+    /// Which of the used frames are shown. Of a long recording those in the middle: at
+    /// its begin the train may still be moved.
+    fn shown(self, used: usize) -> Range<usize> {
+        let first = match self {
+            Self::Last(_) => 0,
+            Self::All => used.saturating_sub(SHOWN_FRAMES) / 2,
+        };
+        first..used.min(first + SHOWN_FRAMES)
     }
 }
 
@@ -336,15 +378,20 @@ fn priors(settings: &Settings) -> Priors {
     }
 }
 
-fn blind(joint: &JointFit, settings: &Settings) -> bool {
+/// A remark if the exposure hides the flashes.
+fn blind(joint: &JointFit, settings: &Settings) -> Option<String> {
     let pitches = joint.exposure_us / settings.train.pitch_us;
-    pitches > 0.5
-        && (pitches - pitches.round()).abs() * settings.train.pitch_us
-            < 0.3 * settings.train.duration_us
+    let beside_whole = (pitches - pitches.round()).abs() * settings.train.pitch_us;
+    (pitches > 0.5 && beside_whole < 0.3 * settings.train.duration_us).then(|| {
+        format!(
+            "the exposure of {:.0} µs is close to a whole number of flash pitches ({} µs): every row sees almost the same light and only the train's ends tell its place. Choose another exposure",
+            joint.exposure_us, settings.train.pitch_us
+        )
+    })
 }
 
 /// At most `count` indices spread evenly over `0..len`.
-pub(super) fn spread(len: usize, count: usize) -> Vec<usize> {
+pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
     if len <= count {
         return (0..len).collect();
     }
@@ -353,78 +400,69 @@ pub(super) fn spread(len: usize, count: usize) -> Vec<usize> {
         .collect()
 }
 
-/// Finds the train somewhere in the recording, with or without a first guess of
-/// a dark reference.
-fn first_sight(
-    recording: &Recording,
+/// Finds the train somewhere in the recording, with the scene taken for a smooth curve
+/// or for the darkest frames, and looks at every frame with its shape.
+fn first_sight(footage: &Footage, settings: &Settings, plain: &Basis) -> Option<Sighting> {
+    let searches = searches(footage, settings);
+    [Some(plain.clone()), darkest(&footage.frames)]
+        .into_iter()
+        .flatten()
+        .find_map(|basis| {
+            let model = Model::new(footage.rows, settings.train, basis);
+            let shape = search_some(&model, &searches, footage, settings)?;
+            // The darkest frames may hold flashes: as strict as with a smooth curve.
+            let reference = Reference::Polynomial;
+            Some(Sighting::new(model, shape, reference, footage, settings))
+        })
+}
+
+/// Flashes only add light: the darkest frames are the likeliest without any.
+fn darkest(frames: &[StoredFrame]) -> Option<Basis> {
+    let level = |frame: &StoredFrame| frame.rows.iter().map(|&v| f64::from(v)).sum::<f64>();
+    let levels: Vec<f64> = frames.iter().map(level).collect();
+    let limit = quantile(&levels, 0.1).filter(|_| frames.len() >= 4)?;
+    let dark = frames.iter().zip(&levels).filter(|(_, l)| **l <= limit);
+    let dark = mean_of(dark.map(|(frame, _)| frame.rows.as_slice()));
+    Some(with_reference(&dark))
+}
+
+/// The first train that is found in some frames of different structure.
+fn search_some(
+    model: &Model,
+    searches: &[WideSearch],
+    footage: &Footage,
     settings: &Settings,
-    plain: &Basis,
-) -> Option<(Model, Shape)> {
-    let frames = &recording.frames;
-    let mut bases = vec![plain.clone()];
-    // Flashes only add light: the darkest frames are the likeliest without any.
-    let levels: Vec<f64> = frames
-        .iter()
-        .map(|f| f.rows.iter().map(|&v| f64::from(v)).sum())
+) -> Option<Shape> {
+    let mut order: Vec<(f64, &StoredFrame)> = footage
+        .frames
+        .par_iter()
+        .map(|frame| (model.detrend(&frame.rows).norm_squared(), frame))
         .collect();
-    let limit = quantile(&levels, 0.1)?;
-    if frames.len() >= 4 {
-        let dark = mean_of(
-            frames
-                .iter()
-                .zip(&levels)
-                .filter(|(_, level)| **level <= limit)
-                .map(|(f, _)| f.rows.as_slice()),
-        );
-        bases.push(with_reference(dark));
-    }
-    for basis in bases {
-        let model = Model::new(recording.rows, settings.train, basis);
-        let mut order: Vec<(usize, f64)> = frames
-            .par_iter()
-            .map(|f| {
-                let y = model.detrend(&f.rows);
-                dot(&y, &y)
-            })
-            .enumerate()
-            .collect();
-        order.sort_by(|a, b| b.1.total_cmp(&a.1));
-        // A smooth curve with as many parameters as a train.
-        let competitor = Basis::spanning(
-            (model.smooth.columns().iter().cloned())
-                .chain(polynomial_columns(recording.rows.len, COMPETITOR_DEGREE)),
-        );
-        let candidates: Vec<&StoredFrame> = {
-            let last = order.len().saturating_sub(1) as f64;
-            let mut ranks: Vec<usize> = [0.0, 0.1, 0.3, 0.5, 0.75]
-                .iter()
-                .map(|r| (r * last) as usize)
-                .collect();
-            ranks.dedup();
-            ranks
-                .into_iter()
-                .filter_map(|at| frames.get(order.get(at)?.0))
-                .collect()
-        };
-        for wide in searches(recording, settings) {
-            for frame in &candidates {
-                let y = model.detrend(&frame.rows);
-                let mut bent = y.clone();
-                competitor.remove_from(&mut bent);
-                let smooth_rss = dot(&bent, &bent);
-                let found = wide.run(recording.rows, &settings.train, &y, &model.smooth);
-                if let Some(shape) = best_train(&model, &y, &found, smooth_rss, settings) {
-                    return Some((model, shape));
-                }
-            }
-        }
-    }
-    None
+    order.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let last = order.len().saturating_sub(1) as f64;
+    let mut ranks = [0.0, 0.1, 0.3, 0.5, 0.75]
+        .map(|r| (r * last) as usize)
+        .to_vec();
+    ranks.dedup();
+    // A smooth curve with as many parameters as a train.
+    let competitor = Basis::spanning(&side_by_side(
+        model.smooth.columns(),
+        &polynomial_columns(footage.rows.len, COMPETITOR_DEGREE),
+    ));
+    searches.iter().find_map(|wide| {
+        ranks.iter().find_map(|&rank| {
+            let y = model.detrend(&order.get(rank)?.1.rows);
+            let mut bent = y.clone();
+            competitor.remove_from(&mut bent);
+            let found = wide.run(model.rows, &settings.train, y.as_slice(), &model.smooth);
+            best_train(model, &y, &found, bent.norm_squared(), settings)
+        })
+    })
 }
 
 /// Where to look: near what is known or was found before, then everywhere.
-fn searches(recording: &Recording, settings: &Settings) -> Vec<WideSearch> {
-    let rows = recording.reducer.sensor_rows();
+fn searches(footage: &Footage, settings: &Settings) -> Vec<WideSearch> {
+    let rows = footage.reducer.sensor_rows();
     let search = |row_time, exposure| WideSearch::new(rows, row_time, exposure, settings.near_us);
     let hinted_row_time = settings.row_time_us.or(settings.row_time_hint_us);
     let hinted_exposure = settings.exposure_us.or(settings.exposure_hint_us);
@@ -440,83 +478,23 @@ fn searches(recording: &Recording, settings: &Settings) -> Vec<WideSearch> {
 /// Fits what a search found in one frame; the best that is a train.
 fn best_train(
     model: &Model,
-    y: &[f64],
+    y: &DVector<f64>,
     found: &[Found],
     smooth_rss: f64,
     settings: &Settings,
 ) -> Option<Shape> {
-    let frame = [y.to_vec()];
+    let frame = std::slice::from_ref(y);
     found
         .iter()
         .filter_map(|found| {
-            let joint = model.fit_joint(
-                &frame,
-                &[found.shape.bias_us],
-                &found.shape,
-                &priors(settings),
-            );
-            let shape = Shape {
-                bias_us: joint.mean_us,
-                row_time_us: joint.row_time_us,
-                exposure_us: joint.exposure_us,
-            };
+            let start = &found.shape;
+            let shape = model
+                .fit_joint(frame, &[start.bias_us], start, &priors(settings))
+                .shape();
             let fit = model.fit_frame(y, &shape);
             let sharp = fit.rss <= (1.0 - SHARPER) * smooth_rss;
-            (sharp && is_train(&fit, PLAIN_SHARE)).then_some((fit.share, shape))
+            (sharp && Seen::from(&fit).is_train(PLAIN_SHARE)).then_some((fit.share, shape))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, shape)| shape)
-}
-
-/// Searches and fits every frame.
-fn look(model: &Model, frames: &[StoredFrame], shape: &Shape, settings: &Settings) -> Vec<Seen> {
-    let search = CombSearch::new(
-        model.rows,
-        &settings.train,
-        shape.row_time_us,
-        shape.exposure_us,
-        &model.smooth,
-        0.25 * settings.train.duration_us,
-    );
-    frames
-        .par_iter()
-        .map(|frame| {
-            let y = model.detrend(&frame.rows);
-            let start = search
-                .best(&y, settings.near_us)
-                .map_or(*shape, |f| f.shape);
-            Seen::new(&model.fit_frame(&y, &start))
-        })
-        .collect()
-}
-
-/// Row time and exposure once more, from a few frames, with the reference.
-fn sharpen(
-    model: &Model,
-    frames: &[StoredFrame],
-    seen: &[Seen],
-    shape: &Shape,
-    settings: &Settings,
-) -> Option<Shape> {
-    let used: Vec<(&StoredFrame, f64)> = frames
-        .iter()
-        .zip(seen)
-        .filter(|(_, s)| s.class == FrameClass::Used)
-        .map(|(f, s)| (f, s.bias_us))
-        .collect();
-    let some = spread(used.len(), 8);
-    let (y, bias): (Vec<Vec<f64>>, Vec<f64>) = some
-        .iter()
-        .filter_map(|&i| used.get(i))
-        .map(|(f, bias)| (model.detrend(&f.rows), *bias))
-        .unzip();
-    if y.is_empty() {
-        return None;
-    }
-    let joint = model.fit_joint(&y, &bias, shape, &priors(settings));
-    Some(Shape {
-        bias_us: joint.mean_us,
-        row_time_us: joint.row_time_us,
-        exposure_us: joint.exposure_us,
-    })
 }

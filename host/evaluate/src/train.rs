@@ -113,6 +113,13 @@ pub struct Shape {
     pub exposure_us: f64,
 }
 
+impl Shape {
+    /// The same with the train's centre elsewhere.
+    pub(crate) fn at(self, bias_us: f64) -> Self {
+        Self { bias_us, ..self }
+    }
+}
+
 /// Light of one row and its derivatives, per whole flash.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct RowLight {

@@ -29,7 +29,7 @@ const SHORTEST_S: f64 = 5.0;
 /// Places of the points within the window; `None` if the train stands still
 /// everywhere, or nowhere for long enough.
 #[must_use]
-pub fn still(points: &[FramePoint]) -> Option<Range<usize>> {
+pub(crate) fn still(points: &[FramePoint]) -> Option<Range<usize>> {
     let sigmas: Vec<f64> = points.iter().map(|p| p.sigma_us).collect();
     let noise = NOISE * median(&sigmas);
     let blocks = blocks(points);

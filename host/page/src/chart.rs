@@ -1,8 +1,10 @@
 //! Drawings for reports, as SVG text.
 //!
-//! All have the same size and type, large enough to be read when a page is shrunk
-//! to a phone's width. Time series of any length are drawn as an envelope of at
-//! most [`COLUMNS`] columns, so a page stays small after hours of recording.
+//! A [`Chart`] has one pair of axes; [`stack`] draws several one below the other. Title
+//! and legend stand above the axes, where they hide nothing, in type that can be read
+//! when a page is shrunk to a phone's width. Time series of any length are drawn as an
+//! envelope of at most [`COLUMNS`] columns, so a page stays small after hours of
+//! recording.
 
 use std::ops::Range;
 
@@ -10,25 +12,69 @@ use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-/// Size of every drawing.
-pub const SIZE: (u32, u32) = (800, 340);
+/// Size of a drawing of one chart, pixels.
+const SIZE: (u32, u32) = (800, 340);
 
 /// Columns of an envelope.
 pub const COLUMNS: usize = 400;
 
-/// Size of axis labels.
+/// Size of all type, pixels.
 const LABEL: i32 = 19;
-
-/// Height of one line of the legend, as a part of the shown range of values.
-const LEGEND_ROOM: f64 = 0.12;
+/// Height of a line of title or legend, pixels.
+const LINE: i32 = 26;
+/// Width of a letter on average, pixels.
+const LETTER: i32 = 10;
+/// Left end of title and legend, pixels.
+const LEFT: i32 = 70;
 
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
-pub const COLOURS: [RGBColor; 4] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
+const COLOURS: [Ink; 4] = [
+    Ink::rgb(0, 114, 178),
+    Ink::rgb(213, 94, 0),
+    Ink::rgb(0, 158, 115),
+    Ink::rgb(204, 121, 167),
 ];
+
+/// Colour and width of what is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ink {
+    colour: RGBAColor,
+    width: u32,
+}
+
+impl Ink {
+    /// An opaque colour, and lines of 2 pixels.
+    #[must_use]
+    pub const fn rgb(red: u8, green: u8, blue: u8) -> Self {
+        Self {
+            colour: RGBAColor(red, green, blue, 1.0),
+            width: 2,
+        }
+    }
+
+    /// Lines of this width, pixels.
+    #[must_use]
+    pub const fn wide(self, width: u32) -> Self {
+        Self { width, ..self }
+    }
+
+    /// Transparent to this share, 0 to 1.
+    #[must_use]
+    pub fn pale(self, share: f64) -> Self {
+        Self {
+            colour: self.colour.mix(1.0 - share),
+            ..self
+        }
+    }
+
+    fn line(self) -> ShapeStyle {
+        self.colour.stroke_width(self.width)
+    }
+
+    fn fill(self) -> ShapeStyle {
+        self.colour.filled()
+    }
+}
 
 /// Smallest and largest value in a column of time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,7 +173,7 @@ impl Envelope {
 /// A series of a drawing.
 #[derive(Clone, Debug)]
 pub struct Series {
-    /// Its name.
+    /// Its name in the legend; without a name it is not there.
     pub name: String,
     /// What is drawn.
     pub data: Data,
@@ -140,224 +186,366 @@ pub enum Data {
     Line(Vec<(f64, f64)>),
     /// Points by themselves.
     Points(Vec<(f64, f64)>),
-    /// The range of values in each column.
+    /// The range of values in each column, and the columns' width.
     Range(Vec<Column>, f64),
     /// Points with an error bar.
     Bars(Vec<(f64, f64, f64)>),
+    /// Counts in bins of equal width.
+    Bins {
+        /// Left end of the first bin.
+        first: f64,
+        /// Width of a bin.
+        width: f64,
+        /// Counts, one a bin.
+        counts: Vec<u64>,
+    },
+    /// Lines from bottom to top at these places.
+    Upright(Vec<f64>),
+    /// Words at the upper edge, with an arrow at their places.
+    Marks(Vec<(f64, String)>),
 }
 
+type Bounds = (Range<f64>, Range<f64>);
+
 impl Data {
-    fn bounds(&self) -> Option<(Range<f64>, Range<f64>)> {
+    fn bounds(&self) -> Option<Bounds> {
         let points: Vec<(f64, f64, f64)> = match self {
             Self::Line(points) | Self::Points(points) => {
                 points.iter().map(|&(x, y)| (x, y, y)).collect()
             }
             Self::Range(columns, _) => columns.iter().map(|c| (c.x, c.low, c.high)).collect(),
             Self::Bars(points) => points.iter().map(|&(x, y, e)| (x, y - e, y + e)).collect(),
+            Self::Bins {
+                first,
+                width,
+                counts,
+            } => {
+                let highest = counts.iter().copied().max().unwrap_or(0) as f64;
+                let end = first + width * counts.len() as f64;
+                vec![(*first, 0.0, highest), (end, 0.0, highest)]
+            }
+            Self::Upright(_) | Self::Marks(_) => Vec::new(),
         };
         points
             .into_iter()
             .filter(|(x, low, high)| x.is_finite() && low.is_finite() && high.is_finite())
-            .fold(None, |bounds, (x, low, high)| {
-                Some(match bounds {
-                    None => (x..x, low..high),
-                    Some((xs, ys)) => (
-                        xs.start.min(x)..xs.end.max(x),
-                        ys.start.min(low)..ys.end.max(high),
-                    ),
-                })
-            })
+            .map(|(x, low, high)| (x..x, low..high))
+            .reduce(both)
     }
 }
 
-/// A drawing of series over one axis. `least` is the smallest range of values that
-/// is shown, so that noise of a tick does not fill the picture.
-///
-/// The backend writes into text and cannot fail; if a drawing has nothing to show
-/// it is empty.
-#[must_use]
-pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -> String {
-    let bounds = all
-        .iter()
-        .filter_map(|series| series.data.bounds())
-        .reduce(|(x, y), (a, b)| {
-            (
-                x.start.min(a.start)..x.end.max(a.end),
-                y.start.min(b.start)..y.end.max(b.end),
-            )
-        });
-    let Some((xs, ys)) = bounds else {
-        return String::new();
-    };
-    let xs = if xs.end > xs.start {
-        xs
-    } else {
-        xs.start - 0.5..xs.end + 0.5
-    };
-    let ys = ys.start.min(least.start)..ys.end.max(least.end);
-    let margin = ((ys.end - ys.start) * 0.06).max(f64::MIN_POSITIVE);
-    // Room for the legend, so that it hides nothing.
-    let legend = if all.len() > 1 { all.len() } else { 0 };
-    let room = (ys.end - ys.start) * LEGEND_ROOM * legend as f64;
-    let ys = ys.start - margin..ys.end + margin + room;
-    // Points on the edge would be cut in half.
-    let points = |series: &Series| matches!(series.data, Data::Points(_) | Data::Bars(_));
-    let side = if all.iter().any(points) {
-        (xs.end - xs.start) * 0.02
-    } else {
-        0.0
-    };
-    let xs = xs.start - side..xs.end + side;
-    let mut svg = String::new();
-    match draw(&mut svg, (x_label, y_label), xs, ys, all) {
-        Ok(()) => svg,
-        Err(error) => {
-            tracing::warn!("a drawing is left out: {error}");
-            String::new()
+fn both((xs, ys): Bounds, (a, b): Bounds) -> Bounds {
+    (
+        xs.start.min(a.start)..xs.end.max(a.end),
+        ys.start.min(b.start)..ys.end.max(b.end),
+    )
+}
+
+/// Series over one pair of axes, with title and legend above.
+#[derive(Clone, Debug, Default)]
+pub struct Chart {
+    title: String,
+    labels: [String; 2],
+    xs: Option<Range<f64>>,
+    least: Option<Range<f64>>,
+    series: Vec<(Series, Ink)>,
+}
+
+impl Chart {
+    /// A chart with the labels of its axes.
+    #[must_use]
+    pub fn new(x_label: &str, y_label: &str) -> Self {
+        Self {
+            labels: [x_label.to_owned(), y_label.to_owned()],
+            ..Self::default()
         }
     }
+
+    /// What it is, above it. Long titles are wrapped, so that a chart without series
+    /// can hold an explanation in its place.
+    #[must_use]
+    pub fn title(mut self, title: &str) -> Self {
+        title.clone_into(&mut self.title);
+        self
+    }
+
+    /// Shows just this part of the x-axis, and axes if there is nothing to be drawn.
+    /// Several charts of one range have one scale.
+    #[must_use]
+    pub fn xs(mut self, xs: Range<f64>) -> Self {
+        self.xs = Some(xs);
+        self
+    }
+
+    /// Shows at least this range of values, so that noise of a tick does not fill the
+    /// picture.
+    #[must_use]
+    pub fn least(mut self, ys: Range<f64>) -> Self {
+        self.least = Some(ys);
+        self
+    }
+
+    /// Adds a series, over those before.
+    #[must_use]
+    pub fn add(mut self, name: &str, data: Data, ink: Ink) -> Self {
+        let name = name.to_owned();
+        self.series.push((Series { name, data }, ink));
+        self
+    }
+
+    /// Whether it has data of this kind.
+    fn has(&self, kind: impl Fn(&Data) -> bool) -> bool {
+        self.series.iter().any(|(series, _)| kind(&series.data))
+    }
+
+    /// What the axes show; `None` if there is nothing.
+    fn ranges(&self) -> Option<Bounds> {
+        let bounds = self.series.iter().filter_map(|(s, _)| s.data.bounds());
+        let shown = self.xs.clone().map(|xs| (xs, 0.0..1.0));
+        let (mut xs, mut ys) = bounds.reduce(both).or(shown)?;
+        if let Some(least) = &self.least {
+            ys = ys.start.min(least.start)..ys.end.max(least.end);
+        }
+        let height = (ys.end - ys.start).max(1e-6 * (1.0 + ys.end.abs()));
+        // Bins stand on the axis; marks need room.
+        let bins = self.has(|data| matches!(data, Data::Bins { .. }));
+        let marks = self.has(|data| matches!(data, Data::Marks(_)));
+        ys.start -= if bins { 0.0 } else { 0.06 * height };
+        ys.end += if marks { 0.16 } else { 0.06 } * height;
+        if let Some(shown) = &self.xs {
+            xs = shown.clone();
+        } else if xs.end <= xs.start {
+            xs = xs.start - 0.5..xs.end + 0.5;
+        } else if self.has(|data| matches!(data, Data::Points(_) | Data::Bars(_))) {
+            // Points on the edge would be cut in half.
+            let side = 0.02 * (xs.end - xs.start);
+            xs = xs.start - side..xs.end + side;
+        }
+        Some((xs, ys))
+    }
+}
+
+/// A drawing of series over one pair of axes. `least` is the smallest range of values
+/// that is shown; if a drawing has nothing to show it is empty.
+#[must_use]
+pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -> String {
+    let inks = COLOURS.iter().copied().cycle();
+    let mut chart = Chart::new(x_label, y_label).least(least);
+    chart.series.extend(all.iter().cloned().zip(inks));
+    if let [(only, _)] = chart.series.as_mut_slice() {
+        only.name.clear();
+    }
+    if chart.ranges().is_none() {
+        return String::new();
+    }
+    stack(SIZE, &[chart])
+}
+
+/// A drawing of bars over bins of equal width: `first` is the left end of the first.
+#[must_use]
+pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u64]) -> String {
+    let data = Data::Bins {
+        first,
+        width: bin,
+        counts: counts.to_vec(),
+    };
+    let chart = Chart::new(x_label, y_label).add("", data, COLOURS[0].pale(0.25));
+    stack(SIZE, &[chart.least(0.0..1.0)])
+}
+
+/// Draws charts one below the other, each of `size` pixels.
+///
+/// The backend writes into text and cannot fail; if it does, the drawing is empty.
+#[must_use]
+pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
+    let mut svg = String::new();
+    let height = size.1 * charts.len() as u32;
+    let draw = |svg: &mut String| -> Drawn<()> {
+        let root = SVGBackend::with_string(svg, (size.0, height)).into_drawing_area();
+        root.fill(&WHITE)?;
+        for (area, chart) in root.split_evenly((charts.len(), 1)).iter().zip(charts) {
+            draw(chart, area)?;
+        }
+        root.present()?;
+        Ok(())
+    };
+    if let Err(error) = draw(&mut svg) {
+        tracing::warn!("a drawing is left out: {error}");
+        svg.clear();
+    }
+    svg
 }
 
 /// An area of the backend that writes into text.
 type Area<'svg> = DrawingArea<SVGBackend<'svg>, Shift>;
+type Axes<'area, 'svg> =
+    ChartContext<'area, SVGBackend<'svg>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// The backend's own error type is not worth naming: it cannot fail.
 type Drawn<T> = Result<T, Box<dyn std::error::Error>>;
 
-/// Empty axes with their labels (x, y).
-fn axes<'area, 'svg>(
-    root: &'area Area<'svg>,
-    (x_label, y_label): (&str, &str),
-    xs: Range<f64>,
-    ys: Range<f64>,
-) -> Drawn<ChartContext<'area, SVGBackend<'svg>, Cartesian2d<RangedCoordf64, RangedCoordf64>>> {
-    let mut chart = ChartBuilder::on(root)
+fn draw(chart: &Chart, area: &Area<'_>) -> Drawn<()> {
+    let rest = head(chart, area)?;
+    let Some((xs, ys)) = chart.ranges() else {
+        return Ok(());
+    };
+    // Counts are whole numbers.
+    let whole = chart.has(|data| matches!(data, Data::Bins { .. }));
+    let x_text = |v: &f64| tick(*v, &xs);
+    let y_text = |v: &f64| match whole {
+        false => tick(*v, &ys),
+        true if (v - v.round()).abs() < 1e-6 => format!("{v:.0}"),
+        true => String::new(),
+    };
+    let mut axes = ChartBuilder::on(&rest)
         .margin(10)
         .margin_right(24)
         .x_label_area_size(52)
         .y_label_area_size(84)
-        .build_cartesian_2d(xs, ys)?;
-    chart
-        .configure_mesh()
+        .build_cartesian_2d(xs.clone(), ys.clone())?;
+    axes.configure_mesh()
         .x_labels(8)
         .y_labels(6)
-        .x_desc(x_label)
-        .y_desc(y_label)
+        .x_desc(&chart.labels[0])
+        .y_desc(&chart.labels[1])
+        .x_label_formatter(&x_text)
+        .y_label_formatter(&y_text)
         .label_style(("sans-serif", LABEL))
         .axis_desc_style(("sans-serif", LABEL))
         .light_line_style(WHITE)
         .draw()?;
-    Ok(chart)
-}
-
-fn draw(
-    svg: &mut String,
-    labels: (&str, &str),
-    xs: Range<f64>,
-    ys: Range<f64>,
-    all: &[Series],
-) -> Drawn<()> {
-    let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
-    let mut chart = axes(&root, labels, xs, ys)?;
-    for (number, series) in all.iter().enumerate() {
-        let colour = COLOURS[number % COLOURS.len()];
-        match &series.data {
-            Data::Line(points) => {
-                chart
-                    .draw_series(LineSeries::new(
-                        points.iter().copied(),
-                        colour.stroke_width(2),
-                    ))?
-                    .label(series.name.as_str())
-                    .legend(move |(x, y)| {
-                        PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2))
-                    });
-            }
-            Data::Points(points) => {
-                chart
-                    .draw_series(
-                        points
-                            .iter()
-                            .map(|&point| Circle::new(point, 2, colour.filled())),
-                    )?
-                    .label(series.name.as_str())
-                    .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()));
-            }
-            Data::Range(columns, width) => {
-                let half = width / 2.0;
-                chart
-                    .draw_series(columns.iter().map(|c| {
-                        Rectangle::new(
-                            [(c.x - half, c.low), (c.x + half, c.high)],
-                            colour.mix(0.8).filled(),
-                        )
-                    }))?
-                    .label(series.name.as_str())
-                    .legend(move |(x, y)| {
-                        Rectangle::new([(x, y - 5), (x + 18, y + 5)], colour.filled())
-                    });
-                // A flat stretch has no height: a line keeps it visible.
-                chart.draw_series(columns.iter().map(|c| {
-                    PathElement::new(
-                        [(c.x - half, c.high), (c.x + half, c.high)],
-                        colour.stroke_width(2),
-                    )
-                }))?;
-            }
-            Data::Bars(points) => {
-                chart
-                    .draw_series(points.iter().map(|&(x, y, sigma)| {
-                        PathElement::new([(x, y - sigma), (x, y + sigma)], colour.mix(0.5))
-                    }))?
-                    .label(series.name.as_str())
-                    .legend(move |(x, y)| Circle::new((x + 9, y), 3, colour.filled()));
-                chart.draw_series(
-                    points
-                        .iter()
-                        .map(|&(x, y, _)| Circle::new((x, y), 3, colour.filled())),
-                )?;
-            }
-        }
+    for (series, ink) in &chart.series {
+        paint(&mut axes, &series.data, *ink, &ys)?;
     }
-    if all.len() > 1 {
-        chart
-            .configure_series_labels()
-            .background_style(WHITE.mix(0.85))
-            .border_style(BLACK.mix(0.2))
-            .label_font(("sans-serif", LABEL))
-            .position(SeriesLabelPosition::UpperRight)
-            .draw()?;
-    }
-    root.present()?;
-    drop(chart);
-    drop(root);
     Ok(())
 }
 
-/// Bars over bins of equal width: `first` is the left end of the first bin.
-#[must_use]
-pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u64]) -> String {
-    let mut svg = String::new();
-    let top = counts.iter().copied().max().unwrap_or(0).max(1) as f64;
-    let edge = |index: usize| first + index as f64 * bin;
-    let mut draw = || -> Drawn<()> {
-        let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();
-        let xs = edge(0)..edge(counts.len().max(1));
-        let mut chart = axes(&root, (x_label, y_label), xs, 0.0..top * 1.05)?;
-        chart.draw_series(counts.iter().enumerate().map(|(index, &count)| {
-            Rectangle::new(
-                [(edge(index), 0.0), (edge(index + 1), count as f64)],
-                COLOURS[0].mix(0.75).filled(),
-            )
-        }))?;
-        root.present()?;
-        Ok(())
-    };
-    if let Err(error) = draw() {
-        tracing::warn!("a drawing is left out: {error}");
-        return String::new();
+/// A tick's number with as many digits as the axis needs.
+fn tick(value: f64, shown: &Range<f64>) -> String {
+    let digits = (2.0 - (shown.end - shown.start).log10()).clamp(0.0, 9.0);
+    let text = format!("{value:.0$}", digits as usize);
+    if text
+        .trim_start_matches('-')
+        .chars()
+        .all(|c| "0.".contains(c))
+    {
+        return String::from("0");
     }
-    svg
+    text
+}
+
+/// Writes title and legend; returns what is left for the axes.
+fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> {
+    let width = area.dim_in_pixel().0 as i32;
+    let text =
+        |words: &str, x, y| Text::new(words.to_owned(), (x, y), ("sans-serif", LABEL).into_font());
+    let mut y = 10;
+    for line in wrapped(&chart.title, (width - 2 * LEFT) / LETTER) {
+        area.draw(&text(&line, LEFT, y))?;
+        y += LINE;
+    }
+    let mut x = LEFT;
+    let named = chart.series.iter().filter(|(s, _)| !s.name.is_empty());
+    for (k, (series, ink)) in named.enumerate() {
+        let long = 48 + LETTER * series.name.chars().count() as i32;
+        if k == 0 || x + long > width {
+            x = LEFT;
+            y += if k == 0 { 0 } else { LINE };
+        }
+        let middle = y + LABEL / 2;
+        match series.data {
+            Data::Line(_) | Data::Upright(_) | Data::Marks(_) => {
+                area.draw(&PathElement::new(
+                    [(x, middle), (x + 18, middle)],
+                    ink.line(),
+                ))?;
+            }
+            Data::Points(_) | Data::Bars(_) => {
+                area.draw(&Circle::new((x + 9, middle), 3, ink.fill()))?;
+            }
+            Data::Range(..) | Data::Bins { .. } => {
+                let corners = [(x, middle - 5), (x + 18, middle + 5)];
+                area.draw(&Rectangle::new(corners, ink.fill()))?;
+            }
+        }
+        area.draw(&text(&series.name, x + 24, y))?;
+        x += long;
+    }
+    let used = if x > LEFT { y + LINE } else { y };
+    Ok(area.split_vertically(used.max(LINE / 2)).1)
+}
+
+/// Lines of at most so many letters.
+fn wrapped(words: &str, width: i32) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in words.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + word.chars().count() < width as usize => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
+
+fn paint(axes: &mut Axes<'_, '_>, data: &Data, ink: Ink, ys: &Range<f64>) -> Drawn<()> {
+    match data {
+        Data::Line(points) => {
+            axes.draw_series(LineSeries::new(points.iter().copied(), ink.line()))?;
+        }
+        Data::Points(points) => {
+            let dots = points.iter();
+            axes.draw_series(dots.map(|&point| Circle::new(point, 2, ink.fill())))?;
+        }
+        Data::Range(columns, width) => {
+            let half = width / 2.0;
+            axes.draw_series(columns.iter().map(|c| {
+                let corners = [(c.x - half, c.low), (c.x + half, c.high)];
+                Rectangle::new(corners, ink.pale(0.2).fill())
+            }))?;
+            // A flat stretch has no height: a line keeps it visible.
+            axes.draw_series(columns.iter().map(|c| {
+                PathElement::new([(c.x - half, c.high), (c.x + half, c.high)], ink.line())
+            }))?;
+        }
+        Data::Bars(points) => {
+            axes.draw_series(points.iter().map(|&(x, y, sigma)| {
+                let ends = [(x, y - sigma), (x, y + sigma)];
+                PathElement::new(ends, ink.pale(0.5).wide(1).line())
+            }))?;
+            let dots = points.iter();
+            axes.draw_series(dots.map(|&(x, y, _)| Circle::new((x, y), 3, ink.fill())))?;
+        }
+        Data::Bins {
+            first,
+            width,
+            counts,
+        } => {
+            axes.draw_series(counts.iter().enumerate().map(|(bin, &count)| {
+                let edge = |place: f64| first + (bin as f64 + place) * width;
+                let corners = [(edge(0.04), 0.0), (edge(0.96), count as f64)];
+                Rectangle::new(corners, ink.fill())
+            }))?;
+        }
+        Data::Upright(places) => {
+            axes.draw_series(
+                places
+                    .iter()
+                    .map(|&x| PathElement::new([(x, ys.start), (x, ys.end)], ink.line())),
+            )?;
+        }
+        Data::Marks(marks) => {
+            let top = ys.end - 0.02 * (ys.end - ys.start);
+            axes.draw_series(marks.iter().map(|(x, words)| {
+                EmptyElement::at((*x, top))
+                    + TriangleMarker::new((0, 22), 5, ink.fill())
+                    + Text::new(words.clone(), (-4, 0), ("sans-serif", LABEL))
+            }))?;
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -408,5 +596,52 @@ mod tests {
             }],
         );
         assert!(svg.starts_with("<svg"), "{svg}");
+    }
+
+    #[test]
+    fn a_stack_has_every_kind_of_data_and_its_legend() {
+        let ink = Ink::rgb(1, 2, 3);
+        let bins = Data::Bins {
+            first: -1.0,
+            width: 0.5,
+            counts: vec![1, 0, 3],
+        };
+        let svg = stack(
+            (900, 380),
+            &[
+                Chart::new("x", "y")
+                    .title("both")
+                    .xs(0.0..10.0)
+                    .add(
+                        "line",
+                        Data::Line(vec![(0.0, 1.0), (9.0, 2.0)]),
+                        ink.wide(5),
+                    )
+                    .add("points", Data::Points(vec![(3.0, 1.5)]), ink.pale(0.5))
+                    .add("here", Data::Marks(vec![(4.0, "7".into())]), ink)
+                    .add("", Data::Bars(vec![(5.0, 1.0, 0.5)]), ink),
+                Chart::new("x", "y").add("bins", bins, ink).add(
+                    "median",
+                    Data::Upright(vec![0.0]),
+                    ink,
+                ),
+                Chart::default().title(&"word ".repeat(60)),
+                Chart::new("x", "y").xs(0.0..10.0).title("nothing"),
+            ],
+        );
+        assert!(svg.starts_with("<svg") && svg.contains("height=\"1520\""));
+        for name in [
+            "both", "line", "points", "here", "bins", "median", "nothing",
+        ] {
+            assert!(svg.contains(&format!("\n{name}\n")), "{name}");
+        }
+    }
+
+    #[test]
+    fn ticks_have_the_digits_they_need() {
+        assert_eq!(tick(540.0, &(0.0..1080.0)), "540");
+        assert_eq!(tick(0.1, &(0.0..0.5)), "0.10");
+        assert_eq!(tick(-1e-12, &(-1.0..1.0)), "0");
+        assert_eq!(tick(2.5, &(0.0..9.0)), "2.5");
     }
 }

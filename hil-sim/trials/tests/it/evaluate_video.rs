@@ -5,7 +5,7 @@ use std::process::Command;
 
 use crate::strobes::Scene;
 use evaluate::precision::{self, Evaluated, evaluate_recording};
-use evaluate::recording::Recording;
+use evaluate::footage::Footage;
 use evaluate::{EvaluateError, Settings, plot, report};
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;
@@ -25,7 +25,7 @@ fn scene(exposure_us: f64, row_time_us: f64, amplitude: f64, bias_us: f64) -> Sc
 }
 
 fn evaluate(path: &Path, settings: &Settings) -> Result<Evaluated, EvaluateError> {
-    let recording = Recording::read(path, settings, None, &|| false)?;
+    let recording = Footage::read(path, settings, None, &|| false)?;
     evaluate_recording(recording, settings, 16, true)
 }
 
@@ -153,7 +153,7 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     let html = report::precision(&result, &shown, &settings).unwrap();
     assert!(html.contains("data:image/png;base64,") && html.contains("left out"));
     assert!(!html.contains("src=\"http") && !html.contains("<script"));
-    let svg = plot::precision(&result, &shown, &settings.train, 0.0).unwrap();
+    let svg = plot::precision(&result, &shown, &settings.train, 0.0);
     assert!(svg.starts_with("<svg") && svg.contains("sensor row"));
 }
 
@@ -174,7 +174,7 @@ fn the_app_s_timestamps_are_used() {
         ..Settings::default()
     };
     let drift = |settings: &Settings| {
-        let recording = Recording::read(&video, settings, None, &|| false).unwrap();
+        let recording = Footage::read(&video, settings, None, &|| false).unwrap();
         evaluate::drift::evaluate(recording, settings, false)
             .unwrap()
             .result

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use evaluate::frame::GreyView;
 use evaluate::precision::{RecordingResult, evaluate_recording};
-use evaluate::recording::Recording;
+use evaluate::footage::Footage;
 use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
 use evaluate::{EvaluateError, Settings};
 use rig::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
@@ -110,8 +110,8 @@ impl Scene {
         }
     }
 
-    pub(crate) fn recording(&self, settings: &Settings) -> Result<Recording, EvaluateError> {
-        Recording::from_source(&mut self.source(), settings, None, &|| false)
+    pub(crate) fn recording(&self, settings: &Settings) -> Result<Footage, EvaluateError> {
+        Footage::from_source(&mut self.source(), settings, None, &|| false)
     }
 
     pub(crate) fn evaluate(&self, settings: &Settings) -> Result<RecordingResult, EvaluateError> {

@@ -14,7 +14,7 @@ use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift, EvaluatedDrift};
 use evaluate::frame::{Region, Rotation};
 use evaluate::precision::{self, Evaluated, Precision, Spread};
-use evaluate::recording::Recording;
+use evaluate::footage::Footage;
 use evaluate::report::{self, counts_text, identity_text, reference_text};
 use evaluate::stats::mean;
 use evaluate::train::TrainGeometry;
@@ -257,7 +257,7 @@ fn next_step(error: &EvaluateError) -> &'static str {
         E::Profile { .. } => {
             "`smartdepthsync profile init rig.toml` writes a profile to start from"
         }
-        E::Plot(_) => "leave --plot and --report out, and report this",
+        E::Picture(_) => "leave --report out, and report this",
     }
 }
 
@@ -311,7 +311,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
         .next_step("mend what the reason names; with -v every recording's reason is told"));
     };
     if let Some(path) = &args.common.plot {
-        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us)?;
+        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
@@ -434,7 +434,7 @@ fn precision_text(
     let _ = writeln!(
         text,
         "scene taken from {}",
-        reference_text(shown.track.reference)
+        reference_text(shown.result.reference)
     );
     if let Some(s) = &result.bias {
         spread_text(&mut text, "all", s);
@@ -488,13 +488,13 @@ fn spread_text(text: &mut String, name: &str, s: &Spread) {
 fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     let started = Instant::now();
     let settings = args.common.settings(args.timestamps.clone())?;
-    let recording = Recording::read(&args.input, &settings, None, &|| {
+    let recording = Footage::read(&args.input, &settings, None, &|| {
         context.interrupt.requested()
     })?;
     let waiting_for_input_s = recording.waited.as_secs_f64();
     let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
     if let Some(path) = &args.common.plot {
-        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us)?;
+        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
@@ -519,7 +519,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
 fn drift_text(drift: &EvaluatedDrift) -> String {
     let r = &drift.result;
     let mut text = format!(
-        "{}\n  drift      {:+.4} ± {:.4} µs/min (1 σ) over {:.1} s\n  bias       {:+.3} µs at the start, {:+.3} µs at the end\n  frames     {}; {:.3} µs about the line, {} far off it left out\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs\n  flashes    {}\n  scene      taken from {}\n",
+        "{}\n  drift      {:+.4} ± {:.4} µs/min, depth minus phone (1 σ), over {:.1} s\n  bias       {:+.3} µs at the start, {:+.3} µs at the end\n  frames     {}; {:.3} µs about the line, {} far off it left out\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs\n  flashes    {}\n  scene      taken from {}\n",
         r.path.display(),
         r.drift_us_per_min,
         r.drift_sigma_us_per_min,

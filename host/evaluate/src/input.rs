@@ -15,7 +15,7 @@ const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
 
 /// How a recording was aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Applied {
+pub(crate) struct Applied {
     /// The constant bias that was subtracted, µs.
     pub bias_us: f64,
     /// Exposure of a row as the phone reported it, µs.
@@ -29,7 +29,7 @@ struct SessionPart {
 
 /// An input made definite: a recording's folder stands for its video.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Input {
+pub(crate) struct Input {
     /// Video, folder of images, or image.
     pub path: PathBuf,
     /// What the recording says, if the input belongs to one.
@@ -37,7 +37,7 @@ pub struct Input {
 }
 
 /// Finds the video of a recording's folder, and the session of a video in one.
-pub fn resolve(path: &Path) -> Result<Input, EvaluateError> {
+pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
     let own = path.join(SESSION_FILE);
     if path.is_dir() && own.is_file() {
         return Ok(Input {

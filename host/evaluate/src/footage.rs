@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::frame::{GreyView, RowProfile, RowReducer};
+use super::input::{self, Applied};
 use super::search::RowGrid;
-use super::session::{self, Applied};
 use super::source::{self, FrameSource};
 use super::store::{DEFAULT_CAPACITY, ProfileStore, StoredFrame};
 use super::{EvaluateError, Settings};
@@ -24,49 +24,47 @@ const PICTURE_CONTRAST: f64 = 0.7;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Picture {
     /// Number of the frame in its recording.
-    pub index: usize,
+    pub(crate) index: usize,
     /// Width.
-    pub width: usize,
+    pub(crate) width: usize,
     /// Height.
-    pub height: usize,
+    pub(crate) height: usize,
     /// Grey levels, row by row.
-    pub pixels: Vec<u8>,
+    pub(crate) pixels: Vec<u8>,
     /// Image pixels to one pixel of the picture.
-    pub reduction: usize,
+    pub(crate) reduction: usize,
 }
 
 /// A recording reduced to row profiles.
 #[derive(Debug, Clone)]
-pub struct Recording {
+pub struct Footage {
     /// The input.
-    pub path: PathBuf,
+    pub(crate) path: PathBuf,
     /// How the recording was aligned, if its session says so.
-    pub applied: Option<Applied>,
+    pub(crate) applied: Option<Applied>,
     /// Width of the image.
-    pub width: usize,
+    pub(crate) width: usize,
     /// Height of the image.
-    pub height: usize,
+    pub(crate) height: usize,
     /// How rows lie in the image.
-    pub reducer: RowReducer,
+    pub(crate) reducer: RowReducer,
     /// The used rows relative to the middle row.
-    pub rows: RowGrid,
+    pub(crate) rows: RowGrid,
     /// Kept frames.
-    pub frames: Vec<StoredFrame>,
+    pub(crate) frames: Vec<StoredFrame>,
     /// Frames read in the window asked for.
-    pub read: usize,
-    /// Largest share of saturated pixels in a frame.
-    pub saturated: f32,
+    pub(crate) read: usize,
     /// One of the last frames with as much contrast between rows as any.
-    pub picture: Picture,
+    pub(crate) picture: Picture,
     /// Whether the frames went through a video encoder.
-    pub encoded: bool,
+    pub(crate) encoded: bool,
     /// Remarks for the user.
-    pub notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
     /// Time spent waiting for the decoder and for the disk.
     pub waited: Duration,
 }
 
-impl Recording {
+impl Footage {
     /// Opens and reads a recording's folder, a video, a folder of images or one
     /// image.
     ///
@@ -79,13 +77,13 @@ impl Recording {
         stop: &dyn Fn() -> bool,
     ) -> Result<Self, EvaluateError> {
         let started = Instant::now();
-        let input = session::resolve(path)?;
+        let input = input::resolve(path)?;
         let mut source = source::open(&input.path, settings.timestamps.as_deref())?;
         let opened = started.elapsed();
-        let mut recording = Self::from_source(source.as_mut(), settings, expected, stop)?;
-        recording.waited += opened;
-        recording.applied = input.applied;
-        Ok(recording)
+        let mut footage = Self::from_source(source.as_mut(), settings, expected, stop)?;
+        footage.waited += opened;
+        footage.applied = input.applied;
+        Ok(footage)
     }
 
     /// Reads an opened source to its end; `expected` and `stop` as in
@@ -195,7 +193,6 @@ impl Recording {
             rows,
             frames: store.into_frames(),
             read,
-            saturated,
             picture,
             encoded: info.encoded,
             notes: all,
