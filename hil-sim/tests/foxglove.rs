@@ -13,11 +13,11 @@ use std::time::Duration;
 
 use board::imu::Sample;
 use protocol::{ImuFlags, Ticks};
+use recording::Topic;
 use recording::messages::{Imu, Pulse, from_cdr};
 use recording::reader::{Item, Reader, ticks_of_nanos};
 use recording::session_file::SessionFile;
-use recording::topic;
-use recording::writer::Topics;
+use recording::writer::Publisher;
 use serde_json::{Value, json};
 use smartdepthsync::live_data::{LiveData, STATE_TOPIC};
 use tungstenite::client::IntoClientRequest as _;
@@ -118,16 +118,16 @@ fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
     let everything: Vec<String> = idle.channels.keys().cloned().collect();
     idle.subscribe(&everything.iter().map(String::as_str).collect::<Vec<_>>());
     // No message of the raw link; all others of a recording, and the state.
-    assert!(!viewer.channels.contains_key(topic::LINK));
+    assert!(!viewer.channels.contains_key(Topic::Link.name()));
     assert_eq!(viewer.channels.len(), 16, "{:?}", viewer.channels.keys());
-    let imu = &viewer.channels[topic::IMU];
+    let imu = &viewer.channels[Topic::Imu.name()];
     assert_eq!(imu["encoding"], "cdr");
     assert_eq!(imu["schemaEncoding"], "ros2msg");
     assert_eq!(imu["schemaName"], "sensor_msgs/msg/Imu");
     let schema = imu["schema"].as_str().unwrap();
     assert!(schema.contains("geometry_msgs/Vector3 angular_velocity"));
 
-    viewer.subscribe(&[topic::IMU, topic::PULSE, STATE_TOPIC]);
+    viewer.subscribe(&[Topic::Imu.name(), Topic::Pulse.name(), STATE_TOPIC]);
     let mut samples: BTreeMap<Ticks, Imu> = BTreeMap::new();
     let mut pulses: BTreeMap<Ticks, Pulse> = BTreeMap::new();
     let mut states = Vec::new();
@@ -157,7 +157,7 @@ fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
         match entry.item {
             Item::Imu(recorded) => {
                 if let Some(shown) = samples.remove(&entry.at) {
-                    assert_eq!(shown, *recorded);
+                    assert_eq!(shown, recorded);
                     same_samples += 1;
                 }
             }
@@ -188,7 +188,7 @@ fn the_monitor_serves_too_and_only_if_it_is_asked_to() {
     let url = served(&mut session);
     assert!(!listeners(session.id()).is_empty());
     let mut viewer = Viewer::connect(&url);
-    viewer.subscribe(&[topic::IMU, STATE_TOPIC]);
+    viewer.subscribe(&[Topic::Imu.name(), STATE_TOPIC]);
     let mut seen = [0; 2];
     while seen.contains(&0) {
         let (topic, _, data) = viewer.next().unwrap();
@@ -249,8 +249,8 @@ fn listeners(process: u32) -> Vec<String> {
 fn nobody_waits_for_a_viewer_that_does_not_read() {
     let live = LiveData::open(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
     let mut viewer = Viewer::connect(&format!("ws://127.0.0.1:{}", live.port()));
-    viewer.subscribe(&[topic::IMU]);
-    let mut topics = Topics::new(live);
+    viewer.subscribe(&[Topic::Imu.name()]);
+    let mut topics = Publisher::new(live);
     let mut sample = Sample {
         at: Ticks(0),
         flags: ImuFlags::default(),

@@ -179,7 +179,10 @@ impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
         let next = if error.is_disk_full() {
             "free some space; what was recorded before is kept and can be read"
-        } else if matches!(error, RecordingError::Mcap { .. }) {
+        } else if matches!(
+            error,
+            RecordingError::Mcap { .. } | RecordingError::Chunk { .. }
+        ) {
             "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
              what is wrong with one, `smartdepthsync repair` saves what can be read"
         } else if let RecordingError::Io { source, .. } = &error {

@@ -97,15 +97,15 @@ mod serve {
     use super::STATE_TOPIC;
     use crate::outcome::{ExitStatus, Failure};
     use crate::view::Snapshot;
-    use recording::writer::{Kind, Output, descriptions};
-    use recording::{RecordingError, topic};
+    use recording::writer::Output;
+    use recording::{RecordingError, Topic};
 
     /// A server of live data. The last copy to be dropped ends it.
     #[derive(Clone)]
     pub struct LiveData(Arc<Served>);
 
     struct Served {
-        /// In the order of [`Kind`]; none for what is not shown.
+        /// In the order of [`Topic::ALL`]; none for what is not shown.
         channels: Vec<Option<Arc<RawChannel>>>,
         state: Arc<RawChannel>,
         server: Mutex<Option<WebSocketServerHandle>>,
@@ -140,13 +140,14 @@ mod serve {
             };
             let context = Context::new();
             let mut channels = Vec::new();
-            for described in descriptions() {
-                if described.topic == topic::LINK {
+            for topic in Topic::ALL {
+                if topic == Topic::Link {
                     channels.push(None);
                     continue;
                 }
-                let schema = Schema::new(described.name, "ros2msg", described.schema.into_bytes());
-                let channel = ChannelBuilder::new(described.topic)
+                let schema =
+                    Schema::new(topic.message_type(), "ros2msg", topic.schema().into_bytes());
+                let channel = ChannelBuilder::new(topic.name())
                     .message_encoding("cdr")
                     .schema(schema)
                     .context(&context)
@@ -203,8 +204,8 @@ mod serve {
     }
 
     impl Output for LiveData {
-        fn put(&mut self, kind: Kind, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
-            if let Some(Some(channel)) = self.0.channels.get(kind as usize) {
+        fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
+            if let Some(Some(channel)) = self.0.channels.get(topic as usize) {
                 log(channel, at, data);
             }
             Ok(())
@@ -240,8 +241,8 @@ mod absent {
 
     use crate::outcome::{ExitStatus, Failure};
     use crate::view::Snapshot;
-    use recording::RecordingError;
-    use recording::writer::{Kind, Output};
+    use recording::writer::Output;
+    use recording::{RecordingError, Topic};
 
     /// There never is one: this build was made without the feature.
     #[derive(Clone)]
@@ -274,7 +275,7 @@ mod absent {
     }
 
     impl Output for LiveData {
-        fn put(&mut self, _kind: Kind, _at: Ticks, _data: &[u8]) -> Result<(), RecordingError> {
+        fn put(&mut self, _topic: Topic, _at: Ticks, _data: &[u8]) -> Result<(), RecordingError> {
             Ok(())
         }
     }

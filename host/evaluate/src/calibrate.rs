@@ -11,7 +11,6 @@
 //! bias_measured = 2024-05-17 # when
 //! ```
 
-use std::io::Write;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -99,27 +98,10 @@ pub fn write_bias(
         }
         table.insert(key, new);
     }
-    replace(path, document.to_string().as_bytes())
-}
-
-/// Writes beside the file and renames: a reader sees the old or the new profile.
-fn replace(path: &Path, bytes: &[u8]) -> Result<(), EvaluateError> {
-    let io = |source| EvaluateError::Io {
+    files::replace(path, document.to_string().as_bytes()).map_err(|source| EvaluateError::Io {
         path: path.to_owned(),
         source,
-    };
-    let folder = match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    };
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(io)?;
-    file.write_all(bytes).map_err(io)?;
-    file.as_file().sync_all().map_err(io)?;
-    // Temporary files are private; the profile keeps its permissions.
-    let permissions = std::fs::metadata(path).map_err(io)?.permissions();
-    file.as_file().set_permissions(permissions).map_err(io)?;
-    file.persist(path).map_err(|e| io(e.error))?;
-    Ok(())
+    })
 }
 
 #[cfg(test)]

@@ -9,7 +9,6 @@
 
 use std::path::{Path, PathBuf};
 
-use super::image::write_whole;
 use super::report::{ClockReport, Report};
 use frame_sync::learn::{into_profile as edited, learnt as taught};
 use recording::profile::{Learnt, ProfileError};
@@ -113,7 +112,7 @@ pub fn into_profile(report: &Report, path: &Path) -> Result<String, LearnError> 
     for (whose, error) in failures {
         lines.push(format!("nothing learnt{whose}: {error}"));
     }
-    write_whole(path, text.as_bytes()).map_err(io)?;
+    files::replace(path, text.as_bytes()).map_err(io)?;
     Ok(lines.join("\n"))
 }
 

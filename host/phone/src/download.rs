@@ -8,8 +8,6 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use tempfile::NamedTempFile;
-
 use super::connection::Connection;
 use super::error::PhoneError;
 use super::file_name::safe_file_name;
@@ -83,16 +81,12 @@ pub(super) fn receive(
     const REQUEST: &str = "get_video";
     let path = target.path(&header.file_name);
     check_free(&path, overwrite)?;
-    let folder = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let failed = |action, path: &Path, source| PhoneError::File {
-        action,
-        path: path.to_owned(),
+    let folder = files::folder_of(&path);
+    let mut file = files::new_file_in(folder).map_err(|source| PhoneError::File {
+        action: "create a file in",
+        path: folder.to_owned(),
         source,
-    };
-    let mut file = new_file_in(folder).map_err(|e| failed("create a file in", folder, e))?;
+    })?;
 
     let mut received = 0u64;
     let mut window_start = Instant::now();
@@ -109,7 +103,7 @@ pub(super) fn receive(
         let left = usize::try_from(header.size - received).unwrap_or(usize::MAX);
         let bytes = bytes.get(..left).unwrap_or(bytes);
         file.write_all(bytes)
-            .map_err(|e| failed("write to", &path, e))?;
+            .map_err(|source| PhoneError::writing(&path, source))?;
         let taken = bytes.len();
         connection.consume(taken);
         received += taken as u64;
@@ -131,47 +125,11 @@ pub(super) fn receive(
     if connection.more_comes(GRACE) {
         return Err(PhoneError::VideoTooLong { size: header.size });
     }
-    put_in_place(file, &path, overwrite)?;
+    files::put_in_place(file, &path, overwrite)
+        .map_err(|source| PhoneError::writing(&path, source))?;
     Ok(SavedVideo {
         path,
         size: header.size,
         phone_name: header.file_name,
-    })
-}
-
-/// A temporary file in `folder` that is gone unless it is put in place, with
-/// the rights of any new file.
-pub fn new_file_in(folder: &Path) -> std::io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".phone-").suffix(".part");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        // What the user's mask leaves of it.
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    builder.tempfile_in(folder)
-}
-
-/// Syncs `file` to disk and gives it its name.
-pub fn put_in_place(file: NamedTempFile, path: &Path, overwrite: bool) -> Result<(), PhoneError> {
-    let failed = |action, source| PhoneError::File {
-        action,
-        path: path.to_owned(),
-        source,
-    };
-    file.as_file()
-        .sync_all()
-        .map_err(|e| failed("write to", e))?;
-    let placed = if overwrite {
-        file.persist(path)
-    } else {
-        file.persist_noclobber(path)
-    };
-    placed.map(drop).map_err(|e| match e.error.kind() {
-        std::io::ErrorKind::AlreadyExists => PhoneError::TargetExists {
-            path: path.to_owned(),
-        },
-        _ => failed("rename a finished file to", e.error),
     })
 }

@@ -1,6 +1,6 @@
 //! What can go wrong between this program and the phone.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::answer::{MalformedAnswer, ServerVersion};
@@ -152,4 +152,19 @@ pub enum PhoneError {
     /// An earlier error left the connection out of step.
     #[error("the connection to the phone was given up after an earlier error")]
     NotConnected,
+}
+
+impl PhoneError {
+    /// The failure to write `path`, or to put it in its place.
+    pub(crate) fn writing(path: &Path, source: std::io::Error) -> Self {
+        let path = path.to_owned();
+        match source.kind() {
+            std::io::ErrorKind::AlreadyExists => Self::TargetExists { path },
+            _ => Self::File {
+                action: "write to",
+                path,
+                source,
+            },
+        }
+    }
 }

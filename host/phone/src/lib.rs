@@ -33,10 +33,9 @@ pub mod video_files;
 pub use answer::ServerVersion;
 pub use client::{PhoneClient, Settings, StopSignal};
 pub use download::{SavedVideo, VideoTarget};
-pub use download::{new_file_in, put_in_place};
 pub use error::PhoneError;
 pub use requests::{ImuRecording, ImuRequest, SensorRecording, VideoStart};
-pub use samples::{PhoneSample, Sensor};
+pub use samples::{PhoneSample, Sensor, save_samples};
 
 /// TCP port of the app.
 pub const DEFAULT_PORT: u16 = 6969;

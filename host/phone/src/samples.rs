@@ -6,7 +6,12 @@
 //! timestamps are the estimator's business, which names such faults. What is
 //! not a finite number or not a timestamp is refused with its line.
 
+use std::io::{BufWriter, IntoInnerError, Write as _};
+use std::path::Path;
+
 use timebase::PhoneNanos;
+
+use super::error::PhoneError;
 
 /// A motion sensor of the phone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -96,6 +101,29 @@ pub fn parse_sample(line: &str) -> Option<PhoneSample> {
 pub fn sample_line(sample: &PhoneSample) -> String {
     let [x, y, z] = sample.xyz;
     format!("{x},{y},{z},{}", sample.time.0)
+}
+
+/// Saves samples as the app does, a [`sample_line`] each; the file appears only when
+/// it is whole.
+///
+/// # Errors
+///
+/// The file is there already and is not to be overwritten, or it cannot be written.
+pub fn save_samples(
+    path: &Path,
+    samples: &[PhoneSample],
+    overwrite: bool,
+) -> Result<(), PhoneError> {
+    let write = || {
+        let file = files::new_file_in(files::folder_of(path))?;
+        let mut out = BufWriter::new(file);
+        for sample in samples {
+            writeln!(out, "{}", sample_line(sample))?;
+        }
+        let file = out.into_inner().map_err(IntoInnerError::into_error)?;
+        files::put_in_place(file, path, overwrite)
+    };
+    write().map_err(|source| PhoneError::writing(path, source))
 }
 
 #[cfg(test)]

@@ -9,67 +9,37 @@
 //!
 //! - [`folder`]: a readable name that never overwrites.
 //! - [`profile`]: what is fixed about one rig.
+//! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - [`reader`]: reads it, whole or broken off.
+//! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
 //! - [`scan`]: walks its records over any damage.
 //! - [`session_file`]: what `session.json` holds.
 //!
 //! The format is described in `docs/formats.md`.
 
+pub mod chunks;
+mod diagnostics;
 pub mod folder;
 pub mod messages;
 pub mod profile;
+mod publish;
 pub mod reader;
 pub mod scan;
 pub mod session_file;
+pub mod topic;
 pub mod writer;
 
 use std::path::PathBuf;
+
+pub use topic::{Item, Topic};
 
 /// Name of the MCAP file in the folder.
 pub const MCAP_FILE: &str = "recording.mcap";
 
 /// Name of the session file in the folder.
 pub const SESSION_FILE: &str = "session.json";
-
-/// The topics of a recording.
-pub mod topic {
-    /// [`super::messages::Imu`].
-    pub const IMU: &str = "/board/imu";
-    /// [`super::messages::Temperature`].
-    pub const TEMPERATURE: &str = "/board/imu_temperature";
-    /// [`super::messages::TimeReference`]: trigger pulses.
-    pub const TRIGGER: &str = "/board/trigger";
-    /// [`super::messages::Pulse`]: the same pulses in full.
-    pub const PULSE: &str = "/board/trigger_pulse";
-    /// [`super::messages::TimeReference`]: edges on the strobe input.
-    pub const STROBE: &str = "/board/strobe";
-    /// [`super::messages::Capture`]: the same edges in full.
-    pub const CAPTURE: &str = "/board/strobe_capture";
-    /// [`super::messages::Pulse`]: pulses of the further outputs; `frame_id` says
-    /// whose.
-    pub const OUTPUT: &str = "/board/output_pulse";
-    /// [`super::messages::TimeReference`]: pulses per second; `time_ref` is the UTC
-    /// that a lidar was told.
-    pub const GNSS: &str = "/board/gnss";
-    /// [`super::messages::DiagnosticArray`]: once a second.
-    pub const STATUS: &str = "/board/status";
-    /// [`super::messages::LinkFrame`]: every frame of the link.
-    pub const LINK: &str = "/link/frames";
-    /// [`super::messages::ClockModel`].
-    pub const CLOCK: &str = "/session/clock_model";
-    /// [`super::messages::BoardRun`]: the board was reset.
-    pub const RUN: &str = "/session/board_run";
-    /// [`super::messages::ClockModel`] of a further phone; `frame_id` says whose.
-    pub const PHONE_CLOCK: &str = "/session/phone_clock_model";
-    /// [`super::messages::TimeReference`]: markers.
-    pub const MARKER: &str = "/session/markers";
-    /// [`super::messages::TimeReference`]: wall clock of the host.
-    pub const HOST_TIME: &str = "/session/host_time";
-    /// [`super::messages::Log`]: what was said and what went wrong.
-    pub const LOG: &str = "/session/log";
-}
 
 /// What can go wrong with a recording's files.
 #[derive(Debug, thiserror::Error)]
@@ -91,6 +61,14 @@ pub enum RecordingError {
         path: PathBuf,
         /// What is wrong.
         source: mcap::McapError,
+    },
+    /// A chunk of the MCAP file cannot be used.
+    #[error("{path}: a chunk cannot be used: {source}", path = .path.display())]
+    Chunk {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        source: chunks::BadChunk,
     },
     /// A message is not what its topic says.
     #[error("{topic}: {source}")]

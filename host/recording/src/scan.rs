@@ -16,12 +16,8 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-/// The longest record that is taken: far above a chunk of this program, far below what
-/// would exhaust memory.
-pub const MAX_RECORD: u64 = 256 << 20;
-
-/// The largest chunk when unpacked.
-pub const MAX_CHUNK: u64 = 256 << 20;
+pub use super::chunks::MAX_CHUNK;
+use super::chunks::{self, Chunk, MAX_RECORD, split_record};
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -42,7 +38,7 @@ const MAX_NAME: usize = 8;
 #[derive(Debug)]
 pub enum Piece {
     /// The records of a chunk whose checksum is right.
-    Chunk(Vec<u8>),
+    Chunk(Chunk),
     /// A chunk that cannot be used.
     BadChunk {
         /// Where it begins.
@@ -339,31 +335,14 @@ fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
 }
 
 fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
-    let bad = |what: String| Piece::BadChunk {
-        at,
-        what,
-        times: (header.message_start_time, header.message_end_time),
-    };
-    let data = match unpack_records(&header.compression, Cow::Borrowed(packed), Vec::new()) {
-        Ok(data) => data,
-        Err(error) if error.kind() == io::ErrorKind::Unsupported => {
-            return bad(String::from(
-                "it is packed in a way that this program does not write; expected lz4 or nothing",
-            ));
-        }
-        Err(error) => return bad(format!("it cannot be unpacked: {error}")),
-    };
-    if data.len() as u64 != header.uncompressed_size {
-        return bad(format!(
-            "it holds {} bytes where {} were expected",
-            data.len(),
-            header.uncompressed_size
-        ));
+    match chunks::unpack(header, packed.into(), Vec::new()) {
+        Ok(chunk) => Piece::Chunk(chunk),
+        Err(bad) => Piece::BadChunk {
+            at,
+            what: bad.to_string(),
+            times: (header.message_start_time, header.message_end_time),
+        },
     }
-    if !is_intact(header, &data) {
-        return bad(String::from("its checksum is wrong"));
-    }
-    Piece::Chunk(data)
 }
 
 /// The records of a chunk by the name of its compression, in the memory of `out` if
@@ -397,17 +376,6 @@ pub fn unpack_records(
 pub fn is_intact(header: &ChunkHeader, records: &[u8]) -> bool {
     // 0: it made none.
     header.uncompressed_crc == 0 || crc32fast::hash(records) == header.uncompressed_crc
-}
-
-/// Opcode and body of the first of a chunk's records, and what follows; `None` if it
-/// is cut off.
-#[must_use]
-pub fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (&opcode, after) = records.split_first()?;
-    let (length, after) = after.split_first_chunk::<8>()?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-    let (body, after) = after.split_at_checked(length)?;
-    Some((opcode, body, after))
 }
 
 /// Opcode and body of the records in a chunk; ends at the first that is cut off.

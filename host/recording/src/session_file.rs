@@ -4,7 +4,6 @@
 //! It is written anew at every step (to a temporary file that then replaces it),
 //! so a kill leaves the state of the last step, without an outcome.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use protocol::{ImuSetup, ResetCause, Ticks};
@@ -404,16 +403,13 @@ impl SessionFile {
             path: path.clone(),
             source,
         };
-        let text = serde_json::to_string_pretty(self).map_err(|error| RecordingError::Session {
-            path: path.clone(),
-            reason: error.to_string(),
-        })?;
-        let mut file = tempfile::NamedTempFile::new_in(folder).map_err(io)?;
-        file.write_all(text.as_bytes()).map_err(io)?;
-        file.write_all(b"\n").map_err(io)?;
-        file.as_file().sync_data().map_err(io)?;
-        file.persist(&path).map_err(|error| io(error.error))?;
-        Ok(())
+        let mut text =
+            serde_json::to_string_pretty(self).map_err(|error| RecordingError::Session {
+                path: path.clone(),
+                reason: error.to_string(),
+            })?;
+        text.push('\n');
+        files::replace(&path, text.as_bytes()).map_err(io)
     }
 
     /// Reads it from a recording's folder.

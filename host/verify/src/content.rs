@@ -11,38 +11,40 @@ use protocol::{Decoder, DeviceToHost, Period, Status, Ticks};
 use super::file::Sink;
 use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
 use board::session::Stream;
-use recording::messages::{
-    BoardRun, Capture, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse, Temperature,
-    TimeReference, from_cdr,
-};
+use recording::messages::{BoardRun, Header, LinkFrame, Pulse};
 use recording::reader::ticks_of_nanos;
 use recording::session_file::{self, Alignment, SessionFile};
-use recording::{RecordingError, topic};
+use recording::{Item, RecordingError, Topic};
 
 /// How many streams the board numbers.
 const STREAMS: usize = Stream::ALL.len();
 
 /// The topic in which each message of a stream has one of its own.
-const fn topic_of(stream: Stream) -> Option<&'static str> {
+const fn topic_of(stream: Stream) -> Option<Topic> {
     match stream {
-        Stream::Status => Some(topic::STATUS),
-        Stream::Pulses => Some(topic::PULSE),
-        Stream::Captures => Some(topic::CAPTURE),
-        Stream::Imu => Some(topic::IMU),
-        Stream::Outputs => Some(topic::OUTPUT),
-        Stream::Pps => Some(topic::GNSS),
+        Stream::Status => Some(Topic::Status),
+        Stream::Pulses => Some(Topic::Pulse),
+        Stream::Captures => Some(Topic::Capture),
+        Stream::Imu => Some(Topic::Imu),
+        Stream::Outputs => Some(Topic::Output),
+        Stream::Pps => Some(Topic::Gnss),
         // It says nothing, and is in the frames of the link alone.
         Stream::Filler => None,
     }
 }
 
-/// Whether messages of a topic come in the order of their times.
-fn in_order(name: &str) -> bool {
-    name == topic::TEMPERATURE
-        || Stream::ALL
-            .into_iter()
-            // Pulses of several outputs may fall on one tick.
-            .any(|stream| stream != Stream::Outputs && topic_of(stream) == Some(name))
+/// Whether messages of a topic come in the order of their times. Pulses of several
+/// outputs may fall on one tick.
+const fn in_order(topic: Topic) -> bool {
+    matches!(
+        topic,
+        Topic::Imu
+            | Topic::Temperature
+            | Topic::Pulse
+            | Topic::Capture
+            | Topic::Status
+            | Topic::Gnss
+    )
 }
 
 /// How many messages may be under way between a status and the streams that it
@@ -260,7 +262,13 @@ impl Content {
     }
 
     /// The number of a message in its topic, and its time.
-    fn place(&mut self, name: &str, header: &MessageHeader, findings: &mut Findings) {
+    fn place(
+        &mut self,
+        name: &str,
+        topic: Option<Topic>,
+        header: &MessageHeader,
+        findings: &mut Findings,
+    ) {
         let at = header.log_time;
         if self.topics.len() >= MAX_TOPICS && !self.topics.contains_key(name) {
             return;
@@ -288,7 +296,7 @@ impl Content {
             }
         }
         state.expected = Some(header.sequence.wrapping_add(1));
-        if in_order(name) {
+        if topic.is_some_and(in_order) {
             if let Some(last) = state.last
                 && at <= last
             {
@@ -666,15 +674,72 @@ impl Content {
         }
     }
 
-    fn stamped(&self, at: u64, stamp: i64, findings: &mut Findings) {
-        if i64::try_from(at) != Ok(stamp) {
-            findings.add(
-                Grade::Error,
-                "stamp_differs",
-                Some(ticks_of_nanos(at)),
-                || format!("a message of {at} ns has a header of {stamp} ns"),
-            );
+    /// What a message says, against the frames of the link and the ones before it.
+    fn item(&mut self, item: &Item, at: u64, findings: &mut Findings) {
+        let ticks = ticks_of_nanos(at);
+        match item {
+            Item::Link(frame) => self.frame(frame, ticks, findings),
+            Item::Imu(imu) => {
+                self.from_link(Stream::Imu, &imu.header, at, findings);
+                let values: [f64; 3] = imu.angular_velocity.into();
+                if values.iter().any(|value| !value.is_finite()) {
+                    findings.add(Grade::Error, "not_a_number", Some(ticks), || {
+                        String::from("an IMU sample is not a number")
+                    });
+                }
+            }
+            Item::Pulse(pulse) => {
+                stamped(at, &pulse.header, findings);
+                if ticks != Ticks(pulse.ticks) {
+                    findings.add(Grade::Error, "stamp_differs", Some(ticks), || {
+                        format!(
+                            "a pulse of tick {} is logged at tick {}",
+                            pulse.ticks, ticks.0
+                        )
+                    });
+                }
+                self.came_of(Stream::Pulses, ticks, findings);
+                self.pulse(pulse, findings);
+            }
+            Item::Capture(capture) => {
+                self.from_link(Stream::Captures, &capture.header, at, findings);
+                if capture.after_loss {
+                    findings.add(Grade::Warning, "captures_lost", Some(ticks), || {
+                        String::from("an edge on the strobe input was lost, as the board says")
+                    });
+                }
+            }
+            Item::Status(status) => self.from_link(Stream::Status, &status.header, at, findings),
+            Item::Output(pulse) => self.from_link(Stream::Outputs, &pulse.header, at, findings),
+            Item::Gnss(pulse) => self.from_link(Stream::Pps, &pulse.header, at, findings),
+            Item::Run(mark) => self.recorded_run(mark, findings),
+            Item::Marker(_) => self.markers += 1,
+            Item::Temperature(_)
+            | Item::Clock(_)
+            | Item::PhoneClock(_)
+            | Item::Log(_)
+            | Item::Trigger(_)
+            | Item::Strobe(_)
+            | Item::HostTime(_) => {}
         }
+    }
+
+    /// A message that came in a frame of its own.
+    fn from_link(&mut self, of: Stream, header: &Header, at: u64, findings: &mut Findings) {
+        stamped(at, header, findings);
+        self.came_of(of, ticks_of_nanos(at), findings);
+    }
+}
+
+fn stamped(at: u64, header: &Header, findings: &mut Findings) {
+    let stamp = header.stamp.nanos();
+    if i64::try_from(at) != Ok(stamp) {
+        findings.add(
+            Grade::Error,
+            "stamp_differs",
+            Some(ticks_of_nanos(at)),
+            || format!("a message of {at} ns has a header of {stamp} ns"),
+        );
     }
 }
 
@@ -686,73 +751,19 @@ impl Sink for Content {
         data: &[u8],
         findings: &mut Findings,
     ) -> Result<(), RecordingError> {
-        let at = header.log_time;
-        let ticks = ticks_of_nanos(at);
-        let result = match name {
-            topic::LINK => from_cdr::<LinkFrame>(data).map(|frame| {
-                self.frame(&frame, ticks, findings);
-            }),
-            topic::IMU => from_cdr::<Imu>(data).map(|imu| {
-                self.stamped(at, imu.header.stamp.nanos(), findings);
-                self.came_of(Stream::Imu, ticks, findings);
-                let values: [f64; 3] = imu.angular_velocity.into();
-                if values.iter().any(|value| !value.is_finite()) {
-                    findings.add(Grade::Error, "not_a_number", Some(ticks), || {
-                        String::from("an IMU sample is not a number")
-                    });
-                }
-            }),
-            topic::PULSE => from_cdr::<Pulse>(data).map(|pulse| {
-                self.stamped(at, pulse.header.stamp.nanos(), findings);
-                if ticks != Ticks(pulse.ticks) {
-                    findings.add(Grade::Error, "stamp_differs", Some(ticks), || {
-                        format!(
-                            "a pulse of tick {} is logged at tick {}",
-                            pulse.ticks, ticks.0
-                        )
-                    });
-                }
-                self.came_of(Stream::Pulses, ticks, findings);
-                self.pulse(&pulse, findings);
-            }),
-            topic::CAPTURE => from_cdr::<Capture>(data).map(|capture| {
-                self.stamped(at, capture.header.stamp.nanos(), findings);
-                self.came_of(Stream::Captures, ticks, findings);
-                if capture.after_loss {
-                    findings.add(Grade::Warning, "captures_lost", Some(ticks), || {
-                        String::from("an edge on the strobe input was lost, as the board says")
-                    });
-                }
-            }),
-            topic::STATUS => from_cdr::<DiagnosticArray>(data).map(|status| {
-                self.stamped(at, status.header.stamp.nanos(), findings);
-                self.came_of(Stream::Status, ticks, findings);
-            }),
-            topic::OUTPUT => from_cdr::<Pulse>(data).map(|pulse| {
-                self.stamped(at, pulse.header.stamp.nanos(), findings);
-                self.came_of(Stream::Outputs, ticks, findings);
-            }),
-            topic::GNSS => from_cdr::<TimeReference>(data).map(|pulse| {
-                self.stamped(at, pulse.header.stamp.nanos(), findings);
-                self.came_of(Stream::Pps, ticks, findings);
-            }),
-            topic::RUN => from_cdr::<BoardRun>(data).map(|mark| self.recorded_run(&mark, findings)),
-            topic::MARKER => from_cdr::<TimeReference>(data).map(|_| self.markers += 1),
-            topic::TEMPERATURE => from_cdr::<Temperature>(data).map(|_| ()),
-            topic::CLOCK | topic::PHONE_CLOCK => from_cdr::<ClockModel>(data).map(|_| ()),
-            topic::LOG => from_cdr::<Log>(data).map(|_| ()),
-            topic::TRIGGER | topic::STROBE | topic::HOST_TIME => {
-                from_cdr::<TimeReference>(data).map(|_| ())
+        let topic = Topic::of(name);
+        match topic.map(|topic| topic.read(data)) {
+            Some(Ok(item)) => self.item(&item, header.log_time, findings),
+            Some(Err(error)) => {
+                let at = ticks_of_nanos(header.log_time);
+                findings.add(Grade::Error, "message_damaged", Some(at), || {
+                    format!("a message of {name} cannot be read: {error}")
+                });
             }
-            _ => Ok(()),
-        };
-        if let Err(error) = result {
-            findings.add(Grade::Error, "message_damaged", Some(ticks), || {
-                format!("a message of {name} cannot be read: {error}")
-            });
+            None => {}
         }
-        self.place(name, header, findings);
-        self.after_gap &= name == topic::LINK || name == topic::LOG;
+        self.place(name, topic, header, findings);
+        self.after_gap &= matches!(topic, Some(Topic::Link | Topic::Log));
         Ok(())
     }
 

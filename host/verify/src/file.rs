@@ -8,7 +8,7 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 use super::{FileReport, Findings, Grade};
 use recording::RecordingError;
 use recording::reader::ticks_of_nanos;
-use recording::scan::{Piece, Scan, has_magic, parse, records_of};
+use recording::scan::{Piece, Scan, has_magic, parse};
 use recording::writer::known_channels;
 
 /// What is done with what can be read.
@@ -128,7 +128,7 @@ impl Walk<'_> {
         match piece {
             Piece::Chunk(chunk) => {
                 self.report.chunks += 1;
-                for (opcode, body) in records_of(&chunk) {
+                for (opcode, body) in chunk.records() {
                     self.record(opcode, body, findings)?;
                 }
                 self.sink.end_of_chunk()?;

@@ -21,7 +21,7 @@ use super::{FileReport, Findings, Report, mcap_of, session_of, verify};
 use recording::reader::ticks_of_nanos;
 use recording::session_file::{Problem, SessionOutcome};
 use recording::writer::options;
-use recording::{MCAP_FILE, RecordingError, SESSION_FILE, topic};
+use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic};
 
 /// The result of a repair.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -181,7 +181,10 @@ impl Sink for Copy {
         if !self.channels.contains(&header.channel_id) {
             return Ok(());
         }
-        if matches!(name, topic::IMU | topic::PULSE | topic::STATUS) {
+        if matches!(
+            Topic::of(name),
+            Some(Topic::Imu | Topic::Pulse | Topic::Status)
+        ) {
             self.last = self.last.max(ticks_of_nanos(header.log_time));
         }
         self.mcap

@@ -21,7 +21,7 @@ use board::imu::Scale;
 use board::session::Event;
 use recording::RecordingError;
 use recording::profile::Profile;
-use recording::writer::Topics;
+use recording::writer::Publisher;
 
 /// How often a plain line is written where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
@@ -65,7 +65,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
     let mut gauge = Gauge::default();
     gauge.state = String::from("monitor");
     gauge.board.clone_from(&id);
-    let mut topics = onlookers.clone().map(Topics::new);
+    let mut topics = onlookers.clone().map(Publisher::new);
     let profile = match &args.profile {
         Some(path) => Some(Profile::load(path).map_err(Failure::from)?),
         None => None,
@@ -185,7 +185,7 @@ pub fn run(args: &Args, context: &Context) -> anyhow::Result<Outcome> {
 /// A message of the board, for those who look on from elsewhere; sensors by the names
 /// of the profile, if there is one.
 fn show_live(
-    topics: &mut Topics<LiveData>,
+    topics: &mut Publisher<LiveData>,
     message: &DeviceToHost,
     scale: &Scale,
     board: &str,

@@ -1,6 +1,5 @@
 //! `smartdepthsync phone imu|start|stop|get-video`: the app's four requests, one at a time.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -11,7 +10,6 @@ use serde::Serialize;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use phone::requests::MAX_IMU_DURATION;
-use phone::samples::sample_line;
 use phone::{
     ImuRequest, PhoneClient, PhoneError, SensorRecording, Settings, StopSignal, VideoTarget,
 };
@@ -272,7 +270,11 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
     let mut summaries = Vec::new();
     for recording in &recording?.recordings {
         let file = match &args.out {
-            Some(folder) => Some(save_samples(folder, recording, args.overwrite)?),
+            Some(folder) => {
+                let path = folder.join(recording.sensor.file_suffix());
+                phone::save_samples(&path, &recording.samples, args.overwrite)?;
+                Some(path)
+            }
             None => None,
         };
         summaries.push(SensorSummary::of(recording, file));
@@ -293,28 +295,6 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
             .join("\n")
     })?;
     Ok(())
-}
-
-/// Writes the samples in the app's own form; the file appears only when whole.
-fn save_samples(
-    folder: &Path,
-    recording: &SensorRecording,
-    overwrite: bool,
-) -> Result<PathBuf, PhoneError> {
-    let path = folder.join(recording.sensor.file_suffix());
-    let failed = |source| PhoneError::File {
-        action: "write to",
-        path: path.clone(),
-        source,
-    };
-    let file = phone::new_file_in(folder).map_err(failed)?;
-    let mut out = std::io::BufWriter::new(file);
-    for sample in &recording.samples {
-        writeln!(out, "{}", sample_line(sample)).map_err(failed)?;
-    }
-    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
-    phone::put_in_place(file, &path, overwrite)?;
-    Ok(path)
 }
 
 fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Ended> {

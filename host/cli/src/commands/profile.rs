@@ -142,7 +142,8 @@ fn teach(
     let skew = learn::skew_of_twists(clocks, resets);
     let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, board_id, today);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt).map_err(Failure::from)?;
-    replace(file, &taught)?;
+    files::replace(file, taught.as_bytes())
+        .map_err(|error| Failure::file("write", file, &error))?;
     let report = Report {
         frames: period.frames,
         missing_frames: period.missing,
@@ -179,18 +180,4 @@ impl Report {
 
 fn read(path: &Path) -> Result<String, Failure> {
     std::fs::read_to_string(path).map_err(|error| Failure::file("read", path, &error))
-}
-
-/// Replaces a file only when the new one is whole.
-fn replace(path: &Path, text: &str) -> Result<(), Failure> {
-    let failed = |error: &std::io::Error| Failure::file("write", path, error);
-    let folder = path
-        .parent()
-        .filter(|folder| !folder.as_os_str().is_empty());
-    let folder = folder.unwrap_or_else(|| Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(|error| failed(&error))?;
-    file.write_all(text.as_bytes())
-        .map_err(|error| failed(&error))?;
-    file.persist(path).map_err(|error| failed(&error.error))?;
-    Ok(())
 }

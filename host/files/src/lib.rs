@@ -1,0 +1,220 @@
+//! Files that replace their target only when they are whole.
+//!
+//! The bytes go into a temporary file beside the target. That file is synced to the
+//! disk, takes the target's name in one step, and the folder is synced: a reader, a
+//! kill or a power cut finds the old file or the new one, never a part. If anything
+//! fails before, the target stays as it is and the temporary file is removed.
+//!
+//! Permissions: the new file has those of the file that it replaces; where there was
+//! none, those that the process's umask leaves of any new file. It belongs to the user
+//! who runs the program, and other hard links to the old file keep the old content.
+//!
+//! Symbolic links: [`replace`] is for a file that its user named, so it goes through a
+//! link to the file behind it, and the link stays; a link that leads nowhere is an
+//! error. [`put_in_place`] is for files whose names may come from elsewhere: it never
+//! goes through a link. There a link counts as a file that is in the way, and with
+//! `overwrite` it is the link that is replaced.
+
+use std::fs::{self, File, Permissions};
+use std::io::{self, ErrorKind, Write as _};
+use std::path::Path;
+
+use tempfile::NamedTempFile;
+
+/// Replaces the file at `path` by `bytes`, or makes it.
+///
+/// # Errors
+///
+/// The new file cannot be made, written or renamed, or `path` is a link that leads
+/// nowhere.
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let behind = if path.is_symlink() {
+        Some(path.canonicalize()?)
+    } else {
+        None
+    };
+    let path = behind.as_deref().unwrap_or(path);
+    let mut file = temporary(folder_of(path), permissions_of(path)?)?;
+    file.write_all(bytes)?;
+    put_in_place(file, path, true)
+}
+
+/// A temporary file in `folder` for [`put_in_place`]; dropped before that, it is
+/// removed.
+///
+/// # Errors
+///
+/// It cannot be made.
+pub fn new_file_in(folder: &Path) -> io::Result<NamedTempFile> {
+    temporary(folder, None)
+}
+
+/// Syncs `file`, gives it the name `path` in the same folder, and syncs the folder.
+///
+/// # Errors
+///
+/// [`ErrorKind::AlreadyExists`] if something of that name is there and is not to be
+/// overwritten; else the file cannot be synced or renamed.
+pub fn put_in_place(file: NamedTempFile, path: &Path, overwrite: bool) -> io::Result<()> {
+    if overwrite && let Some(permissions) = permissions_of(path)? {
+        file.as_file().set_permissions(permissions)?;
+    }
+    file.as_file().sync_all()?;
+    if overwrite {
+        file.persist(path)?;
+    } else {
+        file.persist_noclobber(path)?;
+    }
+    sync_folder(folder_of(path))
+}
+
+/// The folder that a file is in or will be.
+#[must_use]
+pub fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Permissions of the file at `path`; nothing if there is none, or no file.
+fn permissions_of(path: &Path) -> io::Result<Option<Permissions>> {
+    match fs::symlink_metadata(path) {
+        Ok(found) => Ok(found.is_file().then(|| found.permissions())),
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Made with `permissions` from the start, so that what only its owner may read is
+/// never open to others.
+fn temporary(folder: &Path, permissions: Option<Permissions>) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".smartdepthsync-").suffix(".part");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        // The system takes the umask off; `tempfile` alone would make it 0600.
+        builder.permissions(permissions.unwrap_or_else(|| Permissions::from_mode(0o666)));
+    }
+    #[cfg(not(unix))]
+    let _ = permissions;
+    builder.tempfile_in(folder)
+}
+
+/// Makes the new name last. The file is in its place by then, so a file system or a
+/// folder that does not allow it is no error.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        Err(error)
+            if !matches!(
+                error.kind(),
+                ErrorKind::PermissionDenied | ErrorKind::InvalidInput | ErrorKind::Unsupported
+            ) =>
+        {
+            Err(error)
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+#[cfg(unix)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
+
+    use super::*;
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).unwrap().permissions().mode() & 0o7777
+    }
+
+    fn names(folder: &Path) -> usize {
+        fs::read_dir(folder).unwrap().count()
+    }
+
+    #[test]
+    fn a_file_keeps_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("rig.toml");
+        for wanted in [0o644, 0o600, 0o664, 0o400] {
+            fs::write(&path, "old").unwrap();
+            fs::set_permissions(&path, Permissions::from_mode(wanted)).unwrap();
+            replace(&path, b"new").unwrap();
+            assert_eq!(mode(&path), wanted);
+            let file = new_file_in(folder.path()).unwrap();
+            put_in_place(file, &path, true).unwrap();
+            assert_eq!(mode(&path), wanted);
+            fs::remove_file(&path).unwrap();
+        }
+    }
+
+    #[test]
+    fn a_new_file_follows_the_umask() {
+        let folder = tempfile::tempdir().unwrap();
+        let usual = folder.path().join("usual");
+        fs::write(&usual, "").unwrap();
+        let replaced = folder.path().join("replaced");
+        replace(&replaced, b"new").unwrap();
+        let placed = folder.path().join("placed");
+        let file = new_file_in(folder.path()).unwrap();
+        put_in_place(file, &placed, false).unwrap();
+        assert_eq!(mode(&replaced), mode(&usual));
+        assert_eq!(mode(&placed), mode(&usual));
+        assert_eq!(fs::read(&replaced).unwrap(), b"new");
+    }
+
+    #[test]
+    fn what_fails_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("taken");
+        fs::write(&path, "precious").unwrap();
+        let file = new_file_in(folder.path()).unwrap();
+        let error = put_in_place(file, &path, false).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+        assert_eq!(fs::read(&path).unwrap(), b"precious");
+        drop(new_file_in(folder.path()).unwrap());
+        let below = folder.path().join("folder");
+        fs::create_dir(&below).unwrap();
+        replace(&below, b"x").unwrap_err();
+        replace(&folder.path().join("none/x"), b"x").unwrap_err();
+        assert_eq!(names(folder.path()), 2);
+    }
+
+    #[test]
+    fn replace_goes_through_a_link_to_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let (real, link) = (folder.path().join("real"), folder.path().join("a/link"));
+        fs::create_dir(folder.path().join("a")).unwrap();
+        fs::write(&real, "old").unwrap();
+        fs::set_permissions(&real, Permissions::from_mode(0o600)).unwrap();
+        symlink("../real", &link).unwrap();
+        replace(&link, b"new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert_eq!(mode(&real), 0o600);
+        fs::remove_file(&real).unwrap();
+        let error = replace(&link, b"new").unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::NotFound);
+        assert!(link.is_symlink() && !real.exists());
+    }
+
+    #[test]
+    fn a_file_that_is_put_in_place_never_goes_through_a_link() {
+        let folder = tempfile::tempdir().unwrap();
+        let (real, link) = (folder.path().join("real"), folder.path().join("link"));
+        fs::write(&real, "precious").unwrap();
+        symlink(&real, &link).unwrap();
+        let error = put_in_place(new_file_in(folder.path()).unwrap(), &link, false).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
+        put_in_place(new_file_in(folder.path()).unwrap(), &link, true).unwrap();
+        assert!(!link.is_symlink());
+        assert_eq!(fs::read(&real).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn a_name_without_a_folder_is_in_this_one() {
+        assert_eq!(folder_of(Path::new("rig.toml")), Path::new("."));
+        assert_eq!(folder_of(Path::new("a/rig.toml")), Path::new("a"));
+    }
+}

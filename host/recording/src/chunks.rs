@@ -1,0 +1,320 @@
+//! The chunks of an MCAP file, front to back, up to where it breaks off.
+//!
+//! ```no_run
+//! # fn show(path: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
+//! let mut chunks = recording::chunks::Chunks::open(path)?;
+//! let mut memory = Vec::new();
+//! while let Some(packed) = chunks.next_packed()? {
+//!     // Here, or in another thread: reading and unpacking are apart.
+//!     let chunk = packed.unpack(memory)?;
+//!     for (opcode, body) in chunk.records() {
+//!         println!("{opcode}: {} bytes", body.len());
+//!     }
+//!     memory = chunk.into_memory();
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Memory is bounded by the file's length and by [`MAX_RECORD`] packed and
+//! [`MAX_CHUNK`] unpacked, whatever the file claims. For files that are damaged in the
+//! middle there is [`super::scan`].
+//!
+//! Limits: chunks are stored as they are or with LZ4, which is all that this program
+//! writes.
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use std::path::Path;
+
+use mcap::McapError;
+use mcap::records::{ChunkHeader, Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+/// The longest record that is taken: far above a chunk of this program, far below what
+/// would exhaust memory.
+pub const MAX_RECORD: u64 = 256 << 20;
+
+/// The largest chunk when unpacked.
+pub const MAX_CHUNK: u64 = 256 << 20;
+
+/// How much of the name of an unknown compression is told.
+const SHOWN_NAME: usize = 16;
+
+/// Why no further chunk can be read.
+#[derive(Debug, thiserror::Error)]
+pub enum ChunksError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(io::Error),
+    /// The file ends within a record: its writer did not come to its end.
+    #[error("the file ends within a record")]
+    CutOff,
+    /// It is no MCAP file, or none from here on.
+    #[error(transparent)]
+    Mcap(McapError),
+}
+
+/// Why a chunk cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum BadChunk {
+    /// Its head is not one.
+    #[error("its head cannot be read")]
+    Head,
+    /// It is longer than any real one.
+    #[error("it claims {0} bytes, more than any real one holds")]
+    TooLarge(u64),
+    /// A compression that this program does not write.
+    #[error("it is packed with {0:?}; expected lz4 or nothing")]
+    Compression(String),
+    /// Its bytes are not packed as it says.
+    #[error("it cannot be unpacked: {0}")]
+    Packing(io::Error),
+    /// It is shorter or longer than it says.
+    #[error("it holds {found} bytes where {expected} were expected")]
+    Length {
+        /// Bytes of its records.
+        found: u64,
+        /// Bytes by its head.
+        expected: u64,
+    },
+    /// Its bytes were changed.
+    #[error("its checksum is wrong")]
+    Checksum,
+}
+
+/// The chunks of a file.
+pub struct Chunks {
+    reader: LinearReader,
+    file: BufReader<File>,
+    position: u64,
+    data_complete: bool,
+    ended: bool,
+}
+
+/// A chunk as it stands in the file.
+pub struct Packed(Content);
+
+enum Content {
+    Chunk(ChunkHeader, Vec<u8>),
+    /// A record outside of chunks, as the only one of a chunk.
+    Record(Vec<u8>),
+    BadHead,
+}
+
+/// The records of a chunk whose checksum is right.
+#[derive(Debug)]
+pub struct Chunk(Vec<u8>);
+
+impl Chunks {
+    /// Begins at the front of a file.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let file = File::open(path)?;
+        // A record longer than the file is none.
+        let limit = file.metadata()?.len().min(MAX_RECORD);
+        let options = LinearReaderOptions::default()
+            .with_skip_end_magic(true)
+            .with_emit_chunks(true)
+            .with_record_length_limit(usize::try_from(limit).unwrap_or(usize::MAX));
+        Ok(Self {
+            reader: LinearReader::new_with_options(options),
+            file: BufReader::with_capacity(1 << 20, file),
+            position: 0,
+            data_complete: false,
+            ended: false,
+        })
+    }
+
+    /// Bytes of the file that were read so far.
+    #[must_use]
+    pub const fn position(&self) -> u64 {
+        self.position
+    }
+
+    /// Whether the record that closes the data was met: only index and statistics
+    /// follow, and if the file breaks off there, no message is missing.
+    #[must_use]
+    pub const fn data_complete(&self) -> bool {
+        self.data_complete
+    }
+
+    /// The next chunk; `None` behind the last. A topic or message outside of chunks
+    /// comes as a chunk of its own.
+    ///
+    /// # Errors
+    ///
+    /// The file breaks off here, or cannot be read; nothing more comes then.
+    pub fn next_packed(&mut self) -> Result<Option<Packed>, ChunksError> {
+        while !self.ended {
+            let event = match self.reader.next_event() {
+                None => break,
+                Some(Ok(event)) => event,
+                Some(Err(error)) => {
+                    self.ended = true;
+                    return Err(if is_end(&error) {
+                        ChunksError::CutOff
+                    } else {
+                        ChunksError::Mcap(error)
+                    });
+                }
+            };
+            match event {
+                LinearReadEvent::ReadRequest(need) => {
+                    let space = self.reader.insert(need);
+                    let count = self.file.read(space).map_err(|error| {
+                        self.ended = true;
+                        ChunksError::Read(error)
+                    })?;
+                    self.position += count as u64;
+                    self.reader.notify_read(count);
+                }
+                LinearReadEvent::Record { data, opcode } => match opcode {
+                    op::CHUNK => return Ok(Some(Packed(head_of(data)))),
+                    op::CHANNEL | op::MESSAGE => {
+                        let record = Content::Record(whole_record(opcode, data));
+                        return Ok(Some(Packed(record)));
+                    }
+                    op::DATA_END => self.data_complete = true,
+                    _ => {}
+                },
+            }
+        }
+        self.ended = true;
+        Ok(None)
+    }
+}
+
+impl Packed {
+    /// Bytes that it holds in memory.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        match &self.0 {
+            Content::Chunk(_, data) | Content::Record(data) => data.len(),
+            Content::BadHead => 0,
+        }
+    }
+
+    /// Board time in nanoseconds of its first message, as its head says.
+    #[must_use]
+    pub fn starts_at(&self) -> Option<u64> {
+        match &self.0 {
+            Content::Chunk(header, _) => Some(header.message_start_time),
+            Content::Record(_) | Content::BadHead => None,
+        }
+    }
+
+    /// Unpacks and checks it, in `memory` if it is packed.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be unpacked, or is not what its writer made.
+    pub fn unpack(self, memory: Vec<u8>) -> Result<Chunk, BadChunk> {
+        match self.0 {
+            Content::Chunk(header, data) => unpack(&header, data.into(), memory),
+            Content::Record(record) => Ok(Chunk(record)),
+            Content::BadHead => Err(BadChunk::Head),
+        }
+    }
+}
+
+impl Chunk {
+    /// Opcode and body of each record; ends at the first that is cut off.
+    pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
+        let mut rest = self.0.as_slice();
+        std::iter::from_fn(move || {
+            let (opcode, body, after) = split_record(rest)?;
+            rest = after;
+            Some((opcode, body))
+        })
+    }
+
+    /// The bytes of the records one behind the other.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// The memory, for the next chunk: asking the system for it anew costs as much as
+    /// unpacking.
+    #[must_use]
+    pub fn into_memory(self) -> Vec<u8> {
+        self.0
+    }
+}
+
+/// Head and packed records from the body of a chunk's record.
+fn head_of(body: &[u8]) -> Content {
+    match mcap::parse_record(op::CHUNK, body) {
+        Ok(Record::Chunk { header, data }) => Content::Chunk(header, data.into_owned()),
+        _ => Content::BadHead,
+    }
+}
+
+fn whole_record(opcode: u8, body: &[u8]) -> Vec<u8> {
+    let mut record = Vec::with_capacity(9 + body.len());
+    record.push(opcode);
+    record.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    record.extend_from_slice(body);
+    record
+}
+
+/// Whether an error of the reader means that the file ends within a record.
+pub fn is_end(error: &McapError) -> bool {
+    match error {
+        McapError::UnexpectedEof => true,
+        // Longer than the file, then.
+        McapError::RecordTooLarge { len, .. } => *len <= MAX_RECORD,
+        McapError::Io(error) => error.kind() == io::ErrorKind::UnexpectedEof,
+        _ => false,
+    }
+}
+
+/// Unpacks and checks the records of a chunk.
+pub(crate) fn unpack(
+    header: &ChunkHeader,
+    packed: Cow<'_, [u8]>,
+    mut memory: Vec<u8>,
+) -> Result<Chunk, BadChunk> {
+    let expected = header.uncompressed_size;
+    if expected > MAX_CHUNK {
+        return Err(BadChunk::TooLarge(expected));
+    }
+    let records = match header.compression.as_str() {
+        "" => packed.into_owned(),
+        "lz4" => {
+            memory.clear();
+            lz4_flex::frame::FrameDecoder::new(packed.as_ref())
+                .take(MAX_CHUNK)
+                .read_to_end(&mut memory)
+                .map_err(BadChunk::Packing)?;
+            memory
+        }
+        other => {
+            let name = other.chars().take(SHOWN_NAME).collect();
+            return Err(BadChunk::Compression(name));
+        }
+    };
+    let found = records.len() as u64;
+    if found != expected {
+        return Err(BadChunk::Length { found, expected });
+    }
+    // 0: its writer made none.
+    if header.uncompressed_crc != 0 && header.uncompressed_crc != crc32fast::hash(&records) {
+        return Err(BadChunk::Checksum);
+    }
+    Ok(Chunk(records))
+}
+
+/// Opcode and body of the first of a chunk's records, and what follows; `None` if it
+/// is cut off.
+pub(crate) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (&opcode, after) = records.split_first()?;
+    let (length, after) = after.split_first_chunk::<8>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let (body, after) = after.split_at_checked(length)?;
+    Some((opcode, body, after))
+}

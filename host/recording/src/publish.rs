@@ -1,0 +1,367 @@
+//! What the board and the session say, as ROS 2 messages on their topics.
+//!
+//! Where they go is an [`Output`]: a recording's file, or a viewer that listens live.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use protocol::{CaptureChannel, Edge, Ticks};
+
+use super::RecordingError;
+use super::diagnostics::diagnostics;
+use super::messages::{
+    BoardRun, Capture, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature, Time,
+    TimeReference,
+};
+use super::session_file::Joint;
+use super::topic::{Item, Topic};
+use board::imu::Sample;
+use board::reset_cause;
+use timebase::ClockModel as ClockRelation;
+use timebase::PhoneNanos;
+
+/// How bad something is that is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// As it should be.
+    Info,
+    /// Something may be missing.
+    Warning,
+    /// Something is missing or broken.
+    Error,
+}
+
+/// Where the messages of the topics go.
+pub trait Output {
+    /// Takes the CDR form of a message.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be kept.
+    fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError>;
+
+    /// The time of day, which is told once a second and used for nothing.
+    fn time_of_day(&self) -> SystemTime {
+        SystemTime::now()
+    }
+}
+
+/// What the board and the session say, as ROS 2 messages on their topics.
+pub struct Publisher<O>(pub(crate) O);
+
+impl<O: Output> Publisher<O> {
+    /// Into this output.
+    pub const fn new(output: O) -> Self {
+        Self(output)
+    }
+
+    /// An IMU sample.
+    ///
+    /// # Errors
+    ///
+    /// The file cannot be written; so all of these.
+    pub fn imu(&mut self, sample: &Sample) -> Result<(), RecordingError> {
+        let header = header(sample.at, "board_imu");
+        self.put(
+            sample.at,
+            Item::Imu(Imu {
+                header: header.clone(),
+                orientation: [0.0, 0.0, 0.0, 1.0],
+                orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                angular_velocity: sample.gyro.into(),
+                angular_velocity_covariance: [0.0; 9],
+                linear_acceleration: sample.accel.into(),
+                linear_acceleration_covariance: [0.0; 9],
+            }),
+        )?;
+        self.put(
+            sample.at,
+            Item::Temperature(Temperature {
+                header,
+                temperature: sample.temperature,
+                variance: 0.0,
+            }),
+        )
+    }
+
+    /// A pulse of the trigger; `phone` is the same instant in the phone's time
+    /// as far as it is known.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn pulse(
+        &mut self,
+        pulse: &protocol::Pulse,
+        phone: Option<PhoneNanos>,
+    ) -> Result<(), RecordingError> {
+        self.time_reference(Item::Trigger, pulse.at, phone, "phone")?;
+        self.put(pulse.at, Item::Pulse(pulse_message(pulse, "trigger")))
+    }
+
+    /// A pulse of one of the further outputs; `name` is the sensor's on it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn output_pulse(
+        &mut self,
+        pulse: &protocol::Pulse,
+        name: &str,
+    ) -> Result<(), RecordingError> {
+        let pulse = protocol::Pulse {
+            readback: None,
+            ..*pulse
+        };
+        self.put(pulse.at, Item::Output(pulse_message(&pulse, name)))
+    }
+
+    /// A pulse per second: the UTC that begins with it for whoever takes the
+    /// board for a GNSS receiver; `name` is what the lidar is called.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn pps(&mut self, pps: &protocol::Pps, name: &str) -> Result<(), RecordingError> {
+        self.put(
+            pps.at,
+            Item::Gnss(TimeReference {
+                header: header(pps.at, "board"),
+                time_ref: Time::from_nanos(pps.utc.saturating_mul(1_000_000_000)),
+                source: name.to_owned(),
+            }),
+        )
+    }
+
+    /// An edge on a capture input.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn capture(
+        &mut self,
+        capture: &protocol::Capture,
+        phone: Option<PhoneNanos>,
+    ) -> Result<(), RecordingError> {
+        let rising = capture.edge == Edge::Rising;
+        self.time_reference(Item::Strobe, capture.at, phone, "phone")?;
+        let channel = match capture.channel {
+            CaptureChannel::Strobe => "strobe",
+        };
+        self.put(
+            capture.at,
+            Item::Capture(Capture {
+                header: header(capture.at, channel),
+                ticks: capture.at.0,
+                channel: channel.to_owned(),
+                rising,
+                after_loss: capture.after_loss,
+            }),
+        )
+    }
+
+    /// The board's status; with it, the host's wall clock.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn status(
+        &mut self,
+        status: &protocol::Status,
+        board_id: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(status.at, Item::Status(diagnostics(status, board_id)))?;
+        let wall = self
+            .0
+            .time_of_day()
+            .duration_since(UNIX_EPOCH)
+            .ok()
+            .and_then(|since| i64::try_from(since.as_nanos()).ok())
+            .unwrap_or_default();
+        self.put(
+            status.at,
+            Item::HostTime(TimeReference {
+                header: header(status.at, "board"),
+                time_ref: Time::from_nanos(wall),
+                source: String::from("host"),
+            }),
+        )
+    }
+
+    /// A marker of the user.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn marker(
+        &mut self,
+        at: Ticks,
+        phone: Option<PhoneNanos>,
+        label: &str,
+    ) -> Result<(), RecordingError> {
+        self.time_reference(Item::Marker, at, phone, label)
+    }
+
+    /// A relation of the clocks that holds from now on.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn clock_model(
+        &mut self,
+        at: Ticks,
+        clock: &ClockRelation,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        let message = clock_message(clock, "board", source);
+        self.put(at, Item::Clock(message))
+    }
+
+    /// The same of a further phone, with its name.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn phone_clock_model(
+        &mut self,
+        at: Ticks,
+        name: &str,
+        clock: &ClockRelation,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        let message = clock_message(clock, name, source);
+        self.put(at, Item::PhoneClock(message))
+    }
+
+    /// The board was reset: a later run begins. `since` is tick 0 of it, `last` the
+    /// last tick of the run before, both recorded; `joint` says how they hang
+    /// together.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn board_run(
+        &mut self,
+        since: Ticks,
+        hello: &protocol::Hello,
+        joint: &Joint,
+        last: Ticks,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            since,
+            Item::Run(BoardRun {
+                header: header(since, "board"),
+                epoch: hello.epoch,
+                reset_cause: reset_cause(hello.reset_cause).to_owned(),
+                shift_ticks: joint.shift,
+                shift_sigma_s: joint.sigma_s,
+                last_ticks: last.0,
+            }),
+        )
+    }
+
+    /// Something that was said. `kind` is a stable word for it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn log(
+        &mut self,
+        at: Ticks,
+        severity: Severity,
+        kind: &str,
+        text: &str,
+    ) -> Result<(), RecordingError> {
+        self.put(
+            at,
+            Item::Log(Log {
+                stamp: stamp(at),
+                level: match severity {
+                    Severity::Info => Log::INFO,
+                    Severity::Warning => Log::WARN,
+                    Severity::Error => Log::ERROR,
+                },
+                name: String::from("smartdepthsync"),
+                msg: text.to_owned(),
+                file: String::new(),
+                function: kind.to_owned(),
+                line: 0,
+            }),
+        )
+    }
+
+    /// A frame of the link, as it came, without its delimiter. `at` is the
+    /// latest board time known.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn frame(&mut self, at: Ticks, frame: Vec<u8>) -> Result<(), RecordingError> {
+        self.put(
+            at,
+            Item::Link(LinkFrame {
+                header: header(at, "link"),
+                data: frame,
+            }),
+        )
+    }
+
+    fn time_reference(
+        &mut self,
+        topic: fn(TimeReference) -> Item,
+        at: Ticks,
+        phone: Option<PhoneNanos>,
+        source: &str,
+    ) -> Result<(), RecordingError> {
+        let message = TimeReference {
+            header: header(at, "board"),
+            time_ref: phone.map_or_else(Time::default, |nanos| Time::from_nanos(nanos.0)),
+            source: source.to_owned(),
+        };
+        self.put(at, topic(message))
+    }
+
+    fn put(&mut self, at: Ticks, item: Item) -> Result<(), RecordingError> {
+        let topic = item.topic();
+        let data = item.to_cdr().map_err(|source| RecordingError::Message {
+            topic: topic.name().to_owned(),
+            source,
+        })?;
+        self.0.put(topic, at, &data)
+    }
+}
+
+fn stamp(at: Ticks) -> Time {
+    Time::from_nanos(i64::try_from(at.as_nanos()).unwrap_or(i64::MAX))
+}
+
+pub(crate) fn header(at: Ticks, frame_id: &str) -> Header {
+    Header {
+        stamp: stamp(at),
+        frame_id: frame_id.to_owned(),
+    }
+}
+
+fn pulse_message(pulse: &protocol::Pulse, frame_id: &str) -> Pulse {
+    Pulse {
+        header: header(pulse.at, frame_id),
+        ticks: pulse.at.0,
+        train: pulse.train,
+        number: pulse.number,
+        aligned: pulse.aligned,
+        readback: pulse.readback.is_some(),
+        readback_ticks: pulse.readback.unwrap_or(0),
+    }
+}
+
+fn clock_message(clock: &ClockRelation, frame_id: &str, source: &str) -> ClockModel {
+    let [[a, b], [c, d]] = clock.covariance;
+    ClockModel {
+        header: header(clock.reference.ticks(), frame_id),
+        reference_s: clock.reference.0,
+        offset_s: clock.offset,
+        skew: clock.skew,
+        covariance: [a, b, c, d],
+        wander: clock.wander.0,
+        source: source.to_owned(),
+    }
+}
