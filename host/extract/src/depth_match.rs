@@ -9,11 +9,11 @@
 
 use super::board_data::{BoardError, BoardInput};
 use super::depth::{DepthIndex, DepthInput};
-use super::depth_clock::resets::{OverResets, Reset, match_over_resets};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
 use super::gyro_clock::{Delays, GyroClockError, relate};
+use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
 use super::streams::{self, StreamError};

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::board_data::BoardInput;
 use super::depth::DepthInput;
 use super::gyro_clock::Prior;
+use super::later_runs::Moves;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
 use recording::profile::Phone;
@@ -188,7 +189,7 @@ pub(crate) fn find(
     let mut remarks = Vec::new();
     let mut session = None;
     let session_folder = match &board {
-        BoardInput::Mcap(path) | BoardInput::Moved(path, _) => path.parent(),
+        BoardInput::Mcap(path, _) => path.parent(),
         BoardInput::Bag(_) => None,
     };
     let rig = if let Some(folder) = session_folder {
@@ -360,7 +361,7 @@ fn ends_with(path: &Path, endings: &[&str]) -> bool {
 
 fn board_file(path: &Path) -> Option<BoardInput> {
     if ends_with(path, &[".mcap"]) {
-        Some(BoardInput::Mcap(path.to_owned()))
+        Some(BoardInput::Mcap(path.to_owned(), Moves::default()))
     } else if ends_with(path, &[".bag", ".bag.active"]) {
         Some(BoardInput::Bag(path.to_owned()))
     } else {
@@ -431,7 +432,7 @@ fn names(paths: &[PathBuf]) -> Vec<String> {
 fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
     let own = folder.join(MCAP_FILE);
     if own.is_file() {
-        return Ok(BoardInput::Mcap(own));
+        return Ok(BoardInput::Mcap(own, Moves::default()));
     }
     let bags: Vec<PathBuf> = entries(folder)?
         .into_iter()

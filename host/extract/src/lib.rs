@@ -29,6 +29,7 @@ mod image;
 mod image_tables;
 mod imu_tables;
 pub mod inputs;
+mod later_runs;
 pub mod layout;
 pub mod learn;
 pub mod mkv;

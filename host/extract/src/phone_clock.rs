@@ -2,15 +2,13 @@
 //! recording; else from what the session found; else from the recorded offset of
 //! the published system.
 //!
-//! Where the board was reset, each run has a relation of its own. The phone's clock
-//! went on meanwhile, so the two relations also say how long the board was away,
-//! better than the session knew: the later run is moved there. Of several phones it
-//! is the one that the trigger was aligned to that says so; the clocks of the others are
-//! then related to the runs as they were moved.
+//! Where the board was reset, each run has a relation of its own, which also says where
+//! the run lies ([`super::later_runs`]).
 
 use super::board_data::{BoardError, BoardInput};
 use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
 use super::inputs::PhoneInput;
+use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
 use super::streams::{self, StreamError};
@@ -34,11 +32,14 @@ const NONE: &str = "none";
 #[derive(Clone, Debug)]
 pub(crate) struct PhoneClock {
     /// Phone time to board time, the runs of the board being where
-    /// [`PhoneClock::moves`] puts them.
+    /// the moves put them.
     pub(crate) map: PiecewiseMap<PhoneNanos, BoardNanos>,
     /// Worth knowing.
     pub(crate) remarks: Vec<String>,
     runs: Vec<RunClock>,
+    /// Of each run; nothing if the runs stay where they are.
+    pub(crate) joints: Vec<Joint>,
+    pub(crate) moves: Moves,
     middle: BoardNanos,
 }
 
@@ -54,10 +55,6 @@ struct RunClock {
     course: Option<ClockCourse>,
     /// Without a course: phone less board, ns.
     offset: i64,
-    /// How much later it is than the recording has it, ns.
-    moved: i64,
-    /// 1-sigma of its distance to the run before, s.
-    joint_sigma_s: f64,
 }
 
 /// Why looking for it ended.
@@ -150,43 +147,22 @@ pub(crate) fn find(
     if runs.iter().all(|run| run.source == NONE) {
         return Ok(Err(remarks.join("; ")));
     }
-    if runs_are == Runs::Moved {
-        join(&mut runs, survey);
-    }
-    let map = PiecewiseMap::from_knots(runs.iter().flat_map(RunClock::knots));
+    let courses: Vec<_> = runs.iter().map(RunClock::by_gyros).collect();
+    let joints = match runs_are {
+        Runs::Moved => joints(&courses, &survey.runs),
+        Runs::Kept => Vec::new(),
+    };
+    let moves = moves(&joints);
+    let knots = runs.iter().enumerate();
+    let knots = knots.flat_map(|(index, run)| run.knots(moves.of(index)));
     Ok(Ok(PhoneClock {
-        map,
+        map: PiecewiseMap::from_knots(knots),
         remarks,
         runs,
+        joints,
+        moves,
         middle: BoardNanos(first.midpoint(last)),
     }))
-}
-
-/// The phone's clock goes on while the board is reset: by it, each run is put where
-/// it belongs behind the one before.
-fn join(runs: &mut [RunClock], survey: &Survey) {
-    for index in 1..runs.len() {
-        let (before, rest) = runs.split_at_mut(index);
-        let (Some(before), Some(run)) = (before.last(), rest.first_mut()) else {
-            continue;
-        };
-        run.moved = before.moved;
-        let mark = survey.runs.iter().find(|mark| mark.from == run.from);
-        run.joint_sigma_s = mark.map_or(0.0, |mark| mark.sigma_s);
-        let (Some(was), Some(is)) = (&before.gyros, &run.gyros) else {
-            continue;
-        };
-        let at = run.from.0 as f64 * 1e-9;
-        let is = is.course.at(at);
-        let step = is.offset - was.course.at(at).offset;
-        // The step changes what the former run's clock says by its rate.
-        let was = was.course.at(at + step);
-        let step = ((is.offset - was.offset) * 1e9).round() as i64;
-        // Never into the former run.
-        let least = before.to.0.saturating_sub(run.from.0);
-        run.moved = before.moved.saturating_add(step.max(least));
-        run.joint_sigma_s = (is.covariance[0][0] + was.covariance[0][0]).max(0.0).sqrt();
-    }
 }
 
 /// The relation within one run; with it, what is worth knowing.
@@ -296,13 +272,16 @@ impl RunClock {
             gyros: None,
             course: None,
             offset: 0,
-            moved: 0,
-            joint_sigma_s: 0.0,
         }
     }
 
-    /// Pairs of times, the run being where it was moved to.
-    fn knots(&self) -> Vec<(PhoneNanos, BoardNanos)> {
+    /// What the gyroscopes found.
+    fn by_gyros(&self) -> Option<&ClockCourse> {
+        self.gyros.as_ref().map(|gyros| &gyros.course)
+    }
+
+    /// Pairs of times, the run being later by `moved` (ns) than the recording has it.
+    fn knots(&self, moved: i64) -> Vec<(PhoneNanos, BoardNanos)> {
         let plain = |at: BoardNanos| (PhoneNanos(at.0.saturating_add(self.offset)), at);
         if self.source == NONE {
             return Vec::new();
@@ -311,45 +290,21 @@ impl RunClock {
             Some(course) => super::gyro_clock::knots(course, self.from, self.to),
             None => vec![plain(self.from), plain(self.to)],
         };
-        let later = |(phone, at): (PhoneNanos, BoardNanos)| {
-            (phone, BoardNanos(at.0.saturating_add(self.moved)))
-        };
+        let later =
+            |(phone, at): (PhoneNanos, BoardNanos)| (phone, BoardNanos(at.0.saturating_add(moved)));
         knots.into_iter().map(later).collect()
     }
 }
 
 impl PhoneClock {
-    /// How much later each run of the board is than the recording has it, ns;
-    /// nothing if all are where they should be.
-    pub(crate) fn moves(&self) -> Option<Vec<i64>> {
-        let moves: Vec<i64> = self.runs.iter().map(|run| run.moved).collect();
-        moves.iter().any(|&by| by != 0).then_some(moves)
-    }
-
-    /// For each run after the first: how much later it is than the recording has
-    /// it, ns, 1-sigma of its distance to the run before in s, and by what.
-    pub(crate) fn joints(&self) -> Vec<(i64, f64, &'static str)> {
-        let joint = |pair: &[RunClock]| {
-            let by_gyros = pair.iter().all(|run| run.gyros.is_some());
-            let by = if by_gyros {
-                "gyroscopes"
-            } else {
-                "the computer's clock"
-            };
-            pair.last().map(|run| (run.moved, run.joint_sigma_s, by))
-        };
-        self.runs.windows(2).filter_map(joint).collect()
-    }
-
     /// The relation at a board time, with its uncertainty.
     pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
-        let run = self
-            .runs
-            .iter()
+        let runs = self.runs.iter().enumerate();
+        let (index, run) = runs
             .rev()
-            .find(|run| run.from.0.saturating_add(run.moved) <= at.0)
-            .or(self.runs.first())?;
-        let moved = run.moved as f64 * 1e-9;
+            .find(|(index, run)| run.from.0.saturating_add(self.moves.of(*index)) <= at.0)
+            .or(self.runs.first().map(|run| (0, run)))?;
+        let moved = self.moves.of(index) as f64 * 1e-9;
         let course = run.course.as_ref()?;
         let model = course.at(at.0 as f64 * 1e-9 - moved);
         Some(model.with_a_later(moved).into())
@@ -396,8 +351,9 @@ impl PhoneClock {
 mod tests {
     use std::path::PathBuf;
 
-    use super::super::board_data::{RunMark, TimePair};
+    use super::super::board_data::TimePair;
     use super::super::inputs::RigFacts;
+    use super::super::later_runs::RunMark;
     use super::super::survey::PhoneClocks;
     use super::*;
     use timebase::{BoardSeconds, Wander};
@@ -458,6 +414,8 @@ mod tests {
             map: PiecewiseMap::from_knots([]),
             remarks: Vec::new(),
             runs: Vec::new(),
+            joints: Vec::new(),
+            moves: Moves::default(),
             middle: BoardNanos(0),
         };
         let mut frames: Vec<ColorFrame> = (0..1_000)

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, Images, RunMark, TimePair};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images, TimePair};
 use super::depth_clock::PulseTime;
+use super::later_runs::RunMark;
 use super::progress::Progress;
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;

@@ -15,7 +15,6 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use super::{BagImage, BoardError, BoardEvent, BoardStream, Images, ImuRow, TimePair};
 use crate::bag::messages::{Image, Imu, Short, Temperature, TimeReference};
@@ -40,7 +39,6 @@ struct Sorter {
     events: VecDeque<BoardEvent>,
     waiting: VecDeque<ImuRow>,
     pulses: u64,
-    topics: Vec<Arc<str>>,
     faults: Faults,
 }
 
@@ -75,7 +73,6 @@ impl BagStream {
                 events: VecDeque::new(),
                 waiting: VecDeque::new(),
                 pulses: 0,
-                topics: Vec::new(),
                 faults: Faults::new(MAX_FAULTS),
             },
         })
@@ -201,9 +198,8 @@ impl Sorter {
             "sequences_ts" => self.events.push_back(BoardEvent::Mark(stamp)),
             _ => {}
         }
-        let topic = self.name(topic);
         self.events.push_back(BoardEvent::Times(TimePair {
-            topic,
+            topic: topic.to_owned().into(),
             seq: times.header.seq,
             stamp,
             other: times.time_ref,
@@ -230,16 +226,6 @@ impl Sorter {
             height: image.height,
             pixels,
         }));
-    }
-
-    /// The topic's name, kept once.
-    fn name(&mut self, topic: &str) -> Arc<str> {
-        if let Some(name) = self.topics.iter().find(|name| ***name == *topic) {
-            return name.clone();
-        }
-        let name: Arc<str> = topic.into();
-        self.topics.push(name.clone());
-        name
     }
 }
 

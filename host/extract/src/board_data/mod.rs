@@ -7,10 +7,11 @@
 mod bag;
 mod mcap;
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use super::depth_clock::PulseTime;
+use super::later_runs::{Moves, RunMark};
 use super::time::BoardNanos;
 use timebase::ClockModel;
 
@@ -37,7 +38,7 @@ pub(crate) struct ImuRow {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TimePair {
     /// The topic that it came on.
-    pub(crate) topic: Arc<str>,
+    pub(crate) topic: Cow<'static, str>,
     /// Counted by the publisher.
     pub(crate) seq: u32,
     /// Board time.
@@ -77,18 +78,6 @@ pub(crate) enum BoardEvent {
     Image(BagImage),
     /// The board was reset: what follows is of another run.
     Run(RunMark),
-}
-
-/// The beginning of a run of the board after a reset.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct RunMark {
-    /// All of the run lies at or behind this time.
-    pub(crate) from: BoardNanos,
-    /// The last time known of the run before.
-    pub(crate) last: BoardNanos,
-    /// How well the two runs are related, 1-sigma in s: as a stream has it by the
-    /// session.
-    pub(crate) sigma_s: f64,
 }
 
 /// Why a recording cannot be read.
@@ -133,11 +122,8 @@ pub enum BoardError {
 /// Where the board's recording lies.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum BoardInput {
-    /// Our own `recording.mcap`.
-    Mcap(PathBuf),
-    /// The same with its runs moved against each other: what the board said in run
-    /// `n` (0: the first) is later by the n-th number of ns.
-    Moved(PathBuf, Vec<i64>),
+    /// Our own `recording.mcap`, and by how much its runs are moved.
+    Mcap(PathBuf, Moves),
     /// A ROS 1 bag of the published system.
     Bag(PathBuf),
 }
@@ -173,15 +159,7 @@ impl BoardInput {
     /// The file.
     pub(crate) fn path(&self) -> &Path {
         match self {
-            Self::Mcap(path) | Self::Moved(path, _) | Self::Bag(path) => path,
-        }
-    }
-
-    /// How much later the last run of the board is than it stands in the file, ns.
-    pub(crate) fn last_moved(&self) -> i64 {
-        match self {
-            Self::Moved(_, by) => by.last().copied().unwrap_or_default(),
-            Self::Mcap(_) | Self::Bag(_) => 0,
+            Self::Mcap(path, _) | Self::Bag(path) => path,
         }
     }
 
@@ -192,8 +170,7 @@ impl BoardInput {
     /// It cannot be opened or is of another kind.
     pub(crate) fn open(&self, images: Images) -> Result<Box<dyn BoardStream>, BoardError> {
         match self {
-            Self::Mcap(path) => Ok(Box::new(mcap::McapStream::open(path, &[])?)),
-            Self::Moved(path, by) => Ok(Box::new(mcap::McapStream::open(path, by)?)),
+            Self::Mcap(path, moves) => Ok(Box::new(mcap::McapStream::open(path, moves)?)),
             Self::Bag(path) => Ok(Box::new(bag::BagStream::open(path, images)?)),
         }
     }

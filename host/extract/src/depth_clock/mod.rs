@@ -18,7 +18,7 @@
 //!    edge-to-centre time, exact to a tick and free of the camera's clock.
 //!
 //! Where the board was reset, each run of it is matched so, and the camera's clock
-//! leads from one to the next ([`resets`]).
+//! leads from one to the next ([`crate::later_runs`]).
 //!
 //! Pulses and frames are compared in f64 nanoseconds relative to the first of
 //! each (exact for 104 days); the timestamps that come out are integers of the
@@ -31,10 +31,10 @@
 pub(crate) mod assign;
 pub(crate) mod fit;
 pub(crate) mod pattern;
-pub(crate) mod resets;
 
 pub(crate) use assign::{Assignment, FrameState};
 
+use crate::later_runs::depth::RunError;
 use crate::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap};
 
 /// Fewest frames and pulses that are matched.
@@ -157,7 +157,7 @@ pub(crate) enum MatchError {
         /// The run that does not fit, from 1.
         run: usize,
         /// What does not.
-        why: Box<resets::RunError>,
+        why: Box<RunError>,
     },
     /// Pattern and hint contradict each other.
     #[error(
@@ -215,7 +215,7 @@ pub(crate) fn match_frames(
 }
 
 /// The same for a camera that streamed before the first of the pulses came.
-fn match_running(
+pub(crate) fn match_running(
     frames: &[DeviceNanos],
     pulses: &[PulseTime],
     hint: Option<Hint>,
@@ -298,4 +298,4 @@ fn decide(
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

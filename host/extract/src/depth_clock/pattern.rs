@@ -47,7 +47,7 @@ const AT_ANCHOR: usize = 1000;
 /// for certain, ns: twice the usual slew.
 const FOLLOWED: f64 = 200e3;
 /// Noise of a device time: one tick, evenly distributed.
-pub(super) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
+pub(crate) const TICK_SIGMA: f64 = DEVICE_TICK_NS / 3.464_101_615;
 /// Longest recording, ns: a month.
 const MAX_SPAN: f64 = 30.0 * 86_400.0 * 1e9;
 /// Largest ordinal: beyond, times are damaged.
@@ -499,7 +499,7 @@ fn compare_in_full(grid: &Grid, shifts: &[i64], mut best: i64, sigma: f64) -> Fo
 }
 
 /// `a − b` of two times in ns, without overflow.
-pub(super) fn distance(a: i64, b: i64) -> f64 {
+pub(crate) fn distance(a: i64, b: i64) -> f64 {
     (i128::from(a) - i128::from(b)) as f64
 }
 

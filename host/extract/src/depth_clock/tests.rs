@@ -3,10 +3,10 @@
 use super::*;
 
 /// A small generator of its own: the tests need nothing better.
-pub(super) struct Dice(pub(super) u64);
+pub(crate) struct Dice(pub(crate) u64);
 
 impl Dice {
-    pub(super) fn next(&mut self) -> u64 {
+    pub(crate) fn next(&mut self) -> u64 {
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -14,22 +14,22 @@ impl Dice {
         self.0 >> 33
     }
 
-    pub(super) fn below(&mut self, end: u64) -> u64 {
+    pub(crate) fn below(&mut self, end: u64) -> u64 {
         self.next() % end
     }
 }
 
 /// Pulses of 30.0024 Hz with a move of the phase.
-pub(super) struct Train {
-    pub(super) count: u64,
+pub(crate) struct Train {
+    pub(crate) count: u64,
     /// First pulse of the move, ns in all, ns a pulse (0: at once).
-    pub(super) slew: Option<(u64, i64, i64)>,
+    pub(crate) slew: Option<(u64, i64, i64)>,
 }
 
-pub(super) const PERIOD_PS: i64 = 33_330_652_540;
+pub(crate) const PERIOD_PS: i64 = 33_330_652_540;
 
 impl Train {
-    pub(super) fn pulses(&self) -> Vec<PulseTime> {
+    pub(crate) fn pulses(&self) -> Vec<PulseTime> {
         let mut moved = 0_i64;
         (0..self.count)
             .map(|number| {

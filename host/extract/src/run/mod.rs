@@ -29,9 +29,9 @@ use super::grid::{self, GridReport};
 use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
 use super::inputs::{Inputs, InputsError, Options, PhoneInput};
+use super::later_runs;
 use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
-use super::phone_clock::PhoneClock;
 use super::progress::Progress;
 use super::report::{
     BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
@@ -303,31 +303,19 @@ impl Run<'_> {
             return Ok(Vec::new());
         }
         let clock = phone.and_then(|phone| phone.clock.as_ref());
-        if let Some(moves) = clock.and_then(PhoneClock::moves) {
+        if let Some(moves) = clock.map(|clock| &clock.moves).filter(|moves| moves.any()) {
             // What the session says of times is about the runs as it had them.
             if let Some((_, to)) = &mut self.inputs.recorded {
                 let run = survey.runs.iter().filter(|mark| mark.from.0 <= *to).count();
-                *to = to.saturating_add(moves.get(run).copied().unwrap_or_default());
+                *to = to.saturating_add(moves.of(run));
             }
             let path = self.inputs.board.path().to_owned();
-            self.inputs.board = BoardInput::Moved(path, moves);
+            self.inputs.board = BoardInput::Mcap(path, moves.clone());
             let again = super::survey::survey(&self.inputs.board, self.progress)?;
             *survey = again.ok_or(ExtractError::Cancelled)?;
         }
-        let joints = clock.map(PhoneClock::joints).unwrap_or_default();
-        let mut reports = Vec::new();
-        for (index, mark) in survey.runs.iter_mut().enumerate() {
-            let unmoved = (0, mark.sigma_s, "the computer's clock");
-            let (moved_ns, sigma_s, by) = joints.get(index).copied().unwrap_or(unmoved);
-            mark.sigma_s = sigma_s;
-            reports.push(BoardRunReport {
-                from_ns: mark.from.0,
-                last_before_ns: mark.last.0,
-                moved_ns,
-                sigma_us: sigma_s * 1e6,
-                by,
-            });
-        }
+        let joints = clock.map_or(&[][..], |clock| &clock.joints);
+        let reports = later_runs::reports(&mut survey.runs, joints);
         for report in &reports {
             self.lose(
                 "board",

@@ -7,6 +7,7 @@ use phone::video_files::VideoFiles;
 use video::{Pixels, Video, VideoError, presentation_times};
 
 use super::{ExtractError, Run};
+use crate::board_data::BoardInput;
 use crate::faults::Faults;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
@@ -74,7 +75,11 @@ impl Run<'_> {
             }
         }
         let board = &self.inputs.board;
-        let priors = phone_clock::priors(input, survey, board.last_moved());
+        let moved = match board {
+            BoardInput::Mcap(_, moves) => moves.last(),
+            BoardInput::Bag(_) => 0,
+        };
+        let priors = phone_clock::priors(input, survey, moved);
         // Where the board was reset, all phones are on the axis of the first.
         let runs = if input.is_other() {
             Runs::Kept

@@ -17,7 +17,7 @@
 //!    of the run: else the anchor is off by whole periods.
 //!
 //! What contradicts the anchor is an error, and nothing is matched. A run that cannot be
-//! reached has no board time for its frames ([`super::FrameState::NotMatched`]), and why
+//! reached has no board time for its frames ([`crate::depth_clock::FrameState::NotMatched`]), and why
 //! is said. Frames in a gap next to a matched run are timed by the camera's clock.
 //!
 //! Limit: a camera that needs more than three frames to follow the pulses of a new run
@@ -32,9 +32,9 @@ use std::ops::Range;
 
 pub(crate) use error::RunError;
 
-use super::fit::median;
-use super::pattern::distance;
-use super::{DEVICE_TICK_NS, DepthMatch, Hint, MatchError, PulseTime};
+use crate::depth_clock::fit::median;
+use crate::depth_clock::pattern::distance;
+use crate::depth_clock::{DEVICE_TICK_NS, DepthMatch, Hint, MatchError, PulseTime};
 use crate::time::{AffineMap, BoardNanos, DeviceNanos};
 
 /// No prediction is better than this, ns: two ticks of the camera.

@@ -1,7 +1,7 @@
 //! Simulated cameras over a reset of the board, with known truth.
 
-use super::super::tests::{Dice, PERIOD_PS, Train};
 use super::*;
+use crate::depth_clock::tests::{Dice, PERIOD_PS, Train};
 use crate::depth_clock::{Decision, FrameState};
 
 /// True nanoseconds since the first pulse of all.
