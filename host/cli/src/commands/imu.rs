@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use protocol::{
     AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuState, LowPass, TICK_HZ, Ticks,
 };
@@ -177,7 +177,7 @@ fn stream(
     summary: &mut Summary,
     csv: &mut Option<Csv>,
 ) -> Result<Ended, Failure> {
-    let bar = progress_bar(context, u64::from(args.seconds));
+    let bar = context.progress(Some(args.seconds.into()), "{bar:30} {pos}/{len} s  {msg}");
     let mut last_sign = board.session().latest();
     let mut quiet_since = board.now();
     loop {
@@ -253,17 +253,6 @@ fn no_samples(board: &mut Board) -> Failure {
         format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
     )
     .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V")
-}
-
-fn progress_bar(context: &Context, seconds: u64) -> ProgressBar {
-    let target = if context.shows_progress() {
-        ProgressDrawTarget::stderr()
-    } else {
-        ProgressDrawTarget::hidden()
-    };
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} s  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(seconds), target).with_style(style)
 }
 
 fn show(bar: &ProgressBar, summary: &Summary) {

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::PortArg;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
+use crate::record::preflight::firmware_version;
 use board::session::Event;
 use board::{Board, BoardError, reset_cause};
 
@@ -116,10 +117,9 @@ fn watch(
 
 impl Info {
     fn new(hello: &Hello, round_trip: Duration) -> Self {
-        let (major, minor, patch) = hello.firmware_version;
         Self {
             board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
-            firmware_version: format!("{major}.{minor}.{patch}"),
+            firmware_version: firmware_version(hello),
             git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
             git_dirty: hello.git_dirty,
             protocol_version: hello.protocol_version,

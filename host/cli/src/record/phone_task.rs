@@ -19,7 +19,7 @@ use phone::{
 
 /// What the phone is asked.
 #[derive(Clone, Debug)]
-pub enum Request {
+pub(crate) enum Request {
     /// Is it there, and which version is it?
     Probe,
     /// Record the gyroscope.
@@ -34,7 +34,7 @@ pub enum Request {
 
 /// What it answered.
 #[derive(Clone, Debug)]
-pub enum Answer {
+pub(crate) enum Answer {
     /// To [`Request::Probe`]: the version.
     Version(String),
     /// To [`Request::Gyroscope`].
@@ -100,7 +100,7 @@ impl PhoneTask {
     }
 
     /// Asks; the answer is to be taken by [`PhoneTask::answer`].
-    pub fn ask(&self, request: Request) {
+    pub(crate) fn ask(&self, request: Request) {
         self.cancel.store(false, Ordering::Relaxed);
         self.progress.done.store(0, Ordering::Relaxed);
         if let Some(requests) = &self.requests {
@@ -110,7 +110,7 @@ impl PhoneTask {
     }
 
     /// The answer, once it is there.
-    pub fn answer(&self) -> Option<Result<Answer, PhoneError>> {
+    pub(crate) fn answer(&self) -> Option<Result<Answer, PhoneError>> {
         match self.answers.try_recv() {
             Ok(answer) => Some(answer),
             Err(TryRecvError::Empty) => None,
@@ -120,13 +120,12 @@ impl PhoneTask {
 
     /// Ends the request under way with [`PhoneError::Cancelled`], within about
     /// 100 ms.
-    pub fn cancel(&self) {
+    pub(crate) fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
     }
 
     /// Bytes of the download that are there, and in all.
-    #[must_use]
-    pub fn progress(&self) -> (u64, u64) {
+    pub(crate) fn progress(&self) -> (u64, u64) {
         (
             self.progress.done.load(Ordering::Relaxed),
             self.progress.whole.load(Ordering::Relaxed),
