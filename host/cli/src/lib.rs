@@ -7,10 +7,12 @@
 //! - [`live_data`]: what is recorded, live for Foxglove.
 //! - `session_report`: the HTML report of a recording.
 //! - `log`: where log lines go.
+//! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
 //! - `decimal`: numbers of the command line as exact times.
 #![forbid(unsafe_code)]
 
 mod advice;
+mod arrival;
 pub mod cli;
 mod commands;
 mod decimal;

@@ -145,11 +145,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     context.print(&report, || {
         format!("{}written to {}", report.text(), job.out.display())
     })?;
-    Ok(if report.losses.is_empty() {
-        Outcome::Good
-    } else {
-        Outcome::Loss
-    })
+    Ok(Outcome::of_loss(!report.losses.is_empty()))
 }
 
 /// `RECORDING-FORMAT` beside the recording.

@@ -121,11 +121,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     };
     let report = Report::from(&report?);
     context.print(&report, || report.text())?;
-    Ok(if report.late > 0 || report.missed > 0 {
-        Outcome::Loss
-    } else {
-        Outcome::Good
-    })
+    Ok(Outcome::of_loss(report.late > 0 || report.missed > 0))
 }
 
 /// Unix time of the board's tick 0 by this computer's clock.

@@ -7,6 +7,7 @@ use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Status, TICK_HZ};
 use serde::Serialize;
 
 use super::PortArg;
+use super::listen::{Heard, Listened, listen};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use crate::record::preflight::firmware_version;
@@ -84,15 +85,14 @@ fn watch(
     reports: &mut Vec<StatusReport>,
 ) -> Result<Outcome, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
-    let mut silent_since = board.now();
+    let is_over = |board: &Board| board.session().latest().0 >= end;
     let mut before = None;
-    while board.session().latest().0 < end {
-        if context.interrupt.requested() {
-            return Ok(Outcome::Interrupted);
-        }
-        match board.next_event(Duration::from_millis(100))? {
-            Some(Event::Message(DeviceToHost::Status(status))) => {
-                silent_since = board.now();
+    let watched = if is_over(board) {
+        Listened::Done(())
+    } else {
+        listen(board, context, |board, event| {
+            let something = event.is_some();
+            if let Some(Event::Message(DeviceToHost::Status(status))) = event {
                 let report = StatusReport::from(&status);
                 if !context.global.json {
                     context.print(&report, || report.text(before))?;
@@ -100,19 +100,21 @@ fn watch(
                 before.get_or_insert(report.dropped.total());
                 reports.push(report);
             }
-            Some(_) => {}
-            // It comes once a second of board time; a simulated board may be slower.
-            None if board.now().saturating_sub(silent_since) > Duration::from_secs(20) => {
-                return Err(BoardError::NoAnswer {
-                    command: "status message",
-                }
-                .into());
-            }
-            None => {}
-        }
+            Ok(match something {
+                _ if is_over(board) => Heard::Done(()),
+                true => Heard::Sign,
+                false => Heard::Other,
+            })
+        })?
+    };
+    let command = "status message";
+    match watched {
+        Listened::Done(()) => {}
+        Listened::Interrupted => return Ok(Outcome::Interrupted),
+        Listened::Quiet => return Err(BoardError::NoAnswer { command }.into()),
     }
     let lost = board.session().counts().lost() > 0 || board.session().damaged_frames() > 0;
-    Ok(if lost { Outcome::Loss } else { Outcome::Good })
+    Ok(Outcome::of_loss(lost))
 }
 
 impl Info {

@@ -14,6 +14,7 @@ use super::rig::Rig;
 use super::twist::first_twist;
 use super::watch::{Finding, Grid, Watch};
 use super::{Options, Stop, seconds};
+use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
@@ -21,9 +22,6 @@ use frame_sync::alignment::phase_sigma_us_at;
 use frame_sync::alignment::plan;
 use recording::session_file::{Alignment, Marker, Span, Video};
 use timebase::ClockModel;
-
-/// How much longer than planned an arrival may take, ticks.
-const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
 
 /// The session from the twist to the end of the recording.
 pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> Result<(), Stop> {
@@ -47,9 +45,9 @@ pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> 
                 .into(),
         );
     };
-    let mut alignment = align(rig, &clock, &video)?;
+    let alignment = align(rig, &clock, &video)?;
     phones::place_others(&rig.phones, &mut rig.journal)?;
-    confirm_arrival(rig, &mut alignment)?;
+    confirm_arrival(rig, &alignment)?;
     further::start(rig)?;
     record(rig, options, &alignment)
 }
@@ -138,35 +136,32 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
 }
 
 /// Waits until the board says that the train is on its grid.
-fn confirm_arrival(rig: &mut Rig<'_>, alignment: &mut Alignment) -> Result<(), Stop> {
-    let (Some(pulse), Some(arrival)) = (alignment.arrival_pulse, alignment.arrival) else {
+fn confirm_arrival(rig: &mut Rig<'_>, alignment: &Alignment) -> Result<(), Stop> {
+    let (Some(pulse), Some(at)) = (alignment.arrival_pulse, alignment.arrival) else {
         return Ok(());
     };
+    let planned = PlannedArrival { pulse, at };
     let bar = rig.context.spinner();
     bar.set_message("waiting for the trigger to arrive on the phone's frames");
-    let latest = arrival.0.saturating_add(ARRIVAL_MARGIN);
     let confirmed = rig.pump_until(|rig| match rig.observers.arrived {
         Some(arrived) if arrived.pulse >= pulse => Some(true),
-        _ => (rig.now().0 > latest).then_some(false),
+        _ => planned.is_overdue(rig.now()).then_some(false),
     });
     bar.finish_and_clear();
     if confirmed? {
         return rig.journal.save();
     }
-    // The message may have been lost on the link; the state of the train was not.
     let status = rig.call(Board::trigger)?;
-    if status.state == TrainState::Running && status.pulses > pulse {
+    if planned.has_come(&status) {
         return rig.journal.problem(Finding::warning(
             "arrival_unconfirmed",
             "the board did not report the arrival, but its train runs on the grid",
         ));
     }
+    let state = status.state;
     Err(Failure::new(
         ExitStatus::NoAnswer,
-        format!(
-            "the trigger did not arrive at pulse {pulse} ({:?})",
-            status.state
-        ),
+        format!("the trigger did not arrive at pulse {pulse} ({state:?})"),
     )
     .next_step("look at `smartdepthsync trigger status`, then record again")
     .into())
