@@ -31,11 +31,11 @@ use super::messages::{
     LinkFrame, Log, Pulse, RosMessage, Temperature, Time, TimeReference, to_cdr,
 };
 use super::{MCAP_FILE, RecordingError, topic};
-use crate::session_file::Joint;
 use board::imu::Sample;
 use board::reset_cause;
 use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
+use timebase::runs::Joint;
 
 /// The longest stretch of board time in one chunk, ticks.
 const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;

@@ -11,10 +11,10 @@ use crate::cli::Context;
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{Failure, Outcome};
 use crate::record::{self, Ended, Options, SerialConnector};
-use crate::session_report::{self, sigmas};
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{OtherPhone, SessionFile};
+use session_report::sigmas;
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]

@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 use super::further;
 use super::journal::Journal;
 use super::observers::Observers;
-use super::phone_task::{Answer, PhoneTask, Request};
 use super::rig::Rig;
 use super::steps::{is_repeatable, odd_answer, step};
 use super::twist::second_twist;
@@ -15,6 +14,7 @@ use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
 use board::Board;
 use board::session::Session;
+use phone::task::{Answer, PhoneTask, Request};
 use recording::writer::Writer;
 
 /// How long after its first failure a phone is asked again to stop its video.

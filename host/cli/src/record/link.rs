@@ -6,10 +6,10 @@ use std::time::Duration;
 use protocol::{ImuFlags, ImuSample, TICK_HZ, Ticks};
 
 use super::Connector;
-use super::resume::axis::{Axis, Pair};
 use board::Board;
 use board::imu::{Sample, Scale};
 use board::session::Event;
+use timebase::runs::{Axis, Pair};
 
 /// A link on which nothing at all comes for so long is as good as lost: a status
 /// comes every second.

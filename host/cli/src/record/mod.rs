@@ -15,7 +15,7 @@
 //! - [`observers`], [`watch`]: who looks at its messages, and what is watched while
 //!   recording.
 //! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
-//! - [`phones`], [`phone_task`], `recorder`: phones and depth recorder.
+//! - [`phones`], `recorder`: phones and depth recorder.
 //! - `preflight`: what is looked at before.
 
 pub mod close;
@@ -26,7 +26,6 @@ pub mod link;
 pub mod live;
 pub mod observers;
 pub mod operator;
-pub mod phone_task;
 pub mod phones;
 pub(crate) mod preflight;
 mod recorder;

@@ -11,12 +11,12 @@ use std::time::Duration;
 
 use super::Stop;
 use super::journal::Journal;
-use super::phone_task::{Answer, PhoneTask, Request};
 use super::rig::Rig;
 use super::watch::Finding;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
+use phone::task::{Answer, PhoneTask, Request};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
 use recording::session_file::{OtherPhone, PhoneInfo, Video};

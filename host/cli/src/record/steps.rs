@@ -1,13 +1,13 @@
 //! The steps of a session.
 
 use indicatif::ProgressBar;
+use phone::task::Answer;
 use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::connect::{check_readback, preflight};
 use super::further;
 use super::journal::Journal;
 use super::operator::Choice;
-use super::phone_task::Answer;
 use super::phones;
 use super::preflight::Checks;
 use super::rig::Rig;

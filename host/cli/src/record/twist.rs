@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use phone::task::{Answer, Request};
 use protocol::{TICK_HZ, Ticks};
 
 use super::Stop;
 use super::journal::Journal;
 use super::operator::Choice;
-use super::phone_task::{Answer, Request};
 use super::phones::Phones;
 use super::rig::Rig;
 use super::steps::{ask, is_repeatable, odd_answer};

@@ -6,7 +6,8 @@
 //! A board that was reset while recording begins a new run ([`restart`]):
 //!
 //! 1. As soon as the board answers again, its clock and this computer's are read
-//!    beside each other: the new run's place on the recording's [`axis`].
+//!    beside each other: the new run's place on the recording's axis
+//!    ([`timebase::runs`]).
 //! 2. Before the first message of the new run is recorded, a mark is
 //!    (`/session/board_run`), and the run is in the session file.
 //! 3. The IMU is set up as the profile wants it, the trigger is started on the
@@ -21,6 +22,5 @@
 //! A reset before the recording ends the session: what was found out about the board's
 //! clock is void.
 
-pub(super) mod axis;
 mod relink;
 pub(super) mod restart;

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use protocol::{Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
-use super::axis::Pair;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::link::BoardLink;
 use crate::record::rig::Rig;
@@ -14,7 +13,8 @@ use crate::record::{Stop, further, phones};
 use board::imu::Scale;
 use board::{BoardError, reset_cause};
 use recording::profile::Profile;
-use recording::session_file::{BoardRun, Joint};
+use recording::session_file::BoardRun;
+use timebase::runs::{Joint, Pair};
 
 /// How often the clocks are read beside each other once the board is back.
 const PINGS: usize = 5;

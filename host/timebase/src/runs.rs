@@ -16,7 +16,6 @@
 //!
 //! Limit: a computer that sleeps meanwhile does not know for how long.
 
-use recording::session_file::Joint;
 use std::time::Duration;
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
@@ -33,22 +32,19 @@ const ASK_EVERY: Duration = Duration::from_secs(1);
 
 /// One instant on this computer's clock and on the board's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::record) struct Pair {
+pub struct Pair {
     /// This computer's, which is the link's.
-    pub(in crate::record) host: Duration,
+    pub host: Duration,
     /// The board's, in its own run.
-    pub(in crate::record) board: Ticks,
+    pub board: Ticks,
     /// The two are at most this far apart.
-    pub(in crate::record) within: Duration,
+    pub within: Duration,
 }
 
 impl Pair {
     /// From a round trip that began at `asked` and ended at `answered`.
-    pub(in crate::record) fn of_round_trip(
-        asked: Duration,
-        answered: Duration,
-        board: Ticks,
-    ) -> Self {
+    #[must_use]
+    pub fn of_round_trip(asked: Duration, answered: Duration, board: Ticks) -> Self {
         let within = answered.saturating_sub(asked) / 2;
         Self {
             host: asked + within,
@@ -64,9 +60,20 @@ impl Pair {
     }
 }
 
-/// The axis.
+/// How a run joins the one before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Recorded ticks less the board's.
+    pub shift: u64,
+    /// 1-sigma of it, s.
+    pub sigma_s: f64,
+    /// From the last thing known of the former run to the first of this one, s.
+    pub away_s: f64,
+}
+
+/// The axis of a recording's time, with the board's runs on it.
 #[derive(Clone, Debug, Default)]
-pub(in crate::record) struct Axis {
+pub struct Axis {
     shift: u64,
     first: Option<Pair>,
     best: Option<Pair>,
@@ -76,40 +83,43 @@ pub(in crate::record) struct Axis {
 
 impl Axis {
     /// The recorded time of a time of the board.
-    pub(in crate::record) const fn recorded(&self, board: Ticks) -> Ticks {
+    #[must_use]
+    pub const fn recorded(&self, board: Ticks) -> Ticks {
         Ticks(board.0.saturating_add(self.shift))
     }
 
     /// The board's time of a recorded time; 0 if that was before its run.
-    pub(in crate::record) const fn of_board(&self, recorded: Ticks) -> Ticks {
+    #[must_use]
+    pub const fn of_board(&self, recorded: Ticks) -> Ticks {
         Ticks(recorded.0.saturating_sub(self.shift))
     }
 
     /// Whether it is time to ask the board for its time.
-    pub(in crate::record) fn wants_to_ask(&self, now: Duration) -> bool {
+    #[must_use]
+    pub fn wants_to_ask(&self, now: Duration) -> bool {
         self.asked.is_none() && now.saturating_sub(self.last_asked) >= ASK_EVERY
     }
 
     /// It was asked by this command.
-    pub(in crate::record) const fn asked(&mut self, id: u32, now: Duration) {
+    pub const fn asked(&mut self, id: u32, now: Duration) {
         self.asked = Some((id, now));
         self.last_asked = now;
     }
 
     /// No answer to this command will come.
-    pub(in crate::record) fn expired(&mut self, id: u32) {
+    pub fn expired(&mut self, id: u32) {
         self.asked.take_if(|(asked, _)| *asked == id);
     }
 
     /// The board has answered.
-    pub(in crate::record) fn answered(&mut self, id: u32, now: Duration, board: Ticks) {
+    pub fn answered(&mut self, id: u32, now: Duration, board: Ticks) {
         if let Some((_, asked)) = self.asked.take_if(|(asked, _)| *asked == id) {
             self.heard(Pair::of_round_trip(asked, now, board));
         }
     }
 
     /// Both clocks were read.
-    pub(in crate::record) fn heard(&mut self, pair: Pair) {
+    pub fn heard(&mut self, pair: Pair) {
         self.first.get_or_insert(pair);
         let better = self
             .best
@@ -136,7 +146,7 @@ impl Axis {
     /// The board began anew. `fallback` stands for what was known of the former
     /// run if it was never asked; `last` is the last recorded time of it, behind
     /// which the new run must lie.
-    pub(in crate::record) fn begin(&mut self, fallback: Pair, now: Pair, last: Ticks) -> Joint {
+    pub fn begin(&mut self, fallback: Pair, now: Pair, last: Ticks) -> Joint {
         let rates = self.rates();
         let before = self.best.take().unwrap_or(fallback);
         let gap = now.host.saturating_sub(before.host);
@@ -163,7 +173,8 @@ impl Axis {
 
     /// A message with its times on the axis. Answers stay as they are: they are
     /// the board's own.
-    pub(in crate::record) fn message(&self, mut message: DeviceToHost) -> DeviceToHost {
+    #[must_use]
+    pub fn message(&self, mut message: DeviceToHost) -> DeviceToHost {
         match &mut message {
             DeviceToHost::Hello(hello) => hello.now = self.recorded(hello.now),
             DeviceToHost::Status(status) => status.at = self.recorded(status.at),

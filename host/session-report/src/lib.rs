@@ -2,6 +2,7 @@
 //!
 //! What was decided comes from `session.json`, the plots from `recording.mcap`,
 //! which is read once from front to back.
+#![forbid(unsafe_code)]
 
 mod curves;
 mod sections;
@@ -19,7 +20,7 @@ use recording::session_file::{SessionFile, SessionOutcome, Span};
 use timebase::ClockModel;
 
 /// Name of the report in a recording's folder.
-pub(crate) const REPORT_FILE: &str = "report.html";
+pub const REPORT_FILE: &str = "report.html";
 
 /// The most problems and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
@@ -29,7 +30,7 @@ const MAX_LISTED: usize = 200;
 /// # Errors
 ///
 /// The recording cannot be read, or the report cannot be written.
-pub(crate) fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
+pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session)?;
     let path = folder.join(REPORT_FILE);
     std::fs::write(&path, page(session, &curves).html()).map_err(|source| RecordingError::Io {
@@ -41,7 +42,8 @@ pub(crate) fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, Rec
 }
 
 /// The verdict over a session in words.
-pub(crate) fn verdict(session: &SessionFile) -> (Level, String) {
+#[must_use]
+pub fn verdict(session: &SessionFile) -> (Level, String) {
     let lost = session.counts.lost();
     let expected = session.alignment.map_or(String::new(), |alignment| {
         format!(
@@ -215,7 +217,8 @@ fn streams(page: &mut Page, session: &SessionFile) {
 }
 
 /// 1-sigma of a relation's offset in µs and of its skew in ppm, at its reference.
-pub(crate) fn sigmas(clock: &ClockModel) -> (f64, f64) {
+#[must_use]
+pub fn sigmas(clock: &ClockModel) -> (f64, f64) {
     let sigma = |at: usize| clock.covariance[at][at].max(0.0).sqrt() * 1e6;
     (sigma(0), sigma(1))
 }

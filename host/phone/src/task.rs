@@ -12,14 +12,14 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use phone::{
+use crate::{
     ImuRecording, ImuRequest, PhoneClient, PhoneError, SavedVideo, Settings, StopSignal,
     VideoStart, VideoTarget,
 };
 
 /// What the phone is asked.
 #[derive(Clone, Debug)]
-pub(crate) enum Request {
+pub enum Request {
     /// Is it there, and which version is it?
     Probe,
     /// Record the gyroscope.
@@ -34,7 +34,7 @@ pub(crate) enum Request {
 
 /// What it answered.
 #[derive(Clone, Debug)]
-pub(crate) enum Answer {
+pub enum Answer {
     /// To [`Request::Probe`]: the version.
     Version(String),
     /// To [`Request::Gyroscope`].
@@ -100,7 +100,7 @@ impl PhoneTask {
     }
 
     /// Asks; the answer is to be taken by [`PhoneTask::answer`].
-    pub(crate) fn ask(&self, request: Request) {
+    pub fn ask(&self, request: Request) {
         self.cancel.store(false, Ordering::Relaxed);
         self.progress.done.store(0, Ordering::Relaxed);
         if let Some(requests) = &self.requests {
@@ -110,7 +110,8 @@ impl PhoneTask {
     }
 
     /// The answer, once it is there.
-    pub(crate) fn answer(&self) -> Option<Result<Answer, PhoneError>> {
+    #[must_use]
+    pub fn answer(&self) -> Option<Result<Answer, PhoneError>> {
         match self.answers.try_recv() {
             Ok(answer) => Some(answer),
             Err(TryRecvError::Empty) => None,
@@ -120,12 +121,13 @@ impl PhoneTask {
 
     /// Ends the request under way with [`PhoneError::Cancelled`], within about
     /// 100 ms.
-    pub(crate) fn cancel(&self) {
+    pub fn cancel(&self) {
         self.cancel.store(true, Ordering::Relaxed);
     }
 
     /// Bytes of the download that are there, and in all.
-    pub(crate) fn progress(&self) -> (u64, u64) {
+    #[must_use]
+    pub fn progress(&self) -> (u64, u64) {
         (
             self.progress.done.load(Ordering::Relaxed),
             self.progress.whole.load(Ordering::Relaxed),
