@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::{Parser, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;
 use tracing_subscriber::filter::LevelFilter;
@@ -215,9 +216,22 @@ impl Context {
         }
     }
 
-    /// Whether a progress bar would be seen.
-    pub(crate) fn shows_progress(&self) -> bool {
-        !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal()
+    /// A progress bar of this length on standard error; hidden where nobody would see it.
+    pub(crate) fn progress(&self, length: Option<u64>, template: &str) -> ProgressBar {
+        let is_seen = !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal();
+        let target = if is_seen {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let style =
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        ProgressBar::with_draw_target(length, target).with_style(style)
+    }
+
+    /// A spinner with a message.
+    pub(crate) fn spinner(&self) -> ProgressBar {
+        self.progress(None, "{spinner} {msg}")
     }
 }
 

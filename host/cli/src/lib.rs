@@ -5,12 +5,13 @@
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - `view`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
-//! - `session_report`: the HTML report of a recording.
 //! - `log`: where log lines go.
+//! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
 //! - `decimal`: numbers of the command line as exact times.
 #![forbid(unsafe_code)]
 
 mod advice;
+mod arrival;
 pub mod cli;
 mod commands;
 mod decimal;
@@ -18,5 +19,4 @@ pub mod live_data;
 mod log;
 pub mod outcome;
 pub mod record;
-mod session_report;
 mod view;

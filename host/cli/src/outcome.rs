@@ -134,6 +134,13 @@ pub enum Outcome {
     Told(ExitStatus),
 }
 
+impl Outcome {
+    /// The outcome of a command that has finished, perhaps with loss.
+    pub(crate) const fn of_loss(lossy: bool) -> Self {
+        if lossy { Self::Loss } else { Self::Good }
+    }
+}
+
 impl From<Outcome> for ExitStatus {
     fn from(outcome: Outcome) -> Self {
         match outcome {

@@ -13,7 +13,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 /// Size of a drawing of one chart, pixels.
-const SIZE: (u32, u32) = (800, 340);
+pub const SIZE: (u32, u32) = (800, 340);
 
 /// Columns of an envelope.
 pub const COLUMNS: usize = 400;
@@ -28,7 +28,7 @@ const LETTER: i32 = 10;
 const LEFT: i32 = 70;
 
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
-const COLOURS: [Ink; 4] = [
+pub const COLOURS: [Ink; 4] = [
     Ink::rgb(0, 114, 178),
     Ink::rgb(213, 94, 0),
     Ink::rgb(0, 158, 115),

@@ -9,7 +9,8 @@
 //! [`requests`], [`samples`], [`file_name`]) and takes any input without a
 //! panic and in bounded memory. [`client`] is the only part that touches a
 //! socket; it is blocking, with a deadline on every read and write, since a
-//! session has exactly one thing to wait for. An error within an answer closes
+//! session has exactly one thing to wait for. [`task`] gives it a thread of its own, for
+//! who has more. An error within an answer closes
 //! the connection: after it nobody knows which byte belongs to what. A refusal
 //! in the app's own words does not.
 //!
@@ -28,6 +29,7 @@ pub mod gyro_csv;
 pub mod requests;
 pub mod rows;
 pub mod samples;
+pub mod task;
 pub mod video_files;
 
 pub use answer::ServerVersion;

@@ -12,12 +12,12 @@ use super::messages::{
     BoardRun, Capture, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature, Time,
     TimeReference,
 };
-use super::session_file::Joint;
 use super::topic::{Item, Topic};
 use board::imu::Sample;
 use board::reset_cause;
 use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
+use timebase::runs::Joint;
 
 /// How bad something is that is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -127,17 +127,6 @@ impl Check {
     }
 }
 
-/// How a run joins the one before it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Joint {
-    /// Recorded ticks less the board's.
-    pub shift: u64,
-    /// 1-sigma of it, s.
-    pub sigma_s: f64,
-    /// From the last thing known of the former run to the first of this one, s.
-    pub away_s: f64,
-}
-
 /// The board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardInfo {

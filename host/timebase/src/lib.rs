@@ -6,6 +6,7 @@
 //! other is [`ClockModel`].
 
 mod clock;
+pub mod runs;
 mod tracks;
 
 pub use clock::ClockModel;

@@ -12,6 +12,7 @@
 #![allow(clippy::needless_range_loop)]
 
 pub mod clock;
+pub mod coach;
 pub mod coarse;
 pub mod compare;
 pub mod crosscheck;

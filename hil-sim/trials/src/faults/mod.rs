@@ -41,6 +41,7 @@ use std::time::{Duration, SystemTime};
 use board::Board;
 use board::StreamCounts;
 use board::imu::Scale;
+use phone::task::PhoneTask;
 use protocol::{Period, TICK_HZ, TriggerStart};
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
@@ -49,10 +50,12 @@ use serde::Serialize;
 use smartdepthsync::cli::{Context, Global, Interrupt, LogFormat, Said};
 use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
+use smartdepthsync::record::journal::Journal;
+use smartdepthsync::record::link::BoardLink;
 use smartdepthsync::record::live::Live;
 use smartdepthsync::record::operator::Operator;
-use smartdepthsync::record::phone_task::PhoneTask;
-use smartdepthsync::record::rig::{Parts, Rig as HostRig};
+use smartdepthsync::record::phones::Phones;
+use smartdepthsync::record::rig::Rig as HostRig;
 use smartdepthsync::record::watch::{Grid, Watch};
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
 
@@ -241,22 +244,14 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         let seconds = TIME_OF_DAY.saturating_add_signed(clock_step.load(Ordering::Relaxed));
         SystemTime::UNIX_EPOCH + Duration::from_secs(seconds)
     }));
-    let parts = Parts {
-        context: &context,
-        profile: &profile,
-        connector: &mut connector,
-        board,
-        imu,
-        scale,
-        phone: PhoneTask::start("127.0.0.1:1".to_owned()).map_err(|error| error.to_string())?,
-        operator: Operator::absent(),
-        live: Live::open(&context, false),
-        link_patience: LINK_PATIENCE,
-        writer,
-        folder: recording.clone(),
-        file: SessionFile::new(format!("seed-{}", plan.seed), profile.clone()),
-    };
-    let mut host = HostRig::new(parts);
+    let link = BoardLink::new(board, scale, &mut connector, LINK_PATIENCE);
+    let phone = PhoneTask::start("127.0.0.1:1".to_owned()).map_err(|error| error.to_string())?;
+    let phones = Phones::new(&profile, vec![phone]);
+    let file = SessionFile::new(format!("seed-{}", plan.seed), profile.clone());
+    let live = Live::open(&context, false);
+    let journal = Journal::new(&context, live, writer, recording.clone(), file);
+    let operator = Operator::absent();
+    let mut host = HostRig::new(&context, &profile, link, phones, operator, journal);
     let result = record(&mut host, &stage, plan);
     let options = RecordOptions {
         out: folder.to_path_buf(),
@@ -272,15 +267,15 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         foxglove: FoxgloveArg::default(),
     };
     let result = close::close(&mut host, &options, result);
-    let counts = host.board.conversation().counts();
-    let damaged_frames = host.board.conversation().damaged_frames();
+    let counts = host.link.board.conversation().counts();
+    let damaged_frames = host.link.board.conversation().damaged_frames();
     let (status, next_step) = match &result {
-        Ok(()) if host.has_problems() => (ExitStatus::Loss, true),
+        Ok(()) if host.journal.has_problems() => (ExitStatus::Loss, true),
         Ok(()) => (ExitStatus::Good, true),
         Err(Stop::Interrupted) => (ExitStatus::Interrupted, true),
         Err(Stop::Failed(failure)) => (failure.status(), failure.has_next_step()),
     };
-    let file = host.file.clone();
+    let file = host.journal.file.clone();
     drop(host);
     let report = stage.end().map_err(|error| error.to_string())?;
     Ok(Ended {
@@ -309,8 +304,8 @@ fn copy_files(from: &Path, to: &Path) {
 /// Starts the train and records, as a session does between its twists.
 fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop> {
     // The IMU is up.
-    let up = host.now.0 + 2 * u64::from(TICK_HZ);
-    host.pump_until(|host| (host.now.0 >= up).then_some(()))?;
+    let up = host.now().0 + 2 * u64::from(TICK_HZ);
+    host.pump_until(|host| (host.now().0 >= up).then_some(()))?;
     let Some(period) = Period::from_picos(PERIOD_PICOS) else {
         return Ok(());
     };
@@ -331,10 +326,10 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
         .begin(train)
         .map_err(board::BoardError::from)
         .map_err(smartdepthsync::outcome::Failure::from)?;
-    host.board.start_counting();
-    let from = host.now;
-    host.file.recorded = Some(Span { from, to: from });
-    host.watch = Some(Watch::new(
+    host.link.board.start_counting();
+    let from = host.now();
+    host.journal.file.recorded = Some(Span { from, to: from });
+    host.observers.watch = Some(Watch::new(
         Grid {
             anchor: train.first,
             period,
@@ -343,10 +338,10 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
     ));
     let end = from.0 + plan.length_us * u64::from(TICK_HZ / 1_000_000);
     let mut ask = from.0 + ASK_TICKS;
-    while host.now.0 < end {
+    while host.now().0 < end {
         host.pump(Duration::from_millis(20))?;
-        if host.now.0 >= ask {
-            ask = host.now.0 + ASK_TICKS;
+        if host.now().0 >= ask {
+            ask = host.now().0 + ASK_TICKS;
             host.call(Board::trigger)?;
         }
     }

@@ -8,6 +8,7 @@ use std::time::Duration;
 use protocol::{DeviceToHost, Period, TICK_HZ, TrainState, TriggerStart};
 
 use super::PortArg;
+use super::listen::{Heard, Listened, listen};
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::record::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME};
@@ -17,9 +18,6 @@ use board::{Board, BoardError};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
 use recording::session_file::Verdict;
-
-/// Nothing at all comes for so long: the link is dead.
-const LINK_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
@@ -92,37 +90,34 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
 }
 
 /// Takes events for so long in board time. Ends early on Ctrl-C.
-fn listen(
+fn listen_for(
     board: &mut Board,
     context: &Context,
     ticks: u64,
     mut take: impl FnMut(&Event),
-) -> Result<(), BoardError> {
+) -> Result<(), Failure> {
     let (now, _) = board.ping()?;
     let end = now.0.saturating_add(ticks);
-    let mut sign = board.now();
-    while board.conversation().latest().0 < end && !context.interrupt.requested() {
-        match board.next_event(Duration::from_millis(100))? {
-            Some(event) => {
-                sign = board.now();
-                take(&event);
-            }
-            None if board.now().saturating_sub(sign) > LINK_PATIENCE => {
-                return Err(BoardError::NoAnswer {
-                    command: "any message",
-                });
-            }
-            None => {}
-        }
+    let listened = listen(board, context, |board, event| {
+        event.iter().for_each(&mut take);
+        Ok(match event {
+            _ if board.conversation().latest().0 >= end => Heard::Done(()),
+            Some(_) => Heard::Sign,
+            None => Heard::Other,
+        })
+    })?;
+    let command = "any message";
+    match listened {
+        Listened::Done(()) | Listened::Interrupted => Ok(()),
+        Listened::Quiet => Err(BoardError::NoAnswer { command }.into()),
     }
-    Ok(())
 }
 
-fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Result<(), BoardError> {
+fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Result<(), Failure> {
     let mut look = ImuLook::default();
     let scale = Scale::of(&board.imu()?);
     board.start_counting();
-    listen(board, context, IMU_TIME, |event| match (event, &scale) {
+    listen_for(board, context, IMU_TIME, |event| match (event, &scale) {
         (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
             look.add(&scale.apply(sample));
         }
@@ -140,7 +135,7 @@ fn check_trigger(
     board: &mut Board,
     checks: &mut Checks,
     context: &Context,
-) -> Result<(), BoardError> {
+) -> Result<(), Failure> {
     let before = board.trigger()?;
     let after = if before.state == TrainState::Stopped && !args.no_trigger {
         board.start_trigger(TriggerStart {
@@ -148,7 +143,7 @@ fn check_trigger(
             width: 12 * TICK_HZ / 1_000_000,
             first_edge: None,
         })?;
-        let listened = listen(board, context, TRIGGER_TIME, |_| {});
+        let listened = listen_for(board, context, TRIGGER_TIME, |_| {});
         let after = board.stop_trigger()?;
         listened?;
         after

@@ -3,9 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 
-use crate::cli::{Context, Interrupt};
+use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
@@ -145,11 +145,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     context.print(&report, || {
         format!("{}written to {}", report.text(), job.out.display())
     })?;
-    Ok(if report.losses.is_empty() {
-        Outcome::Good
-    } else {
-        Outcome::Loss
-    })
+    Ok(Outcome::of_loss(!report.losses.is_empty()))
 }
 
 /// `RECORDING-FORMAT` beside the recording.
@@ -270,16 +266,14 @@ impl From<ExtractError> for Failure {
 
 /// A progress bar for each long step.
 struct Bar {
-    shown: bool,
-    interrupt: Interrupt,
+    context: Context,
     bar: Mutex<Option<ProgressBar>>,
 }
 
 impl Bar {
     fn new(context: &Context) -> Self {
         Self {
-            shown: context.shows_progress(),
-            interrupt: context.interrupt.clone(),
+            context: context.clone(),
             bar: Mutex::new(None),
         }
     }
@@ -296,20 +290,14 @@ impl Bar {
 impl Progress for Bar {
     fn begin(&self, what: &str, total: u64) {
         self.end();
-        let target = if self.shown {
-            ProgressDrawTarget::stderr()
-        } else {
-            ProgressDrawTarget::hidden()
-        };
         let template = if total > 0 {
             "{msg} {wide_bar} {percent:>3} % {eta:>4}"
         } else {
             "{msg} {spinner}"
         };
-        let style =
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar =
-            ProgressBar::with_draw_target((total > 0).then_some(total), target).with_style(style);
+        let bar = self
+            .context
+            .progress((total > 0).then_some(total), template);
         bar.set_message(what.to_owned());
         if let Ok(mut slot) = self.bar.lock() {
             *slot = Some(bar);
@@ -325,7 +313,7 @@ impl Progress for Bar {
     }
 
     fn cancelled(&self) -> bool {
-        self.interrupt.requested()
+        self.context.interrupt.requested()
     }
 }
 

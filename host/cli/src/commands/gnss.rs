@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use clap::Subcommand;
-use protocol::{Baud, GnssReport, GnssSettings, Sentences, TICK_HZ, TrainState};
+use protocol::{Baud, GnssReport, GnssSettings, GnssStatus, Sentences, TICK_HZ, TrainState};
 use serde::Serialize;
 
 use super::PortArg;
@@ -58,12 +58,9 @@ enum Action {
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Report {
-    state: TrainState,
-    pulses: u64,
-    sentences: u32,
-    missed: u32,
-    late: u32,
+struct Printed {
+    #[serde(flatten)]
+    status: GnssStatus,
     settings: Option<SettingsReport>,
 }
 
@@ -119,13 +116,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Action::Stop => board.stop_gnss(),
         Action::Status => board.gnss(),
     };
-    let report = Report::from(&report?);
+    let report = Printed::from(&report?);
     context.print(&report, || report.text())?;
-    Ok(if report.late > 0 || report.missed > 0 {
-        Outcome::Loss
-    } else {
-        Outcome::Good
-    })
+    Ok(Outcome::of_loss(
+        report.status.late > 0 || report.status.missed > 0,
+    ))
 }
 
 /// Unix time of the board's tick 0 by this computer's clock.
@@ -146,15 +141,10 @@ fn at_zero(utc: i64, board: &mut Board) -> Result<i64, Failure> {
     Ok(utc.saturating_sub(i64::try_from(seconds).unwrap_or(i64::MAX)))
 }
 
-impl From<&GnssReport> for Report {
+impl From<&GnssReport> for Printed {
     fn from(report: &GnssReport) -> Self {
-        let status = &report.status;
         Self {
-            state: status.state,
-            pulses: status.pulses,
-            sentences: status.sentences,
-            missed: status.missed,
-            late: status.late,
+            status: report.status,
             settings: report.settings.map(|settings| SettingsReport {
                 utc_at_zero: settings.utc_at_zero,
                 baud: settings.baud.hz(),
@@ -172,10 +162,10 @@ impl From<&GnssReport> for Report {
     }
 }
 
-impl Report {
+impl Printed {
     fn text(&self) -> String {
         let mut text = String::new();
-        let state = match self.state {
+        let state = match self.status.state {
             TrainState::Stopped => "stopped",
             TrainState::Waiting => "waiting for the next whole second",
             TrainState::Running | TrainState::Slewing => "running",
@@ -184,13 +174,13 @@ impl Report {
         let _ = writeln!(
             text,
             "so far     {} pulses, sentences of {} seconds",
-            self.pulses, self.sentences
+            self.status.pulses, self.status.sentences
         );
-        if self.missed > 0 || self.late > 0 {
+        if self.status.missed > 0 || self.status.late > 0 {
             let _ = writeln!(
                 text,
                 "lost       sentences of {} seconds; {} edges came late",
-                self.missed, self.late
+                self.status.missed, self.status.late
             );
         }
         if let Some(settings) = &self.settings {

@@ -4,15 +4,15 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use protocol::{
     AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuState, LowPass, TICK_HZ, Ticks,
 };
 use serde::Serialize;
 
 use super::PortArg;
+use super::listen::{Heard, Listened, listen};
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
@@ -23,9 +23,6 @@ use board::{Event, Stream};
 /// How long, in board time, samples may stay away before it is given up. The
 /// board recovers a sensor within a second.
 const PATIENCE_TICKS: u64 = 5 * TICK_HZ as u64;
-
-/// How long, on the link's clock, nothing at all may come.
-const LINK_PATIENCE: Duration = Duration::from_secs(20);
 
 /// Options of `imu`.
 #[derive(Debug, clap::Args)]
@@ -141,7 +138,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     }
     let scale = imu_scale(&setup)?;
     let mut summary = Summary::default();
-    let ended = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
+    let listened = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
+    if matches!(listened, Listened::Quiet) {
+        let command = "IMU samples";
+        return Err(BoardError::NoAnswer { command }.into());
+    }
     if let Some(csv) = csv {
         csv.finish()?;
     }
@@ -157,16 +158,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     };
     context.print(&report, || report.text())?;
     let impaired = report.missed > 0 || summary.is_impaired();
-    Ok(match ended {
-        Ended::Interrupted => Outcome::Interrupted,
-        Ended::Complete if impaired => Outcome::Loss,
-        Ended::Complete => Outcome::Good,
+    Ok(match listened {
+        Listened::Interrupted => Outcome::Interrupted,
+        _ => Outcome::of_loss(impaired),
     })
-}
-
-enum Ended {
-    Complete,
-    Interrupted,
 }
 
 fn stream(
@@ -176,31 +171,18 @@ fn stream(
     scale: &Scale,
     summary: &mut Summary,
     csv: &mut Option<Csv>,
-) -> Result<Ended, Failure> {
-    let bar = progress_bar(context, u64::from(args.seconds));
+) -> Result<Listened<()>, Failure> {
+    let bar = context.progress(Some(args.seconds.into()), "{bar:30} {pos}/{len} s  {msg}");
+    let length = i64::from(args.seconds) * i64::from(TICK_HZ);
     let mut last_sign = board.conversation().latest();
-    let mut quiet_since = board.now();
-    loop {
-        if context.interrupt.requested() {
-            bar.finish_and_clear();
-            return Ok(Ended::Interrupted);
-        }
-        let event = board.next_event(Duration::from_millis(100))?;
-        if event.is_some() {
-            quiet_since = board.now();
-        } else if board.now().saturating_sub(quiet_since) > LINK_PATIENCE {
-            return Err(BoardError::NoAnswer {
-                command: "IMU samples",
-            }
-            .into());
-        }
+    let listened = listen(board, context, |board, event| {
+        let is_quiet = event.is_none();
         match event {
             Some(Event::Message(DeviceToHost::Imu(raw))) => {
                 let sample = scale.apply(&raw);
-                let first = *summary.first().get_or_insert(sample.at);
-                if (sample.at - first).0 >= i64::from(args.seconds) * i64::from(TICK_HZ) {
-                    bar.finish_and_clear();
-                    return Ok(Ended::Complete);
+                let first = summary.first().unwrap_or(sample.at);
+                if (sample.at - first).0 >= length {
+                    return Ok(Heard::Done(()));
                 }
                 summary.add(&sample);
                 last_sign = sample.at;
@@ -218,18 +200,18 @@ fn stream(
             Some(Event::Restarted { .. }) => {
                 return Err(
                     Failure::new(ExitStatus::LinkLost, "the board was reset meanwhile")
-                        .next_step("`smartdepthsync info` says why")
-                        .into(),
+                        .next_step("`smartdepthsync info` says why"),
                 );
             }
-            _ => {
-                let silent = (board.conversation().latest() - last_sign).0;
-                if silent > PATIENCE_TICKS as i64 {
-                    return Err(no_samples(board));
-                }
+            _ if (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS as i64 => {
+                return Err(no_samples(board));
             }
+            _ => {}
         }
-    }
+        Ok(if is_quiet { Heard::Other } else { Heard::Sign })
+    })?;
+    bar.finish_and_clear();
+    Ok(listened)
 }
 
 fn no_samples(board: &mut Board) -> Failure {
@@ -253,17 +235,6 @@ fn no_samples(board: &mut Board) -> Failure {
         format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
     )
     .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V")
-}
-
-fn progress_bar(context: &Context, seconds: u64) -> ProgressBar {
-    let target = if context.shows_progress() {
-        ProgressDrawTarget::stderr()
-    } else {
-        ProgressDrawTarget::hidden()
-    };
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} s  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(Some(seconds), target).with_style(style)
 }
 
 fn show(bar: &ProgressBar, summary: &Summary) {

@@ -7,8 +7,10 @@ use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Status, TICK_HZ};
 use serde::Serialize;
 
 use super::PortArg;
+use super::listen::{Heard, Listened, listen};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
+use crate::record::preflight::firmware_version;
 use board::Event;
 use board::{Board, BoardError, reset_cause};
 
@@ -83,15 +85,14 @@ fn watch(
     reports: &mut Vec<StatusReport>,
 ) -> Result<Outcome, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
-    let mut silent_since = board.now();
+    let is_over = |board: &Board| board.conversation().latest().0 >= end;
     let mut before = None;
-    while board.conversation().latest().0 < end {
-        if context.interrupt.requested() {
-            return Ok(Outcome::Interrupted);
-        }
-        match board.next_event(Duration::from_millis(100))? {
-            Some(Event::Message(DeviceToHost::Status(status))) => {
-                silent_since = board.now();
+    let watched = if is_over(board) {
+        Listened::Done(())
+    } else {
+        listen(board, context, |board, event| {
+            let something = event.is_some();
+            if let Some(Event::Message(DeviceToHost::Status(status))) = event {
                 let report = StatusReport::from(&status);
                 if !context.global.json {
                     context.print(&report, || report.text(before))?;
@@ -99,28 +100,29 @@ fn watch(
                 before.get_or_insert(report.dropped.total());
                 reports.push(report);
             }
-            Some(_) => {}
-            // It comes once a second of board time; a simulated board may be slower.
-            None if board.now().saturating_sub(silent_since) > Duration::from_secs(20) => {
-                return Err(BoardError::NoAnswer {
-                    command: "status message",
-                }
-                .into());
-            }
-            None => {}
-        }
+            Ok(match something {
+                _ if is_over(board) => Heard::Done(()),
+                true => Heard::Sign,
+                false => Heard::Other,
+            })
+        })?
+    };
+    let command = "status message";
+    match watched {
+        Listened::Done(()) => {}
+        Listened::Interrupted => return Ok(Outcome::Interrupted),
+        Listened::Quiet => return Err(BoardError::NoAnswer { command }.into()),
     }
     let lost =
         board.conversation().counts().lost() > 0 || board.conversation().damaged_frames() > 0;
-    Ok(if lost { Outcome::Loss } else { Outcome::Good })
+    Ok(Outcome::of_loss(lost))
 }
 
 impl Info {
     fn new(hello: &Hello, round_trip: Duration) -> Self {
-        let (major, minor, patch) = hello.firmware_version;
         Self {
             board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
-            firmware_version: format!("{major}.{minor}.{patch}"),
+            firmware_version: firmware_version(hello),
             git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
             git_dirty: hello.git_dirty,
             protocol_version: hello.protocol_version,

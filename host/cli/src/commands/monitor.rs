@@ -16,15 +16,19 @@ use crate::view::gauge::Gauge;
 use crate::view::lines::line;
 use crate::view::screen::{Key, Screen};
 use crate::view::{PERIOD, Snapshot};
-use board::BoardError;
 use board::Event;
 use board::imu::Scale;
+use board::transport::LinkError;
+use board::{Board, BoardError};
 use recording::RecordingError;
 use recording::profile::Profile;
 use recording::writer::Publisher;
 
 /// How often a plain line is written where there is no terminal, board time.
 const LINE_TICKS: u64 = TICK_HZ as u64;
+
+/// What the state is called.
+const STATE: &str = "monitor";
 
 /// Look at the board: trigger, gyroscope, rates, losses. Nothing is changed and
 /// nothing is recorded.
@@ -56,20 +60,12 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let onlookers = args.foxglove.open(context)?;
     let mut board = args.port.open()?;
-    let setup = board.imu()?;
-    let scale = imu_scale(&setup)?;
+    let scale = imu_scale(&board.imu()?)?;
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
-    let mut connector = SerialConnector {
-        port: args.port.port.clone(),
-    };
+    let profile = args.profile.as_deref().map(Profile::load).transpose()?;
     let mut gauge = Gauge::default();
-    gauge.state = String::from("monitor");
+    gauge.state = String::from(STATE);
     gauge.board.clone_from(&id);
-    let mut topics = onlookers.clone().map(Publisher::new);
-    let profile = match &args.profile {
-        Some(path) => Some(Profile::load(path)?),
-        None => None,
-    };
     if let Some(profile) = &profile {
         gauge.name_sensors(profile);
     }
@@ -78,107 +74,157 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         .then(|| Screen::open(&context.interrupt))
         .flatten();
     let keys = screen.as_mut().and_then(Screen::take_keys);
-    let mut begun: Option<Ticks> = None;
-    let mut last_line: Option<Ticks> = None;
+    let mut monitor = Monitor {
+        context,
+        connector: SerialConnector {
+            port: args.port.port.clone(),
+        },
+        scale,
+        id,
+        profile,
+        gauge,
+        topics: onlookers.clone().map(Publisher::new),
+        screen,
+        begun: None,
+        last_line: None,
+    };
     let mut shown = Instant::now();
     let mut snapshot = Snapshot::default();
-    let outcome = loop {
-        if context.interrupt.requested() {
-            break Outcome::Good;
-        }
-        // Bounded, so that keys stay alive under full load.
-        let mut wait = PERIOD;
-        for _ in 0..2_000 {
-            match board.next_event(wait) {
-                Ok(Some(Event::Message(message))) => {
-                    gauge.take(&message, Some(&scale));
-                    if let Some(topics) = &mut topics {
-                        show_live(topics, &message, &scale, &id, profile.as_ref())?;
-                    }
-                }
-                Ok(Some(Event::Lost { stream, count })) => {
-                    gauge.lost(count);
-                    gauge.warning("pulse_messages_lost", &format!("{count} {stream} lost"));
-                }
-                Ok(Some(Event::Damaged(error))) => {
-                    gauge.damaged();
-                    gauge.warning("damaged", &error.to_string());
-                }
-                Ok(Some(Event::Restarted { .. })) => {
-                    gauge.warning("restarted", "the board was reset");
-                    begun = None;
-                    last_line = None;
-                }
-                Ok(Some(Event::OtherVersion { found })) => {
-                    return Err(BoardError::OtherVersion { found }.into());
-                }
-                Ok(Some(_)) => {}
-                Ok(None) => break,
-                Err(BoardError::Link(error)) => {
-                    gauge.warning("link_lost", &error.to_string());
-                    gauge.reconnects += 1;
-                    gauge.state = String::from("link lost");
-                    if let Some(screen) = &screen {
-                        screen.show(gauge.snapshot(None, None));
-                    }
-                    while !context.interrupt.requested() {
-                        let again = connector
-                            .connect(Some(&id))
-                            .and_then(|link| board.reconnect(link));
-                        if again.is_ok() {
-                            break;
-                        }
-                        std::thread::sleep(Duration::from_millis(300));
-                    }
-                    gauge.state = String::from("monitor");
-                    break;
-                }
-                Err(other) => return Err(Failure::from(other).into()),
-            }
-            wait = Duration::ZERO;
-        }
+    while !context.interrupt.requested() {
+        monitor.take_events(&mut board)?;
         if shown.elapsed() >= PERIOD {
             shown = Instant::now();
-            snapshot = gauge.snapshot(None, None);
+            snapshot = monitor.gauge.snapshot(None, None);
             if let Some(onlookers) = &onlookers {
                 onlookers.state(&snapshot);
             }
-            if let Some(screen) = &screen {
+            if let Some(screen) = &monitor.screen {
                 screen.show(snapshot.clone());
             }
         }
-        let now = snapshot.now;
-        let from = *begun.get_or_insert(now);
-        if screen.is_none()
-            && !context.global.json
-            && last_line.is_none_or(|last| now.0.saturating_sub(last.0) >= LINE_TICKS)
-            && now > Ticks::ZERO
-        {
-            last_line = Some(now);
-            context.print(&snapshot, || line(&snapshot))?;
-        }
+        monitor.line(&snapshot)?;
         let asked = keys
             .as_ref()
             .is_some_and(|keys| keys.try_iter().any(|key| key == Key::Quit));
-        let over = args
-            .duration
-            .is_some_and(|ticks| from > Ticks::ZERO && now.0.saturating_sub(from.0) >= ticks);
-        if asked || over {
-            break Outcome::Good;
+        if asked || monitor.is_over(snapshot.now, args.duration) {
+            break;
         }
-        if from == Ticks::ZERO {
-            begun = None;
-        }
-    };
-    drop(screen);
-    let snapshot = gauge.snapshot(None, None);
+    }
+    monitor.screen = None;
+    let snapshot = monitor.gauge.snapshot(None, None);
     if context.global.json {
         context.print(&snapshot, String::new)?;
     }
-    Ok(match outcome {
-        Outcome::Good if snapshot.losses.messages + snapshot.losses.damaged > 0 => Outcome::Loss,
-        other => other,
-    })
+    let losses = &snapshot.losses;
+    Ok(Outcome::of_loss(losses.messages + losses.damaged > 0))
+}
+
+/// A board that is looked at.
+struct Monitor<'a> {
+    context: &'a Context,
+    connector: SerialConnector,
+    scale: Scale,
+    id: String,
+    profile: Option<Profile>,
+    gauge: Gauge,
+    topics: Option<Publisher<LiveData>>,
+    screen: Option<Screen>,
+    /// The first board time that was shown, since the board's last reset.
+    begun: Option<Ticks>,
+    last_line: Option<Ticks>,
+}
+
+impl Monitor<'_> {
+    /// Takes what the board has sent; waits for the next picture at most.
+    fn take_events(&mut self, board: &mut Board) -> Result<(), Failure> {
+        let mut wait = PERIOD;
+        // Bounded, so that keys stay alive under full load.
+        for _ in 0..2_000 {
+            match board.next_event(wait) {
+                Ok(Some(event)) => self.take(event)?,
+                Ok(None) => break,
+                Err(BoardError::Link(error)) => {
+                    self.relink(board, &error);
+                    break;
+                }
+                Err(other) => return Err(other.into()),
+            }
+            wait = Duration::ZERO;
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, event: Event) -> Result<(), Failure> {
+        match event {
+            Event::Message(message) => {
+                self.gauge.take(&message, Some(&self.scale));
+                if let Some(topics) = &mut self.topics {
+                    let profile = self.profile.as_ref();
+                    show_live(topics, &message, &self.scale, &self.id, profile)?;
+                }
+            }
+            Event::Lost { stream, count } => {
+                self.gauge.lost(count);
+                let text = format!("{count} {stream} lost");
+                self.gauge.warning("pulse_messages_lost", &text);
+            }
+            Event::Damaged(error) => {
+                self.gauge.damaged();
+                self.gauge.warning("damaged", &error.to_string());
+            }
+            Event::Restarted { .. } => {
+                self.gauge.warning("restarted", "the board was reset");
+                self.begun = None;
+                self.last_line = None;
+            }
+            Event::OtherVersion { found } => {
+                return Err(BoardError::OtherVersion { found }.into());
+            }
+            Event::Frame(_) | Event::Answer(_) | Event::Expired { .. } => {}
+        }
+        Ok(())
+    }
+
+    /// Waits until the board is back, or the user stops.
+    fn relink(&mut self, board: &mut Board, error: &LinkError) {
+        self.gauge.warning("link_lost", &error.to_string());
+        self.gauge.reconnects += 1;
+        self.gauge.state = String::from("link lost");
+        if let Some(screen) = &self.screen {
+            screen.show(self.gauge.snapshot(None, None));
+        }
+        while !self.context.interrupt.requested() {
+            let link = self.connector.connect(Some(&self.id));
+            if link.and_then(|link| board.reconnect(link)).is_ok() {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(300));
+        }
+        self.gauge.state = String::from(STATE);
+    }
+
+    /// A plain line, where there is no view and it is time for one.
+    fn line(&mut self, snapshot: &Snapshot) -> Result<(), Failure> {
+        let now = snapshot.now;
+        let is_due = self
+            .last_line
+            .is_none_or(|last| now.0.saturating_sub(last.0) >= LINE_TICKS);
+        let is_wanted = self.screen.is_none() && !self.context.global.json;
+        if is_wanted && is_due && now > Ticks::ZERO {
+            self.last_line = Some(now);
+            self.context.print(snapshot, || line(snapshot))?;
+        }
+        Ok(())
+    }
+
+    /// Whether so many ticks have passed since the first board time.
+    fn is_over(&mut self, now: Ticks, duration: Option<u64>) -> bool {
+        if now == Ticks::ZERO && self.begun.is_none() {
+            return false;
+        }
+        let from = *self.begun.get_or_insert(now);
+        duration.is_some_and(|ticks| now.0.saturating_sub(from.0) >= ticks)
+    }
 }
 
 /// A message of the board, for those who look on from elsewhere; sensors by the names

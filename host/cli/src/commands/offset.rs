@@ -151,7 +151,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let phone = read(&args.phone)?;
     let result = estimate_offset(&mcu.track, &phone.track, &options);
     if let Some(path) = &args.plot {
-        let svg = plot::svg(&mcu.track, &phone.track, &result, &options)?;
+        let svg = plot::svg(&mcu.track, &phone.track, &result, &options);
         std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
         context.say(format!("plot: {}", path.display()));
     }

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Subcommand;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::cli::Context;
@@ -229,17 +228,10 @@ fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
 
 fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Result<(), Failure> {
     let request = imu_request(args);
-    let bar = if context.shows_progress() {
-        let bar = ProgressBar::new_spinner();
-        if let Ok(style) = ProgressStyle::with_template("{spinner} recording on the phone {msg}") {
-            bar.set_style(style.clone());
-        }
-        bar.set_message(format!("for {:.1} s", args.seconds.as_secs_f64()));
-        bar.enable_steady_tick(Duration::from_millis(200));
-        bar
-    } else {
-        ProgressBar::hidden()
-    };
+    let bar = context.spinner();
+    let seconds = args.seconds.as_secs_f64();
+    bar.set_message(format!("recording on the phone for {seconds:.1} s"));
+    bar.enable_steady_tick(Duration::from_millis(200));
     let recording = client.imu(request);
     bar.finish_and_clear();
     let mut summaries = Vec::new();
@@ -324,17 +316,8 @@ fn get_video(
     } else {
         VideoTarget::File(args.out.clone())
     };
-    let bar = if context.shows_progress() {
-        let bar = ProgressBar::new(0);
-        if let Ok(style) = ProgressStyle::with_template(
-            "{bar:30} {bytes}/{total_bytes} {bytes_per_sec}, {eta} left",
-        ) {
-            bar.set_style(style);
-        }
-        bar
-    } else {
-        ProgressBar::hidden()
-    };
+    let template = "{bar:30} {bytes}/{total_bytes} {bytes_per_sec}, {eta} left";
+    let bar = context.progress(Some(0), template);
     let begin = Instant::now();
     let saved = client.get_video(&target, args.overwrite, &mut |received, size| {
         bar.set_length(size);

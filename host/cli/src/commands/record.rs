@@ -11,10 +11,10 @@ use crate::cli::Context;
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{Failure, Outcome};
 use crate::record::{self, Ended, Options, SerialConnector};
-use crate::session_report;
 use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::{OtherPhone, SessionFile};
+use session_report::sigmas;
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
@@ -177,13 +177,11 @@ fn summary(report: &Report<'_>) -> String {
         );
     }
     if let Some(clock) = session.clock {
+        let (offset_us, skew_ppm) = sigmas(&clock);
+        let (offset, skew) = (clock.offset, clock.skew * 1e6);
         let _ = writeln!(
             text,
-            "clocks       offset {:.6} s ± {:.2} µs, skew {:+.4} ± {:.4} ppm",
-            clock.offset,
-            clock.covariance[0][0].max(0.0).sqrt() * 1e6,
-            clock.skew * 1e6,
-            clock.covariance[1][1].max(0.0).sqrt() * 1e6
+            "clocks       offset {offset:.6} s ± {offset_us:.2} µs, skew {skew:+.4} ± {skew_ppm:.4} ppm"
         );
     }
     if let Some(alignment) = session.alignment {
@@ -231,7 +229,7 @@ fn summary(report: &Report<'_>) -> String {
 fn phone_line(phone: &OtherPhone) -> String {
     let mut text = format!("phone        {}", phone.name);
     if let Some(clock) = phone.clock {
-        let sigma = clock.covariance[0][0].max(0.0).sqrt() * 1e6;
+        let (sigma, _) = sigmas(&clock);
         let _ = write!(text, ": offset {:.6} s ± {sigma:.2} µs", clock.offset);
     }
     if let Some(placed) = phone.placement {

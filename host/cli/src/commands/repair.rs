@@ -29,11 +29,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let result = repair(&args.recording, &args.out)?;
     context.print(&result, || text(&result))?;
-    Ok(if result.lost {
-        Outcome::Loss
-    } else {
-        Outcome::Good
-    })
+    Ok(Outcome::of_loss(result.lost))
 }
 
 fn text(result: &Repaired) -> String {

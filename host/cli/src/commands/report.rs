@@ -6,7 +6,6 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
-use crate::session_report;
 use recording::session_file::SessionFile;
 
 /// Write the HTML report of a recording (again), into its folder.

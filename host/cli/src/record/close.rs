@@ -3,17 +3,19 @@
 use std::time::{Duration, Instant};
 
 use super::further;
-use super::phone_task::{Answer, Request};
+use super::journal::Journal;
+use super::observers::Observers;
 use super::rig::Rig;
-use super::steps::{is_repeatable, odd_answer, spinner, step};
+use super::steps::{is_repeatable, odd_answer, step};
 use super::twist::second_twist;
 use super::watch::Finding;
 use super::{Options, Stop};
 use crate::advice::phone_status;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::ExitStatus;
 use board::Board;
-use recording::writer::Severity;
-use timebase::ClockModel;
+use board::Conversation;
+use phone::task::{Answer, PhoneTask, Request};
+use recording::writer::Writer;
 
 /// How long after its first failure a phone is asked again to stop its video.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);
@@ -37,14 +39,12 @@ pub fn close(rig: &mut Rig<'_>, options: &Options, result: Result<(), Stop>) -> 
         let broken = failure.status() == ExitStatus::Storage;
         if broken {
             // Nothing more can be written; what was written can be read.
-            rig.writer = None;
+            rig.journal.writer = None;
         }
-        let told = rig.problem(Finding::error("failed", text));
-        if told.is_err() {
-            rig.writer = None;
-        }
+        rig.journal.last_problem("failed", text);
     }
-    end_of_recording(rig);
+    let session = rig.link.board.conversation();
+    end_of_recording(&mut rig.journal, &mut rig.observers, session);
     stop_devices(rig);
     let result = match result {
         Ok(()) => after_recording(rig, options),
@@ -55,44 +55,38 @@ pub fn close(rig: &mut Rig<'_>, options: &Options, result: Result<(), Stop>) -> 
 
 /// Takes down what was recorded. Before the devices are stopped: what they do
 /// then is not part of it.
-fn end_of_recording(rig: &mut Rig<'_>) {
-    if rig.watch.take().is_none() {
+fn end_of_recording(journal: &mut Journal<'_>, observers: &mut Observers, link: &Conversation) {
+    if observers.watch.take().is_none() {
         return;
     }
-    if let Some(span) = &mut rig.file.recorded {
-        span.to = span.from.max(rig.now);
+    if let Some(span) = &mut journal.file.recorded {
+        span.to = span.from.max(journal.now);
     }
-    rig.file.counts = rig.board.conversation().counts();
-    rig.file.damaged_frames = rig.board.conversation().damaged_frames();
+    journal.file.counts = link.counts();
+    journal.file.damaged_frames = link.damaged_frames();
 }
 
 /// Stops phone, depth recorder and trigger; what cannot be stopped is told.
 fn stop_devices(rig: &mut Rig<'_>) {
     stop_videos(rig);
-    if let Some(recorder) = rig.depth.take() {
+    if let Some(recorder) = rig.rounds.depth.take() {
         let problem = recorder.stop(|| listen(rig, LISTEN));
         if let Some(text) = problem {
-            report(rig, Finding::error("depth_recorder_gone", text));
+            rig.journal.last_problem("depth_recorder_gone", text);
         }
     }
     if rig.trigger_started {
         rig.trigger_started = false;
         if let Err(Stop::Failed(failure)) = further::stop(rig) {
-            report(
-                rig,
-                Finding::error(
-                    "outputs_not_stopped",
-                    format!("a further output could not be stopped: {failure}"),
-                ),
+            rig.journal.last_problem(
+                "outputs_not_stopped",
+                format!("a further output could not be stopped: {failure}"),
             );
         }
         if let Err(Stop::Failed(failure)) = rig.call(Board::stop_trigger) {
-            report(
-                rig,
-                Finding::error(
-                    "trigger_not_stopped",
-                    format!("the trigger could not be stopped: {failure}"),
-                ),
+            rig.journal.last_problem(
+                "trigger_not_stopped",
+                format!("the trigger could not be stopped: {failure}"),
             );
         }
     }
@@ -107,7 +101,7 @@ fn stop_devices(rig: &mut Rig<'_>) {
 /// Stops the videos that run. A phone that cannot be reached just then, as when Wi-Fi
 /// stalls, is asked again: to stop twice does no harm, and nobody else will do it.
 fn stop_videos(rig: &mut Rig<'_>) {
-    let mut running = rig.take_running_videos();
+    let mut running = rig.phones.take_running_videos();
     let mut failing_since = None;
     while !running.is_empty() {
         let requests = running
@@ -117,7 +111,7 @@ fn stop_videos(rig: &mut Rig<'_>) {
         let answers = match rig.ask_phones(requests, |_| {}) {
             Ok(answers) => answers,
             Err(Stop::Failed(failure)) => {
-                report(rig, Finding::error("phone_lost", failure.to_string()));
+                rig.journal.last_problem("phone_lost", failure.to_string());
                 return;
             }
             Err(Stop::Interrupted) => return,
@@ -132,7 +126,7 @@ fn stop_videos(rig: &mut Rig<'_>) {
                 if is_first {
                     rig.context.say(format!(
                         "the video of {} is not stopped yet: {error}; trying for {} s",
-                        rig.phone_label(place),
+                        rig.phones.label(place),
                         STOP_PATIENCE.as_secs()
                     ));
                 }
@@ -140,9 +134,9 @@ fn stop_videos(rig: &mut Rig<'_>) {
             }
             let text = format!(
                 "the video of {} could not be stopped: {error}; stop it on the phone",
-                rig.phone_label(place)
+                rig.phones.label(place)
             );
-            report(rig, Finding::error("phone_lost", text));
+            rig.journal.last_problem("phone_lost", text);
         }
         if !running.is_empty() {
             listen(rig, STOP_PAUSE);
@@ -160,30 +154,21 @@ fn listen(rig: &mut Rig<'_>, time: Duration) {
     }
 }
 
-/// Tells a problem while closing, where nothing can be done about a failure.
-fn report(rig: &mut Rig<'_>, finding: Finding) {
-    if rig.problem(finding).is_err() {
-        rig.writer = None;
-    }
-}
-
 /// What follows a recording that was not broken off.
 fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
-    rig.save()?;
+    rig.journal.save()?;
     // From here on Ctrl-C leaves the rest out.
     rig.closing = false;
     if options.second_twist {
-        let first: Vec<Option<ClockModel>> = rig
-            .phone_places()
-            .map(|place| rig.phone_clock(place))
-            .collect();
+        let places = rig.phones.places();
+        let first: Vec<_> = places.map(|place| rig.journal.clock(place)).collect();
         step(rig, "the second twist", |rig| second_twist(rig, &first))
-            .or_else(|stop| lesser(rig, "second_twist", stop))?;
+            .or_else(|stop| lesser(&mut rig.journal, "second_twist", stop))?;
     }
     if options.fetch_video {
-        for place in rig.phone_places() {
+        for place in rig.phones.places() {
             step(rig, "the download", |rig| fetch_video(rig, place))
-                .or_else(|stop| lesser(rig, "video_not_fetched", stop))?;
+                .or_else(|stop| lesser(&mut rig.journal, "video_not_fetched", stop))?;
         }
     }
     Ok(())
@@ -191,22 +176,26 @@ fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
 
 /// A failure of a step after the recording: the recording is there, so it is a
 /// problem, not the end.
-fn lesser(rig: &mut Rig<'_>, kind: &'static str, stop: Stop) -> Result<(), Stop> {
+fn lesser(journal: &mut Journal<'_>, kind: &'static str, stop: Stop) -> Result<(), Stop> {
     match stop {
         Stop::Failed(failure) if is_repeatable(&failure) => {
-            rig.problem(Finding::error(kind, failure.to_string()))
+            journal.problem(Finding::error(kind, failure.to_string()))
         }
         stop => Err(stop),
     }
 }
 
 fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
-    let own = rig.file.phone_folder(&rig.phone_profile(place).name);
-    let folder = rig.folder.join(&own);
-    let label = rig.phone_label(place);
-    let bar = spinner(rig);
+    let own = rig
+        .journal
+        .file
+        .phone_folder(&rig.phones.profile(place).name);
+    let folder = rig.journal.folder.join(&own);
+    let label = rig.phones.label(place);
+    let bar = rig.context.spinner();
     let answers = rig.ask_phones(vec![(place, Request::FetchVideo(folder))], |rig| {
-        let (done, whole) = rig.phone_task(place).progress();
+        let task = rig.phones.task(place);
+        let (done, whole) = task.map_or((0, 0), PhoneTask::progress);
         bar.set_message(format!(
             "downloading the video of {label}: {} of {} MB",
             done / 1_000_000,
@@ -217,14 +206,13 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
     let Some((_, answer)) = answers?.pop() else {
         return Ok(());
     };
-    match answer.map_err(|error| rig.phone_failure(place, error))? {
+    match answer.map_err(|error| rig.phones.failure(place, error))? {
         Answer::Fetched(video) => {
             if let Some(name) = video.path.file_name() {
                 let name = own.join(name).to_string_lossy().into_owned();
-                rig.file.files.push(name);
+                rig.journal.file.files.push(name);
             }
-            rig.tell(
-                Severity::Info,
+            rig.journal.info(
                 "video",
                 &format!(
                     "the video is {} ({} bytes)",
@@ -240,12 +228,7 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
 /// Finishes the files.
 fn finish(rig: &mut Rig<'_>, result: Result<(), Stop>) -> Result<(), Stop> {
     rig.closing = true;
-    let finished = match rig.writer.take() {
-        Some(writer) => writer.finish().map_err(|error| Failure::from(error).into()),
-        None => Ok(()),
-    };
-    match result {
-        Ok(()) => finished,
-        failed => failed,
-    }
+    let writer = rig.journal.writer.take();
+    let finished = writer.map_or(Ok(()), Writer::finish);
+    result.and(finished.map_err(Stop::from))
 }

@@ -3,20 +3,19 @@
 
 use std::time::Duration;
 
-use protocol::{ImuSetup, Ticks};
+use protocol::Ticks;
 
+use super::journal::Journal;
+use super::link::BoardLink;
 use super::live::Live;
 use super::operator::{Choice, Operator};
-use super::phone_task::PhoneTask;
-use super::phones;
-use super::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME};
-use super::rig::{Parts, Rig};
+use super::phones::{self, Phones};
+use super::preflight::{Checks, IMU_TIME, ImuLook, TRIGGER_TIME, firmware_version};
+use super::rig::Rig;
 use super::{Connector, Options, Stop};
 use crate::advice::imu_scale;
 use crate::cli::Context;
-use crate::outcome::Failure;
 use board::Board;
-use board::imu::Scale;
 use recording::folder;
 use recording::profile::Profile;
 use recording::session_file::Verdict;
@@ -24,31 +23,25 @@ use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, Session
 use recording::writer::{Severity, Writer};
 
 /// Both sides of a rig, once they have answered.
-struct Sides {
+struct Sides<'a> {
     board: Board,
-    imu: ImuSetup,
-    scale: Scale,
-    phone: PhoneTask,
-    info: PhoneInfo,
-    others: Vec<phones::Other>,
-    kept: Vec<OtherPhone>,
+    imu: ImuInfo,
+    phones: Phones<'a>,
+    first: PhoneInfo,
+    others: Vec<OtherPhone>,
 }
 
 /// Connects to board and phone, and makes the recording's folder once both are
-/// there. With somebody there it is tried as often as they want.
-///
-/// # Errors
-///
-/// One of them is not there, or no folder can be made.
-pub fn connect<'a>(
+/// there. With somebody there it is tried as often as they want. Gives the checks of
+/// this computer too, which are made first.
+pub(super) fn connect<'a>(
     options: &Options,
     profile: &'a Profile,
     context: &'a Context,
     connector: &'a mut dyn Connector,
-) -> Result<Rig<'a>, Stop> {
+) -> Result<(Rig<'a>, Checks), Stop> {
     // It starts a program: the board is not to be kept waiting for that later.
-    let mut checked = Checks::default();
-    checked.host(profile, options.own_profile, &options.out);
+    let checked = check_host(profile, options);
     let asks = !options.yes && !context.global.json;
     let mut live = Live::open(context, !options.plain);
     live.length = options.duration;
@@ -81,61 +74,55 @@ pub fn connect<'a>(
             return Err(failure.into());
         }
     };
-    let mut rig = set_up(sides, operator, live, options, profile, context, connector)?;
-    rig.checked = checked;
-    Ok(rig)
+    let journal = new_journal(&sides, live, options, profile, context)?;
+    let link = BoardLink::new(
+        sides.board,
+        sides.imu.scale,
+        connector,
+        options.link_patience,
+    );
+    let mut rig = Rig::new(context, profile, link, sides.phones, operator, journal);
+    rig.journal.save()?;
+    let text = format!("recording into {}", rig.journal.folder.display());
+    rig.journal.info("connected", &text)?;
+    Ok((rig, checked))
 }
 
 /// Board and phone, both ready.
-fn reach(
-    profile: &Profile,
+fn reach<'a>(
+    profile: &'a Profile,
     context: &Context,
     connector: &mut dyn Connector,
-) -> Result<Sides, Stop> {
-    let link = connector.connect(None).map_err(Failure::from)?;
-    let mut board = Board::connect(link).map_err(Failure::from)?;
-    let wanted = profile.imu_config().map_err(Failure::from)?;
-    let mut imu = board.imu().map_err(Failure::from)?;
-    if imu.config != wanted {
-        imu = board.configure_imu(wanted).map_err(Failure::from)?;
+) -> Result<Sides<'a>, Stop> {
+    let link = connector.connect(None)?;
+    let mut board = Board::connect(link)?;
+    let wanted = profile.imu_config()?;
+    let mut setup = board.imu()?;
+    if setup.config != wanted {
+        setup = board.configure_imu(wanted)?;
     }
-    let scale = imu_scale(&imu)?;
-
-    let (phone, info) = phones::connect(profile, &profile.phone, context)?;
-    let (others, kept) = phones::connect_others(profile, context)?;
+    let scale = imu_scale(&setup)?;
+    let (phones, first, others) = phones::connect(profile, context)?;
     Ok(Sides {
         board,
-        imu,
-        scale,
-        phone,
-        info,
+        imu: ImuInfo { setup, scale },
+        phones,
+        first,
         others,
-        kept,
     })
 }
 
-/// The recording's folder with its first lines, and all that a session needs.
-fn set_up<'a>(
-    sides: Sides,
-    operator: Operator,
+/// The recording's folder, and its session file with what is known of both sides.
+fn new_journal<'a>(
+    sides: &Sides<'_>,
     mut live: Live,
     options: &Options,
-    profile: &'a Profile,
+    profile: &Profile,
     context: &'a Context,
-    connector: &'a mut dyn Connector,
-) -> Result<Rig<'a>, Stop> {
-    let Sides {
-        board,
-        imu,
-        scale,
-        phone,
-        info,
-        others,
-        kept,
-    } = sides;
+) -> Result<Journal<'a>, Stop> {
     let name = options.name.clone().unwrap_or_else(folder::name_for_now);
-    let folder = folder::create(&options.out, &name).map_err(Failure::from)?;
-    let mut writer = Writer::create(&folder).map_err(Failure::from)?;
+    let folder = folder::create(&options.out, &name)?;
+    let mut writer = Writer::create(&folder)?;
     if let Some(onlookers) = &live.onlookers {
         writer.mirror(onlookers.clone());
     }
@@ -143,11 +130,13 @@ fn set_up<'a>(
         .file_name()
         .map_or(name, |name| name.to_string_lossy().into_owned());
     let mut file = SessionFile::new(name, profile.clone());
-    let hello = board.hello();
-    let (major, minor, patch) = hello.firmware_version;
+    let hello = sides.board.hello();
+    let id = protocol::usb::serial_number(&hello.board_id).to_string();
+    live.gauge.name_sensors(profile);
+    live.gauge.board.clone_from(&id);
     file.board = Some(BoardInfo {
-        id: protocol::usb::serial_number(&hello.board_id).to_string(),
-        firmware: format!("{major}.{minor}.{patch}"),
+        id,
+        firmware: firmware_version(hello),
         git_revision: hello.git_revision.to_string(),
         git_dirty: hello.git_dirty,
         protocol: hello.protocol_version,
@@ -155,77 +144,61 @@ fn set_up<'a>(
         epoch: hello.epoch,
         reset_cause: hello.reset_cause,
     });
-    file.imu = Some(ImuInfo { setup: imu, scale });
-    file.phone = Some(info);
-    file.phones = kept;
-    live.gauge.name_sensors(profile);
-    live.gauge.board = protocol::usb::serial_number(&board.hello().board_id).to_string();
-    let mut rig = Rig::new(Parts {
-        context,
-        profile,
-        connector,
-        board,
-        imu,
-        scale,
-        link_patience: options.link_patience,
-        phone,
-        operator,
-        live,
-        writer,
-        folder,
-        file,
-    });
-    rig.others = others;
-    rig.save()?;
-    let text = format!("recording into {}", rig.folder.display());
-    rig.tell(Severity::Info, "connected", &text)?;
-    Ok(rig)
+    file.imu = Some(sides.imu.clone());
+    file.phone = Some(sides.first.clone());
+    file.phones.clone_from(&sides.others);
+    Ok(Journal::new(context, live, writer, folder, file))
+}
+
+fn check_host(profile: &Profile, options: &Options) -> Checks {
+    let mut checks = Checks::default();
+    checks.host(profile, options.own_profile, &options.out);
+    checks
 }
 
 /// Looks at both sides as `doctor` does. What is not good is said, and all of it
 /// kept in the session file.
-pub(super) fn preflight(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
-    let mut checks = std::mem::take(&mut rig.checked);
-    if checks.checks.is_empty() {
-        checks.host(rig.profile, options.own_profile, &options.out);
-    }
-    checks.firmware(&rig.board);
-    if let Some(PhoneInfo { address, version }) = &rig.file.phone {
+pub(super) fn preflight(
+    rig: &mut Rig<'_>,
+    options: &Options,
+    checked: Option<Checks>,
+) -> Result<(), Stop> {
+    let mut checks = checked.unwrap_or_else(|| check_host(rig.profile, options));
+    checks.firmware(&rig.link.board);
+    if let Some(PhoneInfo { address, version }) = &rig.journal.file.phone {
         checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
     }
-    rig.board.start_counting();
-    rig.look = Some(ImuLook::default());
-    let until = rig.now.0.saturating_add(IMU_TIME);
-    let looked = rig.pump_until(|rig| (rig.now.0 >= until).then_some(()));
-    let look = rig.look.take().unwrap_or_default();
+    rig.link.board.start_counting();
+    rig.observers.look = Some(ImuLook::default());
+    let looked = rig.pump_for(IMU_TIME);
+    let look = rig.observers.look.take().unwrap_or_default();
     looked?;
     checks.imu(&look, &rig.call(Board::imu)?);
-    let link = rig.board.conversation();
-    checks.link(link.counts().lost(), link.damaged_frames());
-    rig.file.preflight.clear();
-    found(rig, checks)
+    let session = rig.link.board.conversation();
+    checks.link(session.counts().lost(), session.damaged_frames());
+    rig.journal.file.preflight.clear();
+    found(&mut rig.journal, checks)
 }
 
 /// Looks whether the train that was just started comes out of the wire.
 pub(super) fn check_readback(rig: &mut Rig<'_>) -> Result<(), Stop> {
-    let until = rig.now.0.saturating_add(TRIGGER_TIME);
-    rig.pump_until(|rig| (rig.now.0 >= until).then_some(()))?;
+    rig.pump_for(TRIGGER_TIME)?;
     let mut checks = Checks::default();
     checks.readback(&rig.call(Board::trigger)?);
-    found(rig, checks)
+    found(&mut rig.journal, checks)
 }
 
 /// Says what was found, and ends with the first of it that is bad.
-fn found(rig: &mut Rig<'_>, checks: Checks) -> Result<(), Stop> {
+fn found(journal: &mut Journal<'_>, checks: Checks) -> Result<(), Stop> {
     for check in &checks.checks {
         match check.verdict {
             Verdict::Good => {}
-            Verdict::Warning => rig.tell(Severity::Warning, "preflight", &check.line())?,
-            Verdict::Bad => rig.tell(Severity::Error, "preflight", &check.line())?,
+            Verdict::Warning => journal.tell(Severity::Warning, "preflight", &check.line())?,
+            Verdict::Bad => journal.tell(Severity::Error, "preflight", &check.line())?,
         }
     }
     let failure = checks.failure();
-    rig.file.preflight.extend(checks.checks);
-    rig.save()?;
+    journal.file.preflight.extend(checks.checks);
+    journal.save()?;
     failure.map_or(Ok(()), |failure| Err(failure.into()))
 }

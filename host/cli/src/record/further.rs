@@ -16,7 +16,6 @@ use crate::outcome::{ExitStatus, Failure};
 use board::gnss::{self, NMEA_DELAY_MS, parse_baud};
 use board::{Board, BoardError};
 use recording::profile::{Lidar, TriggerOutput};
-use recording::writer::Severity;
 
 /// How far ahead the first pulse lies at first, ticks: time for the command.
 const LEAD: u64 = TICK_HZ as u64 / 2;
@@ -35,7 +34,7 @@ const PPS_WIDTH: u32 = TICK_HZ / 50;
 /// # Errors
 ///
 /// The board cannot be reached or refuses; a multiple is longer than a second.
-pub fn start(rig: &mut Rig<'_>) -> Result<(), Stop> {
+pub(super) fn start(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let profile = rig.profile;
     for sensor in &profile.outputs {
         start_output(rig, sensor)?;
@@ -51,7 +50,7 @@ pub fn start(rig: &mut Rig<'_>) -> Result<(), Stop> {
 /// # Errors
 ///
 /// The board cannot be reached.
-pub fn stop(rig: &mut Rig<'_>) -> Result<(), Stop> {
+pub(super) fn stop(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let profile = rig.profile;
     let mut result = Ok(());
     for sensor in &profile.outputs {
@@ -100,8 +99,7 @@ fn start_output(rig: &mut Rig<'_>, sensor: &TriggerOutput) -> Result<(), Stop> {
             break;
         }
     }
-    rig.tell(
-        Severity::Info,
+    rig.journal.info(
         "output",
         &format!(
             "{} on output {} runs: {} of the trigger",
@@ -154,8 +152,7 @@ fn start_lidar(rig: &mut Rig<'_>, lidar: &Lidar) -> Result<(), Stop> {
     };
     let running = rig.call(|board| gnss::start(board, settings))?.settings;
     let epoch = running.unwrap_or(settings).utc_at_zero;
-    rig.tell(
-        Severity::Info,
+    rig.journal.info(
         "gnss",
         &format!(
             "{} is told that UTC is board time {:+} s",

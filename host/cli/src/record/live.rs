@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
-use super::rig::free_space;
+use super::rounds::free_space;
 use crate::cli::Context;
 use crate::live_data::LiveData;
 use crate::view::gauge::Gauge;
@@ -30,7 +30,7 @@ const SIZE_TICKS: u64 = 5 * TICK_HZ as u64;
 
 /// The step a session is in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Step {
+pub(crate) enum Step {
     /// Before the twist, or between steps.
     Preparing,
     /// The twist with this number.
@@ -48,9 +48,9 @@ pub struct Live {
     /// Gathers.
     pub(crate) gauge: Gauge,
     /// How long is to be recorded, ticks.
-    pub length: Option<u64>,
+    pub(crate) length: Option<u64>,
     /// Who looks on from elsewhere.
-    pub onlookers: Option<LiveData>,
+    pub(crate) onlookers: Option<LiveData>,
     context: Context,
     screen: Option<Screen>,
     shown: Instant,
@@ -90,13 +90,13 @@ impl Live {
     }
 
     /// A message of the board.
-    pub fn take(&mut self, message: &DeviceToHost, scale: &Scale) {
+    pub(crate) fn take(&mut self, message: &DeviceToHost, scale: &Scale) {
         self.gauge.take(message, Some(scale));
     }
 
     /// The step the session is in now; `twist` is how long one is in s, and the
     /// 1-sigma in µs that is enough.
-    pub fn step(&mut self, step: Step, twist: (f64, f64)) {
+    pub(crate) fn step(&mut self, step: Step, twist: (f64, f64)) {
         if step == self.step {
             return;
         }
@@ -119,7 +119,7 @@ impl Live {
     }
 
     /// Shows the latest state, if it is time to.
-    pub fn show(
+    pub(crate) fn show(
         &mut self,
         now: Ticks,
         folder: &Path,

@@ -3,34 +3,36 @@
 //! Steps, each of which can be repeated or left: connect, with the checks of
 //! [`preflight`] ([`connect`]), twist, start the trigger, start the phone's video,
 //! align, confirm the arrival, record ([`steps`]), stop, second twist, fetch the video,
-//! summary ([`close`]). From the connect on, all that the board sends is recorded
+//! summary ([`close`](mod@close)). From the connect on, all that the board sends is recorded
 //! ([`rig`]), so the twist is in the file too.
 //!
 //! However a session ends (well, by Ctrl-C, by an error in any step), it is
 //! closed in the same way: the phone's video is stopped, the depth recorder is
 //! asked to stop, the trigger is stopped, the files are finished.
 //!
-//! - [`watch`]: what is watched while recording.
-//! - [`runs`]: one axis of time when the board is reset meanwhile.
-//! - [`phone_task`], [`phones`], [`recorder`]: phones and depth recorder.
-//! - [`preflight`]: what is looked at before.
-//! - [`operator`]: the person; [`live`]: what is shown to them.
+//! - [`link`], `resume`: the link to the board, and going on after it was lost or the
+//!   board was reset.
+//! - [`observers`], [`watch`]: who looks at its messages, and what is watched while
+//!   recording.
+//! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
+//! - [`phones`], `recorder`: phones and depth recorder.
+//! - `preflight`: what is looked at before.
 
 pub mod close;
-pub mod connect;
-mod events;
-pub mod further;
+mod connect;
+mod further;
+pub mod journal;
+pub mod link;
 pub mod live;
+pub mod observers;
 pub mod operator;
-pub mod phone_task;
 pub mod phones;
-pub mod preflight;
-pub mod recorder;
-mod relink;
-mod restart;
+pub(crate) mod preflight;
+mod recorder;
+mod resume;
 pub mod rig;
-pub mod runs;
-pub mod steps;
+mod rounds;
+mod steps;
 mod twist;
 pub mod watch;
 
@@ -41,7 +43,7 @@ use protocol::TICK_HZ;
 
 use crate::cli::Context;
 use crate::live_data::FoxgloveArg;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome};
 use board::BoardError;
 use board::transport::serial::SerialLink;
 use board::transport::{Link, ports};
@@ -87,9 +89,9 @@ pub trait Connector {
 
 /// The board on a serial port, found again under whatever name it comes back.
 #[derive(Clone, Debug)]
-pub struct SerialConnector {
+pub(crate) struct SerialConnector {
     /// As the user gave it.
-    pub port: Option<String>,
+    pub(crate) port: Option<String>,
 }
 
 impl Connector for SerialConnector {
@@ -118,21 +120,21 @@ pub enum Stop {
     Failed(Failure),
 }
 
-impl From<Failure> for Stop {
-    fn from(failure: Failure) -> Self {
-        Self::Failed(failure)
+impl<E: Into<Failure>> From<E> for Stop {
+    fn from(error: E) -> Self {
+        Self::Failed(error.into())
     }
 }
 
 /// A session that has ended, with whatever it left.
 #[derive(Debug)]
-pub struct Ended {
+pub(crate) struct Ended {
     /// How it ended.
-    pub result: Result<Outcome, Failure>,
+    pub(crate) result: Result<Outcome, Failure>,
     /// The recording's folder.
-    pub folder: PathBuf,
+    pub(crate) folder: PathBuf,
     /// What was decided.
-    pub file: SessionFile,
+    pub(crate) file: SessionFile,
 }
 
 /// Runs a session.
@@ -141,56 +143,46 @@ pub struct Ended {
 ///
 /// It failed before there was a folder: board or phone cannot be reached, or no
 /// folder can be made. Later failures are in [`Ended::result`].
-pub fn run(
+pub(crate) fn run(
     options: &Options,
     profile: &Profile,
     context: &Context,
     connector: &mut dyn Connector,
 ) -> Result<Ended, Failure> {
-    let mut rig = match connect::connect(options, profile, context, connector) {
-        Ok(rig) => rig,
+    let (mut rig, checked) = match connect::connect(options, profile, context, connector) {
+        Ok(connected) => connected,
         Err(Stop::Interrupted) => {
             return Err(Failure::new(
-                crate::outcome::ExitStatus::Interrupted,
+                ExitStatus::Interrupted,
                 "stopped before anything was recorded",
             )
             .next_step("start it again when you are ready"));
         }
         Err(Stop::Failed(failure)) => return Err(failure),
     };
-    let result = steps::session(&mut rig, options);
+    let result = steps::session(&mut rig, options, checked);
     let result = close::close(&mut rig, options, result);
-    let outcome = match result {
-        Err(Stop::Failed(failure)) => {
-            rig.file.outcome = Some(SessionOutcome::Failed);
-            Err(failure)
-        }
-        Err(Stop::Interrupted) => {
-            rig.file.outcome = Some(SessionOutcome::Interrupted);
-            Ok(Outcome::Interrupted)
-        }
-        Ok(()) if rig.has_problems() => {
-            rig.file.outcome = Some(SessionOutcome::Loss);
-            Ok(Outcome::Loss)
-        }
-        Ok(()) => {
-            rig.file.outcome = Some(SessionOutcome::Good);
-            Ok(Outcome::Good)
-        }
+    let journal = &mut rig.journal;
+    let (ended, outcome) = match result {
+        Err(Stop::Failed(failure)) => (SessionOutcome::Failed, Err(failure)),
+        Err(Stop::Interrupted) => (SessionOutcome::Interrupted, Ok(Outcome::Interrupted)),
+        Ok(()) if journal.has_problems() => (SessionOutcome::Loss, Ok(Outcome::Loss)),
+        Ok(()) => (SessionOutcome::Good, Ok(Outcome::Good)),
     };
-    let saved = rig.file.save(&rig.folder).map_err(Failure::from);
-    let folder = rig.folder.clone();
-    let file = rig.file.clone();
+    journal.file.outcome = Some(ended);
+    let saved = journal.file.save(&journal.folder);
+    let folder = journal.folder.clone();
+    let file = journal.file.clone();
     drop(rig);
+    let result = outcome.and_then(|outcome| Ok(saved.map(|()| outcome)?));
     Ok(Ended {
-        result: outcome.and_then(|outcome| saved.map(|()| outcome)),
+        result,
         folder,
         file,
     })
 }
 
 /// Seconds of board time as ticks.
-#[must_use]
-pub const fn seconds(seconds: u64) -> u64 {
+pub(crate) const fn seconds(seconds: u64) -> u64 {
     seconds.saturating_mul(TICK_HZ as u64)
 }

@@ -8,7 +8,7 @@ use crate::view::screen::Key;
 
 /// An answer to a prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Choice {
+pub(crate) enum Choice {
     /// Go on.
     Continue,
     /// Do the last step again.
@@ -39,8 +39,7 @@ impl Operator {
 
     /// Somebody is there. The thread ends with the process: a read of standard
     /// input cannot be called off.
-    #[must_use]
-    pub fn at_stdin() -> Self {
+    pub(crate) fn at_stdin() -> Self {
         let (sender, lines) = channel();
         std::thread::spawn(move || {
             for line in std::io::stdin().lock().lines() {
@@ -69,13 +68,12 @@ impl Operator {
     }
 
     /// Whether somebody is there to be asked.
-    #[must_use]
-    pub const fn is_present(&self) -> bool {
+    pub(crate) const fn is_present(&self) -> bool {
         self.asks
     }
 
     /// Lines typed before a prompt are no answer to it.
-    pub fn forget_typed(&self) {
+    pub(crate) fn forget_typed(&self) {
         if let Some(keys) = &self.keys {
             while keys.try_recv().is_ok() {}
         }
@@ -85,7 +83,7 @@ impl Operator {
     }
 
     /// An answer, if there is one. The end of the input means to quit.
-    pub fn answer(&self) -> Option<Choice> {
+    pub(crate) fn answer(&self) -> Option<Choice> {
         if !self.asks {
             return Some(Choice::Continue);
         }
@@ -116,7 +114,7 @@ impl Operator {
 
     /// A line typed while recording: `Some(None)` is a quit, `Some(Some(label))`
     /// a mark. The end of the input is nothing: a recording may go on without it.
-    pub fn mark(&self) -> Option<Option<String>> {
+    pub(crate) fn mark(&self) -> Option<Option<String>> {
         if let Some(keys) = &self.keys {
             return match keys.try_recv().ok()? {
                 Key::Quit => Some(None),

@@ -10,10 +10,10 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use protocol::{ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
+use protocol::{Hello, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
 use serde::Serialize;
 
-use super::rig::free_space;
+use super::rounds::free_space;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use board::imu::{Sample, Spread, Summary};
@@ -21,10 +21,10 @@ use recording::profile::Profile;
 use recording::session_file::{Check, Verdict};
 
 /// How long the IMU is looked at, ticks.
-pub const IMU_TIME: u64 = TICK_HZ as u64;
+pub(crate) const IMU_TIME: u64 = TICK_HZ as u64;
 
 /// For how long the trigger's read-back is looked at, ticks.
-pub const TRIGGER_TIME: u64 = TICK_HZ as u64 / 2;
+pub(crate) const TRIGGER_TIME: u64 = TICK_HZ as u64 / 2;
 
 /// More noise than this is a bad sensor or supply, rad/s. The data sheet gives
 /// 0.06 °/s rms = 0.001 rad/s at 100 Hz.
@@ -42,25 +42,29 @@ const OLD_DAYS: i32 = 90;
 
 const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V";
 
+/// The version of a board's firmware, as people write it.
+pub(crate) fn firmware_version(hello: &Hello) -> String {
+    let (major, minor, patch) = hello.firmware_version;
+    format!("{major}.{minor}.{patch}")
+}
+
 /// Checks, in the order in which they were made.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Checks {
+pub(crate) struct Checks {
     /// All of them.
-    pub checks: Vec<Check>,
+    pub(crate) checks: Vec<Check>,
     #[serde(skip)]
     failed: Option<ExitStatus>,
 }
 
 impl Checks {
     /// The exit code of the first bad one.
-    #[must_use]
-    pub fn status(&self) -> ExitStatus {
+    pub(crate) fn status(&self) -> ExitStatus {
         self.failed.unwrap_or(ExitStatus::Good)
     }
 
     /// The first bad one as an error.
-    #[must_use]
-    pub fn failure(&self) -> Option<Failure> {
+    pub(crate) fn failure(&self) -> Option<Failure> {
         let bad = self.checks.iter().find(|c| c.verdict == Verdict::Bad)?;
         let failure = Failure::new(self.status(), format!("{}: {}", bad.name, bad.found));
         Some(match &bad.next_step {
@@ -70,17 +74,17 @@ impl Checks {
     }
 
     /// It is as it should be.
-    pub fn good(&mut self, name: &str, found: impl Into<String>) {
+    pub(crate) fn good(&mut self, name: &str, found: impl Into<String>) {
         self.add(name, Verdict::Good, found.into(), None);
     }
 
     /// It could be better.
-    pub fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
+    pub(crate) fn warn(&mut self, name: &str, found: impl Into<String>, next: &str) {
         self.add(name, Verdict::Warning, found.into(), Some(next.to_owned()));
     }
 
     /// A recording will not work.
-    pub fn bad(&mut self, name: &str, failure: impl Into<Failure>) {
+    pub(crate) fn bad(&mut self, name: &str, failure: impl Into<Failure>) {
         let failure = failure.into();
         self.failed.get_or_insert(failure.status());
         let step = failure.what_to_do().to_owned();
@@ -99,7 +103,7 @@ impl Checks {
     /// What does not need the board: profile, disk, ffmpeg, depth recorder.
     /// `given` says whether the profile is the user's own, `out` where recordings
     /// are to go.
-    pub fn host(&mut self, profile: &Profile, given: bool, out: &Path) {
+    pub(crate) fn host(&mut self, profile: &Profile, given: bool, out: &Path) {
         self.profile(profile, given);
         self.disk(out);
         self.ffmpeg();
@@ -238,14 +242,14 @@ impl Checks {
     }
 
     /// The board and its firmware, as it said when it was connected.
-    pub fn firmware(&mut self, board: &Board) {
+    pub(crate) fn firmware(&mut self, board: &Board) {
         let hello = board.hello();
-        let (major, minor, patch) = hello.firmware_version;
         self.good(
             "board",
             format!(
-                "{}, firmware {major}.{minor}.{patch}, up {:.1} s",
+                "{}, firmware {}, up {:.1} s",
                 protocol::usb::serial_number(&hello.board_id),
+                firmware_version(hello),
                 hello.now.as_secs_f64()
             ),
         );
@@ -259,7 +263,7 @@ impl Checks {
     }
 
     /// The IMU, after a look at its samples. `setup` is what the board says then.
-    pub fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
+    pub(crate) fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
         let report = look.summary.report();
         if setup.status.state != ImuState::Running || report.samples == 0 {
             let fault = setup
@@ -348,7 +352,7 @@ impl Checks {
     }
 
     /// The link, after so much was lost and damaged while the IMU was looked at.
-    pub fn link(&mut self, lost: u64, damaged: u32) {
+    pub(crate) fn link(&mut self, lost: u64, damaged: u32) {
         if lost > 0 || damaged > 0 {
             self.warn(
                 "link",
@@ -361,7 +365,7 @@ impl Checks {
     }
 
     /// The trigger's read-back, from the state of a train.
-    pub fn readback(&mut self, status: &TriggerStatus) {
+    pub(crate) fn readback(&mut self, status: &TriggerStatus) {
         let readback = &status.readback;
         match (readback.seen, readback.missing, readback.delay) {
             (0, 0, _) => self.warn(
@@ -391,14 +395,14 @@ impl Checks {
     }
 
     /// The phone, after it has answered.
-    pub fn phone(&mut self, version: &str, address: &str) {
+    pub(crate) fn phone(&mut self, version: &str, address: &str) {
         self.good("phone", format!("app {version} at {address}"));
     }
 }
 
 /// A look at the IMU's samples.
 #[derive(Clone, Debug, Default)]
-pub struct ImuLook {
+pub(crate) struct ImuLook {
     summary: Summary,
     /// The last three rates, the latest first, and how many there are.
     before: ([[f64; 3]; 3], usize),
@@ -407,7 +411,7 @@ pub struct ImuLook {
 
 impl ImuLook {
     /// Takes a sample.
-    pub fn add(&mut self, sample: &Sample) {
+    pub(crate) fn add(&mut self, sample: &Sample) {
         self.summary.add(sample);
         let (before, count) = &mut self.before;
         if *count == before.len() {
@@ -421,7 +425,7 @@ impl ImuLook {
     }
 
     /// Samples are missing before the next one.
-    pub const fn gap(&mut self) {
+    pub(crate) const fn gap(&mut self) {
         self.summary.gap();
         self.before.1 = 0;
     }
@@ -432,8 +436,7 @@ impl ImuLook {
     /// (5 rad/s at 10 Hz leave 0.002 rad/s) and leaves white noise times the root
     /// of 1 + 9 + 9 + 1. The sensor's low-pass takes some of that too, so it is an
     /// estimate to within a factor of two.
-    #[must_use]
-    pub fn noise_in_motion(&self) -> Option<f64> {
+    pub(crate) fn noise_in_motion(&self) -> Option<f64> {
         self.third
             .iter()
             .filter_map(Spread::deviation)

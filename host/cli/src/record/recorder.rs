@@ -14,10 +14,10 @@ use crate::outcome::{ExitStatus, Failure};
 use recording::profile::{Depth, StopSignal};
 
 /// Name of the file that keeps what it says.
-pub const LOG_FILE: &str = "depth_recorder.log";
+pub(crate) const LOG_FILE: &str = "depth_recorder.log";
 
 /// A depth recorder that runs.
-pub struct DepthRecorder {
+pub(crate) struct DepthRecorder {
     child: Child,
     name: String,
     stop: StopSignal,
@@ -31,7 +31,7 @@ impl DepthRecorder {
     /// # Errors
     ///
     /// There is no such program, or it may not be run.
-    pub fn start(depth: &Depth, folder: &Path) -> Result<Option<Self>, Failure> {
+    pub(crate) fn start(depth: &Depth, folder: &Path) -> Result<Option<Self>, Failure> {
         let Some((program, arguments)) = depth.recorder.command.split_first() else {
             return Ok(None);
         };
@@ -69,7 +69,7 @@ impl DepthRecorder {
     }
 
     /// How it ended, the first time that it is seen to have ended by itself.
-    pub fn gone(&mut self) -> Option<String> {
+    pub(crate) fn gone(&mut self) -> Option<String> {
         if self.ended {
             return None;
         }
@@ -94,7 +94,7 @@ impl DepthRecorder {
 
     /// Asks it to stop, waits, and kills it if it does not. `while_waiting` is
     /// called meanwhile. Gives a text if something was wrong with how it ended.
-    pub fn stop(mut self, mut while_waiting: impl FnMut()) -> Option<String> {
+    pub(crate) fn stop(mut self, mut while_waiting: impl FnMut()) -> Option<String> {
         if self.ended {
             return None;
         }

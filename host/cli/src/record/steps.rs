@@ -1,70 +1,62 @@
 //! The steps of a session.
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
+use phone::task::Answer;
 use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::connect::{check_readback, preflight};
 use super::further;
+use super::journal::Journal;
 use super::operator::Choice;
-use super::phone_task::Answer;
 use super::phones;
-use super::recorder::DepthRecorder;
+use super::preflight::Checks;
 use super::rig::Rig;
 use super::twist::first_twist;
 use super::watch::{Finding, Grid, Watch};
 use super::{Options, Stop, seconds};
+use crate::arrival::PlannedArrival;
+use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use frame_sync::alignment::phase_sigma_us_at;
 use frame_sync::alignment::plan;
 use recording::session_file::{Alignment, Marker, Span, Video};
-use recording::writer::Severity;
 use timebase::ClockModel;
 
-/// How much longer than planned an arrival may take, ticks.
-const ARRIVAL_MARGIN: u64 = 3 * TICK_HZ as u64;
-
 /// The session from the twist to the end of the recording.
-///
-/// # Errors
-///
-/// A step failed, or the user wants to stop.
-pub fn session(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
-    step(rig, "the checks", |rig| preflight(rig, options))?;
+pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> Result<(), Stop> {
+    let mut checked = Some(checked);
+    step(rig, "the checks", |rig| {
+        preflight(rig, options, checked.take())
+    })?;
     first_twist(rig)?;
-    step(rig, "the depth recorder", start_depth_recorder)?;
+    step(rig, "the depth recorder", |rig| {
+        rig.rounds.start_recorder(&mut rig.journal)
+    })?;
     step(rig, "the trigger", |rig| {
         start_trigger(rig)?;
         check_readback(rig)
     })?;
     let video = phone_video(rig)?;
-    let Some(clock) = rig.clock else {
+    let Some(clock) = rig.journal.file.clock else {
         return Err(
             Failure::new(ExitStatus::Refused, "there is no relation of the clocks")
                 .next_step("the twist was left out or refused: record again, and twist faster")
                 .into(),
         );
     };
-    let mut alignment = align(rig, &clock, &video)?;
-    phones::place_others(rig)?;
-    confirm_arrival(rig, &mut alignment)?;
+    let alignment = align(rig, &clock, &video)?;
+    phones::place_others(&rig.phones, &mut rig.journal)?;
+    confirm_arrival(rig, &alignment)?;
     further::start(rig)?;
     record(rig, options, &alignment)
-}
-
-fn start_depth_recorder(rig: &mut Rig<'_>) -> Result<(), Stop> {
-    rig.depth = DepthRecorder::start(&rig.profile.depth, &rig.folder)?;
-    if rig.depth.is_some() {
-        rig.tell(Severity::Info, "depth_recorder", "the depth recorder runs")?;
-    }
-    Ok(())
 }
 
 /// Starts the train at the best period that is known so far.
 fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let width = rig.profile.pulse_width();
     let nominal = Period::from_ticks(TICK_HZ / rig.profile.depth.fps);
-    let period = match (&rig.profile.phone.learnt, rig.clock) {
+    let period = match (&rig.profile.phone.learnt, rig.journal.file.clock) {
         (Some(learnt), Some(clock)) => {
             let picos = learnt.frame_period_ns * 1e3 / (1.0 + clock.skew)
                 * f64::from(rig.profile.frame_ratio());
@@ -86,8 +78,7 @@ fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
             first_edge: None,
         })
     })?;
-    rig.tell(
-        Severity::Info,
+    rig.journal.info(
         "trigger",
         &format!("the trigger runs with a period of {period}"),
     )
@@ -95,13 +86,12 @@ fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
 
 /// Starts the phones' videos; gives what the phone said that is aligned to.
 fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
-    let what = if rig.others.is_empty() {
-        "the phone's video"
-    } else {
-        "the phones' videos"
+    let what = match rig.phones.places().len() {
+        1 => "the phone's video",
+        _ => "the phones' videos",
     };
     step(rig, what, phones::start_videos)?;
-    rig.file.video.ok_or_else(|| {
+    rig.journal.file.video.ok_or_else(|| {
         Failure::new(ExitStatus::Phone, "the phone's video was left out")
             .next_step("record again with the phone: there is nothing to align to without it")
             .into()
@@ -115,7 +105,7 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
             .next_step("set the profile's values to the camera's mode, or twist longer")
     })?;
     for remark in &planned.remarks {
-        rig.tell(Severity::Info, "align", remark)?;
+        rig.journal.info("align", remark)?;
     }
     let alignment = planned.alignment;
     let align = TriggerAlign {
@@ -130,10 +120,9 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
         phase_sigma_us: phase_sigma_us_at(&alignment, plan.arrival.into()),
         ..alignment
     };
-    rig.file.alignment = Some(alignment);
-    rig.save()?;
-    rig.tell(
-        Severity::Info,
+    rig.journal.file.alignment = Some(alignment);
+    rig.journal.save()?;
+    rig.journal.info(
         "align",
         &format!(
             "aligning: {:+.1} µs over {} frames; phase ± {:.1} µs, drift ± {:.1} µs/min (1-sigma)",
@@ -147,35 +136,32 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
 }
 
 /// Waits until the board says that the train is on its grid.
-fn confirm_arrival(rig: &mut Rig<'_>, alignment: &mut Alignment) -> Result<(), Stop> {
-    let (Some(pulse), Some(arrival)) = (alignment.arrival_pulse, alignment.arrival) else {
+fn confirm_arrival(rig: &mut Rig<'_>, alignment: &Alignment) -> Result<(), Stop> {
+    let (Some(pulse), Some(at)) = (alignment.arrival_pulse, alignment.arrival) else {
         return Ok(());
     };
-    let bar = spinner(rig);
+    let planned = PlannedArrival { pulse, at };
+    let bar = rig.context.spinner();
     bar.set_message("waiting for the trigger to arrive on the phone's frames");
-    let latest = arrival.0.saturating_add(ARRIVAL_MARGIN);
-    let confirmed = rig.pump_until(|rig| match rig.arrived {
+    let confirmed = rig.pump_until(|rig| match rig.observers.arrived {
         Some(arrived) if arrived.pulse >= pulse => Some(true),
-        _ => (rig.now.0 > latest).then_some(false),
+        _ => planned.is_overdue(rig.now()).then_some(false),
     });
     bar.finish_and_clear();
     if confirmed? {
-        return rig.save();
+        return rig.journal.save();
     }
-    // The message may have been lost on the link; the state of the train was not.
     let status = rig.call(Board::trigger)?;
-    if status.state == TrainState::Running && status.pulses > pulse {
-        return rig.problem(Finding::warning(
+    if planned.has_come(&status) {
+        return rig.journal.problem(Finding::warning(
             "arrival_unconfirmed",
             "the board did not report the arrival, but its train runs on the grid",
         ));
     }
+    let state = status.state;
     Err(Failure::new(
         ExitStatus::NoAnswer,
-        format!(
-            "the trigger did not arrive at pulse {pulse} ({:?})",
-            status.state
-        ),
+        format!("the trigger did not arrive at pulse {pulse} ({state:?})"),
     )
     .next_step("look at `smartdepthsync trigger status`, then record again")
     .into())
@@ -193,17 +179,17 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
         let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
         Ticks(arrival.0.saturating_add(wait))
     });
-    let from = rig.now.max(settled.unwrap_or_default());
-    rig.board.start_counting();
-    rig.watch = Some(Watch::new(
+    let from = rig.now().max(settled.unwrap_or_default());
+    rig.link.board.start_counting();
+    rig.observers.watch = Some(Watch::new(
         Grid {
             anchor: alignment.anchor,
             period,
         },
-        rig.now,
+        rig.now(),
     ));
-    rig.file.recorded = Some(Span { from, to: from });
-    rig.save()?;
+    rig.journal.file.recorded = Some(Span { from, to: from });
+    rig.journal.save()?;
     let end = options.duration.map(|ticks| from.0.saturating_add(ticks));
     let how_long = options.duration.map_or(String::new(), |ticks| {
         format!(" for {:.0} s", ticks as f64 / f64::from(TICK_HZ))
@@ -214,50 +200,47 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
         "Enter sets a mark, Ctrl-C stops"
     };
     let text = format!("recording{how_long}; {keys}");
-    rig.tell(Severity::Info, "recording", &text)?;
+    rig.journal.info("recording", &text)?;
     rig.operator.forget_typed();
-    let bar = recording_bar(rig, options.duration);
+    let bar = recording_bar(rig.context, options.duration);
     let mut due: Vec<u64> = options.markers.clone();
     due.sort_unstable_by(|a, b| b.cmp(a));
     let result = rig.pump_until(|rig| {
-        bar.set_position((rig.now.0.saturating_sub(from.0)) / u64::from(TICK_HZ));
+        bar.set_position((rig.now().0.saturating_sub(from.0)) / u64::from(TICK_HZ));
         while let Some(&next) = due.last()
-            && rig.now.0 >= from.0.saturating_add(next)
+            && rig.now().0 >= from.0.saturating_add(next)
         {
             due.pop();
-            if let Err(stop) = mark(rig, Ticks(from.0 + next), None) {
+            if let Err(stop) = mark(&mut rig.journal, Ticks(from.0 + next), None) {
                 return Some(Err(stop));
             }
         }
         match rig.operator.mark() {
             Some(Some(label)) => {
                 let label = (!label.is_empty()).then_some(label);
-                if let Err(stop) = mark(rig, rig.now, label) {
+                let now = rig.now();
+                if let Err(stop) = mark(&mut rig.journal, now, label) {
                     return Some(Err(stop));
                 }
             }
             Some(None) => return Some(Ok(())),
             None => {}
         }
-        end.is_some_and(|end| rig.now.0 >= end).then_some(Ok(()))
+        end.is_some_and(|end| rig.now().0 >= end).then_some(Ok(()))
     });
     bar.finish_and_clear();
     result?
 }
 
-fn mark(rig: &mut Rig<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
-    let label = label.unwrap_or_else(|| format!("marker {}", rig.file.markers.len() + 1));
-    let phone = rig.clock.map(|clock| clock.ticks_to_phone(at));
-    if let Some(writer) = &mut rig.writer {
-        writer.marker(at, phone, &label).map_err(Failure::from)?;
-    }
-    rig.live.gauge.marker(at, &label);
-    rig.file.markers.push(Marker {
-        at,
-        label: label.clone(),
-    });
-    rig.save()?;
-    rig.tell(Severity::Info, "marker", &format!("mark: {label}"))
+fn mark(journal: &mut Journal<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
+    let label = label.unwrap_or_else(|| format!("marker {}", journal.file.markers.len() + 1));
+    let phone = journal.file.clock.map(|clock| clock.ticks_to_phone(at));
+    journal.write(|writer, _| writer.marker(at, phone, &label))?;
+    journal.live.gauge.marker(at, &label);
+    let text = format!("mark: {label}");
+    journal.file.markers.push(Marker { at, label });
+    journal.save()?;
+    journal.info("marker", &text)
 }
 
 /// Runs a step; if it fails in a way that may pass, and somebody is there, it
@@ -306,27 +289,12 @@ pub(super) fn odd_answer(answer: &Answer) -> Failure {
     .next_step("restart the app and try again")
 }
 
-pub(super) fn spinner(rig: &Rig<'_>) -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(None, target(rig));
-    bar.set_style(ProgressStyle::default_spinner());
-    bar
-}
-
-fn recording_bar(rig: &Rig<'_>, duration: Option<u64>) -> ProgressBar {
+fn recording_bar(context: &Context, duration: Option<u64>) -> ProgressBar {
     let length = duration.map(|ticks| ticks / seconds(1));
-    let style = ProgressStyle::with_template(if length.is_some() {
+    let template = if length.is_some() {
         "{bar:30} {pos}/{len} s"
     } else {
         "{spinner} {pos} s"
-    })
-    .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::with_draw_target(length, target(rig)).with_style(style)
-}
-
-fn target(rig: &Rig<'_>) -> ProgressDrawTarget {
-    if rig.context.shows_progress() {
-        ProgressDrawTarget::stderr()
-    } else {
-        ProgressDrawTarget::hidden()
-    }
+    };
+    context.progress(length, template)
 }

@@ -1,18 +1,23 @@
 //! The twist: it relates the clock of each phone to the board's.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
+use phone::task::{Answer, Request};
 use protocol::{TICK_HZ, Ticks};
 
 use super::Stop;
+use super::journal::Journal;
 use super::operator::Choice;
-use super::phone_task::{Answer, Request};
+use super::phones::Phones;
 use super::rig::Rig;
-use super::steps::{ask, is_repeatable, odd_answer, spinner};
+use super::steps::{ask, is_repeatable, odd_answer};
 use crate::outcome::{ExitStatus, Failure};
+use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
 use phone::samples::sample_line;
 use phone::{PhoneSample, Sensor};
+use recording::RecordingError;
 use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
 use timebase::ClockModel;
@@ -38,25 +43,25 @@ pub(super) fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
         };
         for (place, clock) in clocks.iter().enumerate() {
             if let Some(clock) = clock {
-                rig.set_phone_clock(place, *clock, &format!("twist {attempt}"))?;
+                rig.journal
+                    .set_clock(place, *clock, &format!("twist {attempt}"))?;
             }
         }
         // With nobody there, phones may have got theirs from different twists.
-        let related = rig
-            .phone_places()
-            .all(|place| rig.phone_clock(place).is_some());
+        let mut places = rig.phones.places();
+        let related = places.all(|place| rig.journal.clock(place).is_some());
         if related && !rig.operator.is_present() {
-            return rig.save();
+            return rig.journal.save();
         }
         if clocks.iter().all(Option::is_some) {
-            rig.save()?;
+            rig.journal.save()?;
             match ask(rig, "[Enter] go on, [r] twist again, [q] quit")? {
                 Choice::Repeat => continue,
                 Choice::Quit => return Err(Stop::Interrupted),
                 Choice::Continue | Choice::Skip => return Ok(()),
             }
         }
-        rig.save()?;
+        rig.journal.save()?;
         if rig.operator.is_present() {
             match ask(rig, "[Enter] or [r] twist again, [q] quit")? {
                 Choice::Quit | Choice::Skip => return Err(Stop::Interrupted),
@@ -88,15 +93,14 @@ fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
             return Err(Stop::Interrupted);
         }
     }
-    let number = rig.file.twists.len() + 1;
-    rig.tell(
-        Severity::Info,
+    let number = rig.journal.file.twists.len() + 1;
+    rig.journal.info(
         "twist",
         &format!("twist {number}: twist now, for {length} s"),
     )?;
-    rig.gyro = Some(Vec::new());
+    rig.observers.gyro = Some(Vec::new());
     let asked = twist_samples(rig, length);
-    let board = rig.gyro.take().unwrap_or_default();
+    let board = rig.observers.gyro.take().unwrap_or_default();
     let samples = asked?;
     let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
     let span = Span {
@@ -106,37 +110,41 @@ fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
     let mcu = board_track(&times, rates);
     let mut clocks = Vec::new();
     for (place, samples) in samples.iter().enumerate() {
-        clocks.push(relate(rig, place, number, (&mcu, span), samples)?);
+        let (phones, journal) = (&rig.phones, &mut rig.journal);
+        let clock = relate(phones, journal, place, number, (&mcu, span), samples)?;
+        let learnt = skew_prior(phones.profile(place), &rig.link.id);
+        clocks.push(match (clock, learnt) {
+            (Some(clock), Some((skew, sigma, _))) => Some(sharpen(journal, clock, skew, sigma)?),
+            _ => clock,
+        });
     }
     Ok(clocks)
 }
 
 /// Relates the clock of one phone to the board's by a twist.
 fn relate(
-    rig: &mut Rig<'_>,
+    phones: &Phones<'_>,
+    journal: &mut Journal<'_>,
     place: usize,
     number: usize,
     (mcu, span): (&GyroTrack, Span),
     samples: &[PhoneSample],
 ) -> Result<Option<ClockModel>, Stop> {
-    let phone = rig.phone_profile(place);
-    let folder = rig.file.phone_folder(&phone.name);
+    let phone = phones.profile(place);
+    let folder = journal.file.phone_folder(&phone.name);
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
     let name = name.to_string_lossy().into_owned();
-    let label = format!("twist {number}{}", rig.of_phone(place));
-    save_samples(rig, &name, samples)?;
+    let label = format!("twist {number}{}", phones.whose(place));
+    save_samples(&journal.folder, &name, samples)?;
     let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
     let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
     let phone_track = phone_track(&phone_times, phone_rates);
-    let delay_us = rig
-        .file
-        .imu
-        .as_ref()
-        .map_or(0, |imu| imu.scale.gyro_delay_us);
+    let imu = journal.file.imu.as_ref();
+    let delay_us = imu.map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = Options {
         mcu_delay_s: f64::from(delay_us) * 1e-6,
         phone_delay_s: phone.gyro_delay_us * 1e-6,
-        sigma_limit_s: rig.profile.align.max_offset_sigma_us * 1e-6,
+        sigma_limit_s: journal.file.profile.align.max_offset_sigma_us * 1e-6,
         ..Options::default()
     };
     let result = estimate_offset(mcu, &phone_track, &options);
@@ -155,8 +163,8 @@ fn relate(
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
         report,
     };
-    rig.keep_twist(place, twist);
-    rig.file.files.push(name);
+    journal.keep_twist(place, twist);
+    journal.file.files.push(name);
     match result {
         Ok(estimate) => {
             let text = format!(
@@ -166,15 +174,15 @@ fn relate(
                 estimate.clock.skew * 1e6,
                 estimate.skew_sigma() * 1e6
             );
-            rig.tell(Severity::Info, "twist", &text)?;
+            journal.info("twist", &text)?;
             for warning in &estimate.report.warnings {
-                rig.tell(Severity::Info, "twist", warning)?;
+                journal.info("twist", warning)?;
             }
-            sharpen(rig, place, estimate.clock.into()).map(Some)
+            Ok(Some(estimate.clock.into()))
         }
         Err(refusal) => {
             let text = format!("{label} refused: {refusal}");
-            rig.tell(Severity::Warning, "twist_refused", &text)?;
+            journal.tell(Severity::Warning, "twist_refused", &text)?;
             Ok(None)
         }
     }
@@ -184,22 +192,22 @@ fn relate(
 /// meanwhile.
 fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
     let request = Request::Gyroscope(Duration::from_secs(length.into()));
-    let requests = rig
-        .phone_places()
-        .map(|place| (place, request.clone()))
-        .collect();
-    let bar = spinner(rig);
+    let places = rig.phones.places();
+    let requests = places.map(|place| (place, request.clone())).collect();
+    let bar = rig.context.spinner();
     let mut shown = Instant::now();
     let answers = rig.ask_phones(requests, |rig| {
         if shown.elapsed() > Duration::from_millis(300) {
             shown = Instant::now();
-            bar.set_message(motion_hint(rig.gyro.as_deref().unwrap_or_default()));
+            bar.set_message(motion_hint(
+                rig.observers.gyro.as_deref().unwrap_or_default(),
+            ));
         }
     });
     bar.finish_and_clear();
     let mut samples = Vec::new();
     for (place, answer) in answers? {
-        let recording = match answer.map_err(|error| rig.phone_failure(place, error))? {
+        let recording = match answer.map_err(|error| rig.phones.failure(place, error))? {
             Answer::Gyroscope(recording) => recording,
             other => return Err(odd_answer(&other).into()),
         };
@@ -207,8 +215,7 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
         samples.push(gyro.to_vec());
     }
     // The board's samples of the last moment are still on their way.
-    let until = rig.now.0.saturating_add(TWIST_MARGIN);
-    rig.pump_until(|rig| (rig.now.0 >= until).then_some(()))?;
+    rig.pump_for(TWIST_MARGIN)?;
     Ok(samples)
 }
 
@@ -220,60 +227,44 @@ fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
         let sum: f64 = samples.iter().map(|(_, rate)| rate[axis].powi(2)).sum();
         rms[axis] = (sum / count).sqrt();
     }
-    let mut sorted = rms;
-    sorted.sort_by(f64::total_cmp);
-    let hint = if sorted[2] < 0.5 {
-        "twist faster"
-    } else if sorted[1] < 0.3 {
-        "twist about another axis too"
-    } else {
-        "good"
-    };
-    format!(
-        "x {:.1}  y {:.1}  z {:.1} rad/s rms: {hint}",
-        rms[0], rms[1], rms[2]
-    )
+    let hint = lacking_motion(rms).unwrap_or("good");
+    let [x, y, z] = rms;
+    format!("x {x:.1}  y {y:.1}  z {z:.1} rad/s rms: {hint}")
 }
 
 /// Takes the skew that was learnt before into a twist's result.
-fn sharpen(rig: &mut Rig<'_>, place: usize, clock: ClockModel) -> Result<ClockModel, Stop> {
-    let Some((skew, sigma, _)) = skew_prior(rig.phone_profile(place), &rig.board_id) else {
-        return Ok(clock);
-    };
-    match with_known_skew(&clock, skew, sigma) {
-        Some(sharper) => Ok(sharper),
-        None => {
-            rig.tell(
-                Severity::Warning,
-                "learnt_skew",
-                &format!(
-                    "the learnt skew of {:+.3} ppm does not fit this twist's {:+.3} ppm; it is not used",
-                    skew * 1e6,
-                    clock.skew * 1e6
-                ),
-            )?;
-            Ok(clock)
-        }
+fn sharpen(
+    journal: &mut Journal<'_>,
+    clock: ClockModel,
+    skew: f64,
+    sigma: f64,
+) -> Result<ClockModel, Stop> {
+    let sharper = with_known_skew(&clock, skew, sigma);
+    if sharper.is_none() {
+        let text = format!(
+            "the learnt skew of {:+.3} ppm does not fit this twist's {:+.3} ppm; it is not used",
+            skew * 1e6,
+            clock.skew * 1e6
+        );
+        journal.tell(Severity::Warning, "learnt_skew", &text)?;
     }
+    Ok(sharper.unwrap_or(clock))
 }
 
-fn save_samples(rig: &Rig<'_>, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {
+fn save_samples(recording: &Path, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {
     let mut text = String::new();
     for sample in samples {
         text.push_str(&sample_line(sample));
         text.push('\n');
     }
-    let path = rig.folder.join(name);
-    let folder = path.parent().unwrap_or(&rig.folder);
+    let path = recording.join(name);
+    let folder = path.parent().unwrap_or(recording);
     let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, text));
-    written.map_err(|source| {
-        Failure::from(recording::RecordingError::Io {
-            action: "write",
-            path,
-            source,
-        })
-        .into()
-    })
+    Ok(written.map_err(|source| RecordingError::Io {
+        action: "write",
+        path,
+        source,
+    })?)
 }
 
 /// Twists once more and joins what it says with the first; of each phone by itself.
@@ -285,24 +276,25 @@ pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> R
             refused = true;
             continue;
         };
-        if !rig.file.runs.is_empty() {
+        if !rig.journal.file.runs.is_empty() {
             // The first twist is of the run before the reset: its rate holds, its
             // offset is better known from this one.
             let sigma = first.covariance[1][1].max(0.0).sqrt();
             let clock = with_known_skew(second, first.skew, sigma).unwrap_or(*second);
             let source = "twist at the end, after a reset of the board";
-            rig.set_phone_clock(place, clock, source)?;
+            rig.journal.set_clock(place, clock, source)?;
             continue;
         }
         let joined = first.joined(second);
         let text = format!(
             "both twists{}: skew {:+.4} ± {:.4} ppm",
-            rig.of_phone(place),
+            rig.phones.whose(place),
             joined.skew * 1e6,
             joined.covariance[1][1].sqrt() * 1e6
         );
-        rig.tell(Severity::Info, "twist", &text)?;
-        rig.set_phone_clock(place, joined, "twists at begin and end")?;
+        rig.journal.info("twist", &text)?;
+        rig.journal
+            .set_clock(place, joined, "twists at begin and end")?;
     }
     if refused {
         return Err(

@@ -13,19 +13,18 @@ const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
 /// Something that was noticed.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Finding {
+pub(crate) struct Finding {
     /// A stable word.
-    pub kind: &'static str,
+    pub(crate) kind: &'static str,
     /// How bad it is. Anything but information makes the outcome "with loss".
-    pub severity: Severity,
+    pub(crate) severity: Severity,
     /// In words.
-    pub text: String,
+    pub(crate) text: String,
 }
 
 impl Finding {
     /// A warning.
-    #[must_use]
-    pub fn warning(kind: &'static str, text: impl Into<String>) -> Self {
+    pub(crate) fn warning(kind: &'static str, text: impl Into<String>) -> Self {
         Self {
             kind,
             severity: Severity::Warning,
@@ -34,8 +33,7 @@ impl Finding {
     }
 
     /// An error.
-    #[must_use]
-    pub fn error(kind: &'static str, text: impl Into<String>) -> Self {
+    pub(crate) fn error(kind: &'static str, text: impl Into<String>) -> Self {
         Self {
             kind,
             severity: Severity::Error,
@@ -101,13 +99,12 @@ impl Watch {
     }
 
     /// The grid.
-    #[must_use]
-    pub const fn grid(&self) -> Grid {
+    pub(crate) const fn grid(&self) -> Grid {
         self.grid
     }
 
     /// A pulse.
-    pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
+    pub(crate) fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
         if self.pulses_away {
             self.pulses_away = false;
             findings.push(Finding::info("pulses_back", "pulses come again"));
@@ -140,7 +137,7 @@ impl Watch {
     }
 
     /// An IMU sample.
-    pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
+    pub(crate) fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
         if self.imu_away {
             self.imu_away = false;
             findings.push(Finding::info("imu_back", "IMU samples come again"));
@@ -158,7 +155,7 @@ impl Watch {
     }
 
     /// Messages of a stream are missing.
-    pub fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
+    pub(crate) fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
         let kind = match stream {
             Stream::Pulses => {
                 self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
@@ -175,7 +172,7 @@ impl Watch {
     }
 
     /// A status.
-    pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
+    pub(crate) fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
         let now = Baseline {
             late: status.trigger.late,
             readback_missing: status.trigger.readback.missing,
@@ -234,7 +231,7 @@ impl Watch {
     }
 
     /// Board time goes on. Call it when all messages up to then were taken.
-    pub fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
+    pub(crate) fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
         let patience = 3 * u64::from(self.grid.period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
@@ -248,7 +245,7 @@ impl Watch {
 
     /// The link was lost until now: what was missed then shows by its numbers,
     /// not as silence.
-    pub const fn resume(&mut self, now: Ticks) {
+    pub(crate) const fn resume(&mut self, now: Ticks) {
         self.last_pulse = now;
         self.last_imu = now;
     }

@@ -12,6 +12,7 @@ use board::imu::{Sample, Scale};
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};
 use timebase::ClockModel;
+use twist_sync::coach::Coach;
 
 /// How much of the gyroscope is shown, ticks.
 const SHOWN: u64 = 10 * TICK_HZ as u64;
@@ -22,91 +23,8 @@ const POINT: u64 = TICK_HZ as u64 / 25;
 /// Rates are those over this time, ticks.
 const RATE_TIME: u64 = 2 * TICK_HZ as u64;
 
-/// Noise of both gyroscopes together in one sample of the board, rad/s: the
-/// MPU-9150's 0.005 °/s/√Hz over 188 Hz, and the same of the phone's.
-const NOISE: f64 = 1.7e-3;
-
-/// Samples that are averaged before the slope of the motion is taken.
-const BLOCK: usize = 10;
-
 /// How many warnings, marks and lines are kept.
 const KEPT: usize = 8;
-
-/// How the expected uncertainty of a twist falls as motion comes in.
-///
-/// For a known motion ω(t) the bound of the offset is `σ² = n² / Σ |ω′|²` over the
-/// samples, with `n` the noise of both gyroscopes in one sample (see the book,
-/// "Sync math"). The slope is taken between means of ten samples, so that noise
-/// adds little to it; what noise adds on the average is taken off.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Coach {
-    block: Vec<(Ticks, [f64; 3])>,
-    last: Option<(f64, [f64; 3])>,
-    information: f64,
-    squares: [f64; 3],
-    count: u64,
-    first: Option<Ticks>,
-    latest: Ticks,
-}
-
-impl Coach {
-    /// A sample of the board's gyroscope, rad/s.
-    pub(crate) fn add(&mut self, at: Ticks, rate: [f64; 3]) {
-        self.first.get_or_insert(at);
-        self.latest = at;
-        self.count += 1;
-        for (sum, value) in self.squares.iter_mut().zip(rate) {
-            *sum += value * value;
-        }
-        self.block.push((at, rate));
-        if self.block.len() < BLOCK {
-            return;
-        }
-        let n = self.block.len() as f64;
-        let mut mean = [0.0; 3];
-        let mut time = 0.0;
-        for (at, rate) in self.block.drain(..) {
-            time += at.as_secs_f64() / n;
-            for (mean, value) in mean.iter_mut().zip(rate) {
-                *mean += value / n;
-            }
-        }
-        if let Some((before, rates)) = self.last {
-            let step = time - before;
-            // Blocks that do not follow each other say nothing about the slope.
-            if step > 0.0 && step < 0.2 {
-                let power: f64 = mean
-                    .iter()
-                    .zip(rates)
-                    .map(|(now, before)| ((now - before) / step).powi(2))
-                    .sum();
-                let noise = 3.0 * 2.0 * NOISE * NOISE / n / (step * step);
-                self.information += (power - noise).max(0.0) * n / (NOISE * NOISE);
-            }
-        }
-        self.last = Some((time, mean));
-    }
-
-    /// Expected 1-sigma of the offset from the motion so far, s.
-    pub(crate) fn sigma_s(&self) -> Option<f64> {
-        // Below this there is no motion at all: a millisecond.
-        (self.information > 1e6).then(|| self.information.sqrt().recip())
-    }
-
-    fn twist(&self, length_s: f64, enough_us: f64) -> Twist {
-        let count = self.count.max(1) as f64;
-        let elapsed = self
-            .first
-            .map_or(0.0, |first| self.latest.as_secs_f64() - first.as_secs_f64());
-        Twist {
-            elapsed_s: elapsed,
-            length_s,
-            sigma_us: self.sigma_s().map(|sigma| sigma * 1e6),
-            enough_us,
-            rms: self.squares.map(|sum| (sum / count).sqrt()),
-        }
-    }
-}
 
 /// Times of the messages of one stream, to count them.
 #[derive(Clone, Debug, Default)]
@@ -332,7 +250,7 @@ impl Gauge {
     fn sample(&mut self, sample: &Sample) {
         self.temperature = Some(sample.temperature);
         if let Some((coach, ..)) = &mut self.coach {
-            coach.add(sample.at, sample.gyro);
+            coach.add(sample.at.as_secs_f64(), sample.gyro);
         }
         if self
             .gyro
@@ -442,7 +360,13 @@ impl Gauge {
             twist: self
                 .coach
                 .as_ref()
-                .map(|(coach, length, enough)| coach.twist(*length, *enough)),
+                .map(|(coach, length_s, enough_us)| Twist {
+                    elapsed_s: coach.elapsed_s(),
+                    length_s: *length_s,
+                    sigma_us: coach.sigma_s().map(|sigma| sigma * 1e6),
+                    enough_us: *enough_us,
+                    rms: coach.rms(),
+                }),
             markers: self.markers.iter().cloned().collect(),
             warnings: self.warnings.iter().cloned().collect(),
             ..Snapshot::default()
@@ -471,45 +395,12 @@ fn keep<T>(list: &mut VecDeque<T>, item: T) {
 mod tests {
     use super::*;
 
-    /// A hand's twist: a few rad/s about three axes.
-    fn twist(seconds: u32, scale: f64) -> Coach {
-        let mut coach = Coach::default();
-        for k in 0..seconds * 500 {
-            let t = f64::from(k) / 500.0;
-            let rate = [
-                scale * (7.0 * t).sin(),
-                scale * 0.7 * (5.0 * t).cos(),
-                scale * 0.4 * (9.0 * t).sin(),
-            ];
-            coach.add(Ticks(u64::from(k) * 96_000), rate);
-        }
-        coach
-    }
-
     #[test]
-    fn the_expected_sigma_is_the_bound_and_falls_with_motion() {
-        // Mean of |ω′|²: half of the squares of amplitude times frequency.
-        let power =
-            0.5 * ((3.0 * 7.0_f64).powi(2) + (2.1 * 5.0_f64).powi(2) + (1.2 * 9.0_f64).powi(2));
-        let expected = NOISE / (power * 7.0 * 500.0).sqrt();
-        let sigma = twist(7, 3.0).sigma_s().unwrap();
-        assert!((sigma / expected - 1.0).abs() < 0.05, "{sigma} {expected}");
-        // A few µs, as the simulated twists of the sync bench give.
-        assert!((1e-6..4e-6).contains(&sigma), "{sigma}");
-        assert!(twist(2, 3.0).sigma_s().unwrap() > sigma);
-        assert!(twist(7, 0.3).sigma_s().unwrap() > 8.0 * sigma);
-    }
-
-    #[test]
-    fn rest_is_no_motion() {
-        let mut coach = Coach::default();
-        for k in 0..5_000_u64 {
-            // Noise of the size of the sensor's.
-            let noise = if k % 2 == 0 { 1e-3 } else { -1e-3 };
-            coach.add(Ticks(k * 96_000), [noise, -noise, noise]);
-        }
-        assert_eq!(coach.sigma_s(), None);
-        assert_eq!(coach.twist(7.0, 10.0).advice(), "twist faster");
+    fn at_rest_the_advice_is_to_twist_faster() {
+        let mut gauge = Gauge::default();
+        gauge.begin_twist(7.0, 10.0);
+        let twist = gauge.snapshot(None, None).twist.unwrap();
+        assert_eq!(twist.advice(), "twist faster");
     }
 
     #[test]

@@ -212,17 +212,25 @@ impl Twist {
 
     /// What to do, in words.
     pub(crate) fn advice(&self) -> &'static str {
-        let mut sorted = self.rms;
-        sorted.sort_by(f64::total_cmp);
-        if sorted[2] < 0.5 {
-            "twist faster"
-        } else if sorted[1] < 0.3 {
-            "twist about another axis too"
-        } else if self.is_enough() {
+        let enough = if self.is_enough() {
             "enough: hold still when the time is up"
         } else {
             "go on"
-        }
+        };
+        lacking_motion(self.rms).unwrap_or(enough)
+    }
+}
+
+/// What a twist lacks with this motion of the axes, rad/s rms.
+pub(crate) fn lacking_motion(rms: [f64; 3]) -> Option<&'static str> {
+    let mut sorted = rms;
+    sorted.sort_by(f64::total_cmp);
+    if sorted[2] < 0.5 {
+        Some("twist faster")
+    } else if sorted[1] < 0.3 {
+        Some("twist about another axis too")
+    } else {
+        None
     }
 }
 

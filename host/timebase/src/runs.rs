@@ -16,7 +16,6 @@
 //!
 //! Limit: a computer that sleeps meanwhile does not know for how long.
 
-use recording::session_file::Joint;
 use std::time::Duration;
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
@@ -61,7 +60,18 @@ impl Pair {
     }
 }
 
-/// The axis.
+/// How a run joins the one before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Recorded ticks less the board's.
+    pub shift: u64,
+    /// 1-sigma of it, s.
+    pub sigma_s: f64,
+    /// From the last thing known of the former run to the first of this one, s.
+    pub away_s: f64,
+}
+
+/// The axis of a recording's time, with the board's runs on it.
 #[derive(Clone, Debug, Default)]
 pub struct Axis {
     shift: u64,
@@ -82,12 +92,6 @@ impl Axis {
     #[must_use]
     pub const fn of_board(&self, recorded: Ticks) -> Ticks {
         Ticks(recorded.0.saturating_sub(self.shift))
-    }
-
-    /// Recorded ticks less the board's.
-    #[must_use]
-    pub const fn shift(&self) -> u64 {
-        self.shift
     }
 
     /// Whether it is time to ask the board for its time.

@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use phone::{
+use crate::{
     ImuRecording, ImuRequest, PhoneClient, PhoneError, SavedVideo, Settings, StopSignal,
     VideoStart, VideoTarget,
 };
@@ -110,6 +110,7 @@ impl PhoneTask {
     }
 
     /// The answer, once it is there.
+    #[must_use]
     pub fn answer(&self) -> Option<Result<Answer, PhoneError>> {
         match self.answers.try_recv() {
             Ok(answer) => Some(answer),

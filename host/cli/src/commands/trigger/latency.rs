@@ -1,0 +1,86 @@
+//! `trigger latency`: from the trigger's edge to the centre of exposure.
+
+use std::fmt::Write as _;
+
+use protocol::{DeviceToHost, TrainState};
+
+use crate::cli::Context;
+use crate::commands::listen::{Heard, Listened, listen};
+use crate::outcome::{ExitStatus, Failure, Outcome};
+use board::Board;
+use board::Event;
+use evaluate::latency::{Latency, latency};
+use evaluate::train::TrainGeometry;
+
+/// Collects pulses and strobes, and says how they lie to each other.
+pub(super) fn measure(
+    board: &mut Board,
+    context: &Context,
+    train: &TrainGeometry,
+    wanted: usize,
+) -> Result<Outcome, Failure> {
+    if board.trigger()?.state == TrainState::Stopped {
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            "the trigger is stopped: there is nothing to measure",
+        )
+        .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera"));
+    }
+    let (mut pulses, mut captures) = (Vec::new(), Vec::new());
+    let listened = listen(board, context, |_, event| {
+        match event {
+            Some(Event::Message(DeviceToHost::Pulse(pulse))) => {
+                pulses.push(pulse.at);
+                // The last pulse only ends the one before it.
+                let done = pulses.len() > wanted;
+                return Ok(if done { Heard::Done(()) } else { Heard::Sign });
+            }
+            Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
+            _ => {}
+        }
+        Ok(Heard::Other)
+    })?;
+    if matches!(listened, Listened::Interrupted) {
+        return Ok(Outcome::Interrupted);
+    }
+    let Some(found) = latency(&pulses, &captures, train) else {
+        return Err(Failure::new(
+            ExitStatus::Refused,
+            format!(
+                "no pulse has a whole train of {} flashes: {} strobe edges came with {} pulses, {} a pulse are expected",
+                train.count,
+                captures.len(),
+                pulses.len(),
+                2 * train.count
+            ),
+        )
+        .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's"));
+    };
+    context.print(&found, || text(&found))?;
+    Ok(Outcome::of_loss(found.left_out > 0))
+}
+
+fn text(found: &Latency) -> String {
+    let mut text = format!(
+        "pulses       {} with a whole train of flashes, {} without\n",
+        found.pulses, found.left_out
+    );
+    for (name, quantity) in [
+        ("centre", &found.center),
+        ("first flash", &found.first_flash),
+        ("pitch", &found.pitch),
+        ("flash", &found.duration),
+    ] {
+        let _ = writeln!(
+            text,
+            "{name:<12} {:.3} ± {:.3} µs (a single one: {:.3} µs)",
+            quantity.mean_us, quantity.sigma_us, quantity.sd_us
+        );
+    }
+    let _ = write!(
+        text,
+        "for the rig profile, less the light path's own delay:\n[depth]\ncenter_offset_us = {:.3}\ncenter_offset_sigma_us = {:.3}",
+        found.center.mean_us, found.center.sigma_us
+    );
+    text
+}

@@ -1,0 +1,137 @@
+//! Who looks at the board's messages as they go by, and the one place through which
+//! every message goes: it is watched, put into SI units, shown and written.
+
+use protocol::{Arrived, DeviceToHost, ImuSample, Ticks};
+
+use super::Stop;
+use super::journal::Journal;
+use super::link::BoardLink;
+use super::preflight::ImuLook;
+use super::watch::{Finding, Watch};
+use board::Stream;
+use board::imu::Sample;
+use recording::writer::Severity;
+
+/// Who looks on.
+#[derive(Default)]
+pub struct Observers {
+    /// Set while recording.
+    pub watch: Option<Watch>,
+    /// What the watch has found.
+    pub(super) findings: Vec<Finding>,
+    /// The IMU's samples, while it is checked.
+    pub(super) look: Option<ImuLook>,
+    /// Gyroscope samples, while a twist is taken.
+    pub(super) gyro: Option<Vec<(Ticks, [f64; 3])>>,
+    /// The last arrival that was reported.
+    pub(super) arrived: Option<Arrived>,
+}
+
+impl Observers {
+    /// Messages of a stream are missing.
+    pub(super) fn lost(&mut self, stream: Stream, count: u32) {
+        if let Some(look) = &mut self.look {
+            look.gap();
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.lost(stream, count, &mut self.findings);
+        }
+    }
+
+    /// All that had come by this time was taken.
+    pub(super) fn time(&mut self, now: Ticks) {
+        if let Some(watch) = &mut self.watch {
+            watch.time(now, &mut self.findings);
+        }
+    }
+
+    /// The link was lost until now.
+    pub(super) const fn resume(&mut self, now: Ticks) {
+        if let Some(watch) = &mut self.watch {
+            watch.resume(now);
+        }
+    }
+
+    fn sample(&mut self, raw: &ImuSample, sample: &Sample) {
+        if let Some(look) = &mut self.look {
+            look.add(sample);
+        }
+        if let Some(gyro) = &mut self.gyro {
+            gyro.push((sample.at, sample.gyro));
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.imu(raw, &mut self.findings);
+        }
+    }
+
+    fn message(&mut self, message: &DeviceToHost) {
+        match (message, &mut self.watch) {
+            (DeviceToHost::Pulse(pulse), Some(watch)) => watch.pulse(pulse, &mut self.findings),
+            (DeviceToHost::Status(status), Some(watch)) => {
+                watch.status(status, &mut self.findings);
+            }
+            (DeviceToHost::Arrived(arrived), _) => self.arrived = Some(*arrived),
+            _ => {}
+        }
+    }
+}
+
+/// A message of the board, with its times on the recording's axis.
+pub(super) fn take_message(
+    link: &mut BoardLink<'_>,
+    observers: &mut Observers,
+    journal: &mut Journal<'_>,
+    message: DeviceToHost,
+) -> Result<(), Stop> {
+    journal.live.take(&message, link.scale());
+    let Some(writer) = &mut journal.writer else {
+        return Ok(());
+    };
+    observers.message(&message);
+    let profile = &journal.file.profile;
+    let clock = journal.file.clock;
+    let phone_time = |at| clock.map(|clock| clock.ticks_to_phone(at));
+    let (at, written) = match message {
+        DeviceToHost::Imu(raw) => {
+            let sample = link.in_si(&raw);
+            observers.sample(&raw, &sample);
+            (raw.at, writer.imu(&sample))
+        }
+        DeviceToHost::Pulse(pulse) => (pulse.at, writer.pulse(&pulse, phone_time(pulse.at))),
+        DeviceToHost::Capture(capture) => {
+            let phone = phone_time(capture.at);
+            (capture.at, writer.capture(&capture, phone))
+        }
+        DeviceToHost::Status(status) => (status.at, writer.status(&status, &link.id)),
+        DeviceToHost::Arrived(arrived) => {
+            let text = format!(
+                "the trigger arrived at pulse {}, {} ticks from its grid",
+                arrived.pulse, arrived.remaining.0
+            );
+            let written = writer.log(arrived.at, Severity::Info, "arrived", &text);
+            (arrived.at, written)
+        }
+        DeviceToHost::OutputPulse(output) => {
+            let name = profile.output_name(output.output);
+            (output.pulse.at, writer.output_pulse(&output.pulse, &name))
+        }
+        DeviceToHost::OutputArrived(arrived) => {
+            let text = format!(
+                "{} arrived at pulse {}, {} ticks from its grid",
+                profile.output_name(arrived.output),
+                arrived.pulse,
+                arrived.remaining.0
+            );
+            let written = writer.log(arrived.at, Severity::Info, "output_arrived", &text);
+            (arrived.at, written)
+        }
+        DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps, profile.lidar_name())),
+        DeviceToHost::Hello(hello) => (
+            hello.now,
+            writer.log(hello.now, Severity::Info, "hello", "the board said hello"),
+        ),
+        DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
+    };
+    journal.now = journal.now.max(at);
+    Ok(written?)
+}

@@ -1,0 +1,113 @@
+//! What the plots of a report need of the recording, read once from front to back.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use protocol::{Period, Ticks};
+
+use super::MAX_LISTED;
+use page::chart::Envelope;
+use recording::RecordingError;
+use recording::reader::{Item, Reader};
+use recording::session_file::SessionFile;
+
+/// What the plots need of the recording.
+#[derive(Debug, Default)]
+pub(super) struct Curves {
+    pub(super) gyro: [Envelope; 3],
+    pub(super) off_grid: Envelope,
+    pub(super) readback: Envelope,
+    pub(super) load: Envelope,
+    pub(super) temperature: Envelope,
+    /// Pulses of further outputs by the sensor's name: how many, first and last.
+    pub(super) outputs: BTreeMap<String, (u64, Ticks, Ticks)>,
+    /// Seconds of a lidar: how many, the last with the UTC that it was told, ns; and
+    /// whether all tell one relation.
+    pub(super) gnss: Option<Gnss>,
+    pub(super) broken_off: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Gnss {
+    pub(super) seconds: u64,
+    pub(super) last: Ticks,
+    pub(super) utc_ns: i64,
+    pub(super) changed: bool,
+}
+
+impl Curves {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    ///
+    /// It cannot be opened. A recording that breaks somewhere gives what stands
+    /// before.
+    pub(super) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
+        let mut curves = Self::default();
+        let mut reader = Reader::open(recording)?;
+        for entry in reader.by_ref() {
+            let Ok(entry) = entry else {
+                curves.broken_off = true;
+                break;
+            };
+            curves.take(entry.at, &entry.item, session);
+        }
+        curves.broken_off |= reader.broken_off();
+        Ok(curves)
+    }
+
+    fn take(&mut self, at: Ticks, item: &Item, session: &SessionFile) {
+        let x = at.as_secs_f64();
+        match item {
+            Item::Imu(imu) => {
+                let rates: [f64; 3] = imu.angular_velocity.into();
+                for (envelope, rate) in self.gyro.iter_mut().zip(rates) {
+                    envelope.add(x, rate);
+                }
+            }
+            Item::Temperature(value) => self.temperature.add(x, value.temperature),
+            Item::Pulse(pulse) => {
+                if pulse.readback {
+                    self.readback.add(x, f64::from(pulse.readback_ticks));
+                }
+                if let (Some(alignment), Some(span)) = (session.alignment, session.recorded)
+                    && (span.from..=span.to).contains(&at)
+                {
+                    let period = Period(alignment.period_q32);
+                    self.off_grid
+                        .add(x, period.phase_error(alignment.anchor, at).0 as f64);
+                }
+            }
+            Item::Output(pulse) => {
+                let name = pulse.header.frame_id.clone();
+                // A damaged recording may hold any name.
+                if self.outputs.len() < MAX_LISTED || self.outputs.contains_key(&name) {
+                    let seen = self.outputs.entry(name).or_insert((0, at, at));
+                    *seen = (seen.0 + 1, seen.1, at);
+                }
+            }
+            Item::Gnss(second) => {
+                let utc_ns = second.time_ref.nanos();
+                let relation = |at: Ticks, utc: i64| i128::from(utc) - i128::from(at.as_nanos());
+                let (seconds, changed) = self.gnss.map_or((0, false), |gnss| {
+                    let moved = relation(gnss.last, gnss.utc_ns) != relation(at, utc_ns);
+                    (gnss.seconds, gnss.changed || moved)
+                });
+                self.gnss = Some(Gnss {
+                    seconds: seconds + 1,
+                    last: at,
+                    utc_ns,
+                    changed,
+                });
+            }
+            Item::Status(status) => {
+                let mut values = status.status.iter().flat_map(|part| &part.values);
+                let load = values.find(|value| value.key == "cpu_permille");
+                if let Some(Ok(load)) = load.map(|load| load.value.parse::<f64>()) {
+                    self.load.add(x, load / 10.0);
+                }
+            }
+            _ => {}
+        }
+    }
+}

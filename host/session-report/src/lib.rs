@@ -1,0 +1,228 @@
+//! The report of a recording: `report.html` in its folder.
+//!
+//! What was decided comes from `session.json`, the plots from `recording.mcap`,
+//! which is read once from front to back.
+#![forbid(unsafe_code)]
+
+mod curves;
+mod sections;
+
+use std::path::{Path, PathBuf};
+
+use protocol::Ticks;
+use serde_json::json;
+
+use self::curves::Curves;
+use board::StreamCount;
+use page::{Level, Page};
+use recording::RecordingError;
+use recording::session_file::{SessionFile, SessionOutcome, Span};
+use timebase::ClockModel;
+
+/// Name of the report in a recording's folder.
+pub const REPORT_FILE: &str = "report.html";
+
+/// The most problems and marks that are listed one by one.
+const MAX_LISTED: usize = 200;
+
+/// Writes the report of the recording in `folder`.
+///
+/// # Errors
+///
+/// The recording cannot be read, or the report cannot be written.
+pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
+    let curves = Curves::read(folder, session)?;
+    let path = folder.join(REPORT_FILE);
+    std::fs::write(&path, page(session, &curves).html()).map_err(|source| RecordingError::Io {
+        action: "write",
+        path: path.clone(),
+        source,
+    })?;
+    Ok(path)
+}
+
+/// The verdict over a session in words.
+#[must_use]
+pub fn verdict(session: &SessionFile) -> (Level, String) {
+    let lost = session.counts.lost();
+    let expected = session.alignment.map_or(String::new(), |alignment| {
+        format!(
+            " The middle of the depth exposure is predicted to be on the middle of the phone's \
+             frame within {:.1} µs at the start, moving by at most {:.1} µs a minute (1-sigma, \
+             without the constants of the profile).",
+            alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
+        )
+    });
+    let problems = || match session.problems.as_slice() {
+        [] => String::from("nothing more is noted"),
+        [only] => only.text.clone(),
+        [first, more @ ..] => format!("{}, and {} more (below)", first.text, more.len()),
+    };
+    let last = session.problems.last();
+    match session.outcome {
+        Some(SessionOutcome::Good) => (
+            Level::Good,
+            format!(
+                "Everything is there: {} pulses on the phone's frames, no message lost.{expected}",
+                session.counts.pulses.received
+            ),
+        ),
+        Some(SessionOutcome::Loss) => (
+            Level::Warning,
+            format!(
+                "Recorded, but not everything is there: {}. {lost} messages were lost on the \
+                 link.{expected}",
+                problems()
+            ),
+        ),
+        Some(SessionOutcome::Interrupted) => (
+            Level::Warning,
+            format!(
+                "The session was stopped by its user; what was recorded until then is here.{expected}"
+            ),
+        ),
+        Some(SessionOutcome::Failed) => {
+            let reason = last.map_or("no reason is noted", |problem| &problem.text);
+            (Level::Bad, format!("The session failed: {reason}"))
+        }
+        None => (
+            Level::Bad,
+            String::from(
+                "The program was ended before it could close the session. The command repair \
+                 makes a whole recording of what is there.",
+            ),
+        ),
+    }
+}
+
+/// The report as a page.
+fn page(session: &SessionFile, curves: &Curves) -> Page {
+    let (level, verdict) = verdict(session);
+    let mut page = Page::new(&format!("Recording {}", session.name), level, &verdict);
+    page.facts(&facts(session));
+    if curves.broken_off {
+        page.note(
+            Level::Warning,
+            "The recording is not closed or is damaged; the plots end where it breaks. \
+             The command verify says more.",
+        );
+    }
+    warnings(&mut page, session);
+    streams(&mut page, session);
+    sections::clocks(&mut page, session);
+    sections::alignment(&mut page, session);
+    sections::other_phones(&mut page, session);
+    sections::trigger(&mut page, session, curves);
+    sections::further_sensors(&mut page, session, curves);
+    sections::motion(&mut page, curves);
+    sections::marks(&mut page, session);
+    page.settings("Settings: the rig profile", &json!(session.profile));
+    if let Some(imu) = &session.imu {
+        page.settings("Settings: the IMU", &json!(imu));
+    }
+    page
+}
+
+fn facts(session: &SessionFile) -> Vec<(&'static str, String)> {
+    let mut facts = vec![
+        ("recording", session.name.clone()),
+        ("begun", session.started.clone()),
+    ];
+    if let Some(Span { from, to }) = session.recorded {
+        let length = format!("{:.3} s of board time", seconds(from, to));
+        facts.push(("length", length));
+    }
+    if let Some(board) = &session.board {
+        facts.push((
+            "board",
+            format!(
+                "{}, firmware {} ({}{}), reset by {:?}",
+                board.id,
+                board.firmware,
+                board.git_revision,
+                if board.git_dirty { ", changed" } else { "" },
+                board.reset_cause
+            ),
+        ));
+    }
+    let others = session.phones.iter();
+    let others = others.map(|phone| (format!("{}: ", phone.name), &phone.info));
+    let first = session
+        .phone
+        .as_ref()
+        .map(|info| match session.phones.len() {
+            0 => (String::new(), info),
+            _ => (format!("{}: ", session.profile.phone.name), info),
+        });
+    for (name, phone) in first.into_iter().chain(others) {
+        let version = phone.version.as_ref();
+        let app = version.map_or(String::new(), |version| format!(", app {version}"));
+        facts.push(("phone", format!("{name}{}{app}", phone.address)));
+    }
+    facts.push(("program", session.program.clone()));
+    facts
+}
+
+fn warnings(page: &mut Page, session: &SessionFile) {
+    if session.problems.is_empty() {
+        return;
+    }
+    page.section("What went wrong");
+    let rows: Vec<Vec<String>> = session
+        .problems
+        .iter()
+        .take(MAX_LISTED)
+        .map(|problem| {
+            vec![
+                format!("{:.3}", problem.at.as_secs_f64()),
+                problem.kind.clone(),
+                problem.text.clone(),
+            ]
+        })
+        .collect();
+    page.table(&["board time, s", "kind", "what"], &rows);
+    if session.problems.len() > MAX_LISTED {
+        page.text(&format!(
+            "And {} more, in session.json.",
+            session.problems.len() - MAX_LISTED
+        ));
+    }
+}
+
+fn streams(page: &mut Page, session: &SessionFile) {
+    page.section("What came from the board");
+    let counts = &session.counts;
+    let row = |name: &str, count: StreamCount| {
+        vec![
+            name.to_owned(),
+            count.received.to_string(),
+            count.lost.to_string(),
+        ]
+    };
+    page.table(
+        &["stream", "received", "lost"],
+        &[
+            row("trigger pulses", counts.pulses),
+            row("IMU samples", counts.imu),
+            row("strobe edges", counts.captures),
+            row("status", counts.status),
+            row("pulses of further outputs", counts.outputs),
+            row("seconds of a lidar", counts.pps),
+        ],
+    );
+    page.text(&format!(
+        "{} frames of the link were damaged; the link was lost and taken up again {} times.",
+        session.damaged_frames, session.reconnects
+    ));
+}
+
+/// 1-sigma of a relation's offset in µs and of its skew in ppm, at its reference.
+#[must_use]
+pub fn sigmas(clock: &ClockModel) -> (f64, f64) {
+    let sigma = |at: usize| clock.covariance[at][at].max(0.0).sqrt() * 1e6;
+    (sigma(0), sigma(1))
+}
+
+fn seconds(from: Ticks, to: Ticks) -> f64 {
+    to.as_secs_f64() - from.as_secs_f64()
+}

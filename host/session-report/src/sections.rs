@@ -1,0 +1,349 @@
+//! The sections of a report on clocks, frames, trigger and motion.
+
+use protocol::Ticks;
+
+use super::curves::Curves;
+use super::{MAX_LISTED, seconds, sigmas};
+use frame_sync::alignment::phase_sigma_us_at;
+use page::chart::{self, Data, Envelope, Series};
+use page::{Level, Page};
+use recording::session_file::{FramePeriodSource, SessionFile, Span};
+use timebase::BoardSeconds;
+
+pub(super) fn clocks(page: &mut Page, session: &SessionFile) {
+    if session.twists.is_empty() && session.clock.is_none() {
+        return;
+    }
+    page.section("The clocks of phone and board");
+    if let Some(clock) = session.clock {
+        let (offset_us, skew_ppm) = sigmas(&clock);
+        let (offset, at) = (clock.offset, clock.reference.0);
+        let offset = format!("{offset:.6} s ± {offset_us:.2} µs at {at:.3} s of board time");
+        let rate = format!("{:+.4} ± {skew_ppm:.4} ppm", clock.skew * 1e6);
+        page.facts(&[("phone minus board", offset), ("rate of the phone", rate)]);
+    }
+    let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:.3}"));
+    let rows: Vec<Vec<String>> = session
+        .twists
+        .iter()
+        .enumerate()
+        .map(|(index, twist)| {
+            vec![
+                (index + 1).to_string(),
+                format!("{:.1}", twist.span.from.as_secs_f64()),
+                format!("{:.1}", seconds(twist.span.from, twist.span.to)),
+                String::from(if twist.accepted { "used" } else { "refused" }),
+                number(twist.offset_sigma_us),
+                number(twist.clock.map(|clock| clock.skew * 1e6)),
+                number(twist.skew_sigma_ppm),
+            ]
+        })
+        .collect();
+    if !rows.is_empty() {
+        page.table(
+            &[
+                "twist",
+                "at, s",
+                "length, s",
+                "result",
+                "offset 1σ, µs",
+                "rate, ppm",
+                "rate 1σ, ppm",
+            ],
+            &rows,
+        );
+    }
+    if let (Some(clock), Some(span)) = (session.clock, session.recorded) {
+        let sigma_us = |at| clock.offset_at(at).sigma * 1e6;
+        let svg = curve("offset", "1-sigma of the offset, µs", span, sigma_us);
+        if !svg.is_empty() {
+            page.figure(
+                &svg,
+                "How well a time of the phone is known in board time, over the recording (1-sigma \
+                 of the last clock relation). It grows away from the twists; a second twist at \
+                 the end keeps it low at both ends.",
+            );
+        }
+    }
+}
+
+pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
+    let Some(alignment) = session.alignment else {
+        return;
+    };
+    page.section("How the trigger was aligned");
+    page.facts(&[
+        (
+            "phone's frame period",
+            format!(
+                "{:.3} ns, {}",
+                alignment.frame_period_ns,
+                match alignment.frame_period_source {
+                    FramePeriodSource::Learnt => "learnt from earlier recordings",
+                    FramePeriodSource::VideoStart => "as the phone reported it at the start",
+                }
+            ),
+        ),
+        ("exposure used", format!("{:.1} µs", alignment.exposure_us)),
+        (
+            "start of the middle row",
+            format!("{:.1} µs after the first", alignment.middle_row_us),
+        ),
+        (
+            "centre of depth exposure",
+            format!(
+                "{:.1} µs after the trigger's edge",
+                alignment.center_offset_us
+            ),
+        ),
+        ("bias taken out", format!("{:+.1} µs", alignment.bias_us)),
+        (
+            "predicted phase error",
+            format!("± {:.1} µs (1-sigma)", alignment.phase_sigma_us),
+        ),
+        (
+            "predicted drift",
+            format!("± {:.1} µs/min (1-sigma)", alignment.drift_sigma_us_per_min),
+        ),
+        (
+            "arrived",
+            match (alignment.arrival_pulse, alignment.arrival) {
+                (Some(pulse), Some(at)) => format!("at pulse {pulse}, {:.3} s", at.as_secs_f64()),
+                _ => String::from("not confirmed"),
+            },
+        ),
+    ]);
+    if let Some(span) = session.recorded {
+        let sigma_us = |at| phase_sigma_us_at(&alignment, at);
+        let svg = curve("phase", "1-sigma of the phase, µs", span, sigma_us);
+        if !svg.is_empty() {
+            page.figure(
+                &svg,
+                "Predicted distance of the two exposures' middles over the recording (1-sigma), \
+                 from the uncertainty of clocks and frame period. The command evaluate \
+                 measures it.",
+            );
+        }
+    }
+}
+
+/// Clocks and frames of the phones that the trigger does not follow.
+pub(super) fn other_phones(page: &mut Page, session: &SessionFile) {
+    if session.phones.is_empty() {
+        return;
+    }
+    page.section("Further phones");
+    page.text(&format!(
+        "The trigger follows {}. The frames of the other phones cannot be shifted: where they lie \
+         against the depth images, and how that changes, is predicted here; the command extract \
+         measures it.",
+        session.profile.phone.name
+    ));
+    let rows: Vec<Vec<String>> = session
+        .phones
+        .iter()
+        .map(|phone| {
+            let used = phone.twists.iter().filter(|twist| twist.accepted).count();
+            let mut row = vec![
+                phone.name.clone(),
+                format!("{used} of {}", phone.twists.len()),
+            ];
+            let unknown = || [String::from("-"), String::from("-")];
+            row.extend(phone.clock.map_or_else(unknown, |clock| {
+                let (offset_us, skew_ppm) = sigmas(&clock);
+                [
+                    format!("{:.6} ± {offset_us:.2} µs", clock.offset),
+                    format!("{:+.4} ± {skew_ppm:.4}", clock.skew * 1e6),
+                ]
+            }));
+            row.extend(phone.placement.map_or_else(unknown, |placed| {
+                let (drift, sigma) = (placed.drift_us_per_min, placed.drift_sigma_us_per_min);
+                [
+                    format!("{:+.1} ± {:.1}", placed.offset_us, placed.offset_sigma_us),
+                    format!("{drift:+.1} ± {sigma:.1}"),
+                ]
+            }));
+            row
+        })
+        .collect();
+    page.table(
+        &[
+            "phone",
+            "twists used",
+            "phone minus board, s",
+            "rate, ppm",
+            "frames after the depth images, µs",
+            "moving, µs/min",
+        ],
+        &rows,
+    );
+}
+
+/// The sensors on the further outputs and the lidar, by name.
+pub(super) fn further_sensors(page: &mut Page, session: &SessionFile, curves: &Curves) {
+    let profile = &session.profile;
+    if curves.outputs.is_empty()
+        && curves.gnss.is_none()
+        && profile.outputs.is_empty()
+        && profile.lidar.is_none()
+    {
+        return;
+    }
+    page.section("Further sensors");
+    let mut rows = Vec::new();
+    let known = profile.outputs.iter().map(|sensor| sensor.name.as_str());
+    let others = curves.outputs.keys().map(String::as_str);
+    let others = others.filter(|name| !known.clone().any(|known| known == *name));
+    for name in known.clone().chain(others) {
+        let set = profile.outputs.iter().find(|sensor| sensor.name == name);
+        let seen = curves.outputs.get(name);
+        rows.push(vec![
+            name.to_owned(),
+            set.map_or(String::from("-"), |set| {
+                format!("output {}, {}", set.output, set.rule())
+            }),
+            seen.map_or(0, |seen| seen.0).to_string(),
+            seen.map_or(String::from("-"), |&(_, first, last)| {
+                format!("{:.3} to {:.3}", first.as_secs_f64(), last.as_secs_f64())
+            }),
+        ]);
+    }
+    if !rows.is_empty() {
+        page.table(&["sensor", "trigger", "pulses", "board time, s"], &rows);
+    }
+    let name = profile
+        .lidar
+        .as_ref()
+        .map_or("the lidar", |lidar| lidar.name.as_str());
+    match curves.gnss {
+        Some(gnss) => {
+            let utc = gnss.utc_ns.div_euclid(1_000_000_000);
+            let told =
+                jiff::Timestamp::from_second(utc).map_or(utc.to_string(), |time| time.to_string());
+            page.text(&format!(
+                "{name} was told {} seconds; the last, {told}, began at {:.9} s of board time.",
+                gnss.seconds,
+                gnss.last.as_secs_f64()
+            ));
+            if gnss.changed {
+                page.note(
+                    Level::Warning,
+                    "The relation of what was told to board time changed within the recording.",
+                );
+            }
+        }
+        None if profile.lidar.is_some() => page.note(
+            Level::Warning,
+            &format!("{name} is in the profile, but no second was told."),
+        ),
+        None => {}
+    }
+}
+
+pub(super) fn trigger(page: &mut Page, session: &SessionFile, curves: &Curves) {
+    let off_grid = range("off the grid", &curves.off_grid);
+    let readback = range("read-back", &curves.readback);
+    if off_grid.is_none() && readback.is_none() {
+        return;
+    }
+    page.section("The trigger");
+    if let Some(series) = off_grid {
+        let svg = chart::series("board time, s", "off the grid, ticks", -2.0..2.0, &[series]);
+        page.figure(
+            &svg,
+            "Each pulse against the grid it was sent to, in ticks of 20.83 ns. Zero everywhere: \
+             every pulse was where it should be.",
+        );
+    }
+    match readback {
+        Some(series) => {
+            let svg = chart::series("board time, s", "edge to wire, ticks", 0.0..10.0, &[series]);
+            page.figure(
+                &svg,
+                "From the trigger's edge to the same edge behind the buffer, as the board measured \
+                 it. Steady: the wire is good.",
+            );
+        }
+        None if session.counts.pulses.received > 0 => page.note(
+            Level::Warning,
+            "The read-back input saw no pulses: nothing proves that they reached the camera. Wire \
+             PA3 behind the buffer.",
+        ),
+        None => {}
+    }
+}
+
+pub(super) fn motion(page: &mut Page, curves: &Curves) {
+    let gyro: Vec<Series> = ["x", "y", "z"]
+        .iter()
+        .zip(&curves.gyro)
+        .filter_map(|(name, envelope)| range(name, envelope))
+        .collect();
+    if gyro.is_empty() {
+        return;
+    }
+    page.section("Motion and board");
+    let svg = chart::series("board time, s", "rad/s", -0.1..0.1, &gyro);
+    page.figure(
+        &svg,
+        "Gyroscope of the board: smallest and largest value in each stretch of time. The twist \
+         stands out at the beginning.",
+    );
+    for (name, unit, envelope, least) in [
+        ("load of the processor", "%", &curves.load, 0.0..10.0),
+        (
+            "temperature of the IMU",
+            "°C",
+            &curves.temperature,
+            20.0..30.0,
+        ),
+    ] {
+        if let Some(series) = range(name, envelope) {
+            let svg = chart::series("board time, s", unit, least, &[series]);
+            page.figure(&svg, &format!("The {name}, in {unit}."));
+        }
+    }
+}
+
+pub(super) fn marks(page: &mut Page, session: &SessionFile) {
+    if session.markers.is_empty() {
+        return;
+    }
+    page.section("Marks");
+    let from = session.recorded.map_or(Ticks::ZERO, |span| span.from);
+    let rows: Vec<Vec<String>> = session
+        .markers
+        .iter()
+        .take(MAX_LISTED)
+        .map(|marker| {
+            vec![
+                format!("{:.3}", marker.at.as_secs_f64()),
+                format!("{:.3}", seconds(from, marker.at)),
+                marker.label.clone(),
+            ]
+        })
+        .collect();
+    page.table(&["board time, s", "into the recording, s", "mark"], &rows);
+}
+
+fn range(name: &str, envelope: &Envelope) -> Option<Series> {
+    let columns = envelope.columns();
+    (!columns.is_empty()).then(|| Series {
+        name: name.to_owned(),
+        data: Data::Range(columns, envelope.width()),
+    })
+}
+
+/// A curve over a span, of a hundred points.
+fn curve(name: &str, unit: &str, span: Span, value: impl Fn(BoardSeconds) -> f64) -> String {
+    let (from, to) = (span.from.as_secs_f64(), span.to.as_secs_f64());
+    let points = (0..=100).map(|step| {
+        let at = from + (to - from) * f64::from(step) / 100.0;
+        (at, value(BoardSeconds(at)))
+    });
+    let series = Series {
+        name: name.to_owned(),
+        data: Data::Line(points.collect()),
+    };
+    chart::series("board time, s", unit, 0.0..1.0, &[series])
+}
