@@ -71,13 +71,14 @@ pub fn outliers(
         for axis in 0..3 {
             window.clear();
             window.extend(difference[from..to].iter().map(|d| d[axis]));
-            contrast[i][axis] = difference[i][axis] - robust::median_in_place(&mut window);
+            let usual = robust::median_in_place(&mut window).unwrap_or(0.0);
+            contrast[i][axis] = difference[i][axis] - usual;
         }
     }
     let scale_of = |part: &[Vec3]| -> Vec3 {
         std::array::from_fn(|axis| {
             let values: Vec<f64> = part.iter().map(|c| c[axis]).collect();
-            robust::mad_sigma(&values).max(LEAST_NOISE)
+            robust::mad_sigma(&values).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
         })
     };
     let overall = scale_of(&contrast);
@@ -183,10 +184,9 @@ pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
                 / (1.0 / p[1].information + 1.0 / p[0].information).sqrt()
         })
         .collect();
-    let sigma = robust::mad_sigma(&standard);
     let middle = blocks.iter().map(|b| b.from * b.information).sum::<f64>() / total;
     let mut steps = Steps::none(middle);
-    if sigma.is_finite() {
+    if let Some(sigma) = robust::mad_sigma(&standard).filter(|sigma| sigma.is_finite()) {
         for _ in 0..MOST_STEPS {
             let Some(next) = steps.with_best_cut(&blocks, sigma.max(1e-12)) else {
                 break;

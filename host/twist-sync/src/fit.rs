@@ -368,7 +368,7 @@ fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWe
         }
     }
     let means: Vec<f64> = power.iter().map(|p| p.1 / p.2 as f64).collect();
-    let usual = median(&means);
+    let usual = median(&means).unwrap_or(0.0);
     let stretches: Vec<(f64, f64)> = power
         .iter()
         .zip(&means)

@@ -305,10 +305,9 @@ fn noise_of(against: &[Against]) -> Vec3 {
     let mut noise = [0.0; 3];
     for (axis, value) in noise.iter_mut().enumerate() {
         let errors: Vec<f64> = against.iter().map(|a| a.error[axis]).collect();
-        *value = robust::mad_sigma(&errors);
-        if !value.is_finite() {
-            *value = 0.0;
-        }
+        *value = robust::mad_sigma(&errors)
+            .filter(|sigma| sigma.is_finite())
+            .unwrap_or(0.0);
     }
     noise
 }

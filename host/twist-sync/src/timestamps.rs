@@ -83,10 +83,7 @@ pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
     }
     let steps =
         |kept: &[usize]| -> Vec<f64> { kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect() };
-    let step = robust::median(&steps(&kept));
-    if step.is_nan() || step <= 0.0 {
-        return None;
-    }
+    let step = robust::median(&steps(&kept)).filter(|&step| step > 0.0)?;
     out.step_s = step;
 
     let outliers = isolated(&kept, &steps(&kept), step);
@@ -147,7 +144,7 @@ fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
 /// Samples whose timestamp alone stands off: late and then early, or the reverse.
 fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     let deviation: Vec<f64> = steps.iter().map(|d| d - step).collect();
-    let scatter = robust::mad_sigma(&deviation);
+    let scatter = robust::mad_sigma(&deviation).unwrap_or(0.0);
     let threshold = (12.0 * scatter).max(0.12 * step);
     let mut out = Vec::new();
     for i in 1..deviation.len() {
@@ -179,7 +176,7 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     if deviation.len() < 16 {
         return;
     }
-    let scatter = robust::mad_sigma(&deviation).max(0.2e-6);
+    let scatter = robust::mad_sigma(&deviation).map_or(0.2e-6, |sigma| sigma.max(0.2e-6));
     let threshold = (8.0 * scatter).max(8e-6);
     let jumps: Vec<(usize, f64)> = adjacent
         .into_iter()
@@ -189,7 +186,9 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         return;
     }
     let sizes: Vec<f64> = jumps.iter().map(|&(_, d)| d).collect();
-    let size = robust::median(&sizes);
+    let Some(size) = robust::median(&sizes) else {
+        return;
+    };
     let alike = sizes
         .iter()
         .filter(|s| (*s / size - 1.0).abs() < 0.4)
@@ -228,7 +227,7 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         stream,
         kind: FaultKind::TimestampSawtooth,
         count: jumps.len(),
-        period: (!spacing.is_empty()).then(|| robust::median(&spacing)),
+        period: robust::median(&spacing),
         displacement_s: Some(size),
         action: Action::Corrected,
         samples: jumps.into_iter().map(|(k, _)| k).collect(),
