@@ -6,6 +6,7 @@
 //! - `view`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
 //! - `session_report`: the HTML report of a recording.
+//! - `sync_report`: what the program says of an estimate of the clocks.
 //! - `log`: where log lines go.
 //! - `decimal`: numbers of the command line as exact times.
 #![forbid(unsafe_code)]
@@ -19,4 +20,5 @@ mod log;
 pub mod outcome;
 pub mod record;
 mod session_report;
+mod sync_report;
 mod view;

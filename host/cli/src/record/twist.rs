@@ -10,6 +10,7 @@ use super::phone_task::{Answer, Request};
 use super::rig::Rig;
 use super::steps::{ask, is_repeatable, odd_answer, spinner};
 use crate::outcome::{ExitStatus, Failure};
+use crate::sync_report::SyncReport;
 use frame_sync::alignment::{skew_prior, with_known_skew};
 use phone::samples::sample_line;
 use phone::{PhoneSample, Sensor};
@@ -134,8 +135,8 @@ fn relate(
         .as_ref()
         .map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = Options {
-        mcu_delay_s: f64::from(delay_us) * 1e-6,
-        phone_delay_s: phone.gyro_delay_us * 1e-6,
+        a_delay_s: f64::from(delay_us) * 1e-6,
+        b_delay_s: phone.gyro_delay_us * 1e-6,
         sigma_limit_s: rig.profile.align.max_offset_sigma_us * 1e-6,
         ..Options::default()
     };
@@ -144,7 +145,7 @@ fn relate(
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
     };
-    let report = serde_json::to_value(report).unwrap_or(serde_json::Value::Null);
+    let report = SyncReport::from(report);
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),
@@ -153,7 +154,7 @@ fn relate(
         clock: estimate.map(|estimate| estimate.clock.into()),
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
-        report,
+        report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
     };
     rig.keep_twist(place, twist);
     rig.file.files.push(name);
@@ -167,7 +168,7 @@ fn relate(
                 estimate.skew_sigma() * 1e6
             );
             rig.tell(Severity::Info, "twist", &text)?;
-            for warning in &estimate.report.warnings {
+            for warning in &report.warnings {
                 rig.tell(Severity::Info, "twist", warning)?;
             }
             sharpen(rig, place, estimate.clock.into()).map(Some)

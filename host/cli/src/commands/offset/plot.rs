@@ -135,8 +135,8 @@ pub(super) fn svg(
             "Left out (samples as recorded, each from its own first sample)",
             "rad/s",
             &[
-                Series::dots("board", BOARD, out_of(mcu, Stream::Mcu)),
-                Series::dots("phone", PHONE, out_of(phone, Stream::Phone)),
+                Series::dots("board", BOARD, out_of(mcu, Stream::A)),
+                Series::dots("phone", PHONE, out_of(phone, Stream::B)),
             ],
         )?;
         root.present().map_err(text)?;
@@ -167,12 +167,9 @@ fn wrapped(words: &str, width: usize) -> Vec<String> {
 }
 
 fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(), Failure> {
-    let start = pairs.first().map_or(0.0, |p| p.board_s);
+    let start = pairs.first().map_or(0.0, |p| p.a_s);
     let lines = |of: fn(&Pair) -> [f64; 3], axis: usize| -> Points {
-        pairs
-            .iter()
-            .map(|p| (p.board_s - start, of(p)[axis]))
-            .collect()
+        pairs.iter().map(|p| (p.a_s - start, of(p)[axis])).collect()
     };
     let board = ["board x", "board y", "board z"];
     let phone = ["phone x", "phone y", "phone z"];
@@ -180,9 +177,9 @@ fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(),
     let series: Vec<Series> = (0..3)
         .map(|axis| Series {
             style: Style::Line(5),
-            ..Series::line(board[axis], PALE_AXES[axis], lines(|p| p.mcu, axis))
+            ..Series::line(board[axis], PALE_AXES[axis], lines(|p| p.a, axis))
         })
-        .chain((0..3).map(|axis| Series::line(phone[axis], AXES[axis], lines(|p| p.phone, axis))))
+        .chain((0..3).map(|axis| Series::line(phone[axis], AXES[axis], lines(|p| p.b, axis))))
         .collect();
     panel(
         area,
@@ -199,12 +196,12 @@ fn after(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(),
 }
 
 fn residual(area: &Area<'_, '_>, pairs: &[Pair], estimate: &Estimate) -> Result<(), Failure> {
-    let start = pairs.first().map_or(0.0, |p| p.board_s);
+    let start = pairs.first().map_or(0.0, |p| p.a_s);
     let points = |used: bool, axis: usize| -> Points {
         pairs
             .iter()
             .filter(|p| p.used == used)
-            .map(|p| (p.board_s - start, 1e3 * (p.phone[axis] - p.mcu[axis])))
+            .map(|p| (p.a_s - start, 1e3 * (p.b[axis] - p.a[axis])))
             .collect()
     };
     let mut series: Vec<Series> = ["x", "y", "z"]
