@@ -81,31 +81,23 @@ impl ClockRelation {
     /// distance from the reference.
     #[must_use]
     pub fn offset_at(&self, a: f64) -> WithSigma {
-        let dt = a - self.reference;
-        let p = &self.covariance;
-        let variance = p[0][0]
-            + 2.0 * dt * p[0][1]
-            + dt * dt * p[1][1]
-            + self.wander.diffusion() * dt.abs().powi(3) / 3.0;
+        let there = self.referenced_at(a);
         WithSigma {
-            value: self.offset + self.skew * dt,
-            sigma: variance.max(0.0).sqrt(),
+            value: there.offset,
+            sigma: there.covariance[0][0].max(0.0).sqrt(),
         }
     }
 
     /// Sigma of the skew at a time of clock a, with the wander since the reference.
     #[must_use]
     pub fn skew_sigma_at(&self, a: f64) -> f64 {
-        let dt = (a - self.reference).abs();
-        (self.covariance[1][1] + self.wander.diffusion() * dt)
-            .max(0.0)
-            .sqrt()
+        self.referenced_at(a).covariance[1][1].max(0.0).sqrt()
     }
 
     /// The time of clock b at a time of clock a, both in seconds.
     #[must_use]
     pub fn a_to_b(&self, a: f64) -> f64 {
-        a + self.offset_at(a).value
+        a + (self.offset + self.skew * (a - self.reference))
     }
 
     /// The time of clock a at a time of clock b (exact inverse of [`Self::a_to_b`]).

@@ -38,224 +38,139 @@ pub struct Gate {
     pub value: f64,
     /// What it is compared with, in `unit`.
     pub limit: f64,
-    /// Unit of value and limit.
+    /// Unit of value and limit, and of what they are; empty of a gate that says yes
+    /// (1) or no (0).
     pub unit: &'static str,
     /// What a failure means.
     pub reason: &'static str,
     /// What to do about a failure; empty where the reason says it.
     pub advice: &'static str,
-    /// Value and limit in a sentence; empty where they say nothing.
-    #[serde(skip)]
-    figures: String,
-}
-
-/// The texts of a gate.
-struct Texts {
-    name: &'static str,
-    unit: &'static str,
-    reason: &'static str,
-    /// The unit in a sentence.
-    short_unit: &'static str,
-    /// What the value is, after its unit in a sentence.
-    measured: &'static str,
-    advice: &'static str,
 }
 
 impl Gate {
-    fn new(texts: &Texts, passed: bool, value: f64, limit: f64) -> Self {
-        let (value_text, limit_text) = apart(value, limit, texts.short_unit);
+    fn at_least(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
         Self {
-            name: texts.name,
-            passed,
+            name,
+            passed: value >= limit,
             value,
             limit,
-            unit: texts.unit,
-            reason: texts.reason,
-            advice: texts.advice,
-            figures: format!("{value_text}{} (limit {limit_text})", texts.measured),
+            unit,
+            reason: "",
+            advice: "",
         }
     }
 
-    fn at_least(texts: &Texts, value: f64, limit: f64) -> Self {
-        Self::new(texts, value >= limit, value, limit)
-    }
-
-    fn at_most(texts: &Texts, value: f64, limit: f64) -> Self {
-        Self::new(texts, value <= limit, value, limit)
-    }
-
-    /// A gate that says yes or no.
-    fn holds(name: &'static str, holds: bool, reason: &'static str) -> Self {
+    fn at_most(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
         Self {
-            name,
-            passed: holds,
-            value: f64::from(u8::from(holds)),
-            limit: 1.0,
-            unit: "",
+            passed: value <= limit,
+            ..Self::at_least(name, value, limit, unit)
+        }
+    }
+
+    fn or(self, reason: &'static str, advice: &'static str) -> Self {
+        Self {
             reason,
-            advice: "",
-            figures: String::new(),
+            advice,
+            ..self
         }
     }
 
     pub(crate) fn samples(fewest: usize) -> Self {
-        let texts = Texts {
-            name: "samples",
-            unit: "samples",
-            reason: "a recording has too few usable samples",
-            short_unit: "",
-            measured: "",
-            advice: "",
-        };
-        Self::at_least(&texts, fewest as f64, FEWEST_SAMPLES)
+        Self::at_least("samples", fewest as f64, FEWEST_SAMPLES, "samples")
+            .or("a recording has too few usable samples", "")
     }
 
     /// `rms` in rad/s, of the stream that moves less.
     pub(crate) fn motion(rms: f64) -> Self {
-        let texts = Texts {
-            name: "motion",
-            unit: "rad/s rms",
-            reason: "too little motion",
-            short_unit: " rad/s",
-            measured: " rms",
-            advice: "twist the rig by hand for some seconds",
-        };
-        Self::at_least(&texts, rms, LEAST_MOTION)
+        let advice = "twist the rig by hand for some seconds";
+        Self::at_least("motion", rms, LEAST_MOTION, "rad/s rms").or("too little motion", advice)
     }
 
     pub(crate) fn overlap(common_s: f64, limit_s: f64) -> Self {
-        let texts = Texts {
-            name: "overlap",
-            unit: "s",
-            reason: "the recordings have too little time in common",
-            short_unit: " s",
-            measured: "",
-            advice: "",
-        };
-        Self::at_least(&texts, common_s, limit_s)
+        Self::at_least("overlap", common_s, limit_s, "s")
+            .or("the recordings have too little time in common", "")
     }
 
     /// `unexplained` is a part of the motion's rms.
     pub(crate) fn explained(unexplained: f64) -> Self {
-        let texts = Texts {
-            name: "explained",
-            unit: "% of the motion's rms",
-            reason: "the gyroscopes do not match at any time shift",
-            short_unit: " %",
-            measured: " of the motion is unexplained",
-            advice: SAME_TWIST,
-        };
-        Self::at_most(&texts, 100.0 * unexplained, 100.0 * UNEXPLAINED_AT_FIRST)
+        let (value, limit) = (100.0 * unexplained, 100.0 * UNEXPLAINED_AT_FIRST);
+        let unit = "% of the motion is unexplained";
+        let reason = "the gyroscopes do not match at any time shift";
+        Self::at_most("explained", value, limit, unit).or(reason, SAME_TWIST)
     }
 
     /// `worse` is the residual power of the best rival over that of the best.
     pub(crate) fn unique_peak(worse: f64) -> Self {
-        let texts = Texts {
-            name: "unique_peak",
-            unit: "times the residual power",
-            reason: "several time shifts explain the motion about equally well",
-            short_unit: " times",
-            measured: " the residual power at the second best",
-            advice: "twist irregularly",
-        };
-        Self::at_least(&texts, worse.min(1e6), WORSE_RIVAL)
+        let unit = "times the residual power at the second best";
+        let reason = "several time shifts explain the motion about equally well";
+        Self::at_least("unique_peak", worse.min(1e6), WORSE_RIVAL, unit)
+            .or(reason, "twist irregularly")
     }
 
     /// All in rad/s rms.
     pub(crate) fn residual(residual: f64, motion: f64, noise: f64) -> Self {
-        let texts = Texts {
-            name: "residual",
-            unit: "rad/s rms",
-            reason: "one motion does not explain both recordings",
-            short_unit: " rad/s",
-            measured: " rms is unexplained",
-            advice: SAME_TWIST,
-        };
         let allowed = RESIDUAL_OF_MOTION * motion + RESIDUAL_OF_NOISE * noise;
-        Self::at_most(&texts, residual, allowed)
+        let reason = "one motion does not explain both recordings";
+        Self::at_most("residual", residual, allowed, "rad/s rms").or(reason, SAME_TWIST)
     }
 
-    /// `kept` is a part of the samples of the stream that lost more.
-    pub(crate) fn usable(kept: f64) -> Self {
-        let texts = Texts {
-            name: "usable",
-            unit: "% of a stream",
-            reason: "too many samples had to be left out",
-            short_unit: " %",
-            measured: " of a stream is left",
-            advice: "",
-        };
-        Self::at_least(&texts, 100.0 * kept, 100.0 * LEAST_USABLE)
+    /// `part` of the samples, of the stream that lost more.
+    pub(crate) fn usable(part: f64) -> Self {
+        let (value, limit) = (100.0 * part, 100.0 * LEAST_USABLE);
+        Self::at_least("usable", value, limit, "% of a stream is left")
+            .or("too many samples had to be left out", "")
     }
 
     /// `share` is a part of the information.
     pub(crate) fn one_relation(share: f64) -> Self {
-        let texts = Texts {
-            name: "one_relation",
-            unit: "% of the information",
-            reason: "the relation of the clocks jumps within the recording and no part prevails",
-            short_unit: " %",
-            measured: " of the information is in one relation",
-            advice: "",
-        };
-        Self::at_least(&texts, 100.0 * share, 100.0 * LEAST_SHARE)
+        let (value, limit) = (100.0 * share, 100.0 * LEAST_SHARE);
+        let unit = "% of the information is in one relation";
+        Self::at_least("one_relation", value, limit, unit)
+            .or("the relation of the clocks jumps within the recording", "")
     }
 
     pub(crate) fn consistent(scatter_s: f64) -> Self {
-        let texts = Texts {
-            name: "consistent",
-            unit: "µs rms between parts",
-            reason: "parts of the overlap disagree about the offset",
-            short_unit: " µs",
-            measured: " rms",
-            advice: "",
-        };
-        Self::at_most(&texts, 1e6 * scatter_s, 1e6 * LOCAL_SCATTER_S)
+        let (value, limit) = (1e6 * scatter_s, 1e6 * LOCAL_SCATTER_S);
+        Self::at_most("consistent", value, limit, "µs rms between parts")
+            .or("parts of the overlap disagree about the offset", "")
     }
 
     pub(crate) fn sigma(sigma_s: f64, limit_s: f64) -> Self {
-        let texts = Texts {
-            name: "sigma",
-            unit: "µs",
-            reason: "the offset is not known well enough",
-            short_unit: " µs",
-            measured: " 1-sigma",
-            advice: "twist more, or about more axes",
-        };
-        Self::at_most(&texts, 1e6 * sigma_s, 1e6 * limit_s)
+        let reason = "the 1-sigma of the offset is too large";
+        Self::at_most("sigma", 1e6 * sigma_s, 1e6 * limit_s, "µs")
+            .or(reason, "twist more, or about more axes")
     }
 
     pub(crate) fn skew(skew: f64, sigma: f64) -> Self {
-        let texts = Texts {
-            name: "skew",
-            unit: "ppm",
-            reason: "no two crystals differ that much",
-            short_unit: " ppm",
-            measured: "",
-            advice: "a timestamp unit or a recording is wrong",
-        };
-        Self::at_most(&texts, 1e6 * skew.abs(), 1e6 * (LARGEST_SKEW + 3.0 * sigma))
+        let limit = 1e6 * (LARGEST_SKEW + 3.0 * sigma);
+        let reason = "no two crystals differ that much";
+        Self::at_most("skew", 1e6 * skew.abs(), limit, "ppm")
+            .or(reason, "a timestamp unit or a recording is wrong")
     }
 
     pub(crate) fn settled(settled: bool) -> Self {
-        Self::holds("settled", settled, "the fit did not settle")
+        Self::at_least("settled", f64::from(u8::from(settled)), 1.0, "")
+            .or("the fit did not settle", "")
     }
 
     pub(crate) fn unsolvable() -> Self {
         let reason = "the recordings share too little usable time for a fit";
-        Self::holds("solvable", false, reason)
+        Self::at_least("solvable", 0.0, 1.0, "").or(reason, "")
     }
 }
 
 const SAME_TWIST: &str =
     "fix the gyroscopes rigidly to each other, and give recordings of the same twist";
 
-/// Reason, figures and advice.
+/// Reason, value and limit, advice.
 impl fmt::Display for Gate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.reason)?;
-        if !self.figures.is_empty() {
-            write!(f, ": {}", self.figures)?;
+        if !self.unit.is_empty() {
+            let word = self.unit.find(' ').unwrap_or(self.unit.len());
+            let (unit, of) = self.unit.split_at(word);
+            let (value, limit) = apart(self.value, self.limit, unit);
+            write!(f, ": {value}{of} (limit {limit})")?;
         }
         if !self.advice.is_empty() {
             write!(f, "; {}", self.advice)?;
@@ -276,9 +191,9 @@ fn apart(value: f64, limit: f64, unit: &str) -> (String, String) {
 /// A number with its unit; long times in ms or s.
 fn quantity(x: f64, digits: u8, unit: &str) -> String {
     match unit {
-        " µs" if x.abs() >= 1e6 => rounded(x * 1e-6, digits) + " s",
-        " µs" if x.abs() >= 1e3 => rounded(x * 1e-3, digits) + " ms",
-        _ => rounded(x, digits) + unit,
+        "µs" if x.abs() >= 1e6 => rounded(x * 1e-6, digits) + " s",
+        "µs" if x.abs() >= 1e3 => rounded(x * 1e-3, digits) + " ms",
+        _ => rounded(x, digits) + " " + unit,
     }
 }
 
@@ -309,8 +224,8 @@ mod tests {
         );
         assert_eq!(
             Gate::sigma(100.4e-6, 100e-6).to_string(),
-            "the offset is not known well enough: 100.4 µs 1-sigma (limit 100 µs); \
-             twist more, or about more axes"
+            "the 1-sigma of the offset is too large: 100.4 µs (limit 100 µs); twist more, or \
+             about more axes"
         );
         assert_eq!(Gate::settled(false).to_string(), "the fit did not settle");
     }
@@ -321,12 +236,12 @@ mod tests {
             let (value, limit) = apart(value, limit, unit);
             format!("{value}, {limit}")
         };
-        assert_eq!(said(0.012_34, 0.05, " rad/s"), "0.012 rad/s, 0.05 rad/s");
-        assert_eq!(said(57.0, 100.0, ""), "57, 100");
-        assert_eq!(said(0.0, 1.5, " s"), "0 s, 1.5 s");
-        assert_eq!(said(20.04, 20.0, " %"), "20.04 %, 20 %");
-        assert_eq!(said(1234.0, 100.0, " µs"), "1.2 ms, 100 µs");
-        assert_eq!(said(2_345_678.0, 400.0, " µs"), "2.3 s, 400 µs");
-        assert_eq!(said(f64::INFINITY, 100.0, " ppm"), "inf ppm, 100 ppm");
+        assert_eq!(said(0.012_34, 0.05, "rad/s"), "0.012 rad/s, 0.05 rad/s");
+        assert_eq!(said(57.0, 100.0, "samples"), "57 samples, 100 samples");
+        assert_eq!(said(0.0, 1.5, "s"), "0 s, 1.5 s");
+        assert_eq!(said(20.04, 20.0, "%"), "20.04 %, 20 %");
+        assert_eq!(said(1234.0, 100.0, "µs"), "1.2 ms, 100 µs");
+        assert_eq!(said(2_345_678.0, 400.0, "µs"), "2.3 s, 400 µs");
+        assert_eq!(said(f64::INFINITY, 100.0, "ppm"), "inf ppm, 100 ppm");
     }
 }

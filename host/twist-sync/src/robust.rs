@@ -25,16 +25,14 @@ pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
 
 /// Standard deviation from the median absolute deviation, as for a normal
 /// distribution; `None` without values.
-#[must_use]
-pub fn mad_sigma(values: &[f64]) -> Option<f64> {
+pub(crate) fn mad_sigma(values: &[f64]) -> Option<f64> {
     let centre = median(values)?;
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - centre).abs()).collect();
     Some(1.482_602_218_505_602 * median_in_place(&mut deviations)?)
 }
 
 /// Least-squares line: (value at the centre, slope, centre of `x`).
-#[must_use]
-pub fn line(x: &[f64], y: &[f64]) -> (f64, f64, f64) {
+pub(crate) fn line(x: &[f64], y: &[f64]) -> (f64, f64, f64) {
     let n = x.len().max(1) as f64;
     let centre = x.iter().sum::<f64>() / n;
     let mean = y.iter().sum::<f64>() / n;

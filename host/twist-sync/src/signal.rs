@@ -14,6 +14,7 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
+use crate::neighbours;
 use crate::spline::{Spline, Vec3};
 
 /// How far the Gaussian kernel is carried, in standard deviations. The
@@ -45,7 +46,7 @@ struct Piece {
 }
 
 /// A continuous angular rate, defined on one or more pieces of time.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct Signal {
     pieces: Vec<Piece>,
 }
@@ -69,32 +70,17 @@ impl Signal {
         let kernel = gaussian_kernel(sigma / grid, reach);
         let keep_every = ((sigma / 2.5 / grid).floor() as usize).max(1);
 
-        let mut out = Self::default();
-        let mut times: Vec<f64> = Vec::new();
-        let mut rates: Vec<Vec3> = Vec::new();
-        let mut flush = |times: &mut Vec<f64>, rates: &mut Vec<Vec3>| {
-            if let Some(piece) = filtered(
-                times,
-                rates,
-                grid,
-                &kernel,
-                keep_every,
-                smoothing.spline_degree,
-            ) {
-                out.pieces.push(piece);
-            }
-            times.clear();
-            rates.clear();
-        };
-        for k in (0..t.len()).filter(|&k| usable[k]) {
-            if times.last().is_some_and(|&last| t[k] - last > max_gap_s) {
-                flush(&mut times, &mut rates);
-            }
-            times.push(t[k]);
-            rates.push(w[k]);
-        }
-        flush(&mut times, &mut rates);
-        out
+        let kept = neighbours::kept(usable);
+        let pieces = kept
+            .chunk_by(|&k, &next| t[next] - t[k] <= max_gap_s)
+            .filter_map(|piece| {
+                let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
+                let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
+                let degree = smoothing.spline_degree;
+                filtered(&times, &rates, grid, &kernel, keep_every, degree)
+            })
+            .collect();
+        Self { pieces }
     }
 
     /// Smooth value and rate of change at `t`, or `None` outside of the pieces.
