@@ -12,13 +12,13 @@ use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
-use super::gyro_clock::{Delays, GyroClockError, relate};
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
 use super::streams::{self, StreamError};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use twist_sync::{Options, RecordingError, estimate_course};
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -209,27 +209,27 @@ fn camera_hint(
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Option<Hint>, Stopped> {
-    let delays = Delays {
-        board: constants.board_imu_delay_ns as f64 * 1e-9,
-        other: 0.0,
+    let options = Options {
+        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
+        ..Options::of_windows()
     };
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
     progress.begin(
         "relating the depth camera's clock by its gyroscope",
         last.saturating_sub(first).unsigned_abs(),
     );
-    let related = relate(
+    let related = estimate_course(
         &|| streams::board(board, progress),
         &|| streams::camera(input, progress),
         None,
-        delays,
+        &options,
         EVERY,
-        &|at| progress.at(at.0.saturating_sub(first).unsigned_abs()),
+        &|at| progress.at(at.saturating_sub(first).unsigned_abs()),
     );
     progress.end();
     match related {
-        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
         // Without a relation the pulses stay ambiguous, which is what is said.
         Err(_) => Ok(None),
         Ok(clock) => {

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::depth::{DepthError, DepthInput};
-use super::gyro_clock::{GyroSample, GyroStream};
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
+use twist_sync::{GyroSample, GyroStream};
 
 /// Samples between two looks at whether to stop.
 const LOOK: u64 = 8192;
