@@ -4,8 +4,8 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::strobes::Scene;
-use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::footage::Footage;
+use evaluate::precision::{self, Evaluated, evaluate_recording};
 use evaluate::{EvaluateError, Settings, plot, report};
 use rig::rolling_shutter::RollingShutter;
 use rig::video_writer::Quality;

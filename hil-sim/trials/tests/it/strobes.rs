@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use evaluate::footage::Footage;
 use evaluate::frame::GreyView;
 use evaluate::precision::{RecordingResult, evaluate_recording};
-use evaluate::footage::Footage;
 use evaluate::source::{FrameSource, FrameTimes, SourceInfo};
 use evaluate::{EvaluateError, Settings};
 use rig::rolling_shutter::{Flash, FlashTrain, GreyImage, RollingShutter};
