@@ -31,7 +31,6 @@
 //! Limits: light reaches the photodiode at once and its edges are sharp;
 //! images are not made here.
 
-use crate::wiring;
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
@@ -40,6 +39,7 @@ use crate::flash_log::{FlashLog, TrueFlash};
 use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use crate::random::{Random, Seed, Stream};
 use crate::rolling_shutter::FlashTrain;
+use crate::wiring;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};

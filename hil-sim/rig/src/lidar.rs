@@ -12,11 +12,11 @@
 //! Its time between two pulses is not modelled: what it would stamp is the second
 //! of the last pulse and the time since.
 
-use crate::wiring;
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
+use crate::wiring;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};

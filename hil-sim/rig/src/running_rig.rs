@@ -12,12 +12,11 @@
 //! # Use
 //!
 //! ```no_run
-//! use trials::demo::judge::Truth;
-//! use crate::phone::PhoneConfig;
-//! use crate::random::Seed;
-//! use stm32f4_sim::sim::Sim;
-//! use crate::rig_config::RigConfig;
-//! use crate::running_rig::{Pace, RunningRig};
+//! use rig::phone::PhoneConfig;
+//! use rig::random::Seed;
+//! use rig::rig_config::RigConfig;
+//! use rig::running_rig::{Pace, RunningRig};
+//! use rig::wiring;
 //!
 //! # fn main() -> anyhow::Result<()> {
 //! let seed = Seed(1);
@@ -31,14 +30,12 @@
 //! println!("smartdepthsync record --port {} --profile rig.toml", rig.port().display());
 //! // … run the session; make things go wrong meanwhile with `rig.unplug()`,
 //! // `rig.press_reset()`, `rig.phone()` and the models in `rig.parts()` …
-//! let truth = Truth::of(rig.stop()?)?;
-//! let verdict = truth.judge("recordings/example".as_ref())?;
-//! println!("phase error {} µs", verdict.phase.start_us);
+//! let truth = rig.stop()?;
+//! println!("{} depth frames", truth.depth.len());
 //! # Ok(())
 //! # }
 //! ```
 
-use crate::wiring;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
@@ -56,6 +53,7 @@ use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoTruth};
 use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
 use crate::true_clock::{BoardClockwork, TrueClock};
+use crate::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};

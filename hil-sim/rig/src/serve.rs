@@ -2,7 +2,6 @@
 //! asked for, its phone behind a TCP port. Commands of `smartdepthsync` can be
 //! typed against it as against hardware.
 
-use crate::wiring;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
@@ -18,6 +17,7 @@ use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
+use crate::wiring;
 use anyhow::{Context, Result};
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;

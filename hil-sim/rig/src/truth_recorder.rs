@@ -4,11 +4,11 @@
 //! takes what the models have noted, the edges of the trigger pin, and once a
 //! virtual second what all clocks show, so the models' own notes stay short.
 
-use crate::wiring;
 use std::io::Write;
 
 use crate::rig_config::RigParts;
 use crate::truth::{TruthError, TruthRecord, TruthWriter};
+use crate::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Level;
 use stm32f4_sim::sim::Sim;

@@ -10,12 +10,12 @@
 //! when the board says hello ([`BoardTruth::begin`]), and holds for all edges on
 //! all pins until the board is reset ([`BoardTruth::restart`]).
 
-use rig::wiring;
 use std::collections::VecDeque;
 
 use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
 
 use rig::mpu9150::{Mpu9150, SampleRecord};
+use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;
 use stm32f4_sim::sim::Sim;

@@ -41,7 +41,6 @@ mod sampling;
 #[cfg(test)]
 mod tests;
 
-use crate::wiring;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -52,6 +51,7 @@ use crate::inertial_channel::ChannelConfig;
 use crate::motion::{Motion, STANDARD_GRAVITY};
 use crate::oscillator::{BoardTime, OscillatorConfig};
 use crate::random::{Seed, Stream};
+use crate::wiring;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::i2c::Shared;
 use stm32f4_sim::model::{PinIo, PinModel};

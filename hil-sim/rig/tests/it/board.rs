@@ -1,11 +1,11 @@
 //! The real firmware on the simulated board: boot, time, link, failures.
 
 use crate::board_host::Board;
-use rig::wiring;
 
 use protocol::usb::{PRODUCT_ID, VENDOR_ID, serial_number};
 use protocol::*;
 use rig::random::{Seed, Stream};
+use rig::wiring;
 use stm32f4_sim::firmware::Firmware;
 use stm32f4_sim::sim::{FailureKind, ResetCause as BoardReset, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};

@@ -1,7 +1,6 @@
 //! The depth camera on the trigger of the real firmware, on the simulated board:
 //! what the board reports against the camera's truth.
 
-use rig::wiring;
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
@@ -10,6 +9,7 @@ use protocol::*;
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
+use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::SimBuilder;

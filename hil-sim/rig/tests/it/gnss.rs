@@ -1,12 +1,12 @@
 //! The pulse per second and its sentences from the real firmware on the simulated
 //! board, read by a lidar's inputs and by a parser that others wrote.
 
-use rig::wiring;
 use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
+use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::{SimDuration, SimTime};

@@ -1,16 +1,16 @@
 //! The IMU of the real firmware on the simulated board, against the model of the
 //! sensor: every sample's time and value, every fault.
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
-use rig::wiring;
 use std::collections::VecDeque;
 
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
 use protocol::*;
 use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
 use rig::mpu9150::{Fault, Mpu9150, Mpu9150Config, SampleRecord};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
+use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::{SimDuration, SimTime};

@@ -2,13 +2,13 @@
 //! edge at the pins against the arithmetic of the commands, beside the camera's
 //! train and the pulse per second.
 
-use rig::wiring;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, UNITS_PER_TICK, trigger_status};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
+use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::time::SimTime;

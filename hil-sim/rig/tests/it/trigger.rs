@@ -1,13 +1,13 @@
 //! The trigger train of the real firmware on the simulated board: every edge at
 //! the pin against the arithmetic of the command.
 
-use rig::wiring;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, trigger_status};
 use crate::trigger_rig::{Strobe, Wire};
 use protocol::*;
+use rig::wiring;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::SimDuration;
 

@@ -16,6 +16,9 @@ use crate::rtt::{LogLine, Rtt};
 
 /// The low-speed oscillator's typical rate (DS8626 table 42).
 const LSI_HZ: u64 = 32_000;
+/// Pins of I2C1 (DS8626 table 9).
+const I2C1_SCL: [Pin; 2] = [Pin::PB6, Pin::PB8];
+const I2C1_SDA: [Pin; 2] = [Pin::PB7, Pin::PB9];
 
 /// Puts a [`Sim`] together.
 pub struct SimBuilder {
@@ -145,9 +148,17 @@ impl SimBuilder {
     ///
     /// # Errors
     ///
-    /// If the ELF cannot be used.
+    /// If the ELF cannot be used, or the I2C bus is wired to pins that are not I2C1's.
     pub fn build(self) -> Result<Sim, SimError> {
         let firmware = Firmware::load(&self.elf).map_err(|e| e.with_hint(self.missing_hint))?;
+        if let Some(I2cWires { scl, sda }) = self.chip.i2c
+            && !(I2C1_SCL.contains(&scl) && I2C1_SDA.contains(&sda))
+        {
+            return Err(SimError::Setup(format!(
+                "the I2C bus is wired to {scl} (SCL) and {sda} (SDA); those of I2C1 are \
+                 {I2C1_SCL:?} and {I2C1_SDA:?}"
+            )));
+        }
         let mut soc = Soc::new(self.seed, &self.chip);
         let mut random = self.seed.stream(RAM_STREAM);
         soc.fill_ram(&mut random);

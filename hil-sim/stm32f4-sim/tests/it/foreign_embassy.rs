@@ -98,3 +98,12 @@ fn a_register_that_is_not_modelled_ends_the_run() {
     assert!(text.contains(register), "{text}");
     assert!(text.contains("read_random_number"), "{text}");
 }
+
+#[test]
+fn an_i2c_bus_is_wired_to_its_pins_or_not_at_all() {
+    let elf = foreign_elf("foreign-embassy");
+    let wired = |scl, sda| Sim::builder(elf.clone()).i2c_bus(scl, sda).build();
+    assert!(wired(Pin::PB8, Pin::PB7).is_ok());
+    let error = wired(Pin::PB7, Pin::PB6).unwrap_err().to_string();
+    assert!(error.contains("those of I2C1 are [PB6, PB8]"), "{error}");
+}

@@ -3,7 +3,6 @@
 //! Wall-clock figures are those of this machine and its load; all others are
 //! simulated and the same on every machine.
 
-use rig::wiring;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -17,6 +16,7 @@ use rig::motion::Motion;
 use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
+use rig::wiring;
 use serde::Serialize;
 use stm32f4_sim::cpu::{CpuStats, IrqStats};
 use stm32f4_sim::sim::{Sim, SimBuilder};

@@ -9,7 +9,6 @@
 //! The rig is twisted all the time: a session may ask for it at any moment. What
 //! else it does has no part in the figures.
 
-use rig::wiring;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -22,6 +21,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::wiring;
 use stm32f4_sim::time::SimTime;
 
 /// What a stage is made of.

@@ -1,6 +1,5 @@
 //! What goes wrong in a run, done to the rig at its virtual time.
 
-use rig::wiring;
 use std::sync::atomic::Ordering;
 
 use protocol::{
@@ -10,6 +9,7 @@ use protocol::{
 use super::plan::Fault;
 use super::scene::Scene;
 use rig::mpu9150::Fault as ImuFault;
+use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};

@@ -31,7 +31,6 @@ mod process;
 mod scene;
 mod stage;
 
-use rig::wiring;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
@@ -63,6 +62,7 @@ use crate::board_truth::Train;
 pub use crate::whole_chain::Programs;
 use plan::Plan;
 use rig::random::Seed;
+use rig::wiring;
 use scene::Report;
 use stage::Stage;
 use stm32f4_sim::i2c::lock;

@@ -9,7 +9,6 @@
 //! tick; every pulse against the grid; a killed or broken-off recording lacks at
 //! most its last second; the phone is left as it should be.
 
-use rig::wiring;
 use std::io::Read as _;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
@@ -37,6 +36,7 @@ use rig::phone::{LinkFault, PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunTruth, RunningRig};
+use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::SimTime;
 

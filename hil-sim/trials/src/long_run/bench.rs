@@ -1,6 +1,5 @@
 //! The rig of a long run, the host's end of its link, and what is compared.
 
-use rig::wiring;
 use std::time::Duration;
 
 use board::{Conversation, Event, Stream as HostStream};
@@ -14,6 +13,7 @@ use rig::motion::gesture::Gesture;
 use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
+use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};

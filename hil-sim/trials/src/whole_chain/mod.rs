@@ -15,7 +15,6 @@ pub mod evaluation;
 pub mod extraction;
 pub mod several;
 
-use rig::wiring;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -37,6 +36,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::wiring;
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
 /// How long the rig is twisted at first, seconds: the session connects, and

@@ -3,7 +3,6 @@
 //! all into board time, and each is judged against the truth: the phones' frames and
 //! the depth frames in µs, the pulses and the seconds of the lidar to the tick.
 
-use rig::wiring;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
@@ -25,6 +24,7 @@ use rig::pin_log::PinLog;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
 

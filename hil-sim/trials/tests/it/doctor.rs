@@ -1,10 +1,11 @@
 //! `smartdepthsync doctor` as a process on the simulated rig: what it finds when
 //! all is well, and what it says to do for each thing that is not.
 
-use crate::support;
 use std::path::Path;
 use std::process::Command;
 
+use crate::support;
+use crate::turn;
 use crate::whole_rig::WholeRig;
 use serde_json::Value;
 
@@ -58,6 +59,7 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
 
 #[test]
 fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
+    let _turn = turn::alone();
     let rig = WholeRig::with(21, 10.0, |config, _| {
         config.motion = "rest".parse().unwrap();
     });

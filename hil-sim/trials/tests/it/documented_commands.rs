@@ -1,13 +1,13 @@
 //! Every command of `hil-sim` and `cargo xtask`, and every option that the documents
 //! mention by itself, is in a program's `--help`.
 
-use crate::documents;
-use crate::support;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Command;
 
+use crate::documents;
 use crate::documents::{Code, arguments, pages};
+use crate::support;
 
 /// What the help of a command says.
 #[derive(Debug, Default)]

@@ -1,10 +1,11 @@
 //! A bag of the published system, written by public tools from the real gyroscope
 //! recordings, extracted and read back by public tools.
 
-use crate::python;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::python;
+use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::{Progress, Silent};
@@ -72,6 +73,7 @@ impl Progress for Stops {
 
 #[test]
 fn the_bag_extracts_to_the_same_numbers() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "bz2");
     let (topics_report, topics) = extract(folder.path(), Format::Topics);
@@ -126,6 +128,7 @@ fn whole_twist() -> f64 {
 
 #[test]
 fn every_compression_and_a_bag_cut_off_are_read() {
+    let _turn = turn::beside_others();
     let mut reports = Vec::new();
     for compression in ["none", "lz4"] {
         let folder = tempfile::tempdir().unwrap();
@@ -154,6 +157,7 @@ fn every_compression_and_a_bag_cut_off_are_read() {
 
 #[test]
 fn a_second_run_changes_nothing_and_inputs_are_not_touched() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     make_bag(folder.path(), "lz4");
     let before = snapshot(folder.path());

@@ -2,10 +2,11 @@
 //! minutes of hand-held motion, clocks that wander, a depth camera 300 ppm off
 //! that drops frames. All figures here are of simulated recordings.
 
-use crate::browser;
 use std::path::{Path, PathBuf};
 
+use crate::browser;
 use crate::synthetic::{Synthetic, Truth, make};
+use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
@@ -94,6 +95,7 @@ fn check_depth(case: &Case) -> (f64, f64) {
 // One recording, judged from all sides: it is too dear to be made for each.
 #[test]
 fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
+    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 7,
         seconds: 600,
@@ -218,6 +220,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
 
 #[test]
 fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous() {
+    let _turn = turn::beside_others();
     let config = Synthetic {
         seed: 11,
         seconds: 60,
@@ -268,6 +271,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
 
 #[test]
 fn damaged_and_missing_parts_leave_the_rest() {
+    let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 3,
         seconds: 40,

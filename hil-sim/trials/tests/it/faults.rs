@@ -1,6 +1,7 @@
 //! The fault campaign, a few seeds of it. `cargo xtask faults` runs them all.
 
 use crate::support;
+use crate::turn;
 use rig::random::Seed;
 use trials::faults::plan::{Event, Fault, Plan};
 use trials::faults::{Programs, campaign, run, run_plan};
@@ -18,6 +19,7 @@ const SEEDS: [u64; 15] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 18];
 
 #[test]
 fn the_fifteen_seeds_have_every_fault() {
+    let _turn = turn::beside_others();
     for fault in Fault::ALL {
         let among = SEEDS.iter().any(|&seed| Plan::draw(Seed(seed)).has(fault));
         assert!(among, "{fault:?}");
@@ -26,6 +28,7 @@ fn the_fifteen_seeds_have_every_fault() {
 
 #[test]
 fn fifteen_seeds_pass() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let failed: Vec<String> = campaign(&SEEDS, &programs(), folder.path(), &|_, _| {})
         .into_iter()
@@ -37,6 +40,7 @@ fn fifteen_seeds_pass() {
 /// One seed is one run, to the byte.
 #[test]
 fn a_seed_replays_exactly() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let digests: Vec<u32> = (0..2)
         .map(|_| run(Seed(2), &programs(), folder.path()).unwrap().digest)
@@ -47,6 +51,7 @@ fn a_seed_replays_exactly() {
 /// Without a fault nothing is lost, and the session says so.
 #[test]
 fn without_a_fault_all_is_good() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let plan = Plan {
         seed: 77,
@@ -65,6 +70,7 @@ fn without_a_fault_all_is_good() {
 /// a port that does not go away.
 #[test]
 fn a_stall_of_twenty_seconds_is_survived() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let stall = Event {
         fault: Fault::HostStalled,
@@ -88,6 +94,7 @@ fn a_stall_of_twenty_seconds_is_survived() {
 /// comes before the host knows of one.
 #[test]
 fn a_reset_while_the_host_stalls_is_survived() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let event = |fault, at_us, for_us| Event {
         fault,

@@ -1,13 +1,14 @@
 //! Live data for Foxglove: a viewer sees what is recorded, one that does not read
 //! costs nothing, and nothing listens unless it is asked for.
 
-use crate::support;
 use std::collections::BTreeMap;
 use std::net::{SocketAddr, TcpStream};
 use std::process::Command;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use crate::support;
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use board::imu::Sample;
 use protocol::{ImuFlags, Ticks};
@@ -106,6 +107,7 @@ fn served(session: &mut Session) -> String {
 
 #[test]
 fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(61, 3.0);
     let mut command = rig.record("live", &["--duration", "5s", "--foxglove", "127.0.0.1:0"]);
     let mut session = Session::start(&mut command);
@@ -174,6 +176,7 @@ fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
 
 #[test]
 fn the_monitor_serves_too_and_only_if_it_is_asked_to() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(62, 4.0);
     let monitor = |options: &[&str]| {
         let mut command = Command::new(support::smartdepthsync());
@@ -244,6 +247,7 @@ fn listeners(process: u32) -> Vec<String> {
 
 #[test]
 fn nobody_waits_for_a_viewer_that_does_not_read() {
+    let _turn = turn::beside_others();
     let live = LiveData::open(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
     let mut viewer = Viewer::connect(&format!("ws://127.0.0.1:{}", live.port()));
     viewer.subscribe(&[Topic::Imu.name()]);

@@ -1,10 +1,12 @@
 //! A simulated twist through the whole chain: rig, firmware, pseudo-terminal,
 //! `smartdepthsync imu --csv`, and pandas.
 
-use crate::support;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+
+use crate::support;
+use crate::turn;
 
 /// Virtual time against real time: a program that is slow to start must not miss
 /// the rest before the twist.
@@ -65,6 +67,7 @@ fn python() -> PathBuf {
 
 #[test]
 fn pandas_sees_the_twist_in_the_csv() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("twist.csv");
     let rig = Serve::start(&["--seed", "5", "--motion", "rest:6,twist:10,rest"]);
@@ -98,6 +101,7 @@ fn pandas_sees_the_twist_in_the_csv() {
 /// same peaks, two milliseconds of filter delay later.
 #[test]
 fn a_recorded_csv_is_replayed_as_a_motion() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let record = |motion: &str, name: &str| {
         let csv = folder.path().join(name);

@@ -2,11 +2,12 @@
 //! `docs/json.md`. Those of `offset` and `evaluate` are compared by the host's tests of
 //! these commands, that of `trigger latency` by `whole_chain`.
 
-use crate::objects;
-use crate::support;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::objects;
+use crate::support;
+use crate::turn;
 use crate::whole_rig::WholeRig;
 use serde_json::Value;
 
@@ -42,6 +43,7 @@ fn find(folder: &Path, ending: &str) -> Option<PathBuf> {
 
 #[test]
 fn objects_of_commands_that_talk_to_board_and_phone() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(71, 8.0);
     let folder = rig.folder.path();
     let port = rig.rig.port().to_str().unwrap();
@@ -140,6 +142,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
 
 #[test]
 fn objects_of_commands_that_need_nothing() {
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     for (command, arguments) in [
         ("ports", &["ports"][..]),

@@ -2,12 +2,13 @@
 //! sizes, a storm of sizes, a terminal that is closed, keys. What was on the screen
 //! is kept in `target/tmp/live_view` for people to look at.
 
-use crate::support;
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::support;
+use crate::turn;
 use crate::whole_rig::WholeRig;
 use recording::reader::Reader;
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -134,6 +135,7 @@ fn monitor(rig: &WholeRig) -> Command {
 
 #[test]
 fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(31, 4.0);
     let shown = [
         "MONITOR",
@@ -178,6 +180,7 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 
 #[test]
 fn without_a_terminal_there_are_plain_lines_and_one_object() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(32, 10.0);
     let lines = monitor(&rig).args(["--duration", "4s"]).output().unwrap();
     assert_eq!(lines.status.code(), Some(0), "{lines:?}");
@@ -204,6 +207,7 @@ fn without_a_terminal_there_are_plain_lines_and_one_object() {
 
 #[test]
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(33, 3.0);
     let command = rig.record("seen", &[]);
     let terminal = Tmux::start(80, 24, &command);
@@ -227,6 +231,7 @@ fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
 
 #[test]
 fn a_closed_terminal_ends_the_recording_in_order() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(34, 3.0);
     let command = rig.record("cut", &[]);
     let mut terminal = Tmux::start(100, 30, &command);

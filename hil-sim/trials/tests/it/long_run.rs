@@ -1,11 +1,13 @@
 //! A short piece of the long run, over a wrap of the counter.
 
+use crate::turn;
 use rig::random::Seed;
 use trials::long_run::{Options, run};
 
 /// `cargo xtask longrun` is this for hours.
 #[test]
 fn two_minutes_are_exact_on_all_pins_with_flat_memory() {
+    let _turn = turn::beside_others();
     let options = Options {
         elf: None,
         seed: Seed(3),

@@ -1,4 +1,6 @@
 //! Sessions, recordings and their results on the simulated rig.
+//!
+//! Every test that runs for more than a moment takes its turn (`turn.rs`).
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 #[path = "../../../../host/cli/tests/support/browser.rs"]
@@ -36,5 +38,6 @@ mod several_sensors;
 mod strobes;
 mod support;
 mod synthetic;
+mod turn;
 mod whole_chain;
 mod whole_rig;

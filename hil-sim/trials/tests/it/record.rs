@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig, run_python};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
@@ -14,6 +15,7 @@ use trials::demo::judge::Truth;
 
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {
+    let _turn = turn::alone();
     let rig = WholeRig::new(1, 20.0);
     let arguments = [
         "--duration",

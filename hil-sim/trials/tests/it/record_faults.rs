@@ -7,6 +7,7 @@ use std::io::Write as _;
 use std::process::Command;
 
 use crate::support::smartdepthsync;
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
@@ -73,6 +74,7 @@ fn problems(session: &SessionFile) -> Vec<&str> {
 
 #[test]
 fn without_phone_or_board_nothing_is_made() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::with(2, SPEED, |_, phone| "v.0.2".clone_into(&mut phone.version));
     let said = Session::start(&mut rig.record("version", &[])).ends_with(PHONE);
     assert!(said.contains("v.0.2") && said.contains("v.0.1.1"), "{said}");
@@ -90,6 +92,7 @@ fn without_phone_or_board_nothing_is_made() {
 
 #[test]
 fn ctrl_c_stops_cleanly_in_every_state() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(3, SPEED);
     // Before anything was made: the phone does not answer.
     rig.phone().set_fault(Some(LinkFault::Silent));
@@ -147,6 +150,7 @@ fn ctrl_c_stops_cleanly_in_every_state() {
 
 #[test]
 fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(4, SPEED);
     for (state, code, outcome) in [
         ("twist 1: twist now", PHONE, SessionOutcome::Failed),
@@ -206,6 +210,7 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
 
 #[test]
 fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(5, SPEED);
     for (number, state) in STATES.into_iter().enumerate() {
         let name = format!("state_{number}");
@@ -232,6 +237,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
 
 #[test]
 fn a_board_that_is_reset_before_the_recording_ends_the_session() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(6, SPEED);
     // The slow way to the grid, so that it lasts.
     let profile = rig.profile().replace("slew_us = 1000", "slew_us = 20");
@@ -252,6 +258,7 @@ fn a_board_that_is_reset_before_the_recording_ends_the_session() {
 
 #[test]
 fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(7, SPEED);
     let mut session = Session::start(&mut rig.record("away", &["--duration", "60s"]));
     session.wait_for("recording for");
@@ -274,6 +281,7 @@ fn a_board_that_stays_away_is_waited_for_until_somebody_stops_it() {
 
 #[test]
 fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(10, SPEED);
     let arguments = ["--duration", "60s", "--link-patience", "2s"];
     let mut session = Session::start(&mut rig.record("never", &arguments));
@@ -322,6 +330,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
 
 #[test]
 fn what_is_bad_before_a_recording_ends_it_and_says_what_to_do() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::with(13, SPEED, |config, _| config.imu = None);
     let said = Session::start(&mut rig.record("no_imu", &["--duration", "2s"])).ends_with(REFUSED);
     assert!(said.contains("IMU: no samples"), "{said}");
@@ -342,6 +351,7 @@ fn what_is_bad_before_a_recording_ends_it_and_says_what_to_do() {
 
 #[test]
 fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(8, SPEED);
     // The system refuses to let a file grow beyond 512 kB, as a full disk does.
     let wanted = rig.record("full", &["--duration", "600s"]);
@@ -363,6 +373,7 @@ fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
 
 #[test]
 fn the_depth_recorder_is_started_watched_and_stopped() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(9, SPEED);
     let profile =
         |command: &str| format!("{}\n[depth.recorder]\ncommand = {command}\n", rig.profile());

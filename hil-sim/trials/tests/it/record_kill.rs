@@ -1,6 +1,7 @@
 //! A session that is killed at any moment leaves a file that opens and lacks at
 //! most the last second, and a rig on which the next session simply starts.
 
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
@@ -18,6 +19,7 @@ const MOST_MISSING: f64 = 1.0;
 
 #[test]
 fn a_kill_loses_at_most_a_second() {
+    let _turn = turn::alone();
     let rig = WholeRig::with(11, SPEED, |_, phone| {
         // The app's wait for its 60th frame is 2 s; a faster camera saves time.
         phone.camera.first_frame_ms = (20.0, 50.0);

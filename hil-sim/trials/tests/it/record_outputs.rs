@@ -1,6 +1,7 @@
 //! `smartdepthsync record` with further cameras and a lidar in the profile: they
 //! join the aligned trigger, and the recording has them by name.
 
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -23,6 +24,7 @@ name = "VLP-16"
 
 #[test]
 fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
+    let _turn = turn::alone();
     let rig = WholeRig::new(5, 20.0);
     let profile = rig.profile() + FURTHER;
     let mut command = rig.record_with("further", &profile, &["--duration", "12s"]);

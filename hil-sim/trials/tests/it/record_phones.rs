@@ -1,6 +1,7 @@
 //! `smartdepthsync record` with two phones in the profile: one twist relates both
 //! clocks, both record, and what is said of each is true.
 
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -8,6 +9,7 @@ use trials::demo::judge::Truth;
 
 #[test]
 fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
+    let _turn = turn::alone();
     let rig = WholeRig::with_phones(31, 20.0, 2, |_, _| {});
     let profile = rig.profile_of(&["left", "right"]);
     let arguments = ["--duration", "10s", "--second-twist", "--fetch-video"];

@@ -6,6 +6,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
 
+use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use extract::inputs::Options;
 use extract::layout::Format;
@@ -87,6 +88,7 @@ fn write_depth(path: &Path, frames: &[FrameRecord]) {
 
 #[test]
 fn a_reset_is_marked_and_both_runs_are_extracted() {
+    let _turn = turn::beside_others();
     over_a_reset(12);
 }
 
@@ -94,6 +96,7 @@ fn a_reset_is_marked_and_both_runs_are_extracted() {
 #[test]
 #[ignore = "minutes of simulation; the seed above is run always"]
 fn many_resets_are_extracted() {
+    let _turn = turn::beside_others();
     for seed in 100..120 {
         println!("seed {seed}");
         over_a_reset(seed);
@@ -234,6 +237,7 @@ fn over_a_reset(seed: u64) {
 
 #[test]
 fn a_further_phone_is_related_anew_and_extracted_over_the_reset() {
+    let _turn = turn::beside_others();
     let rig = WholeRig::with_phones(14, SPEED, 2, |_, _| {});
     let profile = rig.profile_of(&["left", "right"]);
     let arguments = ["--duration", "38s", "--second-twist", "--fetch-video"];

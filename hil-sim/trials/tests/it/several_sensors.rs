@@ -3,11 +3,13 @@
 //! test of `outputs/NAME.csv`, too.
 
 use crate::support;
+use crate::turn;
 use trials::whole_chain::Programs;
 use trials::whole_chain::several::{self, SeveralPlan};
 
 #[test]
 fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
+    let _turn = turn::alone();
     let out = tempfile::tempdir().unwrap();
     let programs = Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),

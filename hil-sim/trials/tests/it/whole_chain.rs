@@ -3,14 +3,15 @@
 //! program's own answers against the truth. The long versions of the same are
 //! `cargo xtask bench --chain`.
 
-use crate::objects;
-use crate::support;
-use rig::wiring;
 use std::process::Command;
 
+use crate::objects;
+use crate::support;
+use crate::turn;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::wiring;
 use serde_json::Value;
 use stm32f4_sim::time::SimDuration;
 use trials::whole_chain::{Plan, Programs, calibration, evaluation, extraction};
@@ -25,6 +26,7 @@ fn programs() -> Programs {
 
 #[test]
 fn every_timestamp_pair_and_dropped_frame_is_right() {
+    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let plan = Plan {
         drop_probability: 0.02,
@@ -40,6 +42,7 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
 
 #[test]
 fn bias_and_drift_are_as_the_truth_says() {
+    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     for seed in [101, 102] {
         let found = evaluation::check(&Plan::new(seed, 8), &programs(), out.path()).unwrap();
@@ -58,6 +61,7 @@ fn bias_and_drift_are_as_the_truth_says() {
 
 #[test]
 fn a_hidden_constant_is_gone_after_calibration() {
+    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let plan = Plan::new(5, 8);
     let hidden = SimDuration::from_millis(3);
@@ -69,6 +73,7 @@ fn a_hidden_constant_is_gone_after_calibration() {
 
 #[test]
 fn the_photodiode_gives_the_time_from_trigger_to_centre() {
+    let _turn = turn::beside_others();
     let config = RigConfig::published(Seed(9));
     let (board, camera) = (config.board_clock, config.depth_camera.unwrap());
     let pace = Pace {

@@ -1,7 +1,5 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
-use crate::support;
-use rig::wiring;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -9,10 +7,12 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::support;
 use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::wiring;
 use rustix::process::{Pid, Signal, kill_process};
 use stm32f4_sim::time::SimDuration;
 
