@@ -7,16 +7,16 @@
 //! unless told not to), which gives the offset of the clocks far better than half
 //! a period; the recorded offset of the published system.
 
-use super::board_data::{BoardError, BoardInput};
+use super::board_data::BoardInput;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
-use super::gyro_clock::{Delays, GyroClockError, relate};
+use super::gyro_clock::{Delays, relate};
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
-use super::streams::{self, StreamError};
+use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
 
@@ -102,15 +102,6 @@ impl Matched {
             Decision::Hint { left } => format!("{} (of {left} possible shifts)", self.by),
         }
     }
-}
-
-/// Why matching ended.
-#[derive(Debug)]
-pub(crate) enum Stopped {
-    /// The user stopped it.
-    Cancelled,
-    /// The board's recording cannot be read.
-    Board(BoardError),
 }
 
 /// Matches depth frames to pulses.
@@ -228,10 +219,8 @@ fn camera_hint(
     );
     progress.end();
     match related {
-        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
         // Without a relation the pulses stay ambiguous, which is what is said.
-        Err(_) => Ok(None),
+        Err(error) => Stopped::unless(error).map(|_| None),
         Ok(clock) => {
             let (from, to) = clock.course.span();
             let at = 0.5 * (from + to);

@@ -5,13 +5,13 @@
 //! Where the board was reset, each run has a relation of its own, which also says where
 //! the run lies ([`super::later_runs`]).
 
-use super::board_data::{BoardError, BoardInput};
-use super::gyro_clock::{Delays, GyroClock, GyroClockError, Prior, relate, residual_rms};
+use super::board_data::BoardInput;
+use super::gyro_clock::{Delays, GyroClock, Prior, relate, residual_rms};
 use super::inputs::PhoneInput;
 use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
-use super::streams::{self, StreamError};
+use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
@@ -55,15 +55,6 @@ struct RunClock {
     course: Option<ClockCourse>,
     /// Without a course: phone less board, ns.
     offset: i64,
-}
-
-/// Why looking for it ended.
-#[derive(Debug)]
-pub(crate) enum Stopped {
-    /// The user stopped it.
-    Cancelled,
-    /// The board's recording cannot be read.
-    Board(BoardError),
 }
 
 /// What becomes of the board's runs, where there are several.
@@ -215,9 +206,7 @@ fn find_run(
             },
             None,
         ))),
-        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
-        Err(error) => Ok(from_prior(prior, span, &error.to_string())),
+        Err(error) => Ok(from_prior(prior, span, &Stopped::unless(error)?)),
     }
 }
 

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
 use super::depth::{DepthError, DepthInput};
-use super::gyro_clock::{GyroSample, GyroStream};
+use super::gyro_clock::{GyroClockError, GyroSample, GyroStream};
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
@@ -35,6 +35,26 @@ pub(crate) enum StreamError {
     Cancelled,
 }
 
+/// Why a step of the extraction ended before its end.
+#[derive(Debug)]
+pub(crate) enum Stopped {
+    /// The user stopped it.
+    Cancelled,
+    /// The board's recording cannot be read.
+    Board(BoardError),
+}
+
+impl Stopped {
+    /// That two gyroscopes were not related, in words, if that does not end the step.
+    pub(crate) fn unless(error: GyroClockError<StreamError>) -> Result<String, Self> {
+        match error {
+            GyroClockError::Read(StreamError::Cancelled) => Err(Self::Cancelled),
+            GyroClockError::Read(StreamError::Board(error)) => Err(Self::Board(error)),
+            error => Ok(error.to_string()),
+        }
+    }
+}
+
 /// The board's gyroscope.
 ///
 /// # Errors
@@ -44,12 +64,30 @@ pub(crate) fn board<'a>(
     input: &BoardInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    Ok(Box::new(BoardGyro {
-        stream: input.open(Images::Skip)?,
-        progress,
-        count: 0,
-        last: i64::MIN,
-    }))
+    let mut stream = input.open(Images::Skip)?;
+    let mut count = 0_u64;
+    let mut last = i64::MIN;
+    Ok(Box::new(std::iter::from_fn(move || {
+        loop {
+            count += 1;
+            if count.is_multiple_of(LOOK) && progress.cancelled() {
+                return Some(Err(StreamError::Cancelled));
+            }
+            match stream.next_event() {
+                Err(error) => return Some(Err(error.into())),
+                Ok(None) => return None,
+                // Windows are cut in order of time.
+                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
+                    last = row.at.0;
+                    return Some(Ok(GyroSample {
+                        at: last,
+                        rate: row.gyro,
+                    }));
+                }
+                Ok(Some(_)) => {}
+            }
+        }
+    })))
 }
 
 /// The board's gyroscope within a span.
@@ -62,51 +100,15 @@ pub(crate) fn board_between<'a>(
     (from, to): (BoardNanos, BoardNanos),
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let behind = move |sample: &Result<GyroSample, StreamError>| {
-        sample.as_ref().is_ok_and(|sample| sample.at > to.0)
-    };
     let before = move |sample: &Result<GyroSample, StreamError>| {
         sample.as_ref().is_ok_and(|sample| sample.at < from.0)
     };
-    let samples = board(input, progress)?;
+    let until = move |sample: &Result<GyroSample, StreamError>| {
+        sample.as_ref().map_or(true, |sample| sample.at <= to.0)
+    };
     Ok(Box::new(
-        samples
-            .skip_while(before)
-            .take_while(move |sample| !behind(sample)),
+        board(input, progress)?.skip_while(before).take_while(until),
     ))
-}
-
-struct BoardGyro<'a> {
-    stream: Box<dyn BoardStream>,
-    progress: &'a dyn Progress,
-    count: u64,
-    last: i64,
-}
-
-impl Iterator for BoardGyro<'_> {
-    type Item = Result<GyroSample, StreamError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            self.count += 1;
-            if self.count.is_multiple_of(LOOK) && self.progress.cancelled() {
-                return Some(Err(StreamError::Cancelled));
-            }
-            match self.stream.next_event() {
-                Err(error) => return Some(Err(error.into())),
-                Ok(None) => return None,
-                // Windows are cut in order of time.
-                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > self.last => {
-                    self.last = row.at.0;
-                    return Some(Ok(GyroSample {
-                        at: row.at.0,
-                        rate: row.gyro,
-                    }));
-                }
-                Ok(Some(_)) => {}
-            }
-        }
-    }
 }
 
 /// The phone's gyroscope.

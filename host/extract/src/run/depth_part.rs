@@ -61,12 +61,7 @@ impl Run<'_> {
             &constants,
             self.job.options.first_pulse,
             self.progress,
-        );
-        let matched = match matched {
-            Ok(matched) => matched,
-            Err(depth_match::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
-            Err(depth_match::Stopped::Board(error)) => return Err(error.into()),
-        };
+        )?;
         match &matched {
             Ok(matched) => {
                 self.remarks.extend(matched.remarks.iter().cloned());

@@ -37,6 +37,7 @@ use super::report::{
     BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
 };
 use super::sequence::Sequences;
+use super::streams::Stopped;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame};
 use super::time::BoardNanos;
@@ -95,6 +96,15 @@ impl From<ImagesError> for ExtractError {
         match error {
             ImagesError::Cancelled => Self::Cancelled,
             error => Self::Images(error),
+        }
+    }
+}
+
+impl From<Stopped> for ExtractError {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Self::Cancelled,
+            Stopped::Board(error) => Self::Board(error),
         }
     }
 }
@@ -357,7 +367,9 @@ impl Run<'_> {
         let given = |option: Option<i64>| option.filter(|_| !phone.is_other());
         FrameTiming {
             exposure: given(self.job.options.exposure_ns).or(phone.rig.exposure_ns),
-            readout: given(self.job.options.readout_ns).or(phone.rig.readout_ns),
+            middle_row: given(self.job.options.readout_ns)
+                .map(|readout| readout / 2)
+                .or(phone.rig.middle_row_ns),
         }
     }
 
@@ -396,16 +408,10 @@ impl Run<'_> {
         let out = &self.place.out;
         let write = || -> io::Result<()> {
             tables::write_pulses(&out.join("pulses.csv"), &survey.pulses, depth)?;
-            if !color.is_empty() {
-                tables::write_color(&out.join("phone_frames.csv"), color)?;
-            }
             if !depth.is_empty() {
                 tables::write_depth(&out.join("depth_frames.csv"), depth, &survey.pulses)?;
             }
-            if !pairs.is_empty() {
-                tables::write_pairs(&out.join("pairs.csv"), pairs, color, depth)?;
-            }
-            Ok(())
+            tables::write_phone(out, color, pairs, depth)
         };
         write().map_err(|error| self.failed(error))
     }

@@ -24,16 +24,7 @@ impl Run<'_> {
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = find_pairs(color, depth, survey);
         let folder = self.place.out.join(&input.folder);
-        let write = || -> std::io::Result<()> {
-            if !color.is_empty() {
-                tables::write_color(&folder.join("phone_frames.csv"), color)?;
-            }
-            if !pairs.is_empty() {
-                tables::write_pairs(&folder.join("pairs.csv"), &pairs, color, depth)?;
-            }
-            Ok(())
-        };
-        write().map_err(|error| self.failed(error))?;
+        tables::write_phone(&folder, color, &pairs, depth).map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let delay = constants.phone_imu_delay_ns;
         let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;

@@ -87,18 +87,17 @@ impl Run<'_> {
             Runs::Moved
         };
         let how = (priors.as_slice(), runs);
-        let clock = match phone_clock::find(board, &files, survey, how, constants, self.progress) {
-            Ok(Ok(clock)) => {
+        let found = phone_clock::find(board, &files, survey, how, constants, self.progress)?;
+        let clock = match found {
+            Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
                 Some(clock)
             }
-            Ok(Err(why)) => {
+            Err(why) => {
                 self.lose("clock", input.about(&why));
                 None
             }
-            Err(phone_clock::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
-            Err(phone_clock::Stopped::Board(error)) => return Err(error.into()),
         };
         let timing = self.timing(input);
         if !timing.is_known() && !stamps.is_empty() {
