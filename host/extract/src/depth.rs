@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::gyro_clock::GyroSample;
-use super::mkv::k4a::{Batch, Content, K4aError, Recording, StartOffset};
+use super::mkv::k4a::{Batch, Content, K4aError, Recording};
 use super::time::DeviceNanos;
 
 /// How many faults are kept with their text.
@@ -67,16 +67,12 @@ pub(crate) struct DepthIndex {
     pub(crate) frames: Vec<DepthStamp>,
     /// Width and height.
     pub(crate) size: (u32, u32),
-    /// Where the device times begin.
-    pub(crate) start_offset: Option<StartOffset>,
     /// The camera's calibration.
     pub(crate) calibration: Option<Vec<u8>>,
     /// `K4A_DEPTH_MODE`.
     pub(crate) mode: Option<String>,
     /// `K4A_DEVICE_SERIAL_NUMBER`.
     pub(crate) serial: Option<String>,
-    /// `K4A_WIRED_SYNC_MODE`.
-    pub(crate) sync_mode: Option<String>,
     /// Whether there are samples of the camera's IMU.
     pub(crate) has_imu: bool,
     /// What is damaged, in words.
@@ -195,11 +191,9 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     let text = |name: &str| recording.tag(name).map(str::to_owned);
     let mut index = DepthIndex {
         size: recording.size(),
-        start_offset: Some(recording.start_offset()),
         calibration: recording.calibration().map(<[u8]>::to_vec),
         mode: text("K4A_DEPTH_MODE"),
         serial: text("K4A_DEVICE_SERIAL_NUMBER"),
-        sync_mode: text("K4A_WIRED_SYNC_MODE"),
         ..DepthIndex::default()
     };
     loop {

@@ -12,7 +12,7 @@ use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
-use super::gyro_clock::{Delays, relate};
+use super::gyro_clock::Delays;
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
@@ -205,40 +205,33 @@ fn camera_hint(
         other: 0.0,
     };
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
-    progress.begin(
+    let related = streams::related(
         "relating the depth camera's clock by its gyroscope",
-        last.saturating_sub(first).unsigned_abs(),
-    );
-    let related = relate(
-        &|| streams::board(board, progress),
-        &|| streams::camera(input, progress),
+        (board, (BoardNanos(first), BoardNanos(last))),
+        (&|| streams::camera(input, progress), delays),
         None,
-        delays,
         EVERY,
-        &|at| progress.at(at.0.saturating_sub(first).unsigned_abs()),
+        progress,
     );
-    progress.end();
-    match related {
-        // Without a relation the pulses stay ambiguous, which is what is said.
-        Err(error) => Stopped::unless(error).map(|_| None),
-        Ok(clock) => {
-            let (from, to) = clock.course.span();
-            let at = 0.5 * (from + to);
-            let model = clock.course.at(at);
-            let board = (at * 1e9).round() as i64;
-            let offset = (model.offset * 1e9).round() as i64;
-            let map = AffineMap::new(
-                DeviceNanos(board.saturating_add(offset)),
-                BoardNanos(board),
-                1.0 / (1.0 + model.skew) - 1.0,
-            );
-            Ok(map.map(|map| Hint::Clock {
-                map,
-                sigma: CAMERA_SIGMA,
-                center: constants.depth_center_ns,
-            }))
-        }
-    }
+    // Without a relation the pulses stay ambiguous, which is what is said.
+    let Ok(clock) = related? else {
+        return Ok(None);
+    };
+    let (from, to) = clock.course.span();
+    let at = 0.5 * (from + to);
+    let model = clock.course.at(at);
+    let board = (at * 1e9).round() as i64;
+    let offset = (model.offset * 1e9).round() as i64;
+    let map = AffineMap::new(
+        DeviceNanos(board.saturating_add(offset)),
+        BoardNanos(board),
+        1.0 / (1.0 + model.skew) - 1.0,
+    );
+    Ok(map.map(|map| Hint::Clock {
+        map,
+        sigma: CAMERA_SIGMA,
+        center: constants.depth_center_ns,
+    }))
 }
 
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.

@@ -6,7 +6,7 @@
 //! the run lies ([`super::later_runs`]).
 
 use super::board_data::BoardInput;
-use super::gyro_clock::{Delays, GyroClock, Prior, relate, residual_rms};
+use super::gyro_clock::{Delays, GyroClock, Prior, residual_rms};
 use super::inputs::PhoneInput;
 use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
@@ -184,30 +184,25 @@ fn find_run(
         board: constants.board_imu_delay_ns as f64 * 1e-9,
         other: constants.phone_imu_delay_ns as f64 * 1e-9,
     };
-    progress.begin(
+    let related = streams::related(
         "relating the phone's clock",
-        span.1.0.saturating_sub(span.0.0).unsigned_abs(),
-    );
-    let related = relate(
-        &|| streams::board_between(board, span, progress),
-        &|| streams::phone(gyro),
+        (board, span),
+        (&|| streams::phone(gyro), delays),
         prior,
-        delays,
         1,
-        &|at| progress.at(at.0.saturating_sub(span.0.0).unsigned_abs()),
+        progress,
     );
-    progress.end();
-    match related {
-        Ok(gyros) => Ok(Ok((
+    Ok(match related? {
+        Ok(gyros) => Ok((
             RunClock {
                 course: Some(gyros.course.clone()),
                 gyros: Some(gyros),
                 ..RunClock::new(span, "gyroscopes")
             },
             None,
-        ))),
-        Err(error) => Ok(from_prior(prior, span, &Stopped::unless(error)?)),
-    }
+        )),
+        Err(why) => from_prior(prior, span, &why),
+    })
 }
 
 /// The published system's `/mcu_s10_ts`: the last pair of times.

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
 use super::depth::{DepthError, DepthInput};
-use super::gyro_clock::{GyroClockError, GyroSample, GyroStream};
+use super::gyro_clock::{
+    Delays, GyroClock, GyroClockError, GyroOpener, GyroSample, GyroStream, Prior, relate,
+};
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
@@ -44,15 +46,30 @@ pub(crate) enum Stopped {
     Board(BoardError),
 }
 
-impl Stopped {
-    /// That two gyroscopes were not related, in words, if that does not end the step.
-    pub(crate) fn unless(error: GyroClockError<StreamError>) -> Result<String, Self> {
-        match error {
-            GyroClockError::Read(StreamError::Cancelled) => Err(Self::Cancelled),
-            GyroClockError::Read(StreamError::Board(error)) => Err(Self::Board(error)),
-            error => Ok(error.to_string()),
+/// Goes over all that the board recorded, and gives back what could not be read.
+pub(crate) fn each_event<E: From<Stopped>>(
+    input: &BoardInput,
+    images: Images,
+    what: &str,
+    progress: &dyn Progress,
+    mut each: impl FnMut(BoardEvent) -> Result<(), E>,
+) -> Result<Vec<String>, E> {
+    let mut stream = input.open(images).map_err(Stopped::Board)?;
+    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+    progress.begin(what, length);
+    let mut count = 0_u64;
+    while let Some(event) = stream.next_event().map_err(Stopped::Board)? {
+        each(event)?;
+        count += 1;
+        if count.is_multiple_of(LOOK) {
+            progress.at(stream.position());
+            if progress.cancelled() {
+                return Err(Stopped::Cancelled.into());
+            }
         }
     }
+    progress.end();
+    Ok(stream.damage())
 }
 
 /// The board's gyroscope.
@@ -88,6 +105,31 @@ pub(crate) fn board<'a>(
             }
         }
     })))
+}
+
+/// Relates the clock of another gyroscope to the board's within a span, taking each
+/// `every`-th window. The inner error says in words why there is no relation.
+pub(crate) fn related<'a>(
+    what: &str,
+    (input, (from, to)): (&'a BoardInput, (BoardNanos, BoardNanos)),
+    (other, delays): (GyroOpener<'a, StreamError>, Delays),
+    prior: Option<Prior>,
+    every: usize,
+    progress: &'a dyn Progress,
+) -> Result<Result<GyroClock, String>, Stopped> {
+    let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
+    progress.begin(what, way(to));
+    let board = || board_between(input, (from, to), progress);
+    let related = relate(&board, other, prior, delays, every, &|at| {
+        progress.at(way(at))
+    });
+    progress.end();
+    match related {
+        Ok(clock) => Ok(Ok(clock)),
+        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        Err(error) => Ok(Err(error.to_string())),
+    }
 }
 
 /// The board's gyroscope within a span.

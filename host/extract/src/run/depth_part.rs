@@ -224,13 +224,14 @@ fn nominal_center(mode: &str) -> Option<i64> {
 
 impl Depth {
     pub(super) fn report(&self, survey: &Survey, images: Option<&DepthOutcome>) -> DepthReport {
-        let of = |state: FrameState| -> Vec<usize> {
+        let those = |is_so: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
             let frames = self.frames.iter().enumerate();
             frames
-                .filter(|(_, frame)| frame.state == Some(state))
+                .filter(|(_, frame)| is_so(frame))
                 .map(|(index, _)| index)
                 .collect()
         };
+        let of = |state| those(&|frame| frame.state == Some(state));
         let found: Option<&DepthMatch> = self.matched.as_ref().ok().map(|matched| &matched.found);
         let number = |pulse: &usize| survey.pulses.get(*pulse).map(|pulse| pulse.number);
         DepthReport {
@@ -249,13 +250,7 @@ impl Depth {
             doubled: of(FrameState::Doubled),
             off_pulse: of(FrameState::OffPulse),
             after_last_pulse: of(FrameState::AfterLastPulse).len(),
-            broken: self
-                .frames
-                .iter()
-                .enumerate()
-                .filter(|(_, frame)| !frame.whole)
-                .map(|(index, _)| index)
-                .collect(),
+            broken: those(&|frame| !frame.whole),
             damaged: images.map_or_else(Vec::new, |images| images.damaged.clone()),
             empty: images.map_or_else(Vec::new, |images| images.empty.clone()),
             out_of_range: images.map_or(0, |images| images.out_of_range),

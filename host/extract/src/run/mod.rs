@@ -22,6 +22,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use index_files::Written;
+use phone_part::Phone;
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
@@ -37,7 +38,7 @@ use super::report::{
     BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
 };
 use super::sequence::Sequences;
-use super::streams::Stopped;
+use super::streams::{Stopped, each_event};
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame};
 use super::time::BoardNanos;
@@ -144,7 +145,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         losses: Vec::new(),
         remarks,
     };
-    let mut survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
+    let mut survey = survey(&run.inputs.board, progress)?;
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
     let mut constants = run.constants(&input);
@@ -217,10 +218,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         phone: phone
             .as_ref()
             .map(|phone| phone.report(video.as_ref(), &phone_imu)),
-        clock: phone.as_ref().and_then(|phone| {
-            let clock = phone.clock.as_ref()?;
-            Some(clock.report(&phone.frames))
-        }),
+        clock: phone.as_ref().and_then(Phone::clock_report),
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
@@ -307,7 +305,7 @@ impl Run<'_> {
     fn join_runs(
         &mut self,
         survey: &mut Survey,
-        phone: Option<&phone_part::Phone>,
+        phone: Option<&Phone>,
     ) -> Result<Vec<BoardRunReport>, ExtractError> {
         if survey.runs.is_empty() {
             return Ok(Vec::new());
@@ -321,8 +319,7 @@ impl Run<'_> {
             }
             let path = self.inputs.board.path().to_owned();
             self.inputs.board = BoardInput::Mcap(path, moves.clone());
-            let again = super::survey::survey(&self.inputs.board, self.progress)?;
-            *survey = again.ok_or(ExtractError::Cancelled)?;
+            *survey = super::survey::survey(&self.inputs.board, self.progress)?;
         }
         let joints = clock.map_or(&[][..], |clock| &clock.joints);
         let reports = later_runs::reports(&mut survey.runs, joints);
@@ -419,24 +416,19 @@ impl Run<'_> {
     fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
         let table = self.job.format.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
-        let mut stream = self.inputs.board.open(Images::Skip)?;
-        let length = std::fs::metadata(self.inputs.board.path()).map_or(0, |meta| meta.len());
-        self.progress.begin("writing the board's IMU", length);
-        let mut count = 0_u64;
-        while let Some(event) = stream.next_event()? {
-            if let BoardEvent::Imu(row) = event {
-                writer.push(row).map_err(|error| self.failed(error))?;
-            }
-            count += 1;
-            if count.is_multiple_of(8192) {
-                self.progress.at(stream.position());
-                if self.progress.cancelled() {
-                    return Err(ExtractError::Cancelled);
-                }
-            }
-        }
+        let board = &self.inputs.board;
+        let what = "writing the board's IMU";
+        each_event(
+            board,
+            Images::Skip,
+            what,
+            self.progress,
+            |event| match event {
+                BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
+                _ => Ok(()),
+            },
+        )?;
         writer.finish().map_err(|error| self.failed(error))?;
-        self.progress.end();
         Ok(())
     }
 }

@@ -2,6 +2,7 @@
 //! trigger was aligned to, each in `phones/NAME` of the output.
 
 use super::index_files::Written;
+use super::phone_part::Phone;
 use super::{ExtractError, Run, find_pairs, pairs_report, rate_of};
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
@@ -54,10 +55,7 @@ impl Run<'_> {
             phone: phone
                 .as_ref()
                 .map(|phone| phone.report(video.as_ref(), &imu)),
-            clock: phone.as_ref().and_then(|phone| {
-                let clock = phone.clock.as_ref()?;
-                Some(clock.report(&phone.frames))
-            }),
+            clock: phone.as_ref().and_then(Phone::clock_report),
             pairs: pairs_report(&pairs),
             grid,
             later_grids,

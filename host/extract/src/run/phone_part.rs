@@ -15,7 +15,7 @@ use crate::imu_tables::{Joiner, TableWriter, in_board_time};
 use crate::inputs::PhoneInput;
 use crate::phone_clock::{self, PhoneClock, Runs};
 use crate::phone_rows::PhoneRows;
-use crate::report::{Constants, Loss, PhoneReport};
+use crate::report::{ClockReport, Constants, Loss, PhoneReport};
 use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
@@ -298,6 +298,10 @@ impl Run<'_> {
 }
 
 impl Phone {
+    pub(super) fn clock_report(&self) -> Option<ClockReport> {
+        Some(self.clock.as_ref()?.report(&self.frames))
+    }
+
     pub(super) fn report(&self, video: Option<&VideoOutcome>, imu: &PhoneImu) -> PhoneReport {
         PhoneReport {
             name: self.name.clone(),
