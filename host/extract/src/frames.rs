@@ -27,13 +27,13 @@ pub(crate) struct FrameTiming {
 impl FrameTiming {
     /// From the timestamp (start of exposure of the first row) to the middle of
     /// exposure of the middle row. Parts that are not known count as 0.
-    pub(crate) fn to_middle(&self) -> i64 {
+    pub(crate) fn to_middle(self) -> i64 {
         let half_exposure = self.exposure.unwrap_or(0) / 2;
         half_exposure.saturating_add(self.middle_row.unwrap_or(0))
     }
 
     /// Whether both parts are known.
-    pub(crate) fn is_known(&self) -> bool {
+    pub(crate) fn is_known(self) -> bool {
         self.exposure.is_some() && self.middle_row.is_some()
     }
 }

@@ -221,7 +221,7 @@ fn from_prior(
     match prior {
         None => Err(format!("phone time cannot be related to board time: {why}")),
         Some(Prior::Model(model)) => {
-            let course = ClockCourse::from_estimates(&[model.into()], model.wander)
+            let course = ClockCourse::from_estimates(&[model], model.wander)
                 .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
             let run = RunClock {
                 course: Some(course),

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::{Progress, Silent};
-use extract::report::Report;
+use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
 
 fn script(name: &str) -> PathBuf {
@@ -47,7 +47,7 @@ fn job(folder: &Path, format: Format) -> Job {
     }
 }
 
-fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
+fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     let job = job(folder, format);
     (run(&job, &Silent).unwrap(), job.out)
 }

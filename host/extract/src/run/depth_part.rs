@@ -1,6 +1,6 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
-use super::{ExtractError, Run};
+use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
@@ -19,7 +19,7 @@ pub(super) struct Depth {
     pub(super) frames: Vec<DepthFrame>,
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     pub(super) fn read_depth(
         &mut self,
         survey: &Survey,

@@ -35,7 +35,7 @@ use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
 use super::report::{
-    BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
+    BoardReport, BoardRunReport, Constants, ExtractReport, Loss, PairsReport, SensorReport,
 };
 use super::sequence::Sequences;
 use super::streams::{Stopped, each_event};
@@ -110,8 +110,8 @@ impl From<Stopped> for ExtractError {
     }
 }
 
-/// The state of a run.
-struct Run<'a> {
+/// An extraction under way.
+struct Extraction<'a> {
     job: &'a Job,
     inputs: Inputs,
     place: Workplace,
@@ -126,7 +126,7 @@ struct Run<'a> {
 ///
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
-pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
+pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
     let inputs = super::inputs::find(
         &job.recording,
         job.phone.as_deref(),
@@ -137,7 +137,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
     let marks = file_marks(&inputs);
     let place = Workplace::open(&job.out, &marks, (job.format, &job.options))?;
     let remarks = inputs.remarks.clone();
-    let mut run = Run {
+    let mut run = Extraction {
         job,
         inputs,
         place,
@@ -201,7 +201,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
     }
 
-    let report = Report {
+    let report = ExtractReport {
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
@@ -255,7 +255,7 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
         .collect()
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     fn lose(&mut self, part: &'static str, what: impl Into<String>) {
         self.losses.push(Loss {
             part,

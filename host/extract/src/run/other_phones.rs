@@ -3,7 +3,7 @@
 
 use super::index_files::Written;
 use super::phone_part::Phone;
-use super::{ExtractError, Run, find_pairs, pairs_report, rate_of};
+use super::{ExtractError, Extraction, find_pairs, pairs_report, rate_of};
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
 use crate::report::OtherReport;
@@ -11,7 +11,7 @@ use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, DepthFrame};
 
-impl Run<'_> {
+impl Extraction<'_> {
     /// Extracts one of them.
     pub(super) fn other_phone(
         &mut self,

@@ -6,7 +6,7 @@ use phone::video_files::VideoFiles;
 
 use video::{Pixels, Video, VideoError, presentation_times};
 
-use super::{ExtractError, Run};
+use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::faults::Faults;
 use crate::frames::{Alignment, align};
@@ -38,7 +38,7 @@ pub(super) struct PhoneImu {
     pub(super) rate: Option<f64>,
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     pub(super) fn read_phone(
         &mut self,
         input: &PhoneInput,
