@@ -10,7 +10,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
-use super::mkv::k4a::{Batch, Content, K4aError, Recording, StartOffset};
+use super::mkv::k4a::{Batch, Content, K4aError, Recording};
 use super::time::DeviceNanos;
 use twist_sync::GyroSample;
 
@@ -67,16 +67,12 @@ pub(crate) struct DepthIndex {
     pub(crate) frames: Vec<DepthStamp>,
     /// Width and height.
     pub(crate) size: (u32, u32),
-    /// Where the device times begin.
-    pub(crate) start_offset: Option<StartOffset>,
     /// The camera's calibration.
     pub(crate) calibration: Option<Vec<u8>>,
     /// `K4A_DEPTH_MODE`.
     pub(crate) mode: Option<String>,
     /// `K4A_DEVICE_SERIAL_NUMBER`.
     pub(crate) serial: Option<String>,
-    /// `K4A_WIRED_SYNC_MODE`.
-    pub(crate) sync_mode: Option<String>,
     /// Whether there are samples of the camera's IMU.
     pub(crate) has_imu: bool,
     /// What is damaged, in words.
@@ -123,7 +119,7 @@ impl DepthInput {
         }
     }
 
-    /// The images, in batches.
+    /// The images.
     ///
     /// # Errors
     ///
@@ -137,29 +133,55 @@ impl DepthInput {
             source,
             path: self.path().to_owned(),
             next: 0,
+            waiting: Vec::new().into_iter(),
         })
     }
 
-    /// The camera's gyroscope.
+    /// The camera's gyroscope, in order of time; of a bag there is none.
     ///
     /// # Errors
     ///
     /// It cannot be opened.
-    pub(crate) fn gyro(&self) -> Result<CameraGyro, DepthError> {
-        match self {
-            Self::Mkv(path) => Ok(CameraGyro {
-                recording: Some(Self::recording(path)?),
-                path: path.clone(),
-                waiting: Vec::new(),
-                last: i64::MIN,
-            }),
-            Self::Bag(path) => Ok(CameraGyro {
-                recording: None,
-                path: path.clone(),
-                waiting: Vec::new(),
-                last: i64::MIN,
-            }),
-        }
+    pub(crate) fn gyro(
+        &self,
+    ) -> Result<impl Iterator<Item = Result<GyroSample, DepthError>> + use<>, DepthError> {
+        let mut recording = match self {
+            Self::Mkv(path) => Some(Self::recording(path)?),
+            Self::Bag(_) => None,
+        };
+        let path = self.path().to_owned();
+        let batches = std::iter::from_fn(move || {
+            let batch = recording.as_mut()?.next_batch(Content::Times);
+            if !matches!(batch, Ok(Some(_))) {
+                recording = None;
+            }
+            batch.map_err(reading(&path)).transpose()
+        });
+        let mut last = i64::MIN;
+        let samples = batches.flat_map(move |batch| match batch {
+            Err(error) => vec![Err(error)],
+            Ok(batch) => {
+                let mut samples = Vec::with_capacity(batch.imu.len());
+                for sample in batch.imu {
+                    if sample.gyro_at.0 > last {
+                        last = sample.gyro_at.0;
+                        samples.push(Ok(GyroSample {
+                            at: last,
+                            rate: sample.gyro.map(f64::from),
+                        }));
+                    }
+                }
+                samples
+            }
+        });
+        Ok(samples)
+    }
+}
+
+fn reading(path: &Path) -> impl Fn(std::io::Error) -> DepthError + '_ {
+    |error| DepthError::Io {
+        path: path.to_owned(),
+        error,
     }
 }
 
@@ -169,20 +191,16 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     let text = |name: &str| recording.tag(name).map(str::to_owned);
     let mut index = DepthIndex {
         size: recording.size(),
-        start_offset: Some(recording.start_offset()),
         calibration: recording.calibration().map(<[u8]>::to_vec),
         mode: text("K4A_DEPTH_MODE"),
         serial: text("K4A_DEVICE_SERIAL_NUMBER"),
-        sync_mode: text("K4A_WIRED_SYNC_MODE"),
         ..DepthIndex::default()
     };
     loop {
         let batch = recording.next_batch(Content::Times);
-        let batch = batch.map_err(|error| DepthError::Io {
-            path: path.to_owned(),
-            error,
-        })?;
-        let Some(batch) = batch else { break };
+        let Some(batch) = batch.map_err(reading(path))? else {
+            break;
+        };
         index.has_imu |= !batch.imu.is_empty();
         let stamps = batch.depth.iter().map(|image| DepthStamp {
             at: image.at,
@@ -231,46 +249,56 @@ enum Source {
     Bag(Box<dyn BoardStream>),
 }
 
-/// Images one batch after the other.
+/// Images one after the other.
 pub(crate) struct DepthImages {
     source: Source,
     path: PathBuf,
     next: usize,
+    waiting: std::vec::IntoIter<DepthImage>,
 }
 
 impl DepthImages {
     /// The next images (perhaps none); `None` at the end.
-    ///
-    /// # Errors
-    ///
-    /// Reading fails.
-    pub(crate) fn next_images(&mut self) -> Result<Option<Vec<DepthImage>>, DepthError> {
+    fn read(&mut self) -> Result<Option<Vec<DepthImage>>, DepthError> {
         match &mut self.source {
             Source::Mkv(recording) => {
                 let size = recording.image_bytes();
                 let batch = recording.next_batch(Content::Pixels);
-                let batch = batch.map_err(|error| DepthError::Io {
-                    path: self.path.clone(),
-                    error,
-                })?;
+                let batch = batch.map_err(reading(&self.path))?;
                 Ok(batch.map(|batch| images_of(batch, size, &mut self.next)))
             }
-            Source::Bag(stream) => loop {
-                match stream.next_event()? {
-                    None => return Ok(None),
-                    Some(BoardEvent::Image(image)) => {
-                        let index = self.next;
-                        self.next += 1;
-                        return Ok(Some(vec![DepthImage {
-                            index,
-                            depth: image.pixels,
-                            infrared: None,
-                            damaged: false,
-                        }]));
-                    }
-                    Some(_) => {}
-                }
-            },
+            Source::Bag(stream) => {
+                let Some(event) = stream.next_event()? else {
+                    return Ok(None);
+                };
+                let BoardEvent::Image(image) = event else {
+                    return Ok(Some(Vec::new()));
+                };
+                let index = self.next;
+                self.next += 1;
+                Ok(Some(vec![DepthImage {
+                    index,
+                    depth: image.pixels,
+                    infrared: None,
+                    damaged: false,
+                }]))
+            }
+        }
+    }
+}
+
+impl Iterator for DepthImages {
+    type Item = Result<DepthImage, DepthError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(image) = self.waiting.next() {
+                return Some(Ok(image));
+            }
+            match self.read().transpose()? {
+                Ok(images) => self.waiting = images.into_iter(),
+                Err(error) => return Some(Err(error)),
+            }
         }
     }
 }
@@ -295,49 +323,4 @@ fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<DepthImage> {
         }
     });
     images.collect()
-}
-
-/// The camera's gyroscope as a stream.
-pub(crate) struct CameraGyro {
-    recording: Option<Recording<BufReader<File>>>,
-    path: PathBuf,
-    waiting: Vec<GyroSample>,
-    last: i64,
-}
-
-impl Iterator for CameraGyro {
-    type Item = Result<GyroSample, DepthError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(sample) = self.waiting.pop() {
-                return Some(Ok(sample));
-            }
-            let batch = match self.recording.as_mut()?.next_batch(Content::Times) {
-                Ok(Some(batch)) => batch,
-                Ok(None) => {
-                    self.recording = None;
-                    return None;
-                }
-                Err(error) => {
-                    self.recording = None;
-                    return Some(Err(DepthError::Io {
-                        path: self.path.clone(),
-                        error,
-                    }));
-                }
-            };
-            for sample in batch.imu {
-                if sample.gyro_at.0 > self.last {
-                    self.last = sample.gyro_at.0;
-                    self.waiting.push(GyroSample {
-                        at: sample.gyro_at.0,
-                        rate: sample.gyro.map(f64::from),
-                    });
-                }
-            }
-            // Given out from the end.
-            self.waiting.reverse();
-        }
-    }
 }

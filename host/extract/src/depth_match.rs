@@ -7,7 +7,7 @@
 //! unless told not to), which gives the offset of the clocks far better than half
 //! a period; the recorded offset of the published system.
 
-use super::board_data::{BoardError, BoardInput};
+use super::board_data::BoardInput;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
@@ -15,10 +15,10 @@ use super::depth_clock::{
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
-use super::streams::{self, StreamError};
+use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
-use twist_sync::{Options, RecordingError, estimate_course};
+use twist_sync::Options;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -102,15 +102,6 @@ impl Matched {
             Decision::Hint { left } => format!("{} (of {left} possible shifts)", self.by),
         }
     }
-}
-
-/// Why matching ended.
-#[derive(Debug)]
-pub(crate) enum Stopped {
-    /// The user stopped it.
-    Cancelled,
-    /// The board's recording cannot be read.
-    Board(BoardError),
 }
 
 /// Matches depth frames to pulses.
@@ -214,42 +205,33 @@ fn camera_hint(
         ..Options::of_windows()
     };
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
-    progress.begin(
+    let related = streams::related(
         "relating the depth camera's clock by its gyroscope",
-        last.saturating_sub(first).unsigned_abs(),
-    );
-    let related = estimate_course(
-        &|| streams::board(board, progress),
-        &|| streams::camera(input, progress),
+        (board, (BoardNanos(first), BoardNanos(last))),
+        (&|| streams::camera(input, progress), options),
         None,
-        &options,
         EVERY,
-        &|at| progress.at(at.saturating_sub(first).unsigned_abs()),
+        progress,
     );
-    progress.end();
-    match related {
-        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
-        // Without a relation the pulses stay ambiguous, which is what is said.
-        Err(_) => Ok(None),
-        Ok(clock) => {
-            let (from, to) = clock.course.span();
-            let at = 0.5 * (from + to);
-            let model = clock.course.at(at);
-            let board = (at * 1e9).round() as i64;
-            let offset = (model.offset * 1e9).round() as i64;
-            let map = AffineMap::new(
-                DeviceNanos(board.saturating_add(offset)),
-                BoardNanos(board),
-                1.0 / (1.0 + model.skew) - 1.0,
-            );
-            Ok(map.map(|map| Hint::Clock {
-                map,
-                sigma: CAMERA_SIGMA,
-                center: constants.depth_center_ns,
-            }))
-        }
-    }
+    // Without a relation the pulses stay ambiguous, which is what is said.
+    let Ok(clock) = related? else {
+        return Ok(None);
+    };
+    let (from, to) = clock.course.span();
+    let at = 0.5 * (from + to);
+    let model = clock.course.at(at);
+    let board = (at * 1e9).round() as i64;
+    let offset = (model.offset * 1e9).round() as i64;
+    let map = AffineMap::new(
+        DeviceNanos(board.saturating_add(offset)),
+        BoardNanos(board),
+        1.0 / (1.0 + model.skew) - 1.0,
+    );
+    Ok(map.map(|map| Hint::Clock {
+        map,
+        sigma: CAMERA_SIGMA,
+        center: constants.depth_center_ns,
+    }))
 }
 
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.

@@ -20,21 +20,21 @@ const ALIKE: f64 = 200e3;
 pub(crate) struct FrameTiming {
     /// Exposure of a row, ns.
     pub(crate) exposure: Option<i64>,
-    /// From the first row's to the last row's start of exposure, ns.
-    pub(crate) readout: Option<i64>,
+    /// From the first row's start of exposure to that of the row that is synchronised, ns.
+    pub(crate) middle_row: Option<i64>,
 }
 
 impl FrameTiming {
     /// From the timestamp (start of exposure of the first row) to the middle of
     /// exposure of the middle row. Parts that are not known count as 0.
-    pub(crate) fn to_middle(&self) -> i64 {
-        let half = |part: Option<i64>| part.unwrap_or(0) / 2;
-        half(self.exposure).saturating_add(half(self.readout))
+    pub(crate) fn to_middle(self) -> i64 {
+        let half_exposure = self.exposure.unwrap_or(0) / 2;
+        half_exposure.saturating_add(self.middle_row.unwrap_or(0))
     }
 
     /// Whether both parts are known.
-    pub(crate) fn is_known(&self) -> bool {
-        self.exposure.is_some() && self.readout.is_some()
+    pub(crate) fn is_known(self) -> bool {
+        self.exposure.is_some() && self.middle_row.is_some()
     }
 }
 
@@ -72,24 +72,14 @@ pub(crate) fn align(images: &[i64], stamps: &[PhoneNanos]) -> Alignment {
     let period = period(stamps);
     let mut tries: Vec<Try> = Vec::new();
     // The first image has row k, or the first row has image k.
+    let first_image = images.first().copied().unwrap_or(0);
     for shift in 0..MAX_SHIFT {
-        if let Some(stamp) = stamps.get(shift) {
-            tries.extend(match_at(
-                images,
-                stamps,
-                difference(stamp.0, images.first()),
-                period,
-            ));
-        }
-        if shift > 0
-            && let (Some(image), Some(stamp)) = (images.get(shift), stamps.first())
-        {
-            tries.extend(match_at(
-                images,
-                stamps,
-                difference(stamp.0, Some(image)),
-                period,
-            ));
+        let rows = stamps.get(shift).map(|stamp| (stamp, first_image));
+        let image = images.get(shift).filter(|_| shift > 0);
+        let images_first = stamps.first().zip(image.copied());
+        for (stamp, image) in rows.into_iter().chain(images_first) {
+            let offset = i128::from(stamp.0) - i128::from(image);
+            tries.extend(match_at(images, stamps, offset, period));
         }
     }
     let better = |a: &Try, b: &Try| {
@@ -192,10 +182,6 @@ fn match_at(images: &[i64], stamps: &[PhoneNanos], offset: i128, period: f64) ->
         scatter: (squares / matched.max(1) as f64).sqrt(),
         rows,
     })
-}
-
-fn difference(stamp: i64, image: Option<&i64>) -> i128 {
-    i128::from(stamp) - i128::from(image.copied().unwrap_or(0))
 }
 
 /// Median distance of the timestamps, ns.

@@ -6,7 +6,7 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::sync_channel;
 
 use rayon::prelude::*;
 use video::{Video, VideoError};
@@ -78,50 +78,28 @@ pub(crate) fn write_depth(
     layout: &dyn Layout,
     progress: &dyn Progress,
 ) -> Result<DepthOutcome, ImagesError> {
-    let mut images = input.images()?;
-    let (sender, receiver) = sync_channel::<Result<Vec<DepthImage>, DepthError>>(1);
-    std::thread::scope(|scope| {
-        scope.spawn(move || {
-            let mut batch = Batch::new(sender);
-            loop {
-                match images.next_images() {
-                    Ok(Some(images)) => {
-                        for image in images {
-                            let bytes =
-                                image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len);
-                            if !batch.push(image, bytes) {
-                                return;
-                            }
-                        }
-                    }
-                    Ok(None) => {
-                        batch.send();
-                        return;
-                    }
-                    Err(error) => {
-                        batch.fail(error);
-                        return;
-                    }
-                }
-            }
-        });
-        let mut outcome = DepthOutcome::default();
-        progress.begin("writing depth images", places.len() as u64);
-        each_batch(receiver, progress, |batch: Vec<DepthImage>| {
-            let last = batch.last().map_or(0, |image| image.index);
-            let results: Vec<Result<OneDepth, ImagesError>> = batch
-                .par_iter()
-                .map(|image| write_one(image, places.get(image.index), size, layout))
-                .collect();
-            for result in results {
-                outcome.take(result?);
-            }
-            progress.at(last as u64 + 1);
-            Ok(())
-        })?;
-        progress.end();
-        Ok(outcome)
-    })
+    let mut outcome = DepthOutcome::default();
+    progress.begin("writing depth images", places.len() as u64);
+    let bytes =
+        |image: &DepthImage| image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len);
+    let written = in_batches(input.images()?, bytes, progress, |batch| {
+        let last = batch.last().map_or(0, |image| image.index);
+        let results: Vec<Result<OneDepth, ImagesError>> = batch
+            .par_iter()
+            .map(|image| write_one(image, places.get(image.index), size, layout))
+            .collect();
+        for result in results {
+            outcome.take(result?);
+        }
+        progress.at(last as u64 + 1);
+        Ok(())
+    });
+    match written {
+        Ok(()) => progress.end(),
+        Err(BatchError::Source(error)) => return Err(error.into()),
+        Err(BatchError::Images(error)) => return Err(error),
+    }
+    Ok(outcome)
 }
 
 struct OneDepth {
@@ -220,62 +198,38 @@ pub(crate) fn write_video(
     places: &[Option<PathBuf>],
     progress: &dyn Progress,
 ) -> Result<VideoOutcome, ImagesError> {
-    let (sender, receiver) = sync_channel::<Result<Vec<(usize, Vec<u8>)>, VideoError>>(1);
+    let mut video = video;
     let size = (video.info().width, video.info().height);
-    std::thread::scope(|scope| {
-        scope.spawn(move || {
-            let mut video = video;
-            let mut batch = Batch::new(sender);
-            let mut index = 0;
-            loop {
-                let mut frame = Vec::new();
-                match video.next_frame(&mut frame) {
-                    Ok(true) => {
-                        let bytes = frame.len();
-                        if !batch.push((index, frame), bytes) {
-                            return;
-                        }
-                        index += 1;
-                    }
-                    Ok(false) => {
-                        batch.send();
-                        return;
-                    }
-                    Err(error) => {
-                        batch.fail(error);
-                        return;
-                    }
-                }
-            }
-        });
-        let mut outcome = VideoOutcome::default();
-        progress.begin("decoding the phone's video", places.len() as u64);
-        let mut failed = None;
-        let each = |batch: Vec<(usize, Vec<u8>)>| {
-            outcome.decoded += batch.len() as u64;
-            outcome.size.get_or_insert(size);
-            let written: Result<Vec<bool>, ImagesError> = batch
-                .par_iter()
-                .map(|(index, frame)| match places.get(*index) {
-                    Some(Some(path)) => {
-                        write_missing(path, size, Pixels::Rgb8(frame)).map(|()| true)
-                    }
-                    _ => Ok(false),
-                })
-                .collect();
-            outcome.written += written?.into_iter().filter(|&written| written).count() as u64;
-            progress.at(outcome.decoded);
-            Ok(())
-        };
-        match each_batch(receiver, progress, each) {
-            Ok(()) => {}
-            Err(BatchError::Source(error)) => failed = Some(error.to_string()),
-            Err(BatchError::Images(error)) => return Err(error),
-        }
-        outcome.error = failed;
-        progress.end();
-        Ok(outcome)
-    })
+    let frames = std::iter::from_fn(move || {
+        let mut frame = Vec::new();
+        let there = video.next_frame(&mut frame);
+        there.map(|there| there.then_some(frame)).transpose()
+    });
+    let frames = frames.enumerate().map(|(index, frame)| Ok((index, frame?)));
+    let mut outcome = VideoOutcome::default();
+    progress.begin("decoding the phone's video", places.len() as u64);
+    let bytes = |(_, frame): &(usize, Vec<u8>)| frame.len();
+    let written = in_batches(frames, bytes, progress, |batch| {
+        outcome.decoded += batch.len() as u64;
+        outcome.size.get_or_insert(size);
+        let written: Result<Vec<bool>, ImagesError> = batch
+            .par_iter()
+            .map(|(index, frame)| match places.get(*index) {
+                Some(Some(path)) => write_missing(path, size, Pixels::Rgb8(frame)).map(|()| true),
+                _ => Ok(false),
+            })
+            .collect();
+        outcome.written += written?.into_iter().filter(|&written| written).count() as u64;
+        progress.at(outcome.decoded);
+        Ok(())
+    });
+    match written {
+        Ok(()) => {}
+        Err(BatchError::Source(error)) => outcome.error = Some(VideoError::to_string(&error)),
+        Err(BatchError::Images(error)) => return Err(error),
+    }
+    progress.end();
+    Ok(outcome)
 }
 
 /// An error of the reading or of the writing side.
@@ -284,66 +238,46 @@ enum BatchError<E> {
     Images(ImagesError),
 }
 
-impl From<BatchError<DepthError>> for ImagesError {
-    fn from(error: BatchError<DepthError>) -> Self {
-        match error {
-            BatchError::Source(error) => error.into(),
-            BatchError::Images(error) => error,
-        }
-    }
-}
-
-/// Takes batches until the reader ends. The receiver is dropped on leaving, so that
-/// a reader that still sends stops.
-fn each_batch<T, E>(
-    receiver: Receiver<Result<Vec<T>, E>>,
+/// Reads in a thread of its own, and gives what it reads to `each` in batches, whose
+/// size is told by `bytes`. What was read before an error is given too.
+fn in_batches<T: Send, E: Send>(
+    mut source: impl Iterator<Item = Result<T, E>> + Send,
+    bytes: impl Fn(&T) -> usize + Send,
     progress: &dyn Progress,
     mut each: impl FnMut(Vec<T>) -> Result<(), ImagesError>,
 ) -> Result<(), BatchError<E>> {
-    for batch in receiver {
-        if progress.cancelled() {
-            return Err(BatchError::Images(ImagesError::Cancelled));
+    let (sender, receiver) = sync_channel::<Result<Vec<T>, E>>(1);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            let mut more = true;
+            while more {
+                let (mut batch, mut size, mut failure) = (Vec::new(), 0, None);
+                while more && size < BATCH_BYTES && batch.len() < BATCH_IMAGES {
+                    match source.next() {
+                        Some(Ok(item)) => {
+                            size += bytes(&item);
+                            batch.push(item);
+                        }
+                        Some(Err(error)) => (failure, more) = (Some(error), false),
+                        None => more = false,
+                    }
+                }
+                let batch = (!batch.is_empty()).then_some(Ok(batch));
+                for message in batch.into_iter().chain(failure.map(Err)) {
+                    // Nobody listens any more: the writing side has ended.
+                    if sender.send(message).is_err() {
+                        return;
+                    }
+                }
+            }
+        });
+        // The receiver is dropped on leaving, so that a reader that still sends stops.
+        for batch in receiver {
+            if progress.cancelled() {
+                return Err(BatchError::Images(ImagesError::Cancelled));
+            }
+            each(batch.map_err(BatchError::Source)?).map_err(BatchError::Images)?;
         }
-        each(batch.map_err(BatchError::Source)?).map_err(BatchError::Images)?;
-    }
-    Ok(())
-}
-
-/// Collects items and sends them in batches.
-struct Batch<T, E> {
-    sender: SyncSender<Result<Vec<T>, E>>,
-    items: Vec<T>,
-    bytes: usize,
-}
-
-impl<T, E> Batch<T, E> {
-    fn new(sender: SyncSender<Result<Vec<T>, E>>) -> Self {
-        Self {
-            sender,
-            items: Vec::new(),
-            bytes: 0,
-        }
-    }
-
-    /// False if nobody listens any more.
-    fn push(&mut self, item: T, bytes: usize) -> bool {
-        self.items.push(item);
-        self.bytes += bytes;
-        if self.bytes >= BATCH_BYTES || self.items.len() >= BATCH_IMAGES {
-            return self.send();
-        }
-        true
-    }
-
-    fn send(&mut self) -> bool {
-        self.bytes = 0;
-        let items = std::mem::take(&mut self.items);
-        items.is_empty() || self.sender.send(Ok(items)).is_ok()
-    }
-
-    fn fail(&mut self, error: E) {
-        if self.send() {
-            let _ = self.sender.send(Err(error));
-        }
-    }
+        Ok(())
+    })
 }

@@ -76,8 +76,8 @@ impl PhoneInput {
 pub(crate) struct RigFacts {
     /// Exposure of a row of the phone, ns.
     pub(crate) exposure_ns: Option<i64>,
-    /// From the first to the last row of the phone, ns.
-    pub(crate) readout_ns: Option<i64>,
+    /// From the first row of the phone to the one that is synchronised, ns.
+    pub(crate) middle_row_ns: Option<i64>,
     /// From the trigger pulse to the depth timestamp, ns.
     pub(crate) depth_center_ns: Option<i64>,
     /// Low-pass delay of the board's IMU, ns.
@@ -322,7 +322,7 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
         .and_then(|exposure| i64::try_from(exposure).ok());
     RigFacts {
         exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
-        readout_ns: nanos(2.0 * phone.middle_row_us()),
+        middle_row_ns: nanos(phone.middle_row_us()),
         phone_imu_delay_ns: nanos(phone.gyro_delay_us),
         prior: said.and_then(|said| said.clock).map(prior),
         ..rig
@@ -360,10 +360,13 @@ fn ends_with(path: &Path, endings: &[&str]) -> bool {
     endings.iter().any(|ending| name.ends_with(ending))
 }
 
+const BAG: [&str; 2] = [".bag", ".bag.active"];
+const MKV: [&str; 1] = [".mkv"];
+
 fn board_file(path: &Path) -> Option<BoardInput> {
     if ends_with(path, &[".mcap"]) {
         Some(BoardInput::Mcap(path.to_owned(), Moves::default()))
-    } else if ends_with(path, &[".bag", ".bag.active"]) {
+    } else if ends_with(path, &BAG) {
         Some(BoardInput::Bag(path.to_owned()))
     } else {
         None
@@ -383,12 +386,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
     };
     RigFacts {
         exposure_ns: exposure,
-        // The image's time is that of the row that is synchronised: half of a
-        // readout is taken to it.
-        readout_ns: match alignment {
-            Some(alignment) => nanos(2.0 * alignment.middle_row_us),
-            None => nanos(profile.phone.readout_us),
-        },
+        middle_row_ns: nanos(alignment.map_or(profile.middle_row_us(), |a| a.middle_row_us)),
         // A measured bias says that the depth image is exposed later than its
         // nominal centre, against the phone's middle row.
         depth_center_ns: nanos(center + bias),
@@ -407,27 +405,28 @@ fn nanos(us: f64) -> Option<i64> {
     within.then(|| (us * 1000.0).round() as i64)
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
+/// The files of a folder whose names end so, in order.
+fn files_in(folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, InputsError> {
     let fail = |error| InputsError::Io {
         path: folder.to_owned(),
         error,
     };
     let mut paths = Vec::new();
     for entry in fs::read_dir(folder).map_err(fail)? {
-        paths.push(entry.map_err(fail)?.path());
+        let path = entry.map_err(fail)?.path();
+        if path.is_file() && ends_with(&path, endings) {
+            paths.push(path);
+        }
     }
     paths.sort();
     Ok(paths)
 }
 
 fn names(paths: &[PathBuf]) -> Vec<String> {
-    let name = |path: &PathBuf| {
-        path.file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned()
-    };
-    paths.iter().map(name).collect()
+    let names = paths.iter().filter_map(|path| path.file_name());
+    names
+        .map(|name| name.to_string_lossy().into_owned())
+        .collect()
 }
 
 fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
@@ -435,11 +434,7 @@ fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
     if own.is_file() {
         return Ok(BoardInput::Mcap(own, Moves::default()));
     }
-    let bags: Vec<PathBuf> = entries(folder)?
-        .into_iter()
-        .filter(|path| path.is_file() && matches!(board_file(path), Some(BoardInput::Bag(_))))
-        .collect();
-    match bags.as_slice() {
+    match files_in(folder, &BAG)?.as_slice() {
         [bag] => Ok(BoardInput::Bag(bag.clone())),
         [] => Err(InputsError::NotARecording {
             path: folder.to_owned(),
@@ -457,7 +452,7 @@ fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
         path: path.to_owned(),
         error,
     })?;
-    if ends_with(path, &[".mkv"]) {
+    if ends_with(path, &MKV) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else {
         Err(InputsError::NotDepth {
@@ -467,16 +462,30 @@ fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
 }
 
 fn find_depth(folder: &Path) -> Result<Option<DepthInput>, InputsError> {
-    let files: Vec<PathBuf> = entries(folder)?
-        .into_iter()
-        .filter(|path| path.is_file() && ends_with(path, &[".mkv"]))
-        .collect();
-    match files.as_slice() {
+    match files_in(folder, &MKV)?.as_slice() {
         [] => Ok(None),
         [file] => Ok(Some(DepthInput::Mkv(file.clone()))),
         several => Err(InputsError::SeveralDepth {
             path: folder.to_owned(),
             names: names(several),
         }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use recording::profile::Profile;
+
+    #[test]
+    fn the_row_is_the_profile_s_where_nothing_was_aligned() {
+        let facts = |text: &str| {
+            let profile = Profile::parse(text, None).unwrap();
+            facts_of(&SessionFile::new(String::from("walk"), profile))
+        };
+        let phone = "[phone]\nreadout_us = 10000\nrows = 1001\n";
+        assert_eq!(facts(phone).middle_row_ns, Some(5_000_000));
+        let row = format!("{phone}middle_row = 250\n");
+        assert_eq!(facts(&row).middle_row_ns, Some(2_500_000));
     }
 }

@@ -9,7 +9,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::report::{ClockReport, Report};
+use super::report::{ClockReport, ExtractReport};
 use frame_sync::learn::{into_profile as edited, learnt as taught};
 use recording::profile::{Learnt, ProfileError};
 
@@ -74,7 +74,7 @@ fn learnt(
 ///
 /// There is too little to learn from of any phone, or the profile cannot be read or
 /// written.
-pub fn into_profile(report: &Report, path: &Path) -> Result<String, LearnError> {
+pub fn into_profile(report: &ExtractReport, path: &Path) -> Result<String, LearnError> {
     let io = |error| LearnError::Io {
         path: path.to_owned(),
         error,
@@ -139,8 +139,8 @@ mod tests {
         }
     }
 
-    fn report(first: Option<ClockReport>, other: Option<ClockReport>) -> Report {
-        Report {
+    fn report(first: Option<ClockReport>, other: Option<ClockReport>) -> ExtractReport {
+        ExtractReport {
             version: 1,
             recording: String::from("walk"),
             format: Format::Tum,
@@ -174,7 +174,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");
         let before = "[phone]\nname = \"left\"\n\n[[phones]]\nname = \"right\"\naddress = \"x\"\n";
-        let of = |report: &Report| {
+        let of = |report: &ExtractReport| {
             std::fs::write(&path, before).unwrap();
             let said = into_profile(report, &path);
             let text = std::fs::read_to_string(&path).unwrap();

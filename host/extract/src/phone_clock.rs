@@ -5,20 +5,20 @@
 //! Where the board was reset, each run has a relation of its own, which also says where
 //! the run lies ([`super::later_runs`]).
 
-use super::board_data::{BoardError, BoardInput};
+use super::board_data::BoardInput;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
 use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
 use super::report::{ClockReport, Constants};
-use super::streams::{self, StreamError};
+use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::frame_period;
 use phone::video_files::VideoFiles;
 use timebase::ClockModel;
-use twist_sync::{ClockCourse, Options, Prior, RecordingClock, RecordingError, estimate_course};
+use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
 /// How far a recorded offset may be off, s.
 const RECORDED_MARGIN: f64 = 0.5;
@@ -55,15 +55,6 @@ struct RunClock {
     course: Option<ClockCourse>,
     /// Without a course: phone less board, ns.
     offset: i64,
-}
-
-/// Why looking for it ended.
-#[derive(Debug)]
-pub(crate) enum Stopped {
-    /// The user stopped it.
-    Cancelled,
-    /// The board's recording cannot be read.
-    Board(BoardError),
 }
 
 /// What becomes of the board's runs, where there are several.
@@ -194,32 +185,25 @@ fn find_run(
         b_delay_s: constants.phone_imu_delay_ns as f64 * 1e-9,
         ..Options::of_windows()
     };
-    progress.begin(
+    let related = streams::related(
         "relating the phone's clock",
-        span.1.0.saturating_sub(span.0.0).unsigned_abs(),
-    );
-    let related = estimate_course(
-        &|| streams::board_between(board, span, progress),
-        &|| streams::phone(gyro),
+        (board, span),
+        (&|| streams::phone(gyro), options),
         prior,
-        &options,
         1,
-        &|at| progress.at(at.saturating_sub(span.0.0).unsigned_abs()),
+        progress,
     );
-    progress.end();
-    match related {
-        Ok(gyros) => Ok(Ok((
+    Ok(match related? {
+        Ok(gyros) => Ok((
             RunClock {
                 course: Some(gyros.course.clone()),
                 gyros: Some(gyros),
                 ..RunClock::new(span, "gyroscopes")
             },
             None,
-        ))),
-        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
-        Err(error) => Ok(from_prior(prior, span, &error.to_string())),
-    }
+        )),
+        Err(why) => from_prior(prior, span, &why),
+    })
 }
 
 /// The published system's `/mcu_s10_ts`: the last pair of times.
@@ -238,7 +222,7 @@ fn from_prior(
     match prior {
         None => Err(format!("phone time cannot be related to board time: {why}")),
         Some(Prior::Relation(model)) => {
-            let course = ClockCourse::from_estimates(&[model.into()], model.wander)
+            let course = ClockCourse::from_estimates(&[model], model.wander)
                 .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
             let run = RunClock {
                 course: Some(course),

@@ -13,8 +13,10 @@ use crate::time::PhoneNanos;
 /// How many damaged rows are kept with their text.
 const MAX_FAULTS: usize = 20;
 
+type FileRows = Rows<BufReader<File>>;
+
 pub(crate) struct PhoneRows {
-    rows: Rows<BufReader<File>>,
+    rows: FileRows,
     faults: Faults,
 }
 
@@ -43,7 +45,7 @@ impl PhoneRows {
 
     fn next_whole<T>(
         &mut self,
-        next: fn(&mut Rows<BufReader<File>>) -> Result<Option<T>, RowError>,
+        next: fn(&mut FileRows) -> Result<Option<T>, RowError>,
     ) -> io::Result<Option<T>> {
         loop {
             match next(&mut self.rows) {

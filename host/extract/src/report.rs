@@ -28,7 +28,7 @@ pub struct Loss {
 
 /// Everything there is to say.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Report {
+pub struct ExtractReport {
     /// Version of this form.
     pub version: u32,
     /// Name of the recording.
@@ -258,7 +258,7 @@ pub struct SequenceReport {
     pub pairs: usize,
 }
 
-impl Report {
+impl ExtractReport {
     /// The report as text for a terminal.
     #[must_use]
     pub fn text(&self) -> String {

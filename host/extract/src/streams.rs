@@ -3,12 +3,15 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
 use super::depth::{DepthError, DepthInput};
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
-use twist_sync::{GyroSample, GyroStream};
+use twist_sync::{
+    GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
+    estimate_course,
+};
 
 /// Samples between two looks at whether to stop.
 const LOOK: u64 = 8192;
@@ -35,6 +38,41 @@ pub(crate) enum StreamError {
     Cancelled,
 }
 
+/// Why a step of the extraction ended before its end.
+#[derive(Debug)]
+pub(crate) enum Stopped {
+    /// The user stopped it.
+    Cancelled,
+    /// The board's recording cannot be read.
+    Board(BoardError),
+}
+
+/// Goes over all that the board recorded, and gives back what could not be read.
+pub(crate) fn each_event<E: From<Stopped>>(
+    input: &BoardInput,
+    images: Images,
+    what: &str,
+    progress: &dyn Progress,
+    mut each: impl FnMut(BoardEvent) -> Result<(), E>,
+) -> Result<Vec<String>, E> {
+    let mut stream = input.open(images).map_err(Stopped::Board)?;
+    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+    progress.begin(what, length);
+    let mut count = 0_u64;
+    while let Some(event) = stream.next_event().map_err(Stopped::Board)? {
+        each(event)?;
+        count += 1;
+        if count.is_multiple_of(LOOK) {
+            progress.at(stream.position());
+            if progress.cancelled() {
+                return Err(Stopped::Cancelled.into());
+            }
+        }
+    }
+    progress.end();
+    Ok(stream.damage())
+}
+
 /// The board's gyroscope.
 ///
 /// # Errors
@@ -44,12 +82,55 @@ pub(crate) fn board<'a>(
     input: &BoardInput,
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    Ok(Box::new(BoardGyro {
-        stream: input.open(Images::Skip)?,
-        progress,
-        count: 0,
-        last: i64::MIN,
-    }))
+    let mut stream = input.open(Images::Skip)?;
+    let mut count = 0_u64;
+    let mut last = i64::MIN;
+    Ok(Box::new(std::iter::from_fn(move || {
+        loop {
+            count += 1;
+            if count.is_multiple_of(LOOK) && progress.cancelled() {
+                return Some(Err(StreamError::Cancelled));
+            }
+            match stream.next_event() {
+                Err(error) => return Some(Err(error.into())),
+                Ok(None) => return None,
+                // Windows are cut in order of time.
+                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
+                    last = row.at.0;
+                    return Some(Ok(GyroSample {
+                        at: last,
+                        rate: row.gyro,
+                    }));
+                }
+                Ok(Some(_)) => {}
+            }
+        }
+    })))
+}
+
+/// Relates the clock of another gyroscope to the board's within a span, taking each
+/// `every`-th window. The inner error says in words why there is no relation.
+pub(crate) fn related<'a>(
+    what: &str,
+    (input, (from, to)): (&'a BoardInput, (BoardNanos, BoardNanos)),
+    (other, options): (GyroOpener<'a, StreamError>, Options),
+    prior: Option<Prior>,
+    every: usize,
+    progress: &'a dyn Progress,
+) -> Result<Result<RecordingClock, String>, Stopped> {
+    let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
+    progress.begin(what, way(to));
+    let board = || board_between(input, (from, to), progress);
+    let related = estimate_course(&board, other, prior, &options, every, &|at| {
+        progress.at(way(BoardNanos(at)))
+    });
+    progress.end();
+    match related {
+        Ok(clock) => Ok(Ok(clock)),
+        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        Err(error) => Ok(Err(error.to_string())),
+    }
 }
 
 /// The board's gyroscope within a span.
@@ -62,51 +143,15 @@ pub(crate) fn board_between<'a>(
     (from, to): (BoardNanos, BoardNanos),
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let behind = move |sample: &Result<GyroSample, StreamError>| {
-        sample.as_ref().is_ok_and(|sample| sample.at > to.0)
-    };
     let before = move |sample: &Result<GyroSample, StreamError>| {
         sample.as_ref().is_ok_and(|sample| sample.at < from.0)
     };
-    let samples = board(input, progress)?;
+    let until = move |sample: &Result<GyroSample, StreamError>| {
+        sample.as_ref().map_or(true, |sample| sample.at <= to.0)
+    };
     Ok(Box::new(
-        samples
-            .skip_while(before)
-            .take_while(move |sample| !behind(sample)),
+        board(input, progress)?.skip_while(before).take_while(until),
     ))
-}
-
-struct BoardGyro<'a> {
-    stream: Box<dyn BoardStream>,
-    progress: &'a dyn Progress,
-    count: u64,
-    last: i64,
-}
-
-impl Iterator for BoardGyro<'_> {
-    type Item = Result<GyroSample, StreamError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            self.count += 1;
-            if self.count.is_multiple_of(LOOK) && self.progress.cancelled() {
-                return Some(Err(StreamError::Cancelled));
-            }
-            match self.stream.next_event() {
-                Err(error) => return Some(Err(error.into())),
-                Ok(None) => return None,
-                // Windows are cut in order of time.
-                Ok(Some(BoardEvent::Imu(row))) if row.at.0 > self.last => {
-                    self.last = row.at.0;
-                    return Some(Ok(GyroSample {
-                        at: row.at.0,
-                        rate: row.gyro,
-                    }));
-                }
-                Ok(Some(_)) => {}
-            }
-        }
-    }
 }
 
 /// The phone's gyroscope.

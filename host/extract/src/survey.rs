@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, Images, TimePair};
+use super::board_data::{BoardEvent, BoardInput, Images, TimePair};
 use super::depth_clock::PulseTime;
 use super::later_runs::RunMark;
 use super::progress::Progress;
+use super::streams::{Stopped, each_event};
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
 
@@ -108,21 +109,15 @@ impl Survey {
     }
 }
 
-/// Reads the recording once. `None` if it was stopped.
+/// Reads the recording once.
 ///
 /// # Errors
 ///
-/// The recording cannot be read.
-pub(crate) fn survey(
-    input: &BoardInput,
-    progress: &dyn Progress,
-) -> Result<Option<Survey>, BoardError> {
-    let mut stream = input.open(Images::Stamps)?;
-    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
-    progress.begin("reading the board's recording", length);
+/// Stopped, or the recording cannot be read.
+pub(crate) fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Survey, Stopped> {
     let mut out = Survey::default();
-    let mut events = 0_u64;
-    while let Some(event) = stream.next_event()? {
+    let what = "reading the board's recording";
+    out.damage = each_event(input, Images::Stamps, what, progress, |event| {
         match event {
             BoardEvent::Imu(row) => out.imu.add(row.at.0),
             BoardEvent::Pulse(pulse) => out.pulses.push(pulse),
@@ -137,17 +132,9 @@ pub(crate) fn survey(
                 out.former_clocks.push(out.clocks.clone());
             }
         }
-        events += 1;
-        if events.is_multiple_of(4096) {
-            progress.at(stream.position());
-            if progress.cancelled() {
-                return Ok(None);
-            }
-        }
-    }
-    progress.end();
-    out.damage = stream.damage();
+        Ok::<(), Stopped>(())
+    })?;
     out.pulses.sort_by_key(|pulse| (pulse.at, pulse.number));
     out.pulses.dedup_by_key(|pulse| (pulse.train, pulse.number));
-    Ok(Some(out))
+    Ok(out)
 }

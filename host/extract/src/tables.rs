@@ -58,7 +58,7 @@ pub(crate) fn color_frames(
     timing: FrameTiming,
 ) -> Vec<ColorFrame> {
     let frame = |(row, &phone): (usize, &PhoneNanos)| {
-        // Half of the exposure and of the readout pass on the phone's clock.
+        // Half of the exposure and the way to the row pass on the phone's clock.
         let middle = PhoneNanos(phone.0.saturating_add(timing.to_middle()));
         Some(ColorFrame {
             phone,
@@ -121,12 +121,32 @@ fn write_rows<T>(
     file.finish()
 }
 
+/// Writes the tables of a phone that have rows: its frames, and their pairs.
+///
+/// # Errors
+///
+/// Writing fails.
+pub(crate) fn write_phone(
+    folder: &Path,
+    color: &[ColorFrame],
+    pairs: &[Pair],
+    depth: &[DepthFrame],
+) -> io::Result<()> {
+    if !color.is_empty() {
+        write_color(&folder.join("phone_frames.csv"), color)?;
+    }
+    if !pairs.is_empty() {
+        write_pairs(&folder.join("pairs.csv"), pairs, color, depth)?;
+    }
+    Ok(())
+}
+
 /// Writes `phone_frames.csv`.
 ///
 /// # Errors
 ///
 /// Writing fails.
-pub(crate) fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
+fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
     let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame";
     write_rows(path, header, frames, |text, index, frame| {
         let image = optional(frame.image);
@@ -212,7 +232,7 @@ pub(crate) fn write_pulses(
 /// # Errors
 ///
 /// Writing fails.
-pub(crate) fn write_pairs(
+fn write_pairs(
     path: &Path,
     pairs: &[Pair],
     color: &[ColorFrame],

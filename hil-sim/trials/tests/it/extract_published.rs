@@ -9,7 +9,7 @@ use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::{Progress, Silent};
-use extract::report::Report;
+use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
 
 fn script(name: &str) -> PathBuf {
@@ -48,7 +48,7 @@ fn job(folder: &Path, format: Format) -> Job {
     }
 }
 
-fn extract(folder: &Path, format: Format) -> (Report, PathBuf) {
+fn extract(folder: &Path, format: Format) -> (ExtractReport, PathBuf) {
     let job = job(folder, format);
     (run(&job, &Silent).unwrap(), job.out)
 }

@@ -10,7 +10,7 @@ use crate::turn;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
-use extract::report::Report;
+use extract::report::ExtractReport;
 use extract::run::{Job, run};
 
 struct Case {
@@ -31,7 +31,7 @@ impl Case {
         self.folder.path().join("out")
     }
 
-    fn extract(&self, options: Options) -> Report {
+    fn extract(&self, options: Options) -> ExtractReport {
         let job = Job {
             recording: self.folder.path().join("recording"),
             phone: None,
@@ -281,7 +281,7 @@ fn damaged_and_missing_parts_leave_the_rest() {
     });
     let recording = case.folder.path().join("recording");
     let whole = case.extract(Options::default());
-    let said = |report: &Report, part: &str, what: &str| {
+    let said = |report: &ExtractReport, part: &str, what: &str| {
         let found = report
             .losses
             .iter()

@@ -12,7 +12,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_numbers};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::BoardNanos;
@@ -52,9 +52,7 @@ struct Noise {
 }
 
 fn imu_row(row: &mut String, sample: &ImuRow) {
-    let _ = write!(row, "{}", sample.at.0);
-    push_numbers(row, &sample.gyro);
-    push_numbers(row, &sample.accel);
+    push_sample(row, sample);
     row.push('\n');
 }
 

@@ -9,7 +9,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::SequenceTables;
+use super::{SequenceTables, harmless};
 use crate::board_data::{LIDAR_TOPIC, OUTPUT_TOPICS};
 use crate::image::write_whole;
 
@@ -39,9 +39,7 @@ pub(super) fn write(folder: &Path, tables: &SequenceTables) -> io::Result<()> {
                 _ => writeln!(text, "{}", pair.stamp.0),
             };
         }
-        // The name comes out of a file: only what is harmless in a file name stays.
-        let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-        let mut name: String = name.chars().take(120).map(harmless).collect();
+        let mut name = harmless(name);
         while !taken.insert(name.clone()) {
             name.push('_');
         }

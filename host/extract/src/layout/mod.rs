@@ -154,15 +154,21 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
     }
 }
 
-/// Appends numbers with commas, each in its shortest form that reads back to the
-/// same number.
-fn push_numbers(row: &mut String, numbers: &[f64]) {
+/// A sample's time, rates and accelerations, with commas.
+fn push_sample(row: &mut String, sample: &ImuRow) {
     use std::fmt::Write;
-    for number in numbers {
-        row.push(',');
-        // Writing into a String cannot fail.
-        let _ = write!(row, "{number}");
+    // Writing into a String cannot fail.
+    let _ = write!(row, "{}", sample.at.0);
+    for number in sample.gyro.iter().chain(&sample.accel) {
+        // Each in its shortest form that reads back to the same number.
+        let _ = write!(row, ",{number}");
     }
+}
+
+/// A name that comes out of a file: only what is harmless in a file name stays.
+fn harmless(name: &str) -> String {
+    let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    name.chars().take(120).map(harmless).collect()
 }
 
 /// `name.extension` of a relative path with forward slashes, as the formats have it.

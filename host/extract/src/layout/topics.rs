@@ -16,7 +16,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_numbers};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, harmless, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::BoardNanos;
@@ -28,9 +28,7 @@ const DEPTH: &str = "_azure_depth_image_raw";
 const INFRARED: &str = "_azure_ir_image_raw";
 
 fn imu_row(row: &mut String, sample: &ImuRow) {
-    let _ = write!(row, "{}", sample.at.0);
-    push_numbers(row, &sample.gyro);
-    push_numbers(row, &sample.accel);
+    push_sample(row, sample);
     row.push(',');
     if let Some(temperature) = sample.temperature {
         let _ = write!(row, "{temperature}");
@@ -39,9 +37,7 @@ fn imu_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn phone_imu_row(row: &mut String, sample: &ImuRow) {
-    let _ = write!(row, "{}", sample.at.0);
-    push_numbers(row, &sample.gyro);
-    push_numbers(row, &sample.accel);
+    push_sample(row, sample);
     row.push('\n');
 }
 
@@ -92,18 +88,13 @@ impl Layout for Topics {
             for pair in tables.times.iter().filter(|pair| &*pair.topic == topic) {
                 let _ = writeln!(text, "{},{},{}", pair.seq, pair.stamp.0, pair.other);
             }
-            let name = topic_folder(topic);
-            write_whole(&folder.join(name).join("time_ref.csv"), text.as_bytes())?;
+            write_whole(
+                &folder.join(harmless(topic)).join("time_ref.csv"),
+                text.as_bytes(),
+            )?;
         }
         Ok(())
     }
-}
-
-/// The folder of a topic. The name comes out of a file: only what is harmless in
-/// a file name stays.
-fn topic_folder(topic: &str) -> String {
-    let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
-    topic.chars().take(120).map(harmless).collect()
 }
 
 fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
@@ -123,8 +114,8 @@ mod tests {
 
     #[test]
     fn topics_are_folders_and_nothing_else() {
-        assert_eq!(topic_folder("/mcu_cameras_ts"), "_mcu_cameras_ts");
-        assert_eq!(topic_folder("/../../etc/passwd"), "_______etc_passwd");
+        assert_eq!(harmless("/mcu_cameras_ts"), "_mcu_cameras_ts");
+        assert_eq!(harmless("/../../etc/passwd"), "_______etc_passwd");
     }
 
     #[test]

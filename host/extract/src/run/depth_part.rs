@@ -1,6 +1,6 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
-use super::{ExtractError, Run};
+use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
@@ -19,7 +19,7 @@ pub(super) struct Depth {
     pub(super) frames: Vec<DepthFrame>,
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     pub(super) fn read_depth(
         &mut self,
         survey: &Survey,
@@ -61,12 +61,7 @@ impl Run<'_> {
             &constants,
             self.job.options.first_pulse,
             self.progress,
-        );
-        let matched = match matched {
-            Ok(matched) => matched,
-            Err(depth_match::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
-            Err(depth_match::Stopped::Board(error)) => return Err(error.into()),
-        };
+        )?;
         match &matched {
             Ok(matched) => {
                 self.remarks.extend(matched.remarks.iter().cloned());
@@ -229,13 +224,14 @@ fn nominal_center(mode: &str) -> Option<i64> {
 
 impl Depth {
     pub(super) fn report(&self, survey: &Survey, images: Option<&DepthOutcome>) -> DepthReport {
-        let of = |state: FrameState| -> Vec<usize> {
+        let those = |is_so: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
             let frames = self.frames.iter().enumerate();
             frames
-                .filter(|(_, frame)| frame.state == Some(state))
+                .filter(|(_, frame)| is_so(frame))
                 .map(|(index, _)| index)
                 .collect()
         };
+        let of = |state| those(&|frame| frame.state == Some(state));
         let found: Option<&DepthMatch> = self.matched.as_ref().ok().map(|matched| &matched.found);
         let number = |pulse: &usize| survey.pulses.get(*pulse).map(|pulse| pulse.number);
         DepthReport {
@@ -254,13 +250,7 @@ impl Depth {
             doubled: of(FrameState::Doubled),
             off_pulse: of(FrameState::OffPulse),
             after_last_pulse: of(FrameState::AfterLastPulse).len(),
-            broken: self
-                .frames
-                .iter()
-                .enumerate()
-                .filter(|(_, frame)| !frame.whole)
-                .map(|(index, _)| index)
-                .collect(),
+            broken: those(&|frame| !frame.whole),
             damaged: images.map_or_else(Vec::new, |images| images.damaged.clone()),
             empty: images.map_or_else(Vec::new, |images| images.empty.clone()),
             out_of_range: images.map_or(0, |images| images.out_of_range),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{ExtractError, Run};
+use super::{ExtractError, Extraction};
 use crate::board_data::TimePair;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
 use crate::layout::{Facts, ImageRow, SequenceTables};
@@ -21,7 +21,7 @@ pub(super) struct Written<'a> {
     pub(super) images: Option<&'a DepthOutcome>,
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     /// Writes the index files, one set a sequence, below a folder of the output.
     pub(super) fn finish_sequences(
         &self,

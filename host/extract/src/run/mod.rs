@@ -22,6 +22,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use index_files::Written;
+use phone_part::Phone;
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
@@ -34,9 +35,10 @@ use super::layout::{Facts, Format};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
 use super::report::{
-    BoardReport, BoardRunReport, Constants, Loss, PairsReport, Report, SensorReport,
+    BoardReport, BoardRunReport, Constants, ExtractReport, Loss, PairsReport, SensorReport,
 };
 use super::sequence::Sequences;
+use super::streams::{Stopped, each_event};
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame};
 use super::time::BoardNanos;
@@ -99,8 +101,17 @@ impl From<ImagesError> for ExtractError {
     }
 }
 
-/// The state of a run.
-struct Run<'a> {
+impl From<Stopped> for ExtractError {
+    fn from(stopped: Stopped) -> Self {
+        match stopped {
+            Stopped::Cancelled => Self::Cancelled,
+            Stopped::Board(error) => Self::Board(error),
+        }
+    }
+}
+
+/// An extraction under way.
+struct Extraction<'a> {
     job: &'a Job,
     inputs: Inputs,
     place: Workplace,
@@ -115,7 +126,7 @@ struct Run<'a> {
 ///
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
-pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
+pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
     let inputs = super::inputs::find(
         &job.recording,
         job.phone.as_deref(),
@@ -126,7 +137,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
     let marks = file_marks(&inputs);
     let place = Workplace::open(&job.out, &marks, (job.format, &job.options))?;
     let remarks = inputs.remarks.clone();
-    let mut run = Run {
+    let mut run = Extraction {
         job,
         inputs,
         place,
@@ -134,7 +145,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         losses: Vec::new(),
         remarks,
     };
-    let mut survey = survey(&run.inputs.board, progress)?.ok_or(ExtractError::Cancelled)?;
+    let mut survey = survey(&run.inputs.board, progress)?;
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
     let mut constants = run.constants(&input);
@@ -190,7 +201,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
     }
 
-    let report = Report {
+    let report = ExtractReport {
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
@@ -207,10 +218,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Report, ExtractError> {
         phone: phone
             .as_ref()
             .map(|phone| phone.report(video.as_ref(), &phone_imu)),
-        clock: phone.as_ref().and_then(|phone| {
-            let clock = phone.clock.as_ref()?;
-            Some(clock.report(&phone.frames))
-        }),
+        clock: phone.as_ref().and_then(Phone::clock_report),
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
@@ -247,7 +255,7 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
         .collect()
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     fn lose(&mut self, part: &'static str, what: impl Into<String>) {
         self.losses.push(Loss {
             part,
@@ -297,7 +305,7 @@ impl Run<'_> {
     fn join_runs(
         &mut self,
         survey: &mut Survey,
-        phone: Option<&phone_part::Phone>,
+        phone: Option<&Phone>,
     ) -> Result<Vec<BoardRunReport>, ExtractError> {
         if survey.runs.is_empty() {
             return Ok(Vec::new());
@@ -311,8 +319,7 @@ impl Run<'_> {
             }
             let path = self.inputs.board.path().to_owned();
             self.inputs.board = BoardInput::Mcap(path, moves.clone());
-            let again = super::survey::survey(&self.inputs.board, self.progress)?;
-            *survey = again.ok_or(ExtractError::Cancelled)?;
+            *survey = super::survey::survey(&self.inputs.board, self.progress)?;
         }
         let joints = clock.map_or(&[][..], |clock| &clock.joints);
         let reports = later_runs::reports(&mut survey.runs, joints);
@@ -357,7 +364,9 @@ impl Run<'_> {
         let given = |option: Option<i64>| option.filter(|_| !phone.is_other());
         FrameTiming {
             exposure: given(self.job.options.exposure_ns).or(phone.rig.exposure_ns),
-            readout: given(self.job.options.readout_ns).or(phone.rig.readout_ns),
+            middle_row: given(self.job.options.readout_ns)
+                .map(|readout| readout / 2)
+                .or(phone.rig.middle_row_ns),
         }
     }
 
@@ -396,16 +405,10 @@ impl Run<'_> {
         let out = &self.place.out;
         let write = || -> io::Result<()> {
             tables::write_pulses(&out.join("pulses.csv"), &survey.pulses, depth)?;
-            if !color.is_empty() {
-                tables::write_color(&out.join("phone_frames.csv"), color)?;
-            }
             if !depth.is_empty() {
                 tables::write_depth(&out.join("depth_frames.csv"), depth, &survey.pulses)?;
             }
-            if !pairs.is_empty() {
-                tables::write_pairs(&out.join("pairs.csv"), pairs, color, depth)?;
-            }
-            Ok(())
+            tables::write_phone(out, color, pairs, depth)
         };
         write().map_err(|error| self.failed(error))
     }
@@ -413,24 +416,19 @@ impl Run<'_> {
     fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
         let table = self.job.format.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
-        let mut stream = self.inputs.board.open(Images::Skip)?;
-        let length = std::fs::metadata(self.inputs.board.path()).map_or(0, |meta| meta.len());
-        self.progress.begin("writing the board's IMU", length);
-        let mut count = 0_u64;
-        while let Some(event) = stream.next_event()? {
-            if let BoardEvent::Imu(row) = event {
-                writer.push(row).map_err(|error| self.failed(error))?;
-            }
-            count += 1;
-            if count.is_multiple_of(8192) {
-                self.progress.at(stream.position());
-                if self.progress.cancelled() {
-                    return Err(ExtractError::Cancelled);
-                }
-            }
-        }
+        let board = &self.inputs.board;
+        let what = "writing the board's IMU";
+        each_event(
+            board,
+            Images::Skip,
+            what,
+            self.progress,
+            |event| match event {
+                BoardEvent::Imu(row) => writer.push(row).map_err(|error| self.failed(error)),
+                _ => Ok(()),
+            },
+        )?;
         writer.finish().map_err(|error| self.failed(error))?;
-        self.progress.end();
         Ok(())
     }
 }

@@ -2,7 +2,8 @@
 //! trigger was aligned to, each in `phones/NAME` of the output.
 
 use super::index_files::Written;
-use super::{ExtractError, Run, find_pairs, pairs_report, rate_of};
+use super::phone_part::Phone;
+use super::{ExtractError, Extraction, find_pairs, pairs_report, rate_of};
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
 use crate::report::OtherReport;
@@ -10,7 +11,7 @@ use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, DepthFrame};
 
-impl Run<'_> {
+impl Extraction<'_> {
     /// Extracts one of them.
     pub(super) fn other_phone(
         &mut self,
@@ -24,16 +25,7 @@ impl Run<'_> {
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = find_pairs(color, depth, survey);
         let folder = self.place.out.join(&input.folder);
-        let write = || -> std::io::Result<()> {
-            if !color.is_empty() {
-                tables::write_color(&folder.join("phone_frames.csv"), color)?;
-            }
-            if !pairs.is_empty() {
-                tables::write_pairs(&folder.join("pairs.csv"), &pairs, color, depth)?;
-            }
-            Ok(())
-        };
-        write().map_err(|error| self.failed(error))?;
+        tables::write_phone(&folder, color, &pairs, depth).map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let delay = constants.phone_imu_delay_ns;
         let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;
@@ -63,10 +55,7 @@ impl Run<'_> {
             phone: phone
                 .as_ref()
                 .map(|phone| phone.report(video.as_ref(), &imu)),
-            clock: phone.as_ref().and_then(|phone| {
-                let clock = phone.clock.as_ref()?;
-                Some(clock.report(&phone.frames))
-            }),
+            clock: phone.as_ref().and_then(Phone::clock_report),
             pairs: pairs_report(&pairs),
             grid,
             later_grids,

@@ -6,7 +6,7 @@ use phone::video_files::VideoFiles;
 
 use video::{Pixels, Video, VideoError, presentation_times};
 
-use super::{ExtractError, Run};
+use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::faults::Faults;
 use crate::frames::{Alignment, align};
@@ -15,7 +15,7 @@ use crate::imu_tables::{Joiner, TableWriter, in_board_time};
 use crate::inputs::PhoneInput;
 use crate::phone_clock::{self, PhoneClock, Runs};
 use crate::phone_rows::PhoneRows;
-use crate::report::{Constants, Loss, PhoneReport};
+use crate::report::{ClockReport, Constants, Loss, PhoneReport};
 use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
@@ -38,7 +38,7 @@ pub(super) struct PhoneImu {
     pub(super) rate: Option<f64>,
 }
 
-impl Run<'_> {
+impl Extraction<'_> {
     pub(super) fn read_phone(
         &mut self,
         input: &PhoneInput,
@@ -87,18 +87,17 @@ impl Run<'_> {
             Runs::Moved
         };
         let how = (priors.as_slice(), runs);
-        let clock = match phone_clock::find(board, &files, survey, how, constants, self.progress) {
-            Ok(Ok(clock)) => {
+        let found = phone_clock::find(board, &files, survey, how, constants, self.progress)?;
+        let clock = match found {
+            Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
                 Some(clock)
             }
-            Ok(Err(why)) => {
+            Err(why) => {
                 self.lose("clock", input.about(&why));
                 None
             }
-            Err(phone_clock::Stopped::Cancelled) => return Err(ExtractError::Cancelled),
-            Err(phone_clock::Stopped::Board(error)) => return Err(error.into()),
         };
         let timing = self.timing(input);
         if !timing.is_known() && !stamps.is_empty() {
@@ -299,6 +298,10 @@ impl Run<'_> {
 }
 
 impl Phone {
+    pub(super) fn clock_report(&self) -> Option<ClockReport> {
+        Some(self.clock.as_ref()?.report(&self.frames))
+    }
+
     pub(super) fn report(&self, video: Option<&VideoOutcome>, imu: &PhoneImu) -> PhoneReport {
         PhoneReport {
             name: self.name.clone(),
