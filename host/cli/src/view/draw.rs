@@ -447,7 +447,7 @@ fn draw_said(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
 fn keys_line<'a>(keys: Keys) -> Paragraph<'a> {
     let text = match keys {
         Keys::Look => " q stop   h help",
-        Keys::Answer => " Enter go on   r twist again / repeat   s leave out   q stop   h help",
+        Keys::Answer => " Enter go on   r twist again / repeat   s skip   q stop   h help",
         Keys::Record => " m mark   q stop   h help",
     };
     Paragraph::new(text).style(Style::new().fg(Color::Black).bg(Color::Gray))
@@ -457,7 +457,7 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     let text = [
         "Enter  go on, where something is asked",
         "r      do the last step again (twist again)",
-        "s      leave the step out",
+        "s      skip the step",
         "m      set a mark, while recording",
         "q      stop; what was recorded is kept",
         "h      this help, and away again",
