@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             context.say("stopped; run the same command again to go on");
             return Ok(Outcome::Interrupted);
         }
-        Err(error) => return Err(Failure::from(error).into()),
+        Err(error) => return Err(error.into()),
     };
     if let Some(profile) = &args.learn {
         let text = learn::into_profile(&report, profile)?;

@@ -148,7 +148,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         }
         Err(failure) => {
             context.say(format!("what was recorded is in {}", folder.display()));
-            Err(failure.into())
+            Err(failure)
         }
     }
 }
