@@ -110,7 +110,7 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
             "give <host> or <host>:<port>, as the app's dialog shows it at its start"
         }
         PhoneError::Connect { .. } => {
-            "open OpenCamera Sensors with its remote control switched on, and see that both are on the same network"
+            "open OpenCamera Sensors with its remote control switched on, and make sure that both are on the same network"
         }
         PhoneError::Timeout { request, .. } if *request == "get_video" => {
             "stop the video first: the app does not answer while it records. A slow network needs a longer --timeout"
@@ -118,9 +118,9 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         PhoneError::Timeout { .. } | PhoneError::SendTimeout { .. } => {
             "bring the app to the foreground and close other clients: it serves one at a time. A slow network needs a longer --timeout"
         }
-        PhoneError::TooSlow { .. } => "bring the phone nearer to the access point, or use a cable",
+        PhoneError::TooSlow { .. } => "move the phone closer to the access point, or use a cable",
         PhoneError::Closed { .. } | PhoneError::Connection { .. } => {
-            "see that the app is open and in the foreground, then try again"
+            "make sure that the app is open and in the foreground, then try again"
         }
         PhoneError::VideoTooShort { .. } | PhoneError::VideoTooLong { .. } => {
             "nothing was saved; try again once the app has finished the file"
@@ -131,15 +131,15 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         }
         PhoneError::Refused { request, text, .. } => return refusal_hint(request, text),
         PhoneError::Malformed { .. } => {
-            "see that it is OpenCamera Sensors that listens on this port, then try again"
+            "make sure that OpenCamera Sensors listens on this port, then try again"
         }
         PhoneError::Unrequested { .. } => {
-            "connect again, and see that nothing else talks to the app"
+            "connect again, and make sure that nothing else talks to the app"
         }
         PhoneError::TargetExists { .. } => "choose another place with --out, or give --overwrite",
         PhoneError::File { source, .. } => file_step(source.kind()),
         PhoneError::NotConnected => "connect again",
-        PhoneError::Argument(_) => "`smartdepthsync help phone` says what is accepted",
+        PhoneError::Argument(_) => "`smartdepthsync help phone` lists what is accepted",
         PhoneError::Cancelled { .. } => "run the command again when you are ready",
     })
 }

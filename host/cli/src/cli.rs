@@ -66,13 +66,13 @@ pub enum LogFormat {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Who the board is
+    /// Show who the board is: ID, firmware, uptime, last reset
     Info(commands::info::Args),
     /// The clock relation of two gyroscope recordings, with its uncertainty
     Offset(commands::offset::Args),
     /// Measure frame sync from the depth camera's strobes on the phone's video
     Evaluate(commands::evaluate::Args),
-    /// Which serial ports there are, and which look like the board
+    /// List the serial ports, and which look like the board
     Ports(commands::ports::Args),
     /// Talk to the phone's app
     Phone(commands::phone::Args),
@@ -80,7 +80,7 @@ enum Command {
     Record(commands::record::Args),
     /// Look at the board live: trigger, gyroscope, rates, losses
     Monitor(commands::monitor::Args),
-    /// Is everything there for a recording, and if not, what to do
+    /// Check that the rig is ready for a recording; each problem is listed with its fix
     Doctor(commands::doctor::Args),
     /// Make, check and teach a rig profile
     Profile(commands::profile::Args),
@@ -94,9 +94,9 @@ enum Command {
     Extract(commands::extract::Args),
     /// Check a recording: checksums, losses, the pulses' grid, times
     Verify(commands::verify::Args),
-    /// The HTML report of a recording, anew
+    /// Write the HTML report of a recording again
     Report(commands::report::Args),
-    /// Write what can be read of a damaged recording as a new, whole one
+    /// Repair a damaged recording: write what can be read as a new one
     Repair(commands::repair::Args),
     /// Print the completions for a shell
     Completions(commands::completions::Args),

@@ -60,6 +60,11 @@ impl Decimal {
         10_u128.pow(self.places)
     }
 
+    /// The number times a whole one, less any fraction.
+    pub(crate) fn times(self, factor: u64) -> u128 {
+        u128::from(self.digits) * u128::from(factor) / self.scale()
+    }
+
     /// The number as microseconds, in 2⁻³² ticks, rounded to nearest.
     fn micros_in_raw_ticks(self) -> u128 {
         // 10^18 · 48 · 2^32 < 2^98.

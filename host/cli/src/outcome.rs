@@ -87,7 +87,7 @@ impl ExitStatus {
         match self {
             Self::Good | Self::Loss => "read the result: it says what is missing",
             Self::Error => {
-                "run it again with -vv, which says more; if it stays so, report it with that log"
+                "run it again with -vv for details; if it fails again, report it with that log"
             }
             Self::Usage => "`smartdepthsync help COMMAND` says what is expected",
             Self::Refused => "nothing was changed: change what the message names, then repeat it",
@@ -118,7 +118,7 @@ impl From<ExitStatus> for ExitCode {
     }
 }
 
-/// How a command ended that came to its end.
+/// How a command ended that ran to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// Everything that was asked for was done.
@@ -129,8 +129,7 @@ pub enum Outcome {
     Refused,
     /// The user stopped it early; what there was is kept.
     Interrupted,
-    /// What is wrong is in the result that was printed; nothing more is to be
-    /// said.
+    /// The printed result says what is wrong; no error message follows.
     Told(ExitStatus),
 }
 
@@ -235,7 +234,7 @@ impl std::error::Error for Failure {}
 pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {
     match reason {
         ErrorKind::NotFound => "check the path: there is no such file or folder",
-        ErrorKind::PermissionDenied => "check its owner and rights: you may not use it",
+        ErrorKind::PermissionDenied => "check its owner and permissions: access was denied",
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space and run it again",
         ErrorKind::ReadOnlyFilesystem => "choose another place: this disk cannot be written",
         ErrorKind::IsADirectory => "give a file: this is a folder",

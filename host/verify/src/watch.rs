@@ -110,7 +110,7 @@ impl Watch {
     pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
         if self.pulses_away {
             self.pulses_away = false;
-            findings.push(Finding::info("pulses_back", "pulses come again"));
+            findings.push(Finding::info("pulses_back", "pulses arrive again"));
         }
         if let Some(expected) = self.next_number
             && pulse.number != expected
@@ -143,13 +143,13 @@ impl Watch {
     pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
         if self.imu_away {
             self.imu_away = false;
-            findings.push(Finding::info("imu_back", "IMU samples come again"));
+            findings.push(Finding::info("imu_back", "IMU samples arrive again"));
         }
         self.last_imu = sample.at;
         if sample.flags.has(ImuFlags::AFTER_LOSS) {
             findings.push(Finding::warning(
                 "imu_gap",
-                "the board lost a data-ready edge of the IMU",
+                "the board missed a data-ready edge of the IMU",
             ));
         }
         if sample.flags.has(ImuFlags::FIRST) {
@@ -238,11 +238,11 @@ impl Watch {
         let patience = 3 * u64::from(self.grid.period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
-            findings.push(Finding::error("pulses_missing", "no pulses come any more"));
+            findings.push(Finding::error("pulses_missing", "pulses have stopped"));
         }
         if !self.imu_away && now.0.saturating_sub(self.last_imu.0) > IMU_PATIENCE {
             self.imu_away = true;
-            findings.push(Finding::error("imu_gap", "no IMU samples come any more"));
+            findings.push(Finding::error("imu_gap", "IMU samples have stopped"));
         }
     }
 

@@ -1,5 +1,5 @@
-//! `smartdepthsync doctor`: is everything there for a recording, and if not,
-//! what to do. The checks are those of a session ([`crate::record::preflight`]).
+//! `smartdepthsync doctor`: is the rig ready for a recording? Each problem is listed
+//! with its fix. The checks are those of a session ([`crate::record::preflight`]).
 
 use std::fmt::Write as _;
 use std::path::PathBuf;

@@ -75,7 +75,7 @@ struct CommonArgs {
         allow_negative_numbers = true
     )]
     path_delay: f64,
-    /// Use frames with changing room light all the same
+    /// Use frames even if the room light changes
     #[arg(long)]
     keep_flicker: bool,
     /// Start at this second of the recording
@@ -308,7 +308,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
                     .map_or("no reason", |l| l.reason.as_str())
             ),
         )
-        .next_step("mend what the reason names; with -v every recording's reason is told"));
+        .next_step("fix what the reason names; -v lists the reason of every recording"));
     };
     if let Some(path) = &args.common.plot {
         let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us);

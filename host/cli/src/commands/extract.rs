@@ -66,7 +66,7 @@ pub(crate) struct Args {
     /// Exposure of a row of the phone's camera
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     exposure_us: Option<i64>,
-    /// From the first to the last row of the phone's camera
+    /// Readout time of the phone's camera, from the first row to the last
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     readout_us: Option<i64>,
     /// From the trigger pulse to the centre of exposure of the depth image
@@ -78,7 +78,7 @@ pub(crate) struct Args {
     /// Low-pass delay of the phone's gyroscope
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     phone_imu_delay_us: Option<i64>,
-    /// The pulse of the first depth frame (its row in pulses.csv), where nothing else tells
+    /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
     #[arg(long, value_name = "N")]
     depth_first_pulse: Option<usize>,
     /// Write the learnt frame period and clock skew into this rig profile
@@ -136,7 +136,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             context.say("stopped; run the same command again to go on");
             return Ok(Outcome::Interrupted);
         }
-        Err(error) => return Err(Failure::from(error).into()),
+        Err(error) => return Err(error.into()),
     };
     if let Some(profile) = &args.learn {
         let text = learn::into_profile(&report, profile)?;
@@ -228,39 +228,43 @@ fn microseconds(text: &str) -> Result<i64, String> {
 
 impl From<ExtractError> for Failure {
     fn from(error: ExtractError) -> Self {
-        let text = error.to_string();
-        match error {
+        let (status, step) = match &error {
             ExtractError::Inputs(
                 InputsError::Io { error, .. } | InputsError::Phone(FilesError::Io { error, .. }),
             )
             | ExtractError::Workplace(WorkplaceError::Io { error, .. }) => {
-                Self::new(ExitStatus::Storage, text).next_step(file_step(error.kind()))
+                (ExitStatus::Storage, file_step(error.kind()))
             }
             ExtractError::Inputs(InputsError::Phone(_)) => {
-                Self::new(ExitStatus::Usage, text).next_step("name the video itself with --phone")
+                (ExitStatus::Usage, "name the video itself with --phone")
             }
-            ExtractError::Inputs(InputsError::NotARecording { .. }) => {
-                Self::new(ExitStatus::Usage, text)
-                    .next_step("give the folder that `record` made, its recording.mcap, or a bag")
-            }
-            ExtractError::Inputs(InputsError::UnknownPhone { .. }) => {
-                Self::new(ExitStatus::Usage, text)
-                    .next_step("give --phone NAME=PATH as the phone is called in the profile")
-            }
-            ExtractError::Inputs(_) => Self::new(ExitStatus::Usage, text)
-                .next_step("name the depth recording with --depth"),
-            ExtractError::Workplace(_) => Self::new(ExitStatus::Usage, text)
-                .next_step("give another folder with --out, or remove this one"),
-            ExtractError::Board(_) => Self::new(ExitStatus::Storage, text)
-                .next_step("check that the file is a recording and that it was copied in full"),
-            ExtractError::Write { .. } | ExtractError::Images(_) => {
-                Self::new(ExitStatus::Storage, text).next_step(
-                    "make room or check the rights, and run it again: it goes on where it stopped",
-                )
-            }
-            ExtractError::Cancelled => Self::new(ExitStatus::Interrupted, text)
-                .next_step("run the same command again to go on"),
-        }
+            ExtractError::Inputs(InputsError::NotARecording { .. }) => (
+                ExitStatus::Usage,
+                "give the folder that `record` made, its recording.mcap, or a bag",
+            ),
+            ExtractError::Inputs(InputsError::UnknownPhone { .. }) => (
+                ExitStatus::Usage,
+                "give --phone NAME=PATH as the phone is called in the profile",
+            ),
+            ExtractError::Inputs(_) => (ExitStatus::Usage, "name the depth recording with --depth"),
+            ExtractError::Workplace(_) => (
+                ExitStatus::Usage,
+                "give another folder with --out, or remove this one",
+            ),
+            ExtractError::Board(_) => (
+                ExitStatus::Storage,
+                "check that the file is a recording and that it was copied in full",
+            ),
+            ExtractError::Write { .. } | ExtractError::Images(_) => (
+                ExitStatus::Storage,
+                "make room or check the rights, and run it again: it goes on where it stopped",
+            ),
+            ExtractError::Cancelled => (
+                ExitStatus::Interrupted,
+                "run the same command again to go on",
+            ),
+        };
+        Self::new(status, error.to_string()).next_step(step)
     }
 }
 

@@ -25,7 +25,7 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Action {
     /// Start the pulse on the next whole second of board time; as a Velodyne
-    /// VLP-16 wants it unless told otherwise
+    /// VLP-16 wants it unless given otherwise
     Start {
         /// UTC of the present second as Unix time [default: this computer's clock]
         #[arg(long, value_name = "SECONDS")]
@@ -52,20 +52,20 @@ enum Action {
     },
     /// Stop pulse and sentences
     Stop,
-    /// What it does
+    /// Show its state
     Status,
 }
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Printed {
+struct PrintedGnss {
     #[serde(flatten)]
     status: GnssStatus,
-    settings: Option<SettingsReport>,
+    settings: Option<PrintedSettings>,
 }
 
 #[derive(Debug, Serialize)]
-struct SettingsReport {
+struct PrintedSettings {
     /// UTC = board time + this, both in seconds.
     utc_at_zero: i64,
     baud: u32,
@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Action::Stop => board.stop_gnss(),
         Action::Status => board.gnss(),
     };
-    let report = Printed::from(&report?);
+    let report = PrintedGnss::from(&report?);
     context.print(&report, || report.text())?;
     Ok(Outcome::of_loss(
         report.status.late > 0 || report.status.missed > 0,
@@ -128,7 +128,7 @@ fn by_this_computer(board: &mut Board) -> Result<i64, Failure> {
     utc_at_zero(board)?.ok_or_else(|| {
         Failure::new(
             ExitStatus::Usage,
-            "this computer's clock stands before 1970",
+            "this computer's clock is set before 1970",
         )
         .next_step("set it, or give the time with --utc")
     })
@@ -141,11 +141,11 @@ fn at_zero(utc: i64, board: &mut Board) -> Result<i64, Failure> {
     Ok(utc.saturating_sub(i64::try_from(seconds).unwrap_or(i64::MAX)))
 }
 
-impl From<&GnssReport> for Printed {
+impl From<&GnssReport> for PrintedGnss {
     fn from(report: &GnssReport) -> Self {
         Self {
             status: report.status,
-            settings: report.settings.map(|settings| SettingsReport {
+            settings: report.settings.map(|settings| PrintedSettings {
                 utc_at_zero: settings.utc_at_zero,
                 baud: settings.baud.hz(),
                 idle_high: !settings.line_inverted,
@@ -162,7 +162,7 @@ impl From<&GnssReport> for Printed {
     }
 }
 
-impl Printed {
+impl PrintedGnss {
     fn text(&self) -> String {
         let mut text = String::new();
         let state = match self.status.state {

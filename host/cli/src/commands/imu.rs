@@ -77,7 +77,7 @@ fn parse_rate(text: &str) -> Result<u8, String> {
         .ok_or_else(|| String::from("expected 1000 divided by a whole number up to 256: 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10, 8, 5 or 4"))
 }
 
-fn parse_low_pass(text: &str) -> Result<LowPass, String> {
+fn parse_low_pass(text: &str) -> Result<LowPass, &'static str> {
     Ok(match text {
         "188" => LowPass::Hz188,
         "98" => LowPass::Hz98,
@@ -85,33 +85,33 @@ fn parse_low_pass(text: &str) -> Result<LowPass, String> {
         "20" => LowPass::Hz20,
         "10" => LowPass::Hz10,
         "5" => LowPass::Hz5,
-        _ => return Err(String::from("expected 188, 98, 42, 20, 10 or 5")),
+        _ => return Err("expected 188, 98, 42, 20, 10 or 5"),
     })
 }
 
-fn parse_gyro_range(text: &str) -> Result<GyroRange, String> {
+fn parse_gyro_range(text: &str) -> Result<GyroRange, &'static str> {
     Ok(match text {
         "250" => GyroRange::Dps250,
         "500" => GyroRange::Dps500,
         "1000" => GyroRange::Dps1000,
         "2000" => GyroRange::Dps2000,
-        _ => return Err(String::from("expected 250, 500, 1000 or 2000")),
+        _ => return Err("expected 250, 500, 1000 or 2000"),
     })
 }
 
-fn parse_accel_range(text: &str) -> Result<AccelRange, String> {
+fn parse_accel_range(text: &str) -> Result<AccelRange, &'static str> {
     Ok(match text {
         "2" => AccelRange::G2,
         "4" => AccelRange::G4,
         "8" => AccelRange::G8,
         "16" => AccelRange::G16,
-        _ => return Err(String::from("expected 2, 4, 8 or 16")),
+        _ => return Err("expected 2, 4, 8 or 16"),
     })
 }
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Report {
+struct PrintedImu {
     clock: ImuClock,
     scale: Scale,
     nominal_interval_ticks: u32,
@@ -148,7 +148,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     }
     // The clock is only known once samples have come.
     setup = board.imu()?;
-    let report = Report {
+    let report = PrintedImu {
         clock: setup.status.clock,
         scale,
         nominal_interval_ticks: setup.interval,
@@ -248,7 +248,7 @@ fn show(bar: &ProgressBar, summary: &Summary) {
     ));
 }
 
-impl Report {
+impl PrintedImu {
     fn text(&self) -> String {
         let summary = &self.summary;
         let mut text = String::new();
@@ -335,16 +335,13 @@ const HEADER: [&str; 10] = [
 
 impl Csv {
     fn create(path: &Path) -> Result<Self, Failure> {
-        let failed = |error: &dyn std::fmt::Display| cannot_write(path, error);
-        let file = File::create(path).map_err(|error| failed(&error))?;
-        let mut writer = csv::Writer::from_writer(BufWriter::new(file));
-        writer
-            .write_record(HEADER)
-            .map_err(|error| failed(&error))?;
-        Ok(Self {
-            writer,
+        let file = File::create(path).map_err(|error| cannot_write(path, &error))?;
+        let mut csv = Self {
+            writer: csv::Writer::from_writer(BufWriter::new(file)),
             path: path.to_owned(),
-        })
+        };
+        csv.record(HEADER)?;
+        Ok(csv)
     }
 
     fn write(&mut self, sample: &Sample) -> Result<(), Failure> {
@@ -355,8 +352,15 @@ impl Csv {
         record.extend([ax, ay, az].map(|value| format!("{value:.7}")));
         record.push(format!("{:.3}", sample.temperature));
         record.push(sample.flags.0.to_string());
+        self.record(&record)
+    }
+
+    fn record<T: AsRef<[u8]>>(
+        &mut self,
+        fields: impl IntoIterator<Item = T>,
+    ) -> Result<(), Failure> {
         self.writer
-            .write_record(&record)
+            .write_record(fields)
             .map_err(|error| cannot_write(&self.path, &error))
     }
 

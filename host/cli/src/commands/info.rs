@@ -26,7 +26,7 @@ pub(crate) struct Args {
 
 /// What `info --json` prints.
 #[derive(Debug, Serialize)]
-struct Info {
+struct PrintedInfo {
     board_id: String,
     firmware_version: String,
     git_revision: Option<String>,
@@ -39,12 +39,12 @@ struct Info {
     reset_cause: ResetCause,
     last_panic: Option<String>,
     round_trip_us: f64,
-    status: Vec<StatusReport>,
+    status: Vec<PrintedStatus>,
 }
 
 /// One status message.
 #[derive(Debug, Serialize)]
-struct StatusReport {
+struct PrintedStatus {
     at_ticks: u64,
     uptime_s: f64,
     cpu_percent: f64,
@@ -67,7 +67,7 @@ struct StatusReport {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut board = args.port.open()?;
     let (_, round_trip) = board.ping()?;
-    let mut info = Info::new(board.hello(), round_trip);
+    let mut info = PrintedInfo::new(board.hello(), round_trip);
     if !context.global.json {
         context.print(&info, || info.text())?;
     }
@@ -82,7 +82,7 @@ fn watch(
     seconds: u32,
     board: &mut Board,
     context: &Context,
-    reports: &mut Vec<StatusReport>,
+    reports: &mut Vec<PrintedStatus>,
 ) -> Result<Outcome, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let is_over = |board: &Board| board.conversation().latest().0 >= end;
@@ -93,7 +93,7 @@ fn watch(
         listen(board, context, |board, event| {
             let something = event.is_some();
             if let Some(Event::Message(DeviceToHost::Status(status))) = event {
-                let report = StatusReport::from(&status);
+                let report = PrintedStatus::from(&status);
                 if !context.global.json {
                     context.print(&report, || report.text(before))?;
                 }
@@ -118,7 +118,7 @@ fn watch(
     Ok(Outcome::of_loss(lost))
 }
 
-impl Info {
+impl PrintedInfo {
     fn new(hello: &Hello, round_trip: Duration) -> Self {
         Self {
             board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
@@ -166,7 +166,7 @@ impl Info {
     }
 }
 
-impl From<&Status> for StatusReport {
+impl From<&Status> for PrintedStatus {
     fn from(status: &Status) -> Self {
         Self {
             at_ticks: status.at.0,
@@ -184,7 +184,7 @@ impl From<&Status> for StatusReport {
     }
 }
 
-impl StatusReport {
+impl PrintedStatus {
     /// In words. `before` is what had been dropped by the first status: all that
     /// was made while no host was connected, which is no loss to this one.
     fn text(&self, before: Option<u64>) -> String {

@@ -28,7 +28,7 @@ struct ConnectionArgs {
     /// The phone's address, as the app's dialog shows it; port 6969 unless given
     #[arg(long, global = true, value_name = "HOST[:PORT]")]
     phone: Option<String>,
-    /// Patience with the phone beyond the time that a request takes by its nature
+    /// How long to wait for the phone, beyond the time that the request itself takes
     #[arg(long, global = true, value_name = "SECONDS", default_value = "15", value_parser = seconds)]
     timeout: Duration,
 }
@@ -64,7 +64,7 @@ struct ImuArgs {
     /// Save gyro.csv, accel.csv, magnetic.csv in this folder, as the app writes them
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Replace files that are there already
+    /// Overwrite existing files
     #[arg(long)]
     overwrite: bool,
 }
@@ -75,7 +75,7 @@ struct GetVideoArgs {
     /// Folder for the video (it keeps a safe form of its name), or the file to write
     #[arg(long, value_name = "PATH", default_value = ".")]
     out: PathBuf,
-    /// Replace a file that is there already
+    /// Overwrite an existing file
     #[arg(long)]
     overwrite: bool,
     /// Largest video that is accepted, in bytes

@@ -42,8 +42,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         if ports.is_empty() {
             return Err(
                 Failure::new(ExitStatus::NoPort, "no board found on any serial port")
-                    .next_step("plug the board in; without --boards all ports are listed")
-                    .into(),
+                    .next_step("plug the board in; without --boards all ports are listed"),
             );
         }
     }

@@ -54,13 +54,13 @@ enum Action {
 
 /// What `profile init --json` prints.
 #[derive(Debug, Serialize)]
-struct Made<'a> {
+struct PrintedProfile<'a> {
     profile: &'a Path,
 }
 
 /// What `profile learn --json` prints.
 #[derive(Debug, Serialize)]
-struct Report {
+struct PrintedLesson {
     learnt: Learnt,
     frames: usize,
     missing_frames: u64,
@@ -97,7 +97,7 @@ fn init(file: &Path, context: &Context) -> Result<Outcome, Failure> {
     File::create_new(file)
         .and_then(|mut created| created.write_all(DEFAULT.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
-    context.print(&Made { profile: file }, || {
+    context.print(&PrintedProfile { profile: file }, || {
         format!("wrote {}; set the phone's address in it", file.display())
     })?;
     Ok(Outcome::Good)
@@ -142,7 +142,7 @@ fn teach(
     let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;
-    let report = Report {
+    let report = PrintedLesson {
         frames: period.frames,
         missing_frames: period.missing,
         timestamp_jitter_ns: period.jitter_ns,
@@ -152,7 +152,7 @@ fn teach(
     Ok(Outcome::Good)
 }
 
-impl Report {
+impl PrintedLesson {
     fn text(&self, period: &FramePeriod, file: &Path) -> String {
         let learnt = &self.learnt;
         let skew = match (learnt.skew, learnt.skew_sigma) {

@@ -8,6 +8,7 @@ use protocol::TICK_HZ;
 use serde::Serialize;
 
 use crate::cli::Context;
+use crate::decimal::Decimal;
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{Failure, Outcome};
 use crate::record::{self, Ended, Options, SerialConnector};
@@ -40,19 +41,19 @@ pub(crate) struct Args {
     /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
     #[arg(long, value_parser = parse_duration)]
     duration: Option<u64>,
-    /// Ask nobody: go on where all is well, end where it is not
+    /// Never prompt; stop at the first failure
     #[arg(long)]
     yes: bool,
-    /// How long a lost USB link to the board is waited for, in real time
+    /// How long to wait for a lost USB link to come back, in real time
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
     link_patience: u64,
     /// Plain lines instead of the live view
     #[arg(long)]
     plain: bool,
-    /// Set a mark so long after the begin; may be given more than once
+    /// Set a mark this long after the start; may be given more than once
     #[arg(long, value_name = "AFTER", value_parser = parse_duration)]
     marker: Vec<u64>,
-    /// Twist once more at the end: a far better skew, and what `profile learn` needs
+    /// Twist again at the end: a far better skew, and `profile learn` needs it
     #[arg(long)]
     second_twist: bool,
     /// Download the phone's video at the end
@@ -68,32 +69,22 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// It is none, or not within 0 and a week.
-pub(crate) fn parse_duration(text: &str) -> Result<u64, String> {
-    let expected = || String::from("expected a duration such as 90s, 5m or 1h, at most a week");
-    let (number, unit) = match text.char_indices().last() {
-        Some((at, 's')) => (text.get(..at), 1),
-        Some((at, 'm')) => (text.get(..at), 60),
-        Some((at, 'h')) => (text.get(..at), 3_600),
-        _ => (Some(text), 1),
-    };
-    let number = number.ok_or_else(expected)?;
-    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
-    let digits = format!("{whole}{fraction}");
-    if digits.is_empty() || digits.len() > 15 || !digits.bytes().all(|byte| byte.is_ascii_digit()) {
-        return Err(expected());
-    }
-    let scale = 10_u128.pow(u32::try_from(fraction.len()).map_err(|_| expected())?);
-    let digits: u128 = digits.parse().map_err(|_| expected())?;
-    let ticks = digits * unit * u128::from(TICK_HZ) / scale;
-    u64::try_from(ticks)
-        .ok()
+pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
+    let units = [("s", 1), ("m", 60), ("h", 3_600)];
+    let (number, unit) = units
+        .into_iter()
+        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
+        .unwrap_or((text, 1));
+    let number = number.parse::<Decimal>().ok();
+    number
+        .and_then(|number| u64::try_from(number.times(record::seconds(unit))).ok())
         .filter(|&ticks| ticks <= record::seconds(7 * 24 * 3_600))
-        .ok_or_else(expected)
+        .ok_or("expected a duration such as 90s, 5m or 1h, at most a week")
 }
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-struct Report<'a> {
+struct PrintedSession<'a> {
     folder: PathBuf,
     report: Option<PathBuf>,
     #[serde(flatten)]
@@ -141,13 +132,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let html = match session_report::write(&folder, &file) {
         Ok(path) => Some(path),
         Err(error) => {
-            context.say(format!("warning: there is no report: {error}"));
+            context.say(format!("warning: cannot write the report: {error}"));
             None
         }
     };
     match result {
         Ok(outcome) => {
-            let report = Report {
+            let report = PrintedSession {
                 folder,
                 report: html,
                 session: &file,
@@ -157,12 +148,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         }
         Err(failure) => {
             context.say(format!("what was recorded is in {}", folder.display()));
-            Err(failure.into())
+            Err(failure)
         }
     }
 }
 
-fn summary(report: &Report<'_>) -> String {
+fn summary(report: &PrintedSession<'_>) -> String {
     let session = report.session;
     let mut text = format!("recording    {}\n", report.folder.display());
     if let Some(html) = &report.report {

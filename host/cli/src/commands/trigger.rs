@@ -1,7 +1,7 @@
 //! `smartdepthsync trigger`: the trigger outputs by hand.
 
 mod latency;
-mod report;
+mod printed;
 
 use clap::Subcommand;
 use protocol::{
@@ -9,7 +9,7 @@ use protocol::{
     TICK_HZ, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
 };
 
-use self::report::{AlignReport, ArrivedReport, TriggerReport};
+use self::printed::{PrintedArrival, PrintedMove, PrintedTrain};
 use super::PortArg;
 use super::listen::{Heard, Listened, listen};
 use crate::arrival::PlannedArrival;
@@ -35,7 +35,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Start the train of pulses; 30 fps unless told otherwise
+    /// Start the pulse train, at 30 fps unless given otherwise
     Start {
         #[command(flatten)]
         period: PeriodArg,
@@ -53,7 +53,7 @@ enum Action {
     },
     /// Move the running train so that an edge falls exactly on a tick
     Align {
-        /// A tick of 48 MHz that the train shall pass through; at most an hour away
+        /// A tick of 48 MHz on which an edge must fall; at most an hour away
         #[arg(long, value_name = "TICK")]
         anchor: u64,
         /// Fraction of that tick, in 1/2^32 (outputs 2 to 4)
@@ -85,7 +85,7 @@ enum Action {
     },
     /// Stop the train
     Stop,
-    /// What the train does
+    /// Show the state of the train
     Status,
 }
 
@@ -231,7 +231,7 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
         Action::Status => OutputAction::Query,
     };
     let status = target.act(action)?;
-    let mut report = TriggerReport::from(&status);
+    let mut report = PrintedTrain::from(&status);
     if target.output.is_some() {
         report.readback.state = String::from("none on this output");
     }
@@ -248,13 +248,13 @@ fn align(
     wait: bool,
 ) -> Result<Outcome, Failure> {
     let plan = target.align(to)?;
-    let mut report = AlignReport::from(&plan);
+    let mut report = PrintedMove::from(&plan);
     if !context.global.json {
         context.print(&report, || report.text())?;
     }
     let outcome = if wait {
         let (arrived, outcome) = wait_for_arrival(target, context, &plan)?;
-        report.arrived = arrived.as_ref().map(ArrivedReport::from);
+        report.arrived = arrived.as_ref().map(PrintedArrival::from);
         outcome
     } else {
         Outcome::Good

@@ -78,16 +78,12 @@ fn stop_devices(rig: &mut Rig<'_>) {
     if rig.trigger_started {
         rig.trigger_started = false;
         if let Err(Stop::Failed(failure)) = further::stop(rig) {
-            rig.journal.last_problem(
-                "outputs_not_stopped",
-                format!("a further output could not be stopped: {failure}"),
-            );
+            let text = format!("a further output could not be stopped: {failure}");
+            rig.journal.last_problem("outputs_not_stopped", text);
         }
         if let Err(Stop::Failed(failure)) = rig.call(Board::stop_trigger) {
-            rig.journal.last_problem(
-                "trigger_not_stopped",
-                format!("the trigger could not be stopped: {failure}"),
-            );
+            let text = format!("the trigger could not be stopped: {failure}");
+            rig.journal.last_problem("trigger_not_stopped", text);
         }
     }
     // Its last messages.

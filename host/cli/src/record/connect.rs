@@ -157,8 +157,8 @@ fn check_host(profile: &Profile, options: &Options) -> Checks {
     checks
 }
 
-/// Looks at both sides as `doctor` does. What is not good is said, and all of it
-/// kept in the session file.
+/// Checks both sides as `doctor` does. Problems are told, and all checks kept in the
+/// session file.
 pub(super) fn preflight(
     rig: &mut Rig<'_>,
     options: &Options,

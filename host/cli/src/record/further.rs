@@ -136,7 +136,7 @@ fn start_lidar(rig: &mut Rig<'_>, lidar: &Lidar) -> Result<(), Stop> {
     let baud = parse_baud(&lidar.baud.to_string()).map_err(usage)?;
     let utc_at_zero = rig
         .call(gnss::utc_at_zero)?
-        .ok_or_else(|| usage("this computer's clock stands before 1970".to_owned()))?;
+        .ok_or_else(|| usage("this computer's clock is set before 1970".to_owned()))?;
     let settings = GnssSettings {
         utc_at_zero,
         baud,

@@ -14,11 +14,12 @@
 //!   board was reset.
 //! - [`observers`]: who looks at its messages, such as the [watch](verify::watch).
 //! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
-//! - [`phones`], `recorder`: phones and depth recorder.
+//! - [`phones`], `depth_recorder`: phones and depth recorder.
 //! - `preflight`: what is looked at before.
 
 pub mod close;
 mod connect;
+mod depth_recorder;
 mod further;
 pub mod journal;
 pub mod link;
@@ -27,7 +28,6 @@ pub mod observers;
 pub mod operator;
 pub mod phones;
 pub(crate) mod preflight;
-mod recorder;
 mod resume;
 pub mod rig;
 mod rounds;
@@ -63,7 +63,7 @@ pub struct Options {
     pub link_patience: Duration,
     /// Plain lines even on a terminal.
     pub plain: bool,
-    /// Ask nobody: go on where all is well, give up where it is not.
+    /// Never prompt; stop at the first failure.
     pub yes: bool,
     /// Marks to be set by themselves: ticks after the begin of the recording.
     pub markers: Vec<u64>,

@@ -21,9 +21,14 @@ pub(crate) enum Choice {
 
 /// Reads lines from standard input on a thread, or the keys of the live view.
 pub struct Operator {
-    lines: Option<Receiver<String>>,
-    keys: Option<Receiver<Key>>,
+    input: Input,
     asks: bool,
+}
+
+enum Input {
+    Nobody,
+    Lines(Receiver<String>),
+    Keys(Receiver<Key>),
 }
 
 impl Operator {
@@ -31,8 +36,7 @@ impl Operator {
     #[must_use]
     pub const fn absent() -> Self {
         Self {
-            lines: None,
-            keys: None,
+            input: Input::Nobody,
             asks: false,
         }
     }
@@ -42,27 +46,23 @@ impl Operator {
     pub(crate) fn at_stdin() -> Self {
         let (sender, lines) = channel();
         std::thread::spawn(move || {
-            for line in std::io::stdin().lock().lines() {
-                let Ok(line) = line else { return };
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
+            let lines = std::io::stdin().lock().lines();
+            // Ends with the input, and where nobody listens any more.
+            let _ = lines
+                .map_while(Result::ok)
+                .try_for_each(|line| sender.send(line));
         });
         Self {
-            lines: Some(lines),
-            keys: None,
+            input: Input::Lines(lines),
             asks: true,
         }
     }
 
     /// Somebody is at the keys of the live view. Nothing is asked if `asks` is
     /// false; marks can be set all the same.
-    #[must_use]
     pub(crate) const fn at_keys(keys: Receiver<Key>, asks: bool) -> Self {
         Self {
-            lines: None,
-            keys: Some(keys),
+            input: Input::Keys(keys),
             asks,
         }
     }
@@ -74,11 +74,10 @@ impl Operator {
 
     /// Lines typed before a prompt are no answer to it.
     pub(crate) fn forget_typed(&self) {
-        if let Some(keys) = &self.keys {
-            while keys.try_recv().is_ok() {}
-        }
-        if let Some(lines) = &self.lines {
-            while lines.try_recv().is_ok() {}
+        match &self.input {
+            Input::Nobody => {}
+            Input::Lines(lines) => lines.try_iter().for_each(drop),
+            Input::Keys(keys) => keys.try_iter().for_each(drop),
         }
     }
 
@@ -87,43 +86,40 @@ impl Operator {
         if !self.asks {
             return Some(Choice::Continue);
         }
-        if let Some(keys) = &self.keys {
-            return match keys.try_recv() {
+        match &self.input {
+            Input::Nobody => Some(Choice::Continue),
+            Input::Keys(keys) => match keys.try_recv() {
                 Ok(Key::GoOn) => Some(Choice::Continue),
                 Ok(Key::Repeat) => Some(Choice::Repeat),
                 Ok(Key::Skip) => Some(Choice::Skip),
                 Ok(Key::Quit) | Err(TryRecvError::Disconnected) => Some(Choice::Quit),
                 Ok(Key::Mark) | Err(TryRecvError::Empty) => None,
-            };
-        }
-        let Some(lines) = &self.lines else {
-            return Some(Choice::Continue);
-        };
-        match lines.try_recv() {
-            Ok(line) => match line.trim() {
-                "" | "c" => Some(Choice::Continue),
-                "r" => Some(Choice::Repeat),
-                "s" => Some(Choice::Skip),
-                "q" => Some(Choice::Quit),
-                _ => None,
             },
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => Some(Choice::Quit),
+            Input::Lines(lines) => match lines.try_recv().as_deref().map(str::trim) {
+                Ok("" | "c") => Some(Choice::Continue),
+                Ok("r") => Some(Choice::Repeat),
+                Ok("s") => Some(Choice::Skip),
+                Ok("q") | Err(TryRecvError::Disconnected) => Some(Choice::Quit),
+                Ok(_) | Err(TryRecvError::Empty) => None,
+            },
         }
     }
 
     /// A line typed while recording: `Some(None)` is a quit, `Some(Some(label))`
     /// a mark. The end of the input is nothing: a recording may go on without it.
     pub(crate) fn mark(&self) -> Option<Option<String>> {
-        if let Some(keys) = &self.keys {
-            return match keys.try_recv().ok()? {
+        match &self.input {
+            Input::Nobody => None,
+            Input::Keys(keys) => match keys.try_recv().ok()? {
                 Key::Quit => Some(None),
                 Key::Mark => Some(Some(String::new())),
                 Key::GoOn | Key::Repeat | Key::Skip => None,
-            };
+            },
+            Input::Lines(lines) => {
+                let line = lines.try_recv().ok()?;
+                let line = line.trim();
+                Some((line != "q").then(|| line.to_owned()))
+            }
         }
-        let line = self.lines.as_ref()?.try_recv().ok()?;
-        let line = line.trim();
-        Some((line != "q").then(|| line.to_owned()))
     }
 }

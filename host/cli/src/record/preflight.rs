@@ -1,7 +1,7 @@
-//! What is looked at before a recording: profile, disk, programs, board, IMU,
-//! trigger read-back and phone; and for whatever is not good, what to do.
+//! The checks before a recording: profile, disk, programs, board, IMU, trigger
+//! read-back and phone. Each problem is listed with its fix.
 //!
-//! `smartdepthsync doctor` prints all of it. A session looks at the same in its
+//! `smartdepthsync doctor` prints all of them. A session makes the same checks in its
 //! connect step, with the rig in somebody's hands: so the noise of the IMU is
 //! judged in motion too ([`ImuLook`]). The read-back of the trigger is judged on
 //! the train that the session starts anyway, so that a depth camera which waits
@@ -118,14 +118,14 @@ impl Checks {
         } else {
             self.warn(
                 "profile",
-                "none given: the published rig's",
+                "none given: using the published rig's",
                 "`smartdepthsync profile init rig.toml`, and give it with --profile",
             );
         }
         match &profile.phone.learnt {
             None => self.warn(
                 "learnt clocks",
-                "nothing: the phase may drift by tens of µs a minute",
+                "none: the phase may drift by tens of µs a minute",
                 "record with --second-twist, then `smartdepthsync profile learn`",
             ),
             Some(learnt) if age(learnt.learnt) > OLD_DAYS => self.warn(
@@ -189,7 +189,7 @@ impl Checks {
             None => self.warn(
                 "disk",
                 "free space is not known",
-                "see that there is enough",
+                "make sure that there is enough",
             ),
         }
     }
@@ -325,7 +325,7 @@ impl Checks {
                 noise.map_or(String::from("not measured: the rig moves"), |noise| {
                     format!("{noise:.4} rad/s")
                 }),
-                "keep the rig still while this runs; if it was still, the sensor or its supply is bad",
+                "keep the rig still during this check; if it was still, the sensor or its supply is bad",
             ),
         }
     }
@@ -344,7 +344,7 @@ impl Checks {
             self.warn(
                 "accelerometer",
                 found,
-                "it should be about 9.81: the sensor is damaged, or another one than expected",
+                "expected about 9.81: the sensor is damaged, or not the expected one",
             );
         } else {
             self.good("accelerometer", found);
@@ -371,7 +371,7 @@ impl Checks {
             (0, 0, _) => self.warn(
                 "trigger read-back",
                 format!("not wired ({} pulses made)", status.pulses),
-                "wire the trigger behind its buffer to PA3 to have every pulse proved",
+                "wire the buffered trigger to PA3, so that every pulse is verified",
             ),
             (seen, 0, delay) => self.good(
                 "trigger read-back",

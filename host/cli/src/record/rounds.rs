@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use super::Stop;
+use super::depth_recorder::DepthRecorder;
 use super::journal::Journal;
-use super::recorder::DepthRecorder;
 use crate::outcome::{ExitStatus, Failure};
 use recording::writer::Severity;
 use verify::watch::Finding;

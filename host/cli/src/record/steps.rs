@@ -40,8 +40,8 @@ pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> 
     let video = phone_video(rig)?;
     let Some(clock) = rig.journal.file.clock else {
         return Err(
-            Failure::new(ExitStatus::Refused, "there is no relation of the clocks")
-                .next_step("the twist was left out or refused: record again, and twist faster")
+            Failure::new(ExitStatus::Refused, "the clocks were not related")
+                .next_step("the twist was skipped or refused: record again, and twist faster")
                 .into(),
         );
     };
@@ -92,8 +92,8 @@ fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
     };
     step(rig, what, phones::start_videos)?;
     rig.journal.file.video.ok_or_else(|| {
-        Failure::new(ExitStatus::Phone, "the phone's video was left out")
-            .next_step("record again with the phone: there is nothing to align to without it")
+        Failure::new(ExitStatus::Phone, "the phone's video was skipped")
+            .next_step("record again with the phone's video: the trigger is aligned to it")
             .into()
     })
 }
@@ -259,7 +259,7 @@ pub(super) fn step(
             return Err(failure.into());
         }
         rig.context.say(format!("error: {failure}"));
-        let prompt = format!("{name}: [Enter] or [r] try again, [s] leave it out, [q] quit");
+        let prompt = format!("{name}: [Enter] or [r] try again, [s] skip, [q] quit");
         match ask(rig, &prompt)? {
             Choice::Continue | Choice::Repeat => {}
             Choice::Skip => return Ok(()),
@@ -284,7 +284,7 @@ pub(super) fn ask(rig: &mut Rig<'_>, prompt: &str) -> Result<Choice, Stop> {
 pub(super) fn odd_answer(answer: &Answer) -> Failure {
     Failure::new(
         ExitStatus::Phone,
-        format!("the phone answered something else: {answer:?}"),
+        format!("the phone gave another answer than expected: {answer:?}"),
     )
     .next_step("restart the app and try again")
 }

@@ -359,59 +359,45 @@ fn draw_twist(frame: &mut Frame<'_>, twist: &super::Twist, area: Rect) {
         Constraint::Min(0),
     ])
     .areas(area);
-    let share = |part: f64, whole: f64| {
-        if whole > 0.0 {
-            (part / whole).clamp(0.0, 1.0)
-        } else {
-            0.0
-        }
+    let enough = twist.is_enough();
+    let label = format!("{:.1} of {:.0} s", twist.elapsed_s, twist.length_s);
+    let elapsed = if twist.length_s > 0.0 {
+        twist.elapsed_s / twist.length_s
+    } else {
+        0.0
     };
-    frame.render_widget(
-        Gauge::default()
-            .block(
-                Block::bordered()
-                    .title(" twist now, about all axes ")
-                    .border_style(DIM),
-            )
-            .gauge_style(Style::new().fg(Color::Cyan))
-            .ratio(share(twist.elapsed_s, twist.length_s))
-            .label(format!("{:.1} of {:.0} s", twist.elapsed_s, twist.length_s)),
-        time,
-    );
+    let title = " twist now, about all axes ";
+    frame.render_widget(meter(title, Color::Cyan, elapsed, label), time);
     // From a hundred times too much (empty) to enough (full), by its logarithm.
     let full = twist.sigma_us.map_or(0.0, |sigma| {
         1.0 - (sigma / twist.enough_us).max(1e-9).log10() / 2.0
     });
-    let enough = twist.is_enough();
-    frame.render_widget(
-        Gauge::default()
-            .block(
-                Block::bordered()
-                    .title(" expected 1-sigma of the offset, falling ")
-                    .border_style(DIM),
-            )
-            .gauge_style(Style::new().fg(if enough { Color::Green } else { Color::Yellow }))
-            .ratio(full.clamp(0.0, 1.0))
-            .label(match twist.sigma_us {
-                Some(sigma) if enough => {
-                    format!("{sigma:.1} us: ENOUGH (needed {:.0})", twist.enough_us)
-                }
-                Some(sigma) => format!("{sigma:.1} us, needed {:.0}", twist.enough_us),
-                None => String::from("no motion yet"),
-            }),
-        bar,
-    );
+    let label = match twist.sigma_us {
+        Some(sigma) if enough => format!("{sigma:.1} us: ENOUGH (needed {:.0})", twist.enough_us),
+        Some(sigma) => format!("{sigma:.1} us, needed {:.0}", twist.enough_us),
+        None => String::from("no motion yet"),
+    };
+    let colour = if enough { Color::Green } else { Color::Yellow };
+    let title = " expected 1-sigma of the offset, falling ";
+    frame.render_widget(meter(title, colour, full, label), bar);
     let [x, y, z] = twist.rms;
+    let style = if enough { GOOD } else { WARN }.add_modifier(Modifier::BOLD);
     frame.render_widget(
         Paragraph::new(vec![
-            Line::styled(
-                format!(" {}", twist.advice()),
-                if enough { GOOD } else { WARN }.add_modifier(Modifier::BOLD),
-            ),
+            Line::styled(format!(" {}", twist.advice()), style),
             Line::raw(format!(" x {x:.1}   y {y:.1}   z {z:.1} rad/s rms")),
         ]),
         hint,
     );
+}
+
+/// A bar in a box, full at 1.
+fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<'static> {
+    Gauge::default()
+        .block(Block::bordered().title(title).border_style(DIM))
+        .gauge_style(Style::new().fg(colour))
+        .ratio(full.clamp(0.0, 1.0))
+        .label(label)
 }
 
 fn draw_warnings(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
@@ -447,7 +433,7 @@ fn draw_said(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
 fn keys_line<'a>(keys: Keys) -> Paragraph<'a> {
     let text = match keys {
         Keys::Look => " q stop   h help",
-        Keys::Answer => " Enter go on   r twist again / repeat   s leave out   q stop   h help",
+        Keys::Answer => " Enter go on   r twist again / repeat   s skip   q stop   h help",
         Keys::Record => " m mark   q stop   h help",
     };
     Paragraph::new(text).style(Style::new().fg(Color::Black).bg(Color::Gray))
@@ -457,7 +443,7 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect) {
     let text = [
         "Enter  go on, where something is asked",
         "r      do the last step again (twist again)",
-        "s      leave the step out",
+        "s      skip the step",
         "m      set a mark, while recording",
         "q      stop; what was recorded is kept",
         "h      this help, and away again",

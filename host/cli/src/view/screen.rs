@@ -73,7 +73,7 @@ impl Screen {
         let spawned = std::thread::Builder::new()
             .name(String::from("view"))
             .spawn(move || {
-                // What goes wrong here is the terminal's end, and no one's loss.
+                // Only the view is lost: the recording goes on without it.
                 if let Err(error) = show(&theirs, &key_sender, &interrupt) {
                     tracing::debug!("the view has ended: {error}");
                 }

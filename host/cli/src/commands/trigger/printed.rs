@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-pub(super) struct TriggerReport {
+pub(super) struct PrintedTrain {
     state: TrainState,
     train: u32,
     period_ns: String,
@@ -20,11 +20,11 @@ pub(super) struct TriggerReport {
     next_edge_ticks: u64,
     next_edge_fraction: u32,
     late: u32,
-    pub(super) readback: ReadbackReport,
+    pub(super) readback: PrintedReadback,
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct ReadbackReport {
+pub(super) struct PrintedReadback {
     /// "not wired", "ok", "missing n", or "stray n".
     pub(super) state: String,
     seen: u32,
@@ -35,17 +35,17 @@ pub(super) struct ReadbackReport {
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct AlignReport {
+pub(super) struct PrintedMove {
     shift_ticks: i64,
     shift_us: f64,
     frames: u32,
     arrival_pulse: u64,
     arrival_ticks: u64,
-    pub(super) arrived: Option<ArrivedReport>,
+    pub(super) arrived: Option<PrintedArrival>,
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct ArrivedReport {
+pub(super) struct PrintedArrival {
     pulse: u64,
     at_ticks: u64,
     remaining_ticks: i64,
@@ -55,7 +55,7 @@ fn micros(ticks: f64) -> f64 {
     ticks * 1e6 / f64::from(TICK_HZ)
 }
 
-impl From<&TriggerStatus> for TriggerReport {
+impl From<&TriggerStatus> for PrintedTrain {
     fn from(status: &TriggerStatus) -> Self {
         let period = status.period;
         let seconds = period.as_secs_f64();
@@ -72,12 +72,12 @@ impl From<&TriggerStatus> for TriggerReport {
             next_edge_ticks: status.next_edge.0,
             next_edge_fraction: status.next_fraction,
             late: status.late,
-            readback: ReadbackReport::from(&status.readback),
+            readback: PrintedReadback::from(&status.readback),
         }
     }
 }
 
-impl TriggerReport {
+impl PrintedTrain {
     pub(super) fn text(&self, status: &TriggerStatus) -> String {
         let mut text = String::new();
         let state = match self.state {
@@ -127,7 +127,7 @@ impl TriggerReport {
     }
 }
 
-impl From<&Readback> for ReadbackReport {
+impl From<&Readback> for PrintedReadback {
     fn from(readback: &Readback) -> Self {
         let state = match (readback.seen, readback.missing, readback.stray) {
             (0, 0, 0) => String::from("not wired"),
@@ -148,7 +148,7 @@ impl From<&Readback> for ReadbackReport {
     }
 }
 
-impl From<&AlignPlan> for AlignReport {
+impl From<&AlignPlan> for PrintedMove {
     fn from(plan: &AlignPlan) -> Self {
         Self {
             shift_ticks: plan.shift.0,
@@ -161,7 +161,7 @@ impl From<&AlignPlan> for AlignReport {
     }
 }
 
-impl AlignReport {
+impl PrintedMove {
     pub(super) fn text(&self) -> String {
         format!(
             "moving by {:+} ticks ({:+.3} µs) over {} frames; on the grid from pulse {} on",
@@ -170,7 +170,7 @@ impl AlignReport {
     }
 }
 
-impl From<&Arrived> for ArrivedReport {
+impl From<&Arrived> for PrintedArrival {
     fn from(arrived: &Arrived) -> Self {
         Self {
             pulse: arrived.pulse,
@@ -180,7 +180,7 @@ impl From<&Arrived> for ArrivedReport {
     }
 }
 
-impl ArrivedReport {
+impl PrintedArrival {
     pub(super) fn text(&self) -> String {
         format!(
             "arrived at pulse {} ({} ticks), {} ticks from the grid",

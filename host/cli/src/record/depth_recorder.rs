@@ -78,14 +78,14 @@ impl DepthRecorder {
             Ok(Some(status)) => {
                 self.ended = true;
                 Some(format!(
-                    "the depth recorder `{}` ended by itself ({status}); what it said is in {LOG_FILE}",
+                    "the depth recorder `{}` ended by itself ({status}); its output is in {LOG_FILE}",
                     self.name
                 ))
             }
             Err(error) => {
                 self.ended = true;
                 Some(format!(
-                    "the depth recorder `{}` cannot be watched: {error}",
+                    "the depth recorder `{}` cannot be monitored: {error}",
                     self.name
                 ))
             }
