@@ -20,6 +20,8 @@ const MIN_FRAMES: usize = 10;
 const FRAME_LAG: usize = 64;
 /// Robust standard deviations beyond which a frame does not belong to the line.
 const OUTLIER: f64 = 6.0;
+/// How often such frames are taken out.
+const OUTLIER_ROUNDS: usize = 4;
 /// The published pipeline looks at every n-th frame.
 const PAPER_EVERY: usize = 6;
 
@@ -110,37 +112,18 @@ pub fn evaluate(
     let track = track(&footage, settings, Choice::All)?;
     let chosen = settings.from_s.is_some() || settings.to_s.is_some();
     let window = if chosen { None } else { still(&track.points) };
-    let mut points = match window.clone().and_then(|w| track.points.get(w)) {
+    let points = match window.clone().and_then(|w| track.points.get(w)) {
         Some(points) => points.to_vec(),
         None => track.points.clone(),
     };
-    let all = points.len();
     let window_s = window.and_then(|_| Some([points.first()?.time_s, points.last()?.time_s]));
-    let too_few = |found: usize| EvaluateError::TooFewFrames {
+    let all = points.len();
+    let too_few = |found| EvaluateError::TooFewFrames {
         path: footage.path.clone(),
         found,
         needed: MIN_FRAMES,
     };
-    for _ in 0..4 {
-        if points.len() < MIN_FRAMES {
-            return Err(too_few(points.len()));
-        }
-        let line = fit(&points).ok_or_else(|| too_few(points.len()))?;
-        let residuals: Vec<f64> = points
-            .iter()
-            .map(|p| p.bias_us - line.at(p.time_s))
-            .collect();
-        let limit = OUTLIER * robust_deviation(&residuals).max(0.02);
-        let before = points.len();
-        let mut residuals = residuals.into_iter();
-        points.retain(|_| residuals.next().is_some_and(|r| r.abs() <= limit));
-        if points.len() == before {
-            break;
-        }
-    }
-    let line = fit(&points)
-        .filter(|_| points.len() >= MIN_FRAMES)
-        .ok_or_else(|| too_few(points.len()))?;
+    let (line, points) = regression(points).map_err(too_few)?;
     let (first, last) = match (points.first(), points.last()) {
         (Some(a), Some(b)) => (a.time_s, b.time_s),
         _ => return Err(too_few(0)),
@@ -197,10 +180,24 @@ pub fn evaluate(
     })
 }
 
-fn fit(points: &[FramePoint]) -> Option<Line> {
-    let times: Vec<f64> = points.iter().map(|p| p.time_s).collect();
-    let biases: Vec<f64> = points.iter().map(|p| p.bias_us).collect();
-    Line::fit(&times, &biases, FRAME_LAG.min(points.len() / 6))
+/// The line through the frames, without those that lie far off it. If they are too few,
+/// their number.
+fn regression(mut points: Vec<FramePoint>) -> Result<(Line, Vec<FramePoint>), usize> {
+    for round in 0.. {
+        let times: Vec<f64> = points.iter().map(|p| p.time_s).collect();
+        let biases: Vec<f64> = points.iter().map(|p| p.bias_us).collect();
+        let line = Line::fit(&times, &biases, FRAME_LAG.min(points.len() / 6))
+            .filter(|_| points.len() >= MIN_FRAMES)
+            .ok_or(points.len())?;
+        let off = |p: &FramePoint| p.bias_us - line.at(p.time_s);
+        let residuals: Vec<f64> = points.iter().map(off).collect();
+        let limit = OUTLIER * robust_deviation(&residuals).max(0.02);
+        if round == OUTLIER_ROUNDS || residuals.iter().all(|r| r.abs() <= limit) {
+            return Ok((line, points));
+        }
+        points.retain(|p| off(p).abs() <= limit);
+    }
+    Err(points.len())
 }
 
 /// One flash's row in every 6th frame and a straight line through it.

@@ -51,6 +51,7 @@ mod joint;
 pub mod latency;
 mod linear;
 mod paper;
+mod picture;
 pub mod plot;
 pub mod precision;
 pub mod report;
@@ -69,7 +70,7 @@ use frame::{Region, Rotation};
 use train::TrainGeometry;
 
 /// What the user says about camera and train.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Settings {
     /// Flashes of one exposure of the depth camera.
     pub train: TrainGeometry,
@@ -102,27 +103,6 @@ pub struct Settings {
     pub to_s: Option<f64>,
     /// File with one time a frame, instead of the one beside the video.
     pub timestamps: Option<PathBuf>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self {
-            train: TrainGeometry::NFOV,
-            rotation: Rotation::Deg0,
-            region: None,
-            middle_row: None,
-            exposure_us: None,
-            row_time_us: None,
-            row_time_hint_us: None,
-            exposure_hint_us: None,
-            near_us: 0.0,
-            path_delay_us: 0.0,
-            keep_flicker: false,
-            from_s: None,
-            to_s: None,
-            timestamps: None,
-        }
-    }
 }
 
 impl Settings {

@@ -1,25 +1,20 @@
 //! The report of a measurement as a [`Page`].
 
 use std::fmt::Write as _;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use serde_json::json;
 
 use super::classify::{FrameCounts, Reference};
 use super::drift::{Drift, EvaluatedDrift};
 use super::footage::Footage;
 use super::identity::Identity;
-use super::plot::{self, flash_rows};
-use super::precision::{Evaluated, Precision, Spread, middle_row};
+use super::picture;
+use super::plot;
+use super::precision::{Evaluated, Precision, Spread};
 use super::track::Track;
 use super::{EvaluateError, Settings};
 use page::{Level, Page};
-
-/// A picture narrower than this has its labels beside it, pixels.
-const LABEL_WIDTH: usize = 300;
 
 /// Report of a precision measurement.
 pub fn precision(
@@ -327,97 +322,11 @@ fn picture(
     track: &Track,
     settings: &Settings,
 ) -> Result<(), EvaluateError> {
-    let picture = &footage.picture;
-    let (w, h) = (picture.width, picture.height);
-    let mut png = Cursor::new(Vec::new());
-    image::write_buffer_with_format(
-        &mut png,
-        &picture.pixels,
-        w as u32,
-        h as u32,
-        image::ExtendedColorType::L8,
-        image::ImageFormat::Png,
-    )?;
-    let own = track.points.iter().find(|p| p.index == picture.index);
-    // Beside a picture that is too narrow for them the labels have room.
-    let beside = w < LABEL_WIDTH;
-    let whole = if beside { w + LABEL_WIDTH } else { w };
-    let mut svg = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {whole} {h}\" width=\"{whole}\" height=\"{h}\">\n<image width=\"{w}\" height=\"{h}\" href=\"data:image/png;base64,{}\"/>\n",
-        STANDARD.encode(png.get_ref())
-    );
-    // Type in proportion to the picture, so that it can be read at any size.
-    let size = if beside {
-        (0.022 * h as f64).max(12.0)
-    } else {
-        (0.03 * w.min(h) as f64).max(12.0)
-    };
-    // Places in the reduced picture: the centre of a row's pixels.
-    let place = |row: f64| {
-        let (line, vertical) = footage.reducer.image_line(row);
-        ((line + 0.5) / picture.reduction as f64, vertical)
-    };
-    let across = |row: f64, from: f64, to: f64| {
-        let (at, vertical) = place(row);
-        if vertical {
-            format!(
-                "x1=\"{at:.2}\" y1=\"{:.1}\" x2=\"{at:.2}\" y2=\"{:.1}\"",
-                from * h as f64,
-                to * h as f64
-            )
-        } else {
-            format!(
-                "x1=\"{:.1}\" y1=\"{at:.2}\" x2=\"{:.1}\" y2=\"{at:.2}\"",
-                from * w as f64,
-                to * w as f64
-            )
-        }
-    };
-    // Where the flashes of another frame lie says nothing about this one.
-    let rows = own.map(|p| {
-        let bias = p.bias_us + settings.path_delay_us;
-        flash_rows(footage, track, &settings.train, bias)
-    });
-    for (number, row) in rows.unwrap_or_default() {
-        // Only at the edges, so that the bands stay visible.
-        for (from, to) in [(0.0, 0.18), (0.82, 1.0)] {
-            let _ = writeln!(
-                svg,
-                "<line {} stroke=\"#ff6a3d\" stroke-width=\"1.2\"/>",
-                across(row, from, to)
-            );
-        }
-        let (at, vertical) = place(row);
-        let (x, y) = match (vertical, beside) {
-            (true, _) => (at + 3.0, 14.0),
-            (false, true) => (w as f64 + 6.0, at + 0.35 * size),
-            (false, false) => (4.0, at - 3.0),
-        };
-        let _ = writeln!(
-            svg,
-            "<text x=\"{x:.1}\" y=\"{y:.1}\" fill=\"#ff6a3d\" font-family=\"sans-serif\" font-size=\"{size:.0}\">flash {number}, row {row:.2}</text>"
-        );
-    }
-    if beside {
-        let (at, _) = place(middle_row(footage));
-        let _ = writeln!(
-            svg,
-            "<text x=\"{}\" y=\"{:.1}\" fill=\"#0072b2\" font-family=\"sans-serif\" font-size=\"{size:.0}\">middle row</text>",
-            w + LABEL_WIDTH * 2 / 3,
-            at + 0.35 * size
-        );
-    }
-    let _ = writeln!(
-        svg,
-        "<line {} stroke=\"#39a0ff\" stroke-width=\"1.2\" stroke-dasharray=\"6 4\"/>",
-        across(middle_row(footage), 0.0, 1.0)
-    );
-    svg.push_str("</svg>\n");
     page.picture(
-        &svg,
+        &picture::svg(footage, track, settings)?,
         &format!(
             "Frame {} of the recording. Dashed: the middle row.",
-            picture.index
+            footage.picture.index
         ),
     );
     Ok(())

@@ -63,18 +63,8 @@ pub(crate) fn variance_of_sum(terms: &[f64], lag: usize) -> f64 {
     // As many equal terms would have the same ratio of moments; normal errors of
     // equal size show a third of their number.
     let effective = (3.0 * white * white / fourth).min(terms.len() as f64);
-    let mut sum = white;
-    for l in 1..=lag.min(terms.len().saturating_sub(1)) {
-        let weight = 1.0 - l as f64 / (lag as f64 + 1.0);
-        let product: f64 = terms
-            .iter()
-            .zip(terms.iter().skip(l))
-            .map(|(a, b)| a * b)
-            .sum();
-        sum += 2.0 * weight * product;
-    }
     let shrunk = 1.0 - (lag as f64 + 1.0) / effective;
-    let correlated = sum / shrunk.max(0.33);
+    let correlated = (white + neighbours(terms, lag)) / shrunk.max(0.33);
     correlated.max(white)
 }
 
@@ -85,16 +75,19 @@ pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
     if zero <= 0.0 {
         return 1.0;
     }
-    let mut sum = 1.0;
-    for l in 1..=lag.min(residuals.len().saturating_sub(1)) {
-        let product: f64 = residuals
-            .iter()
-            .zip(residuals.iter().skip(l))
-            .map(|(a, b)| a * b)
-            .sum();
-        sum += 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0)) * product / zero;
-    }
-    sum.max(1.0)
+    (1.0 + neighbours(residuals, lag) / zero).max(1.0)
+}
+
+/// What the correlation of each term with up to `lag` following ones adds to the
+/// variance of their sum, with Bartlett's weights.
+fn neighbours(terms: &[f64], lag: usize) -> f64 {
+    let product = |l: usize| -> f64 {
+        let later = terms.iter().skip(l);
+        terms.iter().zip(later).map(|(a, b)| a * b).sum()
+    };
+    (1..=lag.min(terms.len().saturating_sub(1)))
+        .map(|l| 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0)) * product(l))
+        .sum()
 }
 
 /// A straight line through points.

@@ -25,6 +25,12 @@ pub struct TrainGeometry {
     pub duration_us: f64,
 }
 
+impl Default for TrainGeometry {
+    fn default() -> Self {
+        Self::NFOV
+    }
+}
+
 impl TrainGeometry {
     /// Azure Kinect, narrow field of view, and the binned mode of the wide one: 9
     /// flashes of 125 µs, 1,450 µs between them, 12.8 ms in all (the vendor's page on

@@ -16,6 +16,7 @@
 //! [`chart`] draws; [`session`] is the report of a recording.
 
 pub mod chart;
+mod envelope;
 
 use std::fmt::Write as _;
 
