@@ -33,6 +33,8 @@ pub struct Picture {
     pub(crate) pixels: Vec<u8>,
     /// Image pixels to one pixel of the picture.
     pub(crate) reduction: usize,
+    /// Largest contrast of any frame so far.
+    strongest: f64,
 }
 
 /// A recording reduced to row profiles.
@@ -119,15 +121,14 @@ impl Footage {
             step: 1.0,
             len: reducer.used_rows(),
         };
-        let mut notes = Vec::new();
+        let mut stopped = false;
         let mut store = ProfileStore::new(DEFAULT_CAPACITY);
         let mut profile = RowProfile::default();
         let mut picture = Picture::default();
-        let mut best_contrast = 0.0;
         let (mut read, mut saturated, mut untimed) = (0, 0.0f32, 0usize);
         for index in 0.. {
             if stop() {
-                notes.push("stopped by the user before the end of the input".to_owned());
+                stopped = true;
                 break;
             }
             let asked = Instant::now();
@@ -147,22 +148,11 @@ impl Footage {
             reducer.reduce(frame, &mut profile)?;
             read += 1;
             saturated = saturated.max(profile.saturated);
-            let contrast = contrast(&profile.rows);
-            let first = best_contrast == 0.0;
-            best_contrast = contrast.max(best_contrast);
-            let due = first || index >= picture.index + PICTURE_EVERY;
-            if due && contrast >= PICTURE_CONTRAST * best_contrast {
-                picture = shrink(frame, index);
-            }
+            picture.offer(frame, index, contrast(&profile.rows));
             store.push(index, time_s, &profile);
         }
-        if untimed > 0 {
-            notes.push(format!(
-                "{untimed} frames beyond the end of the timestamp file left out"
-            ));
-        }
-        let mut all = source.closing_notes();
-        all.append(&mut notes);
+        let mut notes = source.closing_notes();
+        notes.extend(remarks(stopped, untimed, store.one_in(), saturated));
         if read == 0 {
             return Err(EvaluateError::NoFrames {
                 path: info.path,
@@ -171,18 +161,6 @@ impl Footage {
                     .to_s
                     .map_or("the end".to_owned(), |s| format!("{s} s")),
             });
-        }
-        if store.one_in() > 1 {
-            all.push(format!(
-                "long recording: one in {} frames, chosen at random, was used",
-                store.one_in()
-            ));
-        }
-        if saturated > 0.02 {
-            all.push(format!(
-                "up to {:.0} % of the pixels are saturated: less light, a shorter exposure or a region without the bright part is better",
-                100.0 * saturated
-            ));
         }
         Ok(Self {
             path: info.path,
@@ -195,9 +173,50 @@ impl Footage {
             read,
             picture,
             encoded: info.encoded,
-            notes: all,
+            notes,
             waited,
         })
+    }
+}
+
+/// What should be known about how the frames were read.
+fn remarks(stopped: bool, untimed: usize, one_in: u64, saturated: f32) -> Vec<String> {
+    let mut notes = Vec::new();
+    if stopped {
+        notes.push("stopped by the user before the end of the input".to_owned());
+    }
+    if untimed > 0 {
+        notes.push(format!(
+            "{untimed} frames beyond the end of the timestamp file left out"
+        ));
+    }
+    if one_in > 1 {
+        notes.push(format!(
+            "long recording: one in {one_in} frames, chosen at random, was used"
+        ));
+    }
+    if saturated > 0.02 {
+        notes.push(format!(
+            "up to {:.0} % of the pixels are saturated: less light, a shorter exposure or a region without the bright part is better",
+            100.0 * saturated
+        ));
+    }
+    notes
+}
+
+impl Picture {
+    /// Takes a frame if it has about as much contrast as any before, and comes long
+    /// enough after the one that was taken last.
+    fn offer(&mut self, frame: GreyView<'_>, index: usize, contrast: f64) {
+        let first = self.strongest == 0.0;
+        self.strongest = self.strongest.max(contrast);
+        let due = first || index >= self.index + PICTURE_EVERY;
+        if due && contrast >= PICTURE_CONTRAST * self.strongest {
+            *self = Self {
+                strongest: self.strongest,
+                ..shrink(frame, index)
+            };
+        }
     }
 }
 
@@ -226,5 +245,6 @@ fn shrink(frame: GreyView<'_>, index: usize) -> Picture {
         height: frame.height.div_ceil(reduction),
         pixels,
         reduction,
+        strongest: 0.0,
     }
 }

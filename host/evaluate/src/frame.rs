@@ -100,16 +100,16 @@ pub(crate) const MAX_SIDE: usize = video::MAX_SIDE as usize;
 
 /// Mean brightness of the used rows of one frame.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct RowProfile {
+pub(crate) struct RowProfile {
     /// Grey levels, in read-out order, one for each used sensor row.
-    pub rows: Vec<f32>,
+    pub(crate) rows: Vec<f32>,
     /// Share of used pixels at the white end of the scale.
-    pub saturated: f32,
+    pub(crate) saturated: f32,
 }
 
 /// Turns frames of one size into row profiles.
 #[derive(Debug, Clone)]
-pub struct RowReducer {
+pub(crate) struct RowReducer {
     width: usize,
     height: usize,
     rotation: Rotation,
@@ -120,7 +120,7 @@ pub struct RowReducer {
 impl RowReducer {
     /// For frames of `width` × `height` pixels; `region` is in image pixels, and
     /// grey levels of `white` and above count as saturated.
-    pub fn new(
+    pub(crate) fn new(
         width: usize,
         height: usize,
         rotation: Rotation,
@@ -169,7 +169,7 @@ impl RowReducer {
     }
 
     /// Rows of the whole sensor picture.
-    pub fn sensor_rows(&self) -> usize {
+    pub(crate) fn sensor_rows(&self) -> usize {
         if self.rows_are_columns() {
             self.width
         } else {
@@ -178,7 +178,7 @@ impl RowReducer {
     }
 
     /// Rows inside the region.
-    pub fn used_rows(&self) -> usize {
+    pub(crate) fn used_rows(&self) -> usize {
         if self.rows_are_columns() {
             self.region.width
         } else {
@@ -187,7 +187,7 @@ impl RowReducer {
     }
 
     /// Number, in read-out order, of the first used row.
-    pub fn first_row(&self) -> usize {
+    pub(crate) fn first_row(&self) -> usize {
         let (start, length) = if self.rows_are_columns() {
             (self.region.x, self.region.width)
         } else {
@@ -201,7 +201,7 @@ impl RowReducer {
     }
 
     /// Where a sensor row lies in the image, and whether rows run along columns.
-    pub fn image_line(&self, sensor_row: f64) -> (f64, bool) {
+    pub(crate) fn image_line(&self, sensor_row: f64) -> (f64, bool) {
         let line = if self.reversed() {
             self.sensor_rows() as f64 - 1.0 - sensor_row
         } else {
@@ -211,7 +211,11 @@ impl RowReducer {
     }
 
     /// Reduces one frame.
-    pub fn reduce(&self, frame: GreyView<'_>, out: &mut RowProfile) -> Result<(), EvaluateError> {
+    pub(crate) fn reduce(
+        &self,
+        frame: GreyView<'_>,
+        out: &mut RowProfile,
+    ) -> Result<(), EvaluateError> {
         let expected = self.width * self.height;
         if (frame.width, frame.height) != (self.width, self.height)
             || frame.pixels.len() != expected

@@ -107,8 +107,7 @@ pub struct Settings {
 
 impl Settings {
     /// With the exposure that the recording's session knows, as a hint.
-    #[must_use]
-    pub fn with_session(&self, footage: &Footage) -> Self {
+    fn with_session(&self, footage: &Footage) -> Self {
         let known = footage.applied.map(|a| a.exposure_us);
         Self {
             exposure_hint_us: known.filter(|e| (1.0..=1e5).contains(e)),

@@ -139,7 +139,7 @@ fn course(drift: &EvaluatedDrift) -> Chart {
     let line = ends.map(|p| (p.time_s, row(drift.line.at(p.time_s))));
     Chart::new("time, s", "sensor row")
         .title(&format!(
-            "Row of the train's centre against time: {:+.3} ± {:.3} µs/min (depth minus phone)",
+            "Row of the train's centre, depth minus phone: {:+.3} ± {:.3} µs/min",
             drift.result.drift_us_per_min, drift.result.drift_sigma_us_per_min
         ))
         .add("frames", Data::Points(points), MEASURED.pale(0.5))

@@ -266,7 +266,7 @@ fn settled(
 }
 
 /// The middle row's number in the sensor, from 0.
-pub fn middle_row(footage: &Footage) -> f64 {
+pub(crate) fn middle_row(footage: &Footage) -> f64 {
     footage.reducer.first_row() as f64 - footage.rows.first
 }
 
@@ -335,7 +335,7 @@ fn concerns_all(error: &EvaluateError) -> bool {
 }
 
 /// Puts the recordings' results together.
-pub fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precision {
+fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precision {
     let values: Vec<f64> = recordings.iter().map(|r| r.bias_us).collect();
     let sigmas: Vec<f64> = recordings.iter().map(|r| r.sigma_us).collect();
     let weights: Vec<f64> = recordings

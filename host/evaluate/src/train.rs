@@ -49,7 +49,7 @@ impl TrainGeometry {
     };
 
     /// Checks that the numbers describe a train: 2 to 64 flashes that do not touch.
-    pub fn check(self) -> Result<Self, EvaluateError> {
+    pub(crate) fn check(self) -> Result<Self, EvaluateError> {
         let fits = (2..=64).contains(&self.count)
             && self.pitch_us.is_finite()
             && self.duration_us.is_finite()
@@ -65,12 +65,12 @@ impl TrainGeometry {
 
     /// Index of the flash at the centre of exposure; between two flashes when
     /// their number is even.
-    pub fn center_index(&self) -> f64 {
+    pub(crate) fn center_index(&self) -> f64 {
         0.5 * (f64::from(self.count) - 1.0)
     }
 
     /// Centre of flash `k` when the train is centred at `bias_us`, µs.
-    pub fn flash_us(&self, k: u32, bias_us: f64) -> f64 {
+    pub(crate) fn flash_us(&self, k: u32, bias_us: f64) -> f64 {
         bias_us + (f64::from(k) - self.center_index()) * self.pitch_us
     }
 }
@@ -140,7 +140,7 @@ pub struct RowLight {
 }
 
 /// Share of one flash that a row sees whose exposure is centred `distance_us` away.
-pub fn overlap(distance_us: f64, exposure_us: f64, duration_us: f64) -> f64 {
+pub(crate) fn overlap(distance_us: f64, exposure_us: f64, duration_us: f64) -> f64 {
     let ramp = 0.5 * (exposure_us + duration_us) - distance_us.abs();
     ramp.min(exposure_us).min(duration_us).max(0.0) / duration_us
 }

@@ -3,7 +3,7 @@
 //! A [`Chart`] has one pair of axes; [`stack`] draws several one below the other. Title
 //! and legend stand above the axes, where they hide nothing, in type that can be read
 //! when a page is shrunk to a phone's width. Time series of any length are drawn as an
-//! envelope of at most [`COLUMNS`] columns, so a page stays small after hours of
+//! envelope of a bounded number of columns, so a page stays small after hours of
 //! recording.
 
 use std::ops::Range;
@@ -12,7 +12,7 @@ use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
-pub use crate::envelope::{COLUMNS, Column, Envelope};
+pub use crate::envelope::{Column, Envelope};
 
 /// Size of a drawing of one chart, pixels.
 pub const SIZE: (u32, u32) = (800, 340);

@@ -1,7 +1,7 @@
 //! A series of any length in bounded memory.
 
 /// Columns of an envelope.
-pub const COLUMNS: usize = 400;
+const COLUMNS: usize = 400;
 
 /// Smallest and largest value in a column of time.
 #[derive(Clone, Copy, Debug, PartialEq)]

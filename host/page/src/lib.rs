@@ -272,8 +272,7 @@ fn plain(value: &Value) -> String {
 }
 
 /// Text that is not ours is not markup.
-#[must_use]
-pub fn escape(text: &str) -> String {
+fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -47,7 +47,10 @@ pub trait FrameSource {
 }
 
 /// Opens a video, a folder of images or a single image.
-pub fn open(path: &Path, timestamps: Option<&Path>) -> Result<Box<dyn FrameSource>, EvaluateError> {
+pub(crate) fn open(
+    path: &Path,
+    timestamps: Option<&Path>,
+) -> Result<Box<dyn FrameSource>, EvaluateError> {
     let metadata = std::fs::metadata(path).map_err(|source| EvaluateError::Io {
         path: path.to_owned(),
         source,
