@@ -1,7 +1,7 @@
 """The published package twistnsync beside smartdepthsync, on the same files.
 
 usage: sync_bench.py FOLDER
-FOLDER holds N_mcu.csv, N_phone.csv (time, x, y, z) and ours.csv, as written by
+FOLDER holds N_a.csv, N_b.csv (time, x, y, z) and ours.csv, as written by
 the example `sync_bench --export`.
 
 Two forms of the package: as published, and with the interval of the spline
@@ -62,8 +62,8 @@ def main():
     seconds, ours_ms = [], []
     with open(folder / "ours.csv", newline="") as file:
         for row in csv.DictReader(file):
-            mcu = read(folder / f"{row['trial']}_mcu.csv")
-            phone = read(folder / f"{row['trial']}_phone.csv")
+            mcu = read(folder / f"{row['trial']}_a.csv")
+            phone = read(folder / f"{row['trial']}_b.csv")
             published, repaired, took = offsets(mcu, phone)
             truth = float(row["true_offset_s"])
             errors["as published"].append(published - truth)

@@ -14,7 +14,7 @@ fn example(name: &str, args: &[&str]) -> Result<()> {
         "--release",
         "-q",
         "-p",
-        "smartdepthsync",
+        "twist-sync",
         "--example",
         name,
         "--",
@@ -31,7 +31,7 @@ pub(crate) fn run(trials: u32) -> Result<()> {
     let files = trials.min(MOST_FILES).to_string();
     for (scenario, label) in [
         ("base", "Base scenario"),
-        ("faulty phone stream", "Faulty phone stream"),
+        ("faulty stream b", "Faulty stream b"),
     ] {
         let folder = process::target_dir()
             .join("sync-bench")

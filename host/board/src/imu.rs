@@ -244,6 +244,58 @@ impl Summary {
     }
 }
 
+/// A look at the IMU's samples: their summary, and their noise even in motion.
+#[derive(Clone, Debug, Default)]
+pub struct ImuLook {
+    summary: Summary,
+    /// The last three rates, the latest first, and how many there are.
+    before: ([[f64; 3]; 3], usize),
+    third: [Spread; 3],
+}
+
+impl ImuLook {
+    /// Takes a sample.
+    pub fn add(&mut self, sample: &Sample) {
+        self.summary.add(sample);
+        let (before, count) = &mut self.before;
+        if *count == before.len() {
+            for axis in 0..3 {
+                let [one, two, three] = before.map(|rate| rate[axis]);
+                self.third[axis].add(sample.gyro[axis] - 3.0 * one + 3.0 * two - three);
+            }
+        }
+        *before = [sample.gyro, before[0], before[1]];
+        *count = (*count + 1).min(before.len());
+    }
+
+    /// Samples are missing before the next one.
+    pub const fn gap(&mut self) {
+        self.summary.gap();
+        self.before.1 = 0;
+    }
+
+    /// The summary so far.
+    #[must_use]
+    pub fn report(&self) -> SummaryReport {
+        self.summary.report()
+    }
+
+    /// Noise of the gyroscope while it turns, rad/s: that of the worst axis.
+    ///
+    /// The third difference of samples 2 ms apart takes out what a hand can do
+    /// (5 rad/s at 10 Hz leave 0.002 rad/s) and leaves white noise times the root
+    /// of 1 + 9 + 9 + 1. The sensor's low-pass takes some of that too, so it is an
+    /// estimate to within a factor of two.
+    #[must_use]
+    pub fn noise_in_motion(&self) -> Option<f64> {
+        self.third
+            .iter()
+            .filter_map(Spread::deviation)
+            .map(|deviation| deviation / 20.0_f64.sqrt())
+            .reduce(f64::max)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use protocol::{AccelRange, GyroRange, ImuClock, ImuConfig, ImuState, ImuStatus, LowPass};
@@ -341,5 +393,60 @@ mod tests {
         assert!((noise - expected).abs() < 1e-12);
         assert_eq!(summary.report().rate_hz, Some(500.0));
         assert_eq!(summary.report().gyro_noise_rad_s[1], Some(0.0));
+    }
+
+    fn look(rate: impl Fn(f64) -> f64) -> ImuLook {
+        let mut look = ImuLook::default();
+        for index in 0..500_u64 {
+            let at = index as f64 * 2e-3;
+            look.add(&Sample {
+                at: Ticks(index * 96_000),
+                flags: ImuFlags(0),
+                gyro: [rate(at), 0.0, 0.5 * rate(at)],
+                accel: [0.0, 0.0, 9.81],
+                temperature: 25.0,
+            });
+        }
+        look
+    }
+
+    #[test]
+    fn noise_is_told_from_motion() {
+        let hand = |at: f64| 5.0 * (std::f64::consts::TAU * 3.0 * at).sin();
+        let still = look(hand).noise_in_motion().unwrap();
+        assert!(still < 1e-3, "{still}");
+        // A square wave from sample to sample: the worst noise that there is.
+        let noisy = look(|at| {
+            hand(at)
+                + if ((at * 500.0) as u64).is_multiple_of(2) {
+                    0.1
+                } else {
+                    -0.1
+                }
+        });
+        let noise = noisy.noise_in_motion().unwrap();
+        assert!((0.1..0.2).contains(&noise), "{noise}");
+        assert_eq!(ImuLook::default().noise_in_motion(), None);
+    }
+
+    #[test]
+    fn a_gap_is_no_noise() {
+        let mut look = ImuLook::default();
+        for (index, rate) in [0.0, 0.0, 0.0, 0.0, 4.0, 4.0, 4.0, 4.0]
+            .into_iter()
+            .enumerate()
+        {
+            if index == 4 {
+                look.gap();
+            }
+            look.add(&Sample {
+                at: Ticks(index as u64 * 96_000),
+                flags: ImuFlags(0),
+                gyro: [rate; 3],
+                accel: [0.0; 3],
+                temperature: 25.0,
+            });
+        }
+        assert_eq!(look.noise_in_motion(), Some(0.0));
     }
 }

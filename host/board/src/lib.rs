@@ -10,11 +10,13 @@
 
 mod calls;
 mod conversation;
+mod error;
 pub mod gnss;
 pub mod imu;
 mod streams;
 pub mod transport;
 
-pub use calls::{Board, BoardError, Result, choose_port, explain, reset_cause};
+pub use calls::{Board, choose_port};
 pub use conversation::{Conversation, Event};
+pub use error::{BoardError, Result, explain, reset_cause};
 pub use streams::{Stream, StreamCount, StreamCounts};

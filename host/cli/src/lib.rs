@@ -5,6 +5,7 @@
 //! - [`record`]: a session from the twist to the aligned recording.
 //! - `view`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
+//! - `sync_report`: what the program says of an estimate of the clocks.
 //! - `log`: where log lines go.
 //! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
 //! - `decimal`: numbers of the command line as exact times.
@@ -19,4 +20,5 @@ pub mod live_data;
 mod log;
 pub mod outcome;
 pub mod record;
+mod sync_report;
 mod view;

@@ -10,9 +10,9 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
-use super::gyro_clock::GyroSample;
 use super::mkv::k4a::{Batch, Content, K4aError, Recording};
 use super::time::DeviceNanos;
+use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.
 const MAX_FAULTS: usize = 50;

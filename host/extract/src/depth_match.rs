@@ -12,13 +12,13 @@ use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
     Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
-use super::gyro_clock::Delays;
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
 use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
+use twist_sync::Options;
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -200,15 +200,15 @@ fn camera_hint(
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Option<Hint>, Stopped> {
-    let delays = Delays {
-        board: constants.board_imu_delay_ns as f64 * 1e-9,
-        other: 0.0,
+    let options = Options {
+        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
+        ..Options::of_windows()
     };
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
     let related = streams::related(
         "relating the depth camera's clock by its gyroscope",
         (board, (BoardNanos(first), BoardNanos(last))),
-        (&|| streams::camera(input, progress), delays),
+        (&|| streams::camera(input, progress), &options),
         None,
         EVERY,
         progress,

@@ -6,12 +6,13 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::BoardInput;
 use super::depth::DepthInput;
-use super::gyro_clock::Prior;
+use super::gyro_clock::prior;
 use super::later_runs::Moves;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
 use recording::profile::Phone;
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
+use twist_sync::Prior;
 
 /// Values that the user gives; they go before those of the session.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -323,7 +324,7 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
         exposure_ns: reported.or_else(|| nanos(phone.exposure_us)),
         middle_row_ns: nanos(phone.middle_row_us()),
         phone_imu_delay_ns: nanos(phone.gyro_delay_us),
-        prior: said.and_then(|said| said.clock).map(Prior::of),
+        prior: said.and_then(|said| said.clock).map(prior),
         ..rig
     }
 }
@@ -394,7 +395,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
             .as_ref()
             .map(|imu| i64::from(imu.scale.gyro_delay_us) * 1000),
         phone_imu_delay_ns: nanos(profile.phone.gyro_delay_us),
-        prior: session.clock.map(Prior::of),
+        prior: session.clock.map(prior),
     }
 }
 

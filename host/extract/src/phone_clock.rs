@@ -6,7 +6,7 @@
 //! the run lies ([`super::later_runs`]).
 
 use super::board_data::BoardInput;
-use super::gyro_clock::{Delays, GyroClock, Prior, residual_rms};
+use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
 use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
@@ -18,7 +18,7 @@ use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::frame_period;
 use phone::video_files::VideoFiles;
 use timebase::ClockModel;
-use twist_sync::smoother::ClockCourse;
+use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
 /// How far a recorded offset may be off, s.
 const RECORDED_MARGIN: f64 = 0.5;
@@ -51,7 +51,7 @@ struct RunClock {
     /// Until here.
     to: BoardNanos,
     source: &'static str,
-    gyros: Option<GyroClock>,
+    gyros: Option<RecordingClock>,
     course: Option<ClockCourse>,
     /// Without a course: phone less board, ns.
     offset: i64,
@@ -74,10 +74,10 @@ pub(crate) enum Runs {
 /// `moved` is how much later the last run is in `survey` than in the session, ns.
 pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
     let known = survey.clocks_of(input.other_name());
-    let latest = known.last().copied().flatten().map(Prior::of);
+    let latest = known.last().copied().flatten().map(gyro_clock::prior);
     // The session's relation is that of the last run.
     let said = input.rig.prior.map(|prior| match prior {
-        Prior::Model(model) => Prior::Model(model.with_a_later(moved as f64 * 1e-9)),
+        Prior::Relation(model) => Prior::Relation(model.with_a_later(moved as f64 * 1e-9)),
         Prior::Offset(offset, margin) => Prior::Offset(offset - moved as f64 * 1e-9, margin),
     });
     let otherwise = if input.is_other() {
@@ -90,7 +90,7 @@ pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Opt
         let own = if index == last {
             said
         } else {
-            known.map(Prior::of)
+            known.map(gyro_clock::prior)
         };
         own.or(latest).or(otherwise)
     };
@@ -180,14 +180,15 @@ fn find_run(
             "the board's recording has no IMU samples",
         ));
     }
-    let delays = Delays {
-        board: constants.board_imu_delay_ns as f64 * 1e-9,
-        other: constants.phone_imu_delay_ns as f64 * 1e-9,
+    let options = Options {
+        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
+        b_delay_s: constants.phone_imu_delay_ns as f64 * 1e-9,
+        ..Options::of_windows()
     };
     let related = streams::related(
         "relating the phone's clock",
         (board, span),
-        (&|| streams::phone(gyro), delays),
+        (&|| streams::phone(gyro), &options),
         prior,
         1,
         progress,
@@ -220,7 +221,7 @@ fn from_prior(
 ) -> Result<(RunClock, Option<String>), String> {
     match prior {
         None => Err(format!("phone time cannot be related to board time: {why}")),
-        Some(Prior::Model(model)) => {
+        Some(Prior::Relation(model)) => {
             let course = ClockCourse::from_estimates(&[model], model.wander)
                 .ok_or_else(|| "the session's clock model is not usable".to_owned())?;
             let run = RunClock {
@@ -271,7 +272,7 @@ impl RunClock {
             return Vec::new();
         }
         let knots = match &self.course {
-            Some(course) => super::gyro_clock::knots(course, self.from, self.to),
+            Some(course) => gyro_clock::knots(course, self.from, self.to),
             None => vec![plain(self.from), plain(self.to)],
         };
         let later =
@@ -308,10 +309,8 @@ impl PhoneClock {
         });
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
         let gyros = || self.runs.iter().filter_map(|run| run.gyros.as_ref());
-        let sum = |of: fn(&GyroClock) -> usize| gyros().map(of).sum();
-        let course: Vec<_> = gyros()
-            .flat_map(|gyros| gyros.results.iter().copied())
-            .collect();
+        let sum = |of: fn(&RecordingClock) -> usize| gyros().map(of).sum();
+        let course: Vec<_> = gyros().flat_map(window_results).collect();
         ClockReport {
             source: self.runs.first().map_or(NONE, |run| run.source),
             windows: sum(|gyros| gyros.windows),
@@ -353,7 +352,7 @@ mod tests {
     }
 
     fn prior(offset: f64) -> Option<Prior> {
-        Some(Prior::of(model(offset)))
+        Some(gyro_clock::prior(model(offset)))
     }
 
     /// Two runs; of the phone that is aligned to all is known, of "right" as given.
@@ -450,7 +449,7 @@ mod tests {
     fn what_the_session_says_of_a_further_phone_moves_with_the_last_run() {
         let survey = survey([Some(201.0), None]);
         let right = input("right", "phones/right", prior(203.0));
-        let [former, Some(Prior::Model(last))] = priors(&right, &survey, 250_000_000)[..] else {
+        let [former, Some(Prior::Relation(last))] = priors(&right, &survey, 250_000_000)[..] else {
             panic!("two runs");
         };
         assert_eq!(former, prior(201.0));

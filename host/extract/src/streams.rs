@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images};
 use super::depth::{DepthError, DepthInput};
-use super::gyro_clock::{
-    Delays, GyroClock, GyroClockError, GyroOpener, GyroSample, GyroStream, Prior, relate,
-};
 use super::phone_rows::PhoneRows;
 use super::progress::Progress;
 use super::time::BoardNanos;
+use twist_sync::{
+    GyroOpener, GyroSample, GyroStream, Options, Prior, RecordingClock, RecordingError,
+    estimate_course,
+};
 
 /// Samples between two looks at whether to stop.
 const LOOK: u64 = 8192;
@@ -112,22 +113,22 @@ pub(crate) fn board<'a>(
 pub(crate) fn related<'a>(
     what: &str,
     (input, (from, to)): (&'a BoardInput, (BoardNanos, BoardNanos)),
-    (other, delays): (GyroOpener<'a, StreamError>, Delays),
+    (other, options): (GyroOpener<'a, StreamError>, &Options),
     prior: Option<Prior>,
     every: usize,
     progress: &'a dyn Progress,
-) -> Result<Result<GyroClock, String>, Stopped> {
+) -> Result<Result<RecordingClock, String>, Stopped> {
     let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
     progress.begin(what, way(to));
     let board = || board_between(input, (from, to), progress);
-    let related = relate(&board, other, prior, delays, every, &|at| {
-        progress.at(way(at))
+    let related = estimate_course(&board, other, prior, options, every, &|at| {
+        progress.at(way(BoardNanos(at)));
     });
     progress.end();
     match related {
         Ok(clock) => Ok(Ok(clock)),
-        Err(GyroClockError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
-        Err(GyroClockError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
+        Err(RecordingError::Read(StreamError::Cancelled)) => Err(Stopped::Cancelled),
+        Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
         Err(error) => Ok(Err(error.to_string())),
     }
 }

@@ -128,7 +128,7 @@ impl<F: ClockNanos, T: ClockNanos> AffineMap<F, T> {
 /// A relation of two clocks in pieces: straight lines between knots, in integer
 /// arithmetic. Outside of the knots the first and the last line go on.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PiecewiseMap<F, T> {
+pub(crate) struct PiecewiseMap<F, T> {
     knots: Vec<(F, T)>,
 }
 

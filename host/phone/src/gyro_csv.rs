@@ -343,7 +343,7 @@ impl Rows {
             // twist are a day apart.
             if let Form::Header { unit, .. } = &mut form
                 && *unit == TimeUnit::Seconds
-                && typical_step(&self.times) > 86_400.0
+                && typical_step(&self.times).is_some_and(|step| step > 86_400.0)
             {
                 *unit = TimeUnit::Nanoseconds;
             }
@@ -360,10 +360,10 @@ impl Rows {
     }
 }
 
-/// Median distance of neighbours.
-fn typical_step(times: &[f64]) -> f64 {
-    let steps: Vec<f64> = times.windows(2).map(|p| p[1] - p[0]).collect();
-    twist_sync::robust::median(&steps)
+/// Median distance of neighbours; `None` with fewer than two.
+fn typical_step(times: &[f64]) -> Option<f64> {
+    let mut steps: Vec<f64> = times.windows(2).map(|p| p[1] - p[0]).collect();
+    twist_sync::robust::median_in_place(&mut steps)
 }
 
 #[cfg(test)]

@@ -79,8 +79,7 @@ pub struct PhoneSample {
 pub(crate) const SAMPLE_LINE: &str = "a CSV line x,y,z,timestamp_ns";
 
 /// Reads one line `x,y,z,timestamp_ns`; `None` if it is not one.
-#[must_use]
-pub fn parse_sample(line: &str) -> Option<PhoneSample> {
+pub(crate) fn parse_sample(line: &str) -> Option<PhoneSample> {
     let mut fields = line.split(',').map(str::trim);
     let mut xyz = [0.0; 3];
     for value in &mut xyz {

@@ -37,7 +37,7 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 pub(crate) const MAX_RECORD: u64 = 256 << 20;
 
 /// The largest chunk when unpacked.
-pub const MAX_CHUNK: u64 = 256 << 20;
+const MAX_CHUNK: u64 = 256 << 20;
 
 /// How much of the name of an unknown compression is told.
 const SHOWN_NAME: usize = 16;
@@ -263,7 +263,7 @@ fn whole_record(opcode: u8, body: &[u8]) -> Vec<u8> {
 }
 
 /// Whether an error of the reader means that the file ends within a record.
-pub fn is_end(error: &McapError) -> bool {
+fn is_end(error: &McapError) -> bool {
     match error {
         McapError::UnexpectedEof => true,
         // Longer than the file, then.

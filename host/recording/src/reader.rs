@@ -183,22 +183,3 @@ impl Iterator for Reader {
         result.transpose()
     }
 }
-
-/// A reader of a file's records, which gives chunks as they are and takes no more memory
-/// for a record than the file can fill.
-///
-/// # Errors
-///
-/// The file's length cannot be told.
-pub fn record_reader(
-    file: &std::fs::File,
-) -> std::io::Result<mcap::sans_io::linear_reader::LinearReader> {
-    let limit = file.metadata()?.len().min(super::chunks::MAX_RECORD);
-    let options = mcap::sans_io::linear_reader::LinearReaderOptions::default()
-        .with_skip_end_magic(true)
-        .with_emit_chunks(true)
-        .with_record_length_limit(usize::try_from(limit).unwrap_or(usize::MAX));
-    Ok(mcap::sans_io::linear_reader::LinearReader::new_with_options(options))
-}
-
-pub use super::chunks::is_end;

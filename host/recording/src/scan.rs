@@ -9,15 +9,13 @@
 //! program writes; a record outside of a chunk that was turned into another valid
 //! one is only noticed by the checksum over the whole file.
 
-use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-pub use super::chunks::MAX_CHUNK;
-use super::chunks::{self, Chunk, MAX_RECORD, split_record};
+use super::chunks::{self, Chunk, MAX_RECORD};
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -343,49 +341,6 @@ fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
             times: (header.message_start_time, header.message_end_time),
         },
     }
-}
-
-/// The records of a chunk by the name of its compression, in the memory of `out` if
-/// they are packed.
-///
-/// # Errors
-///
-/// [`io::ErrorKind::Unsupported`] for a compression that this program does not write;
-/// else they cannot be unpacked.
-pub fn unpack_records(
-    compression: &str,
-    packed: Cow<'_, [u8]>,
-    mut out: Vec<u8>,
-) -> io::Result<Vec<u8>> {
-    match compression {
-        "" => Ok(packed.into_owned()),
-        "lz4" => {
-            out.clear();
-            lz4_flex::frame::FrameDecoder::new(packed.as_ref())
-                .take(MAX_CHUNK)
-                .read_to_end(&mut out)?;
-            Ok(out)
-        }
-        _ => Err(io::ErrorKind::Unsupported.into()),
-    }
-}
-
-/// Whether the unpacked records of a chunk agree with its checksum, if the writer made
-/// one.
-#[must_use]
-pub fn is_intact(header: &ChunkHeader, records: &[u8]) -> bool {
-    // 0: it made none.
-    header.uncompressed_crc == 0 || crc32fast::hash(records) == header.uncompressed_crc
-}
-
-/// Opcode and body of the records in a chunk; ends at the first that is cut off.
-pub fn records_of(chunk: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
-    let mut rest = chunk;
-    std::iter::from_fn(move || {
-        let (opcode, body, after) = split_record(rest)?;
-        rest = after;
-        Some((opcode, body))
-    })
 }
 
 /// A record by its opcode; `None` if it is no such, or one of a kind that the

@@ -9,15 +9,8 @@ use crate::PhoneNanos;
 /// The phone's recording: as many rates (rad/s about x, y, z) as times.
 #[must_use]
 pub fn phone_track(times: &[PhoneNanos], w: Vec<[f64; 3]>) -> GyroTrack {
-    let epoch = times.first().copied().unwrap_or_default();
-    GyroTrack {
-        epoch_s: epoch.seconds().0,
-        t: times
-            .iter()
-            .map(|t| (i128::from(t.0) - i128::from(epoch.0)) as f64 * 1e-9)
-            .collect(),
-        w,
-    }
+    let nanos: Vec<i64> = times.iter().map(|time| time.0).collect();
+    GyroTrack::from_nanos(&nanos, w)
 }
 
 /// The board's recording: as many rates (rad/s about x, y, z) as times.

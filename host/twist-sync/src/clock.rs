@@ -12,6 +12,7 @@
 //! per second. Limits: temperature steps (a phone that starts to record video
 //! warms up) are not a random walk; choose the wander to cover them.
 
+use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
 /// How much the relative rate of two clocks wanders: the rms change of the skew
@@ -80,31 +81,23 @@ impl ClockRelation {
     /// distance from the reference.
     #[must_use]
     pub fn offset_at(&self, a: f64) -> WithSigma {
-        let dt = a - self.reference;
-        let p = &self.covariance;
-        let variance = p[0][0]
-            + 2.0 * dt * p[0][1]
-            + dt * dt * p[1][1]
-            + self.wander.diffusion() * dt.abs().powi(3) / 3.0;
+        let there = self.referenced_at(a);
         WithSigma {
-            value: self.offset + self.skew * dt,
-            sigma: variance.max(0.0).sqrt(),
+            value: there.offset,
+            sigma: there.covariance[0][0].max(0.0).sqrt(),
         }
     }
 
     /// Sigma of the skew at a time of clock a, with the wander since the reference.
     #[must_use]
     pub fn skew_sigma_at(&self, a: f64) -> f64 {
-        let dt = (a - self.reference).abs();
-        (self.covariance[1][1] + self.wander.diffusion() * dt)
-            .max(0.0)
-            .sqrt()
+        self.referenced_at(a).covariance[1][1].max(0.0).sqrt()
     }
 
     /// The time of clock b at a time of clock a, both in seconds.
     #[must_use]
     pub fn a_to_b(&self, a: f64) -> f64 {
-        a + self.offset_at(a).value
+        a + (self.offset + self.skew * (a - self.reference))
     }
 
     /// The time of clock a at a time of clock b (exact inverse of [`Self::a_to_b`]).
@@ -117,24 +110,9 @@ impl ClockRelation {
     /// the covariance grown by the wander over the distance.
     #[must_use]
     pub fn referenced_at(&self, a: f64) -> Self {
-        let dt = a - self.reference;
-        let q = self.wander.diffusion();
-        let span = dt.abs();
-        let p = &self.covariance;
-        let cross = p[0][1] + dt * p[1][1] + q * span * dt / 2.0;
-        Self {
-            reference: a,
-            offset: self.offset + self.skew * dt,
-            skew: self.skew,
-            covariance: [
-                [
-                    p[0][0] + 2.0 * dt * p[0][1] + dt * dt * p[1][1] + q * span.powi(3) / 3.0,
-                    cross,
-                ],
-                [cross, p[1][1] + q * span],
-            ],
-            wander: self.wander,
-        }
+        State::of(self, self.offset)
+            .predicted(a - self.reference, self.wander)
+            .relation(self.offset, a, self.wander)
     }
 
     /// The relation seen from the other clock: a and b change roles.
@@ -169,48 +147,94 @@ impl ClockRelation {
         } else {
             (other, self)
         };
-        let mut predicted = early.referenced_at(late.reference);
-        predicted.wander = self.wander;
-        let sum = [
-            [
-                predicted.covariance[0][0] + late.covariance[0][0],
-                predicted.covariance[0][1] + late.covariance[0][1],
-            ],
-            [
-                predicted.covariance[1][0] + late.covariance[1][0],
-                predicted.covariance[1][1] + late.covariance[1][1],
-            ],
-        ];
-        let determinant = sum[0][0] * sum[1][1] - sum[0][1] * sum[1][0];
-        if !determinant.is_normal() {
-            return predicted;
-        }
-        let inverse = [
-            [sum[1][1] / determinant, -sum[0][1] / determinant],
-            [-sum[1][0] / determinant, sum[0][0] / determinant],
-        ];
-        let p = predicted.covariance;
-        let mut gain = [[0.0; 2]; 2];
-        for r in 0..2 {
-            for c in 0..2 {
-                gain[r][c] = p[r][0] * inverse[0][c] + p[r][1] * inverse[1][c];
-            }
-        }
-        let innovation = [late.offset - predicted.offset, late.skew - predicted.skew];
-        let mut covariance = [[0.0; 2]; 2];
-        for r in 0..2 {
-            for c in 0..2 {
-                covariance[r][c] = p[r][c] - gain[r][0] * p[0][c] - gain[r][1] * p[1][c];
-            }
-        }
-        let cross = 0.5 * (covariance[0][1] + covariance[1][0]);
-        covariance[0][1] = cross;
-        covariance[1][0] = cross;
+        let base = late.offset;
+        let predicted =
+            State::of(early, base).predicted(late.reference - early.reference, early.wander);
+        predicted
+            .updated(&State::of(late, base))
+            .map_or(predicted, |(joined, _)| joined)
+            .relation(base, late.reference, self.wander)
+    }
+}
+
+/// Carries (offset, skew) over `dt` seconds.
+pub(crate) fn transition(dt: f64) -> Matrix2<f64> {
+    Matrix2::new(1.0, dt, 0.0, 1.0)
+}
+
+/// Covariance of (offset, skew) that the wander adds over `dt` seconds.
+fn diffusion(dt: f64, wander: Wander) -> Matrix2<f64> {
+    let q = wander.diffusion();
+    let span = dt.abs();
+    let cross = q * span * dt / 2.0;
+    Matrix2::new(q * span.powi(3) / 3.0, cross, cross, q * span)
+}
+
+/// Offset (less a base, so that no digits are lost) and skew with their covariance,
+/// as a Kalman filter takes them.
+#[derive(Clone, Copy)]
+pub(crate) struct State {
+    mean: Vector2<f64>,
+    covariance: Matrix2<f64>,
+}
+
+impl State {
+    pub(crate) fn of(relation: &ClockRelation, base: f64) -> Self {
         Self {
-            offset: predicted.offset + gain[0][0] * innovation[0] + gain[0][1] * innovation[1],
-            skew: predicted.skew + gain[1][0] * innovation[0] + gain[1][1] * innovation[1],
-            covariance,
-            ..predicted
+            mean: Vector2::new(relation.offset - base, relation.skew),
+            covariance: Matrix2::from(relation.covariance).transpose(),
+        }
+    }
+
+    pub(crate) fn relation(&self, base: f64, reference: f64, wander: Wander) -> ClockRelation {
+        let symmetric = 0.5 * (self.covariance + self.covariance.transpose());
+        ClockRelation {
+            reference,
+            offset: base + self.mean[0],
+            skew: self.mean[1],
+            covariance: symmetric.into(),
+            wander,
+        }
+    }
+
+    /// The state `dt` seconds later (or earlier).
+    pub(crate) fn predicted(&self, dt: f64, wander: Wander) -> Self {
+        let f = transition(dt);
+        Self {
+            mean: f * self.mean,
+            covariance: f * self.covariance * f.transpose() + diffusion(dt, wander),
+        }
+    }
+
+    /// The state with a measurement at the same time, and the square of the
+    /// innovation in sigmas; `None` if nothing is uncertain.
+    pub(crate) fn updated(&self, measured: &Self) -> Option<(Self, f64)> {
+        let inverse = (self.covariance + measured.covariance).try_inverse()?;
+        let innovation = measured.mean - self.mean;
+        let square = innovation.dot(&(inverse * innovation));
+        let gain = self.covariance * inverse;
+        let keep = Matrix2::identity() - gain;
+        let updated = Self {
+            mean: self.mean + gain * innovation,
+            // Joseph form: stays positive.
+            covariance: keep * self.covariance * keep.transpose()
+                + gain * measured.covariance * gain.transpose(),
+        };
+        Some((updated, square))
+    }
+
+    /// One step of the Rauch–Tung–Striebel smoother: the state, improved by the
+    /// smoothed state `dt` seconds later.
+    pub(crate) fn improved(&self, later: &Self, dt: f64, wander: Wander) -> Self {
+        let forward = self.predicted(dt, wander);
+        let Some(inverse) = forward.covariance.try_inverse() else {
+            return *self;
+        };
+        let gain = self.covariance * transition(dt).transpose() * inverse;
+        Self {
+            mean: self.mean + gain * (later.mean - forward.mean),
+            covariance: self.covariance
+                + gain * (later.covariance - forward.covariance) * gain.transpose(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The coarse lag: cross-covariance of the two gyroscopes over all lags.
 //!
-//! At each lag the 3×3 matrix `M = Σ b(t + lag) a(t)ᵀ` is formed by FFT. Its
+//! At each lag the 3×3 matrix `M = Σ y(t + lag) x(t)ᵀ` is formed by FFT. Its
 //! nuclear norm (sum of singular values) is the largest correlation that any
 //! rotation between the sensors can give (`max tr(RᵀM)` over orthogonal `R`), so
 //! the search needs no knowledge of how the sensors are mounted.
@@ -9,28 +9,20 @@
 //! divided by the energies in the overlap favours short overlaps. Peaks of both
 //! are returned; the fit decides between them.
 
-use realfft::RealFftPlanner;
-use realfft::num_complex::Complex;
-
-use super::spline::Vec3;
+use crate::correlate::Correlator;
+use crate::spline::Vec3;
 
 /// Bin width of the search in seconds.
-pub const BIN_S: f64 = 0.01;
+pub(crate) const BIN_S: f64 = 0.01;
 
 /// How many peaks of each of the two scores are handed on.
 const PEAKS: usize = 6;
 
-/// A lag worth refining.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// `b`'s relative time minus `a`'s relative time, in seconds.
-    pub lag_s: f64,
-    /// Correlation in the overlap, 0 to 1.
-    pub correlation: f64,
-}
+/// One stream: times, rates, and which of them can be used.
+pub(crate) type Usable<'a> = (&'a [f64], &'a [Vec3], &'a [bool]);
 
 /// Mean rate in bins of [`BIN_S`], mean-free, starting at `t[0]`; empty bins are zero.
-fn binned(t: &[f64], w: &[Vec3], usable: &[bool]) -> Option<(f64, Vec<Vec3>)> {
+fn binned((t, w, usable): Usable<'_>) -> Option<(f64, Vec<Vec3>)> {
     let used = || (0..t.len()).filter(|&k| usable[k]);
     let start = t[used().next()?];
     let end = t[used().next_back()?];
@@ -104,133 +96,87 @@ fn nuclear_norm(m: &[[f64; 3]; 3]) -> f64 {
         .sum()
 }
 
-/// The lags at which the two recordings may belong together, best first.
+/// The lags at which two recordings x and y may belong together, best first: the
+/// relative time of y minus that of x, in seconds.
 ///
 /// Lags with less than `min_overlap_s` in common are not looked at.
-#[must_use]
-pub fn candidates(
-    a: (&[f64], &[Vec3], &[bool]),
-    b: (&[f64], &[Vec3], &[bool]),
-    min_overlap_s: f64,
-) -> Vec<Candidate> {
-    let (Some((start_a, a)), Some((start_b, b))) = (binned(a.0, a.1, a.2), binned(b.0, b.1, b.2))
-    else {
+pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Vec<f64> {
+    let (Some((start_x, x)), Some((start_y, y))) = (binned(x), binned(y)) else {
         return Vec::new();
     };
-    let size = (a.len() + b.len()).next_power_of_two();
-    let mut planner = RealFftPlanner::<f64>::new();
-    let forward = planner.plan_fft_forward(size);
-    let inverse = planner.plan_fft_inverse(size);
-    let spectrum = |x: &[Vec3], axis: usize| -> Option<Vec<Complex<f64>>> {
-        let mut input = vec![0.0; size];
-        for (slot, v) in input.iter_mut().zip(x) {
-            *slot = v[axis];
-        }
-        let mut output = forward.make_output_vec();
-        forward.process(&mut input, &mut output).ok()?;
-        Some(output)
-    };
-    let mut spectra = Vec::new();
-    for x in [&a, &b] {
-        for axis in 0..3 {
-            match spectrum(x, axis) {
-                Some(s) => spectra.push(s),
-                None => return Vec::new(),
-            }
-        }
-    }
-    let mut correlation = Vec::with_capacity(9);
-    for row in 0..3 {
-        for column in 0..3 {
-            let mut product: Vec<Complex<f64>> = spectra[3 + row]
-                .iter()
-                .zip(&spectra[column])
-                .map(|(y, x)| y * x.conj())
-                .collect();
-            // The ends of a real signal's spectrum are real; rounding must not
-            // leave an imaginary part there.
-            if let Some(first) = product.first_mut() {
-                first.im = 0.0;
-            }
-            if let Some(last) = product.last_mut() {
-                last.im = 0.0;
-            }
-            let mut output = inverse.make_output_vec();
-            if inverse.process(&mut product, &mut output).is_err() {
-                return Vec::new();
-            }
-            correlation.push(output);
-        }
-    }
-
-    let energy = |x: &[Vec3]| {
-        let mut sums = Vec::with_capacity(x.len() + 1);
-        sums.push(0.0);
-        let mut total = 0.0;
-        for v in x {
-            total += v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
-            sums.push(total);
-        }
-        sums
-    };
-    let (energy_a, energy_b) = (energy(&a), energy(&b));
-    let least = 0.05 * energy_a[a.len()].min(energy_b[b.len()]);
     let min_bins = ((min_overlap_s / BIN_S) as i64).max(1);
-
-    // Lag l pairs a[i] with b[i + l].
-    let lags = -(a.len() as i64 - min_bins)..=(b.len() as i64 - min_bins);
-    if lags.is_empty() {
-        return Vec::new();
-    }
-    let first_lag = *lags.start();
-    let mut norms = Vec::new();
-    let mut normalised = Vec::new();
-    for lag in lags {
-        let at = lag.rem_euclid(size as i64) as usize;
-        let mut m = [[0.0; 3]; 3];
-        for row in 0..3 {
-            for column in 0..3 {
-                m[row][column] = correlation[row * 3 + column][at] / size as f64;
-            }
-        }
-        let norm = nuclear_norm(&m);
-        let from = (-lag).max(0) as usize;
-        let to = (a.len() as i64).min(b.len() as i64 - lag).max(0) as usize;
-        let ea = energy_a[to] - energy_a[from];
-        let eb = energy_b[(to as i64 + lag) as usize] - energy_b[(from as i64 + lag) as usize];
-        norms.push(norm);
-        normalised.push(if ea.min(eb) > least && ea * eb > 0.0 {
-            (norm / (ea * eb).sqrt()).min(1.0)
-        } else {
-            0.0
-        });
-    }
-    let mut found: Vec<Candidate> = Vec::new();
-    for score in [&norms, &normalised] {
-        for (i, fine) in peaks(score) {
-            let lag_s = (first_lag as f64 + i as f64 + fine) * BIN_S + start_b - start_a;
-            if found.iter().all(|c| (c.lag_s - lag_s).abs() > 3.0 * BIN_S) {
-                found.push(Candidate {
-                    lag_s,
-                    correlation: normalised[i],
-                });
+    let (scores, first_lag) = scores(&x, &y, min_bins);
+    let mut found: Vec<f64> = Vec::new();
+    for score in &scores {
+        for place in peaks(score) {
+            let lag_s = (first_lag as f64 + place) * BIN_S + start_y - start_x;
+            if found
+                .iter()
+                .all(|other| (other - lag_s).abs() > 3.0 * BIN_S)
+            {
+                found.push(lag_s);
             }
         }
     }
     found
 }
 
-/// The highest local maxima with their sub-bin position (parabola).
-fn peaks(score: &[f64]) -> Vec<(usize, f64)> {
+/// The norm, and the norm over the energies in the overlap, at each lag of at
+/// least `min_bins` in common; and the first of these lags. Lag l pairs `x[i]`
+/// with `y[i + l]`.
+fn scores(x: &[Vec3], y: &[Vec3], min_bins: i64) -> ([Vec<f64>; 2], i64) {
+    let correlator = Correlator::new(x.len() + y.len());
+    let spectra = |values: &[Vec3]| -> [_; 3] {
+        std::array::from_fn(|axis| correlator.spectrum(values.iter().map(|v| v[axis])))
+    };
+    let (spectra_x, spectra_y) = (spectra(x), spectra(y));
+    let correlation: [[Vec<f64>; 3]; 3] = std::array::from_fn(|row| {
+        std::array::from_fn(|column| correlator.correlation(&spectra_x[column], &spectra_y[row]))
+    });
+    let (energy_x, energy_y) = (energies(x), energies(y));
+    let least = 0.05 * energy_x[x.len()].min(energy_y[y.len()]);
+    let first_lag = min_bins - x.len() as i64;
+    let (mut norms, mut normalised) = (Vec::new(), Vec::new());
+    for lag in first_lag..=(y.len() as i64 - min_bins) {
+        let at = correlator.place(lag);
+        let m = correlation
+            .each_ref()
+            .map(|row| row.each_ref().map(|c| c[at]));
+        let norm = nuclear_norm(&m);
+        let from = (-lag).max(0);
+        let to = (x.len() as i64).min(y.len() as i64 - lag).max(0);
+        let ex = energy_x[to as usize] - energy_x[from as usize];
+        let ey = energy_y[(to + lag) as usize] - energy_y[(from + lag) as usize];
+        norms.push(norm);
+        normalised.push(if ex.min(ey) > least && ex * ey > 0.0 {
+            (norm / (ex * ey).sqrt()).min(1.0)
+        } else {
+            0.0
+        });
+    }
+    ([norms, normalised], first_lag)
+}
+
+/// Energy of all bins before each, and of all in the end.
+fn energies(values: &[Vec3]) -> Vec<f64> {
+    let mut sums = vec![0.0];
+    let mut total = 0.0;
+    for v in values {
+        total += v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+        sums.push(total);
+    }
+    sums
+}
+
+/// The places of the highest local maxima, to a part of a bin (parabola).
+fn peaks(score: &[f64]) -> Vec<f64> {
+    let at = |i: usize| score.get(i).copied();
+    let before = |i: usize| i.checked_sub(1).and_then(at);
     let mut maxima: Vec<usize> = (0..score.len())
         .filter(|&i| {
-            let left = if i > 0 {
-                score[i - 1]
-            } else {
-                f64::NEG_INFINITY
-            };
-            let right = score.get(i + 1).copied().unwrap_or(f64::NEG_INFINITY);
-            score[i] > 0.0 && score[i] >= left && score[i] > right
+            score[i] > 0.0
+                && before(i).is_none_or(|left| score[i] >= left)
+                && at(i + 1).is_none_or(|right| score[i] > right)
         })
         .collect();
     maxima.sort_by(|&x, &y| score[y].total_cmp(&score[x]));
@@ -238,17 +184,16 @@ fn peaks(score: &[f64]) -> Vec<(usize, f64)> {
     maxima
         .into_iter()
         .map(|i| {
-            let fine = if i > 0 && i + 1 < score.len() {
-                let curvature = score[i - 1] - 2.0 * score[i] + score[i + 1];
-                if curvature < 0.0 {
-                    (0.5 * (score[i - 1] - score[i + 1]) / curvature).clamp(-0.5, 0.5)
-                } else {
-                    0.0
-                }
+            let Some((left, right)) = before(i).zip(at(i + 1)) else {
+                return i as f64;
+            };
+            let curvature = left - 2.0 * score[i] + right;
+            let fine = if curvature < 0.0 {
+                (0.5 * (left - right) / curvature).clamp(-0.5, 0.5)
             } else {
                 0.0
             };
-            (i, fine)
+            i as f64 + fine
         })
         .collect()
 }
@@ -292,6 +237,6 @@ mod tests {
             .collect();
         let usable = vec![true; 900];
         let found = candidates((&t, &a, &usable), (&t, &b, &usable), 2.0);
-        assert!((found[0].lag_s - 0.73).abs() < 0.005, "{found:?}");
+        assert!((found[0] - 0.73).abs() < 0.005, "{found:?}");
     }
 }

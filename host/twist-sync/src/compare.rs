@@ -2,23 +2,23 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::estimate::{Estimate, Options};
-use super::faults::{Action, Fault, Stream};
-use super::spline::{Spline, Vec3};
-use super::track::GyroTrack;
+use crate::estimate::{Estimate, Options};
+use crate::faults::{Action, Fault, Stream};
+use crate::spline::{Spline, Vec3};
+use crate::track::GyroTrack;
 
-/// A sample of the phone beside the board's rate at the same instant.
+/// A sample of b beside the rate of a at the same instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
-    /// Index of the phone's sample.
+    /// Index of the sample of b.
     pub index: usize,
-    /// Board time, seconds.
-    pub board_s: f64,
-    /// The phone's sample, rad/s.
-    pub phone: Vec3,
-    /// The board's rate carried to the phone's axes, rad/s.
-    pub mcu: Vec3,
-    /// Whether the estimate used the phone's sample.
+    /// Time of clock a, seconds.
+    pub a_s: f64,
+    /// The rate of a carried to the axes of b, rad/s.
+    pub a: Vec3,
+    /// The sample of b, rad/s.
+    pub b: Vec3,
+    /// Whether the estimate used the sample of b.
     pub used: bool,
 }
 
@@ -38,53 +38,47 @@ pub fn left_out(faults: &[Fault], stream: Stream, samples: usize) -> Vec<bool> {
     out
 }
 
-/// All samples of the phone for which the board's rate is known.
+/// All samples of b for which the rate of a is known.
 ///
-/// The board's rate is interpolated between the samples that were used; the
-/// phone's samples are as recorded.
+/// The rate of a is interpolated between the samples that were used; the samples of
+/// b are as recorded.
 #[must_use]
-pub fn pairs(
-    mcu: &GyroTrack,
-    phone: &GyroTrack,
-    estimate: &Estimate,
-    options: &Options,
-) -> Vec<Pair> {
+pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Options) -> Vec<Pair> {
     let faults = &estimate.report.faults;
-    let mcu_out = left_out(faults, Stream::Mcu, mcu.len());
-    let phone_out = left_out(faults, Stream::Phone, phone.len());
+    let a_out = left_out(faults, Stream::A, a.len());
+    let b_out = left_out(faults, Stream::B, b.len());
     let mut t: Vec<f64> = Vec::new();
     let mut w: Vec<Vec3> = Vec::new();
-    for k in 0..mcu.len().min(mcu.w.len()) {
-        if !mcu_out[k] && t.last().is_none_or(|&last| mcu.t[k] > last) {
-            t.push(mcu.t[k]);
-            w.push(mcu.w[k]);
+    for k in 0..a.len().min(a.w.len()) {
+        if !a_out[k] && t.last().is_none_or(|&last| a.t[k] > last) {
+            t.push(a.t[k]);
+            w.push(a.w[k]);
         }
     }
     let Some(spline) = Spline::interpolate(&t, &w, 3) else {
         return Vec::new();
     };
     let (first, last) = spline.domain();
-    let c = &estimate.calibration;
-    let matrix = Matrix3::from_fn(|row, column| c[row][column]);
+    let matrix = Matrix3::from(estimate.calibration).transpose();
     let clock = &estimate.clock;
-    (0..phone.len().min(phone.w.len()))
+    // Relative to the epochs, so that no digits are lost.
+    let a_epoch_s = a.epoch_s - options.a_delay_s;
+    let b_epoch_s = b.epoch_s - options.b_delay_s;
+    let reference = clock.reference - a_epoch_s;
+    let shift = b_epoch_s - a_epoch_s - clock.offset;
+    (0..b.len().min(b.w.len()))
         .filter_map(|k| {
-            // Relative to the epochs, so that no digits are lost.
-            let reference = clock.reference - (mcu.epoch_s - options.mcu_delay_s);
-            let shift = (phone.epoch_s - options.phone_delay_s)
-                - (mcu.epoch_s - options.mcu_delay_s)
-                - clock.offset;
-            let at = reference + (phone.t[k] + shift - reference) / (1.0 + clock.skew);
+            let at = reference + (b.t[k] + shift - reference) / (1.0 + clock.skew);
             if !(first..=last).contains(&at) {
                 return None;
             }
             let rate = matrix * Vector3::from(spline.value(at)) + Vector3::from(estimate.bias);
             Some(Pair {
                 index: k,
-                board_s: mcu.epoch_s + at,
-                phone: phone.w[k],
-                mcu: rate.into(),
-                used: !phone_out[k],
+                a_s: a.epoch_s + at,
+                a: rate.into(),
+                b: b.w[k],
+                used: !b_out[k],
             })
         })
         .collect()

@@ -11,10 +11,11 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::fit::{Calibration, Fit, Link, Node};
-use super::robust;
-use super::signal::Signal;
-use super::spline::Vec3;
+use crate::coarse::Usable;
+use crate::fit::{Calibration, Fit, Node};
+use crate::robust;
+use crate::signal::Signal;
+use crate::spline::Vec3;
 
 /// A sample is an outlier beyond this many sigmas (length of the whitened vector).
 const OUTLIER_SIGMA: f64 = 6.0;
@@ -30,11 +31,11 @@ const SCALE_BLOCK: usize = 48;
 
 /// A sample that does not fit to the other stream.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Misfit {
+pub(crate) struct Misfit {
     /// Its index in the recording.
-    pub index: usize,
+    pub(crate) index: usize,
     /// How far off it is, in standard deviations (length of the whitened vector).
-    pub sigmas: f64,
+    pub(crate) sigmas: f64,
 }
 
 /// Samples of a stream that do not fit to the smooth rate of the other.
@@ -42,11 +43,8 @@ pub struct Misfit {
 /// `other_time` carries this stream's time to the other's, `calibration` the
 /// other's rate to this one's axes. The scale is local: where the rig is knocked
 /// or vibrates, differences between the filters are no faults.
-#[must_use]
-pub fn outliers(
-    t: &[f64],
-    w: &[Vec3],
-    usable: &[bool],
+pub(crate) fn outliers(
+    (t, w, usable): Usable<'_>,
     other: &Signal,
     other_time: impl Fn(f64) -> f64,
     calibration: &Calibration,
@@ -71,13 +69,14 @@ pub fn outliers(
         for axis in 0..3 {
             window.clear();
             window.extend(difference[from..to].iter().map(|d| d[axis]));
-            contrast[i][axis] = difference[i][axis] - robust::median_in_place(&mut window);
+            let usual = robust::median_in_place(&mut window).unwrap_or(0.0);
+            contrast[i][axis] = difference[i][axis] - usual;
         }
     }
     let scale_of = |part: &[Vec3]| -> Vec3 {
         std::array::from_fn(|axis| {
             let values: Vec<f64> = part.iter().map(|c| c[axis]).collect();
-            robust::mad_sigma(&values).max(LEAST_NOISE)
+            robust::mad_sigma(&values).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
         })
     };
     let overall = scale_of(&contrast);
@@ -114,15 +113,15 @@ pub fn outliers(
 
 /// A stretch of time with a common displacement.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stretch {
-    /// First and last time (second stream's clock).
-    pub from: f64,
+pub(crate) struct Stretch {
+    /// First and last time (the data's clock).
+    pub(crate) from: f64,
     /// End of the stretch.
-    pub to: f64,
+    pub(crate) to: f64,
     /// Displacement against the fit, seconds.
-    pub shift_s: f64,
+    pub(crate) shift_s: f64,
     /// Its information about the shift, as a part of all.
-    pub share: f64,
+    pub(crate) share: f64,
 }
 
 /// Least step of the relation that is looked for, seconds.
@@ -144,8 +143,7 @@ struct Block {
 ///
 /// Forward selection of steps in the local displacements of blocks of `block_s`,
 /// fitted together with shift and rate. One stretch means that there is no jump.
-#[must_use]
-pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
+pub(crate) fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
     let mut blocks: Vec<Block> = Vec::new();
     for node in &fit.nodes {
         let ws = fit.weights * node.slope * node.weight;
@@ -183,10 +181,9 @@ pub fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
                 / (1.0 / p[1].information + 1.0 / p[0].information).sqrt()
         })
         .collect();
-    let sigma = robust::mad_sigma(&standard);
     let middle = blocks.iter().map(|b| b.from * b.information).sum::<f64>() / total;
     let mut steps = Steps::none(middle);
-    if sigma.is_finite() {
+    if let Some(sigma) = robust::mad_sigma(&standard).filter(|sigma| sigma.is_finite()) {
         for _ in 0..MOST_STEPS {
             let Some(next) = steps.with_best_cut(&blocks, sigma.max(1e-12)) else {
                 break;
@@ -314,36 +311,32 @@ impl Steps {
     }
 }
 
-/// Displacement of parts of the overlap with equal information against the fit:
-/// (centre time, displacement in seconds, information).
-#[must_use]
-pub fn local_shifts(fit: &Fit, parts: usize) -> Vec<(f64, f64, f64)> {
+/// Rms of the displacements of `parts` of the overlap with equal information
+/// against the fit, seconds.
+pub(crate) fn local_scatter(fit: &Fit, parts: usize) -> f64 {
     let information = |n: &Node| (fit.weights * n.slope).dot(&n.slope) * n.weight;
     let total: f64 = fit.nodes.iter().map(information).sum();
-    let mut out = Vec::new();
-    let (mut sum, mut score, mut time) = (0.0, 0.0, 0.0);
+    let share = total / parts as f64;
+    let (mut squares, mut judged) = (0.0, 0.0);
+    let (mut sum, mut score) = (0.0, 0.0);
+    let mut judge = |sum: f64, score: f64| {
+        squares += score * score / sum;
+        judged += sum;
+    };
     for node in &fit.nodes {
-        let i = information(node);
-        sum += i;
+        sum += information(node);
         score += (fit.weights * node.slope).dot(&node.residual) * node.weight;
-        time += i * node.t;
-        if sum >= total / parts as f64 {
-            out.push((time / sum, score / sum, sum));
-            (sum, score, time) = (0.0, 0.0, 0.0);
+        if sum >= share {
+            judge(sum, score);
+            (sum, score) = (0.0, 0.0);
         }
     }
-    if sum > 0.3 * total / parts as f64 {
-        out.push((time / sum, score / sum, sum));
+    if sum > 0.3 * share {
+        judge(sum, score);
     }
-    out
-}
-
-/// The relation seen from the other stream.
-#[must_use]
-pub fn reversed(link: &Link) -> Link {
-    Link {
-        at_a: link.at_b,
-        at_b: link.at_a,
-        rate: 1.0 / link.rate,
+    if judged > 0.0 {
+        (squares / judged).sqrt()
+    } else {
+        0.0
     }
 }

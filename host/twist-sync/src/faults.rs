@@ -1,15 +1,25 @@
 //! What can be wrong with a gyroscope's stream, and how it is reported.
 
+use std::fmt;
+
 use serde::Serialize;
 
 /// Which of the two recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Stream {
-    /// The board's gyroscope.
-    Mcu,
-    /// The phone's gyroscope.
-    Phone,
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+impl fmt::Display for Stream {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::A => "stream a",
+            Self::B => "stream b",
+        })
+    }
 }
 
 /// Kind of a fault.
@@ -51,7 +61,7 @@ pub enum Action {
 }
 
 /// One fault of one stream.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Fault {
     /// The stream.
     pub stream: Stream,
@@ -67,14 +77,32 @@ pub struct Fault {
     /// What was done.
     pub action: Action,
     /// Indices of the samples in the recording as given.
-    #[serde(skip)]
     pub samples: Vec<usize>,
+}
+
+impl Fault {
+    /// A fault of `samples` that shows neither a period nor a displacement.
+    pub(crate) fn new(
+        stream: Stream,
+        kind: FaultKind,
+        samples: Vec<usize>,
+        action: Action,
+    ) -> Self {
+        Self {
+            stream,
+            kind,
+            count: samples.len(),
+            period: None,
+            displacement_s: None,
+            action,
+            samples,
+        }
+    }
 }
 
 /// The period, in samples, at which most of the indices recur: at least four
 /// fifths on one residue class, which chance would fill to `1/period` only.
-#[must_use]
-pub fn recurrence(indices: &[usize]) -> Option<(usize, usize)> {
+pub(crate) fn recurrence(indices: &[usize]) -> Option<f64> {
     if indices.len() < 8 {
         return None;
     }
@@ -85,15 +113,11 @@ pub fn recurrence(indices: &[usize]) -> Option<(usize, usize)> {
         for &k in indices {
             counts[k % p] += 1;
         }
-        let best = counts[..p].iter().copied().max().unwrap_or(0);
-        best * 5 >= indices.len() * 4
+        counts[..p]
+            .iter()
+            .any(|&count| count * 5 >= indices.len() * 4)
     })?;
-    counts[..period].fill(0);
-    for &k in indices {
-        counts[k % period] += 1;
-    }
-    let class = (0..period).max_by_key(|&c| counts[c])?;
-    Some((period, class))
+    Some(period as f64)
 }
 
 #[cfg(test)]
@@ -103,9 +127,9 @@ mod tests {
     #[test]
     fn recurrence_names_the_period() {
         let mut indices: Vec<usize> = (0..40).map(|k| 10 * k + 3).collect();
-        assert_eq!(recurrence(&indices), Some((10, 3)));
+        assert_eq!(recurrence(&indices), Some(10.0));
         indices.extend([7, 91, 122]);
-        assert_eq!(recurrence(&indices), Some((10, 3)));
+        assert_eq!(recurrence(&indices), Some(10.0));
         let random: Vec<usize> = (0..60).map(|k| k * k % 997).collect();
         assert_eq!(recurrence(&random), None);
     }

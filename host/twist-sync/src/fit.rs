@@ -1,9 +1,10 @@
 //! The continuous-time fit of one gyroscope to the other.
 //!
-//! The model: `y(t) = C·x(τ(t)) + b + noise`, where `x` is the smooth rate of
-//! the first stream, `y` that of the second, `C` a free 3×3 matrix (rotation,
-//! scale and cross-axis errors of both sensors), `b` the difference of their
-//! biases and `τ(t)` the second clock's time carried to the first ([`Link`]).
+//! One stream is the model, the other the data: `y(t) = C·x(τ(t)) + b + noise`,
+//! where `x` is the smooth rate of the model, `y` that of the data, `C` a free 3×3
+//! matrix (rotation, scale and cross-axis errors of both sensors), `b` the
+//! difference of their biases and `τ(t)` the data's time carried to the model's
+//! clock ([`Link`]).
 //! Gauss–Newton over 14 parameters: shift `η`, rate `ρ`, `C`, `b`. With
 //! `s = C·x′(τ)` and `u = t − t₀` the derivatives of the prediction are
 //! `s` (η), `u·s` (ρ), `xₚ` (Cᵢₚ) and 1 (bᵢ).
@@ -17,46 +18,43 @@
 //! (η, ρ) is formed and its long-run covariance taken (Newey–West with a Parzen
 //! kernel), so that coloured noise and unmodelled parts count as what they are.
 
-use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
+use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
-use super::robust::median;
-use super::signal::Signal;
-use super::spline::Vec3;
+use crate::robust::median;
+use crate::signal::Signal;
+use crate::spline::Vec3;
 
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;
 const RATE: usize = 13;
 
-/// Time of the second clock carried to the first: `at_a + (t − at_b)·rate`.
+/// Time of the data's clock carried to the model's: `at_model + (t − at_data)·rate`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Link {
-    /// Time of the first clock that belongs to `at_b`.
-    pub at_a: f64,
-    /// The reference, in the second clock's time.
-    pub at_b: f64,
-    /// Seconds of the first clock in one of the second.
-    pub rate: f64,
+pub(crate) struct Link {
+    /// Time of the model's clock that belongs to `at_data`.
+    pub(crate) at_model: f64,
+    /// The reference, in the data's time.
+    pub(crate) at_data: f64,
+    /// Seconds of the model's clock in one of the data's.
+    pub(crate) rate: f64,
 }
 
 impl Link {
-    /// The first clock's time at the second clock's `t`.
-    #[must_use]
-    pub fn a_time(&self, t: f64) -> f64 {
-        self.at_a + (t - self.at_b) * self.rate
+    /// The model's time at the data's `t`.
+    pub(crate) fn model_time(&self, t: f64) -> f64 {
+        self.at_model + (t - self.at_data) * self.rate
     }
 
-    /// The second clock's time at the first clock's `t`.
-    #[must_use]
-    pub fn b_time(&self, t: f64) -> f64 {
-        self.at_b + (t - self.at_a) / self.rate
+    /// The data's time at the model's `t`.
+    pub(crate) fn data_time(&self, t: f64) -> f64 {
+        self.at_data + (t - self.at_model) / self.rate
     }
 
     /// The same relation with another reference.
-    #[must_use]
-    pub fn moved_to(&self, at_b: f64) -> Self {
+    pub(crate) fn moved_to(&self, at_data: f64) -> Self {
         Self {
-            at_a: self.a_time(at_b),
-            at_b,
+            at_model: self.model_time(at_data),
+            at_data,
             rate: self.rate,
         }
     }
@@ -64,75 +62,84 @@ impl Link {
 
 /// Linear relation of the two sensors: `y = C·x + b`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Calibration {
+pub(crate) struct Calibration {
     /// Rotation, scale and cross-axis errors.
-    pub matrix: Matrix3<f64>,
+    pub(crate) matrix: Matrix3<f64>,
     /// Bias, rad/s.
-    pub bias: Vector3<f64>,
+    pub(crate) bias: Vector3<f64>,
 }
 
 /// What the fit is told.
 #[derive(Debug, Clone, Copy)]
-pub struct FitOptions {
+pub(crate) struct FitOptions {
     /// Iterations at most.
-    pub iterations: usize,
+    pub(crate) iterations: usize,
     /// How many nodes one independent noise value spans (oversampling).
-    pub oversampling: f64,
+    pub(crate) oversampling: f64,
     /// 1-sigma of the prior of the rate.
-    pub rate_sigma: f64,
+    pub(crate) rate_sigma: f64,
     /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
-    pub noise_variance: f64,
+    pub(crate) noise_variance: f64,
     /// Bandwidth of the long-run covariance, seconds.
-    pub memory_s: f64,
+    pub(crate) memory_s: f64,
 }
 
 /// One node of the data after the fit.
 #[derive(Debug, Clone, Copy)]
-pub struct Node {
-    /// Second clock's time.
-    pub t: f64,
-    /// Data.
-    pub y: Vector3<f64>,
-    /// Smooth rate of the first stream at that time.
-    pub x: Vector3<f64>,
+pub(crate) struct Node {
+    /// The data's time.
+    pub(crate) t: f64,
+    /// The data's rate.
+    pub(crate) y: Vector3<f64>,
+    /// The model's smooth rate at that time.
+    pub(crate) x: Vector3<f64>,
     /// Residual `y − C·x − b`.
-    pub residual: Vector3<f64>,
+    pub(crate) residual: Vector3<f64>,
     /// Derivative of the prediction with respect to the shift, rad/s².
-    pub slope: Vector3<f64>,
+    pub(crate) slope: Vector3<f64>,
     /// Weight of the node, 1 where the residual is as everywhere, less where the
     /// rig is knocked or vibrates.
-    pub weight: f64,
+    pub(crate) weight: f64,
+}
+
+impl Node {
+    /// The node where model and data change roles.
+    pub(crate) fn swapped(&self) -> Self {
+        Self {
+            x: self.y,
+            y: self.x,
+            ..*self
+        }
+    }
 }
 
 /// The result of a fit.
 #[derive(Debug, Clone)]
-pub struct Fit {
+pub(crate) struct Fit {
     /// The relation of the clocks.
-    pub link: Link,
+    pub(crate) link: Link,
     /// The relation of the sensors.
-    pub calibration: Calibration,
+    pub(crate) calibration: Calibration,
     /// All nodes on which both signals exist.
-    pub nodes: Vec<Node>,
+    pub(crate) nodes: Vec<Node>,
     /// Weights: inverse covariance of the residual.
-    pub weights: Matrix3<f64>,
+    pub(crate) weights: Matrix3<f64>,
     /// Covariance of (η, ρ) from the residual's long-run covariance.
-    pub covariance: [[f64; 2]; 2],
+    pub(crate) covariance: Matrix2<f64>,
     /// Covariance of (η, ρ) if the noise were as the fit assumes it.
-    pub ideal_covariance: [[f64; 2]; 2],
+    pub(crate) ideal_covariance: Matrix2<f64>,
     /// Whether the iteration settled.
-    pub settled: bool,
+    pub(crate) settled: bool,
 }
 
 impl Fit {
     /// Mean square of the residual over nodes and axes, (rad/s)².
-    #[must_use]
-    pub fn residual_variance(&self) -> f64 {
+    pub(crate) fn residual_variance(&self) -> f64 {
         mean_square(self.nodes.iter().map(|n| n.residual))
     }
 
     /// Mean square of the data about their mean, (rad/s)².
-    #[must_use]
-    pub fn motion_variance(&self) -> f64 {
+    pub(crate) fn motion_variance(&self) -> f64 {
         let n = self.nodes.len().max(1) as f64;
         let mean = self.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
         mean_square(self.nodes.iter().map(|n| n.y - mean))
@@ -148,11 +155,17 @@ fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
     sum / f64::from(count.max(1))
 }
 
-/// Nodes of the data on which the model exists, with zero residual yet.
-fn nodes(a: &Signal, data: &[(f64, Vec3)], link: &Link, calibration: &Calibration) -> Vec<Node> {
-    data.iter()
+/// Nodes of the data on which the model exists; `None` if they are too few for a fit.
+fn nodes(
+    model: &Signal,
+    data: &[(f64, Vec3)],
+    link: &Link,
+    calibration: &Calibration,
+) -> Option<Vec<Node>> {
+    let nodes: Vec<Node> = data
+        .iter()
         .filter_map(|&(t, y)| {
-            let (x, dx) = a.at(link.a_time(t))?;
+            let (x, dx) = model.at(link.model_time(t))?;
             let (x, y) = (Vector3::from(x), Vector3::from(y));
             Some(Node {
                 t,
@@ -163,7 +176,8 @@ fn nodes(a: &Signal, data: &[(f64, Vec3)], link: &Link, calibration: &Calibratio
                 weight: 1.0,
             })
         })
-        .collect()
+        .collect();
+    (nodes.len() >= 4 * PARAMETERS).then_some(nodes)
 }
 
 /// Best orthogonal `C` and bias at a given relation of the clocks.
@@ -198,8 +212,7 @@ fn rotation(nodes: &[Node]) -> Calibration {
 /// `Σ x xᵀ`-style regression of `y` on `x` with the prior of [`FitOptions`].
 ///
 /// Used for the calibration that is reported, at the final relation.
-#[must_use]
-pub fn regress(nodes: &[Node], noise_variance: f64) -> Calibration {
+pub(crate) fn regress(nodes: &[Node], noise_variance: f64) -> Calibration {
     let prior = rotation(nodes);
     let mut m = Matrix4::zeros();
     let mut right = SMatrix::<f64, 4, 3>::zeros();
@@ -231,46 +244,38 @@ fn prior_strength(n: usize, noise_variance: f64, m: &Matrix4<f64>) -> f64 {
 
 /// Fits the relation. `None` if the two signals share too little time, or the
 /// equations cannot be solved.
-#[must_use]
-pub fn fit(
-    a: &Signal,
+pub(crate) fn fit(
+    model: &Signal,
     data: &[(f64, Vec3)],
     start: Link,
     weights: Option<Matrix3<f64>>,
     options: &FitOptions,
 ) -> Option<Fit> {
-    let mut link = start;
     let identity = Calibration {
         matrix: Matrix3::identity(),
         bias: Vector3::zeros(),
     };
-    let first = nodes(a, data, &link, &identity);
-    if first.len() < 4 * PARAMETERS {
-        return None;
-    }
+    let first = nodes(model, data, &start, &identity)?;
     // Put the reference amid the data, or rate and shift trade.
     let middle = first.iter().map(|n| n.t).sum::<f64>() / first.len() as f64;
-    link = link.moved_to(middle);
+    let start = start.moved_to(middle);
+    let mut link = start;
     let prior = rotation(&first);
     let mut calibration = regress(&first, options.noise_variance);
     let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
     let mut quiet = LocalWeights::default();
     let mut settled = false;
-    let start_shift = link.at_a;
     for iteration in 0..options.iterations {
-        let mut nodes = nodes(a, data, &link, &calibration);
-        if nodes.len() < 4 * PARAMETERS {
-            return None;
-        }
+        let mut nodes = nodes(model, data, &link, &calibration)?;
         if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
             (weights_now, quiet) = residual_weights(&nodes, options.oversampling);
         }
         quiet.apply(&mut nodes);
         let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
         let step = normal.cholesky()?.solve(&right);
-        link.at_a += step[SHIFT].clamp(-0.05, 0.05);
+        link.at_model += step[SHIFT].clamp(-0.05, 0.05);
         link.rate += step[RATE].clamp(-2e-3, 2e-3);
-        if (link.at_a - start_shift).abs() > 0.5 || (link.rate - 1.0).abs() > 0.01 {
+        if (link.at_model - start.at_model).abs() > 0.5 || (link.rate - 1.0).abs() > 0.01 {
             return None;
         }
         for row in 0..3 {
@@ -284,38 +289,31 @@ pub fn fit(
             break;
         }
     }
-    let mut nodes = nodes(a, data, &link, &calibration);
-    if nodes.len() < 4 * PARAMETERS {
-        return None;
-    }
+    let mut nodes = nodes(model, data, &link, &calibration)?;
     quiet.apply(&mut nodes);
     let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
     let inverse = normal.cholesky()?.inverse();
-    let mut covariance =
-        long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
-    let ideal = |r: usize, c: usize| inverse[(r, c)] * options.oversampling;
-    // The long-run covariance scatters when little time is in common; what white
-    // noise alone would give is the least that is believed.
-    let grown = [SHIFT, RATE]
-        .into_iter()
-        .enumerate()
-        .map(|(k, p)| ideal(p, p) / covariance[k][k].max(f64::MIN_POSITIVE))
-        .fold(1.0, f64::max);
-    for value in covariance.iter_mut().flatten() {
-        *value *= grown;
-    }
+    let ideal_covariance =
+        inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
+    let covariance = long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
     Some(Fit {
         link,
         calibration,
         nodes,
         weights: weights_now,
-        covariance,
-        ideal_covariance: [
-            [ideal(SHIFT, SHIFT), ideal(SHIFT, RATE)],
-            [ideal(RATE, SHIFT), ideal(RATE, RATE)],
-        ],
+        covariance: at_least(covariance, &ideal_covariance),
+        ideal_covariance,
         settled,
     })
+}
+
+/// The long-run covariance scatters when little time is in common; what white
+/// noise alone would give is the least that is believed.
+fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
+    let grown = (0..2)
+        .map(|k| ideal[(k, k)] / covariance[(k, k)].max(f64::MIN_POSITIVE))
+        .fold(1.0, f64::max);
+    covariance * grown
 }
 
 /// Iteration from which the weights stay, so that the fit settles.
@@ -368,7 +366,7 @@ fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWe
         }
     }
     let means: Vec<f64> = power.iter().map(|p| p.1 / p.2 as f64).collect();
-    let usual = median(&means);
+    let usual = median(&means).unwrap_or(0.0);
     let stretches: Vec<(f64, f64)> = power
         .iter()
         .zip(&means)
@@ -420,7 +418,7 @@ fn equations(
     let mut sr = [0.0; 2]; // Σ sᵀWr · (1, u)
     for node in nodes {
         let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
-        let u = node.t - link.at_b;
+        let u = node.t - link.at_data;
         let ws = weights * node.slope * node.weight;
         let wr = weights * node.residual * node.weight;
         zz += z * z.transpose() * node.weight;
@@ -446,11 +444,12 @@ fn equations(
             normal[(SHIFT, at)] = zs[(i, p)];
             normal[(at, RATE)] = zus[(i, p)];
             normal[(RATE, at)] = zus[(i, p)];
-            for j in 0..3 {
-                for q in 0..4 {
-                    normal[(at, j * 4 + q)] = weights[(i, j)] * zz[(p, q)];
-                }
-            }
+        }
+        for j in 0..3 {
+            let block = zz * weights[(i, j)];
+            normal
+                .fixed_view_mut::<4, 4>(i * 4, j * 4)
+                .copy_from(&block);
         }
     }
     normal[(SHIFT, SHIFT)] = ss[0];
@@ -481,52 +480,42 @@ fn long_run_covariance(
     inverse: &Normal,
     weights: &Matrix3<f64>,
     memory_s: f64,
-) -> [[f64; 2]; 2] {
-    let Some(first) = nodes.first() else {
-        return [[f64::INFINITY, 0.0], [0.0, f64::INFINITY]];
+) -> Matrix2<f64> {
+    let Some((first, last)) = nodes.first().zip(nodes.last()) else {
+        return Matrix2::from_diagonal_element(f64::INFINITY);
     };
     let step = nodes
         .windows(2)
         .map(|p| p[1].t - p[0].t)
         .fold(f64::INFINITY, f64::min);
-    let slots = nodes
-        .last()
-        .map_or(0, |last| ((last.t - first.t) / step).round() as usize)
-        + 1;
-    let mut influence = vec![[0.0; 2]; slots];
+    let slot = |t: f64| ((t - first.t) / step).round() as usize;
+    let slots = slot(last.t) + 1;
+    let rows = inverse.fixed_rows::<2>(SHIFT);
+    let mut influence = vec![Vector2::<f64>::zeros(); slots];
     for node in nodes {
         let wr = weights * node.residual * node.weight;
-        let score = node.slope.dot(&wr);
-        let u = node.t - link.at_b;
         let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
-        let slot = ((node.t - first.t) / step).round() as usize;
-        for (k, row) in [SHIFT, RATE].into_iter().enumerate() {
-            let mut value = inverse[(row, SHIFT)] * score + inverse[(row, RATE)] * score * u;
-            for i in 0..3 {
-                for p in 0..4 {
-                    value += inverse[(row, i * 4 + p)] * wr[i] * z[p];
-                }
-            }
-            influence[slot.min(slots - 1)][k] += value;
+        let score = node.slope.dot(&wr);
+        let mut derivative = Parameters::zeros();
+        for i in 0..3 {
+            derivative
+                .fixed_rows_mut::<4>(i * 4)
+                .copy_from(&(z * wr[i]));
         }
+        derivative[SHIFT] = score;
+        derivative[RATE] = score * (node.t - link.at_data);
+        influence[slot(node.t).min(slots - 1)] += rows * derivative;
     }
     let memory = ((memory_s / step).ceil() as usize).clamp(1, slots);
-    let mut out = [[0.0; 2]; 2];
+    let mut out = Matrix2::zeros();
     for lag in 0..memory {
         let weight = parzen(lag as f64 / memory as f64) * if lag == 0 { 1.0 } else { 2.0 };
-        let mut sum = [[0.0; 2]; 2];
-        for (now, later) in influence.iter().zip(&influence[lag..]) {
-            for r in 0..2 {
-                for c in 0..2 {
-                    sum[r][c] += now[r] * later[c];
-                }
-            }
-        }
-        for r in 0..2 {
-            for c in 0..2 {
-                out[r][c] += weight * 0.5 * (sum[r][c] + sum[c][r]);
-            }
-        }
+        let sum: Matrix2<f64> = influence
+            .iter()
+            .zip(&influence[lag..])
+            .map(|(now, later)| now * later.transpose())
+            .sum();
+        out += (sum + sum.transpose()) * (0.5 * weight);
     }
     out
 }

@@ -1,37 +1,51 @@
-//! The sync math: the relation of two clocks from two rigidly attached gyroscopes.
+//! The relation of two clocks from two gyroscopes that are rigidly attached to each
+//! other.
 //!
-//! Pure functions on slices: no input or output, no global state. Times are f64
-//! seconds relative to a reference, so that a clock that reads 10⁶ s costs no
-//! precision. Each module derives what it computes; the whole is described in
-//! `docs/sync-math.md`, and measured in `docs/sync-study.md`.
+//! Pure functions on samples in memory or from any stream: no files, no global
+//! state. Times are f64 seconds relative to a reference, so that a clock that reads
+//! 10⁶ s costs no precision. Each module derives what it computes; the whole is
+//! described in `docs/sync-math.md`, and measured in `docs/sync-study.md`.
 //!
-//! [`estimate_offset`] takes two recordings ([`GyroTrack`]) and gives an
+//! [`estimate_offset`] takes two recordings ([`GyroTrack`]) of one twist and gives an
 //! [`Estimate`] with a [`ClockRelation`], or a [`Refusal`] with reasons.
+//! [`estimate_course`] takes whole recordings and gives the relation over time.
 
 // Axes and rows of 3-vectors and small matrices are indices by nature.
 #![allow(clippy::needless_range_loop)]
 
-pub mod clock;
+mod classes;
+mod clock;
 pub mod coach;
-pub mod coarse;
+mod coarse;
 pub mod compare;
-pub mod crosscheck;
-pub mod estimate;
-pub mod faults;
-pub mod fit;
-pub mod gates;
+mod correlate;
+mod course;
+mod crosscheck;
+mod estimate;
+mod faults;
+mod fit;
+mod gates;
+mod lag;
+mod neighbours;
+mod pair;
+mod recording;
 pub mod robust;
-pub mod samples;
-pub mod signal;
+mod samples;
+mod search;
+mod signal;
+#[cfg(feature = "simulate")]
 pub mod simulate;
-pub mod smoother;
-pub mod spline;
-pub mod timestamps;
-pub mod track;
+mod spline;
+mod stream;
+mod timestamps;
+mod track;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
-pub use estimate::{Estimate, Options, Refusal, Report, estimate_offset};
+pub use course::ClockCourse;
+pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset};
 pub use faults::{Action, Fault, FaultKind, Stream};
 pub use gates::Gate;
-pub use smoother::{ClockCourse, WindowOptions, estimate_course};
+pub use recording::{
+    GyroOpener, GyroSample, GyroStream, Prior, RecordingClock, RecordingError, estimate_course,
+};
 pub use track::GyroTrack;

@@ -17,131 +17,92 @@
 //! Limits: of two classes of equal size (period 2) nobody can tell from this
 //! alone which one is right; it is reported as unresolved time.
 
-use super::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use super::robust;
-use super::spline::Vec3;
-
-/// Longest period of a displaced class that is looked for, in samples.
-pub const LONGEST_PERIOD: usize = 64;
-/// Significance that a displaced class must have.
-const CLASS_Z: f64 = 8.0;
-/// The same against the scatter of its members.
-const CLASS_Z_SCATTER: f64 = 6.0;
-/// Least displacement of a class, as a part of the sampling step.
-const CLASS_STEP: f64 = 0.04;
-/// Predictions in a block whose scatter is judged together.
-const SCALE_BLOCK: usize = 64;
-/// Neighbours on each side.
-const SIDE: usize = 3;
+use crate::classes;
+use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
+use crate::neighbours::{Samples, kept, leave_out, local_variances, noise_of};
+use crate::spline::Vec3;
 
 /// Result of the checks of one stream's samples.
-#[derive(Debug, Clone, Default)]
-pub struct SampleCheck {
+#[derive(Default)]
+pub(crate) struct SampleCheck {
     /// White noise of one sample, rad/s, per axis.
-    pub noise: Vec3,
+    pub(crate) noise: Vec3,
     /// Uncertainty of the stream's time that a fault leaves open, seconds.
-    pub unresolved_s: f64,
+    pub(crate) unresolved_s: f64,
     /// What was found.
-    pub faults: Vec<Fault>,
-}
-
-/// A sample against the prediction from its neighbours.
-#[derive(Debug, Clone, Copy)]
-struct Against {
-    index: usize,
-    /// Sample minus prediction, scaled to the noise of one sample.
-    error: Vec3,
-    /// Rate of change, scaled likewise.
-    slope: Vec3,
+    pub(crate) faults: Vec<Fault>,
 }
 
 /// Checks the samples and clears `usable` where they are to be left out.
-pub fn check(
-    stream: Stream,
-    t: &[f64],
-    w: &[Vec3],
-    usable: &mut [bool],
-    step_s: f64,
-) -> SampleCheck {
+pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -> SampleCheck {
     let mut out = SampleCheck::default();
-    let fault = |kind, samples: Vec<usize>, period, displacement_s| Fault {
-        stream,
-        kind,
-        count: samples.len(),
-        period,
-        displacement_s,
-        action: Action::LeftOut,
-        samples,
-    };
+    let fault = |kind, members| Fault::new(stream, kind, members, Action::LeftOut);
 
-    let clipped = clipped(w, usable);
+    let clipped = clipped(samples.w, usable);
     if !clipped.is_empty() {
-        for &k in &clipped {
-            usable[k] = false;
-        }
-        let found = fault(FaultKind::Clipped, clipped, None, None);
-        out.faults.push(found);
+        leave_out(usable, &clipped);
+        out.faults.push(fault(FaultKind::Clipped, clipped));
     }
 
-    let against = predictions(t, w, usable, step_s, &[]);
-    out.noise = noise_of(&against);
+    out.noise = noise_of(&samples.predictions(usable));
 
-    let pairs = copies(w, usable, &out.noise);
+    let pairs = copies(samples.w, usable, &out.noise);
     if !pairs.is_empty() {
-        let (left_out, displacement) = stale_copies(t, w, usable, step_s, &pairs, &out.noise);
-        for &k in &left_out {
-            usable[k] = false;
-        }
-        let period = recurrence(&pairs.iter().map(|p| p.1).collect::<Vec<_>>());
-        let mut found = fault(
-            FaultKind::CopiedSample,
-            left_out,
-            period.map(|(p, _)| p as f64),
-            displacement,
-        );
-        found.count = pairs.len();
-        out.faults.push(found);
+        let (stale, displacement_s) = stale_copies(samples, usable, &pairs, &out.noise);
+        leave_out(usable, &stale);
+        out.faults.push(Fault {
+            count: pairs.len(),
+            period: recurrence(&pairs.iter().map(|p| p.1).collect::<Vec<_>>()),
+            displacement_s,
+            ..fault(FaultKind::CopiedSample, stale)
+        });
     }
 
-    let total = usable.iter().filter(|&&u| u).count();
-    for _ in 0..12 {
-        let Some(class) = next_class(t, w, usable, step_s) else {
-            break;
-        };
-        let members: Vec<usize> = (0..t.len())
-            .filter(|&k| usable[k] && k % class.period == class.phase)
-            .collect();
-        let kept = usable.iter().filter(|&&u| u).count();
-        if class.period == 2 || (kept - members.len()) * 10 < total * 6 {
-            out.unresolved_s = out.unresolved_s.max(0.5 * class.displacement_s.abs());
-            let mut found = fault(
-                FaultKind::DisplacedClass,
-                members,
-                Some(class.period as f64),
-                Some(class.displacement_s),
-            );
-            found.action = Action::Noted;
-            out.faults.push(found);
-            break;
-        }
-        for &k in &members {
-            usable[k] = false;
-        }
-        out.faults.push(fault(
-            FaultKind::DisplacedClass,
-            members,
-            Some(class.period as f64),
-            Some(class.displacement_s),
-        ));
-    }
-    if out
-        .faults
-        .iter()
-        .any(|f| f.kind == FaultKind::DisplacedClass)
-    {
-        out.noise = noise_of(&predictions(t, w, usable, step_s, &[]));
+    let (displaced, unresolved_s) = displaced_classes(stream, samples, usable);
+    if !displaced.is_empty() {
+        out.noise = noise_of(&samples.predictions(usable));
+        out.unresolved_s = unresolved_s;
+        out.faults.extend(displaced);
     }
     out
+}
+
+/// Leaves out displaced classes, the most significant first, and gives the
+/// uncertainty of time that the last one leaves open, seconds.
+fn displaced_classes(
+    stream: Stream,
+    samples: Samples<'_>,
+    usable: &mut [bool],
+) -> (Vec<Fault>, f64) {
+    let mut faults = Vec::new();
+    let total = kept(usable).len();
+    for _ in 0..12 {
+        let Some(class) = classes::most_displaced(samples, usable) else {
+            break;
+        };
+        let left = kept(usable);
+        let members: Vec<usize> = left
+            .iter()
+            .copied()
+            .filter(|k| k % class.period == class.phase)
+            .collect();
+        let undecided = class.period == 2 || (left.len() - members.len()) * 10 < total * 6;
+        let action = if undecided {
+            Action::Noted
+        } else {
+            leave_out(usable, &members);
+            Action::LeftOut
+        };
+        faults.push(Fault {
+            period: Some(class.period as f64),
+            displacement_s: Some(class.displacement_s),
+            ..Fault::new(stream, FaultKind::DisplacedClass, members, action)
+        });
+        if undecided {
+            return (faults, 0.5 * class.displacement_s.abs());
+        }
+    }
+    (faults, 0.0)
 }
 
 /// Samples at a plateau of the largest or smallest value of an axis.
@@ -177,142 +138,6 @@ fn clipped(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
     (0..w.len()).filter(|&k| hit[k]).collect()
 }
 
-/// Predicts each usable sample from its neighbours. `partner[k]`, if given,
-/// is left out of the prediction of `k` too.
-fn predictions(
-    t: &[f64],
-    w: &[Vec3],
-    usable: &[bool],
-    step_s: f64,
-    pairs: &[(usize, usize)],
-) -> Vec<Against> {
-    let kept: Vec<usize> = (0..t.len()).filter(|&k| usable[k]).collect();
-    let slopes = slow_slopes(t, w, &kept, step_s);
-    let position = |index: usize| kept.binary_search(&index).ok();
-    let mut out = Vec::with_capacity(kept.len());
-    let mut predict = |at: usize, partner: Option<usize>| {
-        let mut near = [0_usize; 2 * SIDE];
-        let mut found = 0;
-        for p in (0..at).rev() {
-            if Some(kept[p]) != partner {
-                near[found] = kept[p];
-                found += 1;
-                if found == SIDE {
-                    break;
-                }
-            }
-        }
-        if found < SIDE {
-            return;
-        }
-        for &k in &kept[at + 1..] {
-            if Some(k) != partner {
-                near[found] = k;
-                found += 1;
-                if found == 2 * SIDE {
-                    break;
-                }
-            }
-        }
-        if found < 2 * SIDE {
-            return;
-        }
-        let (first, last) = (near[SIDE - 1], near[2 * SIDE - 1]);
-        let left = near[..SIDE].iter().copied().min().unwrap_or(first);
-        let k = kept[at];
-        let near_enough = |reach: f64, i: usize| (t[k] - t[i]).abs() < reach * step_s;
-        // The nearest on each side close, all six not far: across a gap the
-        // prediction errs in proportion to the rate of any vibration.
-        let close = near_enough(2.6, near[0]) && near_enough(2.6, near[SIDE]);
-        if !close || t[last] - t[left] > 4.0 * SIDE as f64 * step_s {
-            return;
-        }
-        let mut predicted = [0.0; 3];
-        let mut gain = 1.0;
-        for (i, &n) in near.iter().enumerate() {
-            let mut weight = 1.0;
-            for (j, &m) in near.iter().enumerate() {
-                if i != j {
-                    weight *= (t[k] - t[m]) / (t[n] - t[m]);
-                }
-            }
-            gain += weight * weight;
-            for axis in 0..3 {
-                predicted[axis] += weight * w[n][axis];
-            }
-        }
-        let scale = 1.0 / gain.sqrt();
-        let mut against = Against {
-            index: k,
-            error: [0.0; 3],
-            slope: [0.0; 3],
-        };
-        for axis in 0..3 {
-            against.error[axis] = scale * (w[k][axis] - predicted[axis]);
-            against.slope[axis] = scale * slopes[at][axis];
-        }
-        out.push(against);
-    };
-    if pairs.is_empty() {
-        for at in 0..kept.len() {
-            predict(at, None);
-        }
-    } else {
-        for &(first, second) in pairs {
-            if let Some(at) = position(first) {
-                predict(at, Some(second));
-            }
-        }
-    }
-    out
-}
-
-/// Rate of change of the slow part of the motion at each kept sample: the
-/// least-squares line over 15 ms (at least four samples) on either side.
-///
-/// Slow on purpose: a vibration's own derivative would correlate with the
-/// prediction errors that the vibration makes, in step with every period that
-/// fits it.
-fn slow_slopes(t: &[f64], w: &[Vec3], kept: &[usize], step_s: f64) -> Vec<Vec3> {
-    let reach_s = f64::max(0.015, 4.2 * step_s);
-    let (mut from, mut to) = (0, 0);
-    kept.iter()
-        .map(|&k| {
-            while t[kept[from]] < t[k] - reach_s {
-                from += 1;
-            }
-            while to < kept.len() && t[kept[to]] <= t[k] + reach_s {
-                to += 1;
-            }
-            let near = &kept[from..to];
-            let n = near.len() as f64;
-            let centre = near.iter().map(|&i| t[i] - t[k]).sum::<f64>() / n;
-            let mut spread = 0.0;
-            let mut slope = [0.0; 3];
-            for &i in near {
-                let x = t[i] - t[k] - centre;
-                spread += x * x;
-                for axis in 0..3 {
-                    slope[axis] += x * (w[i][axis] - w[k][axis]);
-                }
-            }
-            slope.map(|s| if spread > 0.0 { s / spread } else { 0.0 })
-        })
-        .collect()
-}
-
-fn noise_of(against: &[Against]) -> Vec3 {
-    let mut noise = [0.0; 3];
-    for (axis, value) in noise.iter_mut().enumerate() {
-        let errors: Vec<f64> = against.iter().map(|a| a.error[axis]).collect();
-        *value = robust::mad_sigma(&errors);
-        if !value.is_finite() {
-            *value = 0.0;
-        }
-    }
-    noise
-}
-
 /// Neighbours that are equal to the bit where they should not be: (first, second).
 ///
 /// A coarse or silent sensor gives equal neighbours by chance. How often is
@@ -320,8 +145,7 @@ fn noise_of(against: &[Against]) -> Vec3 {
 /// not. Only if there are clearly more equal neighbours than that, all of them
 /// count; otherwise only those during motion that must have shown.
 fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
-    let kept: Vec<usize> = (0..w.len()).filter(|&k| usable[k]).collect();
-    let pairs: Vec<(usize, usize)> = kept
+    let pairs: Vec<(usize, usize)> = kept(usable)
         .windows(2)
         .map(|p| (p[0], p[1]))
         .filter(|(a, b)| b - a == 1)
@@ -380,18 +204,16 @@ fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
 
 /// Which samples of the copied pairs to leave out, and how stale they are.
 fn stale_copies(
-    t: &[f64],
-    w: &[Vec3],
+    samples: Samples<'_>,
     usable: &[bool],
-    step_s: f64,
     pairs: &[(usize, usize)],
     noise: &Vec3,
 ) -> (Vec<usize>, Option<f64>) {
     let displacement = |pairs: &[(usize, usize)]| {
         let (mut top, mut bottom) = (0.0, 0.0);
-        let against = predictions(t, w, usable, step_s, pairs);
+        let against = samples.predictions_without(usable, pairs);
         for (a, variance) in against.iter().zip(local_variances(&against, noise)) {
-            let (score, information) = score(a, &variance);
+            let (score, information) = a.score(&variance);
             top += score;
             bottom += information;
         }
@@ -400,11 +222,11 @@ fn stale_copies(
     let reversed: Vec<(usize, usize)> = pairs.iter().map(|&(a, b)| (b, a)).collect();
     let (first, first_sigma) = displacement(pairs);
     let (second, second_sigma) = displacement(&reversed);
-    let known = first_sigma.max(second_sigma) < 0.1 * step_s;
-    let is_displaced = |d: f64| d.abs() > 0.5 * step_s;
+    let known = first_sigma.max(second_sigma) < 0.1 * samples.step_s;
+    let is_displaced = |d: f64| d.abs() > 0.5 * samples.step_s;
     // Runs of equal samples: the sensor is slower than the stream, and only the
     // first of each run is fresh.
-    let held = pairs.len() * 5 > usable.iter().filter(|&&u| u).count() * 2;
+    let held = pairs.len() * 5 > kept(usable).len() * 2;
     let chains = held || pairs.windows(2).filter(|p| p[0].1 == p[1].0).count() * 3 > pairs.len();
     // (leave out the first, leave out the second, staleness)
     let (drop_first, drop_second, stale) = if chains {
@@ -426,137 +248,15 @@ fn stale_copies(
     (out, stale)
 }
 
-/// Variance of the prediction errors around each sample: the noise, or more
-/// where the rig vibrates (from blocks of [`SCALE_BLOCK`] predictions, robust).
-fn local_variances(against: &[Against], noise: &Vec3) -> Vec<Vec3> {
-    let mut out = Vec::with_capacity(against.len());
-    for block in against.chunks(SCALE_BLOCK) {
-        let local = noise_of(block);
-        let variance: Vec3 =
-            std::array::from_fn(|axis| local[axis].max(noise[axis]).powi(2).max(1e-12));
-        out.extend(std::iter::repeat_n(variance, block.len()));
-    }
-    out
-}
-
-/// Contribution of one sample to a displacement: score and information.
-fn score(a: &Against, variance: &Vec3) -> (f64, f64) {
-    let (mut score, mut information) = (0.0, 0.0);
-    for axis in 0..3 {
-        let variance = variance[axis];
-        score -= a.error[axis] * a.slope[axis] / variance;
-        information += a.slope[axis] * a.slope[axis] / variance;
-    }
-    (score, information)
-}
-
-/// The most significant displaced class among the usable samples.
-fn next_class(t: &[f64], w: &[Vec3], usable: &[bool], step_s: f64) -> Option<Class> {
-    let search = |usable: &[bool], periods| {
-        let against = predictions(t, w, usable, step_s, &[]);
-        let noise = noise_of(&against);
-        displaced_class(&against, &noise, step_s, periods)
-    };
-    let class = search(usable, 2..=LONGEST_PERIOD)?;
-    if class.period > 2 {
-        return Some(class);
-    }
-    // Every fourth (sixth, ...) sample displaced spoils every second prediction
-    // and looks like period 2. If leaving out that class leaves nothing, it was it.
-    for period in [4, 6, 8] {
-        if let Some(finer) = search(usable, period..=period) {
-            let mut without = usable.to_vec();
-            for k in (finer.phase..without.len()).step_by(finer.period) {
-                without[k] = false;
-            }
-            if search(&without, 2..=LONGEST_PERIOD).is_none() {
-                return Some(finer);
-            }
-        }
-    }
-    Some(class)
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Class {
-    period: usize,
-    phase: usize,
-    displacement_s: f64,
-}
-
-/// Sums over a class.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sums {
-    score: f64,
-    information: f64,
-    score_squared: f64,
-    product: f64,
-    information_squared: f64,
-    members: usize,
-}
-
-fn displaced_class(
-    against: &[Against],
-    noise: &Vec3,
-    step_s: f64,
-    periods: std::ops::RangeInclusive<usize>,
-) -> Option<Class> {
-    let scored: Vec<(usize, f64, f64)> = against
-        .iter()
-        .zip(local_variances(against, noise))
-        .map(|(a, variance)| {
-            let (score, information) = score(a, &variance);
-            (a.index, score, information)
-        })
-        .collect();
-    let mut best: Option<(f64, Class)> = None;
-    let mut sums = [Sums::default(); LONGEST_PERIOD];
-    for period in periods {
-        sums[..period].fill(Sums::default());
-        for &(index, score, information) in &scored {
-            let sum = &mut sums[index % period];
-            sum.score += score;
-            sum.information += information;
-            sum.score_squared += score * score;
-            sum.product += score * information;
-            sum.information_squared += information * information;
-            sum.members += 1;
-        }
-        for (phase, sum) in sums[..period].iter().enumerate() {
-            if sum.members < 8 || sum.information <= 0.0 {
-                continue;
-            }
-            let displacement_s = sum.score / sum.information;
-            let z = sum.score.abs() / sum.information.sqrt();
-            // Significance from the scatter of the scores themselves: a burst of
-            // vibration is not the even noise that `z` assumes.
-            let scatter = sum.score_squared - 2.0 * displacement_s * sum.product
-                + displacement_s * displacement_s * sum.information_squared;
-            let z_scatter = sum.score.abs() / scatter.max(f64::MIN_POSITIVE).sqrt();
-            if z > CLASS_Z
-                && z_scatter > CLASS_Z_SCATTER
-                && displacement_s.abs() > CLASS_STEP * step_s
-                && best.is_none_or(|(top, _)| z > top)
-            {
-                best = Some((
-                    z,
-                    Class {
-                        period,
-                        phase,
-                        displacement_s,
-                    },
-                ));
-            }
-        }
-    }
-    best.map(|(_, class)| class)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const STEP: f64 = 0.002;
+
+    fn samples<'a>(t: &'a [f64], w: &'a [Vec3]) -> Samples<'a> {
+        Samples { t, w, step_s: STEP }
+    }
 
     fn motion(t: f64) -> Vec3 {
         let e = (-(t - 4.5).powi(2) / 4.0).exp();
@@ -590,7 +290,7 @@ mod tests {
     fn a_clean_stream_is_clean() {
         let (t, w) = stream(|k| STEP * k as f64);
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::Phone, &t, &w, &mut usable, STEP);
+        let checked = check(Stream::B, samples(&t, &w), &mut usable);
         assert!(checked.faults.is_empty(), "{:?}", checked.faults);
         assert!(usable.iter().all(|&u| u));
         assert!(
@@ -604,7 +304,7 @@ mod tests {
     fn a_displaced_class_is_found_and_measured() {
         let (t, w) = stream(|k| STEP * k as f64 - if k % 10 == 7 { 1e-3 } else { 0.0 });
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::Phone, &t, &w, &mut usable, STEP);
+        let checked = check(Stream::B, samples(&t, &w), &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         let fault = &checked.faults[0];
         assert_eq!(fault.kind, FaultKind::DisplacedClass);
@@ -620,7 +320,7 @@ mod tests {
             w[k] = w[k - 1];
         }
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::Phone, &t, &w, &mut usable, STEP);
+        let checked = check(Stream::B, samples(&t, &w), &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         let fault = &checked.faults[0];
         assert_eq!(fault.kind, FaultKind::CopiedSample);
@@ -636,7 +336,7 @@ mod tests {
             v[0] = v[0].clamp(-2.5, 2.5);
         }
         let mut usable = vec![true; t.len()];
-        let checked = check(Stream::Mcu, &t, &w, &mut usable, STEP);
+        let checked = check(Stream::A, samples(&t, &w), &mut usable);
         assert_eq!(checked.faults.len(), 1, "{:?}", checked.faults);
         assert_eq!(checked.faults[0].kind, FaultKind::Clipped);
         assert!((0..4500).all(|k| usable[k] != (w[k][0].abs() >= 2.5)));
@@ -648,7 +348,7 @@ mod tests {
         let w = vec![[0.0; 3]; 1000];
         let mut usable = vec![true; 1000];
         assert!(
-            check(Stream::Mcu, &t, &w, &mut usable, STEP)
+            check(Stream::A, samples(&t, &w), &mut usable)
                 .faults
                 .is_empty()
         );

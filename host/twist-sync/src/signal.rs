@@ -14,7 +14,8 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
-use super::spline::{Spline, Vec3};
+use crate::neighbours;
+use crate::spline::{Spline, Vec3};
 
 /// How far the Gaussian kernel is carried, in standard deviations. The
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.
@@ -22,17 +23,16 @@ const KERNEL_REACH: f64 = 4.5;
 
 /// Settings of the continuous representation.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Smoothing {
+pub(crate) struct Smoothing {
     /// Frequency at which the low-pass has fallen by 3 dB, in Hz.
-    pub low_pass_hz: f64,
+    pub(crate) low_pass_hz: f64,
     /// Degree of the splines: 3, 5 or 7.
-    pub spline_degree: usize,
+    pub(crate) spline_degree: usize,
 }
 
 impl Smoothing {
     /// Standard deviation of the Gaussian kernel in seconds.
-    #[must_use]
-    pub fn kernel_sigma_s(&self) -> f64 {
+    pub(crate) fn kernel_sigma_s(&self) -> f64 {
         (std::f64::consts::LN_2).sqrt() / (std::f64::consts::TAU * self.low_pass_hz)
     }
 }
@@ -46,10 +46,9 @@ struct Piece {
 }
 
 /// A continuous angular rate, defined on one or more pieces of time.
-#[derive(Debug, Clone, Default)]
-pub struct Signal {
+#[derive(Debug, Clone)]
+pub(crate) struct Signal {
     pieces: Vec<Piece>,
-    node_step: f64,
 }
 
 impl Signal {
@@ -57,8 +56,7 @@ impl Signal {
     ///
     /// `max_gap_s` is the longest distance between neighbours that is bridged,
     /// `sample_step_s` the typical distance.
-    #[must_use]
-    pub fn new(
+    pub(crate) fn new(
         t: &[f64],
         w: &[Vec3],
         usable: &[bool],
@@ -72,66 +70,28 @@ impl Signal {
         let kernel = gaussian_kernel(sigma / grid, reach);
         let keep_every = ((sigma / 2.5 / grid).floor() as usize).max(1);
 
-        let mut out = Self {
-            pieces: Vec::new(),
-            node_step: grid * keep_every as f64,
-        };
-        let mut times: Vec<f64> = Vec::new();
-        let mut rates: Vec<Vec3> = Vec::new();
-        let mut flush = |times: &mut Vec<f64>, rates: &mut Vec<Vec3>| {
-            if let Some(piece) = filtered(
-                times,
-                rates,
-                grid,
-                &kernel,
-                keep_every,
-                smoothing.spline_degree,
-            ) {
-                out.pieces.push(piece);
-            }
-            times.clear();
-            rates.clear();
-        };
-        for k in (0..t.len()).filter(|&k| usable[k]) {
-            if times.last().is_some_and(|&last| t[k] - last > max_gap_s) {
-                flush(&mut times, &mut rates);
-            }
-            times.push(t[k]);
-            rates.push(w[k]);
-        }
-        flush(&mut times, &mut rates);
-        out
-    }
-
-    /// Distance of the nodes of the smooth signal in seconds.
-    #[must_use]
-    pub fn node_step(&self) -> f64 {
-        self.node_step
-    }
-
-    /// First and last time at which the signal is defined, if it is anywhere.
-    #[must_use]
-    pub fn domain(&self) -> Option<(f64, f64)> {
-        Some((self.pieces.first()?.from, self.pieces.last()?.to))
-    }
-
-    /// Total length of the pieces in seconds.
-    #[must_use]
-    pub fn covered_s(&self) -> f64 {
-        self.pieces.iter().map(|p| p.to - p.from).sum()
+        let kept = neighbours::kept(usable);
+        let pieces = kept
+            .chunk_by(|&k, &next| t[next] - t[k] <= max_gap_s)
+            .filter_map(|piece| {
+                let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
+                let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
+                let degree = smoothing.spline_degree;
+                filtered(&times, &rates, grid, &kernel, keep_every, degree)
+            })
+            .collect();
+        Self { pieces }
     }
 
     /// Smooth value and rate of change at `t`, or `None` outside of the pieces.
-    #[must_use]
-    pub fn at(&self, t: f64) -> Option<(Vec3, Vec3)> {
+    pub(crate) fn at(&self, t: f64) -> Option<(Vec3, Vec3)> {
         let after = self.pieces.partition_point(|p| p.from <= t);
         let piece = &self.pieces[after.checked_sub(1)?];
         (t <= piece.to).then(|| piece.smooth.value_and_rate(t))
     }
 
     /// The signal sampled every `step` seconds on all its pieces.
-    #[must_use]
-    pub fn sampled(&self, step: f64) -> Vec<(f64, Vec3)> {
+    pub(crate) fn sampled(&self, step: f64) -> Vec<(f64, Vec3)> {
         let mut out = Vec::new();
         for piece in &self.pieces {
             let first = (piece.from / step).ceil() as i64;
@@ -239,6 +199,7 @@ mod tests {
         assert!(s.at(0.99).is_none(), "the kernel reaches into the gap");
         assert!(s.at(0.9).is_some() && s.at(1.2).is_some());
         assert!(s.at(-1.0).is_none() && s.at(5.0).is_none());
-        assert!(s.covered_s() > 1.8 && s.covered_s() < 1.96);
+        let covered_s: f64 = s.pieces.iter().map(|p| p.to - p.from).sum();
+        assert!(covered_s > 1.8 && covered_s < 1.96);
     }
 }

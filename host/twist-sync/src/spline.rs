@@ -14,14 +14,14 @@
 //! 10 Hz to better than one part in 10⁹.
 
 /// Three angular rates, x, y, z.
-pub type Vec3 = [f64; 3];
+pub(crate) type Vec3 = [f64; 3];
 
 /// The largest degree offered; bounds the stack buffers.
-pub const MAX_DEGREE: usize = 7;
+const MAX_DEGREE: usize = 7;
 
 /// A piecewise polynomial through the given samples.
 #[derive(Debug, Clone)]
-pub struct Spline {
+pub(crate) struct Spline {
     degree: usize,
     breaks: Vec<f64>,
     /// 1 / spacing if the breaks are equidistant.
@@ -35,12 +35,17 @@ impl Spline {
     ///
     /// `degree` is 1, 3, 5 or 7. `None` if there are fewer than `degree + 1`
     /// samples, the times do not increase, or the degree is none of these.
-    pub fn interpolate(t: &[f64], y: &[Vec3], degree: usize) -> Option<Self> {
+    pub(crate) fn interpolate(t: &[f64], y: &[Vec3], degree: usize) -> Option<Self> {
         Self::build(t, y, degree, None)
     }
 
     /// Interpolates equidistant samples `start + k * step`.
-    pub fn interpolate_uniform(start: f64, step: f64, y: &[Vec3], degree: usize) -> Option<Self> {
+    pub(crate) fn interpolate_uniform(
+        start: f64,
+        step: f64,
+        y: &[Vec3],
+        degree: usize,
+    ) -> Option<Self> {
         let t: Vec<f64> = (0..y.len()).map(|k| start + k as f64 * step).collect();
         Self::build(&t, y, degree, Some(1.0 / step))
     }
@@ -67,7 +72,7 @@ impl Spline {
     }
 
     /// First and last time at which the spline is defined.
-    pub fn domain(&self) -> (f64, f64) {
+    pub(crate) fn domain(&self) -> (f64, f64) {
         (self.breaks[0], self.breaks[self.breaks.len() - 1])
     }
 
@@ -84,7 +89,7 @@ impl Spline {
     }
 
     /// Value at `t`; outside the domain the end polynomial is continued.
-    pub fn value(&self, t: f64) -> Vec3 {
+    pub(crate) fn value(&self, t: f64) -> Vec3 {
         let i = self.interval(t);
         let dt = t - self.breaks[i];
         let c = &self.coefficients[i * (self.degree + 1)..(i + 1) * (self.degree + 1)];
@@ -98,7 +103,7 @@ impl Spline {
     }
 
     /// Value and first derivative at `t`.
-    pub fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
+    pub(crate) fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
         let i = self.interval(t);
         let dt = t - self.breaks[i];
         let c = &self.coefficients[i * (self.degree + 1)..(i + 1) * (self.degree + 1)];

@@ -13,34 +13,33 @@
 //!   ([`Timestamps::unresolved_s`]).
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
-use super::faults::{Action, Fault, FaultKind, Stream};
-use super::robust;
+use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
+use crate::neighbours::{self, leave_out};
+use crate::robust;
 
 /// Below this number of jumps a sawtooth's mean is uncertain.
-pub const FEW_RESETS: usize = 3;
+const FEW_RESETS: usize = 3;
 
 /// Largest jump that is taken for a sawtooth's reset with fewer of them.
 const LARGEST_LONE_RESET_S: f64 = 100e-6;
 
 /// Timestamps after the checks.
-#[derive(Debug, Clone)]
-pub struct Timestamps {
+pub(crate) struct Timestamps {
     /// Corrected times, relative seconds; as many as were given.
-    pub t: Vec<f64>,
+    pub(crate) t: Vec<f64>,
     /// Which of them can be used.
-    pub usable: Vec<bool>,
+    pub(crate) usable: Vec<bool>,
     /// Median distance of neighbours in seconds.
-    pub step_s: f64,
+    pub(crate) step_s: f64,
     /// 1-sigma of the mean of the timestamps that the faults leave open, seconds.
-    pub unresolved_s: f64,
+    pub(crate) unresolved_s: f64,
     /// What was found.
-    pub faults: Vec<Fault>,
+    pub(crate) faults: Vec<Fault>,
 }
 
 /// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is
 /// finite. `None` if fewer than eight usable samples remain.
-#[must_use]
-pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
+pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
     let mut out = Timestamps {
         t: t.to_vec(),
         usable: t
@@ -52,15 +51,7 @@ pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
         unresolved_s: 0.0,
         faults: Vec::new(),
     };
-    let fault = |kind, samples: Vec<usize>, action| Fault {
-        stream,
-        kind,
-        count: samples.len(),
-        period: None,
-        displacement_s: None,
-        action,
-        samples,
-    };
+    let fault = |kind, samples, action| Fault::new(stream, kind, samples, action);
 
     let bad: Vec<usize> = (0..t.len()).filter(|&k| !out.usable[k]).collect();
     if !bad.is_empty() {
@@ -69,34 +60,27 @@ pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
     }
 
     let disordered = out_of_order(&out.t, &out.usable);
-    for &k in &disordered {
-        out.usable[k] = false;
-    }
+    leave_out(&mut out.usable, &disordered);
     if !disordered.is_empty() {
         let found = fault(FaultKind::TimestampOrder, disordered, Action::LeftOut);
         out.faults.push(found);
     }
 
-    let mut kept: Vec<usize> = (0..t.len()).filter(|&k| out.usable[k]).collect();
+    let mut kept = neighbours::kept(&out.usable);
     if kept.len() < 8 {
         return None;
     }
     let steps =
         |kept: &[usize]| -> Vec<f64> { kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect() };
-    let step = robust::median(&steps(&kept));
-    if step.is_nan() || step <= 0.0 {
-        return None;
-    }
+    let step = robust::median(&steps(&kept)).filter(|&step| step > 0.0)?;
     out.step_s = step;
 
     let outliers = isolated(&kept, &steps(&kept), step);
     if !outliers.is_empty() {
-        for &k in &outliers {
-            out.usable[k] = false;
-        }
+        leave_out(&mut out.usable, &outliers);
         kept.retain(|&k| out.usable[k]);
         let mut found = fault(FaultKind::TimestampOutlier, outliers, Action::LeftOut);
-        found.period = recurrence_period(&found.samples);
+        found.period = recurrence(&found.samples);
         out.faults.push(found);
     }
 
@@ -113,13 +97,9 @@ pub fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
     Some(out)
 }
 
-fn recurrence_period(samples: &[usize]) -> Option<f64> {
-    super::faults::recurrence(samples).map(|(period, _)| period as f64)
-}
-
 /// The fewest samples to remove so that the rest increases strictly.
 fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
-    let kept: Vec<usize> = (0..t.len()).filter(|&k| usable[k]).collect();
+    let kept = neighbours::kept(usable);
     if kept.windows(2).all(|p| t[p[1]] > t[p[0]]) {
         return Vec::new();
     }
@@ -147,7 +127,7 @@ fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
 /// Samples whose timestamp alone stands off: late and then early, or the reverse.
 fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     let deviation: Vec<f64> = steps.iter().map(|d| d - step).collect();
-    let scatter = robust::mad_sigma(&deviation);
+    let scatter = robust::mad_sigma(&deviation).unwrap_or(0.0);
     let threshold = (12.0 * scatter).max(0.12 * step);
     let mut out = Vec::new();
     for i in 1..deviation.len() {
@@ -179,7 +159,7 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     if deviation.len() < 16 {
         return;
     }
-    let scatter = robust::mad_sigma(&deviation).max(0.2e-6);
+    let scatter = robust::mad_sigma(&deviation).map_or(0.2e-6, |sigma| sigma.max(0.2e-6));
     let threshold = (8.0 * scatter).max(8e-6);
     let jumps: Vec<(usize, f64)> = adjacent
         .into_iter()
@@ -189,7 +169,9 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         return;
     }
     let sizes: Vec<f64> = jumps.iter().map(|&(_, d)| d).collect();
-    let size = robust::median(&sizes);
+    let Some(size) = robust::median(&sizes) else {
+        return;
+    };
     let alike = sizes
         .iter()
         .filter(|s| (*s / size - 1.0).abs() < 0.4)
@@ -224,14 +206,16 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         out.unresolved_s = size.abs() / 12.0_f64.sqrt();
     }
     let spacing: Vec<f64> = jumps.windows(2).map(|p| (p[1].0 - p[0].0) as f64).collect();
+    let samples = jumps.into_iter().map(|(k, _)| k).collect();
     out.faults.push(Fault {
-        stream,
-        kind: FaultKind::TimestampSawtooth,
-        count: jumps.len(),
-        period: (!spacing.is_empty()).then(|| robust::median(&spacing)),
+        period: robust::median(&spacing),
         displacement_s: Some(size),
-        action: Action::Corrected,
-        samples: jumps.into_iter().map(|(k, _)| k).collect(),
+        ..Fault::new(
+            stream,
+            FaultKind::TimestampSawtooth,
+            samples,
+            Action::Corrected,
+        )
     });
 }
 
@@ -250,7 +234,7 @@ mod tests {
             .enumerate()
             .map(|(k, t)| t + 20e-6 * (k as f64 * 1.3).sin())
             .collect();
-        let checked = check(Stream::Phone, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::B, &t, &vec![true; 1000]).unwrap();
         assert!(checked.faults.is_empty(), "{:?}", checked.faults);
         assert_eq!(checked.t, t);
     }
@@ -262,7 +246,7 @@ mod tests {
         t[500] -= 0.7;
         t[700] = f64::NAN;
         t[900] += 0.0007;
-        let checked = check(Stream::Mcu, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
         let lost: Vec<usize> = (0..1000).filter(|&k| !checked.usable[k]).collect();
         assert_eq!(lost, [300, 500, 700, 900]);
     }
@@ -275,7 +259,7 @@ mod tests {
             .enumerate()
             .map(|(k, t)| t + 57e-6 * (0.5 - (k % 250) as f64 / 250.0))
             .collect();
-        let checked = check(Stream::Phone, &t, &vec![true; 4500]).unwrap();
+        let checked = check(Stream::B, &t, &vec![true; 4500]).unwrap();
         assert_eq!(checked.faults.len(), 1);
         let fault = &checked.faults[0];
         assert_eq!(fault.kind, FaultKind::TimestampSawtooth);
@@ -296,7 +280,7 @@ mod tests {
         for x in &mut t[400..] {
             *x += 0.05;
         }
-        let checked = check(Stream::Mcu, &t, &vec![true; 1000]).unwrap();
+        let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
         assert_eq!(checked.faults.len(), 1);
         assert_eq!(checked.faults[0].kind, FaultKind::Gap);
         assert_eq!(checked.t, t);

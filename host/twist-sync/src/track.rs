@@ -1,12 +1,13 @@
 //! A gyroscope's recording as the sync math takes it.
 
-use super::spline::Vec3;
+use crate::recording::GyroSample;
+use crate::spline::Vec3;
 
 /// Angular rates over time.
 ///
 /// Times are kept relative to `epoch_s`, so that a clock that reads 10⁶ s costs
 /// no precision. They need not be equidistant or even sorted: what is wrong
-/// with them is found and named by [`super::estimate_offset`].
+/// with them is found and named by [`crate::estimate_offset`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct GyroTrack {
     /// The clock's reading at relative time zero, in seconds.
@@ -27,6 +28,29 @@ impl GyroTrack {
             t: times_s.iter().map(|t| t - epoch_s).collect(),
             w,
         }
+    }
+
+    /// From times in nanoseconds of the device's clock and as many rates; their
+    /// differences are taken in integers.
+    #[must_use]
+    pub fn from_nanos(times: &[i64], w: Vec<Vec3>) -> Self {
+        let epoch = times.first().copied().unwrap_or(0);
+        let since = |&time: &i64| (i128::from(time) - i128::from(epoch)) as f64 * 1e-9;
+        // Whole seconds and the rest apart, so that it is rounded once.
+        let (whole, rest) = (
+            epoch.div_euclid(1_000_000_000),
+            epoch.rem_euclid(1_000_000_000),
+        );
+        Self {
+            epoch_s: whole as f64 + rest as f64 * 1e-9,
+            t: times.iter().map(since).collect(),
+            w,
+        }
+    }
+
+    pub(crate) fn from_samples(samples: &[GyroSample]) -> Self {
+        let times: Vec<i64> = samples.iter().map(|sample| sample.at).collect();
+        Self::from_nanos(&times, samples.iter().map(|sample| sample.rate).collect())
     }
 
     /// Number of samples.

@@ -56,8 +56,8 @@ use smartdepthsync::record::live::Live;
 use smartdepthsync::record::operator::Operator;
 use smartdepthsync::record::phones::Phones;
 use smartdepthsync::record::rig::Rig as HostRig;
-use smartdepthsync::record::watch::{Grid, Watch};
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
+use verify::watch::{Grid, Watch};
 
 use crate::board_truth::Train;
 pub use crate::whole_chain::Programs;

@@ -18,7 +18,7 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn twist() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/cli/tests/data/twist")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/twist-sync/tests/data/twist")
 }
 
 fn make_bag(folder: &Path, compression: &str) {
@@ -114,7 +114,7 @@ fn whole_twist() -> f64 {
         GyroTrack::from_seconds(&times, rates)
     };
     let options = Options {
-        mcu_delay_s: 1.9e-3,
+        a_delay_s: 1.9e-3,
         ..Options::default()
     };
     let mcu = read("mcu_gyro_data.csv");

@@ -84,8 +84,8 @@ fn twist(seed: u64) -> (f64, f64) {
     let board_track = GyroTrack::from_seconds(&times, rates);
 
     let options = Options {
-        mcu_delay_s: pass.delay_s,
-        phone_delay_s,
+        a_delay_s: pass.delay_s,
+        b_delay_s: phone_delay_s,
         ..Options::default()
     };
     let estimate = estimate_offset(&board_track, &phone_track, &options).unwrap();

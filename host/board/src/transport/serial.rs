@@ -82,7 +82,7 @@ impl SerialLink {
     ///
     /// # Errors
     ///
-    /// See [`OpenError`].
+    /// It is not there, not a port, in use, or not permitted.
     pub fn open(path: &str) -> Result<Self, OpenError> {
         let port = serialport::new(path, BAUD)
             .timeout(POLL)

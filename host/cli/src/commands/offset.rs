@@ -9,9 +9,9 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::sync_report::{DeviceFault, SyncReport};
 use phone::gyro_csv::{self, GyroFile};
-use twist_sync::estimate::Report;
-use twist_sync::{Action, Estimate, Fault, FaultKind, Gate, Options, Stream, estimate_offset};
+use twist_sync::{Action, Estimate, FaultKind, Options, estimate_offset};
 
 /// Options of `offset`.
 #[derive(Debug, clap::Args)]
@@ -79,8 +79,8 @@ impl Args {
         Options {
             low_pass_hz: self.low_pass_hz,
             spline_degree: self.spline_degree.parse().unwrap_or(5),
-            mcu_delay_s: self.mcu_delay_us * 1e-6,
-            phone_delay_s: self.phone_delay_us * 1e-6,
+            a_delay_s: self.mcu_delay_us * 1e-6,
+            b_delay_s: self.phone_delay_us * 1e-6,
             sigma_limit_s: self.max_sigma_us * 1e-6,
             handle_faults: !self.keep_faults,
             ..Options::default()
@@ -105,16 +105,12 @@ struct Output {
     calibration: Option<[[f64; 3]; 3]>,
     /// Bias of the phone against the board, in the phone's axes, rad/s.
     bias: Option<[f64; 3]>,
-    residual_rms: Option<f64>,
-    motion_rms: Option<f64>,
-    overlap_s: Option<f64>,
     /// Delays that were subtracted from the timestamps. The gyroscopes cannot
     /// see them: an error in their difference is an error of the offset.
     mcu_delay_s: f64,
     phone_delay_s: f64,
-    faults: Vec<Fault>,
-    gates: Vec<Gate>,
-    warnings: Vec<String>,
+    #[serde(flatten)]
+    report: SyncReport,
     mcu: Input,
     phone: Input,
 }
@@ -160,34 +156,25 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     } else {
         Outcome::Refused
     };
-    let (estimate, report, refusal): (Option<Estimate>, Report, Option<String>) = match result {
-        Ok(estimate) => {
-            let report = estimate.report.clone();
-            (Some(estimate), report, None)
-        }
-        Err(refusal) => {
-            let text = refusal.report.failures();
-            (None, refusal.report, Some(text))
-        }
+    let estimate = result.as_ref().ok();
+    let refusal = result.as_ref().err();
+    let report = match &result {
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
     };
     let output = Output {
         accepted: estimate.is_some(),
-        refusal,
-        reference_s: estimate.as_ref().map(|e| e.clock.reference),
-        offset_s: estimate.as_ref().map(|e| e.clock.offset),
-        offset_sigma_s: estimate.as_ref().map(Estimate::offset_sigma_s),
-        skew_ppm: estimate.as_ref().map(|e| e.clock.skew * 1e6),
-        skew_sigma_ppm: estimate.as_ref().map(|e| e.skew_sigma() * 1e6),
-        calibration: estimate.as_ref().map(|e| e.calibration),
-        bias: estimate.as_ref().map(|e| e.bias),
-        residual_rms: report.residual_rms,
-        motion_rms: report.motion_rms,
-        overlap_s: report.overlap_s,
-        mcu_delay_s: options.mcu_delay_s,
-        phone_delay_s: options.phone_delay_s,
-        faults: report.faults,
-        gates: report.gates,
-        warnings: report.warnings,
+        refusal: refusal.map(|refusal| refusal.report.failures()),
+        reference_s: estimate.map(|e| e.clock.reference),
+        offset_s: estimate.map(|e| e.clock.offset),
+        offset_sigma_s: estimate.map(Estimate::offset_sigma_s),
+        skew_ppm: estimate.map(|e| e.clock.skew * 1e6),
+        skew_sigma_ppm: estimate.map(|e| e.skew_sigma() * 1e6),
+        calibration: estimate.map(|e| e.calibration),
+        bias: estimate.map(|e| e.bias),
+        mcu_delay_s: options.a_delay_s,
+        phone_delay_s: options.b_delay_s,
+        report: report.into(),
         mcu: Input::new(&args.mcu, &mcu),
         phone: Input::new(&args.phone, &phone),
     };
@@ -218,10 +205,10 @@ fn text(output: &Output) -> String {
             input.samples, input.duration_s, input.file, input.form
         );
     }
-    for fault in &output.faults {
+    for fault in &output.report.faults {
         let _ = writeln!(out, "fault: {}", fault_text(fault));
     }
-    for warning in &output.warnings {
+    for warning in &output.report.warnings {
         let _ = writeln!(out, "warning: {warning}");
     }
     match (output.offset_s, output.reference_s) {
@@ -240,9 +227,9 @@ fn text(output: &Output) -> String {
             let _ = writeln!(
                 out,
                 "residual: {:.2} mrad/s rms of {:.2} rad/s rms motion, {:.1} s in common",
-                output.residual_rms.unwrap_or(f64::NAN) * 1e3,
-                output.motion_rms.unwrap_or(f64::NAN),
-                output.overlap_s.unwrap_or(f64::NAN)
+                output.report.residual_rms.unwrap_or(f64::NAN) * 1e3,
+                output.report.motion_rms.unwrap_or(f64::NAN),
+                output.report.overlap_s.unwrap_or(f64::NAN)
             );
             let _ = writeln!(
                 out,
@@ -263,11 +250,7 @@ fn text(output: &Output) -> String {
     out
 }
 
-fn fault_text(fault: &Fault) -> String {
-    let stream = match fault.stream {
-        Stream::Mcu => "board",
-        Stream::Phone => "phone",
-    };
+fn fault_text(fault: &DeviceFault) -> String {
     let kind = match fault.kind {
         FaultKind::NotFinite => "values that are no numbers",
         FaultKind::TimestampOrder => "timestamps out of order",
@@ -285,7 +268,7 @@ fn fault_text(fault: &Fault) -> String {
         Action::Corrected => "corrected",
         Action::Noted => "nothing done",
     };
-    let mut text = format!("{stream}: {} {kind}", fault.count);
+    let mut text = format!("{}: {} {kind}", fault.stream.name(), fault.count);
     if let Some(period) = fault.period {
         let _ = write!(text, ", every {period} samples");
     }

@@ -8,7 +8,6 @@ use super::observers::Observers;
 use super::rig::Rig;
 use super::steps::{is_repeatable, odd_answer, step};
 use super::twist::second_twist;
-use super::watch::Finding;
 use super::{Options, Stop};
 use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
@@ -16,6 +15,7 @@ use board::Board;
 use board::Conversation;
 use phone::task::{Answer, PhoneTask, Request};
 use recording::writer::Writer;
+use verify::watch::Finding;
 
 /// How long after its first failure a phone is asked again to stop its video.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);

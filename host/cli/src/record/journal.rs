@@ -7,12 +7,12 @@ use protocol::Ticks;
 
 use super::Stop;
 use super::live::Live;
-use super::watch::Finding;
 use crate::cli::Context;
 use recording::RecordingError;
 use recording::session_file::{OtherPhone, Problem, SessionFile, Twist, Video};
 use recording::writer::{Severity, Writer};
 use timebase::ClockModel;
+use verify::watch::Finding;
 
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;

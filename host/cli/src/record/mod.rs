@@ -12,8 +12,7 @@
 //!
 //! - [`link`], `resume`: the link to the board, and going on after it was lost or the
 //!   board was reset.
-//! - [`observers`], [`watch`]: who looks at its messages, and what is watched while
-//!   recording.
+//! - [`observers`]: who looks at its messages, such as the [watch](verify::watch).
 //! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
 //! - [`phones`], `recorder`: phones and depth recorder.
 //! - `preflight`: what is looked at before.
@@ -34,7 +33,6 @@ pub mod rig;
 mod rounds;
 mod steps;
 mod twist;
-pub mod watch;
 
 use std::path::PathBuf;
 use std::time::Duration;

@@ -6,11 +6,10 @@ use protocol::{Arrived, DeviceToHost, ImuSample, Ticks};
 use super::Stop;
 use super::journal::Journal;
 use super::link::BoardLink;
-use super::preflight::ImuLook;
-use super::watch::{Finding, Watch};
 use board::Stream;
-use board::imu::Sample;
+use board::imu::{ImuLook, Sample};
 use recording::writer::Severity;
+use verify::watch::{Finding, Watch};
 
 /// Who looks on.
 #[derive(Default)]

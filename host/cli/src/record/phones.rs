@@ -12,7 +12,6 @@ use std::time::Duration;
 use super::Stop;
 use super::journal::Journal;
 use super::rig::Rig;
-use super::watch::Finding;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
@@ -20,6 +19,7 @@ use phone::task::{Answer, PhoneTask, Request};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
 use recording::session_file::{OtherPhone, PhoneInfo, Video};
+use verify::watch::Finding;
 
 /// The phones, each on its own thread.
 pub struct Phones<'a> {

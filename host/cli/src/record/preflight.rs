@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::rounds::free_space;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
-use board::imu::{Sample, Spread, Summary};
+use board::imu::ImuLook;
 use recording::profile::Profile;
 use recording::session_file::{Check, Verdict};
 
@@ -264,7 +264,7 @@ impl Checks {
 
     /// The IMU, after a look at its samples. `setup` is what the board says then.
     pub(crate) fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
-        let report = look.summary.report();
+        let report = look.report();
         if setup.status.state != ImuState::Running || report.samples == 0 {
             let fault = setup
                 .status
@@ -400,111 +400,9 @@ impl Checks {
     }
 }
 
-/// A look at the IMU's samples.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct ImuLook {
-    summary: Summary,
-    /// The last three rates, the latest first, and how many there are.
-    before: ([[f64; 3]; 3], usize),
-    third: [Spread; 3],
-}
-
-impl ImuLook {
-    /// Takes a sample.
-    pub(crate) fn add(&mut self, sample: &Sample) {
-        self.summary.add(sample);
-        let (before, count) = &mut self.before;
-        if *count == before.len() {
-            for axis in 0..3 {
-                let [one, two, three] = before.map(|rate| rate[axis]);
-                self.third[axis].add(sample.gyro[axis] - 3.0 * one + 3.0 * two - three);
-            }
-        }
-        *before = [sample.gyro, before[0], before[1]];
-        *count = (*count + 1).min(before.len());
-    }
-
-    /// Samples are missing before the next one.
-    pub(crate) const fn gap(&mut self) {
-        self.summary.gap();
-        self.before.1 = 0;
-    }
-
-    /// Noise of the gyroscope while it turns, rad/s: that of the worst axis.
-    ///
-    /// The third difference of samples 2 ms apart takes out what a hand can do
-    /// (5 rad/s at 10 Hz leave 0.002 rad/s) and leaves white noise times the root
-    /// of 1 + 9 + 9 + 1. The sensor's low-pass takes some of that too, so it is an
-    /// estimate to within a factor of two.
-    pub(crate) fn noise_in_motion(&self) -> Option<f64> {
-        self.third
-            .iter()
-            .filter_map(Spread::deviation)
-            .map(|deviation| deviation / 20.0_f64.sqrt())
-            .reduce(f64::max)
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use protocol::{ImuFlags, Ticks};
-
     use super::*;
-
-    fn look(rate: impl Fn(f64) -> f64) -> ImuLook {
-        let mut look = ImuLook::default();
-        for index in 0..500_u64 {
-            let at = index as f64 * 2e-3;
-            look.add(&Sample {
-                at: Ticks(index * 96_000),
-                flags: ImuFlags(0),
-                gyro: [rate(at), 0.0, 0.5 * rate(at)],
-                accel: [0.0, 0.0, 9.81],
-                temperature: 25.0,
-            });
-        }
-        look
-    }
-
-    #[test]
-    fn noise_is_told_from_motion() {
-        let hand = |at: f64| 5.0 * (std::f64::consts::TAU * 3.0 * at).sin();
-        let still = look(hand).noise_in_motion().unwrap();
-        assert!(still < 1e-3, "{still}");
-        // A square wave from sample to sample: the worst noise that there is.
-        let noisy = look(|at| {
-            hand(at)
-                + if ((at * 500.0) as u64).is_multiple_of(2) {
-                    0.1
-                } else {
-                    -0.1
-                }
-        });
-        let noise = noisy.noise_in_motion().unwrap();
-        assert!((0.1..0.2).contains(&noise), "{noise}");
-        assert_eq!(ImuLook::default().noise_in_motion(), None);
-    }
-
-    #[test]
-    fn a_gap_is_no_noise() {
-        let mut look = ImuLook::default();
-        for (index, rate) in [0.0, 0.0, 0.0, 0.0, 4.0, 4.0, 4.0, 4.0]
-            .into_iter()
-            .enumerate()
-        {
-            if index == 4 {
-                look.gap();
-            }
-            look.add(&Sample {
-                at: Ticks(index as u64 * 96_000),
-                flags: ImuFlags(0),
-                gyro: [rate; 3],
-                accel: [0.0; 3],
-                temperature: 25.0,
-            });
-        }
-        assert_eq!(look.noise_in_motion(), Some(0.0));
-    }
 
     #[test]
     fn the_first_bad_check_is_the_failure() {

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use super::Stop;
 use super::journal::Journal;
 use super::recorder::DepthRecorder;
-use super::watch::Finding;
 use crate::outcome::{ExitStatus, Failure};
 use recording::writer::Severity;
+use verify::watch::Finding;
 
 /// How often they are looked at.
 const EVERY: Duration = Duration::from_secs(1);

@@ -12,7 +12,6 @@ use super::phones;
 use super::preflight::Checks;
 use super::rig::Rig;
 use super::twist::first_twist;
-use super::watch::{Finding, Grid, Watch};
 use super::{Options, Stop, seconds};
 use crate::arrival::PlannedArrival;
 use crate::cli::Context;
@@ -22,6 +21,7 @@ use frame_sync::alignment::phase_sigma_us_at;
 use frame_sync::alignment::plan;
 use recording::session_file::{Alignment, Marker, Span, Video};
 use timebase::ClockModel;
+use verify::watch::{Finding, Grid, Watch};
 
 /// The session from the twist to the end of the recording.
 pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> Result<(), Stop> {

@@ -13,6 +13,7 @@ use super::phones::Phones;
 use super::rig::Rig;
 use super::steps::{ask, is_repeatable, odd_answer};
 use crate::outcome::{ExitStatus, Failure};
+use crate::sync_report::SyncReport;
 use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
 use phone::samples::sample_line;
@@ -142,8 +143,8 @@ fn relate(
     let imu = journal.file.imu.as_ref();
     let delay_us = imu.map_or(0, |imu| imu.scale.gyro_delay_us);
     let options = Options {
-        mcu_delay_s: f64::from(delay_us) * 1e-6,
-        phone_delay_s: phone.gyro_delay_us * 1e-6,
+        a_delay_s: f64::from(delay_us) * 1e-6,
+        b_delay_s: phone.gyro_delay_us * 1e-6,
         sigma_limit_s: journal.file.profile.align.max_offset_sigma_us * 1e-6,
         ..Options::default()
     };
@@ -152,7 +153,7 @@ fn relate(
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
     };
-    let report = serde_json::to_value(report).unwrap_or(serde_json::Value::Null);
+    let report = SyncReport::from(report);
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),
@@ -161,7 +162,7 @@ fn relate(
         clock: estimate.map(|estimate| estimate.clock.into()),
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
-        report,
+        report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
     };
     journal.keep_twist(place, twist);
     journal.file.files.push(name);
@@ -175,7 +176,7 @@ fn relate(
                 estimate.skew_sigma() * 1e6
             );
             journal.info("twist", &text)?;
-            for warning in &estimate.report.warnings {
+            for warning in &report.warnings {
                 journal.info("twist", warning)?;
             }
             Ok(Some(estimate.clock.into()))

@@ -51,8 +51,8 @@ fn files(twist: &Twist) -> Files {
         folder.path().join("mcu.csv"),
         folder.path().join("phone.csv"),
     );
-    std::fs::write(&mcu, with_header(&twist.mcu)).unwrap();
-    std::fs::write(&phone, phone_app(&twist.phone)).unwrap();
+    std::fs::write(&mcu, with_header(&twist.a)).unwrap();
+    std::fs::write(&phone, phone_app(&twist.b)).unwrap();
     Files {
         _folder: folder,
         mcu,

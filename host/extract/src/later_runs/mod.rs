@@ -18,7 +18,7 @@
 
 pub(crate) mod depth;
 
-use twist_sync::smoother::ClockCourse;
+use twist_sync::ClockCourse;
 
 use crate::board_data::{BoardEvent, ImuRow, TimePair};
 use crate::depth_clock::PulseTime;

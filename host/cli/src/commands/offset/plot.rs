@@ -49,8 +49,8 @@ pub(super) fn svg(
     let caption = "Left out (samples as recorded, each from its own first sample)";
     panels.push(
         panel(caption, "rad/s")
-            .add("board", left_out(mcu, Stream::Mcu), board_ink)
-            .add("phone", left_out(phone, Stream::Phone), phone_ink),
+            .add("board", left_out(mcu, Stream::A), board_ink)
+            .add("phone", left_out(phone, Stream::B), phone_ink),
     );
     stack(SIZE, &panels)
 }
@@ -78,27 +78,27 @@ fn after(pairs: &[Pair], estimate: &Estimate) -> [Chart; 3] {
         estimate.clock.skew * 1e6,
         estimate.skew_sigma() * 1e6
     );
-    let start = pairs.first().map_or(0.0, |pair| pair.board_s);
+    let start = pairs.first().map_or(0.0, |pair| pair.a_s);
     let axes = [(0, format!("{found}. x")), (1, "y".into()), (2, "z".into())];
     axes.map(|(axis, title)| {
         let line = |of: fn(&Pair) -> [f64; 3]| {
-            let point = |pair: &Pair| (pair.board_s - start, of(pair)[axis]);
+            let point = |pair: &Pair| (pair.a_s - start, of(pair)[axis]);
             Data::Line(pairs.iter().map(point).collect())
         };
         panel(&title, "rad/s")
-            .add("board", line(|pair| pair.mcu), COLOURS[0])
-            .add("phone", line(|pair| pair.phone), COLOURS[1])
+            .add("board", line(|pair| pair.a), COLOURS[0])
+            .add("phone", line(|pair| pair.b), COLOURS[1])
     })
 }
 
 fn residual(pairs: &[Pair], estimate: &Estimate) -> Chart {
-    let start = pairs.first().map_or(0.0, |pair| pair.board_s);
+    let start = pairs.first().map_or(0.0, |pair| pair.a_s);
     let points = |used: bool, axis: usize| -> Points {
         let pairs = pairs.iter().filter(|pair| pair.used == used);
         pairs
             .map(|pair| {
-                let residual = pair.phone[axis] - pair.mcu[axis];
-                (pair.board_s - start, 1e3 * residual)
+                let residual = pair.b[axis] - pair.a[axis];
+                (pair.a_s - start, 1e3 * residual)
             })
             .collect()
     };

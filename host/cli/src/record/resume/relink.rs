@@ -9,10 +9,10 @@ use crate::record::Stop;
 use crate::record::journal::Journal;
 use crate::record::link::BoardLink;
 use crate::record::rig::Rig;
-use crate::record::watch::Finding;
 use board::BoardError;
 use board::transport::LinkError;
 use protocol::TICK_HZ;
+use verify::watch::Finding;
 
 /// How long a lost link is waited for at most while a session is being closed.
 const TIME_CLOSING: Duration = Duration::from_secs(3);

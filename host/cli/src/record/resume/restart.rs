@@ -8,13 +8,13 @@ use protocol::{Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerAlign, Trigge
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::link::BoardLink;
 use crate::record::rig::Rig;
-use crate::record::watch::{Finding, Grid, Watch};
 use crate::record::{Stop, further, phones};
 use board::imu::Scale;
 use board::{BoardError, reset_cause};
 use recording::profile::Profile;
 use recording::session_file::BoardRun;
 use timebase::runs::{Joint, Pair};
+use verify::watch::{Finding, Grid, Watch};
 
 /// How often the clocks are read beside each other once the board is back.
 const PINGS: usize = 5;
@@ -261,7 +261,8 @@ fn next_edge(grid: Grid, earliest: Ticks) -> Ticks {
     (0..=2)
         .filter_map(|step| i64::try_from(near + step).ok())
         .map(|k| Period::edge(grid.period, grid.anchor, k))
-        .find(|edge| *edge >= earliest)
+        // One before tick 0 is cut to it, and is none.
+        .find(|&edge| edge >= earliest && grid.period.phase_error(grid.anchor, edge).0 == 0)
         .unwrap_or(earliest)
 }
 

@@ -2,7 +2,7 @@
 //! displacement of each class of samples modulo ten against the board's
 //! gyroscope, copies apart, and the offset under variants of the estimate.
 //!
-//! `cargo run --release -p smartdepthsync --example twist_evidence`
+//! `cargo run --release -p twist-sync --example twist_evidence`
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::Path;
@@ -24,7 +24,7 @@ fn displacement(
         .map(|(pair, slope)| {
             (0..3).fold((0.0, 0.0), |(score, information), axis| {
                 (
-                    score - (pair.phone[axis] - pair.mcu[axis]) * slope[axis],
+                    score - (pair.b[axis] - pair.a[axis]) * slope[axis],
                     information + slope[axis] * slope[axis],
                 )
             })
@@ -50,11 +50,11 @@ fn main() {
     // Rate of change of the board's rate over ±5 samples of the phone.
     let slopes: Vec<[f64; 3]> = (0..pairs.len())
         .map(|i| {
-            let (a, b) = (
+            let (before, after) = (
                 &pairs[i.saturating_sub(5)],
                 &pairs[(i + 5).min(pairs.len() - 1)],
             );
-            std::array::from_fn(|axis| (b.mcu[axis] - a.mcu[axis]) / (b.board_s - a.board_s))
+            std::array::from_fn(|axis| (after.a[axis] - before.a[axis]) / (after.a_s - before.a_s))
         })
         .collect();
     let first = |k: usize| k + 1 < phone.len() && phone.w[k] == phone.w[k + 1];

@@ -13,18 +13,19 @@ const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
 /// Something that was noticed.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Finding {
+pub struct Finding {
     /// A stable word.
-    pub(crate) kind: &'static str,
+    pub kind: &'static str,
     /// How bad it is. Anything but information makes the outcome "with loss".
-    pub(crate) severity: Severity,
+    pub severity: Severity,
     /// In words.
-    pub(crate) text: String,
+    pub text: String,
 }
 
 impl Finding {
     /// A warning.
-    pub(crate) fn warning(kind: &'static str, text: impl Into<String>) -> Self {
+    #[must_use]
+    pub fn warning(kind: &'static str, text: impl Into<String>) -> Self {
         Self {
             kind,
             severity: Severity::Warning,
@@ -33,7 +34,8 @@ impl Finding {
     }
 
     /// An error.
-    pub(crate) fn error(kind: &'static str, text: impl Into<String>) -> Self {
+    #[must_use]
+    pub fn error(kind: &'static str, text: impl Into<String>) -> Self {
         Self {
             kind,
             severity: Severity::Error,
@@ -99,12 +101,13 @@ impl Watch {
     }
 
     /// The grid.
-    pub(crate) const fn grid(&self) -> Grid {
+    #[must_use]
+    pub const fn grid(&self) -> Grid {
         self.grid
     }
 
     /// A pulse.
-    pub(crate) fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
+    pub fn pulse(&mut self, pulse: &Pulse, findings: &mut Vec<Finding>) {
         if self.pulses_away {
             self.pulses_away = false;
             findings.push(Finding::info("pulses_back", "pulses come again"));
@@ -137,7 +140,7 @@ impl Watch {
     }
 
     /// An IMU sample.
-    pub(crate) fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
+    pub fn imu(&mut self, sample: &ImuSample, findings: &mut Vec<Finding>) {
         if self.imu_away {
             self.imu_away = false;
             findings.push(Finding::info("imu_back", "IMU samples come again"));
@@ -155,7 +158,7 @@ impl Watch {
     }
 
     /// Messages of a stream are missing.
-    pub(crate) fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
+    pub fn lost(&mut self, stream: Stream, count: u32, findings: &mut Vec<Finding>) {
         let kind = match stream {
             Stream::Pulses => {
                 self.next_number = self.next_number.map(|next| next.wrapping_add(count.into()));
@@ -172,7 +175,7 @@ impl Watch {
     }
 
     /// A status.
-    pub(crate) fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
+    pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
         let now = Baseline {
             late: status.trigger.late,
             readback_missing: status.trigger.readback.missing,
@@ -231,7 +234,7 @@ impl Watch {
     }
 
     /// Board time goes on. Call it when all messages up to then were taken.
-    pub(crate) fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
+    pub fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
         let patience = 3 * u64::from(self.grid.period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
@@ -245,7 +248,7 @@ impl Watch {
 
     /// The link was lost until now: what was missed then shows by its numbers,
     /// not as silence.
-    pub(crate) const fn resume(&mut self, now: Ticks) {
+    pub const fn resume(&mut self, now: Ticks) {
         self.last_pulse = now;
         self.last_imu = now;
     }

@@ -35,8 +35,8 @@ struct Args {
 
 fn options(scenario: &Scenario) -> Options {
     Options {
-        mcu_delay_s: simulate::filter_delay_s(&scenario.spec.mcu),
-        phone_delay_s: simulate::filter_delay_s(&scenario.spec.phone),
+        a_delay_s: simulate::filter_delay_s(&scenario.spec.a),
+        b_delay_s: simulate::filter_delay_s(&scenario.spec.b),
         ..Options::default()
     }
 }
@@ -94,7 +94,7 @@ fn row(args: &Args, scenario: &Scenario) {
         .map(|trial| {
             let twist = twist(args, scenario, trial);
             let start = Instant::now();
-            let result = estimate_offset(&twist.mcu, &twist.phone, &options);
+            let result = estimate_offset(&twist.a, &twist.b, &options);
             let ms = start.elapsed().as_secs_f64() * 1e3;
             let accepted = result.ok().map(|e| {
                 let error = e.clock.offset - twist.offset_at(e.clock.reference);
@@ -131,26 +131,26 @@ fn row(args: &Args, scenario: &Scenario) {
     );
 }
 
-/// Recordings and a table `trial,mcu,phone,truth at our reference,ours,sigma,ms`.
+/// Recordings and a table `trial,reference,true offset there,ours,sigma,ms`.
 fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
     std::fs::create_dir_all(folder).unwrap();
     let options = options(scenario);
     let mut table = String::from("trial,reference_s,true_offset_s,offset_s,sigma_s,ms\n");
     for trial in 0..args.trials {
         let twist = twist(args, scenario, trial);
-        std::fs::write(folder.join(format!("{trial}_mcu.csv")), csv(&twist.mcu)).unwrap();
-        std::fs::write(folder.join(format!("{trial}_phone.csv")), csv(&twist.phone)).unwrap();
+        std::fs::write(folder.join(format!("{trial}_a.csv")), csv(&twist.a)).unwrap();
+        std::fs::write(folder.join(format!("{trial}_b.csv")), csv(&twist.b)).unwrap();
         // From the files, as the other program gets them.
         let read = |side: &str| {
             phone::gyro_csv::read_file(&folder.join(format!("{trial}_{side}.csv")))
                 .unwrap()
                 .track
         };
-        let (mcu, phone) = (read("mcu"), read("phone"));
+        let (a, b) = (read("a"), read("b"));
         let start = Instant::now();
-        let result = estimate_offset(&mcu, &phone, &options);
+        let result = estimate_offset(&a, &b, &options);
         let ms = start.elapsed().as_secs_f64() * 1e3;
-        let middle = twist.mcu.epoch_s + 0.5 * twist.mcu.t[twist.mcu.len() - 1];
+        let middle = twist.a.epoch_s + 0.5 * twist.a.t[twist.a.len() - 1];
         let (reference, ours, sigma) = result.map_or((middle, f64::NAN, f64::NAN), |e| {
             (e.clock.reference, e.clock.offset, e.offset_sigma_s())
         });

@@ -8,11 +8,15 @@
 //! `sync_study [--trials N]`, run by `cargo xtask study`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::convert::Infallible;
+
 use clap::Parser;
 use rayon::prelude::*;
 use twist_sync::simulate::{self, ClockPath, Motion, Twist, TwistSpec};
-use twist_sync::{ClockCourse, Options, WindowOptions, estimate_course, estimate_offset};
-use twist_sync::{ClockRelation, Wander};
+use twist_sync::{
+    ClockCourse, ClockRelation, GyroSample, GyroStream, GyroTrack, Options, Wander,
+    estimate_course, estimate_offset,
+};
 
 /// Drift of the published system, µs in a minute.
 const PUBLISHED_US_PER_MIN: f64 = 16.34;
@@ -71,7 +75,7 @@ const CARRIED: Motion = Motion::Natural(0.8, 1.6);
 
 fn one_twist(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let twist = twist_at(path, seed, 0.0, HAND, 9.0);
-    let estimate = estimate_offset(&twist.mcu, &twist.phone, &options(wander)).ok()?;
+    let estimate = estimate_offset(&twist.a, &twist.b, &options(wander)).ok()?;
     Some(judge(
         |t| estimate.clock.referenced_at(t),
         &twist,
@@ -83,7 +87,7 @@ fn one_twist(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
 /// One twist, with the skew learnt in an earlier session to 0.03 ppm.
 fn known_skew(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let twist = twist_at(path, seed, 0.0, HAND, 9.0);
-    let mut clock = estimate_offset(&twist.mcu, &twist.phone, &options(wander))
+    let mut clock = estimate_offset(&twist.a, &twist.b, &options(wander))
         .ok()?
         .clock;
     let learnt = ((seed as f64 * 0.618_034).fract() - 0.5) * 12.0_f64.sqrt() * 0.03e-6;
@@ -96,12 +100,8 @@ fn two_twists(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let early = twist_at(path, seed, 0.0, HAND, 9.0);
     let late = twist_at(path, seed + 1, 60.0, HAND, 9.0);
     let options = options(wander);
-    let a = estimate_offset(&early.mcu, &early.phone, &options)
-        .ok()?
-        .clock;
-    let b = estimate_offset(&late.mcu, &late.phone, &options)
-        .ok()?
-        .clock;
+    let a = estimate_offset(&early.a, &early.b, &options).ok()?.clock;
+    let b = estimate_offset(&late.a, &late.b, &options).ok()?.clock;
     let joined = a.joined(&b);
     Some(judge(|t| joined.referenced_at(t), &late, 69.0, &AHEAD_S))
 }
@@ -109,7 +109,7 @@ fn two_twists(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
 fn natural(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let recording = twist_at(path, seed + 2, 0.0, CARRIED, 300.0);
     let course = course(&recording, wander)?;
-    let latest = course.latest();
+    let latest = course.at(course.span().1);
     Some(judge(
         |t| latest.referenced_at(t),
         &recording,
@@ -127,11 +127,16 @@ fn whole(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
 }
 
 fn course(recording: &Twist, wander: f64) -> Option<ClockCourse> {
-    let options = WindowOptions {
-        estimate: options(wander),
-        ..WindowOptions::default()
-    };
-    estimate_course(&recording.mcu, &recording.phone, &options).ok()
+    let (a, b) = (|| opened(&recording.a), || opened(&recording.b));
+    let estimated = estimate_course(&a, &b, None, &options(wander), 1, &|_| {});
+    estimated.ok().map(|clock| clock.course)
+}
+
+fn opened(track: &GyroTrack) -> Result<GyroStream<'_, Infallible>, Infallible> {
+    Ok(Box::new(track.t.iter().zip(&track.w).map(|(t, &rate)| {
+        let at = ((track.epoch_s + t) * 1e9).round() as i64;
+        Ok(GyroSample { at, rate })
+    })))
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {

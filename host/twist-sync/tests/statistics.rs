@@ -2,7 +2,6 @@
 //!
 //! All figures are of simulated recordings. The number of trials per scenario is
 //! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use rayon::prelude::*;
 use twist_sync::simulate::{self, Scenario, Twist, TwistSpec};
@@ -17,8 +16,8 @@ fn trials() -> u64 {
 
 fn options(spec: &TwistSpec) -> Options {
     Options {
-        mcu_delay_s: simulate::filter_delay_s(&spec.mcu),
-        phone_delay_s: simulate::filter_delay_s(&spec.phone),
+        a_delay_s: simulate::filter_delay_s(&spec.a),
+        b_delay_s: simulate::filter_delay_s(&spec.b),
         ..Options::default()
     }
 }
@@ -34,7 +33,7 @@ fn run(scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
         .into_par_iter()
         .map(|trial| {
             let twist = simulate::twist(&scenario.spec, 1000 * trial + 7);
-            let result = estimate_offset(&twist.mcu, &twist.phone, &options);
+            let result = estimate_offset(&twist.a, &twist.b, &options);
             (twist, result)
         })
         .collect()
@@ -109,8 +108,8 @@ fn exchanging_the_inputs_negates_the_offset() {
     (0..8_u64).into_par_iter().for_each(|trial| {
         for scenario in simulate::scenarios().iter().filter(|s| s.rmse_us.is_some()) {
             let twist = simulate::twist(&scenario.spec, 1000 * trial + 11);
-            let there = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
-            let back = estimate_offset(&twist.phone, &twist.mcu, &Options::default()).unwrap();
+            let there = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
+            let back = estimate_offset(&twist.b, &twist.a, &Options::default()).unwrap();
             let at_same_instant = there.clock.a_to_b(there.clock.reference);
             assert!(
                 (at_same_instant - back.clock.reference).abs() < 1e-6,
@@ -133,11 +132,11 @@ fn exchanging_the_inputs_negates_the_offset() {
 fn the_roles_of_the_streams_do_not_matter() {
     for trial in 0..20 {
         let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 13);
-        let there = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+        let there = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
         // The stream with more samples is the model: cut the one, then the other.
         let cut = |track: &GyroTrack| track.between(track.epoch_s + 0.02, f64::INFINITY);
-        let a = estimate_offset(&cut(&twist.mcu), &twist.phone, &Options::default()).unwrap();
-        let b = estimate_offset(&twist.mcu, &cut(&twist.phone), &Options::default()).unwrap();
+        let a = estimate_offset(&cut(&twist.a), &twist.b, &Options::default()).unwrap();
+        let b = estimate_offset(&twist.a, &cut(&twist.b), &Options::default()).unwrap();
         for other in [a, b] {
             let moved = other.clock.offset_at(there.clock.reference).value - there.clock.offset;
             assert!(moved.abs() < 1e-6, "{moved}");
@@ -149,15 +148,15 @@ fn the_roles_of_the_streams_do_not_matter() {
 fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
     for trial in 0..12 {
         let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 17);
-        let base = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
-        let moved = |mcu: &GyroTrack, options: &Options| {
-            let other = estimate_offset(mcu, &twist.phone, options).unwrap();
+        let base = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
+        let moved = |a: &GyroTrack, options: &Options| {
+            let other = estimate_offset(a, &twist.b, options).unwrap();
             let shift = other.clock.offset_at(base.clock.reference).value - base.clock.offset;
             shift / other.offset_sigma_s()
         };
         for spline_degree in [3, 7] {
             let z = moved(
-                &twist.mcu,
+                &twist.a,
                 &Options {
                     spline_degree,
                     ..Options::default()
@@ -167,7 +166,7 @@ fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
         }
         for low_pass_hz in [15.0, 20.0, 35.0, 50.0] {
             let z = moved(
-                &twist.mcu,
+                &twist.a,
                 &Options {
                     low_pass_hz,
                     ..Options::default()
@@ -176,9 +175,9 @@ fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
             assert!(z.abs() < 1.0, "{low_pass_hz} Hz: {z}");
         }
         let half = GyroTrack {
-            epoch_s: twist.mcu.epoch_s,
-            t: twist.mcu.t.iter().copied().step_by(2).collect(),
-            w: twist.mcu.w.iter().copied().step_by(2).collect(),
+            epoch_s: twist.a.epoch_s,
+            t: twist.a.t.iter().copied().step_by(2).collect(),
+            w: twist.a.w.iter().copied().step_by(2).collect(),
         };
         let z = moved(&half, &Options::default());
         assert!(z.abs() < 1.6, "every other sample: {z}");
@@ -186,15 +185,15 @@ fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
 }
 
 #[test]
-fn the_faults_of_the_phone_are_named() {
+fn the_faults_of_a_stream_are_named() {
     let scenarios = simulate::scenarios();
     let scenario = scenarios
         .iter()
-        .find(|s| s.name == "faulty phone stream")
+        .find(|s| s.name == "faulty stream b")
         .unwrap();
     for trial in 0..10 {
         let twist = simulate::twist(&scenario.spec, 1000 * trial + 19);
-        let estimate = estimate_offset(&twist.mcu, &twist.phone, &Options::default()).unwrap();
+        let estimate = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
         let find = |kind| {
             estimate
                 .report

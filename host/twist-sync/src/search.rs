@@ -6,10 +6,13 @@
 //! are then tried on the parts with the most motion by the sync math, which has
 //! the last word.
 
-use realfft::RealFftPlanner;
+use std::error::Error;
 
-use super::{GyroClockError, GyroOpener, GyroSample, track};
-use twist_sync::{ClockRelation, Options, estimate_offset};
+use crate::clock::ClockRelation;
+use crate::correlate::Correlator;
+use crate::estimate::{Options, estimate_offset};
+use crate::recording::{GyroOpener, GyroSample, MOST_SAMPLES, RecordingError};
+use crate::track::GyroTrack;
 
 /// Length of an average, ns: 40 ms.
 const BIN: i64 = 40_000_000;
@@ -21,48 +24,44 @@ const PART: usize = 300;
 const PARTS: usize = 4;
 const LAGS: usize = 6;
 /// Lags closer than this are one peak, in bins: 0.8 s.
-const APART: usize = 20;
+const APART: u64 = 20;
 /// Half-width of the search around a lag, s.
 const MARGIN: f64 = 0.3;
 
 /// Turning rate over time, in bins.
 struct Profile {
     start: i64,
-    bins: Vec<f32>,
+    bins: Vec<f64>,
 }
 
 /// Relates two recordings without any knowledge of their offset.
-///
-/// # Errors
-///
-/// Reading fails, or nothing fits.
-pub(super) fn first_relation<E: std::error::Error + 'static>(
-    board: GyroOpener<'_, E>,
-    other: GyroOpener<'_, E>,
+pub(crate) fn first_relation<E: Error + 'static>(
+    a: GyroOpener<'_, E>,
+    b: GyroOpener<'_, E>,
     options: &Options,
-) -> Result<ClockRelation, GyroClockError<E>> {
-    let no = |what: &str| GyroClockError::NoRelation(what.into());
-    let ours = profile(board()?)?.ok_or_else(|| no("the board's recording has no samples"))?;
-    let theirs = profile(other()?)?.ok_or_else(|| no("the other recording has no samples"))?;
-    let lags = best_lags(&ours.bins, &theirs.bins);
+) -> Result<ClockRelation, RecordingError<E>> {
+    let no = |what: &str| RecordingError::NoRelation(what.into());
+    let profile_a = profile(a()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
+    let profile_b = profile(b()?)?.ok_or_else(|| no("one of the recordings has no samples"))?;
+    let lags = best_lags(&profile_a.bins, &profile_b.bins);
     let mut reason = None;
-    for part in busiest(&ours.bins) {
-        let from = ours.start + part as i64 * BIN;
-        let window = samples_between(board()?, from, from + PART as i64 * BIN)?;
+    for part in busiest(&profile_a.bins) {
+        let from = profile_a.start + part as i64 * BIN;
+        let window = between(a, from, from + PART as i64 * BIN)?;
         for &lag in &lags {
-            // Board bin i is bin i + lag of the other recording.
-            let offset = theirs.start - ours.start + lag * BIN;
+            // Bin i of a is bin i + lag of b.
+            let offset = profile_b.start - profile_a.start + lag * BIN;
             let margin = (MARGIN * 2e9) as i64;
             let start = from.saturating_add(offset).saturating_sub(margin);
             let end = from
                 .saturating_add(offset)
                 .saturating_add(PART as i64 * BIN + margin);
-            let around = samples_between(other()?, start, end)?;
+            let around = between(b, start, end)?;
             let options = Options {
                 search: Some((offset as f64 * 1e-9, MARGIN)),
                 ..*options
             };
-            match estimate_offset(&track(&window), &track(&around), &options) {
+            match estimate_offset(&window, &around, &options) {
                 Ok(estimate) => return Ok(estimate.clock),
                 Err(error) => reason = reason.or(Some(error.to_string())),
             }
@@ -75,7 +74,7 @@ pub(super) fn first_relation<E: std::error::Error + 'static>(
 
 fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Option<Profile>, E> {
     let mut start = None;
-    let mut sums: Vec<(f32, u32)> = Vec::new();
+    let mut sums: Vec<(f64, u32)> = Vec::new();
     for sample in stream {
         let sample = sample?;
         let start = *start.get_or_insert(sample.at);
@@ -95,7 +94,7 @@ fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Opt
             .sum::<f64>()
             .sqrt();
         if rate.is_finite() {
-            sums[bin].0 += rate as f32;
+            sums[bin].0 += rate;
             sums[bin].1 += 1;
         }
     }
@@ -103,55 +102,30 @@ fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Opt
         start,
         bins: sums
             .into_iter()
-            .map(|(sum, count)| if count > 0 { sum / count as f32 } else { 0.0 })
+            .map(|(sum, count)| sum / f64::from(count.max(1)))
             .collect(),
     }))
 }
 
-/// Lags (in bins: theirs = ours + lag) by falling correlation.
-fn best_lags(ours: &[f32], theirs: &[f32]) -> Vec<i64> {
-    let length = (ours.len() + theirs.len()).next_power_of_two();
-    let mut planner = RealFftPlanner::<f32>::new();
-    let forward = planner.plan_fft_forward(length);
-    let backward = planner.plan_fft_inverse(length);
-    let spectrum = |bins: &[f32]| {
-        let mean = bins.iter().sum::<f32>() / bins.len().max(1) as f32;
-        let mut input = forward.make_input_vec();
-        for (slot, bin) in input.iter_mut().zip(bins) {
-            *slot = bin - mean;
-        }
-        let mut output = forward.make_output_vec();
-        // Lengths come from the plan itself.
-        let _ = forward.process(&mut input, &mut output);
-        output
+/// Lags (in bins: place in b = place in a + lag) by falling correlation.
+fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
+    let correlator = Correlator::new(a.len() + b.len());
+    let spectrum = |bins: &[f64]| {
+        let mean = bins.iter().sum::<f64>() / bins.len().max(1) as f64;
+        correlator.spectrum(bins.iter().map(|bin| bin - mean))
     };
-    let a = spectrum(ours);
-    let mut product = spectrum(theirs);
-    for (b, a) in product.iter_mut().zip(&a) {
-        *b *= a.conj();
-    }
-    // The ends of a real signal's spectrum are real but for rounding.
-    if let Some(first) = product.first_mut() {
-        first.im = 0.0;
-    }
-    if let Some(last) = product.last_mut() {
-        last.im = 0.0;
-    }
-    let mut correlation = backward.make_output_vec();
-    let _ = backward.process(&mut product, &mut correlation);
+    let correlation = correlator.correlation(&spectrum(a), &spectrum(b));
+    let length = correlation.len();
     let mut order: Vec<usize> = (0..length).collect();
-    order.sort_unstable_by(|&a, &b| correlation[b].total_cmp(&correlation[a]));
+    order.sort_unstable_by(|&x, &y| correlation[y].total_cmp(&correlation[x]));
     let mut lags: Vec<i64> = Vec::new();
-    for index in order.into_iter().take(length.min(100_000)) {
-        let lag = if index < length / 2 {
-            index as i64
+    for place in order.into_iter().take(100_000) {
+        let lag = if place < length / 2 {
+            place as i64
         } else {
-            index as i64 - length as i64
+            place as i64 - length as i64
         };
-        if lags
-            .iter()
-            .all(|&other| other.abs_diff(lag) as usize > APART)
-        {
+        if lags.iter().all(|other| other.abs_diff(lag) > APART) {
             lags.push(lag);
             if lags.len() == LAGS {
                 break;
@@ -162,12 +136,12 @@ fn best_lags(ours: &[f32], theirs: &[f32]) -> Vec<i64> {
 }
 
 /// First bins of the parts with the most motion, apart from each other.
-fn busiest(bins: &[f32]) -> Vec<usize> {
-    let power = |from: usize| -> f32 {
+fn busiest(bins: &[f64]) -> Vec<usize> {
+    let power = |from: usize| -> f64 {
         let end = (from + PART).min(bins.len());
         bins[from..end].iter().map(|bin| bin * bin).sum()
     };
-    let mut parts: Vec<(usize, f32)> = (0..bins.len())
+    let mut parts: Vec<(usize, f64)> = (0..bins.len())
         .step_by(PART / 4)
         .map(|from| (from, power(from)))
         .collect();
@@ -184,20 +158,16 @@ fn busiest(bins: &[f32]) -> Vec<usize> {
     chosen
 }
 
-fn samples_between<E>(
-    stream: impl Iterator<Item = Result<GyroSample, E>>,
-    from: i64,
-    to: i64,
-) -> Result<Vec<GyroSample>, E> {
+fn between<E>(open: GyroOpener<'_, E>, from: i64, to: i64) -> Result<GyroTrack, E> {
     let mut samples = Vec::new();
-    for sample in stream {
+    for sample in open()? {
         let sample = sample?;
-        if sample.at >= to || samples.len() >= super::MAX_WINDOW_SAMPLES {
+        if sample.at >= to || samples.len() >= MOST_SAMPLES {
             break;
         }
         if sample.at >= from {
             samples.push(sample);
         }
     }
-    Ok(samples)
+    Ok(GyroTrack::from_samples(&samples))
 }

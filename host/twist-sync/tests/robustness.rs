@@ -4,12 +4,10 @@
 //! Each case takes a simulated twist and damages it in one way. What must be
 //! refused is refused always; of the rest none may be wrong by more than 5.5
 //! of its own sigmas, and those marked so must be accepted every time.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use rayon::prelude::*;
-use twist_sync::simulate::{self, MCU, Motion, PHONE, Sensor, Twist, TwistSpec};
-use twist_sync::spline::Spline;
-use twist_sync::{GyroTrack, Options, estimate_offset};
+use twist_sync::simulate::{self, Motion, SENSOR_A, SENSOR_B, Sensor, Twist, TwistSpec, displace};
+use twist_sync::{Options, estimate_offset};
 
 /// Twists per case.
 const TRIALS: u64 = 5;
@@ -70,43 +68,31 @@ fn random(key: u64) -> f64 {
     (x % 1_000_003) as f64 / 1_000_003.0
 }
 
-/// Gives the chosen samples the content of another time, `by_s` earlier.
-fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
-    let spline = Spline::interpolate(&track.t, &track.w, 5).unwrap();
-    for k in 3..track.t.len() - 3 {
-        if chosen(k) {
-            track.w[k] = spline.value(track.t[k] - by_s);
-        }
-    }
-}
-
-/// Every `period`th sample of the phone belongs to another time.
+/// Every `period`th sample of b belongs to another time.
 fn class(name: &'static str, expect: Expect, period: usize, by_s: f64) -> Case {
     damaged(name, expect, move |twist, seed| {
-        displace(&mut twist.phone, by_s, |k| {
-            k % period == seed as usize % period
-        });
+        displace(&mut twist.b, by_s, |k| k % period == seed as usize % period);
     })
 }
 
-/// The phone's stamps are off by `by_s` in this part of the recording.
+/// The stamps of b are off by `by_s` in this part of the recording.
 fn step(name: &'static str, expect: Expect, from: f64, to: f64, by_s: f64) -> Case {
     damaged(name, expect, move |twist, _| {
-        let n = twist.phone.len() as f64;
-        for t in &mut twist.phone.t[(n * from) as usize..(n * to) as usize] {
+        let n = twist.b.len() as f64;
+        for t in &mut twist.b.t[(n * from) as usize..(n * to) as usize] {
             *t += by_s;
         }
     })
 }
 
-/// The phone's rates are changed, sample by sample.
+/// The rates of b are changed, sample by sample.
 fn rates(
     name: &'static str,
     expect: Expect,
     change: impl Fn(&mut [f64; 3], f64) + Sync + 'static,
 ) -> Case {
     damaged(name, expect, move |twist, _| {
-        for (w, t) in twist.phone.w.iter_mut().zip(&twist.phone.t) {
+        for (w, t) in twist.b.w.iter_mut().zip(&twist.b.t) {
             change(w, *t);
         }
     })
@@ -124,47 +110,45 @@ fn displaced_and_copied() -> Vec<Case> {
         class("every other sample by 1 ms", Refused, 2, 1e-3),
         class("every other sample by 0.3 ms", Refused, 2, 0.3e-3),
         damaged("two neighbours of ten by 1 ms", Accepted, |twist, seed| {
-            displace(&mut twist.phone, 1e-3, |k| (k + seed as usize) % 10 < 2);
+            displace(&mut twist.b, 1e-3, |k| (k + seed as usize) % 10 < 2);
         }),
         damaged("every 10.37th sample by 1 ms", Accepted, |twist, seed| {
-            displace(&mut twist.phone, 1e-3, |k| {
+            displace(&mut twist.b, 1e-3, |k| {
                 ((k as f64 + seed as f64) / 10.37).fract() < 0.0965
             });
         }),
         damaged("5 % at random by 1 ms", Accepted, |twist, seed| {
-            displace(&mut twist.phone, 1e-3, |k| {
-                random(k as u64 * 977 + seed) < 0.05
-            });
+            displace(&mut twist.b, 1e-3, |k| random(k as u64 * 977 + seed) < 0.05);
         }),
         damaged("10 % at random are copies", Accepted, |twist, seed| {
-            for k in 1..twist.phone.len() {
+            for k in 1..twist.b.len() {
                 if random(k as u64 * 977 + seed) < 0.10 {
-                    twist.phone.w[k] = twist.phone.w[k - 1];
+                    twist.b.w[k] = twist.b.w[k - 1];
                 }
             }
         }),
         damaged("every 10th copies the next", Accepted, |twist, seed| {
-            for k in (seed as usize % 10..twist.phone.len() - 1).step_by(10) {
-                twist.phone.w[k] = twist.phone.w[k + 1];
+            for k in (seed as usize % 10..twist.b.len() - 1).step_by(10) {
+                twist.b.w[k] = twist.b.w[k + 1];
             }
         }),
         damaged("each sample twice", Accepted, |twist, _| {
-            for k in 0..twist.phone.len() {
-                twist.phone.w[k] = twist.phone.w[k - k % 2];
+            for k in 0..twist.b.len() {
+                twist.b.w[k] = twist.b.w[k - k % 2];
             }
         }),
         damaged("each sample three times", Accepted, |twist, _| {
-            for k in 0..twist.phone.len() {
-                twist.phone.w[k] = twist.phone.w[k - k % 3];
+            for k in 0..twist.b.len() {
+                twist.b.w[k] = twist.b.w[k - k % 3];
             }
         }),
-        other("faulty board stream", Accepted, |s| {
-            s.mcu.faulty = true;
-            s.mcu.sawtooth_s = Some((57e-6, 1.1));
+        other("faulty stream a", Accepted, |s| {
+            s.a.faulty = true;
+            s.a.sawtooth_s = Some((57e-6, 1.1));
         }),
         other("both streams faulty", Accepted, |s| {
-            s.mcu.faulty = true;
-            s.phone.faulty = true;
+            s.a.faulty = true;
+            s.b.faulty = true;
         }),
     ]
 }
@@ -172,13 +156,7 @@ fn displaced_and_copied() -> Vec<Case> {
 fn timestamps() -> Vec<Case> {
     let every_tenth = |by_s: f64| {
         move |twist: &mut Twist, seed: u64| {
-            for t in twist
-                .phone
-                .t
-                .iter_mut()
-                .skip(seed as usize % 10)
-                .step_by(10)
-            {
+            for t in twist.b.t.iter_mut().skip(seed as usize % 10).step_by(10) {
                 *t += by_s;
             }
         }
@@ -199,32 +177,32 @@ fn timestamps() -> Vec<Case> {
             |twist, seed| {
                 for j in 0..5 {
                     let from = (random(seed * 5 + j) * 4000.0) as usize + 200;
-                    for t in twist.phone.t.iter_mut().skip(from).take(20) {
+                    for t in twist.b.t.iter_mut().skip(from).take(20) {
                         *t += 1.5e-3;
                     }
                 }
             },
         ),
         damaged("stamps with 0.3 ms of noise", Accepted, |twist, seed| {
-            for (k, t) in twist.phone.t.iter_mut().enumerate() {
+            for (k, t) in twist.b.t.iter_mut().enumerate() {
                 *t += (random(k as u64 + seed * 10_007) - 0.5) * 1e-3;
             }
         }),
         other("samples with 0.3 ms of jitter", Accepted, |s| {
-            s.phone.jitter_s = 0.3e-3;
+            s.b.jitter_s = 0.3e-3;
         }),
         other("sawtooth and jitter", Accepted, |s| {
-            s.phone.jitter_s = 20e-6;
-            s.phone.sawtooth_s = Some((57e-6, 0.5));
+            s.b.jitter_s = 20e-6;
+            s.b.sawtooth_s = Some((57e-6, 0.5));
         }),
         other("sawtooth of 0.05 s", Accepted, |s| {
-            s.phone.sawtooth_s = Some((57e-6, 0.05));
+            s.b.sawtooth_s = Some((57e-6, 0.05));
         }),
         other("sawtooth of 3.3 s", Accepted, |s| {
-            s.phone.sawtooth_s = Some((57e-6, 3.3));
+            s.b.sawtooth_s = Some((57e-6, 3.3));
         }),
         other("sawtooth of 7 s", Accepted, |s| {
-            s.phone.sawtooth_s = Some((57e-6, 7.0));
+            s.b.sawtooth_s = Some((57e-6, 7.0));
         }),
     ]
 }
@@ -232,31 +210,31 @@ fn timestamps() -> Vec<Case> {
 fn sensors() -> Vec<Case> {
     let clipped = Some(4.363);
     vec![
-        other("phone at 100 Hz", Accepted, |s| s.phone.rate_hz = 100.0),
+        other("b at 100 Hz", Accepted, |s| s.b.rate_hz = 100.0),
         other("1 kHz and 200 Hz", Accepted, |s| {
-            s.mcu.rate_hz = 1000.0;
-            s.phone.rate_hz = 200.0;
+            s.a.rate_hz = 1000.0;
+            s.b.rate_hz = 200.0;
         }),
         other("five times the noise", Accepted, |s| {
-            s.mcu.noise = 7e-3;
-            s.phone.noise = 6e-3;
+            s.a.noise = 7e-3;
+            s.b.noise = 6e-3;
         }),
         other("filters of 188 and 20 Hz", Accepted, |s| {
-            s.mcu.filter_hz = Some(188.0);
-            s.phone.filter_hz = Some(20.0);
+            s.a.filter_hz = Some(188.0);
+            s.b.filter_hz = Some(20.0);
         }),
-        other("20 % lost", Accepted, |s| s.phone.lost = 0.2),
+        other("20 % lost", Accepted, |s| s.b.lost = 0.2),
         Case {
             name: "both clipped hard",
             spec: TwistSpec {
                 motion: Motion::Twist(8.0, 10.0),
-                mcu: Sensor {
+                a: Sensor {
                     range: clipped,
-                    ..MCU
+                    ..SENSOR_A
                 },
-                phone: Sensor {
+                b: Sensor {
                     range: clipped,
-                    ..PHONE
+                    ..SENSOR_B
                 },
                 ..TwistSpec::default()
             },
@@ -265,21 +243,21 @@ fn sensors() -> Vec<Case> {
         },
         other("clipped, one axis", Accepted, |s| {
             s.motion = Motion::SingleAxis(5.0, 8.0);
-            s.mcu.range = Some(4.363);
+            s.a.range = Some(4.363);
         }),
         Case {
             name: "clipped before the noise",
             spec: TwistSpec {
                 motion: Motion::Twist(5.0, 7.0),
-                mcu: Sensor {
+                a: Sensor {
                     range: clipped,
                     lsb: 0.0,
-                    ..MCU
+                    ..SENSOR_A
                 },
                 ..TwistSpec::default()
             },
             damage: Box::new(|twist, seed| {
-                for (k, w) in twist.mcu.w.iter_mut().enumerate() {
+                for (k, w) in twist.a.w.iter_mut().enumerate() {
                     for (axis, rate) in w.iter_mut().enumerate() {
                         *rate += 2e-3 * (random((k * 3 + axis) as u64 + seed * 7919) - 0.5);
                     }
@@ -288,8 +266,8 @@ fn sensors() -> Vec<Case> {
             expect: Either,
         },
         other("coarse steps of the values", Accepted, |s| {
-            s.mcu.lsb = 5e-3;
-            s.phone.lsb = 8.7e-3;
+            s.a.lsb = 5e-3;
+            s.b.lsb = 8.7e-3;
         }),
         rates("large bias", Accepted, |w, _| {
             w[0] += 0.3;
@@ -306,7 +284,7 @@ fn sensors() -> Vec<Case> {
         damaged("forty spikes", Accepted, |twist, seed| {
             for j in 0..40 {
                 let k = (random(seed * 41 + j) * 4400.0) as usize;
-                twist.phone.w[k][1] += 3.0;
+                twist.b.w[k][1] += 3.0;
             }
         }),
     ]
@@ -322,23 +300,23 @@ fn motions() -> Vec<Case> {
             s.motion = Motion::SingleAxis(1.1, 1.1);
         }),
         other("4 s", Accepted, |s| s.duration_s = 4.0),
-        other("3.5 s, the phone 0.9 s late", Accepted, |s| {
+        other("3.5 s, b 0.9 s late", Accepted, |s| {
             s.duration_s = 3.5;
-            s.phone_starts_s = 0.9;
+            s.b_starts_s = 0.9;
         }),
-        other("3 of 9 s in common", Accepted, |s| s.phone_starts_s = 6.0),
-        other("1.5 of 9 s in common", Refused, |s| s.phone_starts_s = 7.5),
+        other("3 of 9 s in common", Accepted, |s| s.b_starts_s = 6.0),
+        other("1.5 of 9 s in common", Refused, |s| s.b_starts_s = 7.5),
         other("2 of 9 s, one axis", Accepted, |s| {
-            s.phone_starts_s = 7.0;
+            s.b_starts_s = 7.0;
             s.motion = Motion::SingleAxis(2.0, 4.0);
         }),
         other("half in common, one axis", Accepted, |s| {
-            s.phone_starts_s = 4.5;
+            s.b_starts_s = 4.5;
             s.motion = Motion::SingleAxis(2.0, 4.0);
         }),
-        other("nothing in common", Refused, |s| s.phone_starts_s = 12.0),
+        other("nothing in common", Refused, |s| s.b_starts_s = 12.0),
         other("nothing in common, one axis", Refused, |s| {
-            s.phone_starts_s = 12.0;
+            s.b_starts_s = 12.0;
             s.motion = Motion::SingleAxis(2.0, 4.0);
         }),
         other("carried around", Accepted, |s| {
@@ -360,28 +338,28 @@ fn motions() -> Vec<Case> {
             s.motion = Motion::Twist(0.2, 0.3);
             s.unrelated = true;
         }),
-        damaged("the phone lay still", Refused, |twist, seed| {
+        damaged("b lay still", Refused, |twist, seed| {
             let still = TwistSpec {
                 motion: Motion::Still,
                 ..TwistSpec::default()
             };
-            twist.phone = simulate::twist(&still, seed).phone;
+            twist.b = simulate::twist(&still, seed).b;
         }),
         damaged("one period again and again", Refused, |twist, seed| {
             let frequency = 1.0 + random(seed);
             let rate = |t: f64| 3.0 * (std::f64::consts::TAU * frequency * t).sin();
-            for (k, w) in twist.mcu.w.iter_mut().enumerate() {
-                let (v, e) = (rate(twist.mcu.t[k]), random(k as u64 + seed) - 0.5);
+            for (k, w) in twist.a.w.iter_mut().enumerate() {
+                let (v, e) = (rate(twist.a.t[k]), random(k as u64 + seed) - 0.5);
                 *w = [v + 1e-3 * e, 0.3 * v + 1e-3 * e, -0.2 * v - 1e-3 * e];
             }
-            for (k, w) in twist.phone.w.iter_mut().enumerate() {
-                let (v, e) = (rate(twist.phone.t[k] + 0.3), random(31 * k as u64 + seed));
+            for (k, w) in twist.b.w.iter_mut().enumerate() {
+                let (v, e) = (rate(twist.b.t[k] + 0.3), random(31 * k as u64 + seed));
                 *w = [0.3 * v - 1e-3 * e, v + 1e-3 * e, -0.2 * v + 1e-3 * e];
             }
         }),
         damaged("not fixed to each other", Refused, |twist, seed| {
             let frequency = random(seed) * 6.0 + 2.0;
-            for (w, t) in twist.phone.w.iter_mut().zip(&twist.phone.t) {
+            for (w, t) in twist.b.w.iter_mut().zip(&twist.b.t) {
                 for (axis, rate) in w.iter_mut().enumerate() {
                     *rate += 0.15 * (frequency * t + axis as f64).sin();
                 }
@@ -393,8 +371,8 @@ fn motions() -> Vec<Case> {
 /// Runs a case; what is wrong with its results.
 fn judge(case: &Case) -> Vec<String> {
     let options = Options {
-        mcu_delay_s: simulate::filter_delay_s(&case.spec.mcu),
-        phone_delay_s: simulate::filter_delay_s(&case.spec.phone),
+        a_delay_s: simulate::filter_delay_s(&case.spec.a),
+        b_delay_s: simulate::filter_delay_s(&case.spec.b),
         ..Options::default()
     };
     let mut wrong = Vec::new();
@@ -402,7 +380,7 @@ fn judge(case: &Case) -> Vec<String> {
     for seed in 0..TRIALS {
         let mut twist = simulate::twist(&case.spec, seed * 1000 + 3);
         (case.damage)(&mut twist, seed);
-        match estimate_offset(&twist.mcu, &twist.phone, &options) {
+        match estimate_offset(&twist.a, &twist.b, &options) {
             Ok(estimate) => {
                 let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference);
                 let sigmas = error.abs() / estimate.offset_sigma_s();

@@ -7,15 +7,19 @@
 //! same [`TwistSpec`] and seed give the same recordings on every machine.
 //!
 //! Noise and quantisation are those of the recordings at rest in
-//! `tests/data/twist`: 1.4 mrad/s (board, MPU-9150) and 1.15 mrad/s (phone).
+//! `tests/data/twist`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::spline::{Spline, Vec3};
-use super::track::GyroTrack;
+use crate::GyroTrack;
+use crate::spline::{Spline, Vec3};
+
+mod scenarios;
+
+pub use scenarios::{Scenario, scenarios};
 
 /// How the rig is moved.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -63,20 +67,20 @@ pub struct TwistSpec {
     pub duration_s: f64,
     /// Rest before and after a twist, seconds.
     pub rest_s: f64,
-    /// The phone's recording starts this much later, seconds.
-    pub phone_starts_s: f64,
-    /// The phone sees another motion altogether.
+    /// Recording b starts this much later, seconds.
+    pub b_starts_s: f64,
+    /// Gyroscope b sees another motion altogether.
     pub unrelated: bool,
     /// Skew of the clocks in ppm, drawn between minus this and this.
     pub skew_ppm: f64,
-    /// The board's gyroscope.
-    pub mcu: Sensor,
-    /// The phone's gyroscope.
-    pub phone: Sensor,
+    /// Gyroscope a.
+    pub a: Sensor,
+    /// Gyroscope b.
+    pub b: Sensor,
 }
 
-/// MPU-9150 at 500 Hz.
-pub const MCU: Sensor = Sensor {
+/// An MPU-9150 at 500 Hz.
+pub const SENSOR_A: Sensor = Sensor {
     rate_hz: 500.0,
     noise: 1.4e-3,
     lsb: 1.332e-4,
@@ -88,12 +92,12 @@ pub const MCU: Sensor = Sensor {
     faulty: false,
 };
 
-/// The phone's gyroscope at about 500 Hz.
-pub const PHONE: Sensor = Sensor {
+/// A phone's gyroscope at about 500 Hz.
+pub const SENSOR_B: Sensor = Sensor {
     rate_hz: 500.06,
     noise: 1.15e-3,
     lsb: 3.787e-5,
-    ..MCU
+    ..SENSOR_A
 };
 
 impl Default for TwistSpec {
@@ -103,11 +107,11 @@ impl Default for TwistSpec {
             motion: Motion::Twist(2.0, 4.0),
             duration_s: 9.0,
             rest_s: 1.0,
-            phone_starts_s: 0.3,
+            b_starts_s: 0.3,
             unrelated: false,
             skew_ppm: 20.0,
-            mcu: MCU,
-            phone: PHONE,
+            a: SENSOR_A,
+            b: SENSOR_B,
         }
     }
 }
@@ -123,11 +127,10 @@ fn pole_time(hz: f64) -> f64 {
     (std::f64::consts::SQRT_2 - 1.0).sqrt() / (std::f64::consts::TAU * hz)
 }
 
-/// The true course of the phone's clock against the board's: a skew that walks
-/// at random.
+/// The true course of clock b against clock a: a skew that walks at random.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClockPath {
-    /// Accumulated difference, phone − board, at whole seconds from `first_s`.
+    /// Accumulated difference, b − a, at whole seconds from the start.
     drift: Vec<f64>,
     /// Skew at the same times.
     skew: Vec<f64>,
@@ -135,7 +138,7 @@ pub struct ClockPath {
 
 impl ClockPath {
     /// A skew of `skew` at the start that walks by `wander` rms in a minute
-    /// (dimensionless, see [`super::Wander`]), for `length_s`; the difference is
+    /// (dimensionless, see [`crate::Wander`]), for `length_s`; the difference is
     /// zero at `zero_s`.
     #[must_use]
     pub fn new(seed: u64, skew: f64, wander: f64, length_s: f64, zero_s: f64) -> Self {
@@ -159,7 +162,7 @@ impl ClockPath {
         out
     }
 
-    /// Phone − board since the zero, seconds, at a time since the start.
+    /// b − a since the zero, seconds, at a time since the start.
     #[must_use]
     pub fn drift_at(&self, t: f64) -> f64 {
         let last = self.drift.len() - 2;
@@ -182,25 +185,25 @@ impl ClockPath {
 /// A simulated pair of recordings with its truth.
 #[derive(Debug, Clone)]
 pub struct Twist {
-    /// The board's recording.
-    pub mcu: GyroTrack,
-    /// The phone's recording.
-    pub phone: GyroTrack,
+    /// Recording a.
+    pub a: GyroTrack,
+    /// Recording b.
+    pub b: GyroTrack,
     /// True skew in the middle.
     pub skew: f64,
-    /// Board time at the start of the clocks' path.
+    /// Time of clock a at the start of the clocks' path.
     pub boot_s: f64,
-    /// True phone − board where the path is zero.
+    /// True b − a where the path is zero.
     pub offset_s: f64,
     /// The course of the clocks.
     pub path: ClockPath,
 }
 
 impl Twist {
-    /// True offset at a board time.
+    /// True offset at a time of clock a.
     #[must_use]
-    pub fn offset_at(&self, mcu_s: f64) -> f64 {
-        self.offset_s + self.path.drift_at(mcu_s - self.boot_s)
+    pub fn offset_at(&self, a_s: f64) -> f64 {
+        self.offset_s + self.path.drift_at(a_s - self.boot_s)
     }
 }
 
@@ -404,7 +407,7 @@ fn record(
 pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
     let mut rng = Pcg64::seed_from_u64(seed ^ 0x0a11_c10c);
     let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
-    let length_s = spec.duration_s + spec.phone_starts_s.max(0.0);
+    let length_s = spec.duration_s + spec.b_starts_s.max(0.0);
     let path = ClockPath::new(seed, skew, 0.0, length_s, 0.5 * length_s);
     twist_on(spec, seed, &path, 0.0)
 }
@@ -417,13 +420,13 @@ pub fn twist(spec: &TwistSpec, seed: u64) -> Twist {
 pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> Twist {
     let mut session = Pcg64::seed_from_u64((seed / 1000) ^ 0xb007);
     // Hours since boot, different for the two.
-    let mcu_boot: f64 = session.random_range(10.0..5000.0);
+    let a_boot: f64 = session.random_range(10.0..5000.0);
     let offset_s: f64 = session.random_range(-4000.0..1e6);
     let mut rng = Pcg64::seed_from_u64(seed);
-    let end = spec.duration_s + spec.phone_starts_s.max(0.0);
+    let end = spec.duration_s + spec.b_starts_s.max(0.0);
     // The envelope ends with the recording that ends first, unless the overlap
     // is partial on purpose.
-    let moving_until = if spec.phone_starts_s > 1.0 {
+    let moving_until = if spec.b_starts_s > 1.0 {
         end
     } else {
         spec.duration_s
@@ -436,251 +439,43 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     );
     let identity = Rotation3::identity();
 
-    let seen = Seen::new(&rates, &spec.mcu, 0.0, end);
-    let (mcu_t, mcu_w) = record(&mut rng, &spec.mcu, &seen, &identity, 0.0, spec.duration_s);
+    let seen = Seen::new(&rates, &spec.a, 0.0, end);
+    let (a_t, a_w) = record(&mut rng, &spec.a, &seen, &identity, 0.0, spec.duration_s);
     let source = if spec.unrelated { &other } else { &rates };
-    let seen = Seen::new(source, &spec.phone, 0.0, end);
-    let (phone_t, phone_w) = record(
+    let seen = Seen::new(source, &spec.b, 0.0, end);
+    let (b_t, b_w) = record(
         &mut rng,
-        &spec.phone,
+        &spec.b,
         &seen,
         &turn,
-        spec.phone_starts_s,
+        spec.b_starts_s,
         spec.duration_s,
     );
 
-    // The board's clock is true time plus its boot; the phone's takes the path.
-    let mcu_s: Vec<f64> = mcu_t.iter().map(|t| t + start_s + mcu_boot).collect();
-    let phone_first = phone_t.first().copied().unwrap_or(0.0);
-    let phone_at = |t: f64| t + path.drift_at(start_s + t);
+    // Clock a is true time plus its boot; clock b takes the path.
+    let a_s: Vec<f64> = a_t.iter().map(|t| t + start_s + a_boot).collect();
+    let b_first = b_t.first().copied().unwrap_or(0.0);
+    let b_at = |t: f64| t + path.drift_at(start_s + t);
     Twist {
-        mcu: GyroTrack::from_seconds(&mcu_s, mcu_w),
-        phone: GyroTrack {
-            epoch_s: mcu_boot + start_s + offset_s + phone_at(phone_first),
-            t: phone_t
-                .iter()
-                .map(|&t| phone_at(t) - phone_at(phone_first))
-                .collect(),
-            w: phone_w,
+        a: GyroTrack::from_seconds(&a_s, a_w),
+        b: GyroTrack {
+            epoch_s: a_boot + start_s + offset_s + b_at(b_first),
+            t: b_t.iter().map(|&t| b_at(t) - b_at(b_first)).collect(),
+            w: b_w,
         },
         skew: path.skew_at(start_s + 0.5 * end),
-        boot_s: mcu_boot,
+        boot_s: a_boot,
         offset_s,
         path: path.clone(),
     }
 }
 
-/// A scenario with the error that is demanded of it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scenario {
-    /// Name.
-    pub name: &'static str,
-    /// The recordings.
-    pub spec: TwistSpec,
-    /// Largest rms error of the offset, µs; `None`: a refusal is demanded.
-    pub rmse_us: Option<f64>,
-    /// Whether error over sigma must be near one: the model of the noise holds.
-    pub honest: bool,
-}
-
-/// All scenarios of the tests and the bench.
-#[must_use]
-pub fn scenarios() -> Vec<Scenario> {
-    let base = TwistSpec::default();
-    let scenario = |name, spec, rmse_us: f64| Scenario {
-        name,
-        spec,
-        rmse_us: Some(rmse_us),
-        honest: true,
-    };
-    let phone = |phone: Sensor| TwistSpec { phone, ..base };
-    let both = |rate: f64| TwistSpec {
-        mcu: Sensor {
-            rate_hz: rate,
-            ..MCU
-        },
-        phone: Sensor {
-            rate_hz: rate * 1.0001,
-            ..PHONE
-        },
-        ..base
-    };
-    let refused = |name, spec| Scenario {
-        name,
-        spec,
-        rmse_us: None,
-        honest: false,
-    };
-    let silent = |s: Sensor| Sensor {
-        noise: 0.0,
-        lsb: 0.0,
-        ..s
-    };
-    let jittered = |s: Sensor| Sensor {
-        jitter_s: 20e-6,
-        ..s
-    };
-    vec![
-        scenario("base", base, 4.0),
-        scenario(
-            "jitter 20 µs",
-            TwistSpec {
-                mcu: jittered(MCU),
-                phone: jittered(PHONE),
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "single axis",
-            TwistSpec {
-                motion: Motion::SingleAxis(2.0, 4.0),
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "sawtooth 57 µs",
-            phone(Sensor {
-                sawtooth_s: Some((57e-6, 0.9)),
-                ..PHONE
-            }),
-            6.0,
-        ),
-        scenario(
-            "filters 188 and 60 Hz",
-            TwistSpec {
-                mcu: Sensor {
-                    filter_hz: Some(188.0),
-                    ..MCU
-                },
-                phone: Sensor {
-                    filter_hz: Some(60.0),
-                    ..PHONE
-                },
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "weak, 1.1 rad/s",
-            TwistSpec {
-                motion: Motion::Twist(1.1, 1.1),
-                ..base
-            },
-            13.0,
-        ),
-        scenario(
-            "clipped at 250 deg/s",
-            TwistSpec {
-                motion: Motion::Twist(5.0, 7.0),
-                mcu: Sensor {
-                    range: Some(250.0_f64.to_radians()),
-                    ..MCU
-                },
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "skew up to 115 ppm",
-            TwistSpec {
-                skew_ppm: 115.0,
-                ..base
-            },
-            4.0,
-        ),
-        scenario("1 kHz", both(1000.0), 4.0),
-        scenario("208 Hz", both(208.0), 6.0),
-        scenario(
-            "1 kHz board, 208 Hz phone",
-            TwistSpec {
-                mcu: Sensor {
-                    rate_hz: 1000.0,
-                    ..MCU
-                },
-                phone: Sensor {
-                    rate_hz: 208.0,
-                    ..PHONE
-                },
-                ..base
-            },
-            5.0,
-        ),
-        scenario(
-            "gaps, 5 % lost",
-            TwistSpec {
-                mcu: Sensor { lost: 0.05, ..MCU },
-                phone: Sensor {
-                    lost: 0.05,
-                    ..PHONE
-                },
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "half overlap",
-            TwistSpec {
-                phone_starts_s: 4.5,
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "60 s, moved for 7 s",
-            TwistSpec {
-                duration_s: 60.0,
-                rest_s: 26.5,
-                ..base
-            },
-            4.0,
-        ),
-        Scenario {
-            honest: false,
-            ..scenario(
-                "faulty phone stream",
-                phone(Sensor {
-                    faulty: true,
-                    sawtooth_s: Some((57e-6, 1.3)),
-                    ..PHONE
-                }),
-                30.0,
-            )
-        },
-        Scenario {
-            honest: false,
-            ..scenario(
-                "noiseless",
-                TwistSpec {
-                    mcu: silent(MCU),
-                    phone: silent(PHONE),
-                    ..base
-                },
-                0.05,
-            )
-        },
-        refused(
-            "still",
-            TwistSpec {
-                motion: Motion::Still,
-                ..base
-            },
-        ),
-        refused(
-            "unrelated",
-            TwistSpec {
-                unrelated: true,
-                ..base
-            },
-        ),
-        refused(
-            "unrelated, single axis",
-            TwistSpec {
-                motion: Motion::SingleAxis(2.0, 4.0),
-                unrelated: true,
-                ..base
-            },
-        ),
-    ]
+/// Gives the chosen samples of a recording the content of another time, `by_s`
+/// seconds earlier.
+pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
+    if let Some(spline) = Spline::interpolate(&track.t, &track.w, 5) {
+        for k in (3..track.t.len().saturating_sub(3)).filter(|&k| chosen(k)) {
+            track.w[k] = spline.value(track.t[k] - by_s);
+        }
+    }
 }

@@ -1,0 +1,89 @@
+//! What the program says and writes of an estimate: the estimator's stream a is the
+//! board's gyroscope (`mcu`), stream b the phone's.
+
+use serde::Serialize;
+use twist_sync::{Action, Fault, FaultKind, Gate, Report, Stream, Warning};
+
+/// Whose gyroscope a stream is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Device {
+    Mcu,
+    Phone,
+}
+
+impl Device {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Mcu => "board",
+            Self::Phone => "phone",
+        }
+    }
+}
+
+impl From<Stream> for Device {
+    fn from(stream: Stream) -> Self {
+        match stream {
+            Stream::A => Self::Mcu,
+            Stream::B => Self::Phone,
+        }
+    }
+}
+
+/// A [`Report`] as `offset --json` prints it and `session.json` holds it.
+#[derive(Debug, Serialize)]
+pub(crate) struct SyncReport {
+    pub(crate) residual_rms: Option<f64>,
+    pub(crate) motion_rms: Option<f64>,
+    pub(crate) overlap_s: Option<f64>,
+    pub(crate) faults: Vec<DeviceFault>,
+    gates: Vec<Gate>,
+    pub(crate) warnings: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct DeviceFault {
+    pub(crate) stream: Device,
+    pub(crate) kind: FaultKind,
+    pub(crate) count: usize,
+    pub(crate) period: Option<f64>,
+    pub(crate) displacement_s: Option<f64>,
+    pub(crate) action: Action,
+}
+
+impl From<&Report> for SyncReport {
+    fn from(report: &Report) -> Self {
+        Self {
+            residual_rms: report.residual_rms,
+            motion_rms: report.motion_rms,
+            overlap_s: report.overlap_s,
+            faults: report.faults.iter().map(DeviceFault::from).collect(),
+            gates: report.gates.clone(),
+            warnings: report.warnings.iter().map(warning).collect(),
+        }
+    }
+}
+
+impl From<&Fault> for DeviceFault {
+    fn from(fault: &Fault) -> Self {
+        Self {
+            stream: fault.stream.into(),
+            kind: fault.kind,
+            count: fault.count,
+            period: fault.period,
+            displacement_s: fault.displacement_s,
+            action: fault.action,
+        }
+    }
+}
+
+fn warning(warning: &Warning) -> String {
+    match warning {
+        Warning::ManyLeftOut { stream, part } => format!(
+            "{:.0} % of the samples of the {} were left out; see faults",
+            part * 100.0,
+            Device::from(*stream).name()
+        ),
+        other => other.to_string(),
+    }
+}

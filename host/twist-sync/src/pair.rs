@@ -1,0 +1,224 @@
+//! The two streams in their roles in the fit, and what of them is left out because
+//! it does not fit the other.
+//!
+//! The fit is not symmetric: one stream is the model, the other the data. Which is
+//! which is decided by the recordings themselves, not by the order in which they
+//! are given: exchanging them negates the offset at the same instant.
+
+use crate::crosscheck::{self, Misfit, Stretch};
+use crate::faults::{Fault, FaultKind};
+use crate::fit::{self, Fit, FitOptions, Link, Node};
+use crate::signal::{Signal, Smoothing};
+use crate::stream::CheckedStream;
+
+/// Left out on either side of a displaced stretch: its ends are known to a block.
+const STRETCH_MARGIN_S: f64 = 0.15;
+/// Stretches closer than this belong together, seconds.
+const SAME_SHIFT_S: f64 = 50e-6;
+/// Blocks in which a jump of the relation is looked for, seconds.
+const STRETCH_BLOCK_S: f64 = 0.1;
+/// Least low-pass for the search of single samples, Hz: wider than the fit's, so
+/// that knocks look alike in both streams.
+const OUTLIER_LOW_PASS_HZ: f64 = 45.0;
+
+/// The two streams in their roles.
+pub(crate) struct Pair {
+    pub(crate) model: CheckedStream,
+    pub(crate) data: CheckedStream,
+    pub(crate) a_is_model: bool,
+}
+
+/// Both streams low-passed and continuous.
+pub(crate) struct Signals {
+    pub(crate) model: Signal,
+    pub(crate) data: Signal,
+}
+
+/// The settings of the fit, for the noise of a pair.
+#[derive(Clone, Copy)]
+pub(crate) struct Settings {
+    pub(crate) smoothing: Smoothing,
+    /// Distance of the data's nodes, seconds.
+    pub(crate) step_s: f64,
+    pub(crate) fit: FitOptions,
+}
+
+impl Settings {
+    pub(crate) fn new(smoothing: Smoothing, pair: &Pair) -> Self {
+        let kernel_s = smoothing.kernel_sigma_s();
+        let step_s = 0.75 * kernel_s;
+        // Length of white noise whose variance the filter leaves, per node.
+        let kernel_length_s = 2.0 * std::f64::consts::PI.sqrt() * kernel_s;
+        let in_band = |s: &CheckedStream| s.noise_variance() * s.step_s / kernel_length_s;
+        Self {
+            smoothing,
+            step_s,
+            fit: FitOptions {
+                iterations: 40,
+                oversampling: (kernel_length_s / step_s).max(1.0),
+                rate_sigma: 300e-6,
+                noise_variance: in_band(&pair.model) + in_band(&pair.data),
+                memory_s: 0.12,
+            },
+        }
+    }
+
+    pub(crate) fn fitted(&self, signals: &Signals, start: Link) -> Option<Fit> {
+        let data = signals.data.sampled(self.step_s);
+        fit::fit(&signals.model, &data, start, None, &self.fit)
+    }
+}
+
+impl Pair {
+    /// The better sampled stream is the model.
+    pub(crate) fn new(a: CheckedStream, b: CheckedStream) -> Self {
+        let key = |s: &CheckedStream| (s.usable_count() as f64, -s.noise_variance(), s.w[0][0]);
+        let a_is_model = key(&a) >= key(&b);
+        let (model, data) = if a_is_model { (a, b) } else { (b, a) };
+        Self {
+            model,
+            data,
+            a_is_model,
+        }
+    }
+
+    /// All faults, those of a first.
+    pub(crate) fn faults(&self) -> Vec<Fault> {
+        let (model, data) = (&self.model.faults, &self.data.faults);
+        if self.a_is_model {
+            [&model[..], data].concat()
+        } else {
+            [&data[..], model].concat()
+        }
+    }
+
+    pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
+        Signals {
+            model: self.model.signal(smoothing),
+            data: self.data.signal(smoothing),
+        }
+    }
+
+    /// Leaves out what does not fit the other stream and fits again, until nothing
+    /// is found or four times. Gives the part of the information that is kept when
+    /// the relation jumps, too.
+    pub(crate) fn without_faults(
+        &mut self,
+        mut fit: Fit,
+        mut signals: Signals,
+        settings: &Settings,
+    ) -> Option<(Fit, f64)> {
+        let mut kept_share = 1.0;
+        for _ in 0..4 {
+            let outliers = self.leave_out_outliers(&fit, settings);
+            if outliers {
+                signals = self.signals(&settings.smoothing);
+                fit = settings.fitted(&signals, fit.link)?;
+            }
+            let stretches = crosscheck::stretches(&fit, STRETCH_BLOCK_S);
+            let jumps = stretches.len() > 1;
+            if jumps {
+                kept_share *= self.leave_out_stretches(&fit.link, &stretches);
+                signals.data = self.data.signal(&settings.smoothing);
+                fit = settings.fitted(&signals, fit.link)?;
+            }
+            if !outliers && !jumps {
+                break;
+            }
+        }
+        Some((fit, kept_share))
+    }
+
+    /// Leaves out single samples of either stream; whether there were any.
+    fn leave_out_outliers(&mut self, fit: &Fit, settings: &Settings) -> bool {
+        let wide = self.signals(&Smoothing {
+            low_pass_hz: settings.smoothing.low_pass_hz.max(OUTLIER_LOW_PASS_HZ),
+            ..settings.smoothing
+        });
+        let (model, data, link) = (&self.model, &self.data, fit.link);
+        let of_data = crosscheck::outliers(
+            (&data.t, &data.w, &data.usable),
+            &wide.model,
+            |t| link.model_time(t),
+            &fit.calibration,
+        );
+        let reverse: Vec<Node> = fit.nodes.iter().map(Node::swapped).collect();
+        let of_model = crosscheck::outliers(
+            (&model.t, &model.w, &model.usable),
+            &wide.data,
+            |t| link.data_time(t),
+            &fit::regress(&reverse, settings.fit.noise_variance),
+        );
+        // One fault may show in both: it belongs to the stream where it is larger.
+        let near_s = 1.5 * (model.step_s + data.step_s);
+        let model_time = |m: &Misfit| model.t[m.index];
+        let data_time = |m: &Misfit| link.model_time(data.t[m.index]);
+        let outdone =
+            |own: &Misfit, time: f64, others: &[Misfit], time_of: &dyn Fn(&Misfit) -> f64| {
+                others.iter().any(|other| {
+                    (time_of(other) - time).abs() < near_s && other.sigmas > own.sigmas
+                })
+            };
+        let model_samples: Vec<usize> = of_model
+            .iter()
+            .filter(|m| !outdone(m, model_time(m), &of_data, &data_time))
+            .map(|m| m.index)
+            .collect();
+        let data_samples: Vec<usize> = of_data
+            .iter()
+            .filter(|m| !outdone(m, data_time(m), &of_model, &model_time))
+            .map(|m| m.index)
+            .collect();
+        let found = !model_samples.is_empty() || !data_samples.is_empty();
+        self.model
+            .leave_out(FaultKind::Outlier, model_samples, None);
+        self.data.leave_out(FaultKind::Outlier, data_samples, None);
+        found
+    }
+
+    /// Keeps the stretches that agree with the one that weighs most; returns the
+    /// share of the information that is kept.
+    fn leave_out_stretches(&mut self, link: &Link, stretches: &[Stretch]) -> f64 {
+        // Stretches whose displacement is the same count together.
+        let share_near = |centre: f64| -> f64 {
+            stretches
+                .iter()
+                .filter(|s| (s.shift_s - centre).abs() < SAME_SHIFT_S)
+                .map(|s| s.share)
+                .sum()
+        };
+        let Some(main) = stretches
+            .iter()
+            .max_by(|x, y| share_near(x.shift_s).total_cmp(&share_near(y.shift_s)))
+        else {
+            return 1.0;
+        };
+        for stretch in stretches {
+            let displacement = stretch.shift_s - main.shift_s;
+            if displacement.abs() >= SAME_SHIFT_S {
+                self.leave_out_stretch(link, stretch, displacement);
+            }
+        }
+        share_near(main.shift_s)
+    }
+
+    /// Leaves out one stretch, of the stream whose timestamps are odd at its ends.
+    fn leave_out_stretch(&mut self, link: &Link, stretch: &Stretch, displacement_s: f64) {
+        let in_data = (stretch.from, stretch.to);
+        let in_model = (link.model_time(stretch.from), link.model_time(stretch.to));
+        let oddness = |stream: &CheckedStream, (from, to): (f64, f64)| {
+            stream.odd_step_near(from).max(stream.odd_step_near(to))
+        };
+        let of_model = oddness(&self.model, in_model) > oddness(&self.data, in_data);
+        let (stream, (from, to), displacement_s) = if of_model {
+            (&mut self.model, in_model, displacement_s)
+        } else {
+            (&mut self.data, in_data, -displacement_s)
+        };
+        let within = (from - STRETCH_MARGIN_S)..=(to + STRETCH_MARGIN_S);
+        let samples = (0..stream.t.len())
+            .filter(|&k| stream.usable[k] && within.contains(&stream.t[k]))
+            .collect();
+        stream.leave_out(FaultKind::TimestampStep, samples, Some(displacement_s));
+    }
+}

@@ -1,0 +1,290 @@
+//! The relation over whole recordings, from windows of natural motion.
+//!
+//! Any motion tells about the offset, not only a twist. Recording a is cut into
+//! windows; each with enough motion gives an estimate by [`estimate_offset`], with
+//! all its gates, and the estimates are joined to a [`ClockCourse`]. Both recordings
+//! are *streamed*: a few windows are in memory at a time, so that a recording of
+//! hours needs no more than one of minutes. The windows of a batch are estimated in
+//! parallel.
+//!
+//! Where to look for the offset is known beforehand ([`Prior`]), or found by
+//! [`crate::search`].
+
+use std::collections::VecDeque;
+use std::error::Error;
+
+use rayon::prelude::*;
+
+use crate::clock::ClockRelation;
+use crate::course::ClockCourse;
+use crate::estimate::{Estimate, Options, Refusal, estimate_offset};
+use crate::search;
+use crate::track::GyroTrack;
+
+/// Length of a window, ns.
+const WINDOW: i64 = 10_000_000_000;
+/// Largest 1-sigma of one window's estimate, seconds.
+const WINDOW_SIGMA_S: f64 = 1e-3;
+/// Windows that are estimated at a time.
+const BATCH: usize = 8;
+/// Least half-width of the search around the expected offset, seconds.
+const LEAST_MARGIN_S: f64 = 0.1;
+/// Largest half-width, seconds.
+const MOST_MARGIN_S: f64 = 5.0;
+/// Two clocks are this far apart in rate at most.
+const MOST_SKEW: f64 = 500e-6;
+/// Most samples of one window: a stream with more of them in that time is damaged.
+pub(crate) const MOST_SAMPLES: usize = 200_000;
+
+/// One sample of a gyroscope in its own clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GyroSample {
+    /// Nanoseconds.
+    pub at: i64,
+    /// Angular rate about x, y, z in rad/s.
+    pub rate: [f64; 3],
+}
+
+/// Samples in order of time.
+pub type GyroStream<'a, E> = Box<dyn Iterator<Item = Result<GyroSample, E>> + 'a>;
+
+/// Opens a gyroscope's recording at its beginning.
+pub type GyroOpener<'a, E> = &'a dyn Fn() -> Result<GyroStream<'a, E>, E>;
+
+/// What is known beforehand about the relation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Prior {
+    /// An estimate of it.
+    Relation(ClockRelation),
+    /// b − a in seconds, within a half-width in seconds.
+    Offset(f64, f64),
+}
+
+/// The relation over a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordingClock {
+    /// Offset and skew over time.
+    pub course: ClockCourse,
+    /// Windows of recording a.
+    pub windows: usize,
+    /// The estimates that were accepted.
+    pub estimates: Vec<ClockRelation>,
+}
+
+/// Why there is no relation over a recording.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError<E: Error + 'static> {
+    /// Reading one of the recordings failed.
+    #[error(transparent)]
+    Read(#[from] E),
+    /// No part of the recordings can be related.
+    #[error(
+        "the two gyroscopes cannot be related: {0}; twist the rig by hand at the beginning of a recording"
+    )]
+    NoRelation(String),
+}
+
+impl Options {
+    /// Settings of windows of natural motion: a larger sigma is accepted of each.
+    #[must_use]
+    pub fn of_windows() -> Self {
+        Self {
+            sigma_limit_s: WINDOW_SIGMA_S,
+            ..Self::default()
+        }
+    }
+}
+
+/// Relates the clocks over whole recordings. `options` are of each window
+/// ([`Options::of_windows`]), its `wander` also of the course; `every` takes each
+/// n-th window only (1: all); `progress` is told the nanoseconds of clock a.
+///
+/// # Errors
+///
+/// Reading fails, or no window can be related.
+pub fn estimate_course<E: Error + Send + 'static>(
+    a: GyroOpener<'_, E>,
+    b: GyroOpener<'_, E>,
+    prior: Option<Prior>,
+    options: &Options,
+    every: usize,
+    progress: &dyn Fn(i64),
+) -> Result<RecordingClock, RecordingError<E>> {
+    let mut expected = match prior {
+        Some(prior) => prior,
+        None => Prior::Relation(search::first_relation(a, b, options)?),
+    };
+    let mut windows = Windows {
+        a: a()?,
+        a_next: None,
+        b: b()?,
+        b_waiting: VecDeque::new(),
+        b_ended: false,
+        count: 0,
+    };
+    let mut estimates: Vec<ClockRelation> = Vec::new();
+    let mut refusal = None;
+    loop {
+        // Until the first estimate each window is judged before the next: its
+        // result makes the search of all others narrow.
+        let size = if estimates.is_empty() { 1 } else { BATCH };
+        let (batch, ended) = windows.batch(size, every, &expected, progress)?;
+        let results: Vec<_> = batch.par_iter().map(|w| w.estimated(options)).collect();
+        for result in results {
+            match result {
+                Ok(estimate) => {
+                    expected = Prior::Relation(estimate.clock);
+                    estimates.push(estimate.clock);
+                }
+                Err(error) => refusal = refusal.or(Some(error)),
+            }
+        }
+        if ended {
+            break;
+        }
+    }
+    let course = ClockCourse::from_estimates(&estimates, options.wander).ok_or_else(|| {
+        RecordingError::NoRelation(refusal.map_or_else(
+            || "they have no time in common".into(),
+            |refusal| refusal.to_string(),
+        ))
+    })?;
+    Ok(RecordingClock {
+        course,
+        windows: windows.count,
+        estimates,
+    })
+}
+
+impl Prior {
+    /// Offset and half-width of the search at a window.
+    fn at(&self, window: &GyroTrack) -> (f64, f64) {
+        let middle = window.epoch_s + 0.5 * window.t.last().copied().unwrap_or(0.0);
+        match self {
+            Self::Offset(offset, margin) => (*offset, margin.clamp(LEAST_MARGIN_S, MOST_MARGIN_S)),
+            Self::Relation(relation) => {
+                let offset = relation.offset_at(middle);
+                let distance = (middle - relation.reference).abs();
+                let drift = (6.0 * offset.sigma).min(MOST_SKEW * distance);
+                let known = 6.0 * relation.covariance[0][0].max(0.0).sqrt();
+                let margin = (LEAST_MARGIN_S + known + drift).min(MOST_MARGIN_S);
+                (offset.value, margin)
+            }
+        }
+    }
+}
+
+/// A window of a, and what of b may belong to it.
+struct Window {
+    a: GyroTrack,
+    b: GyroTrack,
+    /// Expected offset and half-width of the search, seconds.
+    search: (f64, f64),
+}
+
+impl Window {
+    fn estimated(&self, options: &Options) -> Result<Estimate, Refusal> {
+        let options = Options {
+            search: Some(self.search),
+            ..*options
+        };
+        estimate_offset(&self.a, &self.b, &options)
+    }
+}
+
+/// Cuts two streams into windows.
+struct Windows<'a, E> {
+    a: GyroStream<'a, E>,
+    a_next: Option<GyroSample>,
+    b: GyroStream<'a, E>,
+    /// Samples of b that a window may still need.
+    b_waiting: VecDeque<GyroSample>,
+    b_ended: bool,
+    /// Windows of a so far.
+    count: usize,
+}
+
+impl<E> Windows<'_, E> {
+    /// The next `size` windows of those to be taken, and whether a has ended.
+    fn batch(
+        &mut self,
+        size: usize,
+        every: usize,
+        expected: &Prior,
+        progress: &dyn Fn(i64),
+    ) -> Result<(Vec<Window>, bool), E> {
+        let mut batch = Vec::with_capacity(size);
+        while batch.len() < size {
+            let Some(a) = self.next_a()? else {
+                return Ok((batch, true));
+            };
+            self.count += 1;
+            progress(nanos(a.epoch_s + a.t.last().copied().unwrap_or(0.0)));
+            if (self.count - 1).is_multiple_of(every.max(1)) {
+                let search = expected.at(&a);
+                let b = self.b_around(&a, search)?;
+                batch.push(Window { a, b, search });
+            }
+        }
+        Ok((batch, false))
+    }
+
+    fn next_a(&mut self) -> Result<Option<GyroTrack>, E> {
+        let first = match self.a_next.take() {
+            Some(sample) => sample,
+            None => match self.a.next().transpose()? {
+                Some(sample) => sample,
+                None => return Ok(None),
+            },
+        };
+        let mut samples = vec![first];
+        let end = first.at.saturating_add(WINDOW);
+        while let Some(sample) = self.a.next().transpose()? {
+            if sample.at >= end || samples.len() >= MOST_SAMPLES {
+                self.a_next = Some(sample);
+                break;
+            }
+            samples.push(sample);
+        }
+        Ok(Some(GyroTrack::from_samples(&samples)))
+    }
+
+    /// The samples of b around a window. Windows come in order of time.
+    fn b_around(
+        &mut self,
+        window: &GyroTrack,
+        (offset, margin): (f64, f64),
+    ) -> Result<GyroTrack, E> {
+        let from = nanos(window.epoch_s + offset - margin);
+        let last = window.t.last().copied().unwrap_or(0.0);
+        let to = nanos(window.epoch_s + last + offset + margin);
+        // The next window may look back by as much as its own margin.
+        let keep = from.saturating_sub(nanos(2.0 * MOST_MARGIN_S));
+        while !self.b_ended && self.b_waiting.back().is_none_or(|sample| sample.at < to) {
+            match self.b.next().transpose()? {
+                Some(sample) if sample.at >= keep => self.b_waiting.push_back(sample),
+                Some(_) => {}
+                None => self.b_ended = true,
+            }
+        }
+        while self
+            .b_waiting
+            .front()
+            .is_some_and(|sample| sample.at < keep)
+        {
+            self.b_waiting.pop_front();
+        }
+        let samples: Vec<GyroSample> = self
+            .b_waiting
+            .iter()
+            .filter(|sample| sample.at >= from && sample.at < to)
+            .take(MOST_SAMPLES)
+            .copied()
+            .collect();
+        Ok(GyroTrack::from_samples(&samples))
+    }
+}
+
+fn nanos(seconds: f64) -> i64 {
+    (seconds * 1e9) as i64
+}

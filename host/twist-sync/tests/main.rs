@@ -1,0 +1,5 @@
+//! The estimator on simulated twists and on a real one.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod robustness;
+mod statistics;
