@@ -208,7 +208,7 @@ fn camera_hint(
     let related = streams::related(
         "relating the depth camera's clock by its gyroscope",
         (board, (BoardNanos(first), BoardNanos(last))),
-        (&|| streams::camera(input, progress), options),
+        (&|| streams::camera(input, progress), &options),
         None,
         EVERY,
         progress,

@@ -3,10 +3,9 @@
 //! The trigger follows one phone. The frames of that one should lie on the grid, and
 //! those of another at a distance that is constant as far as the two phones' frame
 //! periods are the same. Both are measured here, depth minus phone, from the extracted
-//! times: a straight
-//! line through the distance of each centre of a depth exposure (pulse and constant)
-//! to the nearest frame, followed over the places where another frame becomes the
-//! nearest.
+//! times: a straight line through the distance of each centre of a depth exposure
+//! (pulse and constant) to the nearest frame, followed over the places where another
+//! frame becomes the nearest.
 
 use super::depth_clock::fit::straight;
 use super::time::BoardNanos;

@@ -14,8 +14,7 @@ use twist_sync::{ClockCourse, Prior, RecordingClock};
 const MOST_KNOTS: i64 = 31 * 86_400;
 
 /// The session's clock model as what is known beforehand.
-#[must_use]
-pub fn prior(model: ClockModel) -> Prior {
+pub(crate) fn prior(model: ClockModel) -> Prior {
     Prior::Relation(model.into())
 }
 
@@ -35,8 +34,7 @@ pub struct WindowResult {
 }
 
 /// The estimates of a recording against its course.
-#[must_use]
-pub fn window_results(clock: &RecordingClock) -> Vec<WindowResult> {
+pub(crate) fn window_results(clock: &RecordingClock) -> Vec<WindowResult> {
     clock
         .estimates
         .iter()
@@ -54,16 +52,14 @@ pub fn window_results(clock: &RecordingClock) -> Vec<WindowResult> {
 }
 
 /// Root mean square of the windows' residuals, s; 0 with none.
-#[must_use]
-pub fn residual_rms(results: &[WindowResult]) -> f64 {
+pub(crate) fn residual_rms(results: &[WindowResult]) -> f64 {
     let squares: f64 = results.iter().map(|w| w.residual_s * w.residual_s).sum();
     (squares / results.len().max(1) as f64).sqrt()
 }
 
 /// A course in integers: pairs of times, one each second of board time from `from`,
 /// the last one at `to`.
-#[must_use]
-pub fn knots<T: ClockNanos>(
+pub(crate) fn knots<T: ClockNanos>(
     course: &ClockCourse,
     from: BoardNanos,
     to: BoardNanos,

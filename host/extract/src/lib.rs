@@ -2,15 +2,15 @@
 //! time, in the formats that people load.
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
-//! - Inputs: [`inputs`] finds them; [`board_data`] (our MCAP, [`bag`]s of the published
-//!   system), [`phone`] (CSV files, `video` by ffmpeg), [`depth`] ([`mkv`]).
-//! - Time: [`time`] (integers only), [`gyro_clock`] and [`phone_clock`] (the
-//!   phone's clock over the whole recording), [`depth_clock`] and [`depth_match`]
-//!   (depth frames and pulses), [`frames`] (timestamps and images), [`pairs`],
-//!   [`grid`] (frames against the trigger).
-//! - Outputs: [`layout`] (EuRoC, TUM, topics), [`sequence`]s, [`tables`],
-//!   [`imu_tables`], [`image_tables`], [`image`], in a [`workplace`] that can be
-//!   gone on with. [`learn`] puts what a recording teaches into a rig profile.
+//! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, [`bag`]s of the published
+//!   system), `phone_rows` (the phone's CSV files), `depth` ([`mkv`]).
+//! - Time: `time` (integers only), `gyro_clock` and `phone_clock` (the phone's clock
+//!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
+//!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
+//!   and images), `pairs`, `grid` (frames against the trigger).
+//! - Outputs: [`layout`] (EuRoC, TUM, topics), sequences, `tables`, `imu_tables`,
+//!   `image_tables`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
+//!   recording teaches into a rig profile.
 //!
 //! Inputs are read only, front to back, with bounded memory; nothing read from a
 //! file can make the program panic. Missing and damaged parts are named in the
@@ -24,7 +24,7 @@ mod depth_match;
 mod faults;
 mod frames;
 mod grid;
-pub mod gyro_clock;
+mod gyro_clock;
 mod image;
 mod image_tables;
 mod imu_tables;

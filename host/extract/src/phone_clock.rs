@@ -188,7 +188,7 @@ fn find_run(
     let related = streams::related(
         "relating the phone's clock",
         (board, span),
-        (&|| streams::phone(gyro), options),
+        (&|| streams::phone(gyro), &options),
         prior,
         1,
         progress,

@@ -232,7 +232,7 @@ pub struct PairsReport {
     pub spread: Spread,
     /// Depth − phone, all of them.
     pub histogram: Histogram,
-    /// Those near to the median ([`super::pairs::central`]).
+    /// Those near to the median (within ten times the distance of the quartiles).
     pub central: Histogram,
 }
 

@@ -113,7 +113,7 @@ pub(crate) fn board<'a>(
 pub(crate) fn related<'a>(
     what: &str,
     (input, (from, to)): (&'a BoardInput, (BoardNanos, BoardNanos)),
-    (other, options): (GyroOpener<'a, StreamError>, Options),
+    (other, options): (GyroOpener<'a, StreamError>, &Options),
     prior: Option<Prior>,
     every: usize,
     progress: &'a dyn Progress,
@@ -121,8 +121,8 @@ pub(crate) fn related<'a>(
     let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
     progress.begin(what, way(to));
     let board = || board_between(input, (from, to), progress);
-    let related = estimate_course(&board, other, prior, &options, every, &|at| {
-        progress.at(way(BoardNanos(at)))
+    let related = estimate_course(&board, other, prior, options, every, &|at| {
+        progress.at(way(BoardNanos(at)));
     });
     progress.end();
     match related {

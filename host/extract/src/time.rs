@@ -27,14 +27,14 @@ pub(crate) const MAX_RATE: f64 = 0.1;
 const FRACTION_BITS: u32 = 62;
 
 macro_rules! nanos {
-    ($(#[$doc:meta])* $name:ident) => {
+    ($(#[$doc:meta])* $vis:vis $name:ident) => {
         $(#[$doc])*
         #[derive(
             Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize,
             Deserialize,
         )]
         #[serde(transparent)]
-        pub struct $name(pub i64);
+        $vis struct $name(pub i64);
 
         impl fmt::Display for $name {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -54,7 +54,7 @@ macro_rules! nanos {
 }
 
 /// An instant of some clock in whole nanoseconds.
-pub trait ClockNanos: Copy {
+pub(crate) trait ClockNanos: Copy {
     /// From nanoseconds.
     fn from_nanos(nanos: i64) -> Self;
     /// In nanoseconds.
@@ -65,12 +65,12 @@ nanos!(
     /// An instant of board time, in nanoseconds since the board's reset.
     ///
     /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
-    BoardNanos
+    pub(crate) BoardNanos
 );
 
 nanos!(
     /// An instant of the depth camera's own clock, in nanoseconds.
-    DeviceNanos
+    pub DeviceNanos
 );
 
 impl ClockNanos for PhoneNanos {

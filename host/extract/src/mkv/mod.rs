@@ -7,13 +7,13 @@
 //! demuxers that were looked at refuse such files at opening (they follow the
 //! seek head, or want every size within the file) and give no attachments.
 //!
-//! - [`ebml`]: elements, sizes, values.
-//! - [`header`]: tracks, tags, attachments.
-//! - [`reader`]: the segment and its clusters. Knows nothing of the camera.
+//! - `ebml`: elements, sizes, values.
+//! - `header`: tracks, tags, attachments.
+//! - `reader`: the segment and its clusters. Knows nothing of the camera.
 //! - [`k4a`]: depth, infrared and IMU of the camera in its own time.
 //!
 //! Limits: one segment a file (what follows is ignored), no encryption, no
-//! compressed tracks. Memory is bounded by one cluster ([`reader::MAX_CLUSTER`]).
+//! compressed tracks. Memory is bounded by one cluster (`reader::MAX_CLUSTER`).
 
 mod block;
 mod ebml;

@@ -1,9 +1,9 @@
 //! The extraction itself: from a recording to a data set, step by step.
 //!
-//! 1. [`survey`](super::survey): pulses, marks, what the board recorded.
-//! 2. The phone's clock ([`phone_clock`]): over the whole recording from both
+//! 1. `survey`: pulses, marks, what the board recorded.
+//! 2. The phone's clock (`phone_clock`): over the whole recording from both
 //!    gyroscopes, else from what the session knows.
-//! 3. The depth camera's clock ([`depth_match`]): which frame has which pulse.
+//! 3. The depth camera's clock (`depth_match`): which frame has which pulse.
 //! 4. Tables of frames in board time, pairs, sequences.
 //! 5. Images and samples, in parallel; what is there already is kept.
 //! 6. Index files of the format, CSV tables, the report.
