@@ -1,7 +1,7 @@
 //! The live view: what the operator sees while a session runs.
 //!
 //! - [`gauge`]: messages in, a [`Snapshot`] of the latest state out. Pure.
-//! - [`draw`](mod@draw): a snapshot onto a screen of any size. Pure.
+//! - [`draw`](mod@draw), `facts`: a snapshot onto a screen of any size. Pure.
 //! - [`lines`]: a snapshot as one plain line, where there is no terminal.
 //! - [`screen`]: the thread that owns the terminal.
 //!
@@ -11,6 +11,7 @@
 //! ends that thread and nothing else.
 
 pub(crate) mod draw;
+mod facts;
 pub(crate) mod gauge;
 pub(crate) mod lines;
 pub(crate) mod screen;
