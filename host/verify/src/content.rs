@@ -386,7 +386,7 @@ impl Content {
         match item {
             Item::Link(frame) => self.frame(frame, ticks, findings),
             Item::Imu(imu) => {
-                self.from_link(Stream::Imu, &imu.header, at, findings);
+                self.in_own_frame(Stream::Imu, &imu.header, at, findings);
                 let values: [f64; 3] = imu.angular_velocity.into();
                 if values.iter().any(|value| !value.is_finite()) {
                     findings.add(Grade::Error, "not_a_number", Some(ticks), || {
@@ -408,16 +408,16 @@ impl Content {
                 self.pulses.pulse(pulse, findings);
             }
             Item::Capture(capture) => {
-                self.from_link(Stream::Captures, &capture.header, at, findings);
+                self.in_own_frame(Stream::Captures, &capture.header, at, findings);
                 if capture.after_loss {
                     findings.add(Grade::Warning, "captures_lost", Some(ticks), || {
                         String::from("an edge on the strobe input was lost, as the board says")
                     });
                 }
             }
-            Item::Status(status) => self.from_link(Stream::Status, &status.header, at, findings),
-            Item::Output(pulse) => self.from_link(Stream::Outputs, &pulse.header, at, findings),
-            Item::Gnss(pulse) => self.from_link(Stream::Pps, &pulse.header, at, findings),
+            Item::Status(status) => self.in_own_frame(Stream::Status, &status.header, at, findings),
+            Item::Output(pulse) => self.in_own_frame(Stream::Outputs, &pulse.header, at, findings),
+            Item::Gnss(pulse) => self.in_own_frame(Stream::Pps, &pulse.header, at, findings),
             Item::Run(mark) => self.recorded_run(mark, findings),
             Item::Marker(_) => self.markers += 1,
             Item::Temperature(_)
@@ -431,7 +431,7 @@ impl Content {
     }
 
     /// A message that came in a frame of its own.
-    fn from_link(&mut self, of: Stream, header: &Header, at: u64, findings: &mut Findings) {
+    fn in_own_frame(&mut self, of: Stream, header: &Header, at: u64, findings: &mut Findings) {
         stamped(at, header, findings);
         self.came_of(of, ticks_of_nanos(at), findings);
     }
