@@ -49,7 +49,7 @@ use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 pub(crate) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Device timestamps count at this rate, in the camera's time.
-pub(crate) const TIMESTAMP_HZ: u64 = 90_000;
+pub const TIMESTAMP_HZ: u64 = 90_000;
 
 /// Depth modes with their flashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

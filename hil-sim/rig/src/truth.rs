@@ -19,7 +19,7 @@ use stm32f4_sim::clock::Rate;
 use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
 
 /// Version of the format; a reader refuses others.
-pub(crate) const VERSION: u32 = 1;
+pub const VERSION: u32 = 1;
 
 /// One line of a truth file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -25,7 +25,7 @@ use super::{STANDARD_GRAVITY, Step};
 use crate::random::Random;
 
 /// Time in which a gesture fades in, and in which it fades out, in seconds.
-pub(crate) const FADE: f64 = 0.7;
+pub const FADE: f64 = 0.7;
 
 /// What the rig is made to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 use super::STANDARD_GRAVITY;
 
 /// Time in which the rates fade outside of the recording, in seconds.
-pub(crate) const FADE: f64 = 0.25;
+pub const FADE: f64 = 0.25;
 
 /// Names of columns that are looked for in a header row, in the order of this
 /// module's own columns. A header that has the first four decides where they
 /// are; any other header is skipped.
-pub(crate) const NAMES: [&str; 7] = [
+pub const NAMES: [&str; 7] = [
     "time_s",
     "gyro_x_rad_s",
     "gyro_y_rad_s",

@@ -3,7 +3,7 @@
 //! It behaves as the app does, line by line: the four requests, the error for
 //! anything else (an empty line included), the answer to `video_start` only
 //! after frame 60, the refusal of `imu?…` during a video, the record button
-//! that toggles, one client at a time, files saved by date. [`server`] speaks,
+//! that toggles, one client at a time, files saved by date. `server` speaks,
 //! [`app`](self) decides, [`sensors`](self) and the camera make the data.
 //!
 //! The phone lives on the rig's true time ([`TrueClock`]), however fast that

@@ -5,7 +5,7 @@
 //! fetches and decodes on every instruction, which makes some 26 million
 //! instructions a second. Between two things that need it (an exception, a
 //! sleep, the system block, an instruction the fast interpreter does not
-//! know), the [`exec`] module runs the same instructions from predecoded code
+//! know), the `exec` module runs the same instructions from predecoded code
 //! several times faster, with the same results and the same cycle counts; a
 //! test runs both over the same code and compares.
 //!
