@@ -152,10 +152,12 @@ fn examples_and_fuzz_targets_are_there() {
             let words: Vec<&str> = line.split_whitespace().collect();
             for pair in words.windows(2) {
                 let found = match pair {
-                    ["--example", name] => ["host", "hil-sim"].iter().any(|package| {
-                        let file = format!("{package}/examples/{name}.rs");
-                        documents::root().join(file).is_file()
-                    }),
+                    ["--example", name] => {
+                        ["host/twist-sync", "hil-sim/trials"].iter().any(|package| {
+                            let file = format!("{package}/examples/{name}.rs");
+                            documents::root().join(file).is_file()
+                        })
+                    }
                     ["run", name] if line.contains("cargo +nightly fuzz") => {
                         ["host", "protocol"].iter().any(|package| {
                             let file = format!("{package}/fuzz/Cargo.toml");

@@ -89,9 +89,9 @@ for part in PARTS:
 # Pairs: those that a public association of the two lists gives.
 pairs = pd.read_csv(euroc / "pairs.csv")
 color = pd.read_csv(euroc / "phone_frames.csv")
-same(pairs["difference [ns]"],
-     pairs["#phone_frame"].map(color["timestamp [ns]"])
-     - pairs["depth_frame"].map(pd.read_csv(euroc / "depth_frames.csv")["timestamp [ns]"]), "differences")
+same(pairs["depth_minus_phone [ns]"],
+     pairs["depth_frame"].map(pd.read_csv(euroc / "depth_frames.csv")["timestamp [ns]"])
+     - pairs["#phone_frame"].map(color["timestamp [ns]"]), "differences")
 seconds = (color["timestamp [ns]"].to_numpy() - int(pulses[0])) * 1e-9
 depths = (depth["#timestamp [ns]"].to_numpy() - int(pulses[0])) * 1e-9
 ours, theirs = sync.matching_time_indices(seconds, depths, max_diff=0.0166)
