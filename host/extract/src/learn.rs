@@ -56,13 +56,13 @@ fn learnt(
     date: jiff::civil::Date,
 ) -> Result<Learnt, LearnError> {
     let clock = clock.ok_or(LearnError::NoFrames)?;
-    let period = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
     if clock.source != "gyroscopes" || clock.used < MIN_WINDOWS {
         return Err(LearnError::TooLittle {
             used: clock.used,
             source_of_it: clock.source,
         });
     }
+    let period = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
     let skew = (clock.skew_ppm * 1e-6, clock.skew_sigma_ppm * 1e-6);
     Ok(taught(period, Some(skew), board_id, date))
 }

@@ -27,6 +27,7 @@ use phone_part::Phone;
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
+use super::image::write_whole;
 use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
 use super::inputs::{Inputs, InputsError, Options, PhoneInput};
@@ -271,7 +272,7 @@ impl Extraction<'_> {
     }
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {
-        files::replace(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
+        write_whole(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
     }
 
     fn judge_board(&mut self, survey: &Survey) {
