@@ -86,7 +86,8 @@ fn after(pairs: &[Pair], estimate: &Estimate) -> [Chart; 3] {
             Data::Line(pairs.iter().map(point).collect())
         };
         panel(&title, "rad/s")
-            .add("board", line(|pair| pair.a), COLOURS[0])
+            // Wide and pale below: the two lie on each other.
+            .add("board", line(|pair| pair.a), COLOURS[0].wide(5).pale(0.5))
             .add("phone", line(|pair| pair.b), COLOURS[1])
     })
 }
