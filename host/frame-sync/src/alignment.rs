@@ -29,7 +29,7 @@ use timebase::{BoardSeconds, PhoneSeconds};
 const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// 1-sigma of the timestamp of one of the phone's frames, ns: nobody documents it,
-/// and it is reckoned with rather too much than too little.
+/// and the assumed value is rather too large than too small.
 const FRAME_JITTER_NS: f64 = 2_000.0;
 
 /// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean

@@ -322,7 +322,7 @@ impl Profile {
             path: path.map(Path::to_owned),
             reason: error.to_string(),
         };
-        // Into a table first: a text that is no TOML at all is told with its line.
+        // Into a table first: a text that is not TOML at all is reported with its line.
         let mut given: toml::Table = text.parse().map_err(syntax)?;
         let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;
         complete_phones(&mut given, &whole);

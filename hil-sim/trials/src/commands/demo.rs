@@ -33,7 +33,7 @@ pub(crate) struct Args {
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Show a session on a rig that has learnt nothing, without one before it that
+    /// Show a session on an uncalibrated rig, without one before it that
     /// teaches.
     #[arg(long)]
     fresh: bool,

@@ -104,7 +104,7 @@ pub struct Spread {
 pub struct FrameSync {
     /// Length of each recording, seconds of board time.
     pub seconds: u32,
-    /// With a profile that has learnt nothing.
+    /// With an uncalibrated profile.
     pub fresh: Vec<Launch>,
     /// With the profile that the session before has taught.
     pub learnt: Vec<Launch>,

@@ -68,7 +68,7 @@ pub struct Before {
 const WIDTH: usize = 50;
 
 /// Title of the figures of the session before.
-const BEFORE: &str = "The session before it, on a rig that has learnt nothing:";
+const BEFORE: &str = "The session before it, on an uncalibrated rig:";
 
 fn with_sigma(error: f64, sigma: f64) -> String {
     format!("{error:+.2} µs (stated 1-sigma {sigma:.2} µs)")
@@ -329,7 +329,7 @@ mod tests {
         let verdict = verdict();
         let figures = Figures::new(&verdict, Some(&verdict), 320.0, 20.0, 7);
         let page = page(&figures, &verdict, Some("<svg id=\"twist\"></svg>"));
-        assert!(page.contains("has learnt nothing"));
+        assert!(page.contains("on an uncalibrated rig"));
         assert!(page.matches("<svg").count() == 2 && page.contains("id=\"twist\""));
         assert!(page.contains("4.00 µs apart") && page.contains("Nothing was lost"));
         // Thinned: far fewer marks than frames.
