@@ -8,6 +8,7 @@
 pub mod depth_camera;
 pub mod flash_log;
 pub mod inertial_channel;
+pub mod jumpers;
 pub mod k4a_mkv;
 pub mod lidar;
 pub mod motion;

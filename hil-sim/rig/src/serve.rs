@@ -5,11 +5,13 @@
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
+use crate::mpu9150::{Fault, Mpu9150};
 use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings};
 use crate::pty::Pty;
@@ -19,7 +21,7 @@ use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
 use crate::wiring;
 use anyhow::{Context, Result};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::rtt::LogLine;
 use stm32f4_sim::sim::Sim;
@@ -75,6 +77,11 @@ pub struct Args {
     /// `smartdepthsync record --profile`.
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
+    /// Wire the board for `smartdepthsync bring-up` instead of a camera. Lines on standard
+    /// input move the wires: `strobe PE11`, `strobe PA5`, `readback off`, `readback on`,
+    /// `sda low`, `sda free`.
+    #[arg(long, conflicts_with = "phone")]
+    bring_up: bool,
     /// Write what really happened to this file, as JSON lines.
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
@@ -123,9 +130,18 @@ pub fn speed(text: &str) -> Result<f64, String> {
 /// If the firmware fails, a part of the rig cannot be set up, or a file cannot be
 /// written.
 pub fn run(args: &Args) -> Result<()> {
-    let config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
+    let mut config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
+    if args.bring_up {
+        config.depth_camera = None;
+    }
     let parts = config.build()?;
     let mut builder = parts.wire(wiring::board());
+    if args.bring_up {
+        let jumpers = Arc::new(Mutex::new(Jumpers::default()));
+        builder = builder.model(Arc::clone(&jumpers));
+        let imu = parts.imu.clone();
+        std::thread::spawn(move || move_wires(&jumpers, imu.as_ref()));
+    }
     let clock = TrueClock::new();
     let phone = match args.phone {
         None => None,
@@ -149,7 +165,7 @@ pub fn run(args: &Args) -> Result<()> {
             File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
         let vcd = VcdTrace::new(BufWriter::new(file), &TRACED)
             .with_context(|| format!("cannot write {}", path.display()))?;
-        let shared = Arc::new(std::sync::Mutex::new(vcd));
+        let shared = Arc::new(Mutex::new(vcd));
         builder = builder.model(Arc::clone(&shared));
         trace = Some(shared);
     }
@@ -197,6 +213,29 @@ pub fn run(args: &Args) -> Result<()> {
     }
     result?;
     noted.context("the truth could not be written")
+}
+
+/// Moves wires of a bring-up as the lines on standard input say.
+fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<Mpu9150>>) {
+    let sensor = |fault| {
+        if let Some(imu) = imu {
+            lock(imu).schedule(SimTime::ZERO, fault);
+        }
+    };
+    for line in std::io::stdin().lines().map_while(Result::ok) {
+        match line.trim() {
+            "strobe PE11" => lock(jumpers).strobe = Some(Pin::PE11),
+            "strobe PA5" => lock(jumpers).strobe = Some(Pin::PA5),
+            "readback off" => lock(jumpers).readback = false,
+            "readback on" => lock(jumpers).readback = true,
+            "sda low" => sensor(Fault::HoldSda(None)),
+            "sda free" => sensor(Fault::ReleaseSda),
+            other => eprintln!(
+                "no wire is called {other:?}: strobe PE11, strobe PA5, readback off, readback on, \
+                 sda low, sda free"
+            ),
+        }
+    }
 }
 
 /// Switches the phone on, and writes the profile that goes with it.

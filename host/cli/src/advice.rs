@@ -6,6 +6,7 @@
 use board::BoardError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
+use bring_up::BringUpError;
 use extract::learn::LearnError;
 use phone::PhoneError;
 use protocol::ImuSetup;
@@ -55,6 +56,21 @@ impl From<BoardError> for Failure {
             ),
         };
         Self::new(status, message).next_step(next)
+    }
+}
+
+impl From<BringUpError> for Failure {
+    fn from(error: BringUpError) -> Self {
+        let message = error.to_string();
+        match error {
+            BringUpError::Board(error) => error.into(),
+            BringUpError::Reset => Self::new(ExitStatus::Error, message).next_step(
+                "`smartdepthsync info` says why; measure part by part with --part to find out when",
+            ),
+            BringUpError::InUse => Self::new(ExitStatus::Refused, message)
+                .next_step("end the other program, or stop it: `smartdepthsync trigger stop`"),
+            BringUpError::Stopped => Self::new(ExitStatus::Interrupted, message),
+        }
     }
 }
 

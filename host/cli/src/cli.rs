@@ -82,6 +82,8 @@ enum Command {
     Monitor(commands::monitor::Args),
     /// Check that the rig is ready for a recording; each problem is listed with its fix
     Doctor(commands::doctor::Args),
+    /// Measure whether a new board does what it must, with a report to send
+    BringUp(commands::bring_up::Args),
     /// Make, check and teach a rig profile
     Profile(commands::profile::Args),
     /// The camera trigger by hand: start, align, period, stop, status
@@ -115,6 +117,7 @@ impl Command {
             Self::Record(args) => commands::record::run(args, context),
             Self::Monitor(args) => commands::monitor::run(args, context),
             Self::Doctor(args) => commands::doctor::run(args, context),
+            Self::BringUp(args) => commands::bring_up::run(args, context),
             Self::Profile(args) => commands::profile::run(args, context),
             Self::Trigger(args) => commands::trigger::run(args, context),
             Self::Gnss(args) => commands::gnss::run(args, context),

@@ -1,0 +1,212 @@
+//! Does a board do in hardware what the simulated one does?
+//!
+//! Wires: PA5 (the trigger) to PA3 and to PA2, later PE11 (output 2) to PA2, and the
+//! IMU. The board then measures itself: each edge that it makes is captured by the
+//! same timer that made it, so a capture must follow its edge by a constant, the
+//! delay of synchroniser and filter, and nothing else.
+//!
+//! [`run`] measures, one [`Part`] after the other, and gives a [`Report`] of
+//! [`Check`]s, each with what was measured, its limit, and what a miss means.
+//! [`page()`] shows it.
+//!
+//! - `bench`: the board's messages over a stretch of board time.
+//! - `train`: a train of pulses against the arithmetic and its captures. Pure.
+//! - `parts`: what is done on the board.
+#![forbid(unsafe_code)]
+
+mod bench;
+mod page;
+mod parts;
+mod train;
+
+use board::BoardError;
+use protocol::usb::serial_number;
+use serde::Serialize;
+
+pub use page::page;
+
+/// Version of the JSON form of [`Report`].
+const FORMAT: u32 = 1;
+
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// The trigger's edges, widths and aligns, against read-back and strobe input.
+    Trigger,
+    /// A further output against the strobe input.
+    Outputs,
+    /// Intervals of data-ready; the IMU's recovery from an unplugged SDA.
+    Imu,
+    /// Throughput of USB, and what a host that does not read loses.
+    Link,
+    /// The board's crystal against the computer's clock.
+    Clock,
+}
+
+impl Part {
+    /// All of them, in the order in which they are measured.
+    pub const ALL: [Self; 5] = [
+        Self::Trigger,
+        Self::Outputs,
+        Self::Imu,
+        Self::Link,
+        Self::Clock,
+    ];
+}
+
+/// Something that a person does at the board. Whether it was done is seen in what the
+/// board measures; nobody has to confirm it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HandsOn {
+    /// Take the wire at PA2 from PA5 to PE11.
+    MoveStrobeWire,
+    /// Unplug SDA of the IMU.
+    UnplugSda,
+    /// Plug SDA in again.
+    PlugSda,
+}
+
+/// Whoever is at the board.
+pub trait Operator {
+    /// Says what is being measured.
+    fn begins(&mut self, part: Part);
+
+    /// Asks for something; false if nobody is there to do it.
+    fn asked(&mut self, what: HandsOn) -> bool;
+
+    /// Whether to stop.
+    fn wants_to_stop(&self) -> bool;
+}
+
+/// How a check came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Within its limit.
+    Pass,
+    /// Not within its limit.
+    Fail,
+    /// Could not be measured; `measured` says why.
+    Skipped,
+}
+
+/// One property of the board.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Check {
+    /// What it belongs to.
+    pub part: Part,
+    /// Its name.
+    pub name: &'static str,
+    /// How it came out.
+    pub verdict: Verdict,
+    /// What was measured, with units.
+    pub measured: String,
+    /// What it must be.
+    pub limit: String,
+    /// What a miss points at.
+    pub reason: &'static str,
+}
+
+/// The board that was measured.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct BoardFacts {
+    /// Its serial number, from the chip's unique ID.
+    pub id: String,
+    /// Version of the firmware.
+    pub firmware: String,
+    /// Its git revision; with `+` if the tree had changes.
+    pub revision: String,
+    /// Why it last reset.
+    pub reset_cause: &'static str,
+}
+
+/// How often each interval of data-ready came, in ticks.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Histogram {
+    /// Left end of the first bin.
+    pub first: u64,
+    /// Width of a bin.
+    pub bin: u64,
+    /// Intervals in each bin.
+    pub counts: Vec<u64>,
+}
+
+/// What was found.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// Version of this form.
+    pub format: u32,
+    /// The board.
+    pub board: BoardFacts,
+    /// The checks, in the order in which they were made.
+    pub checks: Vec<Check>,
+    /// Intervals of data-ready.
+    pub intervals: Histogram,
+}
+
+impl Report {
+    /// Number of checks that came out so.
+    #[must_use]
+    pub fn count(&self, verdict: Verdict) -> usize {
+        let same = |check: &&Check| check.verdict == verdict;
+        self.checks.iter().filter(same).count()
+    }
+}
+
+/// Why nothing more can be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum BringUpError {
+    /// The board cannot be reached any more, or refused a command.
+    #[error(transparent)]
+    Board(#[from] BoardError),
+    /// The board was reset while it was being measured.
+    #[error("the board was reset while it was being measured")]
+    Reset,
+    /// The trigger runs: something else uses the board.
+    #[error("the trigger is running")]
+    InUse,
+    /// The operator wants to stop.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// Measures the parts. The trigger and output 2 are stopped at the end, also after an
+/// error.
+///
+/// # Errors
+///
+/// The board is in use, does not answer, or is reset meanwhile; or the operator stops.
+pub fn run(
+    board: &mut board::Board,
+    operator: &mut dyn Operator,
+    parts: &[Part],
+) -> Result<Report, BringUpError> {
+    let hello = board.hello();
+    let (major, minor, patch) = hello.firmware_version;
+    let facts = BoardFacts {
+        id: serial_number(&hello.board_id).to_string(),
+        firmware: format!("{major}.{minor}.{patch}"),
+        revision: format!(
+            "{}{}",
+            hello.git_revision,
+            if hello.git_dirty { "+" } else { "" }
+        ),
+        reset_cause: board::reset_cause(hello.reset_cause),
+    };
+    let mut session = parts::Session::new(board, operator)?;
+    let measured = Part::ALL
+        .iter()
+        .filter(|part| parts.contains(part))
+        .try_for_each(|&part| session.measure(part));
+    let stopped = session.stop_everything();
+    measured?;
+    stopped?;
+    let (checks, intervals) = session.results();
+    Ok(Report {
+        format: FORMAT,
+        board: facts,
+        checks,
+        intervals,
+    })
+}

@@ -1,0 +1,69 @@
+//! The report as a page for people.
+
+use page::{Level, Page, chart};
+use serde_json::json;
+
+use crate::{Report, Verdict};
+
+/// The report as a self-contained HTML page.
+#[must_use]
+pub fn page(report: &Report) -> String {
+    let failed = report.count(Verdict::Fail);
+    let skipped = report.count(Verdict::Skipped);
+    let passed = report.count(Verdict::Pass);
+    let (level, verdict) = match (failed, skipped) {
+        (0, 0) => (Level::Good, format!("All {passed} checks passed.")),
+        (0, _) => (
+            Level::Warning,
+            format!("{passed} checks passed; {skipped} could not be made."),
+        ),
+        _ => (
+            Level::Bad,
+            format!("{failed} of {} checks failed.", report.checks.len()),
+        ),
+    };
+    let mut page = Page::new("Bring-up of a board", level, &verdict);
+    page.facts(&[
+        ("board", report.board.id.as_str()),
+        ("firmware", report.board.firmware.as_str()),
+        ("revision", report.board.revision.as_str()),
+        ("last reset", report.board.reset_cause),
+    ]);
+    page.section("Checks");
+    let rows: Vec<Vec<String>> = report
+        .checks
+        .iter()
+        .map(|check| {
+            let verdict = match check.verdict {
+                Verdict::Pass => "pass",
+                Verdict::Fail => "FAIL",
+                Verdict::Skipped => "not made",
+            };
+            vec![
+                verdict.to_owned(),
+                check.name.to_owned(),
+                check.measured.clone(),
+                check.limit.clone(),
+                check.reason.to_owned(),
+            ]
+        })
+        .collect();
+    page.table(
+        &["", "check", "measured", "limit", "a miss points at"],
+        &rows,
+    );
+    let intervals = &report.intervals;
+    if !intervals.counts.is_empty() {
+        page.section("Data-ready");
+        let svg = chart::histogram(
+            "interval [ticks of 20.83 ns]",
+            "number",
+            intervals.first as f64,
+            intervals.bin as f64,
+            &intervals.counts,
+        );
+        page.figure(&svg, "Intervals of the IMU's data-ready.");
+    }
+    page.settings("Everything, as JSON", &json!(report));
+    page.html()
+}

@@ -1,0 +1,184 @@
+//! A train of pulses against the arithmetic that made it, and against its captures.
+
+use protocol::{Capture, Edge, Period, Pulse, TickDelta, Ticks, TriggerStatus};
+
+/// Where the pulses of a train must be: the floor of an exact sum.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Grid {
+    /// Number of a pulse.
+    pub(crate) number: u64,
+    /// Its edge.
+    pub(crate) at: Ticks,
+    /// The edge's fraction, in 2⁻³² ticks.
+    pub(crate) fraction: u32,
+    pub(crate) period: Period,
+}
+
+impl Grid {
+    /// The grid on which a train goes on.
+    pub(crate) const fn of(status: &TriggerStatus) -> Self {
+        Self {
+            number: status.pulses,
+            at: status.next_edge,
+            fraction: status.next_fraction,
+            period: status.period,
+        }
+    }
+
+    /// How far a pulse is off.
+    pub(crate) fn error(&self, pulse: &Pulse) -> TickDelta {
+        let ahead = i128::from(pulse.number) - i128::from(self.number);
+        let start = (i128::from(self.at.0) << 32) + i128::from(self.fraction);
+        let edge = (start + ahead * i128::from(self.period.0)) >> 32;
+        let apart = i128::from(pulse.at.0) - edge;
+        TickDelta(apart.clamp(i64::MIN.into(), i64::MAX.into()) as i64)
+    }
+}
+
+/// Smallest and largest of some numbers of ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Extent(pub(crate) Option<(i64, i64)>);
+
+impl Extent {
+    pub(crate) fn add(&mut self, value: i64) {
+        self.0 = Some(self.0.map_or((value, value), |(low, high)| {
+            (low.min(value), high.max(value))
+        }));
+    }
+
+    /// All of them lie in `low..=high`, and there is one.
+    pub(crate) fn within(self, low: i64, high: i64) -> bool {
+        self.0.is_some_and(|(min, max)| low <= min && max <= high)
+    }
+
+    /// Largest less smallest.
+    pub(crate) fn spread(self) -> Option<i64> {
+        self.0.map(|(low, high)| high.saturating_sub(low))
+    }
+}
+
+/// What trains were like.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Trains {
+    /// Pulses that were compared with a grid.
+    pub(crate) on_grid: u64,
+    /// How far they were off.
+    pub(crate) grid_error: Extent,
+    /// Pulses that should be on the strobe input.
+    pub(crate) pulses: u64,
+    /// Those that were.
+    pub(crate) captured: u64,
+    /// From their edge to its capture.
+    pub(crate) delay: Extent,
+    /// Captured width less the one that was asked for.
+    pub(crate) width_error: Extent,
+    /// Those that were read back.
+    pub(crate) read_back: u64,
+    /// From their edge to the read-back.
+    pub(crate) read_back_delay: Extent,
+}
+
+impl Trains {
+    /// Compares the pulses with their grid.
+    pub(crate) fn compare(&mut self, grid: &Grid, pulses: &[Pulse]) {
+        for pulse in pulses {
+            self.on_grid += 1;
+            self.grid_error.add(grid.error(pulse).0);
+        }
+    }
+
+    /// Looks for each pulse on the strobe input: `captures` in the order of time. A
+    /// capture belongs to a pulse if it comes before the pulse is over.
+    pub(crate) fn find(&mut self, pulses: &[Pulse], width: u32, captures: &[Capture]) {
+        for pulse in pulses {
+            self.pulses += 1;
+            if let Some(delay) = pulse.readback {
+                self.read_back += 1;
+                self.read_back_delay.add(delay.into());
+            }
+            let end = pulse.at + TickDelta(width.into());
+            let from = captures.partition_point(|capture| capture.at < pulse.at);
+            let mut edges = captures.get(from..).unwrap_or_default().iter();
+            let Some(rising) = edges.next() else { continue };
+            if rising.edge != Edge::Rising || rising.at >= end {
+                continue;
+            }
+            self.captured += 1;
+            self.delay.add((rising.at - pulse.at).0);
+            if let Some(falling) = edges.next()
+                && falling.edge == Edge::Falling
+            {
+                let seen = falling.at - rising.at;
+                self.width_error.add(seen.0 - i64::from(width));
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::CaptureChannel;
+
+    fn pulse(number: u64, at: u64) -> Pulse {
+        Pulse {
+            seq: 0,
+            train: 1,
+            number,
+            at: Ticks(at),
+            aligned: true,
+            readback: None,
+        }
+    }
+
+    fn capture(edge: Edge, at: u64) -> Capture {
+        Capture {
+            seq: 0,
+            channel: CaptureChannel::Strobe,
+            edge,
+            at: Ticks(at),
+            after_loss: false,
+        }
+    }
+
+    #[test]
+    fn a_grid_with_a_fraction_is_followed_exactly_and_a_tick_off_is_seen() {
+        let grid = Grid {
+            number: 10,
+            at: Ticks(1_000_000),
+            fraction: 1 << 31,
+            period: Period((48_000 << 32) + (1 << 31)),
+        };
+        // 1,000,000.5, 1,048,001.0, 1,096,001.5
+        let pulses = [
+            pulse(10, 1_000_000),
+            pulse(11, 1_048_001),
+            pulse(12, 1_096_001),
+        ];
+        let mut trains = Trains::default();
+        trains.compare(&grid, &pulses);
+        assert_eq!(trains.grid_error, Extent(Some((0, 0))));
+        trains.compare(&grid, &[pulse(9, 952_001), pulse(13, 1_144_002)]);
+        assert_eq!(trains.grid_error, Extent(Some((0, 1))));
+        assert_eq!(trains.on_grid, 5);
+    }
+
+    #[test]
+    fn a_pulse_is_found_by_its_edges_and_a_missing_one_is_missed() {
+        let pulses = [pulse(0, 1_000), pulse(1, 2_000), pulse(2, 3_000)];
+        let captures = [
+            capture(Edge::Rising, 1_010),
+            capture(Edge::Falling, 1_110),
+            capture(Edge::Rising, 3_011),
+            capture(Edge::Falling, 3_121),
+        ];
+        let mut trains = Trains::default();
+        trains.find(&pulses, 100, &captures);
+        assert_eq!((trains.pulses, trains.captured), (3, 2));
+        assert_eq!(trains.delay, Extent(Some((10, 11))));
+        assert_eq!(trains.width_error, Extent(Some((0, 10))));
+        assert_eq!(trains.delay.spread(), Some(1));
+        assert!(!trains.width_error.within(-1, 1));
+        assert!(!Extent::default().within(-1, 1));
+    }
+}

@@ -1,0 +1,141 @@
+//! `smartdepthsync bring-up`: does this board do in hardware what the simulated one
+//! does? What is measured and what must hold is in the crate `bring_up`.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use bring_up::{HandsOn, Operator, Part, Report, Verdict};
+use clap::ValueEnum;
+
+use super::PortArg;
+use crate::cli::Context;
+use crate::outcome::{Failure, Outcome};
+
+/// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
+///
+/// Wire PA5 to PA3 and to PA2, and the IMU; nothing else. When asked to, move the wire
+/// at PA2 to PE11, and unplug SDA. Takes two minutes.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    port: PortArg,
+    /// Measure only this; may be given several times
+    #[arg(long = "part", value_name = "PART", value_enum)]
+    parts: Vec<PartArg>,
+    /// Leave out what needs somebody at the board
+    #[arg(long)]
+    hands_off: bool,
+    /// Folder for bring-up.json and bring-up.html
+    #[arg(long, value_name = "FOLDER", default_value = "bring-up")]
+    out: PathBuf,
+}
+
+/// A part on the command line.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PartArg {
+    /// Edges, widths and aligns of the trigger
+    Trigger,
+    /// Output 2 beside the trigger
+    Outputs,
+    /// Data-ready and recovery of the IMU
+    Imu,
+    /// Throughput of USB, losses, handlers
+    Link,
+    /// The crystal beside the computer's clock: a minute
+    Clock,
+}
+
+impl From<PartArg> for Part {
+    fn from(part: PartArg) -> Self {
+        match part {
+            PartArg::Trigger => Self::Trigger,
+            PartArg::Outputs => Self::Outputs,
+            PartArg::Imu => Self::Imu,
+            PartArg::Link => Self::Link,
+            PartArg::Clock => Self::Clock,
+        }
+    }
+}
+
+struct Person<'a> {
+    context: &'a Context,
+    hands_off: bool,
+}
+
+impl Operator for Person<'_> {
+    fn begins(&mut self, part: Part) {
+        self.context.say(match part {
+            Part::Trigger => "trigger: edges, widths, aligns ...",
+            Part::Outputs => "output 2 ...",
+            Part::Imu => "IMU: data-ready ...",
+            Part::Link => "USB: throughput, a host that does not read ...",
+            Part::Clock => "crystal: one minute ...",
+        });
+    }
+
+    fn asked(&mut self, what: HandsOn) -> bool {
+        if !self.hands_off {
+            self.context.say(match what {
+                HandsOn::MoveStrobeWire => "-> move the wire at PA2 from PA5 to PE11",
+                HandsOn::UnplugSda => "-> unplug SDA of the IMU (PB7)",
+                HandsOn::PlugSda => "-> plug SDA in again",
+            });
+        }
+        !self.hands_off
+    }
+
+    fn wants_to_stop(&self) -> bool {
+        self.context.interrupt.requested()
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+///
+/// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
+/// written.
+pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let parts: Vec<Part> = match args.parts.as_slice() {
+        [] => Part::ALL.to_vec(),
+        some => some.iter().copied().map(Part::from).collect(),
+    };
+    std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
+    let mut board = args.port.open()?;
+    let mut person = Person {
+        context,
+        hands_off: args.hands_off,
+    };
+    let report = bring_up::run(&mut board, &mut person, &parts)?;
+    let json = serde_json::to_string_pretty(&report)?;
+    let page = args.out.join("bring-up.html");
+    write(&args.out.join("bring-up.json"), &json)?;
+    write(&page, &bring_up::page(&report))?;
+    context.print(&report, || text(&report, &page))?;
+    Ok(match report.count(Verdict::Fail) {
+        0 => Outcome::Good,
+        _ => Outcome::Refused,
+    })
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
+}
+
+fn text(report: &Report, page: &Path) -> String {
+    let mut text = String::new();
+    for check in &report.checks {
+        let mark = match check.verdict {
+            Verdict::Pass => "pass",
+            Verdict::Fail => "FAIL",
+            Verdict::Skipped => "not made",
+        };
+        let _ = writeln!(text, "{mark:<8}  {:<28} {}", check.name, check.measured);
+        if check.verdict == Verdict::Fail {
+            let _ = writeln!(text, "{:39}must be: {}", "", check.limit);
+            let _ = writeln!(text, "{:39}look at: {}", "", check.reason);
+        }
+    }
+    let _ = writeln!(text, "report: {}", page.display());
+    text
+}
