@@ -5,6 +5,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
+use crate::objects;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::Session;
@@ -121,6 +122,7 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
     ] {
         verdicts(&report, name);
     }
+    objects::check("bring-up", &[&report]);
     let page = std::fs::read_to_string(bench.out().join("bring-up.html")).unwrap();
     assert!(
         page.contains("checks passed") && page.contains("<svg"),
