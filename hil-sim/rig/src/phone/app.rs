@@ -1,22 +1,28 @@
 //! What the app does when it is asked: its four requests, without a socket.
+//!
+//! The lines that it follows are of the app's source: RRH is
+//! `RemoteRpcRequestHandler.java`, EAI `ExtendedAppInterface.java`.
 
-use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
-use super::camera::{FrameTimes, PHASE_FRAME, write_video};
-use super::config::{PhoneConfig, VideoMode};
-use super::files::{Names, csv_line};
+use super::camera::FrameTimes;
+use super::config::{PhoneConfig, StorageAccess, VideoMode};
+use super::files::{Names, csv_line, name_of};
 use super::java;
+use super::request::ImuRequest;
 use super::sensors::{Kind, Sensors};
 use crate::flash_log::FlashSource;
 use crate::oscillator::{Oscillator, TrueTime};
 use crate::true_clock::{RigStopped, TrueClock};
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
-/// How long the app waits for the phase of a video, in milliseconds.
+/// How long the app waits for the phase of a video, in milliseconds (RRH:34).
 const PHASE_TIMEOUT_MS: u64 = 10_000;
+
+/// How often the phase is looked for, in milliseconds.
+const PHASE_POLL_MS: u64 = 50;
 
 /// An answer of the app.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,11 +38,15 @@ pub(super) enum Reply {
         /// The name to announce.
         name: String,
     },
+    /// None: the app's process has ended.
+    Crash,
 }
 
 /// One recording of the phone, for the truth.
 #[derive(Clone, Debug)]
 pub struct VideoTruth {
+    /// It was begun by hand, not by a request.
+    pub by_hand: bool,
     /// Its frames.
     pub frames: FrameTimes,
     /// Number of frames in the video; `None` while it is being recorded.
@@ -47,41 +57,75 @@ pub struct VideoTruth {
     pub stop_ns: Option<i64>,
     /// The video's file; it is there once it was rendered.
     pub path: PathBuf,
-    /// The file of its frames' timestamps; it is there once the recording was
+    /// The file of its frames' timestamps; it is empty until the recording was
     /// saved.
     pub timestamps: PathBuf,
 }
 
 /// A recording on the phone.
 #[derive(Clone, Debug)]
-struct Recording {
-    names: Names,
-    truth: VideoTruth,
+pub(super) struct Recording {
+    pub(super) names: Names,
+    pub(super) truth: VideoTruth,
+    /// Sensors with a file of their own.
+    pub(super) sensors: [bool; 3],
+    /// When the recorder was started.
+    pub(super) started: TrueTime,
+    /// The phase was taken out of its queue.
+    pub(super) phase_taken: bool,
 }
 
-#[derive(Debug, Default)]
-struct State {
+/// What the video recorder does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) enum Recorder {
+    #[default]
+    Idle,
+    Runs,
+    /// Stopped, but the capture session is not closed yet.
+    Closes,
+}
+
+#[derive(Debug)]
+pub(super) struct State {
     /// Recordings in order; the last one may be under way.
-    recordings: Vec<Recording>,
-    recording: bool,
+    pub(super) recordings: Vec<Recording>,
+    /// The first of them since the app was opened.
+    since_opened: usize,
+    pub(super) recorder: Recorder,
     sensors_busy: bool,
+    /// Sensors that are ticked in the settings.
+    pub(super) ticked: [bool; 3],
+    /// When the app went to the background; none in the foreground.
+    pub(super) background: Option<TrueTime>,
     /// Files being written in the background.
-    saving: usize,
+    pub(super) saving: usize,
     /// What went wrong while saving.
-    trouble: Option<String>,
+    pub(super) trouble: Option<String>,
+}
+
+impl State {
+    /// The recording under way, the sensors of a closing one included.
+    pub(super) fn current(&mut self) -> Option<&mut Recording> {
+        match self.recorder {
+            Recorder::Idle => None,
+            Recorder::Runs | Recorder::Closes => self.recordings.last_mut(),
+        }
+    }
 }
 
 /// The app on the phone.
 pub(super) struct App {
     pub(super) config: PhoneConfig,
-    clock: TrueClock,
-    oscillator: Oscillator,
-    sensors: Sensors,
-    light: Arc<dyn FlashSource>,
+    pub(super) clock: TrueClock,
+    pub(super) oscillator: Oscillator,
+    pub(super) sensors: Sensors,
+    pub(super) light: Arc<dyn FlashSource>,
     storage: PathBuf,
     state: Mutex<State>,
-    changed: Condvar,
-    render: Mutex<()>,
+    pub(super) changed: Condvar,
+    pub(super) render: Mutex<()>,
+    /// How often the app was opened anew.
+    opened: AtomicU64,
     pub(super) closing: AtomicBool,
 }
 
@@ -94,6 +138,16 @@ impl App {
         light: Arc<dyn FlashSource>,
         storage: PathBuf,
     ) -> Self {
+        let state = State {
+            recordings: Vec::new(),
+            since_opened: 0,
+            recorder: Recorder::Idle,
+            sensors_busy: false,
+            ticked: config.app.ticked,
+            background: None,
+            saving: 0,
+            trouble: None,
+        };
         Self {
             config,
             clock,
@@ -101,14 +155,15 @@ impl App {
             sensors,
             light,
             storage,
-            state: Mutex::default(),
+            state: Mutex::new(state),
             changed: Condvar::new(),
             render: Mutex::default(),
+            opened: AtomicU64::new(0),
             closing: AtomicBool::new(false),
         }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    pub(super) fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -120,17 +175,23 @@ impl App {
         self.changed.notify_all();
     }
 
-    fn wait_until(&self, at: TrueTime) -> Result<(), RigStopped> {
+    pub(super) fn wait_until(&self, at: TrueTime) -> Result<(), RigStopped> {
         self.clock.wait_unless(at, &self.closing)
     }
 
-    fn wait_until_ns(&self, ns: i64) -> Result<(), RigStopped> {
-        let at = self.oscillator.when_nanos(ns);
-        self.wait_until(at.unwrap_or(TrueTime::ZERO))
+    /// True time in so many milliseconds from now.
+    pub(super) fn in_ms(&self, ms: f64) -> TrueTime {
+        let units = (ms.max(0.0) * (UNITS_PER_SECOND / 1000) as f64) as u64;
+        TrueTime::from_units(self.clock.now().units().saturating_add(units))
+    }
+
+    /// Whether true time has come to `at`.
+    pub(super) fn has_come(&self, at: TrueTime) -> bool {
+        self.clock.now() >= at
     }
 
     /// The boot clock now.
-    fn now_ns(&self) -> i64 {
+    pub(super) fn now_ns(&self) -> i64 {
         self.oscillator.nanos_at(self.clock.now())
     }
 
@@ -142,7 +203,8 @@ impl App {
         match line {
             "video_start" => self.video_start(),
             "video_stop" => {
-                self.stop_recording();
+                // Answered at once; it ends later (RRH:184).
+                self.stop_recording(self.config.app.stop_ms);
                 Ok(Reply::Success(String::new()))
             }
             "get_video" => self.get_video(),
@@ -151,36 +213,61 @@ impl App {
     }
 
     fn imu(&self, request: &ImuRequest) -> Result<Reply, RigStopped> {
-        let busy = Reply::Error("Error in IMU recording".to_owned());
-        {
+        let Some(duration_ms) = request.duration_ms else {
+            return Ok(Reply::Crash);
+        };
+        let ticked = {
             let mut state = self.state();
-            if state.recording || state.sensors_busy {
-                return Ok(busy);
+            // The sensors of a video run until its session is closed (EAI:237). Without
+            // its sync recording the app does not know of them (EAI:183).
+            let of_video = state.recorder != Recorder::Idle && self.config.camera.reports_frames;
+            if of_video || state.sensors_busy {
+                return Ok(Reply::Error("Error in IMU recording".to_owned()));
+            }
+            if self.config.app.imu_rewrites_ticks {
+                state.ticked = request.wants;
             }
             state.sensors_busy = true;
-        }
-        let recorded = self.record_sensors(request);
+            state.ticked
+        };
+        let recorded = self.record_sensors(request, duration_ms, ticked);
         self.state().sensors_busy = false;
         recorded
     }
 
-    fn record_sensors(&self, request: &ImuRequest) -> Result<Reply, RigStopped> {
-        let names = Names::free(&self.storage, self.seconds());
+    fn record_sensors(
+        &self,
+        request: &ImuRequest,
+        duration_ms: i64,
+        ticked: [bool; 3],
+    ) -> Result<Reply, RigStopped> {
+        let mut names = self.names();
         let from = self.now_ns();
-        let length = i64::try_from(request.duration_ms.saturating_mul(1_000_000));
-        let to = from.saturating_add(length.unwrap_or(i64::MAX));
-        self.wait_until_ns(to)?;
+        let to = from.saturating_add(duration_ms.saturating_mul(1_000_000));
+        for kind in Kind::ALL {
+            // A file that cannot be made is left out, as one that is not ticked is
+            // (`RawSensorInfo.java`:229). A sensor that the phone lacks has one.
+            if kind.one_of(ticked) {
+                let _ = names.make_sensor(kind);
+            }
+        }
+        let end = match to {
+            // `Thread.sleep` of 292 million years.
+            i64::MAX => TrueTime::from_units(u64::MAX),
+            _ => self.oscillator.when_nanos(to).unwrap_or(TrueTime::ZERO),
+        };
+        self.wait_until(end)?;
+        let to = self.heard_until(to);
         let mut body = String::new();
         for kind in Kind::ALL {
-            // A sensor that the phone lacks leaves no file.
-            if !request.wants(kind) || !self.sensors.has(kind) {
+            let Some(path) = names.sensor(kind).filter(|_| request.wants(kind)) else {
                 continue;
-            }
+            };
             let samples = self.sensors.samples(kind, from, to);
-            if let Err(error) = names.save_sensor(kind, &samples) {
-                return Ok(Reply::Error(format!("Failed to open IMU file: {error}")));
+            if names.save_sensor(kind, &samples).is_err() {
+                return Ok(Reply::Error("Failed to open IMU file".to_owned()));
             }
-            body.push_str(&names.sensor_name(kind));
+            body.push_str(&name_of(path));
             body.push('\n');
             for sample in &samples {
                 body.push_str(&csv_line(sample));
@@ -191,151 +278,90 @@ impl App {
         Ok(Reply::Success(body))
     }
 
+    /// Until when sensors are heard that run until `to`: in the background not for long.
+    fn heard_until(&self, to: i64) -> i64 {
+        let background = self.state().background;
+        background.map_or(to, |since| {
+            let more = self.config.app.background_ms * 1e6;
+            let end = self.oscillator.nanos_at(since).saturating_add(more as i64);
+            to.min(end)
+        })
+    }
+
+    /// The names of a recording that begins now.
+    pub(super) fn names(&self) -> Names {
+        Names::new(&self.storage, self.config.app.storage, self.seconds())
+    }
+
     fn video_start(self: &Arc<Self>) -> Result<Reply, RigStopped> {
-        let asked = self.clock.now();
-        // The request presses the record button, and that toggles.
-        let started = self.press_record();
-        let camera = &self.config.camera;
-        match started {
-            Some(frames) if camera.reports_frames => {
-                let pipeline = (camera.pipeline_ms * 1e6).max(0.0) as i64;
-                self.wait_until_ns(frames.end_ns(PHASE_FRAME).saturating_add(pipeline))?;
-                let (phase, duration) = frames.phase();
-                let mut body = format!("{phase}\n{}\n", java::double(duration));
-                if self.config.version != "v.0.1" {
-                    let known = if camera.reports_exposure {
-                        camera.exposure_ns
-                    } else {
-                        0
-                    };
-                    body.push_str(&format!("{known}\n"));
-                }
-                Ok(Reply::Success(body))
-            }
-            _ => {
-                let timeout = PHASE_TIMEOUT_MS * (UNITS_PER_SECOND / 1000);
-                let until = asked.units().saturating_add(timeout);
-                self.wait_until(TrueTime::from_units(until))?;
-                let text = "Failed to retrieve phase info, reached poll limit";
-                Ok(Reply::Error(text.to_owned()))
-            }
+        let deadline = self.in_ms(PHASE_TIMEOUT_MS as f64);
+        // The press is posted and not awaited (RRH:157): a phase that is in the queue
+        // already is taken for the answer (RRH:164), whatever the press does then.
+        let mut phase = self.take_phase();
+        self.press_record(false);
+        while phase.is_none() && !self.has_come(deadline) {
+            self.wait_until(self.in_ms(PHASE_POLL_MS as f64).min(deadline))?;
+            phase = self.take_phase();
         }
-    }
-
-    /// The record button: starts a recording, or stops the one that runs.
-    /// Returns the frames of a started one.
-    pub(super) fn press_record(self: &Arc<Self>) -> Option<FrameTimes> {
-        {
-            let mut state = self.state();
-            if !state.recording {
-                let names = Names::free(&self.storage, self.seconds());
-                let start_ns = self.now_ns();
-                let number = u32::try_from(state.recordings.len()).unwrap_or(u32::MAX);
-                let frames = FrameTimes::new(&self.config, number, start_ns);
-                let (path, timestamps) = (names.video(), names.timestamps());
-                state.recordings.push(Recording {
-                    names,
-                    truth: VideoTruth {
-                        frames: frames.clone(),
-                        count: None,
-                        start_ns,
-                        stop_ns: None,
-                        path,
-                        timestamps,
-                    },
-                });
-                state.recording = true;
-                return Some(frames);
-            }
-        }
-        self.stop_recording();
-        None
-    }
-
-    /// Stops the recording, if any, and saves its files in the background.
-    fn stop_recording(self: &Arc<Self>) {
-        let mut state = self.state();
-        if !state.recording {
-            return;
-        }
-        state.recording = false;
-        let stop_ns = self.now_ns();
-        let Some(recording) = state.recordings.last_mut() else {
-            return;
+        let Some((phase, duration)) = phase else {
+            let text = "Failed to retrieve phase info, reached poll limit";
+            return Ok(Reply::Error(text.to_owned()));
         };
-        recording.truth.count = Some(recording.truth.frames.complete_at(stop_ns));
-        recording.truth.stop_ns = Some(stop_ns);
-        let recording = recording.clone();
-        state.saving += 1;
-        drop(state);
-        self.changed.notify_all();
+        let camera = &self.config.camera;
+        let mut body = format!("{phase}\n{}\n", java::double(duration));
+        if self.config.version != "v.0.1" {
+            let known = if camera.reports_exposure {
+                camera.exposure_ns
+            } else {
+                0
+            };
+            body.push_str(&format!("{known}\n"));
+        }
+        Ok(Reply::Success(body))
+    }
+
+    /// The app leaves the foreground: it goes on for a moment, then ends recordings.
+    pub(super) fn to_background(self: &Arc<Self>) {
+        self.state().background = Some(self.clock.now());
+        let end = self.in_ms(self.config.app.background_ms);
         let app = Arc::clone(self);
         std::thread::spawn(move || {
-            // A panic while saving must not leave others waiting for its end.
-            let saved = std::panic::catch_unwind(AssertUnwindSafe(|| app.save(&recording)));
-            let saved = saved.unwrap_or_else(|_| Err("saving failed, see the panic".to_owned()));
-            let mut state = app.state();
-            state.saving -= 1;
-            if let Err(trouble) = saved {
-                state.trouble = Some(trouble);
+            if app.wait_until(end).is_ok() && app.state().background.is_some() {
+                app.stop_recording(0.0);
             }
-            drop(state);
-            app.changed.notify_all();
         });
     }
 
-    /// Writes what the app writes beside a video, and the video if it is to be
-    /// there by itself.
-    fn save(&self, recording: &Recording) -> Result<(), String> {
-        let truth = &recording.truth;
-        let (from, to) = (truth.start_ns, truth.stop_ns.unwrap_or(truth.start_ns));
-        let names = &recording.names;
-        let files = || -> std::io::Result<()> {
-            for kind in [Kind::Gyroscope, Kind::Accelerometer] {
-                names.save_sensor(kind, &self.sensors.samples(kind, from, to))?;
-            }
-            names.save_timestamps(&truth.frames.stamps(truth.count.unwrap_or(0)))
-        };
-        files().map_err(|e| format!("cannot save the recording's files: {e}"))?;
-        if self.config.video == VideoMode::OnStop {
-            self.render(recording)?;
-        }
-        Ok(())
+    /// The app comes back to the foreground.
+    pub(super) fn to_foreground(&self) {
+        self.state().background = None;
     }
 
-    /// Makes the video's file unless it is there.
-    fn render(&self, recording: &Recording) -> Result<(), String> {
-        let _one_at_a_time = self.render.lock().unwrap_or_else(PoisonError::into_inner);
-        let path = recording.names.video();
-        if path.exists() {
-            return Ok(());
-        }
-        // Encoded beside it first, so that nobody finds half a video.
-        let part = path.with_extension("part.mp4");
-        let truth = &recording.truth;
-        let count = truth.count.unwrap_or(0);
-        if count == 0 {
-            return Err("the recording has no frames".to_owned());
-        }
-        write_video(
-            &part,
-            &self.config,
-            &truth.frames,
-            count,
-            &self.oscillator,
-            &*self.light,
-        )
-        .map_err(|e| e.to_string())?;
-        std::fs::rename(&part, &path).map_err(|e| format!("cannot save {}: {e}", path.display()))
+    /// The process ends, as by a crash or by hand, and the app is as if just opened.
+    /// A video that runs ends with it.
+    pub(super) fn open_anew(self: &Arc<Self>) {
+        self.opened.fetch_add(1, Ordering::SeqCst);
+        self.stop_recording(0.0);
+        let mut state = self.state();
+        state.recorder = Recorder::Idle;
+        state.since_opened = state.recordings.len();
+        state.background = None;
+        drop(state);
+        self.changed.notify_all();
     }
 
     fn get_video(&self) -> Result<Reply, RigStopped> {
-        // While a video is recorded, the app waits for its file: until someone
-        // stops it at the phone itself, since no other client is served.
+        let opened = self.opened.load(Ordering::SeqCst);
         let last = {
             let mut state = self.state();
-            while state.recording {
-                if self.closing.load(Ordering::SeqCst) || self.clock.is_stopped() {
+            // While a video is recorded, or its session closes, the app waits for its
+            // file (RRH:203), and no other client is served. Of a file in storage
+            // access, nobody ever says that it is there (`Preview.java`:1072).
+            let mut heard = true;
+            while state.recorder != Recorder::Idle || !heard {
+                heard = self.config.app.storage == StorageAccess::Files;
+                let anew = self.opened.load(Ordering::SeqCst) != opened;
+                if anew || self.closing.load(Ordering::SeqCst) || self.clock.is_stopped() {
                     return Err(RigStopped);
                 }
                 state = self
@@ -344,24 +370,29 @@ impl App {
                     .unwrap_or_else(PoisonError::into_inner)
                     .0;
             }
-            state.recordings.last().cloned()
+            let made = state.recordings.get(state.since_opened..);
+            made.and_then(<[Recording]>::last).cloned()
         };
-        let Some(recording) = last.filter(|_| self.config.video != VideoMode::Never) else {
+        // Without a video since it was opened, the app asks nothing for its name
+        // (RRH:208).
+        let Some(recording) = last else {
+            return Ok(Reply::Crash);
+        };
+        // A video without frames is deleted by the app itself.
+        let empty = recording.truth.count.unwrap_or(0) == 0;
+        if empty || self.config.video == VideoMode::Never {
             return Ok(Reply::Error("Couldn't get last video file data".to_owned()));
-        };
-        if let Err(trouble) = self.render(&recording) {
-            // One line: that is all that an error's body has.
-            let trouble = trouble.replace(['\n', '\r'], " ");
-            return Ok(Reply::Error(format!("Error getting video file: {trouble}")));
         }
+        if let Err(trouble) = self.render(&recording) {
+            self.state().trouble = Some(trouble);
+            return Ok(Reply::Error("Error getting video file".to_owned()));
+        }
+        let path = recording.names.video();
         let name = match &self.config.video_name {
             Some(name) => name.clone(),
-            None => recording.names.video_name(),
+            None => name_of(&path),
         };
-        Ok(Reply::File {
-            path: recording.names.video(),
-            name,
-        })
+        Ok(Reply::File { path, name })
     }
 
     /// Waits until all that was stopped is saved.
@@ -380,7 +411,7 @@ impl App {
     }
 
     pub(super) fn is_recording(&self) -> bool {
-        self.state().recording
+        self.state().recorder == Recorder::Runs
     }
 
     pub(super) fn videos(&self) -> Vec<VideoTruth> {
@@ -391,74 +422,5 @@ impl App {
     /// Whole seconds since power-on.
     fn seconds(&self) -> u64 {
         self.clock.now().units() / UNITS_PER_SECOND
-    }
-}
-
-/// An IMU request as the app finds it in a line.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct ImuRequest {
-    duration_ms: u64,
-    wants: [bool; 3],
-}
-
-impl ImuRequest {
-    /// Looks for the request anywhere in the line, as the app does.
-    fn find(line: &str) -> Option<Self> {
-        line.match_indices("imu?duration=")
-            .find_map(|(at, found)| Self::read(line.get(at + found.len()..)?))
-    }
-
-    fn read(rest: &str) -> Option<Self> {
-        let digits = rest.find(|c: char| !c.is_ascii_digit())?;
-        let duration_ms = rest.get(..digits)?.parse().ok()?;
-        let mut rest = rest.get(digits..)?;
-        let mut wants = [false; 3];
-        for (name, wants) in ["&accel=", "&gyro=", "&magnetic="].iter().zip(&mut wants) {
-            rest = rest.strip_prefix(name)?;
-            let digit = rest.chars().next().filter(char::is_ascii_digit)?;
-            *wants = digit == '1';
-            rest = rest.get(1..)?;
-        }
-        Some(Self { duration_ms, wants })
-    }
-
-    fn wants(&self, kind: Kind) -> bool {
-        let [accelerometer, gyroscope, magnetometer] = self.wants;
-        match kind {
-            Kind::Accelerometer => accelerometer,
-            Kind::Gyroscope => gyroscope,
-            Kind::Magnetometer => magnetometer,
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn finds_imu_requests() {
-        let found = ImuRequest::find("imu?duration=1000&accel=0&gyro=1&magnetic=0");
-        assert_eq!(
-            found,
-            Some(ImuRequest {
-                duration_ms: 1000,
-                wants: [false, true, false]
-            })
-        );
-        // Found anywhere, as a regular expression does.
-        let within = "GET /imu?duration=5&accel=1&gyro=1&magnetic=1&gravity=0 HTTP/1.1";
-        assert_eq!(ImuRequest::find(within).map(|r| r.duration_ms), Some(5));
-        for line in [
-            "",
-            "imu",
-            "imu?duration=&accel=0&gyro=1&magnetic=0",
-            "imu?duration=-1&accel=0&gyro=1&magnetic=0",
-            "imu?duration=1000&accel=0&gyro=1",
-            "imu?duration=99999999999999999999&accel=0&gyro=1&magnetic=0",
-            "imu?duration=1000",
-        ] {
-            assert_eq!(ImuRequest::find(line), None, "{line}");
-        }
     }
 }

@@ -21,10 +21,12 @@ pub struct PhoneConfig {
     pub gyroscope: SensorConfig,
     /// The accelerometer; values in m/s².
     pub accelerometer: SensorConfig,
-    /// The magnetometer; values in µT. A phone may lack one.
+    /// The magnetometer; values in µT. A phone may lack one: its file is empty then.
     pub magnetometer: Option<SensorConfig>,
     /// The camera.
     pub camera: CameraConfig,
+    /// The app's settings, and how long it takes for things.
+    pub app: AppConfig,
     /// When a video is rendered.
     pub video: VideoMode,
     /// Where the app saves its files; a temporary folder if not given.
@@ -33,10 +35,45 @@ pub struct PhoneConfig {
     pub video_name: Option<String>,
 }
 
+/// One copy of the app: its settings, and what its phone takes time for. The lines that
+/// it follows are of the app's source: `ExtendedAppInterface.java` is EAI,
+/// `RemoteRpcRequestHandler.java` RRH.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AppConfig {
+    /// From a stop to the closed capture session, milliseconds. Until then the app counts
+    /// as recording, and the sensors run (`CameraController2.java`:5277, EAI:237). How
+    /// long that takes is the phone's; [`PhoneConfig::draw`] takes 0 to 2 s.
+    pub stop_ms: f64,
+    /// From the background to the end of all recordings, milliseconds
+    /// (`MainActivity.java`, `onPause`).
+    pub background_ms: f64,
+    /// The sensors that are ticked in the settings: accelerometer, gyroscope,
+    /// magnetometer. They alone get files (EAI:297).
+    pub ticked: [bool; 3],
+    /// Up to v1.48.2.9 each `imu?` rewrites the ticks for good; later versions have the
+    /// lines as comments (RRH:70).
+    pub imu_rewrites_ticks: bool,
+    /// How files are written.
+    pub storage: StorageAccess,
+    /// What is left of an answer waits for the next one, as Nagle's algorithm has it on a
+    /// network with latency. If not, each answer leaves as soon as it is there.
+    pub gathers: bool,
+}
+
+/// How the app writes its files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StorageAccess {
+    /// As files. A second one of a name ends in `_1` (`StorageUtils.java`:640).
+    Files,
+    /// Through the storage access framework. A second one of a name ends in ` (1)`, and
+    /// nobody hears when a video is there (`Preview.java`:1072).
+    Documents,
+}
+
 /// When a video is rendered and encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum VideoMode {
-    /// Never; `get_video` is answered as if there were none.
+    /// Never; `get_video` is answered as if its file could not be read.
     Never,
     /// When it is asked for.
     OnRequest,
@@ -178,6 +215,15 @@ impl PhoneConfig {
             step: 0.15,
             ..gyroscope.clone()
         };
+        let camera = CameraConfig::draw(r);
+        let app = AppConfig {
+            stop_ms: r.uniform(0.0, 2_000.0),
+            background_ms: r.uniform(0.0, 1_000.0),
+            ticked: [true; 3],
+            imu_rewrites_ticks: false,
+            storage: StorageAccess::Files,
+            gathers: false,
+        };
         Self {
             seed,
             version: "v.0.1.1".to_owned(),
@@ -185,7 +231,8 @@ impl PhoneConfig {
             gyroscope,
             accelerometer,
             magnetometer: Some(magnetometer),
-            camera: CameraConfig::draw(r),
+            camera,
+            app,
             video: VideoMode::OnRequest,
             storage: None,
             video_name: None,

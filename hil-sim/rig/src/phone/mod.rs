@@ -3,15 +3,18 @@
 //! It behaves as the app does, line by line: the four requests, the error for
 //! anything else (an empty line included), the answer to `video_start` only
 //! after frame 60, the refusal of `imu?…` during a video, the record button
-//! that toggles, one client at a time, files saved by date. `server` speaks,
-//! [`app`](self) decides, [`sensors`](self) and the camera make the data.
+//! that toggles, one client at a time, files saved by date; and as rudely: a stop that
+//! takes its time, a phase that is left from another video, presses that are ignored,
+//! requests that end the app, requests of clients that have gone ([`AppConfig`]).
+//! `server` speaks, `app` decides, `recorder` is the video's, `sensors` and `camera` make
+//! the data. What follows a line of the app's source names it.
 //!
 //! The phone lives on the rig's true time ([`TrueClock`]), however fast that
 //! passes. It has a clock of its own ([`Oscillator`]); all its timestamps are of
 //! that clock. What it answers is a function of its configuration, the rig's
 //! motion, the flashes, and the true times at which it was asked.
 //!
-//! Limits: the app's own latencies are constants; the sensors' low-pass is the
+//! Limits: the app's own latencies are constants of one phone; the sensors' low-pass is the
 //! one of [`crate::inertial_channel`]; the camera sees even light only; the
 //! phone never runs out of space or battery.
 
@@ -20,6 +23,8 @@ mod camera;
 mod config;
 mod files;
 mod java;
+mod recorder;
+mod request;
 mod sensors;
 mod server;
 
@@ -40,7 +45,9 @@ use server::Link;
 
 pub use app::VideoTruth;
 pub use camera::FrameTimes;
-pub use config::{CameraConfig, PhoneConfig, SensorConfig, StreamFaults, VideoMode};
+pub use config::{
+    AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, StreamFaults, VideoMode,
+};
 pub use server::LinkFault;
 
 /// What a phone needs of the rig.
@@ -189,9 +196,40 @@ impl SimPhone {
     }
 
     /// Presses the record button on the phone itself: starts a video, or stops
-    /// the one that runs.
+    /// the one that runs; nothing within half a second of its start.
     pub fn press_record(&self) {
-        self.app.press_record();
+        self.app.press_record(true);
+    }
+
+    /// Sends the app to the background: it goes on for a moment, then ends recordings,
+    /// and its server ends.
+    pub fn send_to_background(&self) {
+        self.app.to_background();
+        self.link.pause(&self.app);
+    }
+
+    /// Brings the app back to the foreground. Whether its remote control works again: not
+    /// while a client has held its connection all the time, since the old server still has
+    /// the port then.
+    ///
+    /// # Errors
+    ///
+    /// Someone else has taken its port.
+    pub fn bring_to_foreground(&self) -> std::io::Result<bool> {
+        self.app.to_foreground();
+        self.link.resume()
+    }
+
+    /// Ends the app, if it has not ended itself, and opens it again.
+    ///
+    /// # Errors
+    ///
+    /// Someone else has taken its port.
+    pub fn reopen_app(&self) -> std::io::Result<()> {
+        self.app.open_anew();
+        self.link.forget_background();
+        self.link.cut();
+        self.link.join()
     }
 
     /// Takes the phone off the network: connections end, new ones are refused.

@@ -49,6 +49,15 @@ impl Kind {
         }
     }
 
+    /// Whether this sensor is one of those: accelerometer, gyroscope, magnetometer.
+    pub(super) const fn one_of(self, [accelerometer, gyroscope, magnetometer]: [bool; 3]) -> bool {
+        match self {
+            Self::Accelerometer => accelerometer,
+            Self::Gyroscope => gyroscope,
+            Self::Magnetometer => magnetometer,
+        }
+    }
+
     const fn stream(self) -> Stream {
         match self {
             Self::Accelerometer => Stream::PhoneAccel,
@@ -98,11 +107,6 @@ impl Sensors {
             Kind::Gyroscope => Some(&self.gyroscope),
             Kind::Magnetometer => self.magnetometer.as_ref(),
         }
-    }
-
-    /// Whether the phone has this sensor.
-    pub(super) fn has(&self, kind: Kind) -> bool {
-        self.config(kind).is_some()
     }
 
     /// The samples taken in `from_ns..to_ns` of the boot clock. (What a fault

@@ -1,7 +1,14 @@
 //! The app's TCP server: one client at a time, one request after the other.
 //!
 //! Lines end as in the app's language: by `\n`, `\r` or `\r\n`. An empty line is
-//! a request like any other, and is answered with an error.
+//! a request like any other, and is answered with an error. The last line of a client
+//! that leaves is one too, even without its end, and so is all that a client has left
+//! behind which nobody served before. (`RemoteRpcServer.java`:153: `readLine` until
+//! there is no more; what cannot be sent is dropped in silence by its `PrintStream`.)
+//!
+//! In the background the server ends: within a second, or behind the next line of the
+//! client that it serves. Until then it has the port, and a new one does not get it
+//! (lines 134, 137, 153 and 169).
 //!
 //! # When answers leave
 //!
@@ -11,8 +18,8 @@
 //! is there already (the published client sends an empty line behind each
 //! `imu?…`), its answer joins it. That client depends on it: it reads in
 //! blocks, takes the stray answer with the end of the one it wants, and throws
-//! it away. Here the same is made certain: while another request is waiting,
-//! the last [`TAIL`] bytes of an answer are held back for [`GATHER`], which
+//! it away. With [`gathers`](super::AppConfig::gathers) the same is made certain:
+//! while another request is waiting, the last [`TAIL`] bytes of an answer are held back for [`GATHER`], which
 //! gives the client time to take what came before, and leave in one piece with
 //! the next answer.
 
@@ -24,6 +31,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::app::{App, Reply};
+use crate::oscillator::TrueTime;
 
 /// Bytes of an answer that wait for the next one: less than a segment.
 const TAIL: usize = 1_024;
@@ -33,6 +41,10 @@ const GATHER: Duration = Duration::from_millis(50);
 
 /// How soon the server sees that it shall stop.
 const POLL: Duration = Duration::from_millis(20);
+
+/// How soon a server in the background sees that it is to end, in milliseconds of true
+/// time (`RemoteRpcServer.java`:41).
+const ACCEPT_MS: f64 = 1_000.0;
 
 /// Longest request that is kept, in bytes; a longer one ends the connection.
 const MAX_REQUEST: usize = 64 * 1024;
@@ -65,9 +77,35 @@ pub(super) struct Link {
     listener: Mutex<Option<TcpListener>>,
     fault: Mutex<Option<LinkFault>>,
     client: Mutex<Option<TcpStream>>,
+    /// In the background: when the server looks at it at last.
+    ending: Mutex<Option<TrueTime>>,
 }
 
 impl Link {
+    /// The app is in the background: its server is to end, at the latest then unless it
+    /// serves a client.
+    pub(super) fn pause(&self, app: &App) {
+        *self.ending() = Some(app.in_ms(ACCEPT_MS));
+    }
+
+    /// The app is in the foreground again. Whether its new server got the port.
+    pub(super) fn resume(&self) -> std::io::Result<bool> {
+        if self.listener().is_some() {
+            return Ok(false);
+        }
+        *self.ending() = None;
+        self.join().map(|()| true)
+    }
+
+    fn ending(&self) -> MutexGuard<'_, Option<TrueTime>> {
+        self.ending.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The app's process has ended, or is opened anew.
+    pub(super) fn forget_background(&self) {
+        *self.ending() = None;
+    }
+
     pub(super) fn set_fault(&self, fault: Option<LinkFault>) {
         *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = fault;
     }
@@ -92,6 +130,7 @@ impl Link {
             listener: Mutex::new(Some(listener)),
             fault: Mutex::default(),
             client: Mutex::default(),
+            ending: Mutex::default(),
         })
     }
 
@@ -133,8 +172,14 @@ fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
 /// Serves clients until the app closes.
 pub(super) fn serve(app: &Arc<App>, link: &Link) {
     while !app.closing.load(Ordering::SeqCst) {
+        let ending = *link.ending();
+        if ending.is_some_and(|at| app.has_come(at)) {
+            link.listener().take();
+        }
         let accepted = link.listener().as_ref().map(TcpListener::accept);
         match accepted {
+            // Accepted by a server that is to end: closed at once.
+            Some(Ok(_)) if ending.is_some() => drop(link.listener().take()),
             Some(Ok((stream, _))) => {
                 if stream.set_nonblocking(false).is_ok() {
                     *link.client() = stream.try_clone().ok();
@@ -158,6 +203,8 @@ struct Client<'a> {
     held: Vec<u8>,
     /// The client will send no more.
     ended: bool,
+    /// The client does not listen any more.
+    deaf: bool,
 }
 
 /// The connection has ended, for whatever reason.
@@ -179,12 +226,17 @@ impl<'a> Client<'a> {
             after_return: false,
             held: Vec::new(),
             ended: false,
+            deaf: false,
         }
     }
 
     fn serve(mut self) {
         while let Ok(line) = self.next_request() {
             if self.answer(&line).is_err() {
+                break;
+            }
+            if self.link.ending().is_some() {
+                self.link.listener().take();
                 break;
             }
         }
@@ -198,6 +250,10 @@ impl<'a> Client<'a> {
             }
             self.flush()?;
             let too_long = self.input.len() > MAX_REQUEST;
+            if self.ended && !self.input.is_empty() {
+                let line = std::mem::take(&mut self.input);
+                return Ok(String::from_utf8_lossy(&line).into_owned());
+            }
             if self.ended || too_long || self.app.closing.load(Ordering::SeqCst) {
                 return Err(Gone);
             }
@@ -261,6 +317,11 @@ impl<'a> Client<'a> {
         let (head, file) = match &reply {
             Reply::Success(body) => (format!("SUCCESS\n{version}\n{body}end\n"), None),
             Reply::Error(text) => (format!("ERROR\n{version}\n{text}\nend\n"), None),
+            Reply::Crash => {
+                self.app.open_anew();
+                self.link.leave();
+                return Err(Gone);
+            }
             Reply::File { path, name } => {
                 let size = std::fs::metadata(path)?.len();
                 let head = format!("SUCCESS\n{version}\n{size}\n{name}\nend\n");
@@ -270,9 +331,10 @@ impl<'a> Client<'a> {
         if fault == Some(LinkFault::Endless) {
             let body = head.strip_suffix("end\n").unwrap_or(&head);
             self.send(body.as_bytes())?;
-            loop {
+            while !self.deaf {
                 self.send("1.0,2.0,3.0,4\n".repeat(64).as_bytes())?;
             }
+            return Ok(());
         }
         match file {
             None => self.send_and_hold(head.as_bytes()),
@@ -290,7 +352,7 @@ impl<'a> Client<'a> {
             _ => size,
         };
         let mut block = [0u8; FILE_BLOCK];
-        while left > 0 {
+        while left > 0 && !self.deaf {
             let want = FILE_BLOCK.min(usize::try_from(left).unwrap_or(FILE_BLOCK));
             let n = file.read(block.get_mut(..want).unwrap_or_default())?;
             if n == 0 {
@@ -313,6 +375,9 @@ impl<'a> Client<'a> {
 
     /// Sends an answer; holds its end back if another request is waiting.
     fn send_and_hold(&mut self, bytes: &[u8]) -> Result<(), Gone> {
+        if !self.app.config.app.gathers {
+            return self.send(bytes);
+        }
         // The request behind may be on its way.
         self.receive(Duration::from_millis(1))?;
         if !self.has_quick_request() {
@@ -348,13 +413,17 @@ impl<'a> Client<'a> {
             Some(LinkFault::CutAfter(most)) => {
                 let left = most - all.len() as u64;
                 self.link.set_fault(Some(LinkFault::CutAfter(left)));
-                Ok(self.stream.write_all(&all)?)
+                self.put(&all);
+                Ok(())
             }
             Some(LinkFault::Slow(rate)) => {
                 // Ten pieces a second.
                 let piece = (rate as usize / 10).max(1);
                 for piece in all.chunks(piece) {
-                    self.stream.write_all(piece)?;
+                    self.put(piece);
+                    if self.deaf {
+                        break;
+                    }
                     std::thread::sleep(Duration::from_millis(100));
                     if self.app.closing.load(Ordering::SeqCst) {
                         return Err(Gone);
@@ -362,7 +431,17 @@ impl<'a> Client<'a> {
                 }
                 Ok(())
             }
-            _ => Ok(self.stream.write_all(&all)?),
+            _ => {
+                self.put(&all);
+                Ok(())
+            }
+        }
+    }
+
+    /// Writes; to a client that has gone, nothing.
+    fn put(&mut self, bytes: &[u8]) {
+        if !self.deaf && self.stream.write_all(bytes).is_err() {
+            self.deaf = true;
         }
     }
 }

@@ -10,6 +10,7 @@ mod outputs;
 mod phone_app;
 mod phone_bench;
 mod phone_python_client;
+mod phone_rude;
 mod phone_video;
 mod trigger;
 mod trigger_rig;

@@ -65,6 +65,7 @@ fn flashes_light_up_the_rows_that_were_exposed() {
     let bench = Bench::with(40, clock.clone(), Arc::new(log.clone()), |c| {
         c.camera.exposure_ns = 200_000;
         c.camera.read_noise = 0.5;
+        c.app.stop_ms = 0.0;
     });
     let mut phone = bench.connect();
     let wait = || {
