@@ -9,6 +9,7 @@ use board::transport::serial::OpenError;
 use bring_up::BringUpError;
 use extract::learn::LearnError;
 use phone::PhoneError;
+use phone::adb::AdbError;
 use protocol::ImuSetup;
 use recording::RecordingError;
 use recording::profile::ProfileError;
@@ -111,11 +112,14 @@ impl From<PhoneError> for Failure {
 }
 
 /// The exit code that a command ends with after an error of the phone.
-pub(crate) const fn phone_status(error: &PhoneError) -> ExitStatus {
-    match error {
+pub(crate) fn phone_status(error: &PhoneError) -> ExitStatus {
+    match error.cause() {
         PhoneError::Address { .. } | PhoneError::Argument(_) => ExitStatus::Usage,
         PhoneError::TargetExists { .. } | PhoneError::File { .. } => ExitStatus::Storage,
-        PhoneError::Cancelled { .. } => ExitStatus::Interrupted,
+        PhoneError::Cancelled { .. } | PhoneError::Adb(AdbError::Cancelled) => {
+            ExitStatus::Interrupted
+        }
+        PhoneError::Adb(AdbError::Io { .. }) => ExitStatus::Storage,
         _ => ExitStatus::Phone,
     }
 }
@@ -126,15 +130,30 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
             "give <host> or <host>:<port>, as the app's dialog shows it at its start"
         }
         PhoneError::Connect { .. } => {
-            "open OpenCamera Sensors with its remote control switched on, and make sure that both are on the same network"
+            "open OpenCamera Sensors with its remote control switched on, and make sure that both are on the same network. If it is open, leave it and open it again: it may not listen any more"
         }
-        PhoneError::Timeout { request, .. } if *request == "get_video" => {
-            "stop the video first: the app does not answer while it records. A slow network needs a longer --timeout"
+        PhoneError::MayRecord { .. } => {
+            "look at the phone, and stop its video there: nothing here can do it now"
+        }
+        PhoneError::StartUndone { cause } => return phone_step(cause),
+        PhoneError::StalePhase { .. } => {
+            "nothing records now: run it again. (A video was begun on the phone itself, or by a start that failed)"
+        }
+        PhoneError::Adb(error) => return adb_step(error),
+        PhoneError::SensorMissing { .. } => TICK_SENSORS,
+        PhoneError::TooShort { .. } => {
+            "keep the app in the foreground and the screen on until it has answered, then try again"
+        }
+        PhoneError::Hangs { .. } => {
+            "force the app to stop in the phone's settings (Apps, OpenCamera Sensors), and open it again. Its video is whole: it lies on the phone. Storage without the storage access framework avoids this"
         }
         PhoneError::Timeout { .. } | PhoneError::SendTimeout { .. } => {
             "bring the app to the foreground and close other clients: it serves one at a time. A slow network needs a longer --timeout"
         }
         PhoneError::TooSlow { .. } => "move the phone closer to the access point, or use a cable",
+        PhoneError::Closed { request, .. } if *request == "get_video" => {
+            "open the app again: it ends when it is asked for a video and has made none since it was opened. Record one first"
+        }
         PhoneError::Closed { .. } | PhoneError::Connection { .. } => {
             "make sure that the app is open and in the foreground, then try again"
         }
@@ -156,17 +175,40 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
         PhoneError::File { source, .. } => file_step(source.kind()),
         PhoneError::NotConnected => "connect again",
         PhoneError::Argument(_) => "`smartdepthsync help phone` lists what is accepted",
+        PhoneError::Cancelled { request } if *request == "imu" => {
+            "the phone records on until the time is up, then it is free again"
+        }
         PhoneError::Cancelled { .. } => "run the command again when you are ready",
+    })
+}
+
+/// What to do about a sensor without a file.
+pub(crate) const TICK_SENSORS: &str = "tick it in the app: IMU settings, Enabled sensors. (Up to v1.48.2.9 each request rewrites these ticks; later versions go by them)";
+
+fn adb_step(error: &AdbError) -> Option<&'static str> {
+    Some(match error {
+        AdbError::NoProgram => "install adb (Debian: `apt install adb`), or copy the files by MTP",
+        AdbError::NoDevice { .. } => {
+            "connect the phone by USB with USB debugging switched on, and allow this computer on its screen; or `adb connect`"
+        }
+        AdbError::NotFound { .. } => {
+            "the app may save elsewhere, or the files of the video be deleted: copy them by hand, and give their folder to `extract --phone`"
+        }
+        AdbError::Size { .. } | AdbError::Failed { .. } => "try again once the phone is idle",
+        AdbError::Io { source, .. } => file_step(source.kind()),
+        AdbError::Cancelled => "run the command again when you are ready",
     })
 }
 
 /// What to do about the refusals that the app is known to give.
 fn refusal_hint(request: &str, text: &str) -> Option<&'static str> {
     if text.starts_with("Error in IMU recording") {
-        Some("stop the video first: the app records its sensors already")
+        Some(
+            "stop the video first (`smartdepthsync phone stop`): the app records its sensors already",
+        )
     } else if request == "video_start" && text.contains("phase info") {
         Some(
-            "if a video was running, this request has stopped it: try again. Otherwise switch on sync recording of video and IMU in the app, which needs its Camera2 setting",
+            "try again: a video that was running was stopped. If it fails again, switch on `Enable video with IMU recording` in the app's IMU settings, which needs Camera2, and a video mode of more than 6 frames a second",
         )
     } else if text.starts_with("Couldn't get last video") {
         Some("record a video first: the app has none since it was started")

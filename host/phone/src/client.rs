@@ -2,19 +2,50 @@
 
 use std::fmt;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::DEFAULT_PORT;
-use super::answer::ServerVersion;
-use super::connection::Connection;
+use super::answer::{MalformedAnswer, ServerVersion};
+use super::connection::{Connection, Patience};
 use super::download::{Pace, SavedVideo, VideoTarget, check_free, receive};
 use super::error::PhoneError;
 use super::requests::{
-    ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeaderBody, VideoStart, VideoStartBody,
+    ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoHeaderBody, VideoStart,
+    VideoStartBody,
 };
+use super::samples::Sensor;
+use timebase::PhoneNanos;
 
 /// How long the app itself waits for frames before it gives up on `video_start`.
 const APP_PHASE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Frame durations from a start to the phase at least: it is the timestamp of frame 60,
+/// counted from 0, and the first frame comes later than the request.
+const PHASE_FRAMES: f64 = 59.0;
+
+/// How long a phone that cannot be reached is tried again to stop its video.
+const UNREACHABLE: Duration = Duration::from_secs(5);
+
+/// How long one try to stop a video lasts: an answer may be lost, and the next one not.
+const KNOCK: Duration = Duration::from_secs(3);
+
+/// Pause between two tries of what may soon succeed.
+const PAUSE: Duration = Duration::from_millis(250);
+
+/// What asks the app whether its sensors are free; the answer says no more. Both sensors
+/// of a data set: an old app ticks what it is asked for, and nothing else.
+const SHORTEST_IMU: ImuRequest = ImuRequest {
+    duration: Duration::from_millis(1),
+    accelerometer: true,
+    gyroscope: true,
+    magnetometer: false,
+};
+
+/// What has some samples in it.
+const SHORT_IMU: ImuRequest = ImuRequest {
+    duration: Duration::from_millis(300),
+    ..SHORTEST_IMU
+};
 
 /// Deadlines and limits of a client.
 #[derive(Debug, Clone)]
@@ -25,8 +56,10 @@ pub struct Settings {
     /// recording its duration, `video_start` the app's own 10 s. Also the
     /// longest pause within a download.
     pub margin: Duration,
-    /// How long `get_video` may take to begin: while the app still writes the
-    /// file, it makes the client wait.
+    /// How long an IMU recording is tried again while the app's sensors are still those of
+    /// a video: they end when its capture session closes, a while after `video_stop`.
+    pub busy: Duration,
+    /// How long the app may take to be free for `get_video`, and then to begin it.
     pub video_ready: Duration,
     /// Largest video that is accepted, in bytes.
     pub max_video: u64,
@@ -68,6 +101,7 @@ impl Default for Settings {
         Self {
             connect: Duration::from_secs(5),
             margin: Duration::from_secs(15),
+            busy: Duration::from_secs(6),
             video_ready: Duration::from_secs(120),
             max_video: 64 << 30,
             stop: StopSignal::default(),
@@ -81,6 +115,8 @@ pub struct PhoneClient {
     address: String,
     settings: Settings,
     connection: Option<Connection>,
+    /// The app has answered on this connection: it serves nobody else.
+    served: bool,
     version: Option<ServerVersion>,
 }
 
@@ -93,6 +129,7 @@ impl PhoneClient {
             address,
             settings,
             connection: Some(connection),
+            served: false,
             version: None,
         })
     }
@@ -109,17 +146,11 @@ impl PhoneClient {
         self.version
     }
 
-    /// Whether the connection is in step and the phone has not closed it meanwhile,
-    /// as far as this system has heard: a request would at least be sent.
-    #[must_use]
-    pub fn is_alive(&self) -> bool {
-        self.connection.as_ref().is_some_and(Connection::is_alive)
-    }
-
     /// Opens a new connection after an error, with the same settings.
     pub fn reconnect(&mut self) -> Result<(), PhoneError> {
         // The app serves one client at a time: leave before knocking again.
         self.connection = None;
+        self.served = false;
         self.connection = Some(Connection::open(
             &self.address,
             self.settings.connect,
@@ -135,122 +166,297 @@ impl PhoneClient {
         let margin = self.settings.margin;
         let answer = self.in_step(|connection| {
             connection.send(REQUEST, "\n", margin)?;
-            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
+            let patience = Patience {
+                first: margin,
+                margin,
+            };
+            connection.answer(REQUEST, SMALL_ANSWER, patience, |_, _| Ok(()))
         });
         let version = match answer {
             Ok(version) | Err(PhoneError::Refused { version, .. }) => version,
             Err(error) => return Err(error),
         };
+        self.served = true;
         self.version = Some(version);
         Ok(version)
     }
 
-    /// Records motion sensors for the duration of the request, which this call
-    /// lasts as well. The app refuses it while it records a video.
-    pub fn imu(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {
-        let line = request.line()?;
-        let margin = self.settings.margin;
-        let (version, recording) = self.in_step(|connection| {
-            connection.send("imu", &line, margin)?;
-            let mut body = ImuBody::new(request);
-            let patience = request.duration.saturating_add(margin);
-            let version =
-                connection.answer("imu", request.answer_limit(), patience, |number, line| {
-                    body.line(number, line)
-                })?;
-            let recording = body.finish().map_err(|source| PhoneError::Malformed {
-                request: "imu",
-                source,
-            })?;
-            Ok((version, recording))
-        })?;
-        self.version = Some(version);
-        Ok(recording)
-    }
-
-    /// Starts a video and waits for the phase of its frames, about 2 s.
-    ///
-    /// The app toggles: asked while a video runs, it stops that one and answers
-    /// with an error 10 s later.
-    pub fn start_video(&mut self) -> Result<VideoStart, PhoneError> {
-        const REQUEST: &str = "video_start";
-        let margin = self.settings.margin;
-        let (version, start) = self.in_step(|connection| {
-            connection.send(REQUEST, "video_start\n", margin)?;
-            let mut body = VideoStartBody::default();
-            let patience = APP_PHASE_TIMEOUT.saturating_add(margin);
-            let version = connection.answer(REQUEST, SMALL_ANSWER, patience, |number, line| {
-                body.line(number, line)
-            })?;
-            let start = body.finish().map_err(|source| PhoneError::Malformed {
-                request: REQUEST,
-                source,
-            })?;
-            Ok((version, start))
-        })?;
-        self.version = Some(version);
-        Ok(start)
-    }
-
-    /// Stops the video. The app answers with success even if none was running.
-    pub fn stop_video(&mut self) -> Result<(), PhoneError> {
-        const REQUEST: &str = "video_stop";
+    /// Sends a request and reads its answer. The first one on a connection is sent only
+    /// when the app has answered an empty line: what waits behind another client is
+    /// carried out later, even if nobody waits for it any more.
+    fn exchange(
+        &mut self,
+        request: &'static str,
+        line: &str,
+        limit: u64,
+        first: Duration,
+        body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
+    ) -> Result<(), PhoneError> {
+        if !self.served {
+            self.probe()?;
+        }
         let margin = self.settings.margin;
         let version = self.in_step(|connection| {
-            connection.send(REQUEST, "video_stop\n", margin)?;
-            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
+            connection.send(request, line, margin)?;
+            connection.answer(request, limit, Patience { first, margin }, body)
         })?;
         self.version = Some(version);
         Ok(())
     }
 
+    /// Records motion sensors for the duration of the request, which this call
+    /// lasts as well. The app refuses it while it records a video; it is tried again for
+    /// [`Settings::busy`].
+    ///
+    /// # Errors
+    ///
+    /// The link, the app's refusal, or a recording that is far too short.
+    pub fn imu(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {
+        let until = Instant::now() + self.settings.busy;
+        let recording = loop {
+            match self.imu_once(request) {
+                Err(error) if error.is_busy() && Instant::now() < until => self.pause("imu")?,
+                other => break other?,
+            }
+        };
+        recording.check_length(request)?;
+        Ok(recording)
+    }
+
+    fn imu_once(&mut self, request: ImuRequest) -> Result<ImuRecording, PhoneError> {
+        let line = request.line()?;
+        let first = request.duration.saturating_add(self.settings.margin);
+        let mut body = ImuBody::new(request);
+        self.exchange(
+            "imu",
+            &line,
+            request.answer_limit(),
+            first,
+            |number, line| body.line(number, line),
+        )?;
+        body.finish().map_err(|source| self.damaged("imu", source))
+    }
+
+    /// Whether the app's sensors are in use: it records a video (with its sensors, as its
+    /// settings must have it here), or closes one. Asked by the shortest IMU recording
+    /// that there is, which leaves a short file on a phone that is free.
+    ///
+    /// # Errors
+    ///
+    /// As [`PhoneClient::imu`], but for that.
+    pub fn is_recording(&mut self) -> Result<bool, PhoneError> {
+        match self.imu_once(SHORTEST_IMU) {
+            Ok(_) => Ok(false),
+            Err(error) if error.is_busy() => Ok(true),
+            // The app looks whether it is busy before it looks for sensors.
+            Err(PhoneError::Refused { .. }) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Waits until the app's sensors are free: then the video before is closed.
+    ///
+    /// # Errors
+    ///
+    /// As [`PhoneClient::imu`]; the app's own refusal if that lasts longer than
+    /// `patience`.
+    pub fn wait_until_free(&mut self, patience: Duration) -> Result<(), PhoneError> {
+        let until = Instant::now() + patience;
+        loop {
+            match self.imu_once(SHORTEST_IMU) {
+                Err(error) if error.is_busy() && Instant::now() < until => self.pause("imu")?,
+                Err(error) if error.is_busy() => return Err(error),
+                Ok(_) | Err(PhoneError::Refused { .. }) => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// The phone's clock by now, or a little before: the time of the last sample of a short
+    /// recording of its gyroscope. `None` if no sample came. A phone that records a video
+    /// refuses.
+    ///
+    /// # Errors
+    ///
+    /// As [`PhoneClient::imu`].
+    pub fn clock(&mut self) -> Result<Option<PhoneNanos>, PhoneError> {
+        let recording = self.imu(SHORT_IMU)?;
+        let samples = recording.samples(Sensor::Gyroscope).unwrap_or_default();
+        Ok(samples.last().map(|sample| sample.time))
+    }
+
+    fn pause(&self, request: &'static str) -> Result<(), PhoneError> {
+        if self.settings.stop.is_set() {
+            return Err(PhoneError::Cancelled { request });
+        }
+        std::thread::sleep(PAUSE);
+        Ok(())
+    }
+
+    /// Starts a video and waits for the phase of its frames, about 2 s.
+    ///
+    /// The app toggles: asked while a video runs, it stops that one, and answers at once
+    /// with that one's phase, or with an error 10 s later. So an answer that comes before
+    /// the frames can is refused. `asked` is the phone's clock by now, if it is known;
+    /// without it the time of this system counts. Whether a video was begun by a start
+    /// that fails is not known: see [`PhoneClient::undo_start`].
+    ///
+    /// # Errors
+    ///
+    /// The link, the app's refusal, or the phase of another video.
+    pub fn start_video(&mut self, asked: Option<PhoneNanos>) -> Result<VideoStart, PhoneError> {
+        const REQUEST: &str = "video_start";
+        if !self.served {
+            self.probe()?;
+        }
+        let begun = Instant::now();
+        let mut body = VideoStartBody::default();
+        let first = APP_PHASE_TIMEOUT.saturating_add(self.settings.margin);
+        self.exchange(
+            REQUEST,
+            "video_start\n",
+            SMALL_ANSWER,
+            first,
+            |number, line| body.line(number, line),
+        )?;
+        let start = body
+            .finish()
+            .map_err(|source| self.damaged(REQUEST, source))?;
+        let took = asked.map_or_else(
+            || begun.elapsed().as_secs_f64(),
+            |asked| start.phase.0.saturating_sub(asked.0) as f64 * 1e-9,
+        );
+        let early = PHASE_FRAMES * start.frame_duration_ns * 1e-9 - took;
+        if early > 0.0 {
+            return Err(PhoneError::StalePhase { early });
+        }
+        Ok(start)
+    }
+
+    /// After a start that failed: sees to it that no video runs that it may have begun.
+    /// Gives the failure on, with what has become of it.
+    ///
+    /// It lasts as long as the app may still be at that start, and a request to stop does
+    /// not end it.
+    #[must_use]
+    pub fn undo_start(&mut self, cause: PhoneError) -> PhoneError {
+        if cause.is_before_request() {
+            return cause;
+        }
+        let cause = Box::new(cause);
+        let mut calm = Self {
+            address: self.address.clone(),
+            settings: Settings {
+                stop: StopSignal::default(),
+                margin: self.settings.margin.min(KNOCK),
+                ..self.settings.clone()
+            },
+            connection: None,
+            served: false,
+            version: self.version,
+        };
+        // Leave: the app hears the next client only when this one is gone.
+        self.connection = None;
+        self.served = false;
+        let begun = Instant::now();
+        let patience = APP_PHASE_TIMEOUT.saturating_add(self.settings.margin);
+        loop {
+            let why = match calm.reconnect().and_then(|()| calm.stop_video()) {
+                Ok(()) => return PhoneError::StartUndone { cause },
+                Err(why) => why,
+            };
+            let patience = match why {
+                PhoneError::Connect { .. } => UNREACHABLE,
+                _ => patience,
+            };
+            if begun.elapsed() >= patience {
+                let why = Box::new(why);
+                return PhoneError::MayRecord { cause, why };
+            }
+            std::thread::sleep(PAUSE);
+        }
+    }
+
+    /// Stops the video. The app answers with success even if none was running, and before
+    /// the video has ended: see [`PhoneClient::wait_until_free`].
+    ///
+    /// # Errors
+    ///
+    /// The link, or the app's refusal.
+    pub fn stop_video(&mut self) -> Result<(), PhoneError> {
+        let margin = self.settings.margin;
+        let request = "video_stop";
+        self.exchange(request, "video_stop\n", SMALL_ANSWER, margin, |_, _| Ok(()))
+    }
+
     /// Downloads the last video to `target`; `progress` gets bytes received and
     /// bytes in all.
     ///
-    /// The target appears only when it is whole. While a video is being
-    /// recorded the app does not answer: stop it first.
+    /// The target appears only when it is whole. The app is asked only once its sensors
+    /// are free: with its storage access framework it hangs for good if it is asked while
+    /// a video is recorded or closed. Without any video since it was opened, the app ends
+    /// at this request: make one first.
+    ///
+    /// # Errors
+    ///
+    /// The link, the app's refusal, the disk, or the app hangs.
     pub fn get_video(
         &mut self,
         target: &VideoTarget,
         overwrite: bool,
         progress: &mut dyn FnMut(u64, u64),
     ) -> Result<SavedVideo, PhoneError> {
-        const REQUEST: &str = "get_video";
         if let VideoTarget::File(path) = target {
             check_free(path, overwrite)?;
         }
-        let Settings {
-            margin,
-            video_ready,
-            max_video,
-            ..
-        } = self.settings.clone();
-        let (version, saved) = self.in_step(|connection| {
-            connection.send(REQUEST, "get_video\n", margin)?;
-            let mut body = VideoHeaderBody::default();
-            let version =
-                connection.answer(REQUEST, SMALL_ANSWER, video_ready, |number, line| {
-                    body.line(number, line)
-                })?;
-            let header = body.finish().map_err(|source| PhoneError::Malformed {
-                request: REQUEST,
-                source,
-            })?;
-            if header.size > max_video {
-                return Err(PhoneError::VideoTooLarge {
-                    size: header.size,
-                    limit: max_video,
-                });
-            }
+        let margin = self.settings.margin;
+        self.wait_until_free(self.settings.video_ready)?;
+        let header = self.video_header()?;
+        self.in_step(|connection| {
             let pace = Pace {
                 idle: margin,
                 window: margin.saturating_mul(2),
             };
-            let saved = receive(connection, header, target, overwrite, pace, progress)?;
-            Ok((version, saved))
-        })?;
-        self.version = Some(version);
-        Ok(saved)
+            receive(connection, header, target, overwrite, pace, progress)
+        })
+    }
+
+    fn video_header(&mut self) -> Result<VideoHeader, PhoneError> {
+        const REQUEST: &str = "get_video";
+        let mut body = VideoHeaderBody::default();
+        let patience = self.settings.video_ready;
+        let asked = self.exchange(
+            REQUEST,
+            "get_video\n",
+            SMALL_ANSWER,
+            patience,
+            |number, line| body.line(number, line),
+        );
+        if let Err(PhoneError::Timeout { waited, .. }) = asked {
+            // Only a new connection tells a slow app from one that hangs.
+            let answers = self.reconnect().and_then(|()| self.probe());
+            self.connection = None;
+            if matches!(answers, Err(PhoneError::Timeout { .. })) {
+                return Err(PhoneError::Hangs { waited });
+            }
+        }
+        asked?;
+        let header = body
+            .finish()
+            .map_err(|source| self.damaged(REQUEST, source))?;
+        let limit = self.settings.max_video;
+        if header.size > limit {
+            self.connection = None;
+            let size = header.size;
+            return Err(PhoneError::VideoTooLarge { size, limit });
+        }
+        Ok(header)
+    }
+
+    /// What the answer says is not what belongs there: the connection is out of step.
+    fn damaged(&mut self, request: &'static str, source: MalformedAnswer) -> PhoneError {
+        self.connection = None;
+        PhoneError::Malformed { request, source }
     }
 
     /// Runs one exchange; closes the connection if it ends out of step.

@@ -14,6 +14,18 @@ const BUFFER: usize = 64 * 1024;
 /// Longest single wait: how soon a request to stop is seen.
 const SLICE: Duration = Duration::from_millis(100);
 
+/// Least number of bytes that must come within a window: slower is a crawl.
+pub(super) const CRAWL_FLOOR: u64 = 32 * 1024;
+
+/// How long an answer is waited for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patience {
+    /// For all of it, if little comes.
+    pub(super) first: Duration,
+    /// For each [`CRAWL_FLOOR`] bytes of it.
+    pub(super) margin: Duration,
+}
+
 /// A connection to the app with what has been read from it but not yet used.
 #[derive(Debug)]
 pub(super) struct Connection {
@@ -63,21 +75,6 @@ impl Connection {
         })
     }
 
-    /// Whether the other end still holds the connection, as far as this system has
-    /// heard by now.
-    pub(super) fn is_alive(&self) -> bool {
-        if self.stream.set_nonblocking(true).is_err() {
-            return false;
-        }
-        let seen = self.stream.peek(&mut [0]);
-        let blocking_again = self.stream.set_nonblocking(false).is_ok();
-        blocking_again
-            && match seen {
-                Ok(count) => count > 0,
-                Err(error) => error.kind() == ErrorKind::WouldBlock,
-            }
-    }
-
     /// Sends the line of a request, after making sure that nothing is left over
     /// that could be taken for its answer.
     pub(super) fn send(
@@ -118,19 +115,22 @@ impl Connection {
             })
     }
 
-    /// Reads one whole answer; `body` gets each body line with its number.
+    /// Reads one whole answer; `body` gets each body line with its number. It is waited
+    /// for `first`, and for another `margin` whenever [`CRAWL_FLOOR`] more bytes came.
     pub(super) fn answer(
         &mut self,
         request: &'static str,
         limit: u64,
-        patience: Duration,
+        Patience { first, margin }: Patience,
         mut body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
     ) -> Result<ServerVersion, PhoneError> {
         let malformed = |source| match source {
             MalformedAnswer::UnknownVersion { found } => PhoneError::UnsupportedVersion { found },
             source => PhoneError::Malformed { request, source },
         };
-        let deadline = Instant::now() + patience;
+        let begun = Instant::now();
+        let mut deadline = begun + first;
+        let mut renewed_at = 0;
         let mut decoder = AnswerDecoder::new(limit);
         let mut version = None;
         loop {
@@ -165,7 +165,11 @@ impl Connection {
             if let Some(result) = finished {
                 return result;
             }
-            if self.fill(request, deadline, patience)? == 0 {
+            if decoder.bytes() >= renewed_at + CRAWL_FLOOR {
+                renewed_at = decoder.bytes();
+                deadline = deadline.max(Instant::now() + margin);
+            }
+            if self.fill(request, deadline, deadline - begun)? == 0 {
                 return Err(PhoneError::Closed {
                     request,
                     received: decoder.bytes(),

@@ -8,13 +8,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use super::connection::Connection;
+use super::connection::{CRAWL_FLOOR, Connection};
 use super::error::PhoneError;
 use super::file_name::safe_file_name;
 use super::requests::VideoHeader;
-
-/// Least number of bytes that must come within a [`Pace::window`].
-const CRAWL_FLOOR: u64 = 32 * 1024;
 
 /// How long bytes behind the announced end of a video are looked out for.
 const GRACE: Duration = Duration::from_millis(100);

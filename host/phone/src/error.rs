@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use super::adb::AdbError;
 use super::answer::{MalformedAnswer, ServerVersion};
+use super::samples::Sensor;
 
 /// An error of the phone client: what was expected and what came.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +26,7 @@ pub enum PhoneError {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// The phone did not answer in time.
+    /// The phone did not answer in time, or stopped answering.
     #[error("the phone did not finish its answer to {request} within {waited:?}")]
     Timeout {
         /// The request that was under way.
@@ -118,6 +120,57 @@ pub enum PhoneError {
         /// What was expected and what came.
         source: MalformedAnswer,
     },
+    /// The answer to `video_start` came sooner than its frames can: it is the phase of
+    /// another video, which this request has stopped.
+    #[error(
+        "the phone was recording already: its answer to video_start is of another video \
+         ({early:.1} s before its frames can be), and the request has stopped that one"
+    )]
+    StalePhase {
+        /// By how much it was too soon, seconds.
+        early: f64,
+    },
+    /// A start failed, and what it may have begun was stopped.
+    #[error("{cause}; the phone was told to stop")]
+    StartUndone {
+        /// Why it failed.
+        cause: Box<PhoneError>,
+    },
+    /// A start failed, and whether it has begun a video is not known.
+    #[error("{cause}; a video may run on the phone: it could not be stopped ({why})")]
+    MayRecord {
+        /// Why it failed.
+        cause: Box<PhoneError>,
+        /// Why it could not be stopped.
+        why: Box<PhoneError>,
+    },
+    /// The phone sent no file of a sensor that was asked for.
+    #[error("the phone sent no file of its {sensor}")]
+    SensorMissing {
+        /// Which one.
+        sensor: Sensor,
+    },
+    /// A sensor was recorded for far less than was asked for.
+    #[error(
+        "the phone recorded its {sensor} for {:.1} s of the {:.1} s that were asked for",
+        got.as_secs_f64(), asked.as_secs_f64()
+    )]
+    TooShort {
+        /// Which one.
+        sensor: Sensor,
+        /// How long it was to be recorded.
+        asked: Duration,
+        /// From its first sample to its last.
+        got: Duration,
+    },
+    /// The app took `get_video` and answers nothing any more.
+    #[error(
+        "the phone's app hangs: it has not answered get_video within {waited:?}, nor anything else since"
+    )]
+    Hangs {
+        /// How long it was waited for.
+        waited: Duration,
+    },
     /// Bytes came that belong to no request.
     #[error("the phone sent {count} byte(s) that belong to no request")]
     Unrequested {
@@ -143,6 +196,9 @@ pub enum PhoneError {
         /// The operating system's reason.
         source: std::io::Error,
     },
+    /// Files did not come from the phone's storage.
+    #[error(transparent)]
+    Adb(#[from] AdbError),
     /// The caller asked to stop.
     #[error("stopped on request during {request}")]
     Cancelled {
@@ -155,6 +211,41 @@ pub enum PhoneError {
 }
 
 impl PhoneError {
+    /// The error itself: of a start that failed, why it did.
+    #[must_use]
+    pub fn cause(&self) -> &Self {
+        match self {
+            Self::StartUndone { cause } | Self::MayRecord { cause, .. } => cause.cause(),
+            other => other,
+        }
+    }
+
+    /// Whether the app was not asked for anything yet: nothing can come of it.
+    #[must_use]
+    pub fn is_before_request(&self) -> bool {
+        const PROBE: &str = "an empty request";
+        match self {
+            Self::Timeout { request, .. }
+            | Self::SendTimeout { request, .. }
+            | Self::Closed { request, .. }
+            | Self::Connection { request, .. }
+            | Self::Malformed { request, .. }
+            | Self::Cancelled { request } => *request == PROBE,
+            Self::Address { .. }
+            | Self::Connect { .. }
+            | Self::Argument(_)
+            | Self::NotConnected
+            | Self::Unrequested { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Whether the app refused because its sensors are being recorded: for a video, until
+    /// its capture session is closed, or by an IMU request.
+    pub(crate) fn is_busy(&self) -> bool {
+        matches!(self, Self::Refused { request: "imu", text, .. } if text.starts_with("Error in IMU"))
+    }
+
     /// The failure to write `path`, or to put it in its place.
     pub(crate) fn writing(path: &Path, source: std::io::Error) -> Self {
         let path = path.to_owned();

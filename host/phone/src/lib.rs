@@ -18,6 +18,7 @@
 //! a network of your own. The time of a request is not used for any
 //! synchronisation, so a slow network costs patience, never accuracy.
 
+pub mod adb;
 pub mod answer;
 pub mod client;
 mod connection;

@@ -109,9 +109,49 @@ pub struct SensorRecording {
 pub struct ImuRecording {
     /// One recording a requested sensor, as the app sent them.
     pub recordings: Vec<SensorRecording>,
+    /// Requested sensors of which it sent no file: they are not ticked in its settings.
+    pub missing: Vec<Sensor>,
 }
 
 impl ImuRecording {
+    /// The file's samples of `sensor`.
+    ///
+    /// # Errors
+    ///
+    /// The phone sent no file of it.
+    pub fn take(mut self, sensor: Sensor) -> Result<Vec<PhoneSample>, PhoneError> {
+        let found = self.recordings.iter().position(|r| r.sensor == sensor);
+        let found = found.ok_or(PhoneError::SensorMissing { sensor })?;
+        Ok(self.recordings.swap_remove(found).samples)
+    }
+
+    /// Refuses a recording that is far shorter than the request: less than four fifths of
+    /// it, and of what is missing half a second is a sensor's own to begin. Of a request
+    /// of under a second nothing is said, nor of the magnetometer: a phone may lack one,
+    /// and its file is empty then.
+    pub(super) fn check_length(&self, request: ImuRequest) -> Result<(), PhoneError> {
+        let asked = request.duration;
+        if asked < Duration::from_secs(1) {
+            return Ok(());
+        }
+        let least = (asked * 4 / 5).saturating_sub(Duration::from_millis(500));
+        for SensorRecording {
+            sensor, samples, ..
+        } in &self.recordings
+        {
+            let got = match samples.as_slice() {
+                [first, .., last] => last.time.0.saturating_sub(first.time.0).max(0),
+                _ => 0,
+            };
+            let got = Duration::from_nanos(got.unsigned_abs());
+            if *sensor != Sensor::Magnetometer && got < least {
+                let sensor = *sensor;
+                return Err(PhoneError::TooShort { sensor, asked, got });
+            }
+        }
+        Ok(())
+    }
+
     /// The samples of `sensor`, if it was recorded.
     #[must_use]
     pub fn samples(&self, sensor: Sensor) -> Option<&[PhoneSample]> {
@@ -180,17 +220,14 @@ impl ImuBody {
                 expected: "the line sensor_end",
             });
         }
-        for (sensor, expected) in [
-            (Sensor::Accelerometer, "the accelerometer's file"),
-            (Sensor::Gyroscope, "the gyroscope's file"),
-            (Sensor::Magnetometer, "the magnetometer's file"),
-        ] {
-            if self.request.wants(sensor) && !self.done.iter().any(|r| r.sensor == sensor) {
-                return Err(MalformedAnswer::Missing { expected });
-            }
-        }
+        let came = |sensor: &Sensor| self.done.iter().any(|r| r.sensor == *sensor);
+        let missing = Sensor::ALL
+            .into_iter()
+            .filter(|sensor| self.request.wants(*sensor) && !came(sensor))
+            .collect();
         Ok(ImuRecording {
             recordings: self.done,
+            missing,
         })
     }
 }
@@ -368,15 +405,44 @@ mod tests {
     }
 
     #[test]
+    fn a_missing_file_is_named_and_the_others_are_kept() {
+        let answer = imu(&["xgyro.csv", "1,2,3,4", "sensor_end"], BOTH).unwrap();
+        assert_eq!(answer.missing, [Sensor::Accelerometer]);
+        assert_eq!(answer.samples(Sensor::Gyroscope).unwrap().len(), 1);
+        let error = answer.clone().take(Sensor::Accelerometer).unwrap_err();
+        assert!(error.to_string().contains("accelerometer"), "{error}");
+        assert_eq!(answer.take(Sensor::Gyroscope).unwrap().len(), 1);
+        let nothing = imu(&[], BOTH).unwrap();
+        assert_eq!(nothing.missing, [Sensor::Accelerometer, Sensor::Gyroscope]);
+    }
+
+    #[test]
+    fn a_recording_that_broke_off_is_too_short() {
+        let asked = ImuRequest {
+            duration: Duration::from_secs(4),
+            magnetometer: true,
+            accelerometer: false,
+            ..BOTH
+        };
+        let recorded = |end_ns: i64| {
+            let last = format!("1,2,3,{end_ns}");
+            let lines = ["xgyro.csv", "1,2,3,5", &last, "sensor_end"];
+            let lines = [&lines[..], &["xmagnetic.csv", "sensor_end"]].concat();
+            imu(&lines, asked).unwrap().check_length(asked)
+        };
+        assert!(recorded(3_990_000_000).is_ok());
+        let error = recorded(900_000_000).unwrap_err().to_string();
+        assert!(error.contains("0.9 s of the 4.0 s"), "{error}");
+    }
+
+    #[test]
     fn refuses_damaged_recordings() {
         for (lines, expected) in [
             (&["xgyro.csv", "1,2,3"][..], "x,y,z,timestamp_ns"),
             (&["xgyro.csv", "1,2,3,4"], "sensor_end"),
-            (&["xgyro.csv", "sensor_end"], "accelerometer's file"),
             (&["xgyro.csv", "sensor_end", "ygyro.csv"], "once"),
             (&["xmagnetic.csv"], "requested sensor"),
             (&["1,2,3,4"], "a file name"),
-            (&[], "accelerometer's file"),
         ] {
             let e = imu(lines, BOTH).unwrap_err().to_string();
             assert!(e.contains(expected), "{lines:?}: {e}");

@@ -50,10 +50,27 @@ impl Sensor {
 
     /// The sensor whose file is named `name`.
     pub(crate) fn of_file(name: &str) -> Option<Self> {
+        let name = without_number(name.strip_suffix(".csv")?);
+        let of = |sensor: &Self| sensor.file_suffix().strip_suffix(".csv");
         Self::ALL
             .into_iter()
-            .find(|sensor| name.ends_with(sensor.file_suffix()))
+            .find(|sensor| of(sensor).is_some_and(|suffix| name.ends_with(suffix)))
     }
+}
+
+/// A file's name without its extension and without the number that the app puts behind
+/// a name that is taken: `gyro_1` or, through the storage access framework, `gyro (1)`.
+pub(crate) fn without_number(name: &str) -> &str {
+    let open = name.strip_suffix(')');
+    let split = open.map_or_else(|| name.rsplit_once('_'), |open| open.rsplit_once(" ("));
+    match split {
+        Some((bare, number)) if number.len() < 3 && is_number(number) => bare,
+        _ => name,
+    }
+}
+
+fn is_number(text: &str) -> bool {
+    !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }
 
 impl std::fmt::Display for Sensor {
@@ -159,7 +176,23 @@ mod tests {
             Sensor::of_file("VID_20210504_161730gyro.csv"),
             Some(Sensor::Gyroscope)
         );
-        assert_eq!(Sensor::of_file("gyro.txt"), None);
+        // A second recording within one second.
+        for name in [
+            "VID_20210504_161730gyro_1.csv",
+            "xgyro (1).csv",
+            "gyro_12.csv",
+        ] {
+            assert_eq!(Sensor::of_file(name), Some(Sensor::Gyroscope), "{name}");
+        }
+        for name in [
+            "gyro.txt",
+            "gyro_x.csv",
+            "gyro (1.csv",
+            "gyro_161730.csv",
+            ".csv",
+        ] {
+            assert_eq!(Sensor::of_file(name), None, "{name}");
+        }
     }
 
     proptest! {

@@ -1,9 +1,8 @@
 //! The phone on a thread of its own, so that the board is listened to while a
 //! request lasts.
 //!
-//! One request at a time. A connection that broke, also between two requests, is
-//! opened anew by the next request: nothing was asked on it, so nothing is asked
-//! twice.
+//! One request at a time, each on a connection of its own: a client that stays connected
+//! keeps the app from listening again once it was in the background.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -12,10 +11,12 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::adb;
 use crate::{
-    ImuRecording, ImuRequest, PhoneClient, PhoneError, SavedVideo, Settings, StopSignal,
+    ImuRequest, PhoneClient, PhoneError, PhoneSample, SavedVideo, Sensor, Settings, StopSignal,
     VideoStart, VideoTarget,
 };
+use timebase::PhoneNanos;
 
 /// What the phone is asked.
 #[derive(Clone, Debug)]
@@ -24,12 +25,18 @@ pub enum Request {
     Probe,
     /// Record the gyroscope.
     Gyroscope(Duration),
-    /// Start a video.
-    StartVideo,
+    /// Start a video, at this time of the phone's clock if it is known.
+    StartVideo(Option<PhoneNanos>),
     /// Stop the video.
     StopVideo,
+    /// Does it record a video?
+    IsRecording,
+    /// Wait until a video that was stopped is closed.
+    AwaitClosed,
     /// Download the last video into a folder.
     FetchVideo(PathBuf),
+    /// Copy the other files of the video with this phase into a folder, by `adb`.
+    FetchFiles(PhoneNanos, PathBuf),
 }
 
 /// What it answered.
@@ -38,13 +45,19 @@ pub enum Answer {
     /// To [`Request::Probe`]: the version.
     Version(String),
     /// To [`Request::Gyroscope`].
-    Gyroscope(ImuRecording),
+    Gyroscope(Vec<PhoneSample>),
     /// To [`Request::StartVideo`].
     Started(VideoStart),
     /// To [`Request::StopVideo`].
     Stopped,
+    /// To [`Request::IsRecording`].
+    Recording(bool),
+    /// To [`Request::AwaitClosed`].
+    Closed,
     /// To [`Request::FetchVideo`].
     Fetched(SavedVideo),
+    /// To [`Request::FetchFiles`]: where they are.
+    Files(Vec<PathBuf>),
 }
 
 /// The thread and its mail boxes.
@@ -78,11 +91,10 @@ impl PhoneTask {
         let thread = std::thread::Builder::new()
             .name(String::from("phone"))
             .spawn(move || {
-                let mut phone = Phone {
+                let phone = Phone {
                     address,
                     cancel: cancelled,
                     progress: shown,
-                    client: None,
                 };
                 while let Ok(request) = inbox.recv() {
                     if outbox.send(phone.answer(&request)).is_err() {
@@ -150,56 +162,45 @@ struct Phone {
     address: String,
     cancel: Arc<AtomicBool>,
     progress: Arc<Progress>,
-    client: Option<PhoneClient>,
 }
 
 impl Phone {
-    fn answer(&mut self, request: &Request) -> Result<Answer, PhoneError> {
-        let progress = Arc::clone(&self.progress);
-        let client = self.connected()?;
-        match request {
-            Request::Probe => client
-                .probe()
-                .map(|version| Answer::Version(version.to_string())),
-            Request::Gyroscope(duration) => client
-                .imu(ImuRequest {
-                    duration: *duration,
-                    accelerometer: false,
-                    gyroscope: true,
-                    magnetometer: false,
-                })
-                .map(Answer::Gyroscope),
-            Request::StartVideo => client.start_video().map(Answer::Started),
-            Request::StopVideo => client.stop_video().map(|()| Answer::Stopped),
-            Request::FetchVideo(folder) => client
-                .get_video(
-                    &VideoTarget::Folder(folder.clone()),
-                    false,
-                    &mut |done, whole| {
-                        progress.done.store(done, Ordering::Relaxed);
-                        progress.whole.store(whole, Ordering::Relaxed);
-                    },
-                )
-                .map(Answer::Fetched),
-        }
-    }
-
-    fn connected(&mut self) -> Result<&mut PhoneClient, PhoneError> {
-        let client = match self.client.take() {
-            Some(client) if client.is_alive() => client,
-            Some(mut client) => {
-                client.reconnect()?;
-                client
-            }
-            None => {
-                let cancel = Arc::clone(&self.cancel);
-                let settings = Settings {
-                    stop: StopSignal::new(move || cancel.load(Ordering::Relaxed)),
-                    ..Settings::default()
-                };
-                PhoneClient::connect(&self.address, settings)?
-            }
+    fn answer(&self, request: &Request) -> Result<Answer, PhoneError> {
+        let cancel = Arc::clone(&self.cancel);
+        let settings = Settings {
+            stop: StopSignal::new(move || cancel.load(Ordering::Relaxed)),
+            ..Settings::default()
         };
-        Ok(self.client.insert(client))
+        let connect = || PhoneClient::connect(&self.address, settings.clone());
+        match request {
+            Request::Probe => {
+                let version = connect()?.probe()?;
+                Ok(Answer::Version(version.to_string()))
+            }
+            Request::Gyroscope(duration) => {
+                let recording = connect()?.imu(ImuRequest::gyroscope(*duration))?;
+                recording.take(Sensor::Gyroscope).map(Answer::Gyroscope)
+            }
+            Request::StartVideo(asked) => connect()?.start_video(*asked).map(Answer::Started),
+            Request::StopVideo => connect()?.stop_video().map(|()| Answer::Stopped),
+            Request::IsRecording => connect()?.is_recording().map(Answer::Recording),
+            Request::AwaitClosed => {
+                connect()?.wait_until_free(settings.busy)?;
+                Ok(Answer::Closed)
+            }
+            Request::FetchFiles(phase, folder) => {
+                let files = adb::fetch(*phase, folder, false, &settings.stop)?;
+                Ok(Answer::Files(files))
+            }
+            Request::FetchVideo(folder) => {
+                let target = VideoTarget::Folder(folder.clone());
+                let mut progress = |done, whole| {
+                    self.progress.done.store(done, Ordering::Relaxed);
+                    self.progress.whole.store(whole, Ordering::Relaxed);
+                };
+                let saved = connect()?.get_video(&target, false, &mut progress);
+                saved.map(Answer::Fetched)
+            }
+        }
     }
 }

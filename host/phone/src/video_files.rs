@@ -12,6 +12,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::samples::without_number;
+
 /// Most directory entries that are looked at.
 const MAX_ENTRIES: usize = 100_000;
 
@@ -20,7 +22,7 @@ const MAX_ENTRIES: usize = 100_000;
 const LEVELS: u32 = 3;
 
 /// Endings of the frame timestamps; the longer first, as it contains the other.
-const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps.csv", "_timestamps.csv"];
+const FRAME_ENDINGS: [&str; 2] = ["_imu_timestamps", "_timestamps"];
 
 /// The files of one video. Any of them may be missing.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -90,8 +92,9 @@ pub enum FilesError {
     },
 }
 
+/// What a file is of a video.
 #[derive(Clone, Copy)]
-enum Part {
+pub(crate) enum Part {
     Video,
     Frames,
     Gyro,
@@ -99,25 +102,25 @@ enum Part {
 }
 
 /// What a file is, and the name of the video it belongs to.
-fn classify(name: &str) -> Option<(Part, &str)> {
+pub(crate) fn classify(name: &str) -> Option<(Part, String)> {
     // The gyroscope of a twist lies in a recording's folder and belongs to no video.
     if name.starts_with("twist_") && name.ends_with("_phone_gyro.csv") {
         return None;
     }
-    for ending in FRAME_ENDINGS {
-        if let Some(video) = name.strip_suffix(ending) {
-            return Some((Part::Frames, video));
-        }
+    let (stem, extension) = name.rsplit_once('.')?;
+    if extension.eq_ignore_ascii_case("mp4") {
+        return Some((Part::Video, stem.to_owned()));
     }
-    for (ending, part) in [("gyro.csv", Part::Gyro), ("accel.csv", Part::Accel)] {
-        if let Some(video) = name.strip_suffix(ending) {
-            return Some((part, video));
-        }
-    }
-    let (video, extension) = name.rsplit_once('.')?;
-    extension
-        .eq_ignore_ascii_case("mp4")
-        .then_some((Part::Video, video))
+    // Of a second video within one second, all names end in the same number.
+    let bare = (extension == "csv").then(|| without_number(stem))?;
+    let number = stem.get(bare.len()..).unwrap_or_default();
+    let sensors = [("gyro", Part::Gyro), ("accel", Part::Accel)];
+    let endings = FRAME_ENDINGS.map(|ending| (ending, Part::Frames));
+    let (video, part) = endings
+        .into_iter()
+        .chain(sensors)
+        .find_map(|(ending, part)| Some((bare.strip_suffix(ending)?, part)))?;
+    Some((part, format!("{video}{number}")))
 }
 
 /// Finds the files of the one video in a folder (three levels deep), or of the
@@ -224,8 +227,8 @@ fn collect_in(
         let Some((part, video)) = name.to_str().and_then(classify) else {
             continue;
         };
-        let group = groups.entry(video.to_owned()).or_default();
-        group.name = video.to_owned();
+        let group = groups.entry(video.clone()).or_default();
+        group.name = video;
         let slot = match part {
             Part::Video => &mut group.video,
             Part::Frames => &mut group.frames,
@@ -274,6 +277,29 @@ mod tests {
             assert!(found.frames.unwrap().ends_with(&frames));
             let video = folder.path().join("VID_20210401_120000.mp4");
             assert!(find(&video, None).unwrap().unwrap().gyro.is_some());
+        }
+    }
+
+    #[test]
+    fn a_second_video_within_one_second_has_files_of_its_own() {
+        let names = ["gyro.csv", "accel.csv", "_imu_timestamps.csv", ".mp4"];
+        for number in ["_1", " (1)"] {
+            let second = names.map(|name| name.replace('.', &format!("{number}.")));
+            let all = names.map(str::to_owned).into_iter().chain(second);
+            let all: Vec<String> = all
+                .map(|name| format!("VID_20210401_120000{name}"))
+                .collect();
+            let folder = folder(&all.iter().map(String::as_str).collect::<Vec<_>>());
+            for video in [
+                "VID_20210401_120000",
+                &format!("VID_20210401_120000{number}"),
+            ] {
+                let found = find(folder.path(), Some(video)).unwrap().unwrap();
+                assert_eq!(found.missing(), Vec::<&str>::new(), "{video}");
+                let gyro = found.gyro.unwrap();
+                let ending = video.replace("120000", "120000gyro");
+                assert!(gyro.ends_with(format!("{ending}.csv")), "{gyro:?}");
+            }
         }
     }
 

@@ -134,7 +134,7 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
         &["phone", "imu", "--seconds", "1", "--out", "sensors"][..],
         &["phone", "start"],
         &["phone", "stop"],
-        &["phone", "get-video", "--out", "video.mp4"],
+        &["phone", "get-video", "--recorded", "--out", "video.mp4"],
     ] {
         check(arguments, &[&phone(arguments)]);
     }

@@ -61,7 +61,7 @@ fn imu_start_stop_and_get_video() {
         fails(&run(&["imu", "--seconds", "1"]), 12, "stop the video first");
         assert_eq!(json(&run(&["stop", "--json"]))["stopped"], true);
 
-        let saved = json(&run(&["get-video", "--json"]));
+        let saved = json(&run(&["get-video", "--recorded", "--json"]));
         let path = folder.path().join(saved["path"].as_str().unwrap());
         bench.phone.wait_saved().unwrap();
         assert!(std::fs::read(&path).unwrap() == std::fs::read(&video.path).unwrap());
@@ -121,6 +121,7 @@ fn faults_of_the_link_are_named() {
         bench.phone.set_fault(fault);
         bench.command(arguments, &folder)
     };
+    let get = ["get-video", "--recorded"];
     let imu = ["imu", "--seconds", "1", "--timeout", "2"];
     let cut = run(&imu, Some(LinkFault::CutAfter(500)));
     fails(&cut, 12, "closed the connection");
@@ -129,16 +130,16 @@ fn faults_of_the_link_are_named() {
     let endless = run(&imu, Some(LinkFault::Endless));
     fails(&endless, 12, "damaged");
     let silent = run(&imu, Some(LinkFault::Silent));
-    fails(&silent, 12, "within 3s");
+    fails(&silent, 12, "an empty request within 2s");
 
     assert_eq!(run(&["start"], None).status.code(), Some(0));
     assert_eq!(run(&["stop"], None).status.code(), Some(0));
-    let short = run(&["get-video"], Some(LinkFault::ShortVideo(1)));
+    let short = run(&get, Some(LinkFault::ShortVideo(1)));
     fails(&short, 12, "nothing was saved");
-    let long = run(&["get-video"], Some(LinkFault::LongVideo(1)));
+    let long = run(&get, Some(LinkFault::LongVideo(1)));
     fails(&long, 12, "more than");
     assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0);
-    let good = run(&["get-video"], None);
+    let good = run(&get, None);
     assert_eq!(good.status.code(), Some(0));
     assert!(folder.join("evil_.mp4").exists());
     assert_eq!(std::fs::read_dir(outer.path()).unwrap().count(), 1);

@@ -1,4 +1,5 @@
-//! `smartdepthsync phone imu|start|stop|get-video`: the app's four requests, one at a time.
+//! `smartdepthsync phone imu|start|stop|get-video|get-files`: the app's four requests, one
+//! at a time, and the files that it does not send.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -6,12 +7,15 @@ use std::time::{Duration, Instant};
 use clap::Subcommand;
 use serde::Serialize;
 
+use crate::advice::TICK_SENSORS;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
+use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
 use phone::{
-    ImuRequest, PhoneClient, PhoneError, SensorRecording, Settings, StopSignal, VideoTarget,
+    ImuRequest, PhoneClient, PhoneError, Sensor, SensorRecording, Settings, StopSignal, VideoTarget,
 };
+use timebase::PhoneNanos;
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
 #[derive(Debug, clap::Args)]
@@ -44,6 +48,8 @@ enum Request {
     Stop,
     /// Download the last video
     GetVideo(GetVideoArgs),
+    /// Copy the other files of a video from the phone's storage, by `adb`
+    GetFiles(GetFilesArgs),
 }
 
 /// Options of `phone imu`.
@@ -78,12 +84,30 @@ struct GetVideoArgs {
     /// Overwrite an existing file
     #[arg(long)]
     overwrite: bool,
+    /// The app has made a video since it was opened. Without one, the request ends the app,
+    /// and a video that it would be recording: so it is not asked unless you say so
+    #[arg(long)]
+    recorded: bool,
     /// Largest video that is accepted, in bytes
     #[arg(long, value_name = "BYTES", default_value_t = 64 << 30)]
     max_bytes: u64,
     /// How long the app may take to finish the file before it sends it
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
     ready: Duration,
+}
+
+/// Options of `phone get-files`.
+#[derive(Debug, clap::Args)]
+struct GetFilesArgs {
+    /// The phase that `phone start` printed, or `session.json` has: it names the video
+    #[arg(long, value_name = "NS")]
+    phase: i64,
+    /// Folder for the files, such as the recording's
+    #[arg(long, value_name = "FOLDER", default_value = ".")]
+    out: PathBuf,
+    /// Copy the video too
+    #[arg(long)]
+    video: bool,
 }
 
 /// Runs the command.
@@ -93,6 +117,9 @@ struct GetVideoArgs {
 /// The phone cannot be reached, does not keep to its protocol, or refuses; or
 /// a file cannot be written. All are [`Failure`]s.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    if let Request::GetFiles(files) = &args.request {
+        return get_files(files, context);
+    }
     let address = args.connection.phone.as_deref().ok_or_else(|| {
         PhoneError::Argument(
             "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
@@ -106,6 +133,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         ..Settings::default()
     };
     if let Request::GetVideo(video) = &args.request {
+        if !video.recorded {
+            return Err(PhoneError::Argument(
+                "has the app made a video since it was opened? Without one it ends at this \
+                 request. If it has, give --recorded"
+                    .to_owned(),
+            )
+            .into());
+        }
         settings.max_video = video.max_bytes;
         settings.video_ready = video.ready;
     }
@@ -114,10 +149,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     }
     let mut client = PhoneClient::connect(address, settings)?;
     match &args.request {
-        Request::Imu(imu) => record_imu(&mut client, imu, context)?,
+        Request::Imu(imu) => return record_imu(&mut client, imu, context),
         Request::Start => start(&mut client, context)?,
         Request::Stop => stop(&mut client, context)?,
         Request::GetVideo(video) => get_video(&mut client, video, context)?,
+        Request::GetFiles(files) => return get_files(files, context),
     }
     Ok(Outcome::Good)
 }
@@ -185,6 +221,9 @@ impl SensorSummary {
                 ", {rate:.2} Hz (interval SD {sd:.1} us, longest {max:.1} us)"
             ));
         }
+        if self.samples == 0 {
+            return format!("{}: no samples: the phone lacks this sensor", self.sensor);
+        }
         let [x, y, z] = self.rms;
         text.push_str(&format!(", RMS {x:.4} {y:.4} {z:.4} {}", self.unit));
         if let Some(file) = &self.file {
@@ -217,7 +256,7 @@ fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
             source: std::io::Error::from(std::io::ErrorKind::NotADirectory),
         });
     }
-    for sensor in phone::Sensor::ALL {
+    for sensor in Sensor::ALL {
         let path = folder.join(sensor.file_suffix());
         if request.wants(sensor) && !args.overwrite && path.symlink_metadata().is_ok() {
             return Err(PhoneError::TargetExists { path });
@@ -226,7 +265,11 @@ fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
     Ok(())
 }
 
-fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Result<(), Failure> {
+fn record_imu(
+    client: &mut PhoneClient,
+    args: &ImuArgs,
+    context: &Context,
+) -> Result<Outcome, Failure> {
     let request = imu_request(args);
     let bar = context.spinner();
     let seconds = args.seconds.as_secs_f64();
@@ -234,15 +277,19 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
     bar.enable_steady_tick(Duration::from_millis(200));
     let recording = client.imu(request);
     bar.finish_and_clear();
+    let recording = recording?;
+    if let (true, Some(&sensor)) = (recording.recordings.is_empty(), recording.missing.first()) {
+        return Err(PhoneError::SensorMissing { sensor }.into());
+    }
     let mut summaries = Vec::new();
-    for recording in &recording?.recordings {
+    for recording in &recording.recordings {
         let file = match &args.out {
-            Some(folder) => {
+            Some(folder) if !recording.samples.is_empty() => {
                 let path = folder.join(recording.sensor.file_suffix());
                 phone::save_samples(&path, &recording.samples, args.overwrite)?;
                 Some(path)
             }
-            None => None,
+            _ => None,
         };
         summaries.push(SensorSummary::of(recording, file));
     }
@@ -250,17 +297,24 @@ fn record_imu(client: &mut PhoneClient, args: &ImuArgs, context: &Context) -> Re
     #[derive(Serialize)]
     struct Summaries<'a> {
         sensors: &'a [SensorSummary],
+        /// Sensors that were asked for and have no file.
+        missing: Vec<String>,
     }
+    let missing: Vec<String> = recording.missing.iter().map(Sensor::to_string).collect();
+    let empty = summaries.iter().any(|summary| summary.samples == 0);
     let printed = Summaries {
         sensors: &summaries,
+        missing,
     };
     context.print(&printed, || {
-        summaries
+        let came = summaries.iter().map(SensorSummary::text);
+        let missing = &printed.missing;
+        let missing = missing
             .iter()
-            .map(SensorSummary::text)
-            .collect::<Vec<_>>()
-            .join("\n")
-    })
+            .map(|sensor| format!("{sensor}: the phone sent no file: {TICK_SENSORS}"));
+        came.chain(missing).collect::<Vec<_>>().join("\n")
+    })?;
+    Ok(Outcome::of_loss(empty || !recording.missing.is_empty()))
 }
 
 fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
@@ -271,7 +325,16 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
         frame_duration_ns: f64,
         exposure_ns: Option<u64>,
     }
-    let start = client.start_video()?;
+    // A phone that records already is left alone: the request would stop its video.
+    let asked = client.clock()?;
+    let start = client.start_video(asked).map_err(|error| {
+        if !error.is_before_request() {
+            context.say(format!(
+                "{error}: making sure that no video runs on the phone"
+            ));
+        }
+        client.undo_start(error)
+    })?;
     let started = Started {
         app_version: client.version().map(|v| v.as_str()),
         phase_ns: start.phase.0,
@@ -334,6 +397,27 @@ fn get_video(
     context.print(&report, || {
         format!("{}: {} bytes", saved.path.display(), saved.size)
     })
+}
+
+fn get_files(args: &GetFilesArgs, context: &Context) -> Result<Outcome, Failure> {
+    #[derive(Serialize)]
+    struct Copied {
+        files: Vec<PathBuf>,
+    }
+    let interrupt = context.interrupt.clone();
+    let stop = StopSignal::new(move || interrupt.requested());
+    let phase = PhoneNanos(args.phase);
+    let copied = adb::fetch(phase, &args.out, args.video, &stop);
+    let files = copied.map_err(|error| {
+        context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
+        PhoneError::from(error)
+    })?;
+    let copied = Copied { files };
+    context.print(&copied, || {
+        let lines = copied.files.iter().map(|path| path.display().to_string());
+        lines.collect::<Vec<_>>().join("\n")
+    })?;
+    Ok(Outcome::Good)
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

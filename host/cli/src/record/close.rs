@@ -13,6 +13,7 @@ use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
 use board::Board;
 use board::Conversation;
+use phone::adb::copy_command;
 use phone::task::{Answer, PhoneTask, Request};
 use recording::writer::Writer;
 use verify::watch::Finding;
@@ -163,11 +164,54 @@ fn after_recording(rig: &mut Rig<'_>, options: &Options) -> Result<(), Stop> {
     }
     if options.fetch_video {
         for place in rig.phones.places() {
+            // The app ends when it is asked for a video and has made none.
+            if rig.journal.video(place).is_none() {
+                let label = rig.phones.label(place);
+                let text = format!("{label} made no video in this session: none is asked for");
+                rig.journal
+                    .problem(Finding::error("video_not_fetched", text))?;
+                continue;
+            }
             step(rig, "the download", |rig| fetch_video(rig, place))
                 .or_else(|stop| lesser(&mut rig.journal, "video_not_fetched", stop))?;
         }
     }
+    for place in rig.phones.places() {
+        fetch_files(rig, place)?;
+    }
     Ok(())
+}
+
+/// Copies what the app does not send, the frames' timestamps and the sensors, by `adb`;
+/// where that does not work, says what does.
+fn fetch_files(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
+    let Some(video) = rig.journal.video(place) else {
+        return Ok(());
+    };
+    let own = rig.phones.profile(place);
+    let own = rig.journal.file.phone_folder(&own.name);
+    let folder = rig.journal.folder.join(&own);
+    let request = Request::FetchFiles(video.phase, folder.clone());
+    let answer = rig.ask_phones(vec![(place, request)], |_| {})?.pop();
+    let label = rig.phones.label(place);
+    let text = match answer {
+        Some((_, Ok(Answer::Files(files)))) => {
+            for name in files.iter().filter_map(|path| path.file_name()) {
+                let name = own.join(name).to_string_lossy().into_owned();
+                rig.journal.file.files.push(name);
+            }
+            format!("{} files of {label} were copied", files.len())
+        }
+        Some((_, Err(error))) => format!(
+            "timestamps and sensors of the video are on {label} ({error}); by USB: \
+             `smartdepthsync phone get-files --phase {} --out '{}'`, or by MTP: {}",
+            video.phase.0,
+            folder.display(),
+            copy_command(video.phase, &folder)
+        ),
+        _ => return Ok(()),
+    };
+    rig.journal.info("phone_files", &text)
 }
 
 /// A failure of a step after the recording: the recording is there, so it is a

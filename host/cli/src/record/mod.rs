@@ -14,7 +14,7 @@
 //!   board was reset.
 //! - [`observers`]: who looks at its messages, such as the [watch](verify::watch).
 //! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
-//! - [`phones`], `depth_recorder`: phones and depth recorder.
+//! - [`phones`], `video_watch`, `depth_recorder`: phones, their videos, depth recorder.
 //! - `preflight`: what is looked at before.
 
 pub mod close;
@@ -33,6 +33,7 @@ pub mod rig;
 mod rounds;
 mod steps;
 mod twist;
+mod video_watch;
 
 use std::path::PathBuf;
 use std::time::Duration;

@@ -12,6 +12,7 @@ use std::time::Duration;
 use super::Stop;
 use super::journal::Journal;
 use super::rig::Rig;
+use super::video_watch::VideoCheck;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
@@ -30,6 +31,7 @@ pub struct Phones<'a> {
 struct Seat {
     task: PhoneTask,
     video_may_run: bool,
+    check: VideoCheck,
 }
 
 /// What each phone answered, by its place.
@@ -99,6 +101,7 @@ impl<'a> Phones<'a> {
         let seat = |task| Seat {
             task,
             video_may_run: false,
+            check: VideoCheck::default(),
         };
         Self {
             profile,
@@ -162,6 +165,25 @@ impl<'a> Phones<'a> {
             .collect()
     }
 
+    /// What is known of the video of the phone at a place, and its thread; none if it may
+    /// not be recording one.
+    pub(super) fn video_check(&mut self, place: usize) -> Option<(&mut VideoCheck, &PhoneTask)> {
+        let seat = self.seats.get_mut(place).filter(|s| s.video_may_run)?;
+        Some((&mut seat.check, &seat.task))
+    }
+
+    /// Calls off what asks whether videos run.
+    fn call_off_checks(&mut self) {
+        let asked = |(place, seat): (usize, &mut Seat)| seat.check.call_off().then_some(place);
+        let waiting: Vec<usize> = self
+            .seats
+            .iter_mut()
+            .enumerate()
+            .filter_map(asked)
+            .collect();
+        self.call_off(&waiting);
+    }
+
     /// The answers that are there of the phones that are waited for.
     fn take_answers(&self, waiting: &mut Vec<usize>, answers: &mut Answers) {
         waiting.retain(
@@ -195,6 +217,7 @@ impl Rig<'_> {
         requests: Vec<(usize, Request)>,
         mut meanwhile: impl FnMut(&mut Self),
     ) -> Result<Answers, Stop> {
+        self.phones.call_off_checks();
         let mut waiting: Vec<usize> = Vec::new();
         for (place, request) in requests {
             if let Some(task) = self.phones.task(place) {
@@ -220,13 +243,17 @@ impl Rig<'_> {
 /// the others do all the same.
 pub(super) fn start_videos(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let mut requests = Vec::new();
+    let now = rig.now();
     for (place, seat) in rig.phones.seats.iter_mut().enumerate() {
         if rig.journal.video(place).is_none() {
             seat.video_may_run = true;
-            requests.push((place, Request::StartVideo));
+            let asked = rig.journal.clock(place);
+            let asked = asked.map(|clock| clock.ticks_to_phone(now));
+            requests.push((place, Request::StartVideo(asked)));
         }
     }
     let mut failed = None;
+    let mut unknown = Vec::new();
     for (place, answer) in rig.ask_phones(requests, |_| {})? {
         match answer {
             Ok(Answer::Started(start)) => {
@@ -238,10 +265,36 @@ pub(super) fn start_videos(rig: &mut Rig<'_>) -> Result<(), Stop> {
             Err(error) => {
                 let failure = rig.phones.failure(place, error);
                 failed.get_or_insert(failure);
+                unknown.push(place);
             }
         }
     }
+    stop_after_failure(rig, &unknown)?;
     failed.map_or(Ok(()), |failure| Err(failure.into()))
+}
+
+/// Stops what these phones may have begun in a start that failed, so that another start
+/// begins a video: the request only presses a button.
+fn stop_after_failure(rig: &mut Rig<'_>, places: &[usize]) -> Result<(), Stop> {
+    if places.is_empty() {
+        return Ok(());
+    }
+    let of = |request: Request| {
+        places
+            .iter()
+            .map(|&place| (place, request.clone()))
+            .collect()
+    };
+    for (place, answer) in rig.ask_phones(of(Request::StopVideo), |_| {})? {
+        let label = rig.phones.label(place);
+        let text = match answer {
+            Ok(_) => format!("{label} was told to stop"),
+            Err(error) => format!("a video may run on {label}: {error}"),
+        };
+        rig.journal.info("video", &text)?;
+    }
+    // A video that does not end in time is told by the next request.
+    rig.ask_phones(of(Request::AwaitClosed), |_| {}).map(drop)
 }
 
 fn began(

@@ -215,6 +215,9 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
                 return Some(Err(stop));
             }
         }
+        if let Err(stop) = rig.watch_videos() {
+            return Some(Err(stop));
+        }
         match rig.operator.mark() {
             Some(Some(label)) => {
                 let label = (!label.is_empty()).then_some(label);
@@ -232,7 +235,11 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     result?
 }
 
-fn mark(journal: &mut Journal<'_>, at: Ticks, label: Option<String>) -> Result<(), Stop> {
+pub(super) fn mark(
+    journal: &mut Journal<'_>,
+    at: Ticks,
+    label: Option<String>,
+) -> Result<(), Stop> {
     let label = label.unwrap_or_else(|| format!("marker {}", journal.file.markers.len() + 1));
     let phone = journal.file.clock.map(|clock| clock.ticks_to_phone(at));
     journal.write(|writer, _| writer.marker(at, phone, &label))?;

@@ -16,8 +16,8 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::SyncReport;
 use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
+use phone::PhoneSample;
 use phone::samples::sample_line;
-use phone::{PhoneSample, Sensor};
 use recording::RecordingError;
 use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
@@ -208,12 +208,10 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
     bar.finish_and_clear();
     let mut samples = Vec::new();
     for (place, answer) in answers? {
-        let recording = match answer.map_err(|error| rig.phones.failure(place, error))? {
-            Answer::Gyroscope(recording) => recording,
+        match answer.map_err(|error| rig.phones.failure(place, error))? {
+            Answer::Gyroscope(recorded) => samples.push(recorded),
             other => return Err(odd_answer(&other).into()),
-        };
-        let gyro = recording.samples(Sensor::Gyroscope).unwrap_or_default();
-        samples.push(gyro.to_vec());
+        }
     }
     // The board's samples of the last moment are still on their way.
     rig.pump_for(TWIST_MARGIN)?;
@@ -270,6 +268,10 @@ fn save_samples(recording: &Path, name: &str, samples: &[PhoneSample]) -> Result
 
 /// Twists once more and joins what it says with the first; of each phone by itself.
 pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> Result<(), Stop> {
+    // The phones' sensors are free only when their videos are closed.
+    let places = rig.phones.places();
+    let requests = places.map(|place| (place, Request::AwaitClosed)).collect();
+    rig.ask_phones(requests, |_| {})?;
     let second = twist(rig)?;
     let mut refused = false;
     for (place, clocks) in first.iter().zip(&second).enumerate() {

@@ -10,35 +10,53 @@ use std::time::{Duration, Instant};
 
 use assert_cmd::Command;
 
-/// A phone that answers one request on one connection with a script.
+/// A phone that answers requests on one connection with a script. Like the app, it
+/// answers an empty line with an error; its sensors are free (the program asks for 1 and
+/// 300 ms of them), and whoever comes later is told that the video is stopped.
 struct Fake {
     address: String,
     thread: JoinHandle<String>,
 }
 
+const INVALID: &[u8] = b"ERROR\nv.0.1.1\nInvalid request\nend\n";
+const DONE: &[u8] = b"SUCCESS\nv.0.1.1\nend\n";
+
 impl Fake {
-    fn new(script: impl FnOnce(&mut TcpStream) + Send + 'static) -> Self {
+    fn new(mut script: impl FnMut(&mut TcpStream) -> Then + Send + 'static) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap().to_string();
         let thread = std::thread::spawn(move || {
-            let (mut stream, _) = listener.accept().unwrap();
-            let mut request = String::new();
-            BufReader::new(stream.try_clone().unwrap())
-                .read_line(&mut request)
-                .unwrap();
-            script(&mut stream);
-            request
+            let (stream, _) = listener.accept().unwrap();
+            let mut asked = String::new();
+            serve(stream, |request, stream| {
+                if asked.is_empty() {
+                    asked.push_str(request);
+                }
+                script(stream)
+            });
+            std::thread::spawn(move || {
+                while let Ok((stream, _)) = listener.accept() {
+                    serve(stream, |_, stream| {
+                        let _ = stream.write_all(DONE);
+                        Then::Stay
+                    });
+                }
+            });
+            asked
         });
         Self { address, thread }
     }
 
     fn answers(bytes: impl Into<Vec<u8>>) -> Self {
+        Self::answers_after(bytes, Duration::ZERO)
+    }
+
+    fn answers_after(bytes: impl Into<Vec<u8>>, time: Duration) -> Self {
         let bytes = bytes.into();
         Self::new(move |stream| {
+            std::thread::sleep(time);
             let _ = stream.write_all(&bytes);
-            // The client leaves first where it has seen enough.
-            let _ = stream.set_read_timeout(Some(Duration::from_secs(5)));
-            let _ = std::io::Read::read(stream, &mut [0]);
+            Then::Stay
         })
     }
 
@@ -47,7 +65,39 @@ impl Fake {
         let bytes = bytes.into();
         Self::new(move |stream| {
             let _ = stream.write_all(&bytes);
+            Then::Leave
         })
+    }
+}
+
+/// What a phone does behind an answer.
+#[derive(PartialEq)]
+enum Then {
+    Stay,
+    Leave,
+}
+
+/// Serves one client until it leaves, or `answer` does.
+fn serve(stream: TcpStream, mut answer: impl FnMut(&str, &mut TcpStream) -> Then) {
+    let mut writer = stream.try_clone().unwrap();
+    // The client leaves first where it has seen enough.
+    let _ = stream.set_read_timeout(Some(Duration::from_secs(8)));
+    let mut reader = BufReader::new(stream);
+    let mut line = String::new();
+    while reader.read_line(&mut line).is_ok_and(|count| count > 0) {
+        let then = if line == "\n" {
+            let _ = writer.write_all(INVALID);
+            Then::Stay
+        } else if line.contains("&accel=1&gyro=1&magnetic=0") && !line.contains("=100&") {
+            let _ = writer.write_all(DONE);
+            Then::Stay
+        } else {
+            answer(&line, &mut writer)
+        };
+        if then == Then::Leave {
+            return;
+        }
+        line.clear();
     }
 }
 
@@ -108,9 +158,8 @@ const HEAD: &str = "SUCCESS\nv.0.1.1\n";
 #[test]
 fn a_good_answer_is_taken() {
     let folder = tempfile::tempdir().unwrap();
-    let fake = Fake::answers(format!(
-        "{HEAD}949113215987860\n3.3330652542372882E7\n1000000\nend\n"
-    ));
+    let answer = format!("{HEAD}949113215987860\n3.3330652542372882E7\n1000000\nend\n");
+    let fake = Fake::answers_after(answer.clone(), Duration::from_secs(2));
     let run = run(fake, &["start", "--json"], folder.path());
     assert_eq!(run.code, Some(0), "{}", run.stderr);
     assert_eq!(run.request, "video_start\n");
@@ -123,6 +172,10 @@ fn a_good_answer_is_taken() {
     );
     assert_eq!(json["exposure_ns"], 1_000_000);
     assert_eq!(json["app_version"], "v.0.1.1");
+
+    // Sooner than the frames can be, it is of another video.
+    let words = ["of another video", "told to stop", "run it again"];
+    fails(Fake::answers(answer), &["start"], &words);
 }
 
 #[test]
@@ -147,6 +200,8 @@ fn bad_command_lines() {
         &["phone", "stop", "--phone", "http://x"],
         &["phone", "imu", "--seconds", "0", "--phone", "127.0.0.1"],
         &["phone", "imu", "--no-gyro", "--phone", "127.0.0.1:1"],
+        // The app may end at this request.
+        &["phone", "get-video", "--phone", "127.0.0.1:1"],
     ] {
         let output = Command::cargo_bin("smartdepthsync")
             .unwrap()
@@ -201,7 +256,7 @@ fn cut_in_the_middle() {
         ("SUCCESS\nv.0.1.1\nen", &["stop"]),
         ("SUCCESS\nv.0.1.1\nxgyro.csv\n1,2,3,4\n1,2", &["imu"]),
         ("ERROR\nv.0.1.1\nError in", &["imu"]),
-        ("SUCCESS\nv.0.1.1\n100\n", &["get-video"]),
+        ("SUCCESS\nv.0.1.1\n100\n", &["get-video", "--recorded"]),
     ] {
         let mut arguments = request.to_vec();
         if request == ["imu"] {
@@ -226,6 +281,7 @@ fn silent_or_slow() {
             }
             std::thread::sleep(Duration::from_millis(100));
         }
+        Then::Leave
     });
     let run = fails_within(trickle, &["imu", "--seconds", "0.5"], &["within 1.5s"], "1");
     assert!(run.took >= Duration::from_millis(1400), "{:?}", run.took);
@@ -241,11 +297,13 @@ fn endless() {
     let lines = Fake::new(|stream| {
         let _ = stream.write_all(HEAD.as_bytes());
         while stream.write_all(&b"17\n".repeat(1000)).is_ok() {}
+        Then::Leave
     });
     fails(lines, &["stop"], &["no end"]);
     let samples = Fake::new(|stream| {
         let _ = stream.write_all(format!("{HEAD}xgyro.csv\n").as_bytes());
         while stream.write_all(&b"1,2,3,4\n".repeat(1000)).is_ok() {}
+        Then::Leave
     });
     fails(samples, &["imu", "--seconds", "0.1"], &["no end"]);
 }
@@ -276,7 +334,7 @@ fn damaged_bodies() {
         ("5\n", "name"),
         ("99999999999999\nx.mp4\n", "limit"),
     ] {
-        fails(imu(body), &["get-video"], &[words]);
+        fails(imu(body), &["get-video", "--recorded"], &[words]);
     }
 }
 
@@ -291,7 +349,7 @@ fn a_whole_video_is_saved() {
     let folder = tempfile::tempdir().unwrap();
     let run = run(
         Fake::answers(video(300_000, "VID_1.mp4", 300_000)),
-        &["get-video", "--json"],
+        &["get-video", "--recorded", "--json"],
         folder.path(),
     );
     assert_eq!(run.code, Some(0), "{}", run.stderr);
@@ -316,7 +374,11 @@ fn hostile_names_stay_in_the_folder() {
         let outer = tempfile::tempdir().unwrap();
         let folder = outer.path().join("a").join("b");
         std::fs::create_dir_all(&folder).unwrap();
-        let run = run(Fake::answers(video(10, name, 10)), &["get-video"], &folder);
+        let run = run(
+            Fake::answers(video(10, name, 10)),
+            &["get-video", "--recorded"],
+            &folder,
+        );
         assert_eq!(run.code, Some(0), "{name}: {}", run.stderr);
         let files: Vec<_> = std::fs::read_dir(&folder).unwrap().collect();
         assert_eq!(files.len(), 1, "{name}");
@@ -332,16 +394,20 @@ fn hostile_names_stay_in_the_folder() {
 #[test]
 fn short_long_and_crawling_videos_are_not_saved() {
     let short = Fake::answers_and_leaves(video(1000, "x.mp4", 999));
-    fails(short, &["get-video"], &["999 of the video's 1000"]);
+    fails(
+        short,
+        &["get-video", "--recorded"],
+        &["999 of the video's 1000"],
+    );
     fails_within(
         Fake::answers(video(1000, "x.mp4", 900)),
-        &["get-video"],
+        &["get-video", "--recorded"],
         &["within 1s"],
         "1",
     );
     fails(
         Fake::answers(video(1000, "x.mp4", 1001)),
-        &["get-video"],
+        &["get-video", "--recorded"],
         &["more than the 1000"],
     );
     let crawl = Fake::new(|stream| {
@@ -349,8 +415,9 @@ fn short_long_and_crawling_videos_are_not_saved() {
         while stream.write_all(b"x").is_ok() {
             std::thread::sleep(Duration::from_millis(50));
         }
+        Then::Leave
     });
-    fails_within(crawl, &["get-video"], &["crawl"], "1");
+    fails_within(crawl, &["get-video", "--recorded"], &["crawl"], "1");
 }
 
 #[test]
@@ -365,11 +432,11 @@ fn nothing_is_overwritten_unless_asked() {
             folder.path(),
         )
     };
-    let refused = get(&["get-video"]);
+    let refused = get(&["get-video", "--recorded"]);
     assert_eq!(refused.code, Some(13), "{}", refused.stderr);
     assert!(refused.stderr.contains("--overwrite"), "{}", refused.stderr);
     assert_eq!(std::fs::read(&path).unwrap(), b"precious");
-    let done = get(&["get-video", "--overwrite"]);
+    let done = get(&["get-video", "--recorded", "--overwrite"]);
     assert_eq!(done.code, Some(0), "{}", done.stderr);
     assert_eq!(std::fs::read(&path).unwrap(), [0, 1, 2, 3, 4]);
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);

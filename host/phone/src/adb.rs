@@ -1,0 +1,336 @@
+//! A video's files from the phone's storage to this computer, by Android's `adb`.
+//!
+//! The app's remote control sends the video alone. The frame timestamps and the sensors
+//! stay on the phone, in a folder named by the video's date. Which one that is, the phase
+//! tells: it is the timestamp of frame 60, so it is a line of one file of frame timestamps
+//! and of no other. So neither a clock nor a name needs to be known, and of several phones
+//! the right one is found.
+//!
+//! Limits: `adb` must be on the `PATH`, and the phone have USB debugging switched on (or be
+//! reached by `adb connect`); the files lie in [`FOLDER`], where the app saves unless told
+//! otherwise. For phones that only MTP reaches there is a [`copy_command`].
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use timebase::PhoneNanos;
+
+use super::client::StopSignal;
+use super::video_files::{Part, classify};
+
+/// Where the app saves, on the phone (`StorageUtils.java`:323).
+const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
+
+/// How long `adb` may take to answer; a copy may take longer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// How often `adb` is looked at.
+const POLL: Duration = Duration::from_millis(20);
+
+/// Why files did not come by `adb`.
+#[derive(Debug, thiserror::Error)]
+pub enum AdbError {
+    /// There is no such program.
+    #[error("`adb` is not on the PATH")]
+    NoProgram,
+    /// It knows no phone that it may talk to.
+    #[error("`adb devices` lists no phone that is ready{}", others(states))]
+    NoDevice {
+        /// The states of those that are not.
+        states: Vec<String>,
+    },
+    /// No phone has the video.
+    #[error("no file of frame timestamps in {FOLDER} of {} has the phase {}", devices.join(", "), phase.0)]
+    NotFound {
+        /// The phones that were looked at.
+        devices: Vec<String>,
+        /// The timestamp that was looked for.
+        phase: PhoneNanos,
+    },
+    /// A file came otherwise than it is on the phone.
+    #[error("{name} is {expected} bytes on the phone, but {found} bytes came")]
+    Size {
+        /// Its name.
+        name: String,
+        /// Bytes on the phone.
+        expected: u64,
+        /// Bytes that came.
+        found: u64,
+    },
+    /// It failed.
+    #[error("`adb {command}` failed: {reason}")]
+    Failed {
+        /// What it was to do.
+        command: String,
+        /// What it said.
+        reason: String,
+    },
+    /// The disk, or the program itself.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// What was tried.
+        action: &'static str,
+        /// With which file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The caller asked to stop.
+    #[error("stopped on request while files were copied")]
+    Cancelled,
+}
+
+fn others(states: &[String]) -> String {
+    match states {
+        [] => String::new(),
+        states => format!(" ({})", states.join(", ")),
+    }
+}
+
+/// A shell's line that copies the files of the video with this phase into `folder`, from a
+/// phone that GNOME's files or another gvfs has mounted by MTP. `extract` finds them there.
+#[must_use]
+pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
+    let folder = folder.display().to_string().replace('\'', "'\\''");
+    format!(
+        "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/*/*_timestamps.csv)\")\" '{folder}'",
+        phase.0
+    )
+}
+
+/// One file on the phone.
+#[derive(Debug, PartialEq, Eq)]
+struct Remote {
+    size: u64,
+    path: String,
+}
+
+/// The program, and when to give up.
+struct Adb<'a> {
+    program: PathBuf,
+    stop: &'a StopSignal,
+}
+
+/// Copies the files of the video with this phase into `folder`: frame timestamps and
+/// sensors, and the video too if `with_video`. A file that is there with the same size is
+/// left. Gives where they are.
+///
+/// # Errors
+///
+/// No program, no phone, no such video; or a file did not come whole, and is not there.
+pub fn fetch(
+    phase: PhoneNanos,
+    folder: &Path,
+    with_video: bool,
+    stop: &StopSignal,
+) -> Result<Vec<PathBuf>, AdbError> {
+    let adb = Adb {
+        program: program().ok_or(AdbError::NoProgram)?,
+        stop,
+    };
+    let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
+    for device in &devices {
+        let files = adb.files_of(device, phase, with_video)?;
+        if !files.is_empty() {
+            let copied = files.iter().map(|file| adb.pull(device, file, folder));
+            return copied.collect();
+        }
+    }
+    Err(AdbError::NotFound { devices, phase })
+}
+
+fn program() -> Option<PathBuf> {
+    let name = format!("adb{}", std::env::consts::EXE_SUFFIX);
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path)
+        .map(|folder| folder.join(&name))
+        .find(|program| program.is_file())
+}
+
+/// The phones of `adb devices` that are ready.
+fn ready(list: &str) -> Result<Vec<String>, AdbError> {
+    let lines = list.lines().filter_map(|line| line.split_once('\t'));
+    let (ready, others): (Vec<_>, Vec<_>) = lines.partition(|(_, state)| state.trim() == "device");
+    if ready.is_empty() {
+        let states = others.iter();
+        let states = states.map(|(serial, state)| format!("{serial}: {}", state.trim()));
+        return Err(AdbError::NoDevice {
+            states: states.collect(),
+        });
+    }
+    Ok(ready
+        .iter()
+        .map(|(serial, _)| (*serial).to_owned())
+        .collect())
+}
+
+impl Adb<'_> {
+    /// The files of the video with this phase on a phone; none if it does not have it.
+    fn files_of(
+        &self,
+        device: &str,
+        phase: PhoneNanos,
+        with_video: bool,
+    ) -> Result<Vec<Remote>, AdbError> {
+        let find = format!(
+            "grep -lx {} {FOLDER}/*/*_timestamps.csv 2>/dev/null || true",
+            phase.0
+        );
+        let found = self.run(&["-s", device, "shell", &find], Some(PATIENCE))?;
+        let Some(frames) = found.lines().map(str::trim).find(|line| is_plain(line)) else {
+            return Ok(Vec::new());
+        };
+        let Some((folder, video)) = frames
+            .rsplit_once('/')
+            .and_then(|(folder, name)| Some((folder, classify(name)?.1)))
+        else {
+            return Ok(Vec::new());
+        };
+        let list = format!("stat -c '%s %n' '{folder}'/* {FOLDER}/*.mp4 2>/dev/null || true");
+        let list = self.run(&["-s", device, "shell", &list], Some(PATIENCE))?;
+        let wanted = |name: &str| match classify(name) {
+            Some((Part::Video, of)) => with_video && of == video,
+            Some((_, of)) => of == video,
+            None => false,
+        };
+        Ok(remotes(&list)
+            .into_iter()
+            .filter(|file| file.path.rsplit('/').next().is_some_and(wanted))
+            .collect())
+    }
+
+    /// Copies a file; it appears only when it is whole.
+    fn pull(&self, device: &str, file: &Remote, folder: &Path) -> Result<PathBuf, AdbError> {
+        let name = file.path.rsplit('/').next().unwrap_or_default();
+        let path = folder.join(name);
+        let size = |path: &Path| path.metadata().map(|metadata| metadata.len());
+        if size(&path).is_ok_and(|size| size == file.size) {
+            return Ok(path);
+        }
+        let io = |action| {
+            let path = path.clone();
+            move |source| AdbError::Io {
+                action,
+                path,
+                source,
+            }
+        };
+        std::fs::create_dir_all(folder).map_err(io("make the folder of"))?;
+        let part = files::new_file_in(folder).map_err(io("write"))?;
+        let target = part.path().to_string_lossy().into_owned();
+        self.run(&["-s", device, "pull", &file.path, &target], None)?;
+        let found = size(part.path()).map_err(io("read"))?;
+        if found != file.size {
+            return Err(AdbError::Size {
+                name: name.to_owned(),
+                expected: file.size,
+                found,
+            });
+        }
+        files::put_in_place(part, &path, false).map_err(io("write"))?;
+        Ok(path)
+    }
+
+    /// Runs the program; gives what it prints.
+    fn run(&self, arguments: &[&str], patience: Option<Duration>) -> Result<String, AdbError> {
+        let io = |source| AdbError::Io {
+            action: "run",
+            path: self.program.clone(),
+            source,
+        };
+        let failed = |reason: String| AdbError::Failed {
+            command: arguments.join(" "),
+            reason,
+        };
+        let mut child = Command::new(&self.program)
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(io)?;
+        let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
+        let reader = std::thread::spawn(move || read(stdout));
+        let complaints = std::thread::spawn(move || read(stderr));
+        let begun = Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait().map_err(io)? {
+                break status;
+            }
+            let late = patience.is_some_and(|patience| begun.elapsed() >= patience);
+            if late || self.stop.is_set() {
+                // It may have ended just now.
+                let _ = child.kill();
+                let _ = child.wait();
+                return Err(match late {
+                    true => failed(format!("no answer within {PATIENCE:?}")),
+                    false => AdbError::Cancelled,
+                });
+            }
+            std::thread::sleep(POLL);
+        };
+        let text = reader.join().unwrap_or_default();
+        if !status.success() {
+            let said = complaints.join().unwrap_or_default();
+            let said = format!("{text}{said}");
+            return Err(failed(super::answer::shorten(said.trim())));
+        }
+        Ok(text)
+    }
+}
+
+/// All that a pipe gives, as text.
+fn read(pipe: Option<impl std::io::Read>) -> String {
+    let mut bytes = Vec::new();
+    if let Some(mut pipe) = pipe {
+        // What came before an error is all there is.
+        let _ = pipe.read_to_end(&mut bytes);
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// The lines `size path` of a listing. Other paths than the app writes are left out: they
+/// come from the phone and go into its shell.
+fn remotes(list: &str) -> Vec<Remote> {
+    let line = |line: &str| {
+        let (size, path) = line.trim().split_once(' ')?;
+        let size = size.parse().ok()?;
+        let path = is_plain(path).then(|| path.to_owned())?;
+        Some(Remote { size, path })
+    };
+    list.lines().filter_map(line).collect()
+}
+
+/// Whether a path lies where the app saves and has only characters of its names.
+fn is_plain(path: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/_-. ()".contains(c);
+    path.strip_prefix(FOLDER)
+        .is_some_and(|rest| rest.starts_with('/') && rest.chars().all(plain))
+        && !path.contains("/..")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_ready_phones_are_asked() {
+        let list =
+            "List of devices attached\nA1\tdevice\nB2\tunauthorized\n192.168.1.5:5555\tdevice\n";
+        assert_eq!(ready(list).unwrap(), ["A1", "192.168.1.5:5555"]);
+        let error = ready("List of devices attached\nB2\tunauthorized\n").unwrap_err();
+        assert!(error.to_string().contains("B2: unauthorized"), "{error}");
+    }
+
+    #[test]
+    fn hostile_paths_are_left_out() {
+        let list = "12 /sdcard/DCIM/OpenCamera/x/VID_1gyro.csv\n\
+                    12 /sdcard/DCIM/OpenCamera/x/$(reboot).csv\n\
+                    12 /sdcard/DCIM/OpenCamera/../../etc/passwd\n\
+                    12 /data/VID_1gyro.csv\n\
+                    stat: nothing\n\n";
+        let paths: Vec<_> = remotes(list).into_iter().map(|file| file.path).collect();
+        assert_eq!(paths, ["/sdcard/DCIM/OpenCamera/x/VID_1gyro.csv"]);
+    }
+}
