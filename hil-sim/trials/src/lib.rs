@@ -7,4 +7,5 @@ pub mod demo;
 pub mod faults;
 pub(crate) mod frame_phase;
 pub mod long_run;
+pub mod phone_faults;
 pub mod whole_chain;

@@ -6,6 +6,7 @@ pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod frame_sync;
 pub(crate) mod long_run;
+pub(crate) mod phone_faults;
 
 use std::path::{Path, PathBuf};
 

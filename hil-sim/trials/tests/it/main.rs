@@ -26,6 +26,8 @@ mod objects;
 #[path = "../../../rig/tests/it/phone_bench.rs"]
 mod phone_bench;
 mod phone_command;
+mod phone_faults;
+mod phone_rude;
 mod phone_twist;
 #[path = "../../../../host/cli/tests/support/python.rs"]
 mod python;

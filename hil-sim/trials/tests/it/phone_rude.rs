@@ -1,0 +1,432 @@
+//! The program against a phone that is as rude as the app: `phone …` and `record`, each
+//! case with what is said, how it ends, and what runs on the phone then.
+
+use std::path::Path;
+use std::process::{Command, Output};
+use std::time::Duration;
+
+use phone::adb::copy_command;
+use recording::session_file::{SessionFile, SessionOutcome};
+use rig::phone::{LinkFault, PhoneConfig, StorageAccess, VideoMode};
+use timebase::PhoneNanos;
+
+use crate::phone_bench::Bench;
+use crate::support::smartdepthsync;
+use crate::turn;
+use crate::whole_rig::{Session, WholeRig};
+
+const LOSS: i32 = 4;
+const PHONE: i32 = 12;
+
+fn small(c: &mut PhoneConfig) {
+    c.camera.rows = 64;
+    c.camera.columns = 16;
+}
+
+fn says(output: &Output, code: i32, words: &[&str]) {
+    let said = [&output.stdout[..], &output.stderr].concat();
+    let said = String::from_utf8_lossy(&said);
+    assert_eq!(output.status.code(), Some(code), "{said}");
+    for word in words {
+        assert!(said.contains(word), "{word:?} not in: {said}");
+    }
+}
+
+fn wait_s(bench: &Bench, seconds: f64) {
+    let until = bench.clock.now().as_secs_f64() + seconds;
+    while bench.clock.now().as_secs_f64() < until {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn a_video_begun_by_hand_is_left_alone() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(70, 5.0, |c| c.video = VideoMode::Never);
+    let folder = tempfile::tempdir().unwrap();
+    bench.phone.press_record();
+    wait_s(&bench, 5.0);
+    let output = bench.command(&["start"], folder.path());
+    says(&output, PHONE, &["refused imu", "phone stop"]);
+    assert!(bench.phone.is_recording());
+}
+
+#[test]
+fn an_answer_before_its_frames_is_not_an_answer() {
+    use phone::{PhoneClient, PhoneError, Settings};
+    let _turn = turn::beside_others();
+    for (seed, known) in [(71, true), (72, false)] {
+        // Without the phone's clock, the time of this computer counts: in step with it.
+        let bench = Bench::new(seed, if known { 10.0 } else { 1.0 }, |c| {
+            c.video = VideoMode::Never;
+        });
+        let mut client = PhoneClient::connect(&bench.address(), Settings::default()).unwrap();
+        let clock = client.clock().unwrap();
+        assert!(clock.is_some());
+        bench.phone.press_record();
+        wait_s(&bench, 4.0);
+        let now = bench.phone.oscillator().nanos_at(bench.clock.now());
+        let error = client
+            .start_video(known.then_some(PhoneNanos(now)))
+            .unwrap_err();
+        assert!(matches!(error, PhoneError::StalePhase { .. }), "{error}");
+        let error = client.undo_start(error);
+        assert!(error.to_string().contains("told to stop"), "{error}");
+        assert!(!bench.phone.is_recording());
+        // And the next one is one.
+        wait_s(&bench, 2.5);
+        client.reconnect().unwrap();
+        let now = bench.phone.oscillator().nanos_at(bench.clock.now());
+        client
+            .start_video(known.then_some(PhoneNanos(now)))
+            .unwrap();
+        assert!(bench.phone.is_recording());
+    }
+}
+
+#[test]
+fn what_waits_behind_another_client_is_not_carried_out_later() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(73, 10.0, |c| c.video = VideoMode::Never);
+    let folder = tempfile::tempdir().unwrap();
+    let mut other = bench.connect();
+    assert_eq!(other.ask("x")[0], "ERROR");
+    let output = bench.command(&["start", "--timeout", "0.5"], folder.path());
+    says(&output, PHONE, &["an empty request", "one at a time"]);
+    drop(other);
+    wait_s(&bench, 15.0);
+    assert!(bench.phone.videos().is_empty());
+}
+
+#[test]
+fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
+    let _turn = turn::beside_others();
+    let folder = tempfile::tempdir().unwrap();
+    // Frames too slow for the app's own patience.
+    let bench = Bench::new(74, 10.0, |c| {
+        c.video = VideoMode::Never;
+        c.camera.frame_period_ns = 200e6;
+    });
+    let output = bench.command(&["start"], folder.path());
+    says(&output, PHONE, &["poll limit", "told to stop", "Camera2"]);
+    assert_eq!(bench.phone.videos().len(), 1);
+    assert!(!bench.phone.is_recording());
+
+    // Ctrl-C while the phone has begun and not answered.
+    let bench = Bench::new(75, 1.0, |c| c.video = VideoMode::Never);
+    let mut command = Command::new(smartdepthsync());
+    command.args(["phone", "start", "--phone", &bench.address()]);
+    let session = Session::start(&mut command);
+    while !bench.phone.is_recording() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    session.signal(rustix::process::Signal::INT);
+    let said = session.ends_with(130);
+    assert!(said.contains("told to stop"), "{said}");
+    assert!(!bench.phone.is_recording());
+
+    // The answer is lost on the way.
+    let bench = Bench::new(76, 5.0, |c| c.video = VideoMode::Never);
+    let (phone, clock) = (&bench.phone, &bench.clock);
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            while !phone.is_recording() {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            phone.set_fault(Some(LinkFault::CutAfter(20)));
+            let until = clock.now().as_secs_f64() + 5.0;
+            while clock.now().as_secs_f64() < until {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            phone.set_fault(None);
+        });
+        let output = bench.command(&["start"], folder.path());
+        says(&output, PHONE, &["closed the connection", "told to stop"]);
+    });
+    assert!(!bench.phone.is_recording());
+}
+
+#[test]
+fn sensors_right_behind_a_stop_are_tried_again() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(77, 1.0, |c| {
+        c.video = VideoMode::Never;
+        c.app.stop_ms = 2_000.0;
+    });
+    let folder = tempfile::tempdir().unwrap();
+    says(
+        &bench.command(&["start"], folder.path()),
+        0,
+        &["video started"],
+    );
+    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    let output = bench.command(&["imu", "--seconds", "1"], folder.path());
+    says(&output, 0, &["gyroscope"]);
+}
+
+#[test]
+fn a_video_is_fetched_only_when_the_app_can_send_it() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(78, 2.0, |c| {
+        small(c);
+        c.app.storage = StorageAccess::Documents;
+        c.app.stop_ms = 2_000.0;
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let get = ["get-video", "--recorded", "--ready", "4", "--timeout", "2"];
+    // Without any video it is not asked by default, and named if it is all the same.
+    says(
+        &bench.command(&["get-video"], folder.path()),
+        2,
+        &["--recorded"],
+    );
+    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    let output = bench.command(&get, folder.path());
+    says(
+        &output,
+        PHONE,
+        &["closed the connection", "open the app again"],
+    );
+    bench.phone.reopen_app().unwrap();
+    // Right behind a stop, and with storage access: it waits until the app is free.
+    says(&bench.command(&["start"], folder.path()), 0, &[]);
+    says(&bench.command(&["stop"], folder.path()), 0, &[]);
+    says(&bench.command(&get, folder.path()), 0, &["VID_"]);
+    // Without the sync recording nothing tells that a video runs: the app hangs.
+    let bench = Bench::new(79, 2.0, |c| {
+        small(c);
+        c.app.storage = StorageAccess::Documents;
+        c.camera.reports_frames = false;
+    });
+    bench.phone.press_record();
+    let output = bench.command(&get, folder.path());
+    says(&output, PHONE, &["hangs", "force the app to stop"]);
+}
+
+#[test]
+fn a_sensor_without_a_file_or_samples_is_named_and_the_others_kept() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(80, 10.0, |c| {
+        c.app.ticked = [false, true, true];
+        c.magnetometer = None;
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let all = [
+        "imu",
+        "--seconds",
+        "2",
+        "--accel",
+        "--magnetic",
+        "--out",
+        ".",
+    ];
+    let words = [
+        "accelerometer: the phone sent no file",
+        "Enabled sensors",
+        "magnetometer: no samples",
+    ];
+    let output = bench.command(&all, folder.path());
+    says(&output, LOSS, &words);
+    assert!(!String::from_utf8_lossy(&output.stdout).contains("-0.0000"));
+    let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
+    assert_eq!(left.len(), 1);
+    assert!(folder.path().join("gyro.csv").exists());
+    // Two of them within one second have other names, and are taken.
+    for _ in 0..3 {
+        let output = bench.command(&["imu", "--seconds", "0.01"], folder.path());
+        says(&output, 0, &[]);
+    }
+}
+
+#[test]
+fn a_recording_that_the_background_cut_short_is_an_error() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(81, 2.0, |c| c.app.background_ms = 200.0);
+    let folder = tempfile::tempdir().unwrap();
+    std::thread::scope(|scope| {
+        let (phone, clock) = (&bench.phone, &bench.clock);
+        scope.spawn(move || {
+            while clock.waiters() == 0 {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            std::thread::sleep(Duration::from_millis(350));
+            phone.send_to_background();
+        });
+        let output = bench.command(&["imu", "--seconds", "4"], folder.path());
+        says(&output, PHONE, &["of the 4.0 s", "in the foreground"]);
+    });
+}
+
+#[test]
+fn a_long_answer_on_a_slow_network_is_waited_for() {
+    let _turn = turn::beside_others();
+    // 30 s of three sensors are 1.7 MB: 17 s at this rate, with 3 s of patience.
+    let bench = Bench::new(82, 30.0, |_| ());
+    bench.phone.set_fault(Some(LinkFault::Slow(100_000)));
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [
+        "imu",
+        "--seconds",
+        "30",
+        "--accel",
+        "--magnetic",
+        "--timeout",
+        "3",
+    ];
+    let output = bench.command(&arguments, folder.path());
+    says(
+        &output,
+        0,
+        &["accelerometer: 15", "gyroscope: 15", "magnetometer: 2"],
+    );
+}
+
+/// A program named `adb` that has one phone, whose storage is the simulated one's.
+fn stand_in_adb(folder: &Path, storage: &Path, pulls: &str) -> std::ffi::OsString {
+    use std::os::unix::fs::PermissionsExt as _;
+    let script = format!(
+        "#!/bin/sh\n\
+         here() {{ printf %s \"$1\" | sed 's#/sdcard/DCIM/OpenCamera#{storage}#g'; }}\n\
+         case \"$1\" in\n\
+         devices) printf 'List of devices attached\\nAB12\\tdevice\\n' ;;\n\
+         -s) case \"$3\" in\n\
+         shell) sh -c \"$(here \"$4\")\" | sed 's#{storage}#/sdcard/DCIM/OpenCamera#g' ;;\n\
+         pull) {pulls} ;;\n\
+         esac ;;\n\
+         esac\n",
+        storage = storage.display()
+    );
+    let program = folder.join("adb");
+    std::fs::write(&program, script).unwrap();
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let mut path = std::ffi::OsString::from(folder);
+    path.push(":");
+    path.push(std::env::var_os("PATH").unwrap());
+    path
+}
+
+const PULL: &str = "cp \"$(here \"$4\")\" \"$5\"";
+
+#[test]
+fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(83, 10.0, small);
+    let folder = tempfile::tempdir().unwrap();
+    let start = |name: &str| {
+        let output = bench.command(&["start", "--json"], folder.path());
+        says(&output, 0, &[]);
+        says(&bench.command(&["stop"], folder.path()), 0, &[]);
+        wait_s(&bench, 4.0);
+        let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let out = folder.path().join(name);
+        std::fs::create_dir(&out).unwrap();
+        (printed["phase_ns"].as_i64().unwrap(), out)
+    };
+    // Two videos: the phase tells which.
+    let (_, _) = start("first");
+    let (phase, out) = start("second");
+    bench.phone.wait_saved().unwrap();
+    let tools = folder.path().join("tools");
+    std::fs::create_dir(&tools).unwrap();
+    let get = |path: &std::ffi::OsStr, phase: i64| {
+        Command::new(smartdepthsync())
+            .args(["phone", "get-files", "--phase", &phase.to_string(), "--out"])
+            .arg(&out)
+            .env("PATH", path)
+            .output()
+            .unwrap()
+    };
+    let storage = bench.phone.storage();
+    let path = stand_in_adb(&tools, storage, PULL);
+    says(&get(&path, phase), 0, &["_imu_timestamps.csv"]);
+    let video = bench.phone.videos()[1].clone();
+    let whole = phone::video_files::of_video(&out.join(video.path.file_name().unwrap()));
+    let whole = whole.unwrap().unwrap();
+    assert_eq!(whole.missing(), ["video (.mp4)"]);
+    let read = |path: &Path| std::fs::read(path).unwrap();
+    assert!(read(&whole.frames.unwrap()) == read(&video.timestamps));
+    // Again, and they are there.
+    says(&get(&path, phase), 0, &[]);
+    says(
+        &get(&path, phase + 1),
+        PHONE,
+        &["AB12", "by MTP", "extract --phone"],
+    );
+
+    // A copy that is cut short is not left.
+    std::fs::remove_dir_all(&out).unwrap();
+    let path = stand_in_adb(&tools, storage, "head -c 10 \"$(here \"$4\")\" > \"$5\"");
+    says(&get(&path, phase), PHONE, &["but 10 bytes came"]);
+    assert_eq!(std::fs::read_dir(&out).unwrap().count(), 0);
+
+    // Without adb there is a line, and it does what it says.
+    let nothing = folder.path().join("nothing");
+    let output = get(nothing.as_os_str(), phase);
+    says(&output, PHONE, &["`adb` is not on the PATH"]);
+    let line = copy_command(PhoneNanos(phase), &out);
+    assert!(String::from_utf8_lossy(&output.stderr).contains(&line));
+    let mounted = folder.path().join("gvfs/mtp:host=Phone/Internal/DCIM");
+    std::fs::create_dir_all(&mounted).unwrap();
+    std::os::unix::fs::symlink(storage, mounted.join("OpenCamera")).unwrap();
+    let copied = Command::new("sh")
+        .args(["-c", &line])
+        .env("XDG_RUNTIME_DIR", folder.path())
+        .status()
+        .unwrap();
+    assert!(copied.success());
+    let found = phone::video_files::find(&out, None).unwrap().unwrap();
+    assert_eq!(found.missing(), ["video (.mp4)"]);
+}
+
+#[test]
+fn a_session_ends_well_whatever_time_a_stop_takes() {
+    let _turn = turn::beside_others();
+    for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
+        // In step with real time: the program's patience is real, and so is the stop.
+        let rig = WholeRig::with(seed, 1.0, |_, phone| phone.app.stop_ms = stop_ms);
+        let tools = rig.folder.path().join("tools");
+        std::fs::create_dir(&tools).unwrap();
+        let path = stand_in_adb(&tools, rig.phone().storage(), PULL);
+        let arguments = ["--duration", "3s", "--second-twist", "--fetch-video"];
+        let mut command = rig.record("whole", &arguments);
+        let said = Session::start(command.env("PATH", path)).ends_with(0);
+        assert!(said.contains("files of the phone were copied"), "{said}");
+        let folder = rig.recording("whole");
+        let file = SessionFile::load(&folder).unwrap();
+        assert_eq!(file.outcome, Some(SessionOutcome::Good), "{said}");
+        assert_eq!(file.twists.len(), 2, "{said}");
+        let found = phone::video_files::find(&folder, None).unwrap().unwrap();
+        assert_eq!(found.missing(), Vec::<&str>::new(), "{said}");
+        assert!(!rig.phone().is_recording());
+    }
+}
+
+#[test]
+fn a_session_notices_that_the_video_has_ended() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(88, 5.0);
+    let mut session = Session::start(&mut rig.record("ended", &["--duration", "20s"]));
+    session.wait_for("recording for");
+    rig.phone().send_to_background();
+    rig.wait_ms(3_000);
+    assert!(rig.phone().bring_to_foreground().unwrap());
+    session.wait_for("has ended");
+    let said = session.ends_with(LOSS);
+    assert!(said.contains("in the background"), "{said}");
+    let file = SessionFile::load(&rig.recording("ended")).unwrap();
+    let kinds: Vec<_> = file.problems.iter().map(|p| p.kind.as_str()).collect();
+    assert_eq!(kinds, ["video_ended"]);
+    assert_eq!(file.markers.len(), 1);
+    assert!(file.markers[0].label.contains("video ended"));
+}
+
+#[test]
+fn a_session_whose_video_does_not_start_stops_what_it_began() {
+    let _turn = turn::beside_others();
+    // The phase comes after the app's own timeout, and the video runs.
+    let rig = WholeRig::with(89, 10.0, |_, phone| phone.camera.frame_period_ns = 200e6);
+    let said = Session::start(&mut rig.record("slow", &["--duration", "5s"])).ends_with(PHONE);
+    assert!(said.contains("the phone was told to stop"), "{said}");
+    assert_eq!(rig.phone().videos().len(), 1);
+    assert!(!rig.phone().is_recording());
+}
