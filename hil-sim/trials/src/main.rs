@@ -30,6 +30,8 @@ enum Command {
     LongRun(commands::long_run::Args),
     /// Recordings during which things go wrong, judged by the truth.
     Faults(commands::faults::Args),
+    /// Absurd values in valid recordings, through whole commands in limits of their own.
+    Hostile(commands::hostile::Args),
 }
 
 fn main() -> ExitCode {
@@ -41,6 +43,7 @@ fn main() -> ExitCode {
         Command::Bench(args) => commands::bench::run(&args),
         Command::LongRun(args) => commands::long_run::run(&args),
         Command::Faults(args) => commands::faults::run(&args),
+        Command::Hostile(args) => commands::hostile::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,
