@@ -96,7 +96,12 @@ impl Material {
             text
         };
         fs::write(&files.phone_csv, csv(&twist.b, twist.b.epoch_s))?;
-        fs::write(&files.board_csv, csv(&twist.a, twist.a.epoch_s))?;
+        let mut board = String::from("mcu_time,mcu_x,mcu_y,mcu_z\n");
+        for (t, w) in twist.a.t.iter().zip(&twist.a.w) {
+            let at = twist.a.epoch_s + t;
+            let _ = writeln!(board, "{at:.9},{},{},{}", w[0], w[1], w[2]);
+        }
+        fs::write(&files.board_csv, board)?;
         write_board(&files.recording, &twist.a)?;
         fs::write(&files.gyro, csv(&twist.b, OFFSET as f64 + 1.0))?;
         let stamps: String = (0..SECONDS as i64 * 30)
@@ -110,7 +115,7 @@ impl Material {
         let made = Command::new("ffmpeg")
             .args(["-v", "error", "-f", "lavfi", "-i"])
             .args([
-                "testsrc2=size=64x48:rate=30",
+                "testsrc=size=320x240:rate=30",
                 "-frames:v",
                 "60",
                 "-pix_fmt",
