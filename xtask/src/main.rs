@@ -79,6 +79,16 @@ enum Command {
         #[arg(long, default_value_t = 200)]
         count: u64,
     },
+    /// Run the hostile campaign: absurd values in valid recordings, through whole
+    /// commands that run in limits of their own.
+    Hostile {
+        /// The first seed.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// Number of seeds.
+        #[arg(long, default_value_t = 200)]
+        count: u64,
+    },
     /// Measure the simulator or, with an option, another part. Compare figures
     /// within one run only.
     Bench {
@@ -146,7 +156,8 @@ fn run(command: Command) -> Result<()> {
             no_strobe,
             seed,
         } => long_run(&length, full_link, no_strobe, seed),
-        Command::Faults { seed, count } => faults(seed, count),
+        Command::Faults { seed, count } => campaign("faults", seed, count),
+        Command::Hostile { seed, count } => campaign("hostile", seed, count),
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench {
             extract: true,
@@ -272,10 +283,10 @@ fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<(
     process::run_hil_sim(&args, &elf)
 }
 
-fn faults(seed: u64, count: u64) -> Result<()> {
+fn campaign(name: &str, seed: u64, count: u64) -> Result<()> {
     let elf = firmware::build_rig()?;
     let args = [
-        "faults".to_owned(),
+        name.to_owned(),
         format!("--seed={seed}"),
         format!("--count={count}"),
     ];

@@ -90,6 +90,7 @@ enum Order {
     Unplug,
     Plug,
     Reset,
+    Corrupt(u32),
     Stop,
 }
 
@@ -307,6 +308,11 @@ impl RunningRig {
         self.order(Order::Plug, true);
     }
 
+    /// Flips a bit in so many of a million bytes that the board sends.
+    pub fn corrupt(&self, ppm: u32) {
+        self.order(Order::Corrupt(ppm), false);
+    }
+
     /// Presses the board's reset button.
     pub fn press_reset(&self) {
         let _ = self.orders.send(Order::Reset);
@@ -455,6 +461,7 @@ impl Runner {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
                 Ok(Order::Plug) => rig.usb_plug(),
+                Ok(Order::Corrupt(ppm)) => rig.usb_corrupt(ppm, 0),
                 Ok(Order::Reset) => {
                     self.shared.noted().reset = true;
                     rig.press_reset();

@@ -1,11 +1,12 @@
 //! Sessions on the simulated rig, judged by the truth: the demo, the fault campaign,
-//! the long run and the whole chain. Test code, not a part of the simulator.
+//! the hostile campaign, the long run and the whole chain. Test code, not a part of the simulator.
 
 pub mod board_link;
 pub(crate) mod board_truth;
 pub mod demo;
 pub mod faults;
 pub(crate) mod frame_phase;
+pub mod hostile;
 pub mod long_run;
 pub mod phone_faults;
 pub mod whole_chain;

@@ -32,6 +32,8 @@ enum Command {
     Faults(commands::faults::Args),
     /// Faults in the phone alone: no video that was begun is left running.
     PhoneFaults(commands::phone_faults::Args),
+    /// Absurd values in valid recordings, through whole commands in limits of their own.
+    Hostile(commands::hostile::Args),
 }
 
 fn main() -> ExitCode {
@@ -44,6 +46,7 @@ fn main() -> ExitCode {
         Command::LongRun(args) => commands::long_run::run(&args),
         Command::Faults(args) => commands::faults::run(&args),
         Command::PhoneFaults(args) => commands::phone_faults::run(&args),
+        Command::Hostile(args) => commands::hostile::run(&args),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

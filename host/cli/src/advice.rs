@@ -235,6 +235,9 @@ impl From<ProfileError> for Failure {
 
 impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
+        if matches!(error, RecordingError::Stopped) {
+            return Self::new(ExitStatus::Interrupted, error.to_string());
+        }
         let next = if error.is_disk_full() {
             "free some space; what was recorded before is kept and can be read"
         } else if matches!(

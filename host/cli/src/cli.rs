@@ -11,7 +11,7 @@
 use std::collections::VecDeque;
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use clap::{Parser, Subcommand, ValueEnum};
@@ -23,6 +23,7 @@ use tracing_subscriber::filter::LevelFilter;
 use crate::commands;
 use crate::log::LogOutput;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::terminal::{Shown, harmless};
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
 #[derive(Debug, Parser)]
@@ -187,8 +188,8 @@ impl Said {
 
 impl Context {
     /// Prints a result: `json` as one document with `--json`, else `text`.
-    /// Returns whether JSON was printed. A reader that has gone away (`| head`)
-    /// is no error.
+    /// A reader that has gone away (`| head`) is no error, nor is a terminal that
+    /// was closed.
     ///
     /// # Errors
     ///
@@ -198,15 +199,11 @@ impl Context {
         value: &T,
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
-        let mut text = if self.global.json {
-            serde_json::to_string_pretty(value)?
+        if self.global.json {
+            write_stdout(&serde_json::to_string_pretty(value)?, Shown::Json)?;
         } else {
-            text()
-        };
-        if !text.ends_with('\n') {
-            text.push('\n');
+            write_stdout(&text(), Shown::ForPeople)?;
         }
-        write_stdout(text.as_bytes())?;
         Ok(())
     }
 
@@ -215,7 +212,8 @@ impl Context {
     pub(crate) fn say(&self, text: impl AsRef<str>) {
         if !self.global.json && !self.said.take(text.as_ref()) {
             // Nobody to tell it to if standard error is gone.
-            let _ = writeln!(io::stderr().lock(), "{}", text.as_ref());
+            let text = harmless(text.as_ref(), Shown::ForPeople);
+            let _ = writeln!(io::stderr().lock(), "{text}");
         }
     }
 
@@ -291,6 +289,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
     if let Err(error) = interrupt.install() {
         tracing::warn!("Ctrl-C ends the program at once: {error}");
     }
+    outlive_largest_file();
     let context = Context {
         global: cli.global,
         interrupt,
@@ -311,6 +310,7 @@ fn tell_failure(context: &Context, failure: &Failure) {
     }
     let step = failure.what_to_do();
     let text = format!("error: {failure}\n  what to do: {step}\n");
+    let text = harmless(&text, Shown::ForPeople);
     let _ = io::stderr().lock().write_all(text.as_bytes());
 }
 
@@ -322,7 +322,19 @@ fn print_error(failure: &Failure) {
         "message": failure.to_string(),
         "next_step": failure.what_to_do(),
     }});
-    let _ = write_stdout(format!("{document:#}\n").as_bytes());
+    let _ = write_stdout(&format!("{document:#}"), Shown::Json);
+}
+
+/// A file that reaches the largest size allowed is an error of writing, as a full disk
+/// is, and no reason to be ended by a signal: trigger and phone would go on.
+fn outlive_largest_file() {
+    #[cfg(unix)]
+    {
+        let seen = Arc::new(AtomicBool::new(false));
+        if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen) {
+            tracing::warn!("the largest file size ends the program: {error}");
+        }
+    }
 }
 
 fn start_log(global: &Global) {
@@ -342,10 +354,27 @@ fn start_log(global: &Global) {
     }
 }
 
-fn write_stdout(bytes: &[u8]) -> io::Result<()> {
+/// Whether the terminal was closed: there is nobody to tell it to.
+fn is_closed_terminal(error: &io::Error) -> bool {
+    #[cfg(unix)]
+    {
+        rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = error;
+        false
+    }
+}
+
+/// Writes lines.
+fn write_stdout(text: &str, shown: Shown) -> io::Result<()> {
+    let text = harmless(text.strip_suffix('\n').unwrap_or(text), shown);
     let mut out = io::stdout().lock();
-    match out.write_all(bytes).and_then(|()| out.flush()) {
-        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe || is_closed_terminal(&error) => {
+            Ok(())
+        }
         result => result,
     }
 }

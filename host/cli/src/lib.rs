@@ -6,6 +6,7 @@
 //! - `view`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
 //! - `sync_report`: what the program says of an estimate of the clocks.
+//! - `terminal`: what is printed does nothing to a terminal but to be read.
 //! - `log`: where log lines go.
 //! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
 //! - `decimal`: numbers of the command line as exact times.
@@ -21,4 +22,5 @@ mod log;
 pub mod outcome;
 pub mod record;
 mod sync_report;
+mod terminal;
 mod view;

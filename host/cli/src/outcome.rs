@@ -240,7 +240,7 @@ pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {
         ErrorKind::IsADirectory => "give a file: this is a folder",
         ErrorKind::NotADirectory => "give a folder, and check the path: a part of it is a file",
         ErrorKind::AlreadyExists => "choose a name that is not taken",
-        ErrorKind::InvalidData => "give another file: this one is not text",
+        ErrorKind::InvalidData => "give another file: this one is not what it should be",
         _ => "check the path, the rights and the disk",
     }
 }

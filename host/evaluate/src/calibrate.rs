@@ -29,7 +29,7 @@ fn profile_error(path: &Path, message: String) -> EvaluateError {
 }
 
 fn load(path: &Path) -> Result<DocumentMut, EvaluateError> {
-    let text = std::fs::read_to_string(path).map_err(|e| {
+    let text = files::read_text(path, recording::profile::MAX_LENGTH).map_err(|e| {
         profile_error(
             path,
             format!("the rig profile cannot be read: {e}; give an existing profile"),

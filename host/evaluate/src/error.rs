@@ -134,6 +134,16 @@ pub enum EvaluateError {
         /// Frames looked at.
         frames: usize,
     },
+    /// Bands that a picture of anything may have.
+    #[error(
+        "{path}: there are bands that {flashes} flashes would make, but no frame without flashes to compare with: so few may be the picture itself"
+    )]
+    Chance {
+        /// The input.
+        path: PathBuf,
+        /// Flashes that would be in view.
+        flashes: usize,
+    },
     /// Flashes, but no clean frames.
     #[error(
         "{path}: {flicker} of {frames} frames seem to hold flashes, but their light differs from frame to frame (by about {peak_to_peak:.1} grey levels), as under lamps that flicker with the mains or in a moving picture: switch the lamps off and fix the phone, or give --keep-flicker to use these frames all the same"

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::EvaluateError;
 use recording::SESSION_FILE;
+use recording::session_file::MAX_LENGTH;
 
 /// Endings of the videos that phones make.
 const VIDEO_ENDINGS: [&str; 4] = ["mp4", "mkv", "mov", "webm"];
@@ -57,7 +58,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
 }
 
 fn read(file: &Path) -> Result<Option<Applied>, EvaluateError> {
-    let text = std::fs::read_to_string(file).map_err(|source| EvaluateError::Io {
+    let text = files::read_text(file, MAX_LENGTH).map_err(|source| EvaluateError::Io {
         path: file.to_owned(),
         source,
     })?;

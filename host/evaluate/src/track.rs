@@ -49,6 +49,9 @@ const REFERENCE_SHARE: f64 = 0.2;
 const COMPETITOR_DEGREE: usize = 13;
 /// By how much: share of the curve's sum of squares.
 const SHARPER: f64 = 0.2;
+/// Flashes that a train without any frame to compare with must show. Fewer bands at one
+/// distance are found in pictures of anything: the row time is free.
+const ENOUGH_FLASHES: usize = 4;
 /// Frames averaged for the report and for the published method.
 const SHOWN_FRAMES: usize = 16;
 /// Frames fitted together for row time and exposure.
@@ -153,6 +156,7 @@ pub(crate) fn track(
     // centre once more.
     let together = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
     let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
+    beyond_chance(&joint, sighting.reference, footage, settings)?;
     let shown = choice.shown(used.len());
     let mut fits = fit_each(&sighting.model, &used, &joint.shape(), &shown);
     let profiles: Vec<&[f32]> = used.iter().map(|(f, _)| f.rows.as_slice()).collect();
@@ -376,6 +380,37 @@ fn priors(settings: &Settings) -> Priors {
             sigma: 0.02 * value + 5.0,
         }),
     }
+}
+
+/// Refuses a train that may be the picture itself: without a frame that shows the scene
+/// alone, and with few flashes in view or a row time that the fit does not know.
+fn beyond_chance(
+    joint: &JointFit,
+    reference: Reference,
+    footage: &Footage,
+    settings: &Settings,
+) -> Result<(), EvaluateError> {
+    let is_known = settings.row_time_us.is_some() && settings.exposure_us.is_some();
+    if reference != Reference::Polynomial || is_known {
+        return Ok(());
+    }
+    let rows = &footage.rows;
+    let seen = [0, rows.len.saturating_sub(1)].map(|i| rows.position(i) * joint.row_time_us);
+    let in_view = |bias_us: f64| {
+        let flashes = (0..settings.train.count).map(|k| settings.train.flash_us(k, bias_us));
+        flashes
+            .filter(|at| (seen[0]..=seen[1]).contains(at))
+            .count()
+    };
+    let flashes = joint.bias_us.iter().map(|&bias| in_view(bias)).max();
+    let flashes = flashes.unwrap_or_default();
+    if flashes >= ENOUGH_FLASHES && joint.row_time_sigma_us.is_finite() {
+        return Ok(());
+    }
+    Err(EvaluateError::Chance {
+        path: footage.path.clone(),
+        flashes,
+    })
 }
 
 /// A remark if the exposure hides the flashes.

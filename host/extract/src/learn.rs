@@ -79,7 +79,7 @@ pub fn into_profile(report: &ExtractReport, path: &Path) -> Result<String, Learn
         path: path.to_owned(),
         error,
     };
-    let mut text = std::fs::read_to_string(path).map_err(io)?;
+    let mut text = files::read_text(path, recording::profile::MAX_LENGTH).map_err(io)?;
     let others = report.phones.iter();
     let phones = std::iter::once((report.reference.as_deref(), report.clock.as_ref()))
         .chain(others.map(|other| (Some(other.name.as_str()), other.clock.as_ref())));

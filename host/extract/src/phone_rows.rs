@@ -22,7 +22,7 @@ pub(crate) struct PhoneRows {
 
 impl PhoneRows {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let file = BufReader::with_capacity(256 * 1024, File::open(path)?);
+        let file = BufReader::with_capacity(256 * 1024, files::open(path)?);
         Ok(Self {
             rows: Rows::new(file),
             faults: Faults::new(MAX_FAULTS),

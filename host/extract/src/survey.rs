@@ -1,6 +1,7 @@
 //! The first pass over the board's recording: everything but the samples.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use super::board_data::{BoardEvent, BoardInput, Images, TimePair};
 use super::depth_clock::PulseTime;
@@ -9,6 +10,17 @@ use super::progress::Progress;
 use super::streams::{Stopped, each_event};
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
+
+/// Pulses and pairs of times that are kept of any recording: 12 hours of a camera's.
+const EVENTS: u64 = 3_000_000;
+/// Bytes of a longer recording to one more. A real one has some 2,000.
+const BYTES_AN_EVENT: u64 = 64;
+/// The most marks, resets of the board, and names of sensors or phones that are looked
+/// at, and the longest name in bytes.
+const MARKS: usize = 1_000;
+const RUNS: usize = 64;
+const NAMES: usize = 100;
+const NAME_LENGTH: usize = 400;
 
 /// Relations of phones' clocks to the board's, by the names of the phones.
 pub(crate) type PhoneClocks = BTreeMap<Option<String>, ClockModel>;
@@ -99,13 +111,92 @@ impl Survey {
     }
 
     /// Pulses that are missing within a train: (train, first number, how many).
-    pub(crate) fn missing_pulses(&self) -> Vec<(u32, u64, u64)> {
+    pub(crate) fn missing_pulses(&self) -> impl Iterator<Item = (u32, u64, u64)> {
         let step = |pair: &[PulseTime]| {
             let same = pair[0].train == pair[1].train;
             let gap = pair[1].number.checked_sub(pair[0].number)?;
             (same && gap > 1).then(|| (pair[0].train, pair[0].number + 1, gap - 1))
         };
-        self.pulses.windows(2).filter_map(step).collect()
+        self.pulses.windows(2).filter_map(step)
+    }
+}
+
+/// What is kept of a recording of a given length, so that no file costs more memory than
+/// a multiple of its own length.
+struct Keeper {
+    out: Survey,
+    /// Pulses and pairs that are still taken.
+    room: u64,
+    topics: BTreeSet<Arc<str>>,
+    left_out: BTreeMap<&'static str, u64>,
+}
+
+impl Keeper {
+    fn new(length: u64) -> Self {
+        Self {
+            out: Survey::default(),
+            room: EVENTS.max(length / BYTES_AN_EVENT),
+            topics: BTreeSet::new(),
+            left_out: BTreeMap::new(),
+        }
+    }
+
+    fn take(&mut self, event: BoardEvent) {
+        let out = &mut self.out;
+        match event {
+            BoardEvent::Imu(row) => out.imu.add(row.at.0),
+            BoardEvent::Image(_) => out.images += 1,
+            BoardEvent::Pulse(_) | BoardEvent::Times(_) if self.room == 0 => {
+                self.leave_out(
+                    "pulses and pairs of times are more than a recording of its length holds",
+                );
+            }
+            BoardEvent::Pulse(pulse) => {
+                self.room -= 1;
+                out.pulses.push(pulse);
+            }
+            BoardEvent::Times(pair) => match self.known(&pair.topic) {
+                Some(topic) => {
+                    self.room -= 1;
+                    self.out.times.push(TimePair { topic, ..pair });
+                }
+                None => self.leave_out("pairs of times have a topic beyond the 100 that are read"),
+            },
+            BoardEvent::Mark(at) if out.marks.len() < MARKS => out.marks.push(at),
+            BoardEvent::Mark(_) => self.leave_out("marks are beyond the 1000 that are read"),
+            BoardEvent::Clock(phone, model) => {
+                let name = phone.as_deref().unwrap_or_default();
+                let is_known = out.clocks.contains_key(&phone);
+                if is_known || out.clocks.len() < NAMES && name.len() <= NAME_LENGTH {
+                    out.clocks.insert(phone, model);
+                } else {
+                    self.leave_out("clock models are of a phone beyond the 100 that are read");
+                }
+            }
+            BoardEvent::Run(mark) if out.runs.len() < RUNS => {
+                out.runs.push(mark);
+                out.former_clocks.push(out.clocks.clone());
+            }
+            BoardEvent::Run(_) => {
+                self.leave_out("resets of the board are beyond the 64 that are read")
+            }
+        }
+    }
+
+    /// The one copy of a topic's name that all pairs share.
+    fn known(&mut self, topic: &Arc<str>) -> Option<Arc<str>> {
+        if let Some(known) = self.topics.get(topic) {
+            return Some(Arc::clone(known));
+        }
+        let has_room = self.topics.len() < NAMES && topic.len() <= NAME_LENGTH;
+        has_room.then(|| {
+            self.topics.insert(Arc::clone(topic));
+            Arc::clone(topic)
+        })
+    }
+
+    fn leave_out(&mut self, what: &'static str) {
+        *self.left_out.entry(what).or_default() += 1;
     }
 }
 
@@ -115,25 +206,17 @@ impl Survey {
 ///
 /// Stopped, or the recording cannot be read.
 pub(crate) fn survey(input: &BoardInput, progress: &dyn Progress) -> Result<Survey, Stopped> {
-    let mut out = Survey::default();
+    let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+    let mut keeper = Keeper::new(length);
     let what = "reading the board's recording";
-    out.damage = each_event(input, Images::Stamps, what, progress, |event| {
-        match event {
-            BoardEvent::Imu(row) => out.imu.add(row.at.0),
-            BoardEvent::Pulse(pulse) => out.pulses.push(pulse),
-            BoardEvent::Mark(at) => out.marks.push(at),
-            BoardEvent::Times(pair) => out.times.push(pair),
-            BoardEvent::Clock(phone, model) => {
-                out.clocks.insert(phone, model);
-            }
-            BoardEvent::Image(_) => out.images += 1,
-            BoardEvent::Run(mark) => {
-                out.runs.push(mark);
-                out.former_clocks.push(out.clocks.clone());
-            }
-        }
+    let mut damage = each_event(input, Images::Stamps, what, progress, |event| {
+        keeper.take(event);
         Ok::<(), Stopped>(())
     })?;
+    let left_out = keeper.left_out.iter();
+    damage.extend(left_out.map(|(what, count)| format!("left out: {count} {what}")));
+    let mut out = keeper.out;
+    out.damage = damage;
     out.pulses.sort_by_key(|pulse| (pulse.at, pulse.number));
     out.pulses.dedup_by_key(|pulse| (pulse.train, pulse.number));
     Ok(out)

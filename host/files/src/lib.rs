@@ -1,4 +1,4 @@
-//! Files that replace their target only when they are whole.
+//! Files that replace their target only when they are whole, and inputs that end.
 //!
 //! The bytes go into a temporary file beside the target. That file is synced to the
 //! disk, takes the target's name in one step, and the folder is synced: a reader, a
@@ -14,9 +14,12 @@
 //! error. [`put_in_place`] is for files whose names may come from elsewhere: it never
 //! goes through a link. There a link counts as a file that is in the way, and with
 //! `overwrite` it is the link that is replaced.
+//!
+//! Inputs: [`open`] takes files only. A pipe may wait for ever and a device may never
+//! end. [`read_text`] also bounds the length, for files that are read as a whole.
 
 use std::fs::{self, File, Permissions};
-use std::io::{self, ErrorKind, Write as _};
+use std::io::{self, ErrorKind, Read as _, Write as _};
 use std::path::Path;
 
 use tempfile::NamedTempFile;
@@ -66,6 +69,39 @@ pub fn put_in_place(file: NamedTempFile, path: &Path, overwrite: bool) -> io::Re
         file.persist_noclobber(path)?;
     }
     sync_folder(folder_of(path))
+}
+
+/// Opens a file to read it.
+///
+/// # Errors
+///
+/// It is not there or may not be read, or it is a folder, a pipe or a device.
+pub fn open(path: &Path) -> io::Result<File> {
+    let kind = fs::metadata(path)?.file_type();
+    if kind.is_dir() {
+        return Err(ErrorKind::IsADirectory.into());
+    }
+    if !kind.is_file() {
+        let what = "it is a pipe or a device; expected a file";
+        return Err(io::Error::new(ErrorKind::InvalidInput, what));
+    }
+    File::open(path)
+}
+
+/// Reads a text of at most `most` bytes.
+///
+/// # Errors
+///
+/// As [`open`]; or it cannot be read, is longer, or is no UTF-8
+/// ([`ErrorKind::InvalidData`]).
+pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
+    let mut text = String::new();
+    let read = open(path)?.take(most + 1).read_to_string(&mut text)? as u64;
+    if read > most {
+        let what = format!("it is longer than {most} bytes, the most that such a file can have");
+        return Err(io::Error::new(ErrorKind::InvalidData, what));
+    }
+    Ok(text)
 }
 
 /// The folder that a file is in or will be.

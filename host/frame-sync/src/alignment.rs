@@ -36,17 +36,25 @@ const FRAME_JITTER_NS: f64 = 2_000.0;
 /// of 59 intervals whose ends have that jitter.
 const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / 59.0;
 
-/// The frame periods that can be followed: the board's own bounds.
-const SECONDS: std::ops::RangeInclusive<f64> = 1e-3..=1.0;
+/// How far the trigger's period may be from that of the depth camera's mode, relative to
+/// it. Phones are off by some 0.1 %; a camera that is driven at another rate makes no
+/// frames, and at a thousand a second may come to harm.
+const NEAR_MODE: f64 = 0.1;
 
 /// Why there is no alignment.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum AlignmentError {
     /// The phone's frame period is not one that the trigger can make.
-    #[error("the phone reports a frame period of {period_ns} ns, expected 1 ms to 1 s")]
+    #[error(
+        "the phone's frames would drive the depth camera every {:.3} ms; expected its mode's {:.3} ms within 10 %",
+        period_ns * 1e-6,
+        expected_ns * 1e-6
+    )]
     FramePeriod {
         /// As reported or learnt, times the frames to a depth frame.
         period_ns: f64,
+        /// That of the depth camera's mode.
+        expected_ns: f64,
     },
     /// The result is before the board's reset or not a number.
     #[error(
@@ -134,9 +142,12 @@ pub fn plan(
     }
     let ratio = f64::from(profile.frame_ratio());
     let period_s = frame_period_ns * 1e-9 * ratio / (1.0 + clock.skew);
-    if !SECONDS.contains(&period_s) {
+    let expected_s = 1.0 / f64::from(profile.depth.fps);
+    let is_near = (period_s / expected_s - 1.0).abs() <= NEAR_MODE;
+    if !is_near {
         return Err(AlignmentError::FramePeriod {
             period_ns: frame_period_ns * ratio,
+            expected_ns: expected_s * 1e9,
         });
     }
     // At 30 fps 1.6·10⁶ · 2³² is below 2⁵³: exact to 2⁻³² ticks.
@@ -445,7 +456,8 @@ mod tests {
     #[test]
     fn nonsense_from_the_phone_is_told() {
         let profile = Profile::published().unwrap();
-        for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9] {
+        // A period of 1 ms would be within what the board can do.
+        for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9, 1e6, 2.9e7, 4e7] {
             let video = Video {
                 frame_duration_ns,
                 ..video()

@@ -26,6 +26,13 @@ const LETTER: i32 = 10;
 /// Left end of title and legend, pixels.
 const LEFT: i32 = 70;
 
+/// The largest number that is drawn: above any time in seconds and any count of this
+/// program, and far below where the steps of an axis are lost to rounding.
+const MOST: f64 = 1e12;
+
+/// The smallest part of a place on the x-axis that a chart is wide.
+const NARROWEST: f64 = 1e-9;
+
 /// Colours that differ in print and for most colour-blind readers (Okabe and Ito).
 pub const COLOURS: [Ink; 4] = [
     Ink::rgb(0, 114, 178),
@@ -112,7 +119,46 @@ pub enum Data {
 
 type Bounds = (Range<f64>, Range<f64>);
 
+fn is_drawn(value: f64) -> bool {
+    value.is_finite() && value.abs() <= MOST
+}
+
 impl Data {
+    /// Takes out what cannot be drawn, and says how much that was.
+    fn leave_out_wild(&mut self) -> usize {
+        fn retain<T>(all: &mut Vec<T>, is_drawn: impl FnMut(&T) -> bool) -> usize {
+            let before = all.len();
+            all.retain(is_drawn);
+            before - all.len()
+        }
+        match self {
+            Self::Line(points) | Self::Points(points) => {
+                retain(points, |&(x, y)| is_drawn(x) && is_drawn(y))
+            }
+            Self::Range(columns, width) => {
+                let width = *width;
+                retain(columns, |c| {
+                    [c.x, c.low, c.high, width].into_iter().all(is_drawn)
+                })
+            }
+            Self::Bars(points) => retain(points, |&(x, y, e)| [x, y, e].into_iter().all(is_drawn)),
+            Self::Bins {
+                first,
+                width,
+                counts,
+            } => {
+                let end = *first + *width * counts.len() as f64;
+                if is_drawn(*first) && is_drawn(end) {
+                    return retain(counts, |&count| is_drawn(count as f64));
+                }
+                (*first, *width) = (0.0, 1.0);
+                retain(counts, |_| false)
+            }
+            Self::Upright(places) => retain(places, |&x| is_drawn(x)),
+            Self::Marks(marks) => retain(marks, |&(x, _)| is_drawn(x)),
+        }
+    }
+
     fn bounds(&self) -> Option<Bounds> {
         let points: Vec<(f64, f64, f64)> = match self {
             Self::Line(points) | Self::Points(points) => {
@@ -133,7 +179,6 @@ impl Data {
         };
         points
             .into_iter()
-            .filter(|(x, low, high)| x.is_finite() && low.is_finite() && high.is_finite())
             .map(|(x, low, high)| (x..x, low..high))
             .reduce(both)
     }
@@ -203,6 +248,26 @@ impl Chart {
         self.series.iter().any(|(series, _)| kind(&series.data))
     }
 
+    /// Without what cannot be drawn; the title says how much that was.
+    fn tamed(&self) -> Self {
+        let mut chart = self.clone();
+        let series = chart.series.iter_mut();
+        let left_out: usize = series.map(|(s, _)| s.data.leave_out_wild()).sum();
+        if left_out > 0 {
+            let values = if left_out == 1 {
+                "value is"
+            } else {
+                "values are"
+            };
+            let note = format!("{left_out} {values} too large to be drawn and left out.");
+            chart.title = format!("{} {note}", chart.title).trim_start().to_owned();
+        }
+        chart
+            .xs
+            .take_if(|xs| !is_drawn(xs.start) || !is_drawn(xs.end));
+        chart
+    }
+
     /// What the axes show; `None` if there is nothing.
     fn ranges(&self) -> Option<Bounds> {
         let bounds = self.series.iter().filter_map(|(s, _)| s.data.bounds());
@@ -219,8 +284,9 @@ impl Chart {
         ys.end += if marks { 0.16 } else { 0.06 } * height;
         if let Some(shown) = &self.xs {
             xs = shown.clone();
-        } else if xs.end <= xs.start {
-            xs = xs.start - 0.5..xs.end + 0.5;
+        } else if xs.end - xs.start <= NARROWEST * xs.end.abs() {
+            let side = 0.5 + NARROWEST * xs.end.abs();
+            xs = xs.start - side..xs.end + side;
         } else if self.has(|data| matches!(data, Data::Points(_) | Data::Bars(_))) {
             // Points on the edge would be cut in half.
             let side = 0.02 * (xs.end - xs.start);
@@ -240,7 +306,9 @@ pub fn series(x_label: &str, y_label: &str, least: Range<f64>, all: &[Series]) -
     if let [(only, _)] = chart.series.as_mut_slice() {
         only.name.clear();
     }
-    if chart.ranges().is_none() {
+    let chart = chart.tamed();
+    // With a title, something was left out.
+    if chart.ranges().is_none() && chart.title.is_empty() {
         return String::new();
     }
     stack(SIZE, &[chart])
@@ -269,7 +337,7 @@ pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
         let root = SVGBackend::with_string(svg, (size.0, height)).into_drawing_area();
         root.fill(&WHITE)?;
         for (area, chart) in root.split_evenly((charts.len(), 1)).iter().zip(charts) {
-            draw(chart, area)?;
+            draw(&chart.tamed(), area)?;
         }
         root.present()?;
         Ok(())

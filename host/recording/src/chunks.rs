@@ -16,7 +16,7 @@
 //! # }
 //! ```
 //!
-//! Memory is bounded by the file's length and by 256 MiB of each chunk, packed and
+//! Memory is bounded by the file's length and by 20 MiB of each chunk, packed and
 //! unpacked, whatever the file claims. For files that are damaged in the
 //! middle there is [`super::scan`].
 //!
@@ -32,12 +32,15 @@ use mcap::McapError;
 use mcap::records::{ChunkHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-/// The longest record that is taken: far above a chunk of this program, far below what
-/// would exhaust memory.
-pub(crate) const MAX_RECORD: u64 = 256 << 20;
+/// The longest record that is taken: a chunk that could not be packed, with its head.
+pub(crate) const MAX_RECORD: u64 = MAX_CHUNK + (1 << 16);
 
-/// The largest chunk when unpacked.
-const MAX_CHUNK: u64 = 256 << 20;
+/// The largest chunk when unpacked: above the 16 MiB at which a writer of this program
+/// closes one, if half a second has not done so.
+const MAX_CHUNK: u64 = 20 << 20;
+
+/// Opcode and length before the body of a record.
+const HEAD: usize = 9;
 
 /// How much of the name of an unknown compression is told.
 const SHOWN_NAME: usize = 16;
@@ -114,7 +117,7 @@ impl Chunks {
     ///
     /// It cannot be opened.
     pub fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
+        let file = files::open(path)?;
         // A record longer than the file is none.
         let limit = file.metadata()?.len().min(MAX_RECORD);
         let options = LinearReaderOptions::default()
@@ -190,11 +193,16 @@ impl Chunks {
 }
 
 impl Packed {
-    /// Bytes that it holds in memory.
+    /// Bytes that it holds in memory once it is unpacked.
     #[must_use]
-    pub fn size(&self) -> usize {
+    pub fn size(&self) -> u64 {
         match &self.0 {
-            Content::Chunk(_, data) | Content::Record(data) => data.len(),
+            // A chunk that claims more is refused.
+            Content::Chunk(header, data) => {
+                let unpacked = header.uncompressed_size.min(MAX_CHUNK);
+                unpacked.max(data.len() as u64)
+            }
+            Content::Record(data) => data.len() as u64,
             Content::BadHead => 0,
         }
     }
@@ -223,7 +231,8 @@ impl Packed {
 }
 
 impl Chunk {
-    /// Opcode and body of each record; ends at the first that is cut off.
+    /// Opcode and body of each record; ends at the first that is cut off
+    /// ([`Chunk::cut_off`]).
     pub fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let mut rest = self.0.as_slice();
         std::iter::from_fn(move || {
@@ -231,6 +240,13 @@ impl Chunk {
             rest = after;
             Some((opcode, body))
         })
+    }
+
+    /// Bytes behind the last whole record, which claims more than there are.
+    #[must_use]
+    pub fn cut_off(&self) -> usize {
+        let whole = self.records().map(|(_, body)| HEAD + body.len());
+        self.0.len() - whole.sum::<usize>()
     }
 
     /// The bytes of the records one behind the other.
@@ -246,16 +262,52 @@ impl Chunk {
     }
 }
 
+/// A record by its opcode; `None` if it is no such.
+pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+    strings_fit(opcode, body)?;
+    mcap::parse_record(opcode, body).ok()
+}
+
+/// Whether the strings of a record fit into it: the parser makes room for as much as they
+/// claim, up to 4 GB, before it looks whether that is there.
+fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
+    fn length(bytes: &[u8]) -> Option<(usize, &[u8])> {
+        let (length, rest) = bytes.split_first_chunk::<4>()?;
+        Some((usize::try_from(u32::from_le_bytes(*length)).ok()?, rest))
+    }
+    let (fixed, strings) = match opcode {
+        op::HEADER => (0, 2),
+        op::SCHEMA => (2, 2),
+        op::CHANNEL => (4, 2),
+        op::CHUNK => (28, 1),
+        _ => return Some(()),
+    };
+    let mut rest = body.get(fixed..)?;
+    for _ in 0..strings {
+        let (long, after) = length(rest)?;
+        rest = after.get(long..)?;
+    }
+    if opcode == op::CHANNEL {
+        let (long, after) = length(rest)?;
+        let mut pairs = after.get(..long)?;
+        while !pairs.is_empty() {
+            let (long, after) = length(pairs)?;
+            pairs = after.get(long..)?;
+        }
+    }
+    Some(())
+}
+
 /// Head and packed records from the body of a chunk's record.
 fn head_of(body: &[u8]) -> Content {
-    match mcap::parse_record(op::CHUNK, body) {
-        Ok(Record::Chunk { header, data }) => Content::Chunk(header, data.into_owned()),
+    match parse(op::CHUNK, body) {
+        Some(Record::Chunk { header, data }) => Content::Chunk(header, data.into_owned()),
         _ => Content::BadHead,
     }
 }
 
 fn whole_record(opcode: u8, body: &[u8]) -> Vec<u8> {
-    let mut record = Vec::with_capacity(9 + body.len());
+    let mut record = Vec::with_capacity(HEAD + body.len());
     record.push(opcode);
     record.extend_from_slice(&(body.len() as u64).to_le_bytes());
     record.extend_from_slice(body);
@@ -288,7 +340,7 @@ pub(crate) fn unpack(
         "lz4" => {
             memory.clear();
             lz4_flex::frame::FrameDecoder::new(packed.as_ref())
-                .take(MAX_CHUNK)
+                .take(expected + 1)
                 .read_to_end(&mut memory)
                 .map_err(BadChunk::Packing)?;
             memory

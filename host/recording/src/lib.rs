@@ -78,6 +78,9 @@ pub enum RecordingError {
         /// What is wrong.
         source: messages::CdrError,
     },
+    /// Whoever asked for the reading wants it to end.
+    #[error("stopped before the end of the recording")]
+    Stopped,
     /// `session.json` is not one.
     #[error("{path} is not a session file of this program: {reason}", path = .path.display())]
     Session {

@@ -15,6 +15,9 @@ use serde::{Deserialize, Serialize};
 /// The commented default profile.
 pub const DEFAULT: &str = include_str!("profile_default.toml");
 
+/// The longest profile that is read, bytes: a thousand times the commented default.
+pub const MAX_LENGTH: u64 = 8 << 20;
+
 /// A rig profile.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -305,7 +308,7 @@ impl Profile {
     /// The file cannot be read, is no TOML, has a key that is not known, or a
     /// value out of its range.
     pub fn load(path: &Path) -> Result<Self, ProfileError> {
-        let text = std::fs::read_to_string(path).map_err(|error| ProfileError::Read {
+        let text = files::read_text(path, MAX_LENGTH).map_err(|error| ProfileError::Read {
             path: path.to_owned(),
             reason: error.to_string(),
         })?;
@@ -328,11 +331,16 @@ impl Profile {
         complete_phones(&mut given, &whole);
         merge(&mut whole, given);
         let mut profile: Self = whole.try_into().map_err(syntax)?;
-        check::check(&profile)?;
+        profile.check()?;
         if let Some(name) = profile.reference.clone() {
             profile.set_reference(&name)?;
         }
         Ok(profile)
+    }
+
+    /// Whether each value is one that it may have.
+    pub(crate) fn check(&self) -> Result<(), ProfileError> {
+        check::check(self)
     }
 
     /// All phones, the one that the trigger is aligned to first.

@@ -11,7 +11,7 @@ use mcap::McapError;
 use mcap::records::{Record, op};
 use protocol::Ticks;
 
-use super::chunks::{BadChunk, Chunk, Chunks, ChunksError, split_record};
+use super::chunks::{self, BadChunk, Chunk, Chunks, ChunksError, split_record};
 pub use super::topic::Item;
 use super::topic::Topic;
 use super::{MCAP_FILE, RecordingError};
@@ -130,17 +130,16 @@ impl Reader {
                 return Err(self.failed(McapError::UnexpectedEoc));
             };
             *at = chunk.bytes().len() - after.len();
-            // The parser of other records takes their length for granted.
             if !matches!(opcode, op::CHANNEL | op::MESSAGE) {
                 continue;
             }
-            match mcap::parse_record(opcode, body) {
-                Ok(Record::Channel(channel)) => {
+            match chunks::parse(opcode, body) {
+                Some(Record::Channel(channel)) => {
                     if let Some(topic) = Topic::of(&channel.topic) {
                         self.topics.insert(channel.id, topic);
                     }
                 }
-                Ok(Record::Message { header, data }) => {
+                Some(Record::Message { header, data }) => {
                     let Some(topic) = self.topics.get(&header.channel_id) else {
                         continue;
                     };
@@ -156,8 +155,7 @@ impl Reader {
                         item,
                     }));
                 }
-                Ok(_) => {}
-                Err(source) => return Err(self.failed(source)),
+                _ => return Err(self.failed(McapError::UnexpectedEoc)),
             }
         }
         Ok(None)

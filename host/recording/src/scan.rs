@@ -70,9 +70,9 @@ pub struct Scan {
     file: BufReader<File>,
     length: u64,
     position: u64,
-    /// End of the last chunk with a head that fits: nothing before it can hold
-    /// another chunk.
-    trusted: u64,
+    /// Up to here it is known where the heads of chunks are: none, but for `head`.
+    searched: u64,
+    head: Option<u64>,
     /// Checksum over everything since the begin, and then since the record that
     /// closes the data; nothing once a part was skipped.
     hasher: Option<crc32fast::Hasher>,
@@ -89,7 +89,7 @@ pub struct Scan {
 /// It cannot be read.
 pub fn has_magic(path: &Path) -> io::Result<bool> {
     let mut magic = [0; mcap::MAGIC.len()];
-    match File::open(path)?.read_exact(&mut magic) {
+    match files::open(path)?.read_exact(&mut magic) {
         Ok(()) => Ok(magic == *mcap::MAGIC),
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
         Err(error) => Err(error),
@@ -103,13 +103,14 @@ impl Scan {
     ///
     /// It cannot be opened.
     pub fn open(path: &Path) -> io::Result<Self> {
-        let file = File::open(path)?;
+        let file = files::open(path)?;
         let length = file.metadata()?.len();
         Ok(Self {
             file: BufReader::with_capacity(1 << 20, file),
             length,
             position: 0,
-            trusted: 0,
+            searched: 0,
+            head: None,
             hasher: Some(crc32fast::Hasher::new()),
             data_crc: None,
             summary_crc: None,
@@ -174,6 +175,13 @@ impl Scan {
                 op::DATA_END => length == 4,
                 _ => true,
             };
+        // A chunk begins with a head that fits, and no other record has such a head
+        // inside. So the walk never goes back, and takes a time that grows as the file.
+        let fits = fits
+            && match self.next_head(at, at + HEAD + length)? {
+                Some(head) => opcode == op::CHUNK && head == at,
+                None => opcode != op::CHUNK,
+            };
         if !(op::HEADER..=op::DATA_END).contains(&opcode) || !fits {
             // A record that was being written when the writer was killed looks
             // like this too; only then is nothing behind it.
@@ -206,10 +214,7 @@ impl Scan {
                 Ok(Some(Piece::Record(opcode, body.to_vec())))
             }
             op::CHUNK => match chunk_of(body) {
-                Some((header, packed)) => {
-                    self.trusted = self.position;
-                    Ok(Some(unpack(at, &header, packed)))
-                }
+                Some((header, packed)) => Ok(Some(unpack(at, &header, packed))),
                 None => self.search(at).map(Some),
             },
             op::FOOTER => {
@@ -254,45 +259,48 @@ impl Scan {
         Ok(bytes)
     }
 
-    /// Goes to the next chunk behind what is known; to the end if there is none.
+    /// Goes to the next chunk behind `from`; to the end if there is none.
     fn search(&mut self, from: u64) -> io::Result<Piece> {
-        let mut start = self.trusted;
-        let mut window = Vec::new();
-        let found = loop {
-            if start >= self.length {
-                break None;
-            }
-            self.file.seek(SeekFrom::Start(start))?;
-            window.clear();
-            (&mut self.file)
-                .take((WINDOW + CHUNK_HEAD) as u64)
-                .read_to_end(&mut window)?;
-            let hit = (0..window.len().min(WINDOW)).find(|&index| {
-                let at = start + index as u64;
-                // The record that led here is no chunk.
-                at != from
-                    && window
-                        .get(index..)
-                        .is_some_and(|bytes| is_chunk_head(bytes, self.length - at))
-            });
-            match hit {
-                Some(index) => break Some(start + index as u64),
-                None => start += WINDOW as u64,
-            }
-        };
+        // The record that led here is no chunk.
+        let behind = if from == 0 { 0 } else { from + 1 };
+        let found = self.next_head(behind, self.length)?;
         // The checksum over all is meaningless from here on.
         self.hasher = None;
+        self.ended = found.is_none();
         let to = found.unwrap_or(self.length);
-        if found.is_none() {
-            self.ended = true;
-        }
         self.position = to;
-        self.trusted = to;
         self.file.seek(SeekFrom::Start(to))?;
         Ok(Piece::Skipped {
             from: from.min(to),
             to,
         })
+    }
+
+    /// Where in `from..until` the first chunk begins, without going on. `from` must not
+    /// lie before that of an earlier call.
+    fn next_head(&mut self, from: u64, until: u64) -> io::Result<Option<u64>> {
+        self.head.take_if(|head| *head < from);
+        self.searched = self.searched.max(from);
+        let mut window = Vec::new();
+        while self.head.is_none() && self.searched < until {
+            let start = self.searched;
+            window.clear();
+            let ahead = start as i64 - self.position as i64;
+            // What was read ahead stays in the buffer.
+            self.file.seek_relative(ahead)?;
+            (&mut self.file)
+                .take((WINDOW + CHUNK_HEAD) as u64)
+                .read_to_end(&mut window)?;
+            self.file.seek_relative(-ahead - window.len() as i64)?;
+            let hit = (0..window.len().min(WINDOW)).find(|&index| {
+                let rest = self.length - start - index as u64;
+                let bytes = window.get(index..);
+                bytes.is_some_and(|bytes| is_chunk_head(bytes, rest))
+            });
+            self.head = hit.map(|index| start + index as u64);
+            self.searched = start + hit.map_or(WINDOW as u64, |index| index as u64 + 1);
+        }
+        Ok(self.head.filter(|head| *head < until))
     }
 }
 
@@ -308,7 +316,7 @@ fn is_chunk_head(bytes: &[u8], rest: u64) -> bool {
         let (_, bytes) = bytes.split_first_chunk::<28>()?;
         let (name, bytes) = bytes.split_first_chunk::<4>()?;
         let name = usize::try_from(u32::from_le_bytes(*name)).ok()?;
-        if name > MAX_NAME {
+        if name > MAX_NAME || std::str::from_utf8(bytes.get(..name)?).is_err() {
             return Some(false);
         }
         let size = bytes.get(name..)?.first_chunk::<8>()?;
@@ -324,7 +332,7 @@ fn is_chunk_head(bytes: &[u8], rest: u64) -> bool {
 
 /// Head and packed bytes of a chunk, if they fit each other.
 fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
-    let Ok(Record::Chunk { header, .. }) = mcap::parse_record(op::CHUNK, body) else {
+    let Some(Record::Chunk { header, .. }) = chunks::parse(op::CHUNK, body) else {
         return None;
     };
     let name = header.compression.len();
@@ -359,6 +367,6 @@ pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
             | op::STATISTICS
             | op::DATA_END
     )
-    .then(|| mcap::parse_record(opcode, body).ok())
+    .then(|| chunks::parse(opcode, body))
     .flatten()
 }

@@ -4,7 +4,7 @@
 //! It is written anew at every step (to a temporary file that then replaces it),
 //! so a kill leaves the state of the last step, without an outcome.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use protocol::{ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,10 @@ use timebase::PhoneNanos;
 
 /// Version of this file's form.
 pub const FORMAT: u32 = 1;
+
+/// The longest file that is read, bytes. An hour with a twist a minute and a problem a
+/// second is below 2 MB.
+pub const MAX_LENGTH: u64 = 8 << 20;
 
 /// The folder of the phones' folders in a recording of several phones.
 pub const PHONES_FOLDER: &str = "phones";
@@ -405,10 +409,11 @@ impl SessionFile {
     ///
     /// # Errors
     ///
-    /// It cannot be read, or is of another form.
+    /// It cannot be read, is of another form, or has a value or a name that this
+    /// program never writes.
     pub fn load(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(SESSION_FILE);
-        let text = std::fs::read_to_string(&path).map_err(|source| RecordingError::Io {
+        let text = files::read_text(&path, MAX_LENGTH).map_err(|source| RecordingError::Io {
             action: "read",
             path: path.clone(),
             source,
@@ -424,8 +429,36 @@ impl SessionFile {
                 format.format
             )));
         }
-        serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+        let session: Self =
+            serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
+        session.check().map_err(wrong)?;
+        Ok(session)
     }
+
+    /// Whether the profile is one that could be loaded, and every name stays in the
+    /// recording's folder: the file may come from anywhere.
+    fn check(&self) -> Result<(), String> {
+        self.profile.check().map_err(|error| error.to_string())?;
+        for phone in &self.phones {
+            crate::folder::check_name(&phone.name)
+                .map_err(|expected| format!("phones.name is {:?}; {expected}", phone.name))?;
+        }
+        let phones = self.phones.iter().flat_map(|phone| &phone.twists);
+        let twists = self.twists.iter().chain(phones);
+        let files = twists.filter_map(|twist| twist.phone_gyro.as_ref());
+        match self.files.iter().chain(files).find(|name| !is_below(name)) {
+            Some(name) => Err(format!(
+                "it names the file {name:?}; expected one in the recording's folder"
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether a relative path stays below the folder that it begins in.
+fn is_below(path: &str) -> bool {
+    let mut parts = Path::new(path).components();
+    parts.all(|part| matches!(part, Component::Normal(_)))
 }
 
 #[derive(Deserialize)]

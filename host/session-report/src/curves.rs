@@ -11,6 +11,9 @@ use recording::RecordingError;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 
+/// Letters of a sensor's name that are shown.
+const MAX_NAME: usize = 200;
+
 /// What the plots need of the recording.
 #[derive(Debug, Default)]
 pub(super) struct Curves {
@@ -40,12 +43,19 @@ impl Curves {
     ///
     /// # Errors
     ///
-    /// It cannot be opened. A recording that breaks somewhere gives what stands
-    /// before.
-    pub(super) fn read(recording: &Path, session: &SessionFile) -> Result<Self, RecordingError> {
+    /// It cannot be opened, or `stop` says so. A recording that breaks somewhere gives
+    /// what stands before.
+    pub(super) fn read(
+        recording: &Path,
+        session: &SessionFile,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Self, RecordingError> {
         let mut curves = Self::default();
         let mut reader = Reader::open(recording)?;
         for entry in reader.by_ref() {
+            if stop() {
+                return Err(RecordingError::Stopped);
+            }
             let Ok(entry) = entry else {
                 curves.broken_off = true;
                 break;
@@ -79,8 +89,8 @@ impl Curves {
                 }
             }
             Item::Output(pulse) => {
-                let name = pulse.header.frame_id.clone();
                 // A damaged recording may hold any name.
+                let name: String = pulse.header.frame_id.chars().take(MAX_NAME).collect();
                 if self.outputs.len() < MAX_LISTED || self.outputs.contains_key(&name) {
                     let seen = self.outputs.entry(name).or_insert((0, at, at));
                     *seen = (seen.0 + 1, seen.1, at);

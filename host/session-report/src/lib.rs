@@ -7,6 +7,7 @@
 mod curves;
 mod sections;
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use protocol::Ticks;
@@ -25,15 +26,27 @@ pub const REPORT_FILE: &str = "report.html";
 /// The most problems and marks that are listed one by one.
 const MAX_LISTED: usize = 200;
 
-/// Writes the report of the recording in `folder`.
+/// Writes the report of the recording in `folder`. `stop` is asked again and again while
+/// the recording is read.
 ///
 /// # Errors
 ///
-/// The recording cannot be read, or the report cannot be written.
-pub fn write(folder: &Path, session: &SessionFile) -> Result<PathBuf, RecordingError> {
-    let curves = Curves::read(folder, session)?;
+/// The recording cannot be read, or the report cannot be written; or `stop` says so
+/// ([`RecordingError::Stopped`]).
+pub fn write(
+    folder: &Path,
+    session: &SessionFile,
+    stop: &dyn Fn() -> bool,
+) -> Result<PathBuf, RecordingError> {
+    let curves = Curves::read(folder, session, stop)?;
     let path = folder.join(REPORT_FILE);
-    std::fs::write(&path, page(session, &curves).html()).map_err(|source| RecordingError::Io {
+    let html = page(session, &curves).html();
+    // The folder may come from anywhere: a link of this name is replaced, not followed.
+    let written = files::new_file_in(folder).and_then(|mut file| {
+        file.write_all(html.as_bytes())?;
+        files::put_in_place(file, &path, true)
+    });
+    written.map_err(|source| RecordingError::Io {
         action: "write",
         path: path.clone(),
         source,

@@ -11,6 +11,9 @@ use recording::reader::ticks_of_nanos;
 use recording::scan::{Piece, Scan, has_magic, parse};
 use recording::writer::known_channels;
 
+/// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
+const NAME: usize = 1_000;
+
 /// What is done with what can be read.
 pub(crate) trait Sink {
     /// The definition of a type.
@@ -50,11 +53,12 @@ struct Walk<'s> {
 }
 
 /// Goes through a file and hands everything that can be read to `sink`. An error if the
-/// file cannot be read or is no MCAP file at all, or of the sink.
+/// file cannot be read or is no MCAP file at all, if `stop` says so, or of the sink.
 pub(crate) fn walk(
     path: &Path,
     findings: &mut Findings,
     sink: &mut dyn Sink,
+    stop: &dyn Fn() -> bool,
 ) -> Result<FileReport, RecordingError> {
     let io = |source| RecordingError::Io {
         action: "read",
@@ -74,6 +78,9 @@ pub(crate) fn walk(
         counted: 0,
     };
     while let Some(piece) = scan.next_piece().map_err(io)? {
+        if stop() {
+            return Err(RecordingError::Stopped);
+        }
         walk.piece(piece, &scan, findings)?;
     }
     if !magic && walk.report.chunks == 0 {
@@ -108,6 +115,15 @@ impl Walk<'_> {
                 self.report.chunks += 1;
                 for (opcode, body) in chunk.records() {
                     self.record(opcode, body, findings)?;
+                }
+                if chunk.cut_off() > 0 {
+                    let bytes = chunk.cut_off();
+                    findings.add(Grade::Error, "chunk_cut_off", None, || {
+                        format!(
+                            "a chunk ends within a record: its last {bytes} bytes cannot be read"
+                        )
+                    });
+                    self.sink.gap();
                 }
                 self.sink.end_of_chunk()?;
             }
@@ -184,6 +200,15 @@ impl Walk<'_> {
     ) -> Result<(), RecordingError> {
         match parse(opcode, body) {
             Some(Record::Schema { header, data }) => self.sink.schema(&header, &data),
+            Some(Record::Channel(channel)) if channel.topic.len() > NAME => {
+                findings.add(Grade::Error, "topic_name", None, || {
+                    format!(
+                        "a topic's name has {} bytes; up to {NAME} are read",
+                        channel.topic.len()
+                    )
+                });
+                Ok(())
+            }
             Some(Record::Channel(channel)) => {
                 self.sink.channel(&channel)?;
                 self.topics.insert(channel.id, channel.topic);

@@ -229,18 +229,18 @@ pub(crate) fn session_of(mcap: &Path, findings: &mut Findings) -> Option<Session
     }
 }
 
-/// Checks a recording: its folder, or an MCAP file.
+/// Checks a recording: its folder, or an MCAP file. `stop` is asked at every chunk.
 ///
 /// # Errors
 ///
-/// The file cannot be read, or is no MCAP file at all. Damage is no error: it is
-/// in the report.
-pub fn verify(recording: &Path) -> Result<Report, RecordingError> {
+/// The file cannot be read, or is no MCAP file at all; or `stop` says so
+/// ([`RecordingError::Stopped`]). Damage is no error: it is in the report.
+pub fn verify(recording: &Path, stop: &dyn Fn() -> bool) -> Result<Report, RecordingError> {
     let path = mcap_of(recording);
     let mut findings = Findings::default();
     let session = session_of(&path, &mut findings);
     let mut content = content::Content::new(session.as_ref());
-    let file = file::walk(&path, &mut findings, &mut content)?;
+    let file = file::walk(&path, &mut findings, &mut content, stop)?;
     if let Some(session) = &session {
         check_session(session, &path, &file, &mut findings);
     }

@@ -19,6 +19,7 @@ use serde::Serialize;
 use super::file::{Sink, walk};
 use super::{FileReport, Findings, Report, mcap_of, session_of, verify};
 use recording::reader::ticks_of_nanos;
+use recording::scan::Scan;
 use recording::session_file::{Problem, SessionOutcome};
 use recording::writer::options;
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic};
@@ -45,12 +46,17 @@ pub struct Repaired {
 ///
 /// # Errors
 ///
-/// The recording cannot be read at all, or the new one cannot be written.
-pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> {
+/// The recording cannot be read at all, or the new one cannot be written; or `stop`, which
+/// is asked at every chunk, says so ([`RecordingError::Stopped`]).
+pub fn repair(
+    recording: &Path,
+    out: &Path,
+    stop: &dyn Fn() -> bool,
+) -> Result<Repaired, RecordingError> {
     let from = mcap_of(recording);
     let is_folder = recording.is_dir();
     // Before anything is made: is there something to repair.
-    File::open(&from).map_err(|source| io("read", &from, source))?;
+    Scan::open(&from).map_err(|source| io("read", &from, source))?;
     let to = if is_folder {
         std::fs::create_dir(out).map_err(|source| io("make the folder", out, source))?;
         out.join(MCAP_FILE)
@@ -59,7 +65,7 @@ pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> 
     };
     let mut copy = Copy::create(&to)?;
     let mut findings = Findings::default();
-    let before = match walk(&from, &mut findings, &mut copy) {
+    let before = match walk(&from, &mut findings, &mut copy, stop) {
         Ok(report) => report,
         Err(error) => {
             drop(copy);
@@ -78,7 +84,11 @@ pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> 
         || findings.all().iter().any(|finding| {
             matches!(
                 finding.kind,
-                "record_damaged" | "unknown_topic" | "message_outside_chunk"
+                "record_damaged"
+                    | "unknown_topic"
+                    | "message_outside_chunk"
+                    | "chunk_cut_off"
+                    | "topic_name"
             )
         })
         || (before.cut_off_at.is_some() && !before.data_complete);
@@ -92,7 +102,7 @@ pub fn repair(recording: &Path, out: &Path) -> Result<Repaired, RecordingError> 
         before,
         lost,
         copied,
-        after: verify(out)?,
+        after: verify(out, stop)?,
     })
 }
 

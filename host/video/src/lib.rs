@@ -55,12 +55,18 @@ pub enum VideoError {
     Decode(String),
 }
 
-/// A program of the two that reads files only: without a terminal, quiet but for
+/// The formats that hold their video themselves, by ffmpeg's names: what phones and
+/// cameras write, and streams as they come out of an encoder. A playlist (HLS, DASH,
+/// concat, SDP) names other files, of which nobody has said that they may be read.
+const FORMATS: &str = "mov,matroska,avi,mpegts,h264,hevc,ivf,yuv4mpegpipe";
+
+/// A program of the two that reads the file alone: without a terminal, quiet but for
 /// errors.
 fn program(name: &'static str) -> Command {
     let mut command = Command::new(name);
     command
         .args(["-v", "error", "-protocol_whitelist", "file"])
+        .args(["-format_whitelist", FORMATS])
         .stdin(Stdio::null());
     command
 }

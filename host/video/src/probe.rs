@@ -69,6 +69,9 @@ pub fn probe(path: &Path) -> Result<Info, VideoError> {
     let said = said.lines().next().unwrap_or("no reason given");
     let hint = if said.contains("moov atom not found") {
         "; the file is truncated: the camera writes its index at the end. Copy it again"
+    } else if said.contains("not on whitelist") {
+        "; expected a file that holds its frames itself (mp4, mov, mkv, webm, avi, ts), and no \
+         playlist, which would read other files"
     } else {
         ""
     };

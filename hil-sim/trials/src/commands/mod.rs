@@ -5,6 +5,7 @@ pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod frame_sync;
+pub(crate) mod hostile;
 pub(crate) mod long_run;
 pub(crate) mod phone_faults;
 

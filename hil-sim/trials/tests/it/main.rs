@@ -17,6 +17,7 @@ mod extract_published;
 mod extract_truth;
 mod faults;
 mod foxglove;
+mod hostile;
 mod imu_csv;
 mod json_objects;
 mod live_view;

@@ -328,6 +328,31 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     readable(&rig, "asked", SessionOutcome::Interrupted);
 }
 
+/// Bytes come, but nothing that is understood: no sign of life.
+#[test]
+fn a_link_that_only_gives_damage_ends_the_recording_in_its_time() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(14, SPEED);
+    let arguments = ["--duration", "12s", "--link-patience", "2s"];
+    let mut session = Session::start(&mut rig.record("damage", &arguments));
+    session.wait_for("recording for");
+    rig.rig.corrupt(1_000_000);
+    let began = std::time::Instant::now();
+    let (status, said) = session.end();
+    assert!(began.elapsed().as_secs() < 60, "{said}");
+    assert_eq!(status.code(), Some(LINK_LOST), "{said}");
+    assert!(
+        said.contains("no message came from the board for 5 s"),
+        "{said}"
+    );
+    let file = readable(&rig, "damage", SessionOutcome::Failed);
+    assert!(
+        problems(&file).contains(&"link_lost"),
+        "{:?}",
+        problems(&file)
+    );
+}
+
 #[test]
 fn what_is_bad_before_a_recording_ends_it_and_says_what_to_do() {
     let _turn = turn::beside_others();
@@ -357,7 +382,7 @@ fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
     let wanted = rig.record("full", &["--duration", "600s"]);
     let mut command = Command::new("sh");
     command
-        .args(["-c", "trap '' XFSZ; ulimit -f 1024; exec \"$0\" \"$@\""])
+        .args(["-c", "ulimit -f 1024; exec \"$0\" \"$@\""])
         .arg(wanted.get_program())
         .args(wanted.get_args());
     let said = Session::start(&mut command).ends_with(STORAGE);
@@ -399,4 +424,29 @@ fn the_depth_recorder_is_started_watched_and_stopped() {
     readable(&rig, "good", SessionOutcome::Good);
     let text = std::fs::read_to_string(rig.recording("good").join("depth.txt")).unwrap();
     assert_eq!(text, "30\n");
+}
+
+/// Killed, the program can stop nothing any more: its guard does.
+#[test]
+fn a_kill_takes_the_depth_recorder_along() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(15, SPEED);
+    let profile = format!(
+        "{}\n[depth.recorder]\nstop = \"terminate\"\ncommand = [\"sh\", \"-c\", \"echo $$ > \
+         {{folder}}/pid; exec sleep 600\"]\n",
+        rig.profile()
+    );
+    let mut session = Session::start(&mut rig.record_with("kill", &profile, &[]));
+    session.wait_for("the trigger runs");
+    let pid = std::fs::read_to_string(rig.recording("kill").join("pid")).unwrap();
+    let recorder = std::path::PathBuf::from(format!("/proc/{}", pid.trim()));
+    assert!(recorder.exists());
+    session.signal(Signal::KILL);
+    session.end();
+    let began = std::time::Instant::now();
+    while recorder.exists() {
+        assert!(began.elapsed().as_secs() < 10, "the recorder lives on");
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+    rig.stop_phone();
 }

@@ -131,7 +131,7 @@ fn over_a_reset(seed: u64) {
     assert!(mark.from > mark.last && mark.anchor.unwrap() > mark.from);
     // A host whose clock does not go like the board's says so.
     assert!(mark.shift_sigma_us > 10_000.0, "{mark:?}");
-    let checked = verify(&folder).unwrap();
+    let checked = verify(&folder, &|| false).unwrap();
     assert_eq!(checked.verdict, Verdict::Incomplete, "{checked:?}");
     assert_eq!(checked.board_runs, 2);
     let grid = checked.grid.unwrap();

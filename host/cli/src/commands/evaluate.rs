@@ -218,9 +218,10 @@ impl From<EvaluateError> for Failure {
             E::Io { .. } | E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
                 ExitStatus::Storage
             }
-            E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => {
-                ExitStatus::Refused
-            }
+            E::NoFlashes { .. }
+            | E::Chance { .. }
+            | E::OnlyFlicker { .. }
+            | E::TooFewFrames { .. } => ExitStatus::Refused,
             _ => ExitStatus::Error,
         };
         Self::new(status, error.to_string()).next_step(next_step(&error))
@@ -254,6 +255,10 @@ fn next_step(error: &EvaluateError) -> &'static str {
             "look at the video: the re-transmitter's flashes must be in view, on a picture that is \
              otherwise still"
         }
+        E::Chance { .. } => {
+            "begin the video a second before the depth camera runs, so that it also shows the scene \
+             alone; or give --row-time and --exposure if they are known"
+        }
         E::Profile { .. } => {
             "`smartdepthsync profile init rig.toml` writes a profile to start from"
         }
@@ -262,7 +267,7 @@ fn next_step(error: &EvaluateError) -> &'static str {
 }
 
 fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
-    std::fs::write(path, text).map_err(|error| Failure::file("write", path, &error))
+    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
 }
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Failure> {

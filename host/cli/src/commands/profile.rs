@@ -13,7 +13,7 @@ use frame_sync::learn;
 use frame_sync::train::{FramePeriod, frame_period};
 use phone::frame_timestamps;
 use phone::rows::RowError;
-use recording::profile::{DEFAULT, Learnt, Profile};
+use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 
 /// Options of `profile`.
@@ -177,5 +177,5 @@ impl PrintedLesson {
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(path).map_err(|error| Failure::file("read", path, &error))
+    files::read_text(path, MAX_LENGTH).map_err(|error| Failure::file("read", path, &error))
 }

@@ -129,7 +129,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         file,
     } = record::run(&options, &profile, context, &mut connector)?;
     // The recording is there, whatever becomes of its report.
-    let html = match session_report::write(&folder, &file) {
+    let html = match session_report::write(&folder, &file, &|| false) {
         Ok(path) => Some(path),
         Err(error) => {
             context.say(format!("warning: cannot write the report: {error}"));

@@ -27,7 +27,9 @@ pub(crate) struct Args {
 ///
 /// There is no such recording, or the new one cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let result = repair(&args.recording, &args.out)?;
+    let result = repair(&args.recording, &args.out, &|| {
+        context.interrupt.requested()
+    })?;
     context.print(&result, || text(&result))?;
     Ok(Outcome::of_loss(result.lost))
 }

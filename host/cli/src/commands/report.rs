@@ -32,7 +32,8 @@ struct Written {
 /// There is no such recording, or its folder cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let file = SessionFile::load(&args.recording)?;
-    let report = session_report::write(&args.recording, &file)?;
+    let stop = || context.interrupt.requested();
+    let report = session_report::write(&args.recording, &file, &stop)?;
     let (_, verdict) = session_report::verdict(&file);
     let written = Written { report, verdict };
     context.print(&written, || {

@@ -24,7 +24,7 @@ pub(crate) struct Args {
 ///
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let report = verify(&args.recording)?;
+    let report = verify(&args.recording, &|| context.interrupt.requested())?;
     context.print(&report, || report.text())?;
     Ok(match report.verdict {
         Verdict::Whole => Outcome::Good,

@@ -4,6 +4,9 @@
 //! this program only, which then stops the recorder in its turn. Its output goes
 //! into a file in the recording's folder. It is asked to stop with a signal and
 //! killed if it does not end in time.
+//!
+//! If this program is killed, it can do nothing of that any more. So a [guard](Guard)
+//! waits beside it: a shell that reads from a pipe of ours, which ends when we do.
 
 use std::fs::File;
 use std::path::Path;
@@ -23,6 +26,54 @@ pub(crate) struct DepthRecorder {
     stop: StopSignal,
     patience: Duration,
     ended: bool,
+    /// Goes with the recorder.
+    _guard: Option<Guard>,
+}
+
+/// Stops the recorder's process group once this program has gone, however it went.
+struct Guard(Child);
+
+/// Waits for the end of its input, then asks the group `$0` to stop with `$1`, and kills
+/// it `$2` seconds later.
+const GUARD: &str =
+    "read -r _; kill -s \"$1\" -- \"-$0\" && sleep \"$2\" && kill -s KILL -- \"-$0\"";
+
+impl Guard {
+    /// `None` where there is no shell: the recorder then outlives a kill.
+    fn over(group: u32, stop: StopSignal, patience_s: u32) -> Option<Self> {
+        let signal = match stop {
+            StopSignal::Interrupt => "INT",
+            StopSignal::Terminate => "TERM",
+        };
+        let mut command = Command::new("sh");
+        command
+            .args(["-c", GUARD, &group.to_string(), signal])
+            .arg(patience_s.to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        #[cfg(unix)]
+        {
+            use std::os::unix::process::CommandExt as _;
+            // A Ctrl-C at the terminal is not for it.
+            command.process_group(0);
+        }
+        match command.spawn() {
+            Ok(child) => Some(Self(child)),
+            Err(error) => {
+                tracing::warn!("the depth recorder would outlive a kill of this program: {error}");
+                None
+            }
+        }
+    }
+}
+
+impl Drop for Guard {
+    /// The recorder has ended: its number may become another's.
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 impl DepthRecorder {
@@ -59,7 +110,9 @@ impl DepthRecorder {
             command.process_group(0);
         }
         let child = command.spawn().map_err(|error| failed(error.to_string()))?;
+        let recorder = &depth.recorder;
         Ok(Some(Self {
+            _guard: Guard::over(child.id(), recorder.stop, recorder.stop_timeout_s),
             child,
             name: program.clone(),
             stop: depth.recorder.stop,
@@ -146,7 +199,7 @@ impl DepthRecorder {
 }
 
 impl Drop for DepthRecorder {
-    /// Nothing that we started outlives us.
+    /// Nothing that we started outlives us; the guard goes last.
     fn drop(&mut self) {
         if !self.ended {
             #[cfg(unix)]

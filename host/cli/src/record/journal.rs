@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use protocol::Ticks;
+use protocol::{TICK_HZ, Ticks};
 
 use super::Stop;
 use super::live::Live;
@@ -16,6 +16,9 @@ use verify::watch::Finding;
 
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;
+
+/// A message this far ahead of all others, in ticks, is not believed by itself: 10 s.
+const FAR: u64 = 10 * TICK_HZ as u64;
 
 /// The outputs of a session.
 pub struct Journal<'a> {
@@ -30,6 +33,8 @@ pub struct Journal<'a> {
     pub file: SessionFile,
     /// Latest board time that was handled.
     pub(super) now: Ticks,
+    /// A time far beyond it that one message told.
+    ahead: Option<Ticks>,
     has_problems: bool,
 }
 
@@ -50,8 +55,21 @@ impl<'a> Journal<'a> {
             folder,
             file,
             now: Ticks::ZERO,
+            ahead: None,
             has_problems: false,
         }
+    }
+
+    /// A message tells a board time. One that is far ahead of all others is believed once
+    /// a second message says the same: a single wrong one must not end a recording.
+    pub(super) fn advance(&mut self, at: Ticks) {
+        let is_far = |from: Ticks| at.0.abs_diff(from.0) > FAR;
+        if at > self.now && is_far(self.now) && self.ahead.is_none_or(is_far) {
+            self.ahead = Some(at);
+            return;
+        }
+        self.ahead = None;
+        self.now = self.now.max(at);
     }
 
     /// Whether anything went wrong so far.

@@ -11,9 +11,12 @@ use board::Event;
 use board::imu::{Sample, Scale};
 use timebase::runs::{Axis, Pair};
 
-/// A link on which nothing at all comes for so long is as good as lost: a status
-/// comes every second.
+/// A link on which no message comes for so long is as good as lost, whatever bytes
+/// come: a status comes every second.
 const SILENCE: Duration = Duration::from_secs(10);
+
+/// After so long without a message its absence is told.
+const QUIET: Duration = Duration::from_secs(5);
 
 /// The link to the board.
 pub struct BoardLink<'a> {
@@ -34,6 +37,8 @@ pub struct BoardLink<'a> {
     pub(super) met: Option<Pair>,
     /// When the board was heard last, on the link's clock.
     pub(super) last_sign: Duration,
+    /// That no message comes has been told.
+    quiet_told: bool,
     scale: Scale,
     next_scale: Option<NextScale>,
 }
@@ -64,6 +69,7 @@ impl<'a> BoardLink<'a> {
             axis: Axis::default(),
             met: None,
             last_sign: board.now(),
+            quiet_told: false,
             board,
             scale,
             next_scale: None,
@@ -73,19 +79,45 @@ impl<'a> BoardLink<'a> {
     /// What comes next, within `wait`.
     pub(super) fn next_event(&mut self, wait: Duration) -> board::Result<Option<Event>> {
         let event = self.board.next_event(wait)?;
-        // That an answer does not come is no sign of life.
-        if event
-            .as_ref()
-            .is_some_and(|event| !matches!(event, Event::Expired { .. }))
-        {
+        // Only what was understood is a sign of life: no damaged frame is, and not that
+        // an answer does not come.
+        if let Some(Event::Message(_) | Event::Answer(_) | Event::Restarted { .. }) = event {
             self.last_sign = self.board.now();
+            self.quiet_told = false;
         }
         Ok(event)
     }
 
+    /// How long no message has come.
+    fn silence(&self) -> Duration {
+        self.board.now().saturating_sub(self.last_sign)
+    }
+
+    /// Whether no message has come for some time; true once each time.
+    pub(super) fn has_become_quiet(&mut self) -> bool {
+        let is_quiet = self.silence() > QUIET;
+        is_quiet && !std::mem::replace(&mut self.quiet_told, is_quiet)
+    }
+
+    /// Board time as the host's clock has it, where no message tells it any more.
+    pub(super) fn overdue(&self, latest: Ticks) -> Ticks {
+        let silence = self.silence();
+        let beyond = if silence > QUIET {
+            silence
+        } else {
+            Duration::ZERO
+        };
+        let ticks = beyond.as_micros() * u128::from(TICK_HZ / 1_000_000);
+        Ticks(
+            latest
+                .0
+                .saturating_add(u64::try_from(ticks).unwrap_or(u64::MAX)),
+        )
+    }
+
     /// Whether nothing has come for so long that it is as good as lost.
     pub(super) fn is_silent(&self) -> bool {
-        self.board.now().saturating_sub(self.last_sign) > SILENCE
+        self.silence() > SILENCE
     }
 
     /// Asks the board for its time, where that is due. Never waits.

@@ -131,6 +131,6 @@ pub(super) fn take_message(
         ),
         DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
     };
-    journal.now = journal.now.max(at);
+    journal.advance(at);
     Ok(written?)
 }

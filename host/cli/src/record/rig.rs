@@ -107,7 +107,8 @@ impl<'a> Rig<'a> {
             match self.link.next_event(wait) {
                 Ok(Some(event)) => self.take(event)?,
                 Ok(None) => {
-                    self.idle()?;
+                    // All that had come is taken.
+                    self.observers.time(self.journal.now);
                     break;
                 }
                 Err(BoardError::Link(error)) => {
@@ -118,6 +119,7 @@ impl<'a> Rig<'a> {
             }
             wait = Duration::ZERO;
         }
+        self.listen()?;
         let findings = std::mem::take(&mut self.observers.findings);
         self.journal.tell_all(findings)?;
         self.restore()?;
@@ -214,11 +216,17 @@ impl<'a> Rig<'a> {
         Ok(())
     }
 
-    /// All that had come is taken.
-    fn idle(&mut self) -> Result<(), Stop> {
-        self.observers.time(self.journal.now);
+    /// Sees to it that the board is still understood.
+    fn listen(&mut self) -> Result<(), Stop> {
+        if self.link.has_become_quiet() {
+            let damaged = self.link.board.conversation().damaged_frames();
+            let text = format!(
+                "no message came from the board for 5 s; {damaged} damaged frames came so far"
+            );
+            self.journal.tell(Severity::Warning, "board_quiet", &text)?;
+        }
         if self.link.is_silent() {
-            let reason = String::from("nothing came for 10 s");
+            let reason = String::from("no message came for 10 s");
             self.take_up_link(&LinkError::Gone { reason })?;
         }
         Ok(())

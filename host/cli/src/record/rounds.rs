@@ -6,6 +6,7 @@ use super::Stop;
 use super::depth_recorder::DepthRecorder;
 use super::journal::Journal;
 use crate::outcome::{ExitStatus, Failure};
+use recording::MCAP_FILE;
 use recording::writer::Severity;
 use verify::watch::Finding;
 
@@ -53,6 +54,17 @@ impl Rounds {
         self.last = Instant::now();
         if let Some(text) = self.depth.as_mut().and_then(DepthRecorder::gone) {
             journal.problem(Finding::error("depth_recorder_gone", text))?;
+        }
+        if !journal.folder.join(MCAP_FILE).exists() && !closing {
+            return Err(Failure::new(
+                ExitStatus::Storage,
+                format!(
+                    "the recording in {} was deleted or moved",
+                    journal.folder.display()
+                ),
+            )
+            .next_step("leave the folder in its place while it is recorded into, and record again")
+            .into());
         }
         let Some(free) = free_space(&journal.folder) else {
             return Ok(());

@@ -229,7 +229,8 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
             Some(None) => return Some(Ok(())),
             None => {}
         }
-        end.is_some_and(|end| rig.now().0 >= end).then_some(Ok(()))
+        let now = rig.link.overdue(rig.now());
+        end.is_some_and(|end| now.0 >= end).then_some(Ok(()))
     });
     bar.finish_and_clear();
     result?

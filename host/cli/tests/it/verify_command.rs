@@ -81,7 +81,7 @@ fn a_recording_of_a_killed_program_is_repaired_to_its_last_chunk() {
     let report = json(&checked);
     assert_eq!(report["verdict"], "incomplete", "{report}");
     let out = parent.path().join("saved");
-    let result = repair(&folder, &out).unwrap();
+    let result = repair(&folder, &out, &|| false).unwrap();
     assert!(result.lost);
     assert!(result.after.file.closed);
     assert_ne!(result.after.verdict, Verdict::Damaged, "{:?}", result.after);
@@ -134,14 +134,14 @@ fn a_file_that_is_cut_anywhere_is_told_and_repaired() {
         let place = parent.path().join(format!("cut_{number}.mcap"));
         fs::write(&place, &bytes[..cut]).unwrap();
         let out = parent.path().join(format!("cut_{number}_out.mcap"));
-        let Ok(report) = verify(&place) else {
+        let Ok(report) = verify(&place, &|| false) else {
             assert!(cut < 8, "cut at {cut}");
-            assert!(repair(&place, &out).is_err());
+            assert!(repair(&place, &out, &|| false).is_err());
             assert!(!out.exists());
             continue;
         };
         assert_ne!(report.verdict, Verdict::Whole, "cut at {cut}");
-        let result = repair(&place, &out).unwrap();
+        let result = repair(&place, &out, &|| false).unwrap();
         assert!(result.after.file.closed, "cut at {cut}");
         assert_ne!(
             result.after.verdict,
@@ -163,7 +163,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
     let parent = tempfile::tempdir().unwrap();
     let folder = make(parent.path(), Wrong::default());
     let bytes = fs::read(folder.join(MCAP)).unwrap();
-    let chunks = verify(&folder).unwrap().file.chunks;
+    let chunks = verify(&folder, &|| false).unwrap().file.chunks;
     let all = Reader::open(&folder).unwrap().count();
     let mut rng = rand_pcg::Pcg64::seed_from_u64(11);
     let mut places: Vec<usize> = (0..80).map(|_| rng.random_range(0..bytes.len())).collect();
@@ -183,7 +183,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
         let mut flipped = bytes.clone();
         flipped[at] ^= 1 << bit;
         fs::write(&place, &flipped).unwrap();
-        let report = verify(&place).unwrap();
+        let report = verify(&place, &|| false).unwrap();
         assert_ne!(report.verdict, Verdict::Whole, "bit {bit} of byte {at}");
         let lost = chunks - report.file.chunks;
         assert!(lost <= 1, "bit {bit} of byte {at}: {lost} chunks lost");
@@ -191,7 +191,7 @@ fn every_flipped_bit_is_found_and_costs_a_chunk_at_most() {
             continue;
         }
         let out = parent.path().join("flipped_out.mcap");
-        let result = repair(&place, &out).unwrap();
+        let result = repair(&place, &out, &|| false).unwrap();
         let saved = Reader::open(&out).unwrap().map(Result::unwrap).count();
         // A chunk is half a second: 500 samples in four kinds of messages, and few others.
         assert!(
@@ -231,8 +231,8 @@ fn random_bytes_never_panic() {
         let place = parent.path().join("noise.mcap");
         fs::write(&place, &content).unwrap();
         let out = parent.path().join("noise_out.mcap");
-        if verify(&place).is_ok() {
-            let result = repair(&place, &out).unwrap();
+        if verify(&place, &|| false).is_ok() {
+            let result = repair(&place, &out, &|| false).unwrap();
             assert!(result.after.file.closed);
             fs::remove_file(&out).unwrap();
         }
@@ -251,7 +251,7 @@ fn what_the_board_dropped_is_told_from_what_the_link_lost() {
             board_knows,
             ..Wrong::default()
         };
-        let report = verify(&make(parent.path(), wrong)).unwrap();
+        let report = verify(&make(parent.path(), wrong), &|| false).unwrap();
         assert_eq!(report.verdict, Verdict::Incomplete, "{report:?}");
         let imu = report.streams["imu"];
         assert_eq!(imu.missing, 1);
@@ -267,7 +267,7 @@ fn a_loss_on_the_further_outputs_is_counted() {
         outputs_lost: &[2, 3],
         ..Wrong::default()
     };
-    let report = verify(&make(parent.path(), wrong)).unwrap();
+    let report = verify(&make(parent.path(), wrong), &|| false).unwrap();
     assert_eq!(report.verdict, Verdict::Incomplete, "{report:?}");
     let outputs = report.streams["outputs"];
     assert_eq!((outputs.received, outputs.missing), (SECONDS - 2, 2));
@@ -282,7 +282,7 @@ fn a_pulse_off_its_grid_by_one_tick_is_found() {
         ..Wrong::default()
     };
     let folder = make(parent.path(), wrong);
-    let report = verify(&folder).unwrap();
+    let report = verify(&folder, &|| false).unwrap();
     assert_eq!(report.verdict, Verdict::Damaged);
     assert_eq!(kinds(&report), ["off_grid"]);
     assert_eq!(report.grid.unwrap().worst_ticks, 1);
@@ -294,7 +294,7 @@ fn a_pulse_off_its_grid_by_one_tick_is_found() {
     };
     fs::remove_file(make(parent.path(), wrong).join("session.json")).unwrap();
     assert_eq!(
-        kinds(&verify(&folder).unwrap()),
+        kinds(&verify(&folder, &|| false).unwrap()),
         ["no_session_file", "grid"]
     );
 }
@@ -306,7 +306,7 @@ fn a_message_that_is_not_its_frame_is_found() {
         message_differs: true,
         ..Wrong::default()
     };
-    let report = verify(&make(parent.path(), wrong)).unwrap();
+    let report = verify(&make(parent.path(), wrong), &|| false).unwrap();
     assert_eq!(report.verdict, Verdict::Damaged);
     assert_eq!(kinds(&report), ["message_differs"]);
 }
@@ -316,10 +316,10 @@ fn what_the_session_names_must_be_there() {
     let parent = tempfile::tempdir().unwrap();
     let folder = make(parent.path(), Wrong::default());
     fs::remove_file(folder.join("twist_1_phone_gyro.csv")).unwrap();
-    let report = verify(&folder).unwrap();
+    let report = verify(&folder, &|| false).unwrap();
     assert_eq!(kinds(&report), ["file_missing"]);
     fs::write(folder.join("session.json"), "{").unwrap();
-    let report = verify(&folder).unwrap();
+    let report = verify(&folder, &|| false).unwrap();
     assert_eq!(report.verdict, Verdict::Damaged);
     assert_eq!(kinds(&report), ["session_file_damaged"]);
 }
@@ -344,7 +344,7 @@ fn what_is_no_recording_is_refused() {
     ]
     .concat();
     fs::write(&place, hostile).unwrap();
-    let report = verify(&place).unwrap();
+    let report = verify(&place, &|| false).unwrap();
     assert!(report.file.cut_off_at.is_some());
     for entry in Reader::open(&place).unwrap() {
         let _ = entry;

@@ -6,15 +6,20 @@
 
 use std::collections::HashMap;
 use std::io::{self, Read};
+use std::sync::Arc;
 
 /// The first line of a bag.
 const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Most bytes of a record's header.
 const MAX_HEADER: u32 = 1 << 20;
-/// Most bytes of a record, and of a chunk when unpacked.
-const MAX_DATA: u64 = 1 << 30;
-/// Most connections that are kept.
-const MAX_CONNECTIONS: usize = 100_000;
+/// Most bytes of a record, and of a chunk when unpacked: above an uncompressed colour
+/// image of 3840x2160.
+const MAX_DATA: u64 = 40 << 20;
+/// Most connections that are kept, and bytes of a topic or type.
+const MAX_CONNECTIONS: usize = 1_000;
+const MAX_NAME: usize = 1_000;
+/// How much of the name of an unknown compression is told.
+const SHOWN_NAME: usize = 16;
 /// Most entries in the list of damage.
 const MAX_DAMAGE: usize = 1000;
 
@@ -46,7 +51,7 @@ pub enum BagError {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Connection {
     /// The topic's name.
-    pub topic: String,
+    pub topic: Arc<str>,
     /// The type, e.g. `sensor_msgs/Imu`.
     pub kind: String,
 }
@@ -282,6 +287,7 @@ impl<R: Read> Bag<R> {
                 .read_to_end(&mut self.chunk),
             Some(other) => {
                 let other = String::from_utf8_lossy(other);
+                let other: String = other.chars().take(SHOWN_NAME).collect();
                 let text = format!("chunk compression {other:?}; expected none, bz2 or lz4");
                 self.note(at, &text);
                 return Ok(());
@@ -354,13 +360,13 @@ fn add_connection(connections: &mut HashMap<u32, Connection>, header: &[u8], dat
     let (Some(number), Some(topic)) = (field_u32(header, "conn"), field(header, "topic")) else {
         return;
     };
-    if connections.len() >= MAX_CONNECTIONS {
+    let kind = field(data, "type").unwrap_or_default();
+    if connections.len() >= MAX_CONNECTIONS || topic.len().max(kind.len()) > MAX_NAME {
         return;
     }
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     connections.entry(number).or_insert_with(|| Connection {
-        topic: text(topic),
-        kind: field(data, "type").map(text).unwrap_or_default(),
+        topic: String::from_utf8_lossy(topic).into(),
+        kind: String::from_utf8_lossy(kind).into_owned(),
     });
 }
 

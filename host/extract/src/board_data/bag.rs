@@ -15,6 +15,7 @@ use std::collections::VecDeque;
 use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::{BagImage, BoardError, BoardEvent, BoardStream, Images, ImuRow, TimePair};
 use crate::bag::messages::{Image, Imu, Short, Temperature, TimeReference};
@@ -55,7 +56,7 @@ impl From<BagError> for Failure {
 
 impl BagStream {
     pub(super) fn open(path: &Path, images: Images) -> Result<Self, BoardError> {
-        let file = File::open(path).map_err(|error| BoardError::Open {
+        let file = files::open(path).map_err(|error| BoardError::Open {
             path: path.to_owned(),
             error,
         })?;
@@ -120,7 +121,7 @@ impl BoardStream for BagStream {
 
 impl Sorter {
     fn take(&mut self, message: &Message<'_>) -> Result<(), BoardError> {
-        let topic = message.connection.topic.as_str();
+        let topic = &message.connection.topic;
         let name = topic.rsplit('/').next().unwrap_or(topic);
         let result = match name {
             "mcu_imu" => {
@@ -184,7 +185,7 @@ impl Sorter {
         }
     }
 
-    fn times(&mut self, topic: &str, name: &str, times: &TimeReference) {
+    fn times(&mut self, topic: &Arc<str>, name: &str, times: &TimeReference) {
         let stamp = BoardNanos(times.header.stamp);
         match name {
             "mcu_cameras_ts" => {
@@ -199,7 +200,7 @@ impl Sorter {
             _ => {}
         }
         self.events.push_back(BoardEvent::Times(TimePair {
-            topic: topic.to_owned().into(),
+            topic: Arc::clone(topic),
             seq: times.header.seq,
             stamp,
             other: times.time_ref,
@@ -234,7 +235,7 @@ fn expect(message: &Message<'_>, expected: &'static str) -> Result<(), BoardErro
         return Ok(());
     }
     Err(BoardError::OtherType {
-        topic: message.connection.topic.clone(),
+        topic: message.connection.topic.to_string(),
         found: message.connection.kind.clone(),
         expected,
     })

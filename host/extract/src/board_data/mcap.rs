@@ -15,7 +15,6 @@
 //! Limits: chunks are stored as they are or with LZ4, which is all that our writer
 //! makes.
 
-use std::borrow::Cow;
 use std::collections::{HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
@@ -23,6 +22,7 @@ use mcap::records::{Record, op};
 use rayon::prelude::*;
 use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, Packed};
 use recording::messages::{self, ClockModel};
+use recording::scan::parse;
 use recording::{Item, Topic};
 use timebase::{BoardSeconds, Wander};
 
@@ -32,9 +32,12 @@ use crate::faults::Faults;
 use crate::later_runs::{Moves, Placing, RunMark};
 use crate::time::{BoardNanos, SECOND};
 
-/// Chunks that are decoded at a time, and their bytes at most.
+/// Chunks that are decoded at a time, and from how many bytes on no further one is
+/// taken. A chunk of ours is some 100 kB when unpacked.
 const BATCH: usize = 64;
-const BATCH_BYTES: usize = 32 << 20;
+const BATCH_BYTES: u64 = 8 << 20;
+/// Memory for unpacking that is kept for the next batch, of each chunk.
+const SPARE_BYTES: usize = 1 << 20;
 /// How many faults are kept with their text.
 const MAX_FAULTS: usize = 50;
 
@@ -79,6 +82,8 @@ pub(super) struct McapStream {
     path: PathBuf,
     /// Those that are of use.
     topics: HashMap<u16, Topic>,
+    /// Decoded, but not yet put in their place.
+    decoded: VecDeque<std::vec::IntoIter<Decoded>>,
     events: VecDeque<BoardEvent>,
     /// Memory of the last batch's unpacked chunks, for the next one: asking the system for
     /// it anew costs as much as unpacking.
@@ -100,6 +105,7 @@ impl McapStream {
             chunks,
             path: path.to_owned(),
             topics: HashMap::new(),
+            decoded: VecDeque::new(),
             events: VecDeque::new(),
             spare: Vec::new(),
             runs: Placing::new(moves.clone()),
@@ -142,7 +148,7 @@ impl McapStream {
     }
 
     fn channel(&mut self, data: &[u8]) {
-        if let Ok(Record::Channel(channel)) = mcap::parse_record(op::CHANNEL, data)
+        if let Some(Record::Channel(channel)) = parse(op::CHANNEL, data)
             && let Some(topic) = Topic::of(&channel.topic).filter(|topic| is_of_use(*topic))
         {
             self.topics.insert(channel.id, topic);
@@ -187,8 +193,19 @@ impl McapStream {
                 Err(fault) => Err(fault.clone()),
             })
             .collect();
-        let whole = unpacked.into_iter().flatten();
-        self.spare.extend(whole.map(Chunk::into_memory));
+        for chunk in unpacked
+            .iter()
+            .flatten()
+            .filter(|chunk| chunk.cut_off() > 0)
+        {
+            let bytes = chunk.cut_off();
+            self.faults.add(format!(
+                "a chunk ends within a record: {bytes} bytes are left out"
+            ));
+        }
+        let memory = unpacked.into_iter().flatten().map(Chunk::into_memory);
+        let small = memory.filter(|memory| memory.capacity() <= SPARE_BYTES);
+        self.spare.extend(small);
         for outcome in outcomes {
             match outcome {
                 Err(fault) => self.faults.add(fault),
@@ -197,11 +214,21 @@ impl McapStream {
                         let what = format!("{broken} messages cannot be decoded");
                         self.faults.add(what);
                     }
-                    decoded.into_iter().for_each(|decoded| self.give(decoded));
+                    self.decoded.push_back(decoded.into_iter());
                 }
             }
         }
         Ok(true)
+    }
+
+    fn next_decoded(&mut self) -> Option<Decoded> {
+        while let Some(of_chunk) = self.decoded.front_mut() {
+            if let Some(decoded) = of_chunk.next() {
+                return Some(decoded);
+            }
+            self.decoded.pop_front();
+        }
+        None
     }
 
     /// Puts a decoded message into the queue; samples with their temperature.
@@ -232,7 +259,9 @@ impl BoardStream for McapStream {
             if let Some(event) = self.events.pop_front() {
                 return Ok(Some(event));
             }
-            if !self.next_batch()? {
+            if let Some(decoded) = self.next_decoded() {
+                self.give(decoded);
+            } else if !self.next_batch()? {
                 return Ok(self.waiting.take().map(BoardEvent::Imu));
             }
         }
@@ -292,17 +321,17 @@ fn relation(model: &ClockModel) -> timebase::ClockModel {
 
 fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
     let stamp = |header: &messages::Header| BoardNanos(header.stamp.nanos());
-    let pair = |topic: Cow<'static, str>, stamp, other| {
+    let pair = |topic: &str, stamp, other| {
         let pair = TimePair {
-            topic,
+            topic: topic.into(),
             seq,
             stamp,
             other,
         };
         Decoded::Event(BoardEvent::Times(pair))
     };
-    let reference = |topic: &'static str, times: &messages::TimeReference| {
-        pair(topic.into(), stamp(&times.header), times.time_ref.nanos())
+    let reference = |topic: &str, times: &messages::TimeReference| {
+        pair(topic, stamp(&times.header), times.time_ref.nanos())
     };
     let decoded = match item {
         Item::Imu(imu) => Decoded::Event(BoardEvent::Imu(ImuRow {
@@ -325,7 +354,7 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
         Item::Output(pulse) => {
             let at = stamp(&pulse.header);
             let topic = format!("{OUTPUT_TOPICS}{}", pulse.header.frame_id);
-            pair(topic.into(), at, at.0)
+            pair(&topic, at, at.0)
         }
         Item::Gnss(times) => reference(LIDAR_TOPIC, &times),
         Item::Run(run) => Decoded::Event(BoardEvent::Run(RunMark {
@@ -337,7 +366,7 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
             let relation = relation(&model);
             let at = stamp(&model.header);
             let phone = relation.to_phone(BoardSeconds(at.0 as f64 * 1e-9));
-            out.push(pair(PHONE.into(), at, phone.nanos().0));
+            out.push(pair(PHONE, at, phone.nanos().0));
             Decoded::Event(BoardEvent::Clock(None, relation))
         }
         Item::PhoneClock(model) => {

@@ -7,8 +7,8 @@
 mod bag;
 mod mcap;
 
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use super::depth_clock::PulseTime;
 use super::later_runs::{Moves, RunMark};
@@ -38,7 +38,7 @@ pub(crate) struct ImuRow {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct TimePair {
     /// The topic that it came on.
-    pub(crate) topic: Cow<'static, str>,
+    pub(crate) topic: Arc<str>,
     /// Counted by the publisher.
     pub(crate) seq: u32,
     /// Board time.

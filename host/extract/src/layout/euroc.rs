@@ -91,7 +91,7 @@ impl Layout for Euroc {
         })
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables, facts: &Facts) -> io::Result<()> {
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         let base = folder.join("mav0");
         super::further::write(&base, tables)?;
         let middle = format!(

@@ -10,6 +10,7 @@ mod topics;
 mod tum;
 
 use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -99,7 +100,7 @@ pub(crate) struct Facts {
 
 /// What a sequence's index files are made of.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct SequenceTables {
+pub(crate) struct SequenceTables<'a> {
     /// The phone's images in order of time.
     pub(crate) color: Vec<ImageRow>,
     /// Depth images in order of time.
@@ -109,9 +110,9 @@ pub(crate) struct SequenceTables {
     /// Pairs as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
     /// Pairs of times on the recording's topics.
-    pub(crate) times: Vec<TimePair>,
-    /// What the lidar is called, if that is known.
-    pub(crate) lidar: Option<String>,
+    pub(crate) times: Vec<&'a TimePair>,
+    /// Names for the files of the topics that have a place of their own.
+    pub(crate) names: BTreeMap<&'a str, String>,
 }
 
 /// A format.
@@ -137,12 +138,18 @@ pub(crate) trait Layout: Sync {
     /// The phone's IMU; `None` if the format has no place for it.
     fn phone_imu(&self) -> Option<ImuTable>;
 
+    /// What the file or folder of a topic's pairs of times is called after; `None` if the
+    /// format has no place for them. `lidar` is what the lidar is called, if that is known.
+    fn called_after<'a>(&self, topic: &'a str, lidar: Option<&'a str>) -> Option<&'a str> {
+        further::called_after(topic, lidar)
+    }
+
     /// Writes what stands beside the data of a sequence.
     ///
     /// # Errors
     ///
     /// Writing fails.
-    fn finish(&self, folder: &Path, tables: &SequenceTables, facts: &Facts) -> io::Result<()>;
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()>;
 }
 
 /// The camera's calibration goes beside the depth images.
@@ -163,6 +170,32 @@ fn push_sample(row: &mut String, sample: &ImuRow) {
         // Each in its shortest form that reads back to the same number.
         let _ = write!(row, ",{number}");
     }
+}
+
+/// A name for the file of each of these topics: harmless, and no two the same. Also the
+/// topics whose names had to be made longer for that, with what they became.
+pub(crate) fn file_names<'a>(
+    layout: &dyn Layout,
+    topics: &BTreeSet<&'a str>,
+    lidar: Option<&'a str>,
+) -> (BTreeMap<&'a str, String>, Vec<(&'a str, String)>) {
+    let mut taken = BTreeSet::new();
+    let (mut names, mut longer) = (BTreeMap::new(), Vec::new());
+    for &topic in topics {
+        let Some(after) = layout.called_after(topic, lidar) else {
+            continue;
+        };
+        let plain = harmless(after);
+        let mut name = plain.clone();
+        while !taken.insert(name.clone()) {
+            name.push('_');
+        }
+        if name != plain {
+            longer.push((after, name.clone()));
+        }
+        names.insert(topic, name);
+    }
+    (names, longer)
 }
 
 /// A name that comes out of a file: only what is harmless in a file name stays.

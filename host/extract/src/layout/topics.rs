@@ -16,7 +16,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, harmless, push_sample};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::BoardNanos;
@@ -76,22 +76,20 @@ impl Layout for Topics {
         })
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables, _facts: &Facts) -> io::Result<()> {
+    fn called_after<'a>(&self, topic: &'a str, _lidar: Option<&'a str>) -> Option<&'a str> {
+        Some(topic)
+    }
+
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
         transformation(&folder.join(COLOR), &tables.color)?;
         transformation(&folder.join(DEPTH), &tables.depth)?;
         transformation(&folder.join(INFRARED), &tables.infrared)?;
-        let mut topics: Vec<&str> = tables.times.iter().map(|pair| &*pair.topic).collect();
-        topics.sort_unstable();
-        topics.dedup();
-        for topic in topics {
+        for (topic, name) in &tables.names {
             let mut text = String::new();
-            for pair in tables.times.iter().filter(|pair| &*pair.topic == topic) {
+            for pair in tables.times.iter().filter(|pair| &*pair.topic == *topic) {
                 let _ = writeln!(text, "{},{},{}", pair.seq, pair.stamp.0, pair.other);
             }
-            write_whole(
-                &folder.join(harmless(topic)).join("time_ref.csv"),
-                text.as_bytes(),
-            )?;
+            write_whole(&folder.join(name).join("time_ref.csv"), text.as_bytes())?;
         }
         Ok(())
     }
@@ -110,6 +108,7 @@ fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::harmless;
     use super::*;
 
     #[test]

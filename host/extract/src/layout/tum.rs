@@ -58,7 +58,7 @@ impl Layout for Tum {
         None
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables, _facts: &Facts) -> io::Result<()> {
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
         super::further::write(folder, tables)?;
         list(&folder.join("rgb.txt"), "color images", &tables.color)?;
         list(&folder.join("depth.txt"), "depth maps", &tables.depth)?;

@@ -140,11 +140,11 @@ impl Recording<BufReader<File>> {
     ///
     /// It cannot be read or is no depth recording.
     pub fn open(path: &Path) -> Result<Self, K4aError> {
-        let file = File::open(path).map_err(K4aError::Open)?;
+        let file = files::open(path).map_err(K4aError::Open)?;
         let recording = Self::new(BufReader::with_capacity(256 * 1024, file))?;
         if recording.offset == StartOffset::Lost && recording.imu.is_some() {
             // The tag is lost: look for an IMU record, in a reader of its own.
-            let file = File::open(path).map_err(K4aError::Open)?;
+            let file = files::open(path).map_err(K4aError::Open)?;
             let mut search = Self::new(BufReader::new(file))?;
             let found = search.search_offset().map_err(K4aError::Open)?;
             return Ok(Self {

@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ExtractError, Extraction};
 use crate::board_data::TimePair;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
-use crate::layout::{Facts, ImageRow, SequenceTables};
+use crate::layout::{Facts, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;
 use crate::report::SequenceReport;
 use crate::sequence::Sequences;
@@ -24,16 +24,27 @@ pub(super) struct Written<'a> {
 impl Extraction<'_> {
     /// Writes the index files, one set a sequence, below a folder of the output.
     pub(super) fn finish_sequences(
-        &self,
+        &mut self,
         below: &Path,
         sequences: &Sequences,
         written: &Written<'_>,
         facts: &Facts,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
         let layout = self.job.format.layout();
+        let topics = written.times.iter().map(|pair| &*pair.topic).collect();
+        let lidar = self.inputs.lidar.clone();
+        let (names, longer) = file_names(layout, &topics, lidar.as_deref());
+        for (name, file) in longer {
+            self.remarks.push(format!(
+                "another name is the same as {name:?} in the names of files: its times are in {file}"
+            ));
+        }
         let mut reports = Vec::new();
         for sequence in 0..sequences.count() {
-            let tables = self.tables_of(sequence, sequences, written);
+            let mut tables = self.tables_of(sequence, sequences, written);
+            let here = |topic: &str| tables.times.iter().any(|pair| &*pair.topic == topic);
+            let here = names.iter().filter(|(topic, _)| here(topic));
+            tables.names = here.map(|(&topic, name)| (topic, name.clone())).collect();
             let folder = sequences.folder(sequence);
             layout
                 .finish(&self.place.out.join(below).join(&folder), &tables, facts)
@@ -53,12 +64,12 @@ impl Extraction<'_> {
         Ok(reports)
     }
 
-    fn tables_of(
+    fn tables_of<'a>(
         &self,
         sequence: usize,
         sequences: &Sequences,
-        written: &Written<'_>,
-    ) -> SequenceTables {
+        written: &Written<'a>,
+    ) -> SequenceTables<'a> {
         let layout = self.job.format.layout();
         let decoded = written.video.map_or(0, |video| video.decoded);
         let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
@@ -104,8 +115,7 @@ impl Extraction<'_> {
         };
         tables.pairs = written.pairs.iter().filter_map(place).collect();
         let of_this = |pair: &&TimePair| sequences.at(pair.stamp) == sequence;
-        tables.lidar.clone_from(&self.inputs.lidar);
-        tables.times = written.times.iter().filter(of_this).cloned().collect();
+        tables.times = written.times.iter().filter(of_this).collect();
         tables
     }
 }

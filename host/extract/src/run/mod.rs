@@ -45,6 +45,9 @@ use super::tables::{self, ColorFrame, DepthFrame};
 use super::time::BoardNanos;
 use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
 
+/// The most gaps between pulses that are listed one by one.
+const LISTED_GAPS: usize = 1_000;
+
 /// Version of the report's form.
 const REPORT_VERSION: u32 = 2;
 
@@ -210,7 +213,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
             id: run.inputs.board_id.clone(),
             pulses: survey.pulses.len(),
             pulse_period_ns: survey.pulse_period(),
-            missing_pulses: survey.missing_pulses(),
+            missing_pulses: survey.missing_pulses().take(LISTED_GAPS).collect(),
             imu: survey.imu,
             runs: joints,
             marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
@@ -279,12 +282,16 @@ impl Extraction<'_> {
         for damage in &survey.damage {
             self.lose("board", damage.clone());
         }
-        for (train, first, count) in survey.missing_pulses() {
+        for (train, first, count) in survey.missing_pulses().take(LISTED_GAPS) {
             let last = first + count - 1;
             self.lose(
                 "board",
                 format!("pulses {first} to {last} of train {train} are not in the recording"),
             );
+        }
+        let more = survey.missing_pulses().skip(LISTED_GAPS).count();
+        if more > 0 {
+            self.lose("board", format!("and {more} further gaps between pulses"));
         }
         if survey.pulses.is_empty() {
             self.lose("board", "there are no trigger pulses");

@@ -1,0 +1,301 @@
+//! The hostile campaign: valid recordings with absurd values in them, through whole
+//! commands.
+//!
+//! One run is one seed: one of the [`Command`]s, a fresh copy of the
+//! [`material`], and one to four [mutations](mutate) of what that command reads. They
+//! keep the files' structure (checksums, JSON, lengths), so that the values get past the
+//! parsers, which have fuzz targets of their own.
+//!
+//! The program runs in limits ([`limits`]): address space, time of the processor, size of
+//! a file, time on the clock. Judged: it ends by itself, with an exit code that the
+//! documents have, without a panic, and touches nothing outside of its folder. For that
+//! the names in the mutations lead to a bait beside the folder, which the kernel watches:
+//! whoever opens, makes, changes or removes a file there is named.
+//!
+//! Limit: an open somewhere else than at the bait is not seen.
+
+mod limits;
+pub mod material;
+mod mutate;
+
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context as _, Result, ensure};
+use smartdepthsync::outcome::ExitStatus;
+
+use limits::{Ended, Watch};
+use material::Material;
+use mutate::Draw;
+use rig::random::{Seed, Stream};
+
+/// The commands that read files of others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Command {
+    /// `extract`, in any format.
+    Extract,
+    /// `offset` of two gyroscope files.
+    Offset,
+    /// `verify`.
+    Verify,
+    /// `repair`.
+    Repair,
+    /// `report`.
+    Report,
+    /// `evaluate precision`.
+    Evaluate,
+    /// `profile learn`.
+    Learn,
+    /// `profile check`.
+    Check,
+}
+
+impl Command {
+    /// All of them, those with the most to read more often.
+    const DRAWN: [Self; 12] = [
+        Self::Extract,
+        Self::Extract,
+        Self::Extract,
+        Self::Extract,
+        Self::Offset,
+        Self::Verify,
+        Self::Verify,
+        Self::Repair,
+        Self::Report,
+        Self::Evaluate,
+        Self::Learn,
+        Self::Check,
+    ];
+}
+
+/// A run that passed.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The command.
+    pub command: Command,
+    /// Its exit code.
+    pub exit_code: i32,
+    /// Most memory that it held at a time, bytes.
+    pub peak: u64,
+    /// How long it took.
+    pub took: Duration,
+}
+
+/// A run that did not pass.
+#[derive(Clone, Debug)]
+pub struct Finding {
+    /// The seed.
+    pub seed: u64,
+    /// The command.
+    pub command: Command,
+    /// What was mutated.
+    pub mutations: Vec<String>,
+    /// What was wrong.
+    pub what: String,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let how = self.mutations.join("; ");
+        write!(
+            f,
+            "seed {}: {:?}: {} ({how})",
+            self.seed, self.command, self.what
+        )
+    }
+}
+
+/// What came of a campaign.
+#[derive(Debug, Default)]
+pub struct Outcome {
+    /// Runs that passed.
+    pub passed: Vec<Verdict>,
+    /// Runs that did not.
+    pub failed: Vec<Finding>,
+}
+
+impl Outcome {
+    /// Of each command: runs, exit codes, most memory, longest time.
+    #[must_use]
+    pub fn by_command(&self) -> BTreeMap<Command, (usize, BTreeMap<i32, u32>, u64, Duration)> {
+        let mut table = BTreeMap::new();
+        for verdict in &self.passed {
+            let (runs, codes, peak, took): &mut (usize, BTreeMap<i32, u32>, u64, Duration) =
+                table.entry(verdict.command).or_default();
+            *runs += 1;
+            *codes.entry(verdict.exit_code).or_default() += 1;
+            *peak = (*peak).max(verdict.peak);
+            *took = (*took).max(verdict.took);
+        }
+        table
+    }
+}
+
+/// Runs seeds, two at a time, and tells of each as it ends.
+///
+/// # Errors
+///
+/// The material cannot be made, or a run cannot be set up.
+pub fn campaign(
+    program: &Path,
+    first: u64,
+    count: u64,
+    each: &(dyn Fn(u64, &Result<Verdict, Finding>) + Sync),
+) -> Result<Outcome> {
+    let place = tempfile::tempdir().context("no temporary folder")?;
+    let material = Material::make(&place.path().join("material"))?;
+    let (next, outcome) = (AtomicU64::new(first), Mutex::new(Outcome::default()));
+    let work = || -> Result<()> {
+        loop {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            if seed - first >= count {
+                return Ok(());
+            }
+            let root = place.path().join(format!("seed-{seed}"));
+            let result = run(seed, program, &material, &root)?;
+            each(seed, &result);
+            std::fs::remove_dir_all(&root).context("removing a run's folder")?;
+            let mut outcome = outcome
+                .lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner);
+            match result {
+                Ok(verdict) => outcome.passed.push(verdict),
+                Err(finding) => outcome.failed.push(finding),
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let other = scope.spawn(work);
+        let own = work();
+        own.and(
+            other
+                .join()
+                .unwrap_or_else(|_| anyhow::bail!("a run's thread ended")),
+        )
+    })?;
+    Ok(outcome
+        .into_inner()
+        .unwrap_or_else(std::sync::PoisonError::into_inner))
+}
+
+fn run(
+    seed: u64,
+    program: &Path,
+    material: &Material,
+    root: &Path,
+) -> Result<Result<Verdict, Finding>> {
+    let mut draw = Draw::new(Seed(seed).stream(Stream::Test), root);
+    let command = *draw.one_of(&Command::DRAWN);
+    material.copy_to(root)?;
+    let files = material::Files::in_folder(root);
+    let count = draw.below(4) + 1;
+    let mutations: Vec<String> = (0..count)
+        .map(|_| mutate::mutate(&mut draw, command, &files))
+        .collect::<Result<_>>()?;
+    let arguments = arguments(&mut draw, command, &files);
+    let watch = Watch::new(root, &files)?;
+    let ended = limits::run(program, &arguments, &files.work)?;
+    let touched = watch.touched()?;
+    let finding = |what: String| {
+        Ok(Err(Finding {
+            seed,
+            command,
+            mutations: mutations.clone(),
+            what,
+        }))
+    };
+    let Ended {
+        code,
+        how,
+        said,
+        peak,
+        took,
+    } = ended;
+    let said: String = said.chars().take(2_000).collect();
+    if !touched.is_empty() {
+        return finding(format!(
+            "touched outside of its folder: {}",
+            touched.join(", ")
+        ));
+    }
+    let Some(code) = code else {
+        return finding(format!(
+            "{how}, after {took:.1?} with {} MB: {said}",
+            peak / 1_000_000
+        ));
+    };
+    let is_documented = ExitStatus::ALL
+        .iter()
+        .any(|status| i32::from(status.code()) == code);
+    if !is_documented || said.contains("panicked") {
+        return finding(format!("exit code {code}: {said}"));
+    }
+    Ok(Ok(Verdict {
+        command,
+        exit_code: code,
+        peak,
+        took,
+    }))
+}
+
+fn arguments(draw: &mut Draw<'_>, command: Command, files: &material::Files) -> Vec<OsString> {
+    let recording = || OsString::from(&files.recording);
+    let out = files.work.join("out");
+    let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+    match command {
+        Command::Extract => {
+            let format = *draw.one_of(&["euroc", "tum", "topics"]);
+            let mut all = words(&["extract", "--format", format, "--out"]);
+            all.extend([out.into(), recording()]);
+            all
+        }
+        Command::Offset => {
+            let mut all = words(&["offset", "--mcu"]);
+            all.push(files.board_csv.clone().into());
+            all.push("--phone".into());
+            all.push(files.phone_csv.clone().into());
+            all
+        }
+        Command::Verify => vec!["verify".into(), recording()],
+        Command::Repair => vec!["repair".into(), recording(), out.into()],
+        Command::Report => vec!["report".into(), recording()],
+        Command::Evaluate => {
+            vec![
+                "evaluate".into(),
+                "precision".into(),
+                files.video.clone().into(),
+            ]
+        }
+        Command::Learn => {
+            let mut all = words(&["profile", "learn"]);
+            all.push(files.profile.clone().into());
+            all.push("--recording".into());
+            all.push(recording());
+            all.push("--timestamps".into());
+            all.push(files.timestamps.clone().into());
+            all
+        }
+        Command::Check => vec![
+            "profile".into(),
+            "check".into(),
+            files.profile.clone().into(),
+        ],
+    }
+}
+
+/// Makes sure that the tools of the campaign are there.
+fn tool(name: &str, made: std::io::Result<std::process::ExitStatus>) -> Result<()> {
+    let status = made.with_context(|| format!("running {name}: install it"))?;
+    ensure!(status.success(), "{name} failed: {status}");
+    Ok(())
+}
+
+/// A folder that is given as a path.
+fn path(folder: &Path, name: &str) -> PathBuf {
+    folder.join(name)
+}

@@ -1,0 +1,68 @@
+//! The one place through which everything printed passes.
+//!
+//! A text may come from a board, a phone or a file that somebody else made. A terminal
+//! obeys control characters in it: it can be made to show another result, to set its
+//! title, to answer as if somebody had typed. And characters that turn the direction of
+//! writing round show a name as another. Here both become visible and harmless.
+//!
+//! The live view has its own: `ratatui` takes no control characters. Log lines are
+//! escaped by `tracing-subscriber`.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+
+/// How a character is shown that a terminal would obey.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Shown {
+    /// As `\u{1b}`.
+    ForPeople,
+    /// As `\u001b`, which it also is in a JSON string.
+    Json,
+}
+
+/// A text that does nothing to a terminal but to be read. Line ends and tabs stay.
+pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
+    if !text.contains(is_obeyed) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        let code = u32::from(c);
+        // Writing into a String cannot fail.
+        let _ = match shown {
+            _ if !is_obeyed(c) => out.write_char(c),
+            Shown::ForPeople => write!(out, "\\u{{{code:x}}}"),
+            Shown::Json => write!(out, "\\u{code:04x}"),
+        };
+    }
+    Cow::Owned(out)
+}
+
+/// Control characters but line end and tab, and those that turn the direction of writing
+/// (Unicode Annex 9, 2.1 to 2.6).
+fn is_obeyed(c: char) -> bool {
+    let turns = matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{200e}' | '\u{200f}' | '\u{61c}');
+    turns || (c.is_control() && c != '\n' && c != '\t')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_terminal_obeys_is_shown() {
+        let plain = "bias  +3.4 µs\tok\n";
+        assert_eq!(harmless(plain, Shown::ForPeople), plain);
+        let text = "a\u{1b}]0;x\u{7}b\u{9b}2J\rc\u{202e}d\u{7f}";
+        let shown = harmless(text, Shown::ForPeople);
+        assert_eq!(
+            shown,
+            "a\\u{1b}]0;x\\u{7}b\\u{9b}2J\\u{d}c\\u{202e}d\\u{7f}"
+        );
+        // In JSON it is the same string.
+        let json = serde_json::to_string(text).unwrap();
+        let shown = harmless(&json, Shown::Json);
+        assert!(!shown.contains(is_obeyed), "{shown}");
+        assert_eq!(serde_json::from_str::<String>(&shown).unwrap(), text);
+    }
+}

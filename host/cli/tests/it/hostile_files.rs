@@ -1,0 +1,526 @@
+//! Files that somebody made to do harm, through whole commands in limits of their own.
+
+use std::fs;
+use std::io::{BufWriter, Write as _};
+use std::os::unix::fs::symlink;
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use board::imu::Sample;
+use mcap::records::MessageHeader;
+use protocol::{Answer, DeviceToHost, HostToDevice, ImuFlags, Pulse, Reply, Ticks};
+use recording::session_file::{Problem, SessionFile};
+use recording::writer::{Writer, options};
+use recording::{MCAP_FILE, SESSION_FILE, Topic};
+use serde_json::Value;
+
+use crate::support::synthetic::{self, Wrong};
+use crate::support::{self, StandIn, code, frame, hello, text};
+
+/// What a command may use of the machine: bytes of address space, seconds of processor.
+const MEMORY: u64 = 1 << 30;
+const SECONDS: u64 = 20;
+
+/// Runs the program in its limits; whatever it meets, it ends with a code of its own.
+fn limited(args: &[&str]) -> Output {
+    let output = command(args).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!said.contains("panicked"), "{args:?}: {said}");
+    let signal = output.status.signal();
+    assert_eq!(signal, None, "{args:?}: ended by a signal: {said}");
+    output
+}
+
+fn command(args: &[&str]) -> Command {
+    let mut command = Command::new("prlimit");
+    command
+        .arg(format!("--as={MEMORY}"))
+        .arg(format!("--cpu={SECONDS}"))
+        .arg("--core=0")
+        .arg(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(args);
+    command
+}
+
+fn utf8(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A whole recording, whose session file is changed as a text.
+fn with_session(parent: &Path, change: impl FnOnce(&mut Value)) -> PathBuf {
+    let folder = synthetic::make(parent, Wrong::default());
+    let path = folder.join(SESSION_FILE);
+    let mut session: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    change(&mut session);
+    fs::write(&path, session.to_string()).unwrap();
+    folder
+}
+
+/// Everything below a folder, with the length of each file.
+fn tree(folder: &Path) -> Vec<(PathBuf, u64)> {
+    let mut all = Vec::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(folder) = open.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let entry = entry.unwrap();
+            let meta = entry.path().symlink_metadata().unwrap();
+            if meta.is_dir() {
+                open.push(entry.path());
+            }
+            all.push((entry.path(), meta.len()));
+        }
+    }
+    all.sort();
+    all
+}
+
+#[test]
+fn names_in_a_session_lead_nowhere() {
+    for (what, change) in [
+        (
+            "phone",
+            Box::new(|session: &mut Value| {
+                let mut phone = session["profile"]["phone"].clone();
+                phone["name"] = "../../outside".into();
+                session["profile"]["phones"] = vec![phone].into();
+            }) as Box<dyn Fn(&mut Value)>,
+        ),
+        (
+            "file",
+            Box::new(|session: &mut Value| {
+                session["files"] = vec![Value::from("../outside/other.mp4")].into();
+            }),
+        ),
+    ] {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = with_session(parent.path(), &change);
+        fs::create_dir(folder.join("phones")).unwrap();
+        let outside = parent.path().join("outside");
+        fs::create_dir(&outside).unwrap();
+        fs::write(outside.join("VID_1_timestamps.csv"), "1000000000\n").unwrap();
+        fs::write(outside.join("VID_1gyro.csv"), "0,0,0,1000000000\n").unwrap();
+        let before = tree(&outside);
+        let out = parent.path().join("deep/er/out");
+        let output = limited(&["extract", utf8(&folder), "--out", utf8(&out)]);
+        assert_eq!(code(&output), 4, "{what}: {output:?}");
+        let said = text(&output.stdout);
+        assert!(said.contains("outside"), "{what}: the name is told: {said}");
+        assert_eq!(tree(&outside), before, "{what}");
+        let strays = tree(&parent.path().join("deep"));
+        let strays: Vec<_> = strays
+            .iter()
+            .filter(|(p, _)| !p.starts_with(&out))
+            .collect();
+        assert_eq!(strays.len(), 1, "{what}: only `er`: {strays:?}");
+        assert!(!said.contains("VID_1"), "{what}: nothing was read: {said}");
+        assert_eq!(code(&limited(&["verify", utf8(&folder)])), 4, "{what}");
+        assert_eq!(code(&limited(&["report", utf8(&folder)])), 13, "{what}");
+    }
+}
+
+/// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over.
+fn bomb(folder: &Path, topic: Topic, message: &[u8], chunks: usize) {
+    fs::create_dir_all(folder).unwrap();
+    let file = BufWriter::new(fs::File::create(folder.join(MCAP_FILE)).unwrap());
+    let options = options().emit_message_indexes(false);
+    let mut writer = options.create(mcap::write::NoSeek::new(file)).unwrap();
+    let schema = writer
+        .add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())
+        .unwrap();
+    let channel = writer
+        .add_channel(schema, topic.name(), "cdr", &Default::default())
+        .unwrap();
+    let header = MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 1_000_000_000,
+        publish_time: 1_000_000_000,
+    };
+    let each = (16 << 20) / (31 + message.len());
+    for _ in 0..chunks {
+        for _ in 0..each {
+            writer.write_to_known_channel(&header, message).unwrap();
+        }
+        writer.flush().unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// A time reference: stamp, empty names, time.
+const TIMES: &[u8] = &[
+    0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0,
+    0,
+];
+
+#[test]
+fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
+    let parent = tempfile::tempdir().unwrap();
+    for (name, topic) in [("marks", Topic::Marker), ("pairs", Topic::Trigger)] {
+        let folder = parent.path().join(name);
+        bomb(&folder, topic, TIMES, 20);
+        let length = fs::metadata(folder.join(MCAP_FILE)).unwrap().len();
+        assert!(length < 3 << 20, "{length}");
+        let output = limited(&["extract", utf8(&folder)]);
+        assert_eq!(code(&output), 4, "{output:?}");
+        let said = text(&output.stdout);
+        assert!(said.contains("left out"), "{said}");
+        let output = limited(&["report", utf8(&folder)]);
+        assert_eq!(code(&output), 13, "there is no session: {output:?}");
+    }
+}
+
+/// A video and four playlists that stand for it.
+fn playlists(folder: &Path) -> PathBuf {
+    let secret = folder.join("secret.mp4");
+    let made = Command::new("ffmpeg")
+        .args(["-v", "error", "-f", "lavfi", "-i"])
+        .args(["testsrc2=size=64x48:rate=30", "-frames:v", "30", "-pix_fmt"])
+        .args(["yuv420p", "-movflags", "+frag_keyframe+empty_moov"])
+        .arg(&secret)
+        .status()
+        .expect("this test needs ffmpeg: sudo apt-get install ffmpeg");
+    assert!(made.success());
+    secret
+}
+
+#[test]
+fn a_playlist_reads_no_other_file() {
+    let hls = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n../secret.mp4\n#EXT-X-ENDLIST\n";
+    let concat = "ffconcat version 1.0\nfile ../secret.mp4\n";
+    let sdp = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\n\
+               m=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n";
+    let dash = "<?xml version=\"1.0\"?><MPD xmlns=\"urn:mpeg:dash:schema:mpd:2011\" type=\"static\" \
+        mediaPresentationDuration=\"PT1S\" profiles=\"urn:mpeg:dash:profile:isoff-on-demand:2011\">\
+        <Period><AdaptationSet mimeType=\"video/mp4\"><Representation id=\"1\" bandwidth=\"1000\" \
+        width=\"64\" height=\"48\"><BaseURL>../secret.mp4</BaseURL></Representation></AdaptationSet>\
+        </Period></MPD>";
+    for (name, list) in [
+        ("HLS", hls),
+        ("concat", concat),
+        ("SDP", sdp),
+        ("DASH", dash),
+    ] {
+        let parent = tempfile::tempdir().unwrap();
+        let folder = with_session(parent.path(), |session| {
+            session["clock"] = session["alignment"]["clock"].clone();
+        });
+        let _ = playlists(parent.path());
+        let video = folder.join("VID_20260131_140327.mp4");
+        fs::write(&video, list).unwrap();
+        let stamps: String = (0..30)
+            .map(|row| format!("{}\n", 94_002_000_000_000_i64 + row * 33_333_333))
+            .collect();
+        fs::write(folder.join("VID_20260131_140327_timestamps.csv"), stamps).unwrap();
+        let output = limited(&["--json", "extract", utf8(&folder)]);
+        assert_eq!(code(&output), 4, "{name}: {output:?}");
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let losses = report["losses"].to_string();
+        assert!(losses.contains("playlist"), "{name}: {losses}");
+        let images = tree(&parent.path().join("walk-euroc"));
+        let is_image = |path: &Path| path.extension().is_some_and(|ending| ending == "png");
+        assert!(!images.iter().any(|(path, _)| is_image(path)), "{name}");
+        let output = limited(&["evaluate", "precision", utf8(&video)]);
+        assert_ne!(code(&output), 0, "{name}: {output:?}");
+        let said = text(&output.stderr);
+        assert!(said.contains("playlist"), "{name}: {said}");
+    }
+}
+
+#[test]
+fn numbers_beyond_all_reason_are_left_out_of_a_report() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = parent.path().join("walk");
+    fs::create_dir(&folder).unwrap();
+    let mut writer = Writer::create(&folder).unwrap();
+    for number in 0..1_000_u64 {
+        let wild = [1e308, -1e308, 0.1][(number % 3) as usize];
+        let sample = Sample {
+            at: Ticks(48_000_000 + number * 96_000),
+            flags: ImuFlags::default(),
+            gyro: [if number < 300 { wild } else { 0.2 }, 1e-320, 1e30],
+            accel: [0.0, 0.0, 9.8],
+            temperature: 1e308,
+        };
+        writer.imu(&sample).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut session = synthetic::session();
+    if let Some(alignment) = &mut session.alignment {
+        alignment.clock.covariance = [[1e308, 0.0], [0.0, 1e308]];
+        alignment.frame_period_ns = 1e-300;
+        session.clock = Some(alignment.clock);
+    }
+    session.save(&folder).unwrap();
+    let output = limited(&["report", utf8(&folder)]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    let html = fs::read_to_string(folder.join("report.html")).unwrap();
+    assert!(html.contains("too large to be drawn"), "they are named");
+}
+
+/// A head of a chunk that fits the length of its record.
+fn chunk_head(length: u64, name: &[u8]) -> Vec<u8> {
+    let mut head = vec![6];
+    head.extend((length + 40 + name.len() as u64).to_le_bytes());
+    head.extend([0; 28]);
+    head.extend((name.len() as u32).to_le_bytes());
+    head.extend(name);
+    head.extend(length.to_le_bytes());
+    head
+}
+
+#[test]
+fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
+    const LENGTH: usize = 64 << 20;
+    let parent = tempfile::tempdir().unwrap();
+    // Heads whose record reaches to the end of the file, and heads behind which another
+    // record does.
+    for (kind, name, claim) in [("names", &b"\xff\xfe"[..], true), ("records", b"", false)] {
+        let mut bytes = mcap::MAGIC.to_vec();
+        while bytes.len() < LENGTH {
+            let rest = (LENGTH - bytes.len()) as u64;
+            if claim {
+                bytes.extend(chunk_head(rest.saturating_sub(60).min(19 << 20), name));
+            } else {
+                bytes.extend(chunk_head(0, name));
+                bytes.push(3);
+                bytes.extend(rest.saturating_sub(80).min(19 << 20).to_le_bytes());
+            }
+            bytes.resize(bytes.len() + 3_000, 0xA5);
+        }
+        let file = parent.path().join(format!("{kind}.mcap"));
+        fs::write(&file, bytes).unwrap();
+        let output = limited(&["verify", utf8(&file)]);
+        assert!([4, 13].contains(&code(&output)), "{kind}: {output:?}");
+    }
+}
+
+#[test]
+fn the_first_ctrl_c_stops_every_command_that_reads_long() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = parent.path().join("walk");
+    bomb(&folder, Topic::Marker, TIMES, 150);
+    SessionFile::save(&synthetic::session(), &folder).unwrap();
+    let out = parent.path().join("out");
+    for args in [
+        vec!["verify", utf8(&folder)],
+        vec!["report", utf8(&folder)],
+        vec!["repair", utf8(&folder), utf8(&out)],
+        vec!["extract", utf8(&folder)],
+    ] {
+        let mut command = command(&args);
+        let mut child = command
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(Duration::from_millis(800));
+        assert_eq!(child.try_wait().unwrap(), None, "{args:?} ended by itself");
+        let pid = rustix::process::Pid::from_child(&child);
+        rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+        let asked = Instant::now();
+        let status = child.wait().unwrap();
+        assert_eq!(status.code(), Some(130), "{args:?}");
+        assert!(asked.elapsed() < Duration::from_secs(3), "{args:?}");
+    }
+}
+
+#[test]
+fn a_test_picture_is_no_train_of_flashes() {
+    let parent = tempfile::tempdir().unwrap();
+    for source in [
+        "testsrc",
+        "testsrc2",
+        "smptebars",
+        "rgbtestsrc",
+        "mandelbrot",
+    ] {
+        let video = parent.path().join(format!("{source}.mp4"));
+        let made = Command::new("ffmpeg")
+            .args(["-v", "error", "-f", "lavfi", "-i"])
+            .arg(format!("{source}=size=320x240:rate=30"))
+            .args(["-frames:v", "60", "-pix_fmt", "yuv420p"])
+            .arg(&video)
+            .status()
+            .unwrap();
+        assert!(made.success());
+        let output = command(&["evaluate", "precision", utf8(&video)])
+            .output()
+            .unwrap();
+        let result = text(&output.stdout) + &text(&output.stderr);
+        assert!([1, 3].contains(&code(&output)), "{source}: {result}");
+    }
+}
+
+#[test]
+fn sensors_with_names_alike_lose_nothing() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = parent.path().join("walk");
+    fs::create_dir(&folder).unwrap();
+    let mut writer = Writer::create(&folder).unwrap();
+    let names = ["cam 1", "cam-1", "cam_1"];
+    for number in 0..30_u64 {
+        for (index, name) in (0..).zip(names) {
+            let pulse = Pulse {
+                seq: number as u32,
+                train: 1,
+                number,
+                at: Ticks(48_000_000 + number * 1_600_000 + index),
+                aligned: true,
+                readback: None,
+            };
+            writer.output_pulse(&pulse, name).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    synthetic::session().save(&folder).unwrap();
+    for (format, place) in [
+        ("topics", "walk-topics/_output_cam_1"),
+        ("euroc", "walk-euroc/mav0/outputs/cam_1"),
+    ] {
+        let output = limited(&["extract", utf8(&folder), "--format", format]);
+        assert_eq!(code(&output), 4, "{output:?}");
+        let said = text(&output.stdout);
+        let mut starts = Vec::new();
+        for longer in ["", "_", "__"] {
+            let file = match format {
+                "topics" => format!("{place}{longer}/time_ref.csv"),
+                _ => format!("{place}{longer}.csv"),
+            };
+            let rows = fs::read_to_string(parent.path().join(&file)).unwrap();
+            let rows: Vec<&str> = rows.lines().filter(|row| !row.starts_with('#')).collect();
+            assert_eq!(rows.len(), 30, "{file}");
+            starts.push(rows[0].to_owned());
+            assert!(
+                longer.is_empty() || said.contains(&format!("cam_1{longer}")),
+                "{said}"
+            );
+        }
+        starts.dedup();
+        assert_eq!(starts.len(), 3, "each has its own: {starts:?}");
+    }
+}
+
+#[test]
+fn a_report_is_not_written_through_a_link() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = synthetic::make(parent.path(), Wrong::default());
+    let precious = parent.path().join("precious");
+    fs::write(&precious, "precious").unwrap();
+    symlink(&precious, folder.join("report.html")).unwrap();
+    let output = limited(&["report", utf8(&folder)]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    assert_eq!(fs::read_to_string(&precious).unwrap(), "precious");
+    let report = folder.join("report.html");
+    assert!(report.symlink_metadata().unwrap().is_file());
+    assert!(fs::read_to_string(report).unwrap().contains("<html"));
+}
+
+#[test]
+fn no_escape_sequence_reaches_the_terminal() {
+    const WILD: &str = "\u{1b}]0;owned\u{7}\u{9b}2J\rdone\u{202e}";
+    let is_harmless = |bytes: &[u8]| {
+        let said = text(bytes);
+        assert!(said.contains("owned"), "the text is there: {said:?}");
+        let obeyed = |c: char| c.is_control() && c != '\n' || c == '\u{202e}';
+        assert!(!said.contains(obeyed), "{said:?}");
+    };
+    let parent = tempfile::tempdir().unwrap();
+    let folder = with_session(parent.path(), |session| {
+        let problem = Problem {
+            at: Ticks(1),
+            kind: String::from("imu_gap"),
+            text: String::from(WILD),
+        };
+        session["problems"] = serde_json::to_value([problem]).unwrap();
+        session["outcome"] = "failed".into();
+    });
+    for args in [vec!["verify"], vec!["report"], vec!["--json", "verify"]] {
+        let mut args = args;
+        args.push(utf8(&folder));
+        is_harmless(&limited(&args).stdout);
+    }
+    let wild_file = parent.path().join(format!("{WILD}.mcap"));
+    is_harmless(&limited(&["verify", utf8(&wild_file)]).stderr);
+
+    let mut greeting = hello();
+    greeting.last_panic = Some(WILD.try_into().unwrap());
+    greeting.git_revision = "\u{1b}[2Jrev".try_into().unwrap();
+    let board = StandIn::new(move |command: HostToDevice| match command.command {
+        protocol::Command::Hello => {
+            let mut bytes = frame(&DeviceToHost::Hello(greeting.clone()));
+            bytes.extend(frame(&DeviceToHost::Answer(Answer {
+                id: command.id,
+                result: Ok(Reply::Done),
+            })));
+            bytes
+        }
+        _ => support::polite(command),
+    });
+    let output = support::run(&["info", "--port", &board.path]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    is_harmless(&output.stdout);
+}
+
+#[test]
+fn pipes_and_devices_are_no_recordings() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = synthetic::make(parent.path(), Wrong::default());
+    let session = folder.join(SESSION_FILE);
+    fs::remove_file(&session).unwrap();
+    symlink("/dev/zero", &session).unwrap();
+    let output = limited(&["verify", utf8(&folder)]);
+    assert_eq!(code(&output), 4, "{output:?}");
+    let said = text(&output.stdout);
+    assert!(said.contains("a pipe or a device"), "{said}");
+    assert_eq!(code(&limited(&["report", utf8(&folder)])), 13);
+    assert_eq!(code(&limited(&["profile", "check", "/dev/zero"])), 13);
+    fs::remove_file(&session).unwrap();
+    fs::write(&session, vec![b' '; 40 << 20]).unwrap();
+    let output = limited(&["report", utf8(&folder)]);
+    assert_eq!(code(&output), 13, "{output:?}");
+    let said = text(&output.stderr);
+    assert!(said.contains("longer than"), "{said}");
+
+    let pipe = parent.path().join("pipe.mcap");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    for args in [["verify", utf8(&pipe)], ["extract", utf8(&pipe)]] {
+        let mut child = command(&args).stderr(Stdio::piped()).spawn().unwrap();
+        let began = Instant::now();
+        while child.try_wait().unwrap().is_none() {
+            if began.elapsed() > Duration::from_secs(10) {
+                let _ = child.kill();
+                panic!("{args:?} waits for a pipe");
+            }
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let output = child.wait_with_output().unwrap();
+        assert_eq!(code(&output), 13, "{args:?}: {output:?}");
+    }
+}
+
+#[test]
+fn a_record_in_a_chunk_that_claims_too_much_is_told() {
+    let parent = tempfile::tempdir().unwrap();
+    let folder = synthetic::make(parent.path(), Wrong::default());
+    let mut bytes = mcap::MAGIC.to_vec();
+    let mut inner = vec![5];
+    inner.extend((1_u64 << 63).to_le_bytes());
+    let mut head = chunk_head(inner.len() as u64, b"");
+    // The head also says how long the records are when unpacked.
+    head[25..33].copy_from_slice(&(inner.len() as u64).to_le_bytes());
+    bytes.extend(head);
+    bytes.extend(inner);
+    let mut file = BufWriter::new(fs::File::create(folder.join(MCAP_FILE)).unwrap());
+    file.write_all(&bytes).unwrap();
+    drop(file);
+    let said = text(&limited(&["--json", "verify", utf8(&folder)]).stdout);
+    assert!(said.contains("chunk_cut_off"), "{said}");
+}
