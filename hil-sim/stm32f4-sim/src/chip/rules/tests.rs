@@ -110,7 +110,7 @@ fn cr1_of_the_i2c_is_left_alone_while_a_stop_is_pending() {
 
     // With patience, or by the reset of a bus that hangs.
     let mut soc = addressed();
-    pass(&mut soc, 20);
+    pass(&mut soc, 100);
     soc.write_register(I2C1_CR1, PE | START);
     assert_eq!(broken(&mut soc), None);
     // Now the start is pending.
