@@ -83,8 +83,8 @@ pub const INPUT_FILTER: u32 = 8;
 /// three clocks of the synchroniser, and some for the bus.
 pub const CAPTURE_DELAY: u32 = INPUT_FILTER + 8;
 
-/// How many edges of the strobe may come close together: eight, whose handling (4 µs
-/// each, with wait states) together stays below the 50 µs in which the handlers of lower
+/// How many edges of the strobe may come close together: eight, whose handling (an
+/// estimated 4 µs each, with wait states) together stays below the 50 µs in which the handlers of lower
 /// priority must arm a falling edge ([`protocol::MIN_OUTPUT_WIDTH`]).
 pub const STROBE_CLOSE: u32 = 8;
 
