@@ -51,13 +51,15 @@ pub const NMEA_SLACK: TickDelta = TickDelta::from_micros(NMEA_SLACK_MS * 1_000);
 pub(crate) const MAX_ARM_AHEAD: u32 = 1 << 30;
 
 /// An edge that was missed is made this much later than the moment at which
-/// that was seen: 4 µs, the time in which the handler surely arms it.
-pub(crate) const LATE_EDGE_DELAY: TickDelta = TickDelta::from_micros(4);
+/// that was seen: 10 µs, three times what the handler takes to arm it (some 20
+/// accesses of a dozen cycles each).
+pub(crate) const LATE_EDGE_DELAY: TickDelta = TickDelta::from_micros(10);
 
-/// A rising edge nearer than this is not taken back by a stop: 5 µs.
+/// A rising edge nearer than this is not taken back by a stop: 20 µs, longer than a
+/// task takes from its look at the time to the last register.
 /// The stop waits until the pulse is over instead, and so never races the
 /// compare.
-pub(crate) const STOP_MARGIN: TickDelta = TickDelta::from_micros(5);
+pub(crate) const STOP_MARGIN: TickDelta = TickDelta::from_micros(20);
 
 /// From a start without a first edge to that edge: 1 ms, ten times
 /// the least lead that a host may ask for.
@@ -71,6 +73,24 @@ pub const QUIET_MARGIN: TickDelta = TickDelta::from_micros(15);
 /// be dead and the watchdog is no longer fed: 10 ms, a thousand times
 /// the handler's latency.
 pub const TRIGGER_OVERDUE: TickDelta = TickDelta::from_micros(10_000);
+
+/// Ticks by which the filter of the capture inputs delays every edge: a new level counts
+/// when 8 samples at the timer's clock have it (ICxF = 3, RM0090 18.4.7). Taken off where
+/// the time of a capture is stated.
+pub const INPUT_FILTER: u32 = 8;
+
+/// Time in which an edge at a pin has surely been captured, in ticks: the filter, at most
+/// three clocks of the synchroniser, and some for the bus.
+pub const CAPTURE_DELAY: u32 = INPUT_FILTER + 8;
+
+/// How many edges of the strobe may come close together: eight, whose handling (an
+/// estimated 4 µs each, with wait states) together stays below the 50 µs in which the handlers of lower
+/// priority must arm a falling edge ([`protocol::MIN_OUTPUT_WIDTH`]).
+pub const STROBE_CLOSE: u32 = 8;
+
+/// Ticks in which that regains one edge: 60 µs, half of the shortest distance of the
+/// camera's edges.
+pub const STROBE_CLOSE_REFILL: u32 = 60 * TICKS_PER_US;
 
 /// Bucket of the strobe input: this many edges in a burst. The camera makes 18
 /// (9 pulses) a frame; three frames of it may come at once.
@@ -160,6 +180,11 @@ pub const IMU_POWER_UP_MS: u64 = 100;
 /// clock is taken to be missing, beyond one interval: three times the start-up
 /// time of the gyroscope (30 ms, data sheet 6.1).
 pub const FIRST_DATA_READY_MS: u64 = 100;
+
+/// From the switch to the external clock until the sensor's PLL has settled on it, in
+/// ms: 10 at most by the product specification. What it samples until then is in
+/// neither clock.
+pub const IMU_CLOCK_SETTLING_MS: u64 = 10;
 
 /// Longest time for setting the sensor up, in ms: 100 ms for its reset, 17
 /// transfers of at most 0.1 ms, and time for a bus with a hiccup.

@@ -17,8 +17,7 @@ use protocol::mpu9150::{
     PWR_MGMT_1, SMPLRT_DIV, WHO_AM_I,
 };
 use protocol::{
-    AccelRange, GyroRange, ImuClock, ImuConfig, ImuFault, ImuSetup, ImuStatus, LowPass, Refusal,
-    TICK_HZ,
+    AccelRange, GyroRange, ImuConfig, ImuFault, ImuSetup, ImuStatus, LowPass, Refusal, TICK_HZ,
 };
 
 /// PWR_MGMT_1: reset all registers; the bit clears itself.
@@ -166,7 +165,7 @@ impl<B: I2c> Mpu9150<B> {
         self.register
     }
 
-    /// Resets the sensor and sets it up, up to data-ready pulses.
+    /// Resets the sensor and sets it up on its own clock, up to data-ready pulses.
     ///
     /// # Errors
     ///
@@ -175,7 +174,6 @@ impl<B: I2c> Mpu9150<B> {
     pub async fn set_up(
         &mut self,
         config: &ImuConfig,
-        clock: ImuClock,
         delay: &mut impl DelayNs,
     ) -> Result<(), ImuFault> {
         let found = self.read(WHO_AM_I).await?;
@@ -186,12 +184,8 @@ impl<B: I2c> Mpu9150<B> {
         delay.delay_ms(RESET_MS).await;
         self.expect(PWR_MGMT_1, DEVICE_RESET, AFTER_RESET).await?;
 
-        let clock_select = match clock {
-            ImuClock::Internal => CLOCK_GYRO_X,
-            ImuClock::External | ImuClock::Unknown => CLOCK_EXTERNAL,
-        };
         for (register, value) in [
-            (PWR_MGMT_1, clock_select),
+            (PWR_MGMT_1, CLOCK_GYRO_X),
             (SMPLRT_DIV, config.divider),
             (CONFIG, dlpf_cfg(config.low_pass)),
             (GYRO_CONFIG, gyro_config(config.gyro_range)),
@@ -199,10 +193,19 @@ impl<B: I2c> Mpu9150<B> {
             (INT_PIN_CFG, INTERRUPT_PULSE),
             (INT_ENABLE, INTERRUPT_DATA_READY),
         ] {
-            self.write(register, value).await?;
-            self.expect(register, value, value).await?;
+            self.set(register, value).await?;
         }
         Ok(())
+    }
+
+    /// Switches a sensor that is set up to the clock at CLKIN. Without one there it may
+    /// stop, and may not even answer any more: then it is to be set up again.
+    ///
+    /// # Errors
+    ///
+    /// Faults of the bus; the register does not keep what is written.
+    pub async fn use_external_clock(&mut self) -> Result<(), ImuFault> {
+        self.set(PWR_MGMT_1, CLOCK_EXTERNAL).await
     }
 
     /// Reads a sample. One transfer: the sensor keeps the registers of one
@@ -223,6 +226,12 @@ impl<B: I2c> Mpu9150<B> {
         self.register = register;
         let result = self.bus.write(ADDRESS, &[register, value]).await;
         result.map_err(|error| fault(&error, register))
+    }
+
+    /// Writes a register and reads it back.
+    async fn set(&mut self, register: u8, value: u8) -> Result<(), ImuFault> {
+        self.write(register, value).await?;
+        self.expect(register, value, value).await
     }
 
     async fn read(&mut self, register: u8) -> Result<u8, ImuFault> {

@@ -35,7 +35,9 @@ impl Kept {
         digest.finalize()
     }
 
-    fn is_valid(&self) -> bool {
+    /// Whether a former run left it; after power-on it holds noise.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
         self.magic == MAGIC && self.crc == self.checksum()
     }
 
@@ -43,7 +45,7 @@ impl Kept {
     /// stored at once: a panic is reported once.
     ///
     /// After power-on the number of the run comes from the CRC of whatever the
-    /// memory held, so that it differs from that of most other power-ons.
+    /// memory held, for want of a better random number: memory powers up much alike.
     #[must_use]
     pub fn next(self) -> (Option<String<MAX_PANIC>>, Self) {
         let panic = if self.is_valid() {

@@ -1,14 +1,18 @@
 //! How the edges of a train are made by one compare channel.
 //!
 //! The channel makes every edge by itself when the counter reaches the compare
-//! value; after each edge a handler arms the next one. Rising edges are armed
-//! nearly a period ahead, so how late a handler comes does not matter to them.
-//! A falling edge is armed by the handler of its rising edge, so the pulse must
-//! be longer than that handler can be late ([`protocol::MIN_PULSE_WIDTH`]).
+//! value; a handler arms the next one. There are two kinds of channel:
 //!
-//! If an edge is armed too late all the same (a debugger stopped the core, say),
-//! the compare would only match 89 s later. That is seen at once: a pulse that
-//! should be over is ended by force, a rising edge is made a few µs later and
+//! - One that makes whole pulses: the hardware loads the falling edge's compare value
+//!   at the rising edge. The handler comes after the pulse and has until the next one.
+//! - One that makes single edges. The handler of the rising edge arms the falling one,
+//!   so a pulse must be longer than that handler can be late
+//!   ([`protocol::MIN_OUTPUT_WIDTH`]).
+//!
+//! Rising edges are armed nearly a period ahead, so how late a handler comes does not
+//! matter to them. If an edge is armed too late all the same (a debugger stopped the
+//! core, say), the compare would only match 89 s later. That is seen at once: a pulse
+//! that should be over is ended by force, a rising edge is made some µs later and
 //! reported at the time at which it really came, and both are counted.
 //!
 //! The logic runs against [`CompareOutput`], on the board and in tests.
@@ -31,6 +35,11 @@ pub enum Action {
     Rise,
     /// The output goes low.
     Fall,
+    /// The output goes high, and low when the counter reaches `fall`.
+    Pulse {
+        /// The counter's value at the falling edge.
+        fall: u32,
+    },
 }
 
 /// A captured edge of the read-back input.
@@ -44,13 +53,17 @@ pub struct Captured {
 
 /// An output compare channel, and the capture channel that reads it back.
 pub trait CompareOutput {
+    /// Whether it is armed by [`Action::Pulse`] and its handler called after the falling
+    /// edge; otherwise by [`Action::Rise`] and [`Action::Fall`], with a call after each.
+    fn makes_whole_pulses(&self) -> bool;
+
     /// The counter.
     fn counter(&self) -> u32;
 
     /// Forgets a former match and arms the next one, at the counter value `at`.
     fn arm(&mut self, at: u32, action: Action);
 
-    /// Whether the armed match has come.
+    /// Whether the armed match has come, of a pulse that of its rising edge.
     fn has_matched(&self) -> bool;
 
     /// Makes the output low, now, and arms nothing.
@@ -87,6 +100,8 @@ enum Stage {
     Waypoint(Edge),
     /// The rising edge, at this time.
     Rise(Edge, Ticks),
+    /// The end of the pulse that rises at this time.
+    Pulse(Edge, Ticks),
     /// The falling edge of the pulse that rose at this time.
     Fall(Edge, Ticks),
 }
@@ -202,7 +217,7 @@ impl Pulser {
                 output.force_low();
                 self.stage = Stage::Idle;
             }
-            Stage::Rise(_, at) => {
+            Stage::Rise(_, at) | Stage::Pulse(_, at) => {
                 let now = time.extend(output.counter());
                 if at > now + STOP_MARGIN {
                     output.force_low();
@@ -232,6 +247,10 @@ impl Pulser {
                 self.stage = Stage::Fall(edge, at);
                 self.arm_fall(output, time, edge, at)
             }
+            Stage::Pulse(edge, at) => {
+                self.pulses = self.pulses.wrapping_add(1);
+                self.end_pulse(output, time, edge, at)
+            }
             Stage::Fall(edge, at) => self.end_pulse(output, time, edge, at),
         }
     }
@@ -246,7 +265,7 @@ impl Pulser {
                 self.arm_rise(output, time, edge);
                 None
             }
-            Stage::Rise(edge, at) => {
+            Stage::Rise(edge, at) | Stage::Pulse(edge, at) => {
                 self.arm_rise_at(output, time, edge, at);
                 None
             }
@@ -263,8 +282,7 @@ impl Pulser {
         edge: Edge,
         at: Ticks,
     ) -> Option<Pulsed> {
-        let width = self.train.map_or(0, |train| train.width());
-        let fall = (at.0 as u32).wrapping_add(width);
+        let fall = (at.0 as u32).wrapping_add(self.width());
         output.arm(fall, Action::Fall);
         if is_past(fall, output.counter()) && !output.has_matched() {
             self.late = self.late.saturating_add(1);
@@ -324,16 +342,28 @@ impl Pulser {
         edge: Edge,
         mut at: Ticks,
     ) {
+        let whole = output.makes_whole_pulses();
         loop {
-            output.arm(at.0 as u32, Action::Rise);
+            let rise = at.0 as u32;
+            let action = if whole {
+                let fall = rise.wrapping_add(self.width());
+                Action::Pulse { fall }
+            } else {
+                Action::Rise
+            };
+            output.arm(rise, action);
             let counter = output.counter();
-            if !is_past(at.0 as u32, counter) || output.has_matched() {
+            if !is_past(rise, counter) || output.has_matched() {
                 break;
             }
             self.late = self.late.saturating_add(1);
             at = time.extend(counter) + LATE_EDGE_DELAY;
         }
-        self.stage = Stage::Rise(edge, at);
+        self.stage = if whole {
+            Stage::Pulse(edge, at)
+        } else {
+            Stage::Rise(edge, at)
+        };
     }
 
     /// Books what the read-back saw of the pulse that rose at `rise`.
@@ -357,15 +387,17 @@ impl Pulser {
         delay
     }
 
-    /// When the next edge is due.
+    /// Length of a pulse, in ticks.
+    fn width(&self) -> u32 {
+        self.train.map_or(0, |train| train.width())
+    }
+
+    /// When the handler is wanted next.
     fn due(&self) -> Option<Ticks> {
         match self.stage {
             Stage::Idle | Stage::Waypoint(_) => None,
             Stage::Rise(_, at) => Some(at),
-            Stage::Fall(_, at) => {
-                let width = self.train.map_or(0, |train| train.width());
-                Some(at + TickDelta(width.into()))
-            }
+            Stage::Pulse(_, at) | Stage::Fall(_, at) => Some(at + TickDelta(self.width().into())),
         }
     }
 
@@ -376,16 +408,28 @@ impl Pulser {
         self.due().is_some_and(|due| due < now + margin)
     }
 
-    /// Whether the next edge is overdue by more than `by`: its handler does not run.
+    /// Whether the handler is overdue by more than `by`: it does not run.
     #[must_use]
     pub fn is_overdue(&self, now: Ticks, by: TickDelta) -> bool {
         self.due().is_some_and(|due| now > due + by)
     }
 
-    fn state(&self) -> TrainState {
+    /// Whether the pulse that is armed as a whole has risen by `now`.
+    fn has_risen(&self, now: Ticks) -> bool {
+        matches!(self.stage, Stage::Pulse(_, at) if at <= now)
+    }
+
+    /// Rising edges made by `now`.
+    fn pulses(&self, now: Ticks) -> u64 {
+        self.pulses.wrapping_add(self.has_risen(now).into())
+    }
+
+    fn state(&self, now: Ticks) -> TrainState {
         match self.stage {
             Stage::Idle => TrainState::Stopped,
-            Stage::Waypoint(_) | Stage::Rise(..) if self.pulses == 0 => TrainState::Waiting,
+            Stage::Waypoint(_) | Stage::Rise(..) | Stage::Pulse(..) if self.pulses(now) == 0 => {
+                TrainState::Waiting
+            }
             _ if self.train.is_some_and(|train| train.is_slewing()) => TrainState::Slewing,
             _ => TrainState::Running,
         }
@@ -393,32 +437,36 @@ impl Pulser {
 
     /// What the host is told of an output in the status.
     #[must_use]
-    pub fn summary(&self) -> OutputStatus {
+    pub fn summary(&self, now: Ticks) -> OutputStatus {
         OutputStatus {
-            state: self.state(),
+            state: self.state(now),
             train: self.trains,
-            pulses: self.pulses,
+            pulses: self.pulses(now),
             late: self.late,
         }
     }
 
+    /// Where the edge after the armed one belongs.
+    fn next_position(&self) -> Position {
+        let train = self.train;
+        train.map_or(Position::default(), |mut train| train.advance().position)
+    }
+
     /// The state of the train and where it goes on, as the host is told.
     #[must_use]
-    pub fn status(&self) -> TriggerStatus {
+    pub fn status(&self, now: Ticks) -> TriggerStatus {
         let next = match self.stage {
             Stage::Idle => Position::default(),
-            Stage::Waypoint(edge) | Stage::Rise(edge, _) => edge.position,
-            Stage::Fall(..) => {
-                let train = self.train;
-                train.map_or(Position::default(), |mut train| train.advance().position)
-            }
+            Stage::Pulse(..) if self.has_risen(now) => self.next_position(),
+            Stage::Waypoint(edge) | Stage::Rise(edge, _) | Stage::Pulse(edge, _) => edge.position,
+            Stage::Fall(..) => self.next_position(),
         };
         TriggerStatus {
-            state: self.state(),
+            state: self.state(now),
             train: self.trains,
             period: self.train.map_or(Period(0), |train| train.period()),
-            width: self.train.map_or(0, |train| train.width()),
-            pulses: self.pulses,
+            width: self.width(),
+            pulses: self.pulses(now),
             next_edge: next.ticks(),
             next_fraction: next.fraction(),
             late: self.late,

@@ -2,6 +2,7 @@
 
 use defmt_rtt as _;
 use embassy_executor::{SpawnError, SpawnToken, Spawner};
+use embassy_stm32::peripherals::IWDG;
 use embassy_stm32::rcc::{Mco, Mco1Source, McoConfig, McoPrescaler};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{pac, uid};
@@ -9,7 +10,7 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
-use crate::board::{clocks, faults, handover, idle, leds, nmea_port, outputs, stack, tim2};
+use crate::board::{clocks, faults, handover, idle, leds, nmea_port, outputs, rng, stack, tim2};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
@@ -17,10 +18,16 @@ use crate::tasks;
 fn main() -> ! {
     clocks::set_priorities();
     let reset_cause = clocks::take_reset_cause();
-    let (last_panic, epoch) = faults::begin_run();
+    let run = faults::begin_run();
+    let watchdog = start_watchdog();
+    clocks::start_crystal();
 
     let p = embassy_stm32::init(clocks::config());
+    clocks::raise_trigger();
     clocks::enable_flash_accelerator();
+    clocks::enable_peripherals();
+    let epoch = number(&run);
+    let last_panic = run.last_panic;
     stack::paint();
     // A halted core does not feed the watchdog.
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(true));
@@ -48,7 +55,7 @@ fn main() -> ! {
         env!("CARGO_PKG_VERSION"),
         env!("GIT_REVISION"),
         epoch,
-        defmt::Debug2Format(&reset_cause),
+        reset_cause,
     );
     if let Some(panic) = &info.last_panic {
         defmt::warn!("the last run ended with: {=str}", panic.as_str());
@@ -58,7 +65,6 @@ fn main() -> ! {
         defmt::unreachable!();
     }
 
-    let watchdog = IndependentWatchdog::new(p.IWDG, config::WATCHDOG_US);
     let usb = tasks::usb::build(p.USB_OTG_FS, p.PA12, p.PA11, &board_id);
 
     let imu_bus = ImuBus {
@@ -80,6 +86,28 @@ fn main() -> ! {
         spawn(spawner, tasks::unmute::run());
         spawn(spawner, tasks::status::run(watchdog));
     })
+}
+
+/// Starts the watchdog, before anything that may wait for ever: it needs no clock but its
+/// own.
+#[allow(unsafe_code, reason = "before the HAL gives the peripheral")]
+fn start_watchdog() -> IndependentWatchdog<'static, IWDG> {
+    // SAFETY: nobody else takes it.
+    let peripheral = unsafe { IWDG::steal() };
+    let mut watchdog = IndependentWatchdog::new(peripheral, config::WATCHDOG_US);
+    watchdog.unleash();
+    watchdog
+}
+
+/// The number of this run: random after power-on, then one up with each reset.
+fn number(run: &faults::Begun) -> u32 {
+    match rng::number() {
+        Some(random) if run.first => {
+            faults::renumber(random);
+            random
+        }
+        _ => run.epoch,
+    }
 }
 
 /// Spawns a task. Each is spawned once, so its one place is free.

@@ -43,6 +43,7 @@ pub struct Hello {
 
 /// From the reset flags of RCC_CSR (RM0090 7.3.21).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetCause {
     /// Power came on (or went below the power-on threshold).
     PowerOn,

@@ -36,8 +36,9 @@ pub struct GnssSettings {
     pub utc_at_zero: i64,
     /// Rate of the serial line.
     pub baud: Baud,
-    /// The line is low when idle, as behind an RS-232 driver: what Velodyne's
-    /// VLP-16 wants (user manual 63-9243, 7.4.3). Otherwise high, as a UART's is.
+    /// The lidar's line is low when idle, as behind an RS-232 driver: what Velodyne's
+    /// VLP-16 wants (user manual 63-9243, 7.4.3). It is then wired through an inverting
+    /// gate: the board's pin is high when idle, as a UART's is, whatever is said here.
     pub line_inverted: bool,
     /// Sentences of each second.
     pub sentences: Sentences,
@@ -86,11 +87,11 @@ pub enum Baud {
     B9600,
     /// 19,200 Bd.
     B19200,
-    /// 38,400 Bd; not with an inverted line.
+    /// 38,400 Bd.
     B38400,
-    /// 57,600 Bd; not with an inverted line.
+    /// 57,600 Bd.
     B57600,
-    /// 115,200 Bd; not with an inverted line.
+    /// 115,200 Bd.
     B115200,
 }
 

@@ -208,6 +208,7 @@ pub struct ImuStatus {
 
 /// State of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuState {
     /// Being set up.
     Starting,
@@ -219,6 +220,7 @@ pub enum ImuState {
 
 /// What clocks the IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuClock {
     /// 19.2 MHz from PA8: its samples are exact in board time.
     External,
@@ -231,6 +233,7 @@ pub enum ImuClock {
 /// A fault of the IMU; `register` is the number in the register map
 /// ([`crate::mpu9150::register_name`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuFault {
     /// No acknowledge.
     NoAcknowledge {

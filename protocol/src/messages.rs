@@ -175,6 +175,7 @@ pub enum Reply {
 
 /// Why a command was refused. It has changed nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
     /// The period is not within [`Period::MIN`] ..= [`Period::MAX`].
     PeriodOutOfRange,
@@ -220,7 +221,8 @@ pub enum Refusal {
         /// When they would end, in µs after the pulse.
         ends_us: u32,
     },
-    /// The rate is not possible with an inverted line.
+    /// The rate is not possible with an inverted line: from boards that inverted it
+    /// themselves.
     GnssBaudTooHigh,
 }
 

@@ -12,8 +12,8 @@ use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 
 /// The shortest pulse of these outputs, in ticks: 50 µs.
 ///
-/// Their handler waits for the camera trigger's, and for one another at a
-/// coincidence (`docs/timing.md`).
+/// The handler of the rising edge arms the falling one. It waits for the camera
+/// trigger's, and for the others' at a coincidence (`docs/timing.md`).
 pub const MIN_OUTPUT_WIDTH: u32 = 50 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge of these outputs to the next rising

@@ -7,13 +7,12 @@ use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 
 /// The shortest pulse, in ticks: 10 µs.
 ///
-/// The handler of the rising edge arms the falling one, so a pulse must be
-/// longer than that can take in the worst case (`docs/timing.md`). The camera
-/// needs more than 8 µs.
+/// The hardware loads the falling edge at the rising one, in less than a tenth of that
+/// (`docs/timing.md`). The camera needs more than 8 µs.
 pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge to the next rising edge, in ticks:
-/// 20 µs, for the same reason as [`MIN_PULSE_WIDTH`]; this handler does more.
+/// 20 µs, in which a handler arms the next pulse.
 pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
 
 /// How far ahead a first edge must lie: 100 µs.
@@ -24,6 +23,7 @@ pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
 
 /// Parameters of a train.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TriggerStart {
     /// Distance of the pulses, [`Period::MIN`] to [`Period::MAX`].
     pub period: Period,
@@ -90,6 +90,7 @@ pub struct TriggerStatus {
 
 /// What the train does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TrainState {
     /// No pulses.
     Stopped,

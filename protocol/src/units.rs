@@ -21,12 +21,14 @@ pub const TICK_HZ: u32 = 48_000_000;
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ticks(pub u64);
 
 /// A signed distance between two instants of board time, in ticks.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TickDelta(pub i64);
 
 impl Ticks {
@@ -154,6 +156,7 @@ impl fmt::Display for TickDelta {
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Period(pub u64);
 
 impl Period {

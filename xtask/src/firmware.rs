@@ -58,6 +58,12 @@ pub(crate) fn build() -> Result<PathBuf> {
     built(&["build", "--release"])
 }
 
+/// Builds the firmware in the release profile and gives it to the runner of its target
+/// (`.cargo/config.toml`), which flashes it.
+pub(crate) fn flash() -> Result<()> {
+    cargo_for_target(FIRMWARE, &["run", "--release"])
+}
+
 /// Builds the firmware with a wrong PLL factor, beside the right one: the name
 /// of its ELF ends in `-wrong-pll`. A test of the simulator runs it. To be
 /// called before [`build`], which leaves the right one under its own name.
@@ -116,7 +122,7 @@ pub(crate) fn clippy() -> Result<()> {
 fn cargo_for_target(folder: &str, args: &[&str]) -> Result<()> {
     let mut cargo = process::command(process::cargo_program());
     // The folder's own .cargo/config.toml sets target and profile, so that this
-    // is the very build of `cargo run --release` there.
+    // is the very build of `cargo run` there.
     cargo
         .current_dir(process::root().join(folder))
         .env("CARGO_TARGET_DIR", process::target_dir());

@@ -20,7 +20,7 @@ mod tools;
 
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::{Parser, Subcommand};
 
 /// Build, test, demo and bench SmartDepthSync.
@@ -35,6 +35,8 @@ struct Cli {
 enum Command {
     /// Build the firmware for the board, the host tool and the simulator.
     Build,
+    /// Build the firmware, flash the board through probe-rs and show the log.
+    Flash,
     /// Run every test, on the host and in the simulator.
     Test {
         /// Passed on to cargo test, for example `-p smartdepthsync verify_command`.
@@ -147,6 +149,7 @@ enum Command {
 fn run(command: Command) -> Result<()> {
     match command {
         Command::Build => build(),
+        Command::Flash => flash(),
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Demo(args) => demo(&args),
         Command::Check { no_book } => check(no_book),
@@ -194,6 +197,16 @@ fn build() -> Result<()> {
     process::cargo(["build", "--release", "--workspace"])?;
     println!("firmware: {}", elf.display());
     Ok(())
+}
+
+fn flash() -> Result<()> {
+    if !process::answers("probe-rs", &["--version"]) {
+        bail!(
+            "there is no probe-rs on the PATH: see https://probe.rs for how to install it, or \
+             docs/flash.md for two ways without it"
+        );
+    }
+    firmware::flash()
 }
 
 fn test(cargo_args: &[String]) -> Result<()> {

@@ -16,10 +16,18 @@ use embassy_stm32::time::Hertz;
 use firmware::config::HSE_HZ;
 use protocol::ResetCause;
 
-use crate::board::urgent;
+use crate::board::{falls, leds, urgent};
 
 /// Interrupts of the STM32F407 (RM0090 table 61).
 const INTERRUPTS: usize = 82;
+
+/// Looks at the crystal, 1 µs and more apart, until it is given up: 50 times the 2 ms in
+/// which it typically starts (data sheet, table 39).
+const CRYSTAL_LOOKS: u32 = 100_000;
+
+/// DBGMCU_IDCODE of the STM32F40x and of its first revision (RM0090 38.6.1).
+const DEVICE_ID: u16 = 0x413;
+const REVISION_A: u16 = 0x1000;
 
 /// HSE 8 MHz / 4 · 96 = 192 MHz; / 2 = 96 MHz core, / 4 = 48 MHz USB; APB1
 /// 24 MHz (timers 48), APB2 48 MHz (timers 96).
@@ -50,13 +58,54 @@ pub(crate) fn config() -> Config {
     config
 }
 
+/// Starts the crystal, for which the HAL would wait for ever. If it does not come, lights
+/// the red LED and waits for the watchdog, which must run: the next run tries again.
+pub(crate) fn start_crystal() {
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    for _ in 0..CRYSTAL_LOOKS {
+        if pac::RCC.cr().read().hserdy() {
+            return;
+        }
+        // The core runs on its own 16 MHz here.
+        cortex_m::asm::delay(16);
+    }
+    leds::show_fault();
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+/// Gives the peripherals of the board's own drivers their clocks. The read behind each
+/// register's write lasts until they have arrived: an access that comes earlier is lost
+/// (ES0182, "delay after an RCC peripheral clock enabling").
+pub(crate) fn enable_peripherals() {
+    pac::RCC.ahb2enr().modify(|w| {
+        w.set_rngen(true);
+        // The tasks that read and write look at their endpoints before the one that runs
+        // the device has let the HAL switch this on and reset the core.
+        w.set_usb_otg_fsen(true);
+    });
+    let _ = pac::RCC.ahb2enr().read();
+    pac::RCC.apb1enr().modify(|w| {
+        w.set_tim2en(true);
+        w.set_tim5en(true);
+        w.set_uart5en(true);
+    });
+    let _ = pac::RCC.apb1enr().read();
+    pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
+    let _ = pac::RCC.apb2enr().read();
+}
+
 /// Switches on the flash accelerator, which the HAL leaves off: at 96 MHz every
-/// access to the flash takes three wait states without it (RM0090 3.5.1).
+/// access to the flash takes three wait states without it (RM0090 3.5.1). Revision A of
+/// the chip cannot prefetch (ES0182). It gives the STM32F2's device ID.
 pub(crate) fn enable_flash_accelerator() {
+    let id = pac::DBGMCU.idcode().read();
+    let revision_a = id.dev_id() != DEVICE_ID || id.rev_id() == REVISION_A;
     pac::FLASH.acr().modify(|w| {
         w.set_icen(true);
         w.set_dcen(true);
-        w.set_prften(true);
+        w.set_prften(!revision_a);
     });
 }
 
@@ -85,8 +134,10 @@ pub(crate) fn take_reset_cause() -> ResetCause {
     }
 }
 
-/// TIM2 at priority 0, the further outputs at 1, everything else at 8. Before any interrupt is enabled:
-/// an interrupt left at its reset priority of 0 would break critical sections.
+/// TIM2 at priority 0, the further outputs at 1, everything else at 8. Before any
+/// interrupt is enabled: an interrupt left at its reset priority of 0 would break
+/// critical sections. The HAL gives all DMA streams one priority when it starts:
+/// [`raise_trigger`] comes after that.
 pub(crate) fn set_priorities() {
     // SAFETY: called once, first thing, while no interrupt is enabled.
     let mut core = unsafe { cortex_m::Peripherals::steal() };
@@ -97,13 +148,18 @@ pub(crate) fn set_priorities() {
     // SAFETY: these handlers do not touch what critical sections protect.
     unsafe {
         core.NVIC.set_priority(pac::Interrupt::TIM2, 0);
-        for interrupt in [
-            pac::Interrupt::TIM1_CC,
-            pac::Interrupt::TIM5,
-            pac::Interrupt::TIM3,
-            pac::Interrupt::UART5,
-        ] {
+        for interrupt in [pac::Interrupt::TIM1_CC, pac::Interrupt::TIM5] {
             core.NVIC.set_priority(interrupt, urgent::PRIORITY);
         }
+    }
+}
+
+/// The stream that ends the trigger's pulses, at TIM2's priority.
+pub(crate) fn raise_trigger() {
+    // SAFETY: called once, before the stream is used; its handler touches nothing that
+    // critical sections protect.
+    unsafe {
+        let mut core = cortex_m::Peripherals::steal();
+        core.NVIC.set_priority(falls::INTERRUPT, 0);
     }
 }

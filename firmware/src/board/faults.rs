@@ -34,12 +34,31 @@ fn store(kept: Kept) {
     unsafe { (&raw mut KEPT).cast::<Kept>().write_volatile(kept) };
 }
 
-/// The message of the panic that ended the last run, and the number of this
-/// one. To be called once.
-pub(crate) fn begin_run() -> (Option<String<MAX_PANIC>>, u32) {
-    let (panic, next) = load().next();
+/// What the last run left.
+pub(crate) struct Begun {
+    /// The message of the panic that ended it.
+    pub(crate) last_panic: Option<String<MAX_PANIC>>,
+    /// The number of this run.
+    pub(crate) epoch: u32,
+    /// There was none since power-on, so the number is a guess: see [`renumber`].
+    pub(crate) first: bool,
+}
+
+/// To be called once, before anything that may panic.
+pub(crate) fn begin_run() -> Begun {
+    let kept = load();
+    let (last_panic, next) = kept.next();
     store(next);
-    (panic, next.run())
+    Begun {
+        last_panic,
+        epoch: next.run(),
+        first: !kept.is_valid(),
+    }
+}
+
+/// Gives the first run since power-on its number.
+pub(crate) fn renumber(epoch: u32) {
+    store(Kept::new(epoch));
 }
 
 /// Keeps and logs the message, and resets. A failure on the way resets at once.

@@ -1,12 +1,16 @@
 //! I2C1 on PB6 and PB7, and how it is freed.
 
+use embassy_futures::yield_now;
 use embassy_stm32::gpio::{Input, Level, OutputOpenDrain, Pull, Speed};
-use embassy_stm32::i2c::{Config, ErrorInterruptHandler, EventInterruptHandler, I2c, Master};
+use embassy_stm32::i2c::{
+    Config, Error, ErrorInterruptHandler, EventInterruptHandler, I2c, Master,
+};
 use embassy_stm32::mode::Async;
 use embassy_stm32::peripherals::{DMA1_CH0, DMA1_CH6, I2C1, PB6, PB7};
 use embassy_stm32::time::Hertz;
-use embassy_stm32::{Peri, bind_interrupts, dma};
+use embassy_stm32::{Peri, bind_interrupts, dma, pac};
 use embassy_time::Timer;
+use embedded_hal::i2c::{ErrorType, Operation};
 use firmware::config::I2C_HZ;
 
 bind_interrupts!(struct Irqs {
@@ -34,14 +38,14 @@ pub(crate) struct ImuBus {
 
 impl ImuBus {
     /// The bus, freshly reset.
-    pub(crate) fn open(&mut self) -> I2c<'_, Async, Master> {
+    pub(crate) fn open(&mut self) -> OpenBus<'_> {
         let mut config = Config::default();
         config.frequency = Hertz(I2C_HZ);
         // The sensor's board has its own; these keep the lines of an absent
         // sensor from floating, so that it gives no acknowledge, and at once.
         config.scl_pullup = true;
         config.sda_pullup = true;
-        I2c::new(
+        OpenBus(I2c::new(
             self.i2c.reborrow(),
             self.scl.reborrow(),
             self.sda.reborrow(),
@@ -49,7 +53,7 @@ impl ImuBus {
             self.rx.reborrow(),
             Irqs,
             config,
-        )
+        ))
     }
 
     /// Frees the bus of a device that hangs in a transfer: up to nine clocks
@@ -90,5 +94,31 @@ impl ImuBus {
         // Some µs for the weak pull-ups.
         cortex_m::asm::delay(firmware::config::SYSCLK_HZ / 1_000_000 * 5);
         scl.is_high() && sda.is_high()
+    }
+}
+
+/// The bus between two faults.
+///
+/// The HAL returns as soon as it has asked for the stop that ends a transfer, and its
+/// next one writes CR1 at once. That is forbidden while the stop is pending (RM0090
+/// 27.6.1), and the chip then makes no start at all or two. So each transfer first waits
+/// for the last one's stop: some 3 µs.
+pub(crate) struct OpenBus<'a>(I2c<'a, Async, Master>);
+
+impl ErrorType for OpenBus<'_> {
+    type Error = Error;
+}
+
+impl embedded_hal_async::i2c::I2c for OpenBus<'_> {
+    async fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), Error> {
+        // On a bus that hangs the stop never comes; the caller gives up then.
+        while pac::I2C1.cr1().read().stop() {
+            yield_now().await;
+        }
+        self.0.transaction(address, operations).await
     }
 }

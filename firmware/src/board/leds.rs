@@ -3,6 +3,7 @@
 use embassy_stm32::Peri;
 use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::vals::Moder;
 use embassy_stm32::peripherals::{PD12, PD13, PD14, PD15};
 
 /// One of the LEDs; the number is its pin on port D.
@@ -43,4 +44,14 @@ pub(crate) fn set(led: Led, on: bool) {
             w.set_br(led as usize, true);
         }
     });
+}
+
+/// Lights the red LED alone, before anything else is set up.
+pub(crate) fn show_fault() {
+    pac::RCC.ahb1enr().modify(|w| w.set_gpioden(true));
+    let _ = pac::RCC.ahb1enr().read();
+    pac::GPIOD
+        .moder()
+        .modify(|w| w.set_moder(Led::Fault as usize, Moder::OUTPUT));
+    set(Led::Fault, true);
 }

@@ -4,13 +4,16 @@
 //!
 //! | priority | what | why |
 //! |---|---|---|
-//! | 0 | TIM2 | the trigger; never masked by a critical section |
-//! | 1 | TIM1, TIM5, TIM3 | the further outputs and their wake-ups, the inverted serial line; not masked by a critical section either |
+//! | 0 | TIM2, DMA1's stream 5 | captures and the trigger; never masked by a critical section |
+//! | 1 | TIM1, TIM5 | the further outputs and their wake-ups; not masked by a critical section either |
 //! | 8 | all others | USB, I2C, DMA, UART, time driver, [`handover`] |
 //! | thread | tasks | |
 //!
 //! The handlers of priorities 0 and 1 must therefore touch nothing that a critical
 //! section protects: they hand over through the queues of [`events`].
+//!
+//! Clocks of the peripherals that these drivers use are switched on by
+//! [`clocks::enable_peripherals`], before any of them.
 //!
 //! The modules form layers, and imports go down: [`events`] and the locks; the drivers;
 //! [`handover`]. Of the rest of the binary they see `state` alone.
@@ -18,6 +21,7 @@
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
 pub(crate) mod events;
+mod falls;
 pub(crate) mod faults;
 pub(crate) mod handover;
 pub(crate) mod idle;
@@ -25,6 +29,7 @@ pub(crate) mod imu_bus;
 pub(crate) mod leds;
 pub(crate) mod nmea_port;
 pub(crate) mod outputs;
+pub(crate) mod rng;
 pub(crate) mod stack;
 pub(crate) mod tim2;
 pub(crate) mod urgent;

@@ -1,11 +1,8 @@
-//! PC12: the serial line of the sentences.
+//! PC12: the serial line of the sentences, by UART5.
 //!
-//! With the usual polarity (high when idle) UART5 sends. The STM32F407's UARTs
-//! cannot invert their output, so with the other polarity (low when idle, as
-//! behind an RS-232 driver) TIM3's interrupt puts out bit after bit. It runs at
-//! priority 1, so a bit may come as late as the handlers of the triggers take:
-//! some 20 µs at a coincidence of all, against half a bit of 26 µs at 19,200 Bd,
-//! the highest rate for this polarity.
+//! It is high when idle, as the chip's UARTs are; they cannot invert. A lidar that wants
+//! it low when idle is wired through an inverting gate, which it needs for its levels
+//! anyway (`docs/outputs.md`).
 
 use core::cell::RefCell;
 
@@ -13,94 +10,52 @@ use cortex_m::peripheral::NVIC;
 use embassy_stm32::interrupt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Pupdr};
-use embassy_stm32::pac::timer::regs::SrGp16;
+use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use firmware::config;
 use heapless::Vec;
 use protocol::{Baud, MAX_NMEA};
-
-use crate::board::urgent::UrgentMutex;
 
 const PIN: usize = 12;
 /// UART5 (data sheet, table 9).
 const ALTERNATE_FUNCTION: u8 = 8;
 
 const UART: pac::usart::Usart = pac::UART5;
-const TIM: pac::timer::TimGp16 = pac::TIM3;
-
-/// Who sends.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Mode {
-    Closed,
-    Uart,
-    Inverted,
-}
 
 struct Port {
-    mode: Mode,
+    open: bool,
     bytes: Vec<u8, MAX_NMEA>,
     next: usize,
-    /// Bits of the present byte still to come, the next one lowest; start and
-    /// stop bits too.
-    shift: u16,
-    bits: u8,
 }
 
-static PORT: UrgentMutex<RefCell<Port>> = UrgentMutex::new(RefCell::new(Port {
-    mode: Mode::Closed,
+static PORT: CriticalSectionMutex<RefCell<Port>> = CriticalSectionMutex::new(RefCell::new(Port {
+    open: false,
     bytes: Vec::new(),
     next: 0,
-    shift: 0,
-    bits: 0,
 }));
 
-/// Gives the timer its clock and unmasks the handlers.
-#[allow(unsafe_code, reason = "unmasks the interrupts")]
+/// Unmasks the handler.
+#[allow(unsafe_code, reason = "unmasks the interrupt")]
 pub(crate) fn init() {
-    pac::RCC.apb1enr().modify(|w| {
-        w.set_uart5en(true);
-        w.set_tim3en(true);
-    });
-    // SAFETY: what the handlers touch is set up.
-    unsafe {
-        NVIC::unmask(pac::Interrupt::UART5);
-        NVIC::unmask(pac::Interrupt::TIM3);
-    }
+    // SAFETY: what the handler touches is set up.
+    unsafe { NVIC::unmask(pac::Interrupt::UART5) };
 }
 
 /// Opens the line, idle.
-pub(crate) fn open(baud: Baud, inverted: bool) {
+pub(crate) fn open(baud: Baud) {
     PORT.lock(|port| {
-        let port = &mut *port.borrow_mut();
-        port.bytes.clear();
-        port.next = 0;
-        port.bits = 0;
-        if inverted {
-            port.mode = Mode::Inverted;
-            TIM.psc().write_value(0);
-            let clocks = config::TIM2_HZ.div_ceil(baud.hz());
-            TIM.arr().write(|w| w.set_arr((clocks - 1) as u16));
-            TIM.egr().write(|w| w.set_ug(true));
-            TIM.sr().write_value(SrGp16(0));
-            TIM.dier().modify(|w| w.set_uie(true));
-            set_line(true, true);
-            pac::GPIOC
-                .moder()
-                .modify(|w| w.set_moder(PIN, Moder::OUTPUT));
-        } else {
-            port.mode = Mode::Uart;
-            let divider = (config::PCLK1_HZ + baud.hz() / 2) / baud.hz();
-            UART.brr().write_value(pac::usart::regs::Brr(divider));
-            UART.cr1().write(|w| {
-                w.set_ue(true);
-                w.set_te(true);
-            });
-            pac::GPIOC
-                .afr(PIN / 8)
-                .modify(|w| w.set_afr(PIN % 8, ALTERNATE_FUNCTION));
-            pac::GPIOC
-                .moder()
-                .modify(|w| w.set_moder(PIN, Moder::ALTERNATE));
-        }
+        port.borrow_mut().open = true;
+        let divider = (config::PCLK1_HZ + baud.hz() / 2) / baud.hz();
+        UART.brr().write_value(pac::usart::regs::Brr(divider));
+        UART.cr1().write(|w| {
+            w.set_ue(true);
+            w.set_te(true);
+        });
+        pac::GPIOC
+            .afr(PIN / 8)
+            .modify(|w| w.set_afr(PIN % 8, ALTERNATE_FUNCTION));
+        pac::GPIOC
+            .moder()
+            .modify(|w| w.set_moder(PIN, Moder::ALTERNATE));
     });
 }
 
@@ -108,10 +63,9 @@ pub(crate) fn open(baud: Baud, inverted: bool) {
 pub(crate) fn close() {
     PORT.lock(|port| {
         let port = &mut *port.borrow_mut();
-        port.mode = Mode::Closed;
+        port.open = false;
         port.bytes.clear();
         port.next = 0;
-        TIM.cr1().modify(|w| w.set_cen(false));
         UART.cr1().write(|_| {});
         pac::GPIOC
             .pupdr()
@@ -132,7 +86,7 @@ pub(crate) fn is_idle() -> bool {
 pub(crate) fn send(text: &str) -> bool {
     PORT.lock(|port| {
         let port = &mut *port.borrow_mut();
-        if port.mode == Mode::Closed || !port.is_idle() {
+        if !port.open || !port.is_idle() {
             return false;
         }
         port.bytes.clear();
@@ -140,28 +94,9 @@ pub(crate) fn send(text: &str) -> bool {
         if port.bytes.extend_from_slice(text.as_bytes()).is_err() {
             return false;
         }
-        match port.mode {
-            Mode::Closed => {}
-            Mode::Uart => UART.cr1().modify(|w| w.set_txeie(true)),
-            Mode::Inverted => {
-                TIM.cnt().write(|w| w.set_cnt(0));
-                TIM.sr().write_value(SrGp16(0));
-                TIM.cr1().modify(|w| w.set_cen(true));
-            }
-        }
+        UART.cr1().modify(|w| w.set_txeie(true));
         true
     })
-}
-
-/// The line at logical `one`.
-fn set_line(one: bool, inverted: bool) {
-    pac::GPIOC.bsrr().write(|w| {
-        if one != inverted {
-            w.set_bs(PIN, true);
-        } else {
-            w.set_br(PIN, true);
-        }
-    });
 }
 
 #[interrupt]
@@ -171,52 +106,18 @@ fn UART5() {
         if !UART.sr().read().txe() {
             return;
         }
-        match port.next_byte() {
-            Some(byte) => UART.dr().write(|w| w.set_dr(byte.into())),
+        match port.bytes.get(port.next) {
+            Some(&byte) => {
+                port.next += 1;
+                UART.dr().write(|w| w.set_dr(byte.into()));
+            }
             None => UART.cr1().modify(|w| w.set_txeie(false)),
         }
     });
 }
 
-#[interrupt]
-fn TIM3() {
-    TIM.sr().write_value(SrGp16(0));
-    PORT.lock(|port| port.borrow_mut().next_bit());
-}
-
 impl Port {
     fn is_idle(&self) -> bool {
-        let sent = self.next >= self.bytes.len();
-        match self.mode {
-            Mode::Closed => true,
-            Mode::Uart => sent && UART.sr().read().tc(),
-            Mode::Inverted => sent && !TIM.cr1().read().cen(),
-        }
-    }
-
-    fn next_byte(&mut self) -> Option<u8> {
-        let byte = self.bytes.get(self.next).copied()?;
-        self.next += 1;
-        Some(byte)
-    }
-
-    /// Begins the next bit; after the last one the timer stops.
-    fn next_bit(&mut self) {
-        if self.bits == 0 {
-            match self.next_byte() {
-                Some(byte) => {
-                    // Start bit 0, eight bits, stop bit 1.
-                    self.shift = u16::from(byte) << 1 | 1 << 9;
-                    self.bits = 10;
-                }
-                None => {
-                    TIM.cr1().modify(|w| w.set_cen(false));
-                    return;
-                }
-            }
-        }
-        set_line(self.shift & 1 != 0, true);
-        self.shift >>= 1;
-        self.bits -= 1;
+        !self.open || (self.next >= self.bytes.len() && UART.sr().read().tc())
     }
 }

@@ -88,9 +88,6 @@ static SHARED: UrgentMutex<RefCell<Shared>> = UrgentMutex::new(RefCell::new(Shar
 /// Sets the timers up to be started by TIM2's start, which must come after this.
 /// `events` takes what the handlers have to say.
 pub(crate) fn init(events: Producer<'static, OutputEvent>) {
-    pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
-    pac::RCC.apb1enr().modify(|w| w.set_tim5en(true));
-
     TIM1.psc().write_value(0);
     TIM1.arr().write(|w| w.set_arr(u16::MAX));
     TIM1.egr().write(|w| w.set_ug(true));
@@ -210,7 +207,8 @@ pub(crate) fn summaries() -> [OutputStatus; CHANNELS] {
     for (channel, copy) in pulsers.iter_mut().enumerate() {
         *copy = pulser(channel);
     }
-    pulsers.map(|pulser| pulser.summary())
+    let now = tim2::now();
+    pulsers.map(|pulser| pulser.summary(now))
 }
 
 /// Whether an edge is overdue by more than `by`.
@@ -358,6 +356,10 @@ impl Channel {
 }
 
 impl CompareOutput for Channel {
+    fn makes_whole_pulses(&self) -> bool {
+        false
+    }
+
     fn counter(&self) -> u32 {
         tim2::counter()
     }
@@ -385,6 +387,8 @@ impl CompareOutput for Channel {
             Action::Wake => {}
             Action::Rise => self.set_mode(Ocm::ACTIVE_ON_MATCH),
             Action::Fall => self.set_mode(Ocm::INACTIVE_ON_MATCH),
+            // Never asked for: `makes_whole_pulses`.
+            Action::Pulse { .. } => {}
         }
         // A match that came before the mode was set has moved nothing: it is
         // not taken for one, and the edge is armed again, late.

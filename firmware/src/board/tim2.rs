@@ -1,19 +1,19 @@
 //! TIM2: the timebase, the trigger and the captures.
 //!
-//! The handler runs at the highest priority and is never masked by a critical
+//! The handlers run at the highest priority and are never masked by a critical
 //! section ([`super::critical_section`]). Tasks that look at or change the train
 //! mask all interrupts (PRIMASK) for a few microseconds, and wait until no edge
 //! is due in that time; everything that needs division is worked out on a copy.
 //!
 //! | channel | pin | direction |
 //! |---|---|---|
-//! | 1 | PA5 | trigger: output compare, active or inactive on match, by turns |
+//! | 1 | PA5 | trigger: output compare, turns over at each match; [`falls`] loads the second |
 //! | 2 | PA1 | data-ready of the IMU: capture of rising edges |
 //! | 3 | PA2 | strobe: capture of both edges |
 //! | 4 | PA3 | read-back of the trigger: capture of rising edges, no interrupt |
 //!
-//! Inputs have no filter, which would delay them, and are pulled down, so that
-//! one with nothing wired to it is silent.
+//! Inputs are filtered, which delays them by a constant ([`config::INPUT_FILTER`]), and
+//! pulled down, so that one with nothing wired to it is silent.
 
 use core::cell::RefCell;
 use core::sync::atomic::{AtomicU8, Ordering};
@@ -24,7 +24,7 @@ use embassy_stm32::interrupt;
 use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use embassy_stm32::pac::timer::regs::SrGp16;
-use embassy_stm32::pac::timer::vals::{CcmrInputCcs, Mms, Ocm};
+use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Mms, Ocm};
 use firmware::capture::{Bucket, direction};
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
@@ -34,6 +34,7 @@ use heapless::spsc::Producer;
 use protocol::{AlignPlan, Capture, CaptureChannel, OutputAlign, Refusal, Ticks};
 
 use crate::board::events::{self, DataReady, Event, Input};
+use crate::board::falls;
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
 
@@ -76,15 +77,18 @@ pub(crate) struct Counters {
 
 struct InputState {
     bucket: Bucket,
+    /// Of edges close together.
+    close: Bucket,
     after_loss: bool,
     overcaptures: u32,
     floods: u32,
 }
 
 impl InputState {
-    const fn new(bucket: Bucket) -> Self {
+    const fn new(bucket: Bucket, close: Bucket) -> Self {
         Self {
             bucket,
+            close,
             after_loss: false,
             overcaptures: 0,
             floods: 0,
@@ -108,7 +112,6 @@ struct Shared {
 ///
 /// TIM1 and TIM5 must have been set up: this start starts them too.
 pub(crate) fn init(events: Producer<'static, Event>) {
-    pac::RCC.apb1enr().modify(|w| w.set_tim2en(true));
     TIM.cr2().modify(|w| w.set_mms(Mms::ENABLE));
     TIM.psc().write_value(0);
     TIM.arr().write_value(u32::MAX);
@@ -117,11 +120,15 @@ pub(crate) fn init(events: Producer<'static, Event>) {
     TIM.ccmr_output(0)
         .modify(|w| w.set_ocm(0, Ocm::FORCE_INACTIVE));
     // IC2 on TI2, IC3 on TI3, IC4 on TI4: value 1 in each field.
-    TIM.ccmr_input(0)
-        .modify(|w| w.set_ccs(1, CcmrInputCcs::TI4));
-    TIM.ccmr_input(1).modify(|w| {
-        w.set_ccs(0, CcmrInputCcs::TI4);
+    TIM.ccmr_input(0).modify(|w| {
         w.set_ccs(1, CcmrInputCcs::TI4);
+        w.set_icf(1, FilterValue::FCK_INT_N8);
+    });
+    TIM.ccmr_input(1).modify(|w| {
+        for input in [0, 1] {
+            w.set_ccs(input, CcmrInputCcs::TI4);
+            w.set_icf(input, FilterValue::FCK_INT_N8);
+        }
     });
     TIM.ccer().modify(|w| {
         // Both edges of the strobe.
@@ -155,15 +162,19 @@ pub(crate) fn init(events: Producer<'static, Event>) {
         w.set_ccie(DATA_READY, true);
         w.set_ccie(STROBE, true);
     });
+    falls::init(TIM.ccr(TRIGGER).as_ptr().cast());
     with_all_masked(|token| SHARED.borrow(token).borrow_mut().events = Some(events));
     TIM.cr1().write(|w| w.set_cen(true));
-    enable_handler();
+    enable_handlers();
 }
 
-#[allow(unsafe_code, reason = "unmasks the interrupt")]
-fn enable_handler() {
-    // SAFETY: what the handler touches is set up.
-    unsafe { NVIC::unmask(pac::Interrupt::TIM2) };
+#[allow(unsafe_code, reason = "unmasks the interrupts")]
+fn enable_handlers() {
+    // SAFETY: what the handlers touch is set up.
+    unsafe {
+        NVIC::unmask(pac::Interrupt::TIM2);
+        NVIC::unmask(falls::INTERRUPT);
+    }
 }
 
 #[inline]
@@ -239,10 +250,34 @@ fn TIM2() {
     with_all_masked(|token| SHARED.borrow(token).borrow_mut().handle(begin));
 }
 
+/// The end of a whole pulse.
+#[interrupt]
+fn DMA1_STREAM5() {
+    let begin = counter();
+    with_all_masked(|token| {
+        let shared = &mut *SHARED.borrow(token).borrow_mut();
+        TIMEBASE.refresh(begin);
+        // The stream also calls when it is switched off.
+        if let Some(fell) = falls::take_end() {
+            shared.trigger(fell);
+        }
+        shared.account(begin);
+    });
+}
+
+fn level_of(pin: usize) -> bool {
+    pac::GPIOA.idr().read().idr(pin).to_bits() != 0
+}
+
 /// Clears flags of the status register: those bits are cleared by writing 0,
 /// and writing 1 leaves the others alone.
 fn clear(bits: u32) {
     TIM.sr().write_value(SrGp16(!bits));
+}
+
+/// The counter's value when the edge that a channel captured was at its pin.
+fn capture_of(channel: usize) -> u32 {
+    TIM.ccr(channel).read().wrapping_sub(config::INPUT_FILTER)
 }
 
 /// Bit of a channel's capture or compare flag.
@@ -262,11 +297,14 @@ impl Shared {
             events: None,
             pulse_seq: 0,
             capture_seq: 0,
-            data_ready: InputState::new(Bucket::new(
-                config::DATA_READY_BURST,
-                config::DATA_READY_REFILL,
-            )),
-            strobe: InputState::new(Bucket::new(config::STROBE_BURST, config::STROBE_REFILL)),
+            data_ready: InputState::new(
+                Bucket::new(config::DATA_READY_BURST, config::DATA_READY_REFILL),
+                Bucket::new(config::STROBE_CLOSE, config::STROBE_CLOSE_REFILL),
+            ),
+            strobe: InputState::new(
+                Bucket::new(config::STROBE_BURST, config::STROBE_REFILL),
+                Bucket::new(config::STROBE_CLOSE, config::STROBE_CLOSE_REFILL),
+            ),
             counters: Counters {
                 latency: 0,
                 busy: 0,
@@ -283,10 +321,12 @@ impl Shared {
     fn handle(&mut self, begin: u32) {
         TIMEBASE.refresh(begin);
         loop {
-            // Only what has its interrupt on. The trigger always goes first.
+            // Only what has its interrupt on. The trigger, on its way to an edge far
+            // ahead, goes first.
             let pending = TIM.sr().read().0 & TIM.dier().read().0;
             if pending & flag(TRIGGER) != 0 {
-                self.trigger();
+                clear(flag(TRIGGER));
+                self.trigger(TIM.ccr(TRIGGER).read());
             } else if pending & flag(DATA_READY) != 0 {
                 self.data_ready();
             } else if pending & flag(STROBE) != 0 {
@@ -302,14 +342,17 @@ impl Shared {
         if unmute & Input::Strobe as u8 != 0 {
             self.strobe.listen(STROBE);
         }
+        self.account(begin);
+    }
+
+    /// Books the time of a handler that began at `begin`.
+    fn account(&mut self, begin: u32) {
         let busy = counter().wrapping_sub(begin);
         self.counters.busy = self.counters.busy.wrapping_add(busy);
     }
 
-    fn trigger(&mut self) {
-        let edge = TIM.ccr(TRIGGER).read();
-        // Idle, there is nothing to match.
-        clear(flag(TRIGGER));
+    /// Handles the match of the trigger's channel at `edge`.
+    fn trigger(&mut self, edge: u32) {
         let pulsed = self.pulser.on_match(&mut Channel, &TIMEBASE);
         if let Some(pulsed) = pulsed {
             let seq = self.pulse_seq;
@@ -336,16 +379,23 @@ impl Shared {
 
     fn strobe(&mut self) {
         let (captured, after_loss, flood) = self.strobe.take(STROBE);
-        // Level and flag as they were at one moment: an edge between two looks
-        // at the flag makes a third necessary, and there can be no fourth.
-        let mut more = TIM.sr().read().ccif(STROBE);
-        let level = loop {
-            let level = pac::GPIOA.idr().read().idr(STROBE_PIN);
-            let before = core::mem::replace(&mut more, TIM.sr().read().ccif(STROBE));
-            if before == more {
-                break level.to_bits() != 0;
+        // The level that this capture, or the one behind it, led to. An edge shows at
+        // the pin at once and in the flag only behind the filter: both count if they
+        // stay for as long as that takes. An input that never does is a flood; its
+        // captures are marked as incomplete by what they overrun.
+        let mut seen = (level_of(STROBE_PIN), TIM.sr().read().ccif(STROBE));
+        for _ in 0..3 {
+            let from = counter();
+            while counter().wrapping_sub(from) < config::CAPTURE_DELAY {}
+            let before = core::mem::replace(
+                &mut seen,
+                (level_of(STROBE_PIN), TIM.sr().read().ccif(STROBE)),
+            );
+            if before == seen {
+                break;
             }
-        };
+        }
+        let (level, more) = seen;
         let capture = Capture {
             seq: self.capture_seq,
             channel: CaptureChannel::Strobe,
@@ -368,7 +418,7 @@ impl InputState {
     /// lost before it, and whether the input was now switched off.
     fn take(&mut self, channel: usize) -> (u32, bool, bool) {
         // Reading the value clears its flag.
-        let captured = TIM.ccr(channel).read();
+        let captured = capture_of(channel);
         let over = TIM.sr().read().ccof(channel);
         if over {
             clear(over_flag(channel));
@@ -376,7 +426,7 @@ impl InputState {
         }
         // The lost edge may lie before this value or after it: mark both.
         let after_loss = core::mem::replace(&mut self.after_loss, over) || over;
-        let flood = !self.bucket.take(captured);
+        let flood = !self.bucket.take(captured) | !self.close.take(captured);
         if flood {
             self.floods = self.floods.saturating_add(1);
             TIM.dier().modify(|w| w.set_ccie(channel, false));
@@ -397,22 +447,29 @@ impl InputState {
 pub(crate) struct Channel;
 
 impl CompareOutput for Channel {
+    fn makes_whole_pulses(&self) -> bool {
+        true
+    }
+
     fn counter(&self) -> u32 {
         counter()
     }
 
     fn arm(&mut self, at: u32, action: Action) {
-        let mode = match action {
-            Action::Wake => Ocm::FROZEN,
-            Action::Rise => Ocm::ACTIVE_ON_MATCH,
-            Action::Fall => Ocm::INACTIVE_ON_MATCH,
-        };
-        // The mode first: the old compare value lies behind and matches
-        // nothing. The flag before the new value, so that its match is kept.
-        TIM.ccmr_output(0).modify(|w| w.set_ocm(TRIGGER, mode));
-        clear(flag(TRIGGER));
-        TIM.ccr(TRIGGER).write_value(at);
-        TIM.dier().modify(|w| w.set_ccie(TRIGGER, true));
+        // Low from here on, whatever came before: the old compare value lies behind and
+        // matches nothing. The flag is cleared before the new value is written, so that
+        // its match is kept.
+        self.force_low();
+        if let Action::Pulse { fall } = action {
+            TIM.ccmr_output(0)
+                .modify(|w| w.set_ocm(TRIGGER, Ocm::TOGGLE));
+            falls::arm(at, fall);
+            TIM.dier().modify(|w| w.set_ccde(TRIGGER, true));
+            TIM.ccr(TRIGGER).write_value(at);
+        } else {
+            TIM.ccr(TRIGGER).write_value(at);
+            TIM.dier().modify(|w| w.set_ccie(TRIGGER, true));
+        }
     }
 
     fn has_matched(&self) -> bool {
@@ -420,7 +477,11 @@ impl CompareOutput for Channel {
     }
 
     fn force_low(&mut self) {
-        TIM.dier().modify(|w| w.set_ccie(TRIGGER, false));
+        TIM.dier().modify(|w| {
+            w.set_ccie(TRIGGER, false);
+            w.set_ccde(TRIGGER, false);
+        });
+        falls::disarm();
         TIM.ccmr_output(0)
             .modify(|w| w.set_ocm(TRIGGER, Ocm::FORCE_INACTIVE));
         clear(flag(TRIGGER));
@@ -431,7 +492,7 @@ impl CompareOutput for Channel {
         if !status.ccif(READBACK) {
             return None;
         }
-        let at = TIM.ccr(READBACK).read();
+        let at = capture_of(READBACK);
         clear(over_flag(READBACK));
         Some(Captured {
             at,

@@ -109,18 +109,21 @@ fn now<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-fn set_up(sensor: &mut Mpu9150<Mock>, config: &ImuConfig, clock: ImuClock) -> Result<(), ImuFault> {
-    now(sensor.set_up(config, clock, &mut Delay::default()))
+/// Up to the external clock.
+fn set_up(sensor: &mut Mpu9150<Mock>, config: &ImuConfig) -> Result<(), ImuFault> {
+    now(sensor.set_up(config, &mut Delay::default()))?;
+    now(sensor.use_external_clock())
 }
 
 #[test]
 fn the_default_is_written_after_a_reset() {
     let mut sensor = Mpu9150::new(Mock::new());
     let mut delay = Delay::default();
-    now(sensor.set_up(&IMU_DEFAULT, ImuClock::External, &mut delay)).unwrap();
+    now(sensor.set_up(&IMU_DEFAULT, &mut delay)).unwrap();
+    // Its own clock first: every other setting is made while it surely runs.
     let expected = [
         (0x6B, 0x80),
-        (0x6B, 0x05),
+        (0x6B, 0x01),
         (0x19, 1),
         (0x1A, 1),
         (0x1B, 0x08),
@@ -129,6 +132,8 @@ fn the_default_is_written_after_a_reset() {
         (0x38, 0x01),
     ];
     assert_eq!(sensor.bus.log, expected);
+    now(sensor.use_external_clock()).unwrap();
+    assert_eq!(sensor.bus.log[expected.len()..], [(0x6B, 0x05)]);
     assert_eq!(delay.0, 100_000_000);
 }
 
@@ -161,7 +166,7 @@ fn every_setting_reaches_its_field() {
                     accel_range,
                 };
                 let mut sensor = Mpu9150::new(Mock::new());
-                set_up(&mut sensor, &config, ImuClock::Internal).unwrap();
+                now(sensor.set_up(&config, &mut Delay::default())).unwrap();
                 let kept = &sensor.bus.registers;
                 assert_eq!(kept[0x19..0x1D], [199, dlpf, fs, afs]);
                 assert_eq!(kept[0x6B], 1);
@@ -174,7 +179,7 @@ fn every_setting_reaches_its_field() {
 fn another_sensor_is_not_touched() {
     let mut sensor = Mpu9150::new(Mock::new());
     sensor.bus.registers[0x75] = 0x71;
-    let fault = set_up(&mut sensor, &IMU_DEFAULT, ImuClock::External);
+    let fault = set_up(&mut sensor, &IMU_DEFAULT);
     assert_eq!(fault, Err(ImuFault::WrongIdentity { found: 0x71 }));
     assert!(sensor.bus.log.is_empty());
 }
@@ -182,9 +187,9 @@ fn another_sensor_is_not_touched() {
 #[test]
 fn a_fault_at_any_transfer_names_its_register() {
     let mut good = Mpu9150::new(Mock::new());
-    set_up(&mut good, &IMU_DEFAULT, ImuClock::External).unwrap();
+    set_up(&mut good, &IMU_DEFAULT).unwrap();
     let transfers = good.bus.transfers;
-    assert_eq!(transfers, 17);
+    assert_eq!(transfers, 19);
     for at in 0..transfers {
         for source in [
             NoAcknowledgeSource::Address,
@@ -193,7 +198,7 @@ fn a_fault_at_any_transfer_names_its_register() {
         ] {
             let mut sensor = Mpu9150::new(Mock::new());
             sensor.bus.fail = Some((at, ErrorKind::NoAcknowledge(source)));
-            let fault = set_up(&mut sensor, &IMU_DEFAULT, ImuClock::External);
+            let fault = set_up(&mut sensor, &IMU_DEFAULT);
             let register = sensor.register();
             assert_eq!(fault, Err(ImuFault::NoAcknowledge { register }));
             assert!(register_name(register).is_some());
@@ -201,7 +206,7 @@ fn a_fault_at_any_transfer_names_its_register() {
         for kind in [ErrorKind::ArbitrationLoss, ErrorKind::Bus, ErrorKind::Other] {
             let mut sensor = Mpu9150::new(Mock::new());
             sensor.bus.fail = Some((at, kind));
-            let fault = set_up(&mut sensor, &IMU_DEFAULT, ImuClock::External);
+            let fault = set_up(&mut sensor, &IMU_DEFAULT);
             let register = sensor.register();
             assert_eq!(fault, Err(ImuFault::Bus { register }));
         }
@@ -216,7 +221,7 @@ fn a_fault_at_any_transfer_names_its_register() {
 fn a_register_that_does_not_keep_its_value_is_named() {
     let mut sensor = Mpu9150::new(Mock::new());
     sensor.bus.stuck = Some(GYRO_CONFIG);
-    let fault = set_up(&mut sensor, &IMU_DEFAULT, ImuClock::External);
+    let fault = set_up(&mut sensor, &IMU_DEFAULT);
     let expected = ImuFault::Readback {
         register: 0x1B,
         wrote: 0x08,
@@ -228,7 +233,7 @@ fn a_register_that_does_not_keep_its_value_is_named() {
     let mut sensor = Mpu9150::new(Mock::new());
     sensor.bus.stuck = Some(PWR_MGMT_1);
     sensor.bus.registers[0x6B] = 0;
-    let fault = set_up(&mut sensor, &IMU_DEFAULT, ImuClock::External);
+    let fault = set_up(&mut sensor, &IMU_DEFAULT);
     let expected = ImuFault::Readback {
         register: 0x6B,
         wrote: 0x80,

@@ -9,6 +9,8 @@ use super::*;
 /// A timer channel. Every look at the counter costs time; while time goes on,
 /// an armed match makes its edge.
 struct Mock {
+    /// It makes whole pulses.
+    whole: bool,
     now: Cell<u64>,
     /// Absolute time of the armed match, and what it does.
     armed: Cell<Option<(u64, Action)>>,
@@ -22,8 +24,9 @@ struct Mock {
 }
 
 impl Mock {
-    fn new(now: u64) -> Self {
+    fn new(now: u64, whole: bool) -> Self {
         Self {
+            whole,
             now: Cell::new(now),
             armed: Cell::new(None),
             matched: Cell::new(false),
@@ -45,7 +48,7 @@ impl Mock {
     }
 
     fn advance_to(&self, to: u64) {
-        if let Some((at, action)) = self.armed.get()
+        while let Some((at, action)) = self.armed.get()
             && at <= to
         {
             // The compare goes on to match at every wrap.
@@ -55,13 +58,26 @@ impl Mock {
                 Action::Wake => {}
                 Action::Rise => self.set_pin(at, true),
                 Action::Fall => self.set_pin(at, false),
+                Action::Pulse { fall } => {
+                    self.set_pin(at, true);
+                    self.armed.set(Some((end(at, fall), Action::Fall)));
+                }
             }
         }
         self.now.set(to);
     }
 }
 
+/// When the counter reads `fall` next after `rise`.
+fn end(rise: u64, fall: u32) -> u64 {
+    rise + u64::from(fall.wrapping_sub(rise as u32))
+}
+
 impl CompareOutput for Mock {
+    fn makes_whole_pulses(&self) -> bool {
+        self.whole
+    }
+
     fn counter(&self) -> u32 {
         self.advance_to(self.now.get() + self.cost);
         self.now.get() as u32
@@ -69,6 +85,11 @@ impl CompareOutput for Mock {
 
     fn arm(&mut self, at: u32, action: Action) {
         self.matched.set(false);
+        match action {
+            Action::Wake => {}
+            Action::Rise | Action::Fall => assert!(!self.whole),
+            Action::Pulse { .. } => assert!(self.whole && !self.high.get()),
+        }
         // The match comes when the counter next reaches the value.
         let ahead = at.wrapping_sub(self.now.get() as u32).wrapping_sub(1);
         self.armed
@@ -102,7 +123,17 @@ struct Rig {
 }
 
 impl Rig {
+    /// With a channel that makes single edges.
     fn new(now: u64) -> Self {
+        Self::with(now, false)
+    }
+
+    /// Of both kinds of channel.
+    fn both(now: u64) -> [Self; 2] {
+        [false, true].map(|whole| Self::with(now, whole))
+    }
+
+    fn with(now: u64, whole: bool) -> Self {
         let time = Timebase::new();
         let mut at = 0;
         while at < now {
@@ -111,7 +142,7 @@ impl Rig {
         }
         time.refresh(now as u32);
         Self {
-            mock: Mock::new(now),
+            mock: Mock::new(now, whole),
             time,
             pulser: Pulser::new(Limits::CAMERA),
         }
@@ -121,9 +152,17 @@ impl Rig {
         self.pulser.start(&mut self.mock, &self.time, start.into())
     }
 
-    /// Runs to the next match and calls the handler `latency` ticks later.
+    fn status(&self) -> TriggerStatus {
+        self.pulser.status(Ticks(self.mock.now.get()))
+    }
+
+    /// Runs to the next match, or the end of a whole pulse, and calls the handler
+    /// `latency` ticks later.
     fn handle(&mut self, latency: u64) -> Option<Pulsed> {
-        let (at, _) = self.mock.armed.get()?;
+        let at = match self.mock.armed.get()? {
+            (rise, Action::Pulse { fall }) => end(rise, fall),
+            (at, _) => at,
+        };
         // The status task keeps time fresh.
         while self.mock.now.get() + (1 << 30) < at {
             self.mock.advance_to(self.mock.now.get() + (1 << 30));
@@ -161,36 +200,38 @@ fn every_edge_at_the_pin_is_exact_and_reported_over_wraps() {
         (200_000_000_000, 576),
     ] {
         let first = (1 << 32) - 1_000_000;
-        let mut rig = Rig::new(first - 5_000);
-        let start = start(picos, width, first);
-        rig.start(start).unwrap();
-        let pulses = 20_000_u64.min(6 * (1 << 32) * 125 / 6 * 1000 / picos);
-        for k in 0..pulses {
-            let pulse = rig.next_pulse(100);
-            let at = start.period.edge(Ticks(first), k as i64);
-            assert_eq!((pulse.number, pulse.at), (k, at));
-            assert!(pulse.aligned);
+        for mut rig in Rig::both(first - 5_000) {
+            let start = start(picos, width, first);
+            rig.start(start).unwrap();
+            let pulses = 20_000_u64.min(6 * (1 << 32) * 125 / 6 * 1000 / picos);
+            for k in 0..pulses {
+                let pulse = rig.next_pulse(100);
+                let at = start.period.edge(Ticks(first), k as i64);
+                assert_eq!((pulse.number, pulse.at), (k, at));
+                assert!(pulse.aligned);
+            }
+            let edges = rig.mock.edges.borrow();
+            for (k, pair) in edges.chunks(2).take(pulses as usize).enumerate() {
+                let at = start.period.edge(Ticks(first), k as i64).0;
+                assert_eq!(pair, [(at, true), (at + u64::from(width), false)]);
+            }
+            assert_eq!(rig.status().late, 0);
+            assert_eq!(rig.status().pulses, pulses);
         }
-        let edges = rig.mock.edges.borrow();
-        for (k, pair) in edges.chunks(2).take(pulses as usize).enumerate() {
-            let at = start.period.edge(Ticks(first), k as i64).0;
-            assert_eq!(pair, [(at, true), (at + u64::from(width), false)]);
-        }
-        assert_eq!(rig.pulser.status().late, 0);
-        assert_eq!(rig.pulser.status().pulses, pulses);
     }
 }
 
 #[test]
 fn a_first_edge_an_hour_ahead_is_reached_over_forty_wraps() {
-    let mut rig = Rig::new(1_000);
-    let first = 1_000 + MAX_TIME_AWAY;
-    rig.start(start(33_330_652_540, 576, first)).unwrap();
-    assert_eq!(rig.pulser.status().state, TrainState::Waiting);
-    assert_eq!(rig.next_pulse(50).at, Ticks(first));
-    let edges = [(first, true), (first + 576, false)];
-    assert_eq!(*rig.mock.edges.borrow(), edges);
-    assert_eq!(rig.pulser.status().state, TrainState::Running);
+    for mut rig in Rig::both(1_000) {
+        let first = 1_000 + MAX_TIME_AWAY;
+        rig.start(start(33_330_652_540, 576, first)).unwrap();
+        assert_eq!(rig.status().state, TrainState::Waiting);
+        assert_eq!(rig.next_pulse(50).at, Ticks(first));
+        let edges = [(first, true), (first + 576, false)];
+        assert_eq!(*rig.mock.edges.borrow(), edges);
+        assert_eq!(rig.status().state, TrainState::Running);
+    }
 }
 
 #[test]
@@ -200,12 +241,12 @@ fn the_same_start_again_changes_nothing_and_another_is_refused() {
     rig.start(first).unwrap();
     for _ in 0..3 {
         rig.next_pulse(50);
-        let before = rig.pulser.status();
+        let before = rig.status();
         rig.start(first).unwrap();
-        assert_eq!(rig.pulser.status(), before);
+        assert_eq!(rig.status(), before);
         let other = start(33_330_652_540, 577, 1_000_000_000);
         assert_eq!(rig.start(other), Err(Refusal::TriggerRunning));
-        assert_eq!(rig.pulser.status(), before);
+        assert_eq!(rig.status(), before);
     }
 }
 
@@ -235,7 +276,7 @@ fn a_stop_ends_after_the_pulse_that_is_being_made() {
     rig.start(start(33_330_652_540, 576, 1_000_000)).unwrap();
     rig.next_pulse(50);
     rig.pulser.stop(&mut rig.mock, &rig.time);
-    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.status().state, TrainState::Stopped);
     assert_eq!(rig.handle(50), None);
     assert_eq!(rig.mock.edges.borrow().len(), 2);
 
@@ -243,11 +284,11 @@ fn a_stop_ends_after_the_pulse_that_is_being_made() {
     rig.start(start(33_330_652_540, 576, 1_200_000)).unwrap();
     assert_eq!(rig.handle(50), None);
     rig.pulser.stop(&mut rig.mock, &rig.time);
-    assert_ne!(rig.pulser.status().state, TrainState::Stopped);
+    assert_ne!(rig.status().state, TrainState::Stopped);
     let refused = rig.start(start(33_330_652_540, 576, 9_000_000));
     assert_eq!(refused, Err(Refusal::TriggerRunning));
     assert_eq!(rig.next_pulse(50).number, 0);
-    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.status().state, TrainState::Stopped);
     let edges = [(1_200_000, true), (1_200_576, false)];
     assert_eq!(rig.mock.edges.borrow()[2..], edges);
 
@@ -256,12 +297,12 @@ fn a_stop_ends_after_the_pulse_that_is_being_made() {
     rig.mock.advance_to(2_000_000 - 100);
     rig.pulser.stop(&mut rig.mock, &rig.time);
     assert_eq!(rig.next_pulse(50).at, Ticks(2_000_000));
-    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.status().state, TrainState::Stopped);
     assert_eq!(rig.mock.edges.borrow().len(), 6);
-    assert_eq!(rig.pulser.status().train, 3);
+    assert_eq!(rig.status().train, 3);
     // Once more changes nothing.
     rig.pulser.stop(&mut rig.mock, &rig.time);
-    assert_eq!(rig.pulser.status().state, TrainState::Stopped);
+    assert_eq!(rig.status().state, TrainState::Stopped);
 }
 
 #[test]
@@ -272,7 +313,7 @@ fn a_handler_that_comes_too_late_is_counted_and_the_grid_is_kept() {
     // The falling edge is armed too late: the pulse is ended by force.
     let pulse = rig.handle(1_000).unwrap();
     assert_eq!(pulse.at, Ticks(1_048_000));
-    assert_eq!(rig.pulser.status().late, 1);
+    assert_eq!(rig.status().late, 1);
     let ended = *rig.mock.edges.borrow().last().unwrap();
     assert!((1_049_000..1_049_100).contains(&ended.0) && !ended.1);
     // The next is on the grid again.
@@ -282,7 +323,7 @@ fn a_handler_that_comes_too_late_is_counted_and_the_grid_is_kept() {
     let pulse = rig.handle(60_000).unwrap();
     assert_eq!(pulse.at, Ticks(1_144_000));
     let late = rig.next_pulse(50);
-    assert_eq!(rig.pulser.status().late, 2);
+    assert_eq!(rig.status().late, 2);
     assert!(late.at.0 > 1_192_000);
     let rises: Vec<u64> = rig
         .mock
@@ -296,6 +337,64 @@ fn a_handler_that_comes_too_late_is_counted_and_the_grid_is_kept() {
     let next = rig.next_pulse(50);
     assert_eq!(next.number, late.number + 1);
     assert_eq!(next.at, Ticks(1_240_000));
+}
+
+/// Whole pulses need nobody until the next one, however long nobody comes.
+#[test]
+fn a_whole_pulse_keeps_its_width_without_the_handler() {
+    let mut rig = Rig::with(0, true);
+    rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
+    assert_eq!(rig.next_pulse(46_000).at, Ticks(1_000_000));
+    assert_eq!(rig.next_pulse(46_000).at, Ticks(1_048_000));
+    // Until after the next edge: that one comes late, at the time that is told.
+    assert_eq!(rig.next_pulse(60_000).at, Ticks(1_096_000));
+    let late = rig.next_pulse(50);
+    assert!(late.at.0 > 1_096_576 + 60_000, "{late:?}");
+    assert_eq!(rig.status().late, 1);
+    // The grid is kept.
+    assert_eq!(rig.next_pulse(50).at, Ticks(1_192_000));
+    let edges = rig.mock.edges.borrow();
+    for pair in edges.chunks(2) {
+        assert_eq!(pair[1].0 - pair[0].0, 576, "{pair:?}");
+    }
+    assert_eq!(edges[6], (late.at.0, true));
+}
+
+#[test]
+fn a_whole_pulse_that_is_near_or_begun_is_not_taken_back() {
+    let mut rig = Rig::with(0, true);
+    for (away, made) in [
+        (10_000, false),
+        (STOP_MARGIN.unsigned_abs() - 100, true),
+        (0, true),
+    ] {
+        let first = rig.mock.now.get() + 1_000_000;
+        rig.start(start(33_330_652_540, 5_760, first)).unwrap();
+        rig.mock.advance_to(first - away);
+        if away == 0 {
+            rig.mock.advance_to(first + 100);
+            assert_eq!(rig.status().pulses, 1, "it has risen");
+            assert_eq!(rig.status().state, TrainState::Running);
+        }
+        rig.pulser.stop(&mut rig.mock, &rig.time);
+        assert_eq!(rig.handle(50).is_some(), made);
+        assert_eq!(rig.status().state, TrainState::Stopped);
+        assert!(!rig.mock.high.get());
+    }
+    assert_eq!(rig.mock.edges.borrow().len(), 4);
+}
+
+#[test]
+fn a_whole_pulse_keeps_the_handler_free_until_it_ends() {
+    let mut rig = Rig::with(0, true);
+    rig.start(start(33_330_652_540, 100_000, 1_000_000))
+        .unwrap();
+    let margin = TickDelta(720);
+    assert!(!rig.pulser.is_busy(Ticks(999_990), margin));
+    assert!(!rig.pulser.is_busy(Ticks(1_000_050), margin));
+    assert!(rig.pulser.is_busy(Ticks(1_099_500), margin));
+    assert!(!rig.pulser.is_overdue(Ticks(1_579_999), TickDelta(480_000)));
+    assert!(rig.pulser.is_overdue(Ticks(1_580_001), TickDelta(480_000)));
 }
 
 #[test]
@@ -317,7 +416,7 @@ fn an_align_is_adopted_and_its_arrival_reported_once() {
         .align(77, &to, Ticks(0))
         .unwrap();
     assert_eq!(rig.pulser.adopt(&alignment), Ok(true));
-    assert_eq!(rig.pulser.status().state, TrainState::Slewing);
+    assert_eq!(rig.status().state, TrainState::Slewing);
     let mut arrivals = Vec::new();
     for _ in 0..20 {
         let pulse = rig.next_pulse(50);
@@ -340,7 +439,7 @@ fn the_read_back_is_matched_to_its_pulse() {
     let mut rig = Rig::new(0);
     rig.start(start(1_000_000_000, 576, 1_000_000)).unwrap();
     assert_eq!(rig.next_pulse(50).readback, None);
-    let unwired = rig.pulser.status().readback;
+    let unwired = rig.status().readback;
     assert_eq!((unwired.seen, unwired.missing), (0, 0));
     rig.mock.wire = Some(3);
     for _ in 0..5 {
@@ -359,20 +458,21 @@ fn the_read_back_is_matched_to_its_pulse() {
         stray: 1,
         delay: Some(3),
     };
-    assert_eq!(rig.pulser.status().readback, expected);
+    assert_eq!(rig.status().readback, expected);
 }
 
 #[test]
 fn the_status_tells_the_next_edge_exactly() {
-    let mut rig = Rig::new(0);
-    let begin = start(33_330_652_540, 576, 1_000_000);
-    rig.start(begin).unwrap();
-    for k in 1..50_u64 {
-        rig.next_pulse(50);
-        let status = rig.pulser.status();
-        let exact = (1_000_000_u128 << 32) + u128::from(k) * u128::from(begin.period.0);
-        let told = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
-        assert_eq!(told, exact);
+    for mut rig in Rig::both(0) {
+        let begin = start(33_330_652_540, 576, 1_000_000);
+        rig.start(begin).unwrap();
+        for k in 1..50_u64 {
+            rig.next_pulse(50);
+            let status = rig.status();
+            let exact = (1_000_000_u128 << 32) + u128::from(k) * u128::from(begin.period.0);
+            let told = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
+            assert_eq!(told, exact);
+        }
     }
 }
 

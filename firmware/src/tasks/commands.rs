@@ -55,6 +55,9 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
         Command::GnssStop => Ok(Reply::Gnss(gnss::stop())),
         Command::GnssQuery => Ok(Reply::Gnss(gnss::report())),
     };
+    if let Err(refusal) = &result {
+        defmt::info!("command {=u32} refused: {}", message.id, refusal);
+    }
     let answer = Answer {
         id: message.id,
         result,
@@ -79,7 +82,7 @@ fn act(id: u32, output: Output, action: OutputAction) -> Result<Reply, Refusal> 
         OutputAction::Query => {}
     }
     let channel = outputs::channel_of(output);
-    Ok(Reply::Trigger(outputs::pulser(channel).status()))
+    Ok(Reply::Trigger(outputs::pulser(channel).status(tim2::now())))
 }
 
 /// The state of the train behind what came of a command.
@@ -90,5 +93,6 @@ fn trigger(outcome: Result<(), Refusal>) -> Result<Reply, Refusal> {
 pub(crate) fn trigger_status() -> TriggerStatus {
     // On a copy: the status of the train as it was at one moment, worked out
     // with interrupts on.
-    tim2::with_pulser(|pulser, _, _| *pulser).status()
+    let (pulser, now) = tim2::with_pulser(|pulser, _, _| (*pulser, tim2::now()));
+    pulser.status(now)
 }

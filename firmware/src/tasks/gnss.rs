@@ -131,7 +131,7 @@ pub(crate) fn report() -> GnssReport {
 
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
-    let pulses = outputs::pulser(outputs::PPS).summary();
+    let pulses = outputs::pulser(outputs::PPS).summary(tim2::now());
     GnssStatus {
         state: pulses.state,
         pulses: pulses.pulses,
@@ -154,7 +154,7 @@ pub(crate) async fn run() {
                 pause
             }
             (Some(settings), _) => {
-                nmea_port::open(settings.baud, settings.line_inverted);
+                nmea_port::open(settings.baud);
                 running = Some((settings, state.first_second));
                 continue;
             }

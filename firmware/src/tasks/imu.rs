@@ -9,16 +9,14 @@ use core::cell::Cell;
 use core::sync::atomic::Ordering;
 
 use embassy_futures::select::{Either, select};
-use embassy_stm32::i2c::{I2c, Master};
-use embassy_stm32::mode::Async;
 use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_time::{Delay, Duration, Timer, with_timeout};
 use firmware::alive::Task;
 use firmware::config::{
-    DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_DEFAULT, IMU_POWER_UP_MS,
-    IMU_RETRY_MS, SET_UP_MS,
+    DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_CLOCK_SETTLING_MS, IMU_DEFAULT,
+    IMU_POWER_UP_MS, IMU_RETRY_MS, SET_UP_MS,
 };
 use firmware::imu::{self, Mpu9150, RawSample};
 use protocol::{
@@ -26,13 +24,13 @@ use protocol::{
 };
 
 use crate::board::events::{DATA_READY, DataReady, LOST_DATA_READY};
-use crate::board::imu_bus::ImuBus;
+use crate::board::imu_bus::{ImuBus, OpenBus};
 use crate::board::leds::{self, Led};
 use crate::board::tim2;
 use crate::state::{self, ALIVE};
 use crate::tasks::self_test;
 
-type Sensor<'a> = Mpu9150<I2c<'a, Async, Master>>;
+type Sensor<'a> = Mpu9150<OpenBus<'a>>;
 
 static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
     CriticalSectionMutex::new(Cell::new(ImuStatus {
@@ -88,7 +86,7 @@ fn update(change: impl FnOnce(&mut ImuStatus)) {
 fn book(fault: ImuFault) {
     let before = STATUS.lock(Cell::get).last_fault;
     if before != Some(fault) {
-        defmt::warn!("imu: {}", defmt::Debug2Format(&fault));
+        defmt::warn!("imu: {}", fault);
     }
     update(|status| status.last_fault = Some(fault));
 }
@@ -96,6 +94,9 @@ fn book(fault: ImuFault) {
 fn show(state: ImuState) {
     leds::set(Led::Imu, state == ImuState::Running);
     leds::set(Led::Fault, state == ImuState::Failed);
+    if STATUS.lock(Cell::get).state != state {
+        defmt::info!("imu: {}", state);
+    }
     update(|status| status.state = state);
 }
 
@@ -165,7 +166,7 @@ impl Sampler {
         self.flags = ImuFlags::FIRST;
         update(|status| status.clock = clock);
         show(ImuState::Running);
-        defmt::info!("imu runs, clock {}", defmt::Debug2Format(&clock));
+        defmt::info!("imu runs, clock {}", clock);
 
         let patience = self.patience();
         let mut one_failed = false;
@@ -208,32 +209,48 @@ impl Sampler {
     /// Sets the sensor up, on the external clock or else its own, and waits for
     /// the first data-ready. `None` if another configuration came.
     async fn start(&self, bus: &mut ImuBus) -> Result<Option<(ImuClock, DataReady)>, ImuFault> {
+        match self.start_on(bus, ImuClock::External).await {
+            Err(setback) if setback.on_external_clock => {
+                book(setback.fault);
+                self.start_on(bus, ImuClock::Internal).await
+            }
+            other => other,
+        }
+        .map_err(|setback| setback.fault)
+    }
+
+    async fn start_on(
+        &self,
+        bus: &mut ImuBus,
+        clock: ImuClock,
+    ) -> Result<Option<(ImuClock, DataReady)>, Setback> {
+        let before = |fault| Setback {
+            on_external_clock: false,
+            fault,
+        };
+        let after = |fault| Setback {
+            on_external_clock: clock == ImuClock::External,
+            fault,
+        };
+        alive().await;
         if !bus.free().await {
-            return Err(ImuFault::BusHeld);
+            return Err(before(ImuFault::BusHeld));
         }
         let mut sensor = Mpu9150::new(bus.open());
-        for clock in [ImuClock::External, ImuClock::Internal] {
-            let mut delay = Delay;
-            let setting_up = sensor.set_up(&self.config, clock, &mut delay);
-            match with_timeout(Duration::from_millis(SET_UP_MS), setting_up).await {
-                Ok(result) => result?,
-                Err(_) => {
-                    return Err(ImuFault::Timeout {
-                        register: sensor.register(),
-                    });
-                }
-            }
-            alive().await;
-            // Edges from before the reset.
-            DATA_READY.clear();
-            let first = FIRST_DATA_READY_MS + u64::from(imu::interval_ms(&self.config));
-            match next_edge(Duration::from_millis(first)).await {
-                Next::Edge(edge) => return Ok(Some((clock, edge))),
-                Next::Silence => {}
-                Next::Reconfigured => return Ok(None),
-            }
+        set_up(&mut sensor, &self.config).await.map_err(before)?;
+        if clock == ImuClock::External {
+            use_external_clock(&mut sensor).await.map_err(after)?;
+            Timer::after_millis(IMU_CLOCK_SETTLING_MS).await;
         }
-        Err(ImuFault::NoDataReady)
+        alive().await;
+        // Edges from before the reset, or of another clock.
+        DATA_READY.clear();
+        let first = FIRST_DATA_READY_MS + u64::from(imu::interval_ms(&self.config));
+        match next_edge(Duration::from_millis(first)).await {
+            Next::Edge(edge) => Ok(Some((clock, edge))),
+            Next::Silence => Err(after(ImuFault::NoDataReady)),
+            Next::Reconfigured => Ok(None),
+        }
     }
 
     /// How long data-ready may stay away.
@@ -272,6 +289,14 @@ impl Sampler {
     }
 }
 
+/// Why a start failed.
+struct Setback {
+    /// It came with the switch to the external clock: the sensor's own is still to be
+    /// tried.
+    on_external_clock: bool,
+    fault: ImuFault,
+}
+
 async fn next_edge(patience: Duration) -> Next {
     let event = select(DATA_READY.receive(), RECONFIGURED.wait());
     match with_timeout(patience, event).await {
@@ -281,12 +306,33 @@ async fn next_edge(patience: Duration) -> Next {
     }
 }
 
+async fn set_up(sensor: &mut Sensor<'_>, config: &ImuConfig) -> Result<(), ImuFault> {
+    let limit = Duration::from_millis(SET_UP_MS);
+    match with_timeout(limit, sensor.set_up(config, &mut Delay)).await {
+        Ok(result) => result,
+        Err(_) => Err(timed_out(sensor)),
+    }
+}
+
+async fn use_external_clock(sensor: &mut Sensor<'_>) -> Result<(), ImuFault> {
+    let limit = Duration::from_millis(I2C_TIMEOUT_MS);
+    match with_timeout(limit, sensor.use_external_clock()).await {
+        Ok(result) => result,
+        Err(_) => Err(timed_out(sensor)),
+    }
+}
+
 async fn read(sensor: &mut Sensor<'_>) -> Result<RawSample, ImuFault> {
     let limit = Duration::from_millis(I2C_TIMEOUT_MS);
     match with_timeout(limit, sensor.read_sample()).await {
         Ok(result) => result,
-        Err(_) => Err(ImuFault::Timeout {
-            register: sensor.register(),
-        }),
+        Err(_) => Err(timed_out(sensor)),
+    }
+}
+
+/// The transfer that was dropped.
+fn timed_out(sensor: &Sensor<'_>) -> ImuFault {
+    ImuFault::Timeout {
+        register: sensor.register(),
     }
 }

@@ -15,7 +15,6 @@ use crate::tasks::{commands, gnss, imu};
 
 #[embassy_executor::task]
 pub(crate) async fn run(mut watchdog: IndependentWatchdog<'static, IWDG>) {
-    watchdog.unleash();
     let mut ticker = Ticker::every(Duration::from_secs(1));
     let mut seq = 0_u32;
     let mut busy = 0_u32;

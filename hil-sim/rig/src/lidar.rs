@@ -1,5 +1,5 @@
 //! A lidar that takes its time from a GNSS receiver: pulse per second on PE9,
-//! sentences on PC12.
+//! sentences on PC12, each through a gate that brings it to the lidar's levels.
 //!
 //! It reads its inputs as Velodyne's VLP-16 does: a rising edge begins a second; the
 //! serial line is low when idle (user manual 63-9243 Rev. D, 7.4.3 and appendix G) and
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::wiring;
 use stm32f4_sim::model::{PinIo, PinModel};
-use stm32f4_sim::pin::{Level, Pin};
+use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// How it is wired and set.
@@ -28,6 +28,9 @@ pub struct LidarConfig {
     pub baud: u32,
     /// The line is low when idle.
     pub idle_low: bool,
+    /// The gate between PC12 and the lidar inverts, as `docs/outputs.md` wires one whose
+    /// line is low when idle. Its input is pulled up.
+    pub gate_inverts: bool,
     /// A second begins with a rising edge; otherwise with a falling one.
     pub rising: bool,
     /// By when after its pulse a sentence must have ended.
@@ -40,6 +43,7 @@ impl Default for LidarConfig {
         Self {
             baud: 9_600,
             idle_low: true,
+            gate_inverts: true,
             rising: true,
             window: SimDuration::from_millis(500),
         }
@@ -230,12 +234,13 @@ impl PinModel for Lidar {
     }
 
     fn power_on(&mut self, io: &mut PinIo<'_>) {
-        self.line_high = io.level(wiring::NMEA).is_high();
+        self.line_high = !self.config.gate_inverts;
+        io.drive(wiring::NMEA, Drive::PullUp);
     }
 
     fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
         if pin == wiring::NMEA {
-            self.line_high = level.is_high();
+            self.line_high = level.is_high() != self.config.gate_inverts;
             if self.receiving.is_none() && !self.is_mark() {
                 self.receiving = Some(Receiving {
                     start: io.now(),

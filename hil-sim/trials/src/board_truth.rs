@@ -18,7 +18,7 @@ use rig::mpu9150::{Mpu9150, SampleRecord};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;
-use stm32f4_sim::sim::Sim;
+use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// Virtual time in one tick of the board.
@@ -274,7 +274,7 @@ impl BoardTruth {
             let Some(record) = self.ready.pop_front() else {
                 return wrong(format!("{sample:?} has no data-ready edge"));
             };
-            let at = record.at.units().saturating_sub(zero) / UNITS_PER_TICK;
+            let at = captured(record.at, zero);
             if at != sample.at.0 {
                 if at > sample.at.0 {
                     return wrong(format!(
@@ -312,7 +312,7 @@ impl BoardTruth {
             let Some((at, level)) = self.strobe.pop_front() else {
                 return wrong(format!("{capture:?} has no edge at the pin"));
             };
-            let at = at.units().saturating_sub(zero) / UNITS_PER_TICK;
+            let at = captured(at, zero);
             if at != capture.at.0 {
                 if at > capture.at.0 {
                     return wrong(format!(
@@ -330,4 +330,10 @@ impl BoardTruth {
             return Ok(());
         }
     }
+}
+
+/// The tick that is captured of an edge at `at`, if tick 0 was at `zero` units: behind the
+/// input's synchroniser. The firmware takes the filter off.
+fn captured(at: SimTime, zero: u64) -> u64 {
+    at.units().saturating_sub(zero) / UNITS_PER_TICK + INPUT_SYNCHRONISER
 }

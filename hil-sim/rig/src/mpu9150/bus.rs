@@ -1,6 +1,6 @@
 //! The sensor's side of the I2C bus (product specification, section 9).
 
-use super::registers::{self, DATA_RDY, address, int_pin, power};
+use super::registers::{self, ClockSource, DATA_RDY, address, int_pin, power};
 use super::{ADDRESS, Mpu9150, Transaction};
 use stm32f4_sim::i2c::{Ack, Direction, I2cTarget};
 use stm32f4_sim::time::SimTime;
@@ -18,6 +18,20 @@ impl Mpu9150 {
             return Ack::Nack;
         }
         Ack::Ack
+    }
+
+    /// Whether the write of an external clock is lost.
+    fn loses_clock(&mut self, value: u8) -> bool {
+        let external = matches!(
+            registers::clock_source(value),
+            ClockSource::External32k | ClockSource::External19M2
+        );
+        let lost = self.pointer == address::PWR_MGMT_1 && external && self.lost_at_clock > 0;
+        if lost {
+            self.lost_at_clock -= 1;
+            self.transaction = Transaction::Idle;
+        }
+        lost
     }
 
     /// Where the register's address goes after an access.
@@ -119,7 +133,11 @@ impl I2cTarget for Mpu9150 {
                 ack
             }
             Transaction::Writing => {
-                let ack = self.acknowledge();
+                let ack = if self.loses_clock(byte) {
+                    Ack::Nack
+                } else {
+                    self.acknowledge()
+                };
                 if ack == Ack::Ack {
                     self.store(byte, at);
                     self.step_pointer();

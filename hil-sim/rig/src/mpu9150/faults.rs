@@ -29,6 +29,9 @@ pub enum Fault {
     ReleaseSda,
     /// The clock input's wire is cut (true) or whole (false).
     ClockCut(bool),
+    /// The next so many writes of PWR_MGMT_1 that select an external clock are not
+    /// acknowledged, as by a sensor whose clock stopped in the middle of them.
+    LostAtExternalClock(u32),
     /// The data-ready pin's wire is cut (true) or whole (false).
     DataReadyCut(bool),
 }

@@ -213,6 +213,8 @@ pub struct Mpu9150 {
     byte: u32,
     faults: faults::Schedule,
     nack: Option<(u32, u32)>,
+    /// Writes that select an external clock and are still to be lost.
+    lost_at_clock: u32,
     identity: u8,
     sda_held: bool,
     sda_pulses_left: Option<u32>,
@@ -244,6 +246,7 @@ impl Mpu9150 {
             byte: 0,
             faults: faults::Schedule::default(),
             nack: None,
+            lost_at_clock: 0,
             identity: 0x68,
             sda_held: false,
             sda_pulses_left: None,
@@ -347,6 +350,7 @@ impl Mpu9150 {
                 self.clock_cut = cut;
                 self.clock_changed(at);
             }
+            Fault::LostAtExternalClock(times) => self.lost_at_clock = times,
             Fault::DataReadyCut(cut) => {
                 self.data_ready_cut = cut;
                 self.pin_due = Some(at);

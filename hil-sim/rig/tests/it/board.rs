@@ -7,6 +7,7 @@ use protocol::*;
 use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::firmware::Firmware;
+use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{FailureKind, ResetCause as BoardReset, SimError};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
@@ -285,6 +286,63 @@ fn a_failure_ends_the_run_with_its_message_and_stack() {
         text.contains("self_test.rs"),
         "the stack has source lines: {text}"
     );
+}
+
+/// A crystal that never starts: the watchdog runs already, the red LED says it, and the
+/// board goes on trying.
+#[test]
+fn without_its_crystal_the_board_says_so_and_tries_again() {
+    let builder = wiring::board().no_crystal().tolerate_failures();
+    let mut rig = builder.build().unwrap();
+    rig.run_for(SimDuration::from_secs(1)).unwrap();
+    assert!(rig.level(Pin::PD14).is_high(), "the red LED");
+    rig.run_for(SimDuration::from_secs(9)).unwrap();
+    let watchdog = FailureKind::Reset(BoardReset::IndependentWatchdog);
+    let resets: Vec<_> = rig.failures().iter().map(|failure| failure.kind).collect();
+    assert_eq!(resets, [watchdog; 2]);
+}
+
+/// The number of a run is the random number generator's after power-on and one more
+/// after each reset; without the generator the board starts all the same.
+#[test]
+fn the_number_of_a_run_is_random_at_power_on() {
+    let mut board = Board::boot(wiring::board());
+    let first = board.hellos[0].epoch;
+    assert_eq!(board.rig.random_number(), Some(first));
+    board.rig.press_reset();
+    assert_eq!(next_run(&mut board).epoch, first.wrapping_add(1));
+    board.rig.power_cycle();
+    let again = next_run(&mut board).epoch;
+    assert_eq!(board.rig.random_number(), Some(again));
+
+    let board = Board::boot(wiring::board().broken_random_generator());
+    assert_eq!(board.rig.random_number(), None);
+    assert_eq!(board.hellos.len(), 1);
+}
+
+/// It keeps the flash's prefetch off there: the simulator ends the run otherwise.
+#[test]
+fn it_runs_on_the_first_revision_of_the_chip() {
+    let mut board = Board::boot(wiring::board().revision_a());
+    board.run(100);
+    // PRFTEN of FLASH_ACR.
+    let prefetch = |board: &Board| board.rig.stored_register(0x4002_3c00).unwrap() & (1 << 8) != 0;
+    assert!(!prefetch(&board));
+    assert!(prefetch(&Board::boot(wiring::board())));
+}
+
+/// The stack has memory of its own, with nothing below it: one that overflows faults.
+#[test]
+fn the_stack_ends_where_memory_ends() {
+    let mut board = Board::boot(wiring::board());
+    let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
+    let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
+    assert_eq!((bottom, top), (0x1000_0000, 0x1001_0000));
+    assert!(board.rig.peek(bottom, 4).is_some());
+    assert!(board.rig.peek(bottom - 4, 4).is_none());
+    let status = board.next_status();
+    assert_eq!(status.stack_size, top - bottom);
+    assert!((512..16_384).contains(&status.stack_used), "{status:?}");
 }
 
 /// A clock tree that is not what the firmware believes shows as wrong time.

@@ -12,6 +12,7 @@ use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO};
 use stm32f4_sim::vcd_trace::VcdTrace;
@@ -109,9 +110,10 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
                 panic!("{frame:?}");
             };
             assert_eq!((number, bench.tick_of(edge)), (pulse.number + 1, pulse.at));
-            assert_eq!(edges[0].at, bench.tick_of(frame.first_flash));
+            let synchroniser = TickDelta(INPUT_SYNCHRONISER as i64);
+            assert_eq!(edges[0].at - bench.tick_of(frame.first_flash), synchroniser);
             // The middle of the fifth flash is the centre of exposure.
-            let middle = (edges[8].at.0 + edges[9].at.0) / 2;
+            let middle = (edges[8].at.0 + edges[9].at.0) / 2 - INPUT_SYNCHRONISER;
             let center = bench.tick_of(frame.center).0;
             assert!(middle.abs_diff(center) <= 1, "{middle} {center}");
             for (k, capture) in edges.iter().enumerate() {
@@ -119,7 +121,7 @@ fn frames_and_flashes_are_those_of_the_reported_pulses() {
                 assert_eq!(capture.edge == Edge::Rising, up);
                 let us = 500.0 + (k / 2) as f64 * 1_575.0 + if up { 0.0 } else { 125.0 };
                 let expected = us * 1e-6 / own(1.0) * f64::from(TICK_HZ);
-                let measured = (capture.at - pulse.at).0 as f64;
+                let measured = (capture.at - pulse.at - synchroniser).0 as f64;
                 assert!(
                     (measured - expected).abs() <= 1.0,
                     "edge {k}: {measured} {expected}"

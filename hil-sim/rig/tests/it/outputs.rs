@@ -6,12 +6,14 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
 use crate::board_host::{Board, UNITS_PER_TICK, trigger_status};
+use crate::trigger_rig::Strobe;
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::{Level, Pin};
-use stm32f4_sim::time::SimTime;
+use stm32f4_sim::sim::SimBuilder;
+use stm32f4_sim::time::{SimDuration, SimTime};
 
 const CAMERA: u64 = 33_330_652_540;
 const WIDTH: u32 = 576;
@@ -97,8 +99,12 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
+        Self::on(wiring::board())
+    }
+
+    fn on(builder: SimBuilder) -> Self {
         let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
-        let mut board = Board::boot(wiring::board().model(Arc::clone(&lidar)));
+        let mut board = Board::boot(builder.model(Arc::clone(&lidar)));
         for pin in PINS {
             board.rig.log_pin(pin);
         }
@@ -319,6 +325,25 @@ fn run_all(seconds: u64) {
 #[test]
 fn every_edge_of_all_trains_is_exact_at_full_load() {
     run_all(95);
+}
+
+/// An input that oscillates at 400 kHz, faster than its handler: the board listens to it
+/// for a few edges at a time, less than the further outputs can wait.
+#[test]
+fn a_flood_on_the_strobe_input_starves_no_output() {
+    // 1.25 µs high, 1.25 µs low, behind every pulse of the trigger.
+    let strobe = Strobe::of(6_000, SimDuration::from_nanos(1_250));
+    let mut bench = Bench::on(wiring::board().model(strobe));
+    let second = u64::from(TICK_HZ);
+    let first = Ticks((bench.board.now().0 / second + 2) * second);
+    let fast = picos(1_000_001_000);
+    bench.start_all(picos(33_333_300_000), [fast; 3], first);
+    bench.board.run(10_000);
+    bench.check_count();
+    let status = bench.board.next_status();
+    assert!(status.strobe_floods > 100, "{status:?}");
+    let latency = f64::from(status.output_latency) / 48.0;
+    println!("worst edge to end of handling under a flood: {latency:.2} us, simulated");
 }
 
 /// `cargo xtask hour`.

@@ -9,6 +9,7 @@ use crate::trigger_rig::{Strobe, Wire};
 use protocol::*;
 use rig::wiring;
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 
 /// The default width: 12 µs.
@@ -448,10 +449,11 @@ fn the_read_back_proves_the_wire() {
     board.pulses.clear();
     board.run(1_000);
     assert!(board.pulses.len() >= 29);
-    assert!(board.pulses.iter().all(|pulse| pulse.readback == Some(3)));
+    let seen = Some(3 + INPUT_SYNCHRONISER as i32);
+    assert!(board.pulses.iter().all(|pulse| pulse.readback == seen));
     let wired = board.trigger().readback;
     assert!(wired.seen >= 30);
-    assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, Some(3)));
+    assert_eq!((wired.missing, wired.stray, wired.delay), (0, 0, seen));
 
     connected.store(false, Ordering::Relaxed);
     board.run(60);
@@ -464,21 +466,33 @@ fn the_read_back_proves_the_wire() {
 }
 
 /// The camera's 9 flashes at 30 fps, for 20 s: every edge reported, at the tick
-/// in which it came.
+/// in which it came and the clocks of the input's synchroniser, with the filter taken off.
 #[test]
 fn the_cameras_flashes_are_captured_without_loss() {
+    flashes_are_captured(20_000, INPUT_SYNCHRONISER);
+}
+
+/// The manual's other figure for the synchroniser.
+#[test]
+fn a_slower_synchroniser_delays_captures_by_one_tick_more() {
+    flashes_are_captured(2_000, 3);
+}
+
+fn flashes_are_captured(ms: u64, synchroniser: u64) {
     let strobe = Strobe::flashes();
     let made = strobe.made.clone();
-    let mut board = Board::boot(wiring::board().model(strobe));
+    let builder = wiring::board().input_synchroniser(synchroniser);
+    let mut board = Board::boot(builder.model(strobe));
     board.rig.log_pin(Pin::PA5);
     start(&mut board, picos(33_333_333_330), WIDTH);
-    board.run(20_000);
+    board.run(ms);
     trigger_status(board.ask(Command::TriggerStop));
     board.run(200);
     let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
     let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
     let made = made.lock().unwrap();
-    assert!(made.len() > 18 * 590, "{}", made.len());
+    let frames = ms as usize * 30 / 1_000;
+    assert!(made.len() > 18 * (frames - 10), "{}", made.len());
     assert_eq!(board.captures.len(), made.len());
     for (index, (capture, &(at, level))) in board.captures.iter().zip(made.iter()).enumerate() {
         assert_eq!(capture.seq as usize, index);
@@ -486,11 +500,49 @@ fn the_cameras_flashes_are_captured_without_loss() {
         assert_eq!(capture.edge == Edge::Rising, level.is_high());
         assert!(!capture.after_loss);
         let tick = (at.units() - zero) / UNITS_PER_TICK;
-        assert_eq!(capture.at, Ticks(tick), "edge {index}");
+        assert_eq!(capture.at, Ticks(tick + synchroniser), "edge {index}");
     }
     let status = board.next_status();
     assert_eq!((status.strobe_overcaptures, status.strobe_floods), (0, 0));
     assert_eq!(status.dropped.captures, 0);
+}
+
+/// Ringing behind each edge, shorter than the filter's eight samples, is none of them.
+#[test]
+fn ringing_on_the_strobe_input_makes_no_edges() {
+    let mut strobe = Strobe::flashes();
+    // 5 excursions of 83 ns within 1 µs.
+    strobe.ringing = Some((5, SimDuration::from_nanos(83)));
+    let mut board = Board::boot(wiring::board().model(strobe));
+    start(&mut board, picos(33_333_333_330), WIDTH);
+    board.run(3_000);
+    trigger_status(board.ask(Command::TriggerStop));
+    board.run(200);
+    assert_eq!(board.captures.len(), 18 * board.pulses.len());
+    for (index, capture) in board.captures.iter().enumerate() {
+        assert_eq!(capture.edge == Edge::Rising, index % 2 == 0, "edge {index}");
+        assert!(!capture.after_loss);
+    }
+}
+
+/// A pulse needs no software: the core stands still in the middle of it, as under a
+/// debugger, and it ends where it should.
+#[test]
+fn a_pulse_ends_by_itself() {
+    let mut board = board();
+    let period = picos(33_333_333_330);
+    let first = start(&mut board, period, MIN_PULSE_WIDTH).next_edge;
+    board.run(50);
+    for round in 0..20 {
+        // To 5 µs after the rise: half of the pulse.
+        while !board.rig.level(Pin::PA5).is_high() {
+            board.rig.run_for(SimDuration::from_micros(5)).unwrap();
+        }
+        board.rig.halt_core(SimDuration::from_millis(1 + round));
+        assert!(!board.rig.level(Pin::PA5).is_high(), "round {round}");
+        board.run(3);
+    }
+    check_train(&mut board, first, period, MIN_PULSE_WIDTH);
 }
 
 /// 100 kHz on the strobe input starves neither the trigger nor anything else, and

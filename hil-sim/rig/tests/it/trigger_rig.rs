@@ -56,6 +56,8 @@ pub(crate) struct Strobe {
     count: u32,
     high: SimDuration,
     pitch: SimDuration,
+    /// Excursions to the other level behind each edge, and how long each lasts.
+    pub(crate) ringing: Option<(u32, SimDuration)>,
     coming: VecDeque<(SimTime, Level)>,
     /// The edges that were made.
     pub(crate) made: Arc<Mutex<Vec<(SimTime, Level)>>>,
@@ -69,12 +71,39 @@ impl Strobe {
 
     pub(crate) fn new(count: u32, high_us: u64, pitch_us: u64) -> Self {
         Self {
-            count,
-            high: SimDuration::from_micros(high_us),
             pitch: SimDuration::from_micros(pitch_us),
+            ..Self::of(count, SimDuration::from_micros(high_us))
+        }
+    }
+
+    /// As long low as high.
+    pub(crate) fn of(count: u32, high: SimDuration) -> Self {
+        Self {
+            count,
+            high,
+            pitch: high + high,
+            ringing: None,
             coming: VecDeque::new(),
             made: Arc::default(),
         }
+    }
+}
+
+impl Strobe {
+    /// An edge to come, with its ringing: as long at the new level as at the old.
+    fn edge(&mut self, mut at: SimTime, level: Level) {
+        let other = if level.is_high() {
+            Level::Low
+        } else {
+            Level::High
+        };
+        let (count, length) = self.ringing.unwrap_or((0, SimDuration::ZERO));
+        for _ in 0..count {
+            self.coming.push_back((at, level));
+            self.coming.push_back((at + length, other));
+            at += length + length;
+        }
+        self.coming.push_back((at, level));
     }
 }
 
@@ -93,8 +122,8 @@ impl PinModel for Strobe {
             // Not on a whole tick, so that captures have something to round.
             let mut at = io.now() + SimDuration::from_nanos(500_007);
             for _ in 0..self.count {
-                self.coming.push_back((at, Level::High));
-                self.coming.push_back((at + self.high, Level::Low));
+                self.edge(at, Level::High);
+                self.edge(at + self.high, Level::Low);
                 at += self.pitch;
             }
         }

@@ -36,6 +36,7 @@ impl Soc {
             });
         }
         self.update_mco();
+        self.require_clocks();
     }
 
     /// Rate of the clock that PA8 carries.

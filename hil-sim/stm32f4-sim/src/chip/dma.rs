@@ -1,12 +1,19 @@
 //! A DMA controller (RM0090 chapter 10).
 //!
-//! A request of a peripheral is served at once with one item; the bus cycles
-//! that this costs the core are not modelled, nor are bursts, the FIFO's
-//! thresholds or memory-to-memory transfers.
+//! A request of a peripheral is served with one item; the bus cycles that this costs
+//! the core are not modelled, nor are bursts, the FIFO's thresholds or
+//! memory-to-memory transfers. On its way to a peripheral an item is read before it is
+//! asked for: the first when the stream is enabled, each other one when the last was
+//! written (10.3.12).
+
+use super::Soc;
+use super::rules::Rule;
 
 /// One transfer that a request asks for: read from, write to, and width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Transfer {
+    /// Address of the peripheral's register.
+    pub(crate) peripheral: u32,
     pub(crate) memory: u32,
     /// Width in bytes of an item on the memory's side.
     pub(crate) width: u32,
@@ -26,6 +33,8 @@ struct Stream {
     done: u32,
     /// TCIF, HTIF, TEIF, DMEIF, -, FEIF in the order of LISR.
     flags: u32,
+    /// The item that waits to be asked for.
+    fetched: Option<u32>,
 }
 
 const CR_EN: u32 = 1;
@@ -65,10 +74,27 @@ impl Dma {
             0
         };
         Transfer {
+            peripheral: st.par,
             memory: st.mar[((st.cr >> 19) & 1) as usize].wrapping_add(step),
             width,
             to_peripheral: (st.cr >> 6) & 3 == 1,
         }
+    }
+
+    /// An enabled stream that has not read its next item from the memory yet.
+    fn unfetched(&self) -> Option<usize> {
+        self.streams.iter().position(|st| {
+            let to_peripheral = (st.cr >> 6) & 3 == 1;
+            st.cr & CR_EN != 0 && st.ndtr > 0 && to_peripheral && st.fetched.is_none()
+        })
+    }
+
+    /// Whether a write enables a stream whose flags of the last transfer are still set.
+    pub(crate) fn enables_with_flags(&self, offset: u32, value: u32) -> Option<usize> {
+        let s = (offset.checked_sub(0x10)? / 0x18) as usize;
+        let st = self.streams.get(s)?;
+        let enables = (offset - 0x10).is_multiple_of(0x18) && value & !st.cr & CR_EN != 0;
+        (enables && st.flags != 0).then_some(s)
     }
 
     /// One item of stream `s` was moved.
@@ -145,6 +171,11 @@ impl Dma {
                         if !enabled && value & CR_EN != 0 {
                             st.reload = st.ndtr;
                             st.done = 0;
+                            st.fetched = None;
+                        }
+                        if enabled && value & CR_EN == 0 {
+                            // The end of the transfer, be it complete or not (10.3.14).
+                            st.flags |= FLAG_COMPLETE;
                         }
                         st.cr = value & 0x0fef_ffff;
                     }
@@ -160,6 +191,48 @@ impl Dma {
             _ => return false,
         }
         true
+    }
+}
+
+impl Soc {
+    /// Takes the item that stream `s` has for its peripheral; the next one is read.
+    pub(super) fn next_item(&mut self, d: usize, s: usize) -> u32 {
+        let item = self.dma[d].streams[s].fetched.take();
+        self.dma[d].item_done(s);
+        self.fetch_items(d);
+        item.unwrap_or(0)
+    }
+
+    /// Reads what the streams of a controller are going to be asked for.
+    pub(super) fn fetch_items(&mut self, d: usize) {
+        while let Some(s) = self.dma[d].unfetched() {
+            let Transfer { memory, width, .. } = self.dma[d].transfer(s);
+            self.require_reachable(memory);
+            let item = match width {
+                1 => self.mem.read8(memory),
+                2 => self.mem.read16(memory),
+                _ => self.mem.read32(memory),
+            };
+            self.dma[d].streams[s].fetched = Some(item.unwrap_or(0));
+        }
+    }
+
+    /// Writes an item into the memory.
+    pub(super) fn store(&mut self, transfer: &Transfer, item: u32) {
+        let Transfer { memory, width, .. } = *transfer;
+        self.require_reachable(memory);
+        match width {
+            1 => self.mem.write8(memory, item),
+            2 => self.mem.write16(memory, item),
+            _ => self.mem.write32(memory, item),
+        };
+    }
+
+    /// The core-coupled memory is on no bus but the core's (RM0090 2.3.1).
+    fn require_reachable(&mut self, memory: u32) {
+        if !matches!(memory >> 24, 0x08 | 0x20) {
+            self.forbid(Rule::DmaMemory { address: memory });
+        }
     }
 }
 

@@ -8,6 +8,8 @@ use crate::time::SimTime;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     Tim(usize),
+    /// A transfer that a timer asked the DMA for.
+    TimDma,
     I2c,
     Uart(usize),
     Usb,
@@ -17,7 +19,8 @@ pub(super) enum Source {
     Models,
 }
 
-const I2C: usize = TIMERS;
+const TIM_DMA: usize = TIMERS;
+const I2C: usize = TIM_DMA + 1;
 const UART: usize = I2C + 1;
 const USB: usize = UART + UARTS;
 const WATCHDOG: usize = USB + 1;
@@ -29,6 +32,7 @@ impl Source {
     fn index(self) -> usize {
         match self {
             Self::Tim(n) => n,
+            Self::TimDma => TIM_DMA,
             Self::I2c => I2C,
             Self::Uart(n) => UART + n,
             Self::Usb => USB,
@@ -40,12 +44,13 @@ impl Source {
 
     fn of(index: usize) -> Self {
         match index {
+            TIM_DMA => Self::TimDma,
             I2C => Self::I2c,
             UART..USB => Self::Uart(index - UART),
             USB => Self::Usb,
             WATCHDOG => Self::Watchdog,
             CLOCK => Self::Clock,
-            n if n < I2C => Self::Tim(n),
+            n if n < TIMERS => Self::Tim(n),
             _ => Self::Models,
         }
     }
@@ -74,6 +79,11 @@ impl Events {
     pub(super) fn first(&self) -> Source {
         let index = self.at.iter().position(|at| *at == self.next);
         Source::of(index.unwrap_or(MODELS))
+    }
+
+    /// Whether `source` has an event to come.
+    pub(super) fn is_set(&self, source: Source) -> bool {
+        self.at[source.index()] != SimTime::NEVER
     }
 
     /// Says when the next event of `source` is. Returns whether that changed the

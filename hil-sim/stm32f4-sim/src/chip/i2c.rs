@@ -33,6 +33,11 @@ const SR2_MSL: u32 = 1 << 0;
 const SR2_BUSY: u32 = 1 << 1;
 const SR2_TRA: u32 = 1 << 2;
 
+/// Clocks of SCL for which a STOP stays pending once the wires are free for it. The chip
+/// needs one and the time in which its two edges rise, against pull-ups of up to 10 kΩ;
+/// longer is harder on software that does not wait.
+const STOP_CLOCKS: u64 = 4;
+
 /// What the controller is doing on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
@@ -111,6 +116,17 @@ impl I2c {
     /// Whether the peripheral has the bus between a start and a stop.
     pub(crate) fn owns_bus(&self) -> bool {
         self.controller
+    }
+
+    /// Whether software asks for a START that has not been made yet.
+    pub(crate) fn starts(&self) -> bool {
+        self.cr1 & CR1_START != 0
+    }
+
+    /// Whether a write breaks the rule that CR1 is left alone while a START or STOP is
+    /// pending. The reset of the peripheral is the way out of a bus that hangs.
+    pub(crate) fn is_forbidden(&self, offset: u32, value: u32) -> bool {
+        offset == 0x00 && self.cr1 & (CR1_START | CR1_STOP) != 0 && value & CR1_SWRST == 0
     }
 
     /// `bits` clock periods from `now` on.
@@ -198,7 +214,7 @@ impl I2c {
             Phase::TxByte(byte) => match bus.write(byte, now) {
                 Ack::Ack => {
                     if self.cr1 & CR1_STOP != 0 {
-                        self.enter(Phase::Stopping, 1, now);
+                        self.enter(Phase::Stopping, STOP_CLOCKS, now);
                     } else if self.sr1 & SR1_TXE == 0 {
                         self.sr1 |= SR1_TXE;
                         self.enter(Phase::TxByte(self.dr), 9, now);
@@ -283,7 +299,7 @@ impl I2c {
             }
             Phase::TxIdle | Phase::RxEnded | Phase::AwaitAddress => {
                 if self.cr1 & CR1_STOP != 0 {
-                    self.enter(Phase::Stopping, 1, now);
+                    self.enter(Phase::Stopping, STOP_CLOCKS, now);
                 } else if self.cr1 & CR1_START != 0 && self.phase != Phase::AwaitAddress {
                     self.enter(Phase::Starting, 1, now);
                 }

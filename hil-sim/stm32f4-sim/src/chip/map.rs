@@ -1,12 +1,15 @@
 //! The memory map: which register an address is (RM0090 2.3).
 
 use super::events::Source;
+use super::rules::{End, Rule};
 use super::uart::UARTS;
-use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, Unmodelled, names};
+use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, names};
 use crate::pin::Pin;
 use crate::time::SimTime;
 
 const RCC: u32 = 0x4002_3800;
+const FLASH_ACR: u32 = 0x4002_3c00;
+const DBGMCU_IDCODE: u32 = 0xe004_2000;
 const OTG_FS: u32 = 0x5000_0000;
 
 /// A block of registers.
@@ -21,6 +24,7 @@ enum Block {
     Gpio(usize),
     Rcc,
     Dma(usize),
+    Rng,
     Otg,
     /// Without behaviour: at best some of its registers are stored.
     Other,
@@ -59,31 +63,46 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
         RCC => (Block::Rcc, None),
         0x4002_6000 => (Block::Dma(0), Some((AHB1, 21))),
         0x4002_6400 => (Block::Dma(1), Some((AHB1, 22))),
+        0x5006_0800 => (Block::Rng, Some((AHB2, 6))),
         _ if names::is_peripheral(addr) => (Block::Other, None),
         _ => return None,
     })
 }
 
 impl Soc {
-    fn clocked(&self, enable: Option<(u32, u32)>) -> bool {
-        enable.is_none_or(|(offset, bit)| self.rcc.enabled(offset, bit))
-    }
-
-    /// A register was touched that is neither modelled nor stored: the run ends.
-    fn note_unmodelled(&mut self, address: u32, write: bool) {
-        self.unmodelled.get_or_insert(Unmodelled { address, write });
+    /// Whether a peripheral that is touched has its clock, and holds software to it.
+    fn clocked(&mut self, enable: Option<(u32, u32)>, address: u32) -> bool {
+        let Some((offset, bit)) = enable else {
+            return true;
+        };
+        let enabled = self.rcc.enabled(offset, bit);
+        // ES0182, delay after an RCC peripheral clock enabling.
+        let needed = match offset {
+            0x40 => 1 + self.clocks.hclk.hz_rounded() / self.clocks.pclk1.hz_rounded().max(1),
+            0x44 => 1 + self.clocks.hclk.hz_rounded() / self.clocks.pclk2.hz_rounded().max(1),
+            _ => 2,
+        };
+        let early = self.rcc.since_opened(offset, bit, self.cycle);
+        if !enabled {
+            self.forbid(Rule::Unclocked { address });
+        } else if early.is_some_and(|cycles| cycles < needed) {
+            self.forbid(Rule::ClockOnItsWay { address });
+        }
+        enabled
     }
 
     /// Reads a peripheral's register as of now; nothing if there is no peripheral.
     pub(super) fn read_register(&mut self, addr: u32) -> Option<u32> {
         let (block, enable) = block(addr)?;
-        if !self.clocked(enable) {
-            // A peripheral without its clock reads as zero.
+        if !self.clocked(enable, addr) {
             return Some(0);
         }
         let value = self.read_modelled(block, addr);
         Some(value.or_else(|| self.cells.read(addr)).unwrap_or_else(|| {
-            self.note_unmodelled(addr, false);
+            self.end(End::Unmodelled {
+                address: addr,
+                write: false,
+            });
             0
         }))
     }
@@ -112,7 +131,14 @@ impl Soc {
             Block::Syscfg => self.exti.read_syscfg(offset),
             Block::Exti => self.exti.read(offset),
             Block::Gpio(port) => self.gpio.read(port, offset),
-            Block::Rcc => self.rcc.read(offset, now),
+            Block::Rcc => {
+                self.rcc.gates_read(offset);
+                self.rcc.read(offset, now)
+            }
+            Block::Rng => {
+                let (clock, hclk) = (self.clocks.usb, self.clocks.hclk);
+                self.rng.read(offset, now, clock, hclk)
+            }
             Block::Dma(n) => self.dma[n].read(offset),
             Block::Otg => {
                 let offset = addr - OTG_FS;
@@ -126,6 +152,7 @@ impl Soc {
                 }
                 value
             }
+            Block::Other if addr == DBGMCU_IDCODE => Some(self.revision.id()),
             Block::Other => None,
         }
     }
@@ -135,11 +162,14 @@ impl Soc {
         let Some((block, enable)) = block(addr) else {
             return false;
         };
-        let done = !self.clocked(enable)
+        let done = !self.clocked(enable, addr)
             || self.write_modelled(block, addr, value)
             || self.cells.write(addr, value);
         if !done {
-            self.note_unmodelled(addr, true);
+            self.end(End::Unmodelled {
+                address: addr,
+                write: true,
+            });
         }
         true
     }
@@ -170,7 +200,15 @@ impl Soc {
                 done
             }
             Block::I2c1 => {
+                if self.i2c.is_forbidden(offset, value) {
+                    self.forbid(Rule::I2cPending);
+                }
                 let done = self.i2c.write(offset, value, now);
+                if let Some(wires) = self.i2c_wires
+                    && self.i2c.starts()
+                {
+                    self.require_pins(&[wires.scl, wires.sda], 4, "I2C1");
+                }
                 self.after_i2c();
                 done
             }
@@ -191,10 +229,19 @@ impl Soc {
                 true
             }
             Block::Rcc => self.write_rcc(offset, value),
+            Block::Rng => self.rng.write(offset, value, now),
             Block::Dma(n) => {
+                if let Some(stream) = self.dma[n].enables_with_flags(offset, value) {
+                    self.forbid(Rule::DmaFlags {
+                        controller: n + 1,
+                        stream,
+                    });
+                }
                 let done = self.dma[n].write(offset, value);
+                self.fetch_items(n);
                 // A stream that was just enabled may have a request waiting.
                 self.after_dma();
+                self.ask_for_timers();
                 self.after_i2c();
                 for uart in 0..UARTS {
                     self.after_uart(uart);
@@ -202,9 +249,18 @@ impl Soc {
                 done
             }
             Block::Otg => {
+                if let Some(endpoint) = self.otg.overfills(addr - OTG_FS) {
+                    self.forbid(Rule::Fifo { endpoint });
+                }
                 let done = self.otg.write(addr - OTG_FS, value);
                 self.after_usb();
                 done
+            }
+            Block::Other if addr == FLASH_ACR => {
+                self.cells.write(addr, value);
+                self.require_clocks();
+                self.require_prefetch(value);
+                true
             }
             Block::Other => false,
         }
@@ -235,7 +291,9 @@ impl Soc {
 
     fn write_rcc(&mut self, offset: u32, value: u32) -> bool {
         let now = self.now;
+        let before = self.rcc.read(offset, now).unwrap_or(0);
         let done = self.rcc.write(offset, value, now);
+        self.rcc.note_gates(offset, before, self.cycle);
         match offset {
             0x00 | 0x04 | 0x08 => {
                 self.apply_clocks();
@@ -371,6 +429,11 @@ impl Soc {
             0x1fff_7a2c => (1208 << 16) | 943,
             _ => 0,
         }
+    }
+
+    /// A register that is stored and not modelled.
+    pub(crate) fn stored(&self, address: u32) -> Option<u32> {
+        self.cells.read(address)
     }
 
     /// Reads RAM or flash, for a debugger's eye.

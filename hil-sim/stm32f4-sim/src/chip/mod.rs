@@ -20,15 +20,18 @@ mod names;
 pub(crate) mod otg;
 pub(crate) mod pins;
 pub(crate) mod rcc;
+pub(crate) mod rng;
+pub(crate) mod rules;
 mod serial;
 pub(crate) mod tim;
+mod tim_dma;
 pub(crate) mod uart;
 
 use crate::clock::{Clock, Rate};
 use crate::cpu::access::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
-use crate::random::{Random, Seed};
+use crate::random::{RNG_STREAM, Random, Seed};
 use crate::time::SimTime;
 use crate::usb::UsbHost;
 
@@ -43,6 +46,8 @@ use memory::Memory;
 use models::Model;
 use otg::Otg;
 use rcc::{Clocks, Rcc, ResetCause};
+use rng::Rng;
+use rules::End;
 use tim::Tim;
 use uart::{UARTS, Uart};
 
@@ -71,23 +76,30 @@ pub(crate) struct ChipConfig {
     pub(crate) unique_id: [u32; 3],
     /// The wires of I2C1's bus.
     pub(crate) i2c: Option<I2cWires>,
+    /// Clocks that the synchroniser of a timer's input takes.
+    pub(crate) synchroniser: u64,
+    pub(crate) revision: Revision,
+    /// The random number generator reports a seed error.
+    pub(crate) broken_rng: bool,
 }
 
-/// An access to a register that is not modelled.
+/// Revision of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Unmodelled {
-    pub(crate) address: u32,
-    pub(crate) write: bool,
+pub(crate) enum Revision {
+    /// The first: its flash accelerator cannot prefetch, and it gives the STM32F2's
+    /// device ID (ES0182).
+    A,
+    /// Of today's chips.
+    Y,
 }
 
-impl core::fmt::Display for Unmodelled {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let verb = if self.write { "writes" } else { "reads" };
-        let (register, address) = (names::register(self.address), self.address);
-        write!(
-            f,
-            "it {verb} {register} at {address:#010x}, which is not modelled"
-        )
+impl Revision {
+    /// DBGMCU_IDCODE.
+    fn id(self) -> u32 {
+        match self {
+            Self::A => 0x2000_6411,
+            Self::Y => 0x100f_6413,
+        }
     }
 }
 
@@ -109,11 +121,13 @@ pub(crate) struct Soc {
     pub(crate) i2c_bus: I2cBus,
     iwdg: Iwdg,
     uart: [Uart; UARTS],
+    pub(crate) rng: Rng,
+    revision: Revision,
     pub(crate) otg: Otg,
     pub(crate) usb: UsbHost,
     cells: Cells,
-    /// A register was touched that is not modelled: the run is to end.
-    pub(crate) unmodelled: Option<Unmodelled>,
+    /// The run is to end, whatever is tolerated.
+    pub(crate) end: Option<End>,
     /// Where the I2C bus is wired to, if it is.
     i2c_wires: Option<I2cWires>,
     uid: [u32; 3],
@@ -161,21 +175,23 @@ impl Soc {
             gpio: Gpio::new(),
             exti: Exti::default(),
             tim: [
-                Tim::new(false, 4, true),
-                Tim::new(true, 4, false),
-                Tim::new(false, 4, false),
-                Tim::new(false, 4, false),
-                Tim::new(true, 4, false),
+                Tim::new(false, 4, true, config.synchroniser),
+                Tim::new(true, 4, false, config.synchroniser),
+                Tim::new(false, 4, false, config.synchroniser),
+                Tim::new(false, 4, false, config.synchroniser),
+                Tim::new(true, 4, false, config.synchroniser),
             ],
             dma: [Dma::default(), Dma::default()],
             i2c: I2c::new(),
             i2c_bus: I2cBus::new(),
             iwdg: Iwdg::new(config.low_speed),
             uart: std::array::from_fn(|_| Uart::new()),
+            rng: Rng::new(seed.stream(RNG_STREAM)),
+            revision: config.revision,
             otg: Otg::new(),
             usb: UsbHost::new(seed),
             cells: Cells::default(),
-            unmodelled: None,
+            end: None,
             i2c_wires: config.i2c,
             uid: config.unique_id,
             events: Events::new(),
@@ -195,6 +211,7 @@ impl Soc {
             cycle: 0,
             reset_request: None,
         };
+        soc.rng.broken = config.broken_rng;
         if let Some(wires) = config.i2c {
             // An I2C bus has pull-ups.
             soc.gpio.drive(wires.scl, Drive::PullUp);
@@ -213,11 +230,13 @@ impl Soc {
             tim.reset(self.now);
         }
         self.dma = [Dma::default(), Dma::default()];
+        self.set_event(Source::TimDma, SimTime::NEVER);
         self.i2c.reset();
         self.iwdg.reset();
         for uart in &mut self.uart {
             uart.reset();
         }
+        self.rng.reset();
         self.otg.reset();
         self.cells.clear();
         self.irq = 0;
@@ -283,7 +302,7 @@ impl Soc {
 
     /// Where the present slice ends, whatever wants the core's attention.
     pub(crate) fn slice_limit(&self) -> u64 {
-        if self.reset_request.is_some() || self.unmodelled.is_some() {
+        if self.reset_request.is_some() || self.end.is_some() {
             0
         } else {
             self.slice_end.min(self.event_cycle)
@@ -306,6 +325,7 @@ impl Soc {
                     self.tim[n].sync(at);
                     self.after_tim(n);
                 }
+                Source::TimDma => self.serve_timers(),
                 Source::I2c => self.step_i2c(at),
                 Source::Uart(n) => {
                     self.uart[n].advance(at);
@@ -367,6 +387,7 @@ impl Soc {
         }
         self.update_timer_pins(n);
         self.reschedule_tim(n);
+        self.ask_for_timers();
     }
 
     fn reschedule_tim(&mut self, n: usize) {
@@ -377,6 +398,9 @@ impl Soc {
     fn after_usb(&mut self) {
         if self.otg.changed {
             self.usb.step(self.now, &mut self.otg);
+        }
+        if self.otg.attached() {
+            self.require_pins(&[Pin::PA11, Pin::PA12], 10, "OTG_FS");
         }
         self.set_irq(67, self.otg.irq());
         let at = self.usb.next_event();

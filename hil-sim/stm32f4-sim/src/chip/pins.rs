@@ -165,6 +165,7 @@ impl Soc {
             _ => self.set_irq(50, first),
         }
         self.reschedule_tim(tim);
+        self.ask_for_timers();
     }
 
     /// A bus clear: software clocks SCL, or makes a stop condition.

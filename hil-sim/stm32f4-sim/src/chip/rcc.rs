@@ -55,6 +55,8 @@ pub(crate) struct Rcc {
     csr: u32,
     /// AHB1RSTR to APB2ENR, by word: resets and gates.
     gates: [u32; (0x48 - GATES as usize) / 4],
+    /// Gates that were opened and not waited for, and the cycle at which they were.
+    arriving: [(u32, u64); (0x48 - GATES as usize) / 4],
     hse_ready: SimTime,
     pll_ready: SimTime,
     lsi_ready: SimTime,
@@ -77,6 +79,7 @@ impl Rcc {
             cfgr: 0,
             csr: 0,
             gates: [0; (0x48 - GATES as usize) / 4],
+            arriving: [(0, 0); (0x48 - GATES as usize) / 4],
             hse_ready: SimTime::NEVER,
             pll_ready: SimTime::NEVER,
             lsi_ready: SimTime::NEVER,
@@ -99,6 +102,7 @@ impl Rcc {
         self.cfgr = 0;
         self.csr = flags;
         self.gates.fill(0);
+        self.arriving.fill((0, 0));
         self.gates[((0x30 - GATES) / 4) as usize] = 0x0010_0000;
         self.hse_ready = SimTime::NEVER;
         self.pll_ready = SimTime::NEVER;
@@ -203,6 +207,40 @@ impl Rcc {
         self.gate(offset)
             .and_then(|n| self.gates.get(n))
             .is_some_and(|w| w & (1 << bit) != 0)
+    }
+
+    /// A gate register was written at `cycle`; it had the value `before`.
+    pub(crate) fn note_gates(&mut self, offset: u32, before: u32, cycle: u64) {
+        if let Some(n) = self.gate(offset) {
+            let opened = self.gates[n] & !before;
+            if opened != 0 {
+                self.arriving[n] = (opened, cycle);
+            }
+        }
+    }
+
+    /// Software reads a gate register back, which takes as long as its clocks take.
+    pub(crate) fn gates_read(&mut self, offset: u32) {
+        if let Some(n) = self.gate(offset) {
+            self.arriving[n].0 = 0;
+        }
+    }
+
+    /// Cycles since a gate was opened that nobody has waited for.
+    pub(crate) fn since_opened(&self, offset: u32, bit: u32, cycle: u64) -> Option<u64> {
+        let (bits, since) = self.arriving[self.gate(offset)?];
+        (bits & (1 << bit) != 0).then(|| cycle - since)
+    }
+
+    /// The PLL's input and its oscillator.
+    pub(crate) fn pll_rates(&self) -> (Rate, Rate) {
+        let m = u64::from(self.pllcfgr & 0x3f).max(1);
+        (self.pll_source().scaled(1, m), self.pll(1))
+    }
+
+    /// Whether the PLL is switched on.
+    pub(crate) fn pll_is_on(&self) -> bool {
+        self.cr & CR_PLLON != 0
     }
 
     pub(crate) fn read(&self, offset: u32, now: SimTime) -> Option<u32> {

@@ -20,9 +20,7 @@ impl Soc {
         while self.uart[n].wants_tx()
             && let Some(s) = port.armed_stream(&self.dma[port.dma])
         {
-            let t = self.dma[port.dma].transfer(s);
-            let byte = self.mem.read8(t.memory).unwrap_or(0);
-            self.dma[port.dma].item_done(s);
+            let byte = self.next_item(port.dma, s);
             self.uart[n].write_dr(byte, self.now);
         }
         self.after_dma();
@@ -63,14 +61,12 @@ impl Soc {
             {
                 let t = self.dma[0].transfer(s);
                 let byte = self.i2c.dma_read(self.now, &mut self.i2c_bus);
-                self.mem.write8(t.memory, u32::from(byte));
                 self.dma[0].item_done(s);
+                self.store(&t, u32::from(byte));
             } else if self.i2c.wants_tx()
                 && let Some(s) = self.i2c_stream(false)
             {
-                let t = self.dma[0].transfer(s);
-                let byte = self.mem.read8(t.memory).unwrap_or(0);
-                self.dma[0].item_done(s);
+                let byte = self.next_item(0, s);
                 self.i2c.write_dr(byte as u8, self.now);
             } else {
                 break;

@@ -8,15 +8,20 @@
 //! pin), and on every register access.
 //!
 //! An output changes at the time at which the counter takes the compare
-//! value; a capture latches the counter's value at the time of the edge. The
-//! two or three clocks that the real synchronisers add are left out. Of the slave
+//! value. An edge of an input passes the synchroniser and the filter before it
+//! latches the counter ([`input`]). A match or capture whose DMA request is enabled
+//! raises it; it stays until a transfer acknowledges it (RM0090 10.3.2). Of the slave
 //! modes there is the trigger mode on another timer's start: the slave starts
 //! [`SLAVE_DELAY`] of its clocks later. Not modelled: down- and centre-aligned
-//! counting, the other slave modes, encoder mode, capture filters, complementary
-//! outputs and dead time, DMA bursts.
+//! counting, the other slave modes, encoder mode, filters that sample more slowly than
+//! the timer's clock, complementary outputs and dead time, update requests and DMA
+//! bursts.
+
+pub(crate) mod input;
 
 use crate::clock::{Clock, Rate};
 use crate::time::SimTime;
+use input::Input;
 
 /// Clocks of a slave from its master's start to its own. The reference manual tells
 /// of a resynchronisation and not of its length (RM0090 17.3.20).
@@ -68,11 +73,16 @@ pub(crate) struct Tim {
     reference: [bool; 4],
     /// Captures seen since the last one taken, for the input prescaler.
     prescaled: [u8; 4],
+    inputs: [Input; 4],
+    /// Clocks of the inputs' synchroniser.
+    synchroniser: u64,
+    /// DMA requests that nobody has acknowledged, a bit a channel.
+    requests: u8,
 }
 
 impl Tim {
     /// A 32-bit (`wide`) or 16-bit timer with `channels` channels.
-    pub(crate) fn new(wide: bool, channels: usize, advanced: bool) -> Self {
+    pub(crate) fn new(wide: bool, channels: usize, advanced: bool, synchroniser: u64) -> Self {
         let mask = if wide { u32::MAX } else { 0xffff };
         Self {
             mask,
@@ -97,13 +107,17 @@ impl Tim {
             base_count: 0,
             reference: [false; 4],
             prescaled: [0; 4],
+            inputs: Default::default(),
+            synchroniser,
+            requests: 0,
         }
     }
 
     /// Back to the state after a reset; the clock goes on.
     pub(crate) fn reset(&mut self, now: SimTime) {
         let clock = self.clock;
-        *self = Self::new(self.mask == u32::MAX, self.channels, self.advanced);
+        let wide = self.mask == u32::MAX;
+        *self = Self::new(wide, self.channels, self.advanced, self.synchroniser);
         self.clock = clock;
         self.base_edge = clock.edge_at(now);
     }
@@ -174,6 +188,22 @@ impl Tim {
 
     /// Does everything that happened up to and including `now`.
     pub(crate) fn sync(&mut self, now: SimTime) {
+        while let Some(at) = self.next_capture()
+            && at <= now
+        {
+            self.count_to(at);
+            for ti in 0..self.channels {
+                let through = self.through(ti);
+                while let Some(rising) = self.inputs[ti].pop(self.clock.edge_at(at), through) {
+                    self.capture(ti, rising);
+                }
+            }
+        }
+        self.count_to(now);
+    }
+
+    /// Counts up to and including `now`.
+    fn count_to(&mut self, now: SimTime) {
         if !self.running() {
             self.base_edge = self.clock.edge_at(now);
             return;
@@ -224,7 +254,7 @@ impl Tim {
         if self.channel(ch) != Channel::Output {
             return;
         }
-        self.sr |= 2 << ch;
+        self.flag(ch);
         match self.mode(ch) {
             1 => self.reference[ch] = true,
             2 => self.reference[ch] = false,
@@ -233,6 +263,24 @@ impl Tim {
             7 => self.reference[ch] = true,
             _ => {}
         }
+    }
+
+    /// A channel matched or captured.
+    fn flag(&mut self, ch: usize) {
+        self.sr |= 2 << ch;
+        if self.dier & (0x200 << ch) != 0 {
+            self.requests |= 1 << ch;
+        }
+    }
+
+    /// Channels that ask the DMA for a transfer, a bit each.
+    pub(crate) fn requests(&self) -> u8 {
+        self.requests
+    }
+
+    /// The DMA serves a channel.
+    pub(crate) fn acknowledge(&mut self, ch: usize) {
+        self.requests &= !(1 << ch);
     }
 
     fn update_event(&mut self, overflow: bool) {
@@ -280,12 +328,41 @@ impl Tim {
         Some(self.reference[ch] != inverted)
     }
 
+    /// The filter of input `TI(ti+1)`, as ICxF; none while its channel is an output.
+    fn filter(&self, ti: usize) -> u32 {
+        match self.channel(ti) {
+            Channel::Output => 0,
+            _ => (self.ccmr[ti / 2] >> ((ti % 2) * 8 + 4)) & 0xf,
+        }
+    }
+
+    /// Clocks from an edge of input `TI(ti+1)` to its capture.
+    fn through(&self, ti: usize) -> u64 {
+        self.synchroniser + input::filter_clocks(self.filter(ti))
+    }
+
     /// An edge on input `TI(ti+1)`.
     pub(crate) fn input_edge(&mut self, ti: usize, rising: bool, now: SimTime) {
         if self.ccer & 0x1111 == 0 {
             return;
         }
         self.sync(now);
+        let samples = input::filter_clocks(self.filter(ti));
+        self.inputs[ti].edge(self.clock.edge_at(now), rising, samples);
+        // Without any delay it is captured at once.
+        self.sync(now);
+    }
+
+    /// When the next edge that is on its way through an input is captured.
+    fn next_capture(&self) -> Option<SimTime> {
+        (0..self.channels)
+            .filter_map(|ti| self.inputs[ti].next(self.through(ti)))
+            .min()
+            .map(|edge| self.clock.time_of(edge))
+    }
+
+    /// An edge of input `TI(ti+1)` has come through.
+    fn capture(&mut self, ti: usize, rising: bool) {
         for ch in 0..self.channels {
             if self.channel(ch) != Channel::Input(ti) || !self.enabled(ch) {
                 continue;
@@ -311,7 +388,7 @@ impl Tim {
             }
             self.ccr[ch] = self.base_count;
             self.ccr_next[ch] = self.base_count;
-            self.sr |= 2 << ch;
+            self.flag(ch);
         }
     }
 
@@ -328,6 +405,11 @@ impl Tim {
 
     /// When something happens next that an interrupt or a pin can see.
     pub(crate) fn next_event(&self) -> SimTime {
+        let capture = self.next_capture().unwrap_or(SimTime::NEVER);
+        self.next_match().min(capture)
+    }
+
+    fn next_match(&self) -> SimTime {
         if !self.running() {
             return SimTime::NEVER;
         }
@@ -338,7 +420,8 @@ impl Tim {
             if self.channel(ch) != Channel::Output {
                 continue;
             }
-            let waits = self.dier & (2 << ch) != 0 && self.sr & (2 << ch) == 0;
+            let waits = self.dier & (2 << ch) != 0 && self.sr & (2 << ch) == 0
+                || self.dier & (0x200 << ch) != 0;
             let mode = self.mode(ch);
             let drives = self.enabled(ch) && matches!(mode, 1 | 2 | 3 | 6 | 7);
             pwm |= drives && mode >= 6;
@@ -420,6 +503,9 @@ impl Tim {
             0x14 => self.generate(value, now),
             0x18 | 0x1c => {
                 self.ccmr[((offset - 0x18) / 4) as usize] = value & 0xffff;
+                if (0..self.channels).any(|ti| self.filter(ti) > input::MAX_FILTER) {
+                    return false;
+                }
                 for ch in 0..self.channels {
                     self.pwm_level(ch);
                 }
@@ -461,7 +547,7 @@ impl Tim {
                 if self.channel(ch) != Channel::Output {
                     self.ccr[ch] = self.base_count;
                 }
-                self.sr |= 2 << ch;
+                self.flag(ch);
             }
         }
         if value & 1 != 0 {

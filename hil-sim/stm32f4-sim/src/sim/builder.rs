@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
 use super::{LogSink, Sim, SimError};
-use crate::chip::{ChipConfig, I2cWires, Soc};
+use crate::chip::{ChipConfig, I2cWires, Revision, Soc};
 use crate::clock::Rate;
 use crate::cpu::Cpu;
 use crate::firmware::Firmware;
@@ -16,6 +16,9 @@ use crate::rtt::{LogLine, Rtt};
 
 /// The low-speed oscillator's typical rate (DS8626 table 42).
 const LSI_HZ: u64 = 32_000;
+/// Clocks that the synchroniser of a timer's input takes, unless the builder is told
+/// otherwise: RM0090 gives two to three (18.3.5).
+pub const INPUT_SYNCHRONISER: u64 = 2;
 /// Pins of I2C1 (DS8626 table 9).
 const I2C1_SCL: [Pin; 2] = [Pin::PB6, Pin::PB8];
 const I2C1_SDA: [Pin; 2] = [Pin::PB7, Pin::PB9];
@@ -52,6 +55,9 @@ impl SimBuilder {
                 low_speed: Rate::hz(LSI_HZ),
                 unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
                 i2c: None,
+                synchroniser: INPUT_SYNCHRONISER,
+                revision: Revision::Y,
+                broken_rng: false,
             },
             models: Vec::new(),
             targets: Vec::new(),
@@ -113,6 +119,35 @@ impl SimBuilder {
     #[must_use]
     pub fn low_speed_oscillator(mut self, rate: Rate) -> Self {
         self.chip.low_speed = rate;
+        self
+    }
+
+    /// A chip of the first revision, A: its flash accelerator cannot prefetch.
+    #[must_use]
+    pub fn revision_a(mut self) -> Self {
+        self.chip.revision = Revision::A;
+        self
+    }
+
+    /// A chip whose random number generator reports a seed error.
+    #[must_use]
+    pub fn broken_random_generator(mut self) -> Self {
+        self.chip.broken_rng = true;
+        self
+    }
+
+    /// A board without a crystal: the high-speed oscillator never gets ready.
+    #[must_use]
+    pub fn no_crystal(mut self) -> Self {
+        self.chip.crystal = None;
+        self
+    }
+
+    /// Clocks of a timer from an edge at its input to the capture, without a filter
+    /// ([`INPUT_SYNCHRONISER`] by default).
+    #[must_use]
+    pub fn input_synchroniser(mut self, clocks: u64) -> Self {
+        self.chip.synchroniser = clocks;
         self
     }
 

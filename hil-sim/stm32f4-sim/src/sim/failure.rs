@@ -2,7 +2,7 @@
 
 use super::{ResetCause, Sim};
 use crate::backtrace;
-use crate::chip::Unmodelled;
+use crate::chip::rules::End;
 use crate::cpu::lock;
 use crate::firmware::FirmwareError;
 use crate::rtt::LogLine;
@@ -24,6 +24,8 @@ pub enum FailureKind {
     Reset(ResetCause),
     /// It touched a register that is not modelled.
     Unmodelled,
+    /// It did what the chip's manuals forbid.
+    Forbidden,
 }
 
 /// A failure of the firmware.
@@ -37,7 +39,8 @@ pub struct Failure {
     pub log: Vec<String>,
     /// Its call stack, innermost first.
     pub backtrace: Vec<String>,
-    /// Fault registers, if it was a fault; the register that is not modelled.
+    /// Fault registers, if it was a fault; the register that is not modelled; the rule
+    /// that was broken.
     pub detail: String,
 }
 
@@ -48,6 +51,7 @@ impl core::fmt::Display for Failure {
             FailureKind::HardFault => "the firmware took a HardFault".to_owned(),
             FailureKind::LockUp => "the firmware locked up".to_owned(),
             FailureKind::Unmodelled => "the simulator does not know what comes next".to_owned(),
+            FailureKind::Forbidden => "the firmware does what the manual forbids".to_owned(),
             FailureKind::Reset(cause) => format!("the firmware was reset ({cause:?})"),
         };
         writeln!(f, "{what} at {} s of virtual time", self.at)?;
@@ -149,12 +153,15 @@ impl Sim {
         self.fail_now()
     }
 
-    /// The firmware touched a register that is not modelled: an end that nobody
-    /// tolerates, for whatever it does next is not what it does on the chip.
-    pub(super) fn unmodelled(&mut self, access: Unmodelled) -> Result<(), SimError> {
+    /// An end that nobody tolerates, for whatever the firmware does next is not what it
+    /// does on the chip.
+    pub(super) fn end(&mut self, end: &End) -> Result<(), SimError> {
         self.poll_log();
-        let mut failure = self.describe_failure(FailureKind::Unmodelled);
-        failure.detail = access.to_string();
+        let mut failure = self.describe_failure(match end {
+            End::Unmodelled { .. } => FailureKind::Unmodelled,
+            End::Forbidden(_) => FailureKind::Forbidden,
+        });
+        failure.detail = end.to_string();
         self.failing = Some((failure, SimTime::NEVER));
         self.fail_now()?;
         let failure = self.failures.last().cloned().map(Box::new);

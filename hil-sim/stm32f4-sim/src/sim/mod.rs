@@ -4,7 +4,8 @@
 //! A failure of the firmware (panic, HardFault, lock-up, a reset that nobody
 //! asked for) ends the run with its log, its message and a symbolised
 //! backtrace, unless the simulation was told to let it happen. The touch of a
-//! register that is not modelled ends it always. The same seed and the same calls
+//! register that is not modelled, or a use of the chip that its manuals forbid, ends it
+//! always. The same seed and the same calls
 //! give the same run, to the byte.
 
 mod builder;
@@ -14,7 +15,7 @@ mod outside;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-pub use builder::SimBuilder;
+pub use builder::{INPUT_SYNCHRONISER, SimBuilder};
 pub use failure::{Failure, FailureKind, SimError};
 
 use crate::backtrace;
@@ -162,9 +163,9 @@ impl Sim {
             let (sleep_to, had_log) = {
                 let mut soc = lock(&self.soc);
                 soc.at_cycle(self.cpu.cycles);
-                if let Some(access) = soc.unmodelled.take() {
+                if let Some(end) = soc.end.take() {
                     drop(soc);
-                    return self.unmodelled(access);
+                    return self.end(&end);
                 }
                 if let Some(cause) = soc.reset_request.take() {
                     drop(soc);

@@ -142,6 +142,27 @@ impl Sim {
         self.with_chip(|s| s.mco1())
     }
 
+    /// A stored register ([`stored_registers`](super::stored_registers)) as it was written.
+    #[must_use]
+    pub fn stored_register(&self, address: u32) -> Option<u32> {
+        self.with_chip(|s| s.stored(address))
+    }
+
+    /// The number that the chip's random number generator gave last.
+    #[must_use]
+    pub fn random_number(&self) -> Option<u32> {
+        self.with_chip(|s| s.rng.last)
+    }
+
+    /// Halts the core, as a debugger does, and lets it go on. Clocks, timers and DMA
+    /// run on.
+    pub fn halt_core(&mut self, length: SimDuration) {
+        let end = self.now() + length;
+        let cycle = self.with_chip(|s| s.cycle_at(end));
+        self.cpu.sleep_until(cycle);
+        self.with_chip(|s| s.at_cycle(cycle));
+    }
+
     /// Models that changed when they want to be called outside of their own
     /// calls (a test that works on one) have to be asked again.
     pub fn models_changed(&mut self) {

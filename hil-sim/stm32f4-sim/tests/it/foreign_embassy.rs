@@ -94,9 +94,9 @@ fn a_register_that_is_not_modelled_ends_the_run() {
     };
     assert_eq!(failure.kind, FailureKind::Unmodelled);
     let text = error.to_string();
-    let register = "it reads RNG_DR at 0x50060808, which is not modelled";
+    let register = "it reads CRC_DR at 0x40023000, which is not modelled";
     assert!(text.contains(register), "{text}");
-    assert!(text.contains("read_random_number"), "{text}");
+    assert!(text.contains("read_checksum"), "{text}");
 }
 
 #[test]

@@ -29,8 +29,9 @@ const WIDTH: u32 = 12 * (TICK_HZ / 1_000_000);
 const PERIOD_PICOS: u64 = 33_330_652_540;
 
 /// Interrupts of the chip that the firmware uses (RM0090 table 62), by position.
-const INTERRUPTS: [(usize, &str); 8] = [
-    (28, "TIM2: trigger and captures"),
+const INTERRUPTS: [(usize, &str); 9] = [
+    (28, "TIM2: captures"),
+    (16, "DMA1 stream 5: end of a trigger pulse"),
     (78, "DCMI: what TIM2 leaves behind"),
     (67, "OTG_FS: USB"),
     (30, "TIM4: the tasks' clock"),

@@ -68,19 +68,19 @@ async fn count(mut uart: UartTx<'static, Blocking>) {
     }
 }
 
-/// Reads the data register of the RNG, which the simulator does not model.
-fn read_random_number() {
-    const RNG_DR: *const u32 = 0x5006_0808 as *const u32;
+/// Reads the data register of the CRC unit, which the simulator does not model.
+fn read_checksum() {
+    const CRC_DR: *const u32 = 0x4002_3000 as *const u32;
     // SAFETY: a register of this chip, read for nothing but the read itself.
     #[allow(unsafe_code)]
-    let _ = unsafe { RNG_DR.read_volatile() };
+    let _ = unsafe { CRC_DR.read_volatile() };
 }
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     let p = embassy_stm32::init(clocks());
     if Input::new(p.PB1, Pull::Down).is_high() {
-        read_random_number();
+        read_checksum();
     }
 
     let mut settings = usart::Config::default();

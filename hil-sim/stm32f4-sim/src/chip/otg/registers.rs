@@ -141,6 +141,18 @@ impl Otg {
         })
     }
 
+    /// The endpoint whose transmit FIFO a write at `offset` goes into while that is full,
+    /// or while it lies beyond the core's memory.
+    pub(crate) fn overfills(&self, offset: u32) -> Option<usize> {
+        if !(0x1000..0x5000).contains(&offset) {
+            return None;
+        }
+        let ep = ((offset >> 12) - 1) as usize;
+        let (start, depth) = (self.dieptxf[ep] & 0xffff, self.dieptxf[ep] >> 16);
+        let beyond = (start + depth) as usize > FIFO_WORDS;
+        (beyond || self.tx[ep].len() >= depth as usize).then_some(ep)
+    }
+
     pub(crate) fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x000 => self.gotgctl = value,
@@ -196,10 +208,7 @@ impl Otg {
             0xe00 => self.pcgcctl = value,
             0x1000..=0x4fff => {
                 let ep = ((offset >> 12) - 1) as usize;
-                // What does not fit the FIFO is lost, as on the chip.
-                if self.tx[ep].len() < FIFO_WORDS {
-                    self.tx[ep].push_back(value);
-                }
+                self.tx[ep].push_back(value);
                 self.changed = true;
             }
             _ => return false,

@@ -6,8 +6,15 @@ fn at(tick: u64) -> SimTime {
     SimTime::from_units(tick * TICK_NS_48)
 }
 
+/// Clocks of the synchroniser in these tests.
+const SYNC: u64 = 2;
+
 fn running() -> Tim {
-    let mut t = Tim::new(true, 4, false);
+    running_with(SYNC)
+}
+
+fn running_with(synchroniser: u64) -> Tim {
+    let mut t = Tim::new(true, 4, false, synchroniser);
     t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
     t.write(0x14, 1, at(0));
     t.write(0x10, 0, at(0));
@@ -40,8 +47,9 @@ fn captures_the_tick_of_the_edge_and_flags_a_lost_one() {
     t.input_edge(1, false, at(800));
     assert_eq!(t.sr & 0x404, 4);
     t.input_edge(1, true, at(900));
+    t.sync(at(900 + SYNC));
     assert_eq!(t.sr & 0x404, 0x404, "over-capture");
-    assert_eq!(t.read(0x38, at(950)).unwrap(), 900);
+    assert_eq!(t.read(0x38, at(950)).unwrap(), 902);
     assert_eq!(t.sr & 4, 0, "reading the capture clears its flag");
 }
 
@@ -51,9 +59,88 @@ fn both_edges_are_captured_when_asked_for() {
     t.write(0x1c, 1, at(0)); // CC3S = TI3
     t.write(0x20, 0xb << 8, at(0)); // CC3E, CC3P, CC3NP
     t.input_edge(2, true, at(10));
-    assert_eq!(t.read(0x3c, at(11)).unwrap(), 10);
+    assert_eq!(t.next_event(), at(12));
+    assert_eq!(t.read(0x3c, at(13)).unwrap(), 12);
     t.input_edge(2, false, at(20));
-    assert_eq!(t.read(0x3c, at(21)).unwrap(), 20);
+    assert_eq!(t.read(0x3c, at(23)).unwrap(), 22);
+}
+
+/// The synchroniser's clocks and the filter's samples, whenever within its clock the
+/// edge comes.
+#[test]
+fn an_edge_is_captured_behind_synchroniser_and_filter() {
+    for synchroniser in [0, 2, 3] {
+        for (icf, samples) in [(0, 0), (1, 2), (2, 4), (3, 8)] {
+            for fraction in [0, 1, TICK_NS_48 / 2, TICK_NS_48 - 1] {
+                let mut t = running_with(synchroniser);
+                t.write(0x18, (1 << 8) | (icf << 12), at(0)); // CC2S = TI2, IC2F
+                t.write(0x20, 1 << 4, at(0));
+                let edge = SimTime::from_units(at(777).units() + fraction);
+                t.input_edge(1, true, edge);
+                let latched = 777 + synchroniser + samples;
+                if latched > 777 {
+                    t.sync(SimTime::from_units(at(latched).units() - 1));
+                    assert_eq!(t.sr & 4, 0, "not yet");
+                }
+                t.sync(at(latched).max(edge));
+                assert_eq!(t.sr & 4, 4);
+                assert_eq!(u64::from(t.read(0x38, at(900)).unwrap()), latched);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_filter_takes_no_excursion_that_is_too_short() {
+    let mut t = running();
+    t.write(0x1c, 1 | (3 << 4), at(0)); // CC3S = TI3, IC3F = 3
+    t.write(0x20, 0xb << 8, at(0)); // both edges
+    // Seven samples high, then a rise that stays, with seven low in it.
+    for (rising, tick) in [
+        (true, 100),
+        (false, 107),
+        (true, 200),
+        (false, 300),
+        (true, 307),
+    ] {
+        t.input_edge(2, rising, at(tick));
+    }
+    assert_eq!(t.next_event(), SimTime::NEVER);
+    assert_eq!(t.read(0x3c, at(400)).unwrap(), 210);
+    assert_eq!(
+        t.read(0x10, at(400)).unwrap() & 0x808,
+        0,
+        "nothing else came"
+    );
+    // Eight are enough.
+    t.input_edge(2, false, at(500));
+    t.input_edge(2, true, at(508));
+    assert_eq!(t.read(0x3c, at(511)).unwrap(), 510);
+    assert_eq!(t.read(0x3c, at(600)).unwrap(), 518);
+}
+
+#[test]
+fn a_filter_that_divides_the_clock_is_not_modelled() {
+    let mut t = running();
+    assert!(!t.write(0x18, 1 | (4 << 4), at(0)));
+    // As an output the same bits are its mode.
+    assert!(t.write(0x18, 6 << 4, at(0)));
+}
+
+#[test]
+fn a_match_asks_for_a_transfer_until_it_is_served() {
+    let mut t = running();
+    t.write(0x34, 1000, at(0));
+    t.sync(at(1001));
+    assert_eq!(t.requests(), 0, "not enabled");
+    t.write(0x0c, 0x200, at(1001)); // CC1DE
+    t.write(0x34, 2000, at(1001));
+    assert_eq!(t.next_event(), at(2000));
+    t.sync(at(2000));
+    t.write(0x10, 0, at(2000));
+    assert_eq!(t.requests(), 1, "the flag has no part in it");
+    t.acknowledge(0);
+    assert_eq!(t.requests(), 0);
 }
 
 #[test]
@@ -69,7 +156,7 @@ fn wraps_and_flags_the_update() {
 
 #[test]
 fn prescaler_and_reload_take_effect_with_the_update_event() {
-    let mut t = Tim::new(false, 4, false);
+    let mut t = Tim::new(false, 4, false, SYNC);
     t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
     t.write(0x28, 47, at(0));
     t.write(0x2c, 999, at(0));
@@ -83,7 +170,7 @@ fn prescaler_and_reload_take_effect_with_the_update_event() {
 
 #[test]
 fn a_slave_starts_with_its_master() {
-    let mut slave = Tim::new(false, 4, true);
+    let mut slave = Tim::new(false, 4, true, SYNC);
     slave.set_clock(Rate::hz(96_000_000), SimTime::ZERO);
     assert_eq!(slave.awaits(), None);
     slave.write(0x08, 0x16, at(5)); // TS = ITR1, SMS = trigger mode

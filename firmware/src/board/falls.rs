@@ -1,0 +1,87 @@
+//! DMA1's stream 5 on channel 3: the request of TIM2's channel 1 (RM0090 table 42). It
+//! makes the trigger's falling edge without any software.
+//!
+//! The channel turns its pin over at each match and asks for a transfer. At the rising
+//! edge the stream loads the compare value of the falling one; the register has no
+//! preload, so that value holds at once (18.4.7, OC1PE = 0). At the falling edge the
+//! stream loads a value that lies behind, only so that no request is left over: one that
+//! nobody acknowledged would be served as soon as the stream is enabled again (10.3.2),
+//! before the next pulse. That second transfer ends the stream, which calls the handler.
+//!
+//! The first value waits in the stream's FIFO before it is asked for (10.3.12), so the
+//! load takes one access of APB1: less than 1 µs behind the core's and the IMU's, which
+//! have a lower priority. [`protocol::MIN_PULSE_WIDTH`] is ten times that.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use embassy_stm32::pac;
+use embassy_stm32::pac::dma::vals::{Dir, Pl, Size};
+
+pub(super) const INTERRUPT: pac::Interrupt = pac::Interrupt::DMA1_STREAM5;
+
+const DMA: pac::dma::Dma = pac::DMA1;
+const STREAM: usize = 5;
+const CHANNEL: u8 = 3;
+
+/// What the stream loads: the falling edge, then a value behind. The stream reads them,
+/// so they are where it can: in SRAM.
+static VALUES: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
+
+/// Directs the stream from [`VALUES`] to the compare register. The controller has its
+/// clock from the HAL.
+pub(super) fn init(compare: *mut u32) {
+    disarm();
+    let stream = DMA.st(STREAM);
+    stream.par().write_value(compare as u32);
+    stream.m0ar().write_value(VALUES.as_ptr() as u32);
+}
+
+/// The next match at `rise` loads `fall`.
+pub(super) fn arm(rise: u32, fall: u32) {
+    let [first, second] = &VALUES;
+    first.store(fall, Ordering::Relaxed);
+    second.store(rise, Ordering::Relaxed);
+    // In memory before the stream reads them.
+    cortex_m::asm::dmb();
+    let stream = DMA.st(STREAM);
+    stream.ndtr().write(|w| w.set_ndt(VALUES.len() as u16));
+    stream.cr().write(|w| {
+        w.set_chsel(CHANNEL);
+        w.set_pl(Pl::VERY_HIGH);
+        w.set_msize(Size::BITS32);
+        w.set_psize(Size::BITS32);
+        w.set_minc(true);
+        w.set_dir(Dir::MEMORY_TO_PERIPHERAL);
+        w.set_tcie(true);
+        w.set_en(true);
+    });
+}
+
+/// Switches the stream off, wherever it stands, and clears what it flagged.
+pub(super) fn disarm() {
+    let stream = DMA.st(STREAM);
+    stream.cr().write(|_| {});
+    // A transfer under way is finished first: some cycles.
+    while stream.cr().read().en() {}
+    clear_flags();
+}
+
+/// If both values were loaded: the falling edge.
+pub(super) fn take_end() -> Option<u32> {
+    let ended = DMA.isr(STREAM / 4).read().tcif(STREAM % 4);
+    ended.then(|| {
+        clear_flags();
+        let [fall, _] = &VALUES;
+        fall.load(Ordering::Relaxed)
+    })
+}
+
+fn clear_flags() {
+    DMA.ifcr(STREAM / 4).write(|w| {
+        w.set_tcif(STREAM % 4, true);
+        w.set_htif(STREAM % 4, true);
+        w.set_teif(STREAM % 4, true);
+        w.set_dmeif(STREAM % 4, true);
+        w.set_feif(STREAM % 4, true);
+    });
+}

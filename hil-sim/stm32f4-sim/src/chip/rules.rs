@@ -1,0 +1,216 @@
+//! What ends a run whatever is tolerated: a register that is not modelled, and what
+//! the manuals forbid. Where the chip would hang, lose an access or only work most of
+//! the time, the simulator stops and names the rule.
+
+use core::fmt;
+
+use super::gpio::Mode;
+use super::{Revision, Soc, names};
+use crate::pin::Pin;
+
+/// Why a run ends at once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum End {
+    /// A register was touched that is neither modelled nor stored.
+    Unmodelled {
+        address: u32,
+        write: bool,
+    },
+    Forbidden(Rule),
+}
+
+/// A rule that was broken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Rule {
+    /// I2C_CR1 was written while a START or STOP that it asks for is pending: the
+    /// write may ask for it once more (RM0090 27.6.1).
+    I2cPending,
+    /// A pin is not in the alternate function of the peripheral that needs it.
+    Pin {
+        pin: Pin,
+        function: u8,
+        peripheral: &'static str,
+    },
+    /// A DMA stream is enabled while flags of its last transfer are set (RM0090 10.3.17).
+    DmaFlags {
+        /// From 1.
+        controller: usize,
+        stream: usize,
+    },
+    /// A DMA stream is to reach memory that is not on its bus (RM0090 2.3.1).
+    DmaMemory { address: u32 },
+    /// A peripheral is touched without its clock.
+    Unclocked { address: u32 },
+    /// A peripheral is touched before the clock that was just enabled has arrived
+    /// (ES0182).
+    ClockOnItsWay { address: u32 },
+    /// A clock is out of its range, in Hz (DS8626 tables 14 and 43).
+    Clock {
+        what: &'static str,
+        hz: u64,
+        range: [u64; 2],
+    },
+    /// The flash has too few wait states for the core's clock (RM0090 table 10).
+    FlashLatency { hz: u64, states: u32 },
+    /// Revision A is to prefetch (ES0182).
+    Prefetch,
+    /// More is written into a transmit FIFO than it holds (RM0090 34.11).
+    Fifo { endpoint: usize },
+}
+
+/// The highest HCLK for each wait state of the flash, at 2.7 V to 3.6 V (RM0090 table 10).
+const HZ_A_WAIT_STATE: u64 = 30_000_000;
+
+const FLASH_ACR: u32 = 0x4002_3c00;
+const ACR_LATENCY: u32 = 7;
+const ACR_PRFTEN: u32 = 1 << 8;
+
+impl fmt::Display for End {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unmodelled { address, write } => {
+                let verb = if *write { "writes" } else { "reads" };
+                let register = names::register(*address);
+                write!(
+                    f,
+                    "it {verb} {register} at {address:#010x}, which is not modelled"
+                )
+            }
+            Self::Forbidden(rule) => rule.fmt(f),
+        }
+    }
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::I2cPending => f.write_str(
+                "it writes I2C1_CR1 while a START or STOP is pending, which may make it twice \
+                 (RM0090 27.6.1): wait until the hardware has cleared the bit",
+            ),
+            Self::Pin {
+                pin,
+                function,
+                peripheral,
+            } => write!(
+                f,
+                "{peripheral} is used while {pin} is not in its alternate function {function} \
+                 (DS8626 table 9)"
+            ),
+            Self::DmaFlags { controller, stream } => write!(
+                f,
+                "it enables stream {stream} of DMA{controller} while flags of its last transfer \
+                 are set (RM0090 10.3.17): clear them first"
+            ),
+            Self::DmaMemory { address } => write!(
+                f,
+                "a DMA stream is to use memory at {address:#010x}, which it cannot reach: only \
+                 SRAM and flash are on its bus (RM0090 2.3.1)"
+            ),
+            Self::Unclocked { address } => Self::name_access(
+                f,
+                *address,
+                "without the peripheral's clock: on the chip the access is lost",
+            ),
+            Self::ClockOnItsWay { address } => Self::name_access(
+                f,
+                *address,
+                "before the clock that was just enabled has arrived (ES0182): read the enable \
+                 register back first",
+            ),
+            Self::Clock { what, hz, range } => write!(
+                f,
+                "{what} is {hz} Hz; it may be {} to {} Hz (DS8626 tables 14 and 43)",
+                range[0], range[1]
+            ),
+            Self::FlashLatency { hz, states } => write!(
+                f,
+                "the core runs at {hz} Hz while the flash has {states} wait states, which is \
+                 enough for {} Hz (RM0090 table 10)",
+                (u64::from(*states) + 1) * HZ_A_WAIT_STATE
+            ),
+            Self::Prefetch => f.write_str(
+                "it switches on the flash's prefetch on revision A of the chip, which cannot \
+                 (ES0182)",
+            ),
+            Self::Fifo { endpoint } => write!(
+                f,
+                "it writes more into the transmit FIFO of USB endpoint {endpoint} than that was \
+                 given, or than the core has (RM0090 34.11)"
+            ),
+        }
+    }
+}
+
+impl Rule {
+    fn name_access(f: &mut fmt::Formatter<'_>, address: u32, why: &str) -> fmt::Result {
+        let register = names::register(address);
+        write!(f, "it touches {register} at {address:#010x} {why}")
+    }
+}
+
+impl Soc {
+    /// The run ends by this; the first reason counts.
+    pub(super) fn end(&mut self, end: End) {
+        self.end.get_or_insert(end);
+    }
+
+    pub(super) fn forbid(&mut self, rule: Rule) {
+        self.end(End::Forbidden(rule));
+    }
+
+    /// Holds a peripheral that is used to its pins.
+    pub(super) fn require_pins(&mut self, pins: &[Pin], function: u8, peripheral: &'static str) {
+        for &pin in pins {
+            if self.gpio.mode(pin) != Mode::Alternate(function) {
+                self.forbid(Rule::Pin {
+                    pin,
+                    function,
+                    peripheral,
+                });
+            }
+        }
+    }
+}
+
+impl Soc {
+    /// Holds clocks and wait states to their limits.
+    pub(super) fn require_clocks(&mut self) {
+        let (input, oscillator) = self.rcc.pll_rates();
+        let clocks = &self.clocks;
+        let mut limits = vec![
+            ("HCLK", clocks.hclk, [0, 168_000_000]),
+            ("PCLK1", clocks.pclk1, [0, 42_000_000]),
+            ("PCLK2", clocks.pclk2, [0, 84_000_000]),
+        ];
+        if self.rcc.pll_is_on() {
+            limits.push(("the PLL's input", input, [950_000, 2_100_000]));
+            limits.push((
+                "the PLL's oscillator",
+                oscillator,
+                [100_000_000, 432_000_000],
+            ));
+        }
+        for (what, rate, range) in limits {
+            let hz = rate.hz_rounded();
+            if !(range[0]..=range[1]).contains(&hz) {
+                self.forbid(Rule::Clock { what, hz, range });
+            }
+        }
+        let hz = self.clocks.hclk.hz_rounded();
+        let states = self.cells.read(FLASH_ACR).unwrap_or(0) & ACR_LATENCY;
+        if hz > (u64::from(states) + 1) * HZ_A_WAIT_STATE {
+            self.forbid(Rule::FlashLatency { hz, states });
+        }
+    }
+
+    /// Holds a value of FLASH_ACR to what the chip's revision can.
+    pub(super) fn require_prefetch(&mut self, acr: u32) {
+        if self.revision == Revision::A && acr & ACR_PRFTEN != 0 {
+            self.forbid(Rule::Prefetch);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
