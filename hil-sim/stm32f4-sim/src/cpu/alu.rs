@@ -94,6 +94,16 @@ pub(super) fn mul_long(signed: bool, a: u32, b: u32, accumulator: u64) -> u64 {
     product.wrapping_add(accumulator)
 }
 
+/// The upper word of `accumulator:0 ± a · b`, modulo 2^64 (DDI 0403 A7.7, SMMLA), where
+/// rsemu 0.0.7 overflows.
+#[inline]
+pub(super) fn mul_top(a: u32, b: u32, accumulator: u32, sub: bool, round: bool) -> u32 {
+    let product = i64::from(a as i32) * i64::from(b as i32);
+    let signed = if sub { -product } else { product };
+    let sum = (i64::from(accumulator as i32) << 32).wrapping_add(signed);
+    (sum.wrapping_add(i64::from(round) << 31) >> 32) as u32
+}
+
 /// Sign and zero extension; nothing for those of the DSP extension.
 #[inline]
 pub(super) fn extend(op: ExtendOp, value: u32) -> Option<u32> {

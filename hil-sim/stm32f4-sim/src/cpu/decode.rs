@@ -1,7 +1,8 @@
 //! From instructions to compact operations, by rsemu's own decoder.
 
 use rsemu::cpu::arm::v7m::isa::{
-    BitfieldOp, DpOp, ExtendOp, HintOp, Insn, MemOffset, Operand, ShiftType, Size, decode, is_32bit,
+    BitfieldOp, DpOp, DualMulOp, ExtendOp, HintOp, Insn, MemOffset, Operand, ShiftType, Size,
+    decode, is_32bit,
 };
 
 use super::op::{Kind, Op, Slot};
@@ -288,6 +289,21 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
                 }
             }
         }
+        Insn::DualMul {
+            op,
+            rd,
+            rn,
+            rm,
+            ra,
+            x,
+        } if op.bit_is_round() => Op::MulTop {
+            rd,
+            rn,
+            rm,
+            ra,
+            sub: op == DualMulOp::Smmls,
+            round: x,
+        },
         Insn::Div { signed, rd, rn, rm } if rd != 15 && rn != 15 && rm != 15 => {
             Op::Div { signed, rd, rn, rm }
         }

@@ -8,7 +8,7 @@
 //! branch, two for a division), so both count the same.
 
 use super::access::{Bus, bytes_of, load, load_multi, store, store_multi};
-use super::alu::{bitfield, data_proc, extend, misc, mul_long, shift};
+use super::alu::{bitfield, data_proc, extend, misc, mul_long, mul_top, shift};
 use super::code::Code;
 use super::op::Op;
 use super::state::Fast;
@@ -450,6 +450,19 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 let value = mul_long(signed, a, b, acc);
                 st.set(rdlo, value as u32);
                 st.set(rdhi, (value >> 32) as u32);
+                now += 2;
+            }
+            Op::MulTop {
+                rd,
+                rn,
+                rm,
+                ra,
+                sub,
+                round,
+            } => {
+                let accumulator = if ra == 15 { 0 } else { st.reg(ra) };
+                let value = mul_top(st.reg(rn), st.reg(rm), accumulator, sub, round);
+                st.set(rd, value);
                 now += 2;
             }
             Op::Umaal { rdlo, rdhi, rn, rm } => {

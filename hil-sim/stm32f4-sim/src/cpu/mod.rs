@@ -21,6 +21,7 @@ mod alu;
 mod code;
 mod decode;
 mod exec;
+mod float;
 mod op;
 mod state;
 
@@ -38,8 +39,11 @@ use crate::chip::Soc;
 use access::Bus;
 use code::Code;
 use exec::Stop;
+use float::Float;
 use state::Fast;
 
+/// The upper byte of the SVC instruction.
+const SVC: u32 = 0xdf;
 /// Number of the HardFault exception.
 pub(crate) const HARD_FAULT: u16 = 3;
 
@@ -319,17 +323,11 @@ impl Cpu {
     }
 
     /// Hands the registers and the time that passed over to rsemu.
-    fn hand_over(&mut self, in_it: bool, uses_psp: bool) {
+    fn hand_over(&mut self, uses_psp: bool) {
         self.regs.r = self.fast.r;
         self.regs.xpsr = self.fast.xpsr();
         self.regs.primask = self.fast.primask;
         self.regs.basepri = self.fast.basepri;
-        // rsemu 0.0.7 stacks xPSR without ITSTATE on exception entry (DDI 0403
-        // B1.5.6 wants it), so that the rest of an interrupted IT block would
-        // run unconditionally. Interrupts therefore wait for its end.
-        if in_it {
-            self.regs.primask = true;
-        }
         if uses_psp {
             self.regs.psp = self.regs.r[13];
         } else {
@@ -352,31 +350,39 @@ impl Cpu {
         self.tell_interrupts();
         let in_it = self.fast.in_it();
         let uses_psp = !self.regs.in_handler() && self.regs.control & sys::control::SPSEL != 0;
-        self.hand_over(in_it, uses_psp);
+        self.hand_over(uses_psp);
 
         let before = usize::from(self.regs.exception().0);
         let pc = self.regs.r[15];
-        let it_block = self.regs.xpsr & xpsr::IT_MASK;
+        let executed = self.fast.executes();
+        let word = self.instruction(pc);
+        let float = {
+            let memory = &mut lock(&self.soc).mem;
+            let instruction = (pc, word, executed);
+            Float::before(&self.arm, memory, instruction, self.regs.control)
+        };
         self.cycles += self.arm.step();
         self.stats.slow_steps += 1;
 
-        let primask = self.fast.primask;
         self.regs = self.arm.regs();
-        if it_block != 0 && usize::from(self.regs.exception().0) != before {
+        self.fast.r = self.regs.r;
+        let running = usize::from(self.regs.exception().0);
+        let taken = running != 0 && self.is_entry(running);
+        float.after(&self.arm, &mut lock(&self.soc).mem, taken);
+        if in_it && running != before {
             let frame = if uses_psp {
                 self.regs.psp
             } else {
                 self.regs.msp
             };
-            self.stack_it_block(frame, pc, it_block);
+            let called = executed && word >> 24 == SVC;
+            self.stack_it_block(frame, pc, called);
         }
-        self.fast.r = self.regs.r;
         self.fast.set_xpsr(self.regs.xpsr);
-        self.fast.primask = if in_it { primask } else { self.regs.primask };
+        self.fast.primask = self.regs.primask;
         self.fast.basepri = self.regs.basepri;
         self.fast.clear_exclusive();
 
-        let running = usize::from(self.regs.exception().0);
         let mut event = Event::None;
         if running != before {
             self.account(running);
@@ -415,7 +421,7 @@ impl Cpu {
         let privileged = self.regs.in_handler() || self.regs.control & sys::control::NPRIV == 0;
         self.fast_ok =
             plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
-        self.slow_next = takeable || falls_through || in_it || !self.fast_ok;
+        self.slow_next = takeable || falls_through || !self.fast_ok;
         event
     }
 
@@ -423,17 +429,29 @@ impl Cpu {
     /// and its return goes on with it (DDI 0403 B1.5.6). This rsemu leaves those
     /// bits out of what it stacks: the rest of the block would run without its
     /// condition. A frame that was not just made for `pc` (tail-chaining makes
-    /// none) is left alone.
-    fn stack_it_block(&self, frame: u32, pc: u32, it_block: u32) {
+    /// none) is left alone. An SVC that was `called` returns behind itself.
+    fn stack_it_block(&self, frame: u32, pc: u32, called: bool) {
         const RETURN_ADDRESS: u32 = 24;
         const XPSR: u32 = 28;
+        let (back, it) = if called {
+            (pc.wrapping_add(2), Fast::it_next(self.fast.it))
+        } else {
+            (pc, self.fast.it)
+        };
         let mut soc = lock(&self.soc);
         let at = frame.wrapping_add(XPSR);
-        if soc.mem.read32(frame.wrapping_add(RETURN_ADDRESS)) == Some(pc)
+        if soc.mem.read32(frame.wrapping_add(RETURN_ADDRESS)) == Some(back)
             && let Some(stacked) = soc.mem.read32(at)
         {
-            soc.mem.write32(at, stacked | it_block);
+            soc.mem.write32(at, stacked | Fast::it_bits(it));
         }
+    }
+
+    /// The two half-words at an address.
+    fn instruction(&self, pc: u32) -> u32 {
+        let soc = lock(&self.soc);
+        let half = |at| soc.mem.read16(at).unwrap_or(0);
+        half(pc) << 16 | half(pc.wrapping_add(2))
     }
 
     fn is_entry(&self, exception: usize) -> bool {

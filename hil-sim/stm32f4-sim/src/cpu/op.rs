@@ -254,6 +254,15 @@ pub(crate) enum Op {
         rn: u8,
         rm: u8,
     },
+    /// SMMUL (`ra` of 15), SMMLA, SMMLS: the upper word of a product of 64 bits.
+    MulTop {
+        rd: u8,
+        rn: u8,
+        rm: u8,
+        ra: u8,
+        sub: bool,
+        round: bool,
+    },
     Umaal {
         rdlo: u8,
         rdhi: u8,

@@ -59,8 +59,7 @@ impl Fast {
 
     /// The program status register.
     pub(crate) fn xpsr(&self) -> u32 {
-        let it = u32::from(self.it);
-        let mut value = self.xpsr_rest | ((it >> 2) << 10) | ((it & 3) << 25);
+        let mut value = self.xpsr_rest | Self::it_bits(self.it);
         value |= self.n & xpsr::N;
         if self.z == 0 {
             value |= xpsr::Z;
@@ -77,6 +76,11 @@ impl Fast {
     /// Whether the next instruction stands in an IT block.
     pub(crate) fn in_it(&self) -> bool {
         self.it != 0
+    }
+
+    /// Whether the next instruction's condition holds.
+    pub(crate) fn executes(&self) -> bool {
+        self.it == 0 || self.passes(self.it >> 4)
     }
 
     /// Forgets the tag of a load-exclusive, as exception entry and return do.
@@ -127,6 +131,12 @@ impl Fast {
             _ => return true,
         };
         base != (cond & 1 != 0)
+    }
+
+    /// ITSTATE where xPSR has it.
+    pub(super) fn it_bits(it: u8) -> u32 {
+        let it = u32::from(it);
+        ((it >> 2) << 10) | ((it & 3) << 25)
     }
 
     /// ITAdvance() (DDI 0403 A7.3.2).

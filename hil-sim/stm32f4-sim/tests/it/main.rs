@@ -3,6 +3,7 @@
 
 mod foreign_embassy;
 mod foreign_hal;
+mod qemu;
 mod signals;
 
 use std::path::PathBuf;
