@@ -11,8 +11,8 @@ use std::time::Instant;
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_sync::simulate::{self, Scenario, Twist};
-use twist_sync::{GyroTrack, Options, estimate_offset};
+use twist_sync::simulate::{self, ClockPath, Scenario, Twist, TwistSpec};
+use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_offset};
 
 #[derive(Parser)]
 struct Args {
@@ -28,6 +28,12 @@ struct Args {
     /// Equal clock rates
     #[arg(long)]
     no_skew: bool,
+    /// Tell of each trial what was found
+    #[arg(long)]
+    verbose: bool,
+    /// Five twists over an hour instead, of some scenarios
+    #[arg(long)]
+    hour: bool,
     /// Write the recordings as CSV and our results beside the truth to this folder
     #[arg(long)]
     export: Option<PathBuf>,
@@ -56,16 +62,35 @@ fn csv(track: &GyroTrack) -> String {
     out
 }
 
+/// Recordings of which five are taken over an hour.
+const HOUR: [&str; 4] = [
+    "base",
+    "faulty stream b",
+    "several faults of b",
+    "two phones with faults",
+];
+
 fn main() {
     let args = Args::parse();
     if args.export.is_none() {
         println!("Simulated twists, {} per scenario.\n", args.trials);
         println!(
-            "| scenario | accepted | RMSE µs | largest µs | mean sigma µs | error/sigma rms | largest | ms each |"
+            "| scenario | accepted | RMSE µs | largest µs | mean sigma µs | error/sigma rms | largest | of the skew | ms each |"
         );
-        println!("|---|---|---|---|---|---|---|---|");
+        println!("|---|---|---|---|---|---|---|---|---|");
     }
-    for mut scenario in simulate::scenarios() {
+    let scenarios = simulate::scenarios();
+    if args.hour {
+        println!("\nFive estimates of one pair of clocks over an hour, about a straight line:\n");
+        println!("| recordings | accepted | error/sigma rms |\n|---|---|---|");
+        for name in HOUR {
+            if let Some(scenario) = scenarios.iter().find(|s| s.name == name) {
+                hour(&args, name, &scenario.spec);
+            }
+        }
+        return;
+    }
+    for mut scenario in scenarios {
         if args.no_skew {
             scenario.spec.skew_ppm = 0.0;
         }
@@ -89,46 +114,148 @@ fn twist(args: &Args, scenario: &Scenario, trial: u64) -> Twist {
 
 fn row(args: &Args, scenario: &Scenario) {
     let options = options(scenario);
-    let results: Vec<(Option<(f64, f64)>, f64)> = (0..args.trials)
+    let trials: Vec<Trial> = (0..args.trials)
         .into_par_iter()
         .map(|trial| {
             let twist = twist(args, scenario, trial);
             let start = Instant::now();
             let result = estimate_offset(&twist.a, &twist.b, &options);
             let ms = start.elapsed().as_secs_f64() * 1e3;
-            let accepted = result.ok().map(|e| {
-                let error = e.clock.offset - twist.offset_at(e.clock.reference);
-                (error, e.offset_sigma_s())
+            if args.verbose {
+                println!("{trial}: {}", told(&twist, &result));
+            }
+            let accepted = result.ok().map(|e| Accepted {
+                error_s: e.clock.offset - twist.offset_at(e.clock.reference),
+                sigma_s: e.offset_sigma_s(),
+                skew_sigmas: (e.clock.skew - twist.skew) / e.skew_sigma(),
             });
-            (accepted, ms)
+            Trial { accepted, ms }
         })
         .collect();
-    let ms = results.iter().map(|r| r.1).sum::<f64>() / results.len() as f64;
-    let accepted: Vec<(f64, f64)> = results.iter().filter_map(|r| r.0).collect();
-    let n = accepted.len() as f64;
-    let rms = |f: &dyn Fn(&(f64, f64)) -> f64| {
-        (accepted.iter().map(|a| f(a).powi(2)).sum::<f64>() / n).sqrt()
+    print_row(scenario.name, &trials);
+}
+
+struct Accepted {
+    error_s: f64,
+    sigma_s: f64,
+    /// Error of the skew over its sigma.
+    skew_sigmas: f64,
+}
+
+struct Trial {
+    accepted: Option<Accepted>,
+    ms: f64,
+}
+
+fn told(twist: &Twist, result: &Result<Estimate, Refusal>) -> String {
+    let report = match result {
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
     };
-    let most =
-        |f: &dyn Fn(&(f64, f64)) -> f64| accepted.iter().map(|a| f(a).abs()).fold(0.0, f64::max);
+    let faults: Vec<String> = report
+        .faults
+        .iter()
+        .map(|f| {
+            let period = f.period.map_or(String::new(), |p| format!(" every {p}"));
+            format!("{} {:?} {}{period}", f.stream, f.kind, f.count)
+        })
+        .collect();
+    let outcome = match result {
+        Ok(e) => {
+            let error = e.clock.offset - twist.offset_at(e.clock.reference);
+            format!(
+                "{:+.2} ± {:.2} µs, skew {:+.2} ± {:.2} ppm",
+                error * 1e6,
+                e.offset_sigma_s() * 1e6,
+                (e.clock.skew - twist.skew) * 1e6,
+                e.skew_sigma() * 1e6
+            )
+        }
+        Err(refusal) => refusal.to_string(),
+    };
+    format!("{outcome} [{}] {:?}", faults.join(", "), report.warnings)
+}
+
+fn print_row(name: &str, trials: &[Trial]) {
+    let count = trials.len();
+    let ms = trials.iter().map(|t| t.ms).sum::<f64>() / count as f64;
+    let accepted: Vec<&Accepted> = trials.iter().filter_map(|t| t.accepted.as_ref()).collect();
     if accepted.is_empty() {
-        println!(
-            "| {} | 0 of {} | – | – | – | – | – | {ms:.0} |",
-            scenario.name, args.trials
-        );
+        println!("| {name} | 0 of {count} | – | – | – | – | – | – | {ms:.0} |");
         return;
     }
+    let n = accepted.len() as f64;
+    let rms = |f: &dyn Fn(&Accepted) -> f64| {
+        (accepted.iter().map(|a| f(a).powi(2)).sum::<f64>() / n).sqrt()
+    };
+    let most = |f: &dyn Fn(&Accepted) -> f64| accepted.iter().map(|a| f(a).abs()).fold(0.0, f64::max);
     println!(
-        "| {} | {} of {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {ms:.0} |",
-        scenario.name,
+        "| {name} | {} of {count} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {ms:.0} |",
         accepted.len(),
-        args.trials,
-        rms(&|a| a.0) * 1e6,
-        most(&|a| a.0) * 1e6,
-        accepted.iter().map(|a| a.1).sum::<f64>() / n * 1e6,
-        rms(&|a| a.0 / a.1),
-        most(&|a| a.0 / a.1),
+        rms(&|a| a.error_s) * 1e6,
+        most(&|a| a.error_s) * 1e6,
+        accepted.iter().map(|a| a.sigma_s).sum::<f64>() / n * 1e6,
+        rms(&|a| a.error_s / a.sigma_s),
+        most(&|a| a.error_s / a.sigma_s),
+        rms(&|a| a.skew_sigmas),
     );
+}
+
+/// Five twists of one pair of clocks over an hour, about a straight line.
+fn hour(args: &Args, name: &str, spec: &TwistSpec) {
+    let sessions: Vec<Option<f64>> = (0..args.trials)
+        .into_par_iter()
+        .map(|trial| {
+            let skew = 20e-6 * (trial as f64 / args.trials as f64 - 0.5);
+            let seed = args.seed + 1000 * trial;
+            let path = ClockPath::new(seed, skew, 0.0, 3700.0, 1800.0);
+            let clocks: Vec<ClockRelation> = (0..5_u32)
+                .filter_map(|k| {
+                    let at = 900.0 * f64::from(k);
+                    let twist = simulate::twist_on(spec, seed + u64::from(k), &path, at);
+                    estimate_offset(&twist.a, &twist.b, &Options::default()).ok()
+                })
+                .map(|estimate| estimate.clock)
+                .collect();
+            (clocks.len() == 5).then(|| about_a_line(&clocks))
+        })
+        .collect();
+    let whole: Vec<f64> = sessions.iter().flatten().copied().collect();
+    let ratio = (whole.iter().sum::<f64>() / (3 * whole.len().max(1)) as f64).sqrt();
+    println!(
+        "| {name} | {} of {} sessions | {ratio:.2} |",
+        whole.len(),
+        args.trials
+    );
+}
+
+/// Chi-square of five offsets about their weighted straight line: 3 degrees of freedom.
+fn about_a_line(clocks: &[ClockRelation]) -> f64 {
+    let base = clocks[0];
+    let (mut s, mut sx, mut sy, mut sxx, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let points: Vec<(f64, f64, f64)> = clocks
+        .iter()
+        .map(|c| {
+            (
+                c.reference - base.reference,
+                c.offset - base.offset,
+                1.0 / c.covariance[0][0],
+            )
+        })
+        .collect();
+    for (x, y, w) in &points {
+        s += w;
+        sx += w * x;
+        sy += w * y;
+        sxx += w * x * x;
+        sxy += w * x * y;
+    }
+    let slope = (s * sxy - sx * sy) / (s * sxx - sx * sx);
+    let offset = (sy - slope * sx) / s;
+    points
+        .iter()
+        .map(|(x, y, w)| w * (y - offset - slope * x).powi(2))
+        .sum()
 }
 
 /// Recordings and a table `trial,reference,true offset there,ours,sigma,ms`.

@@ -2,6 +2,7 @@
 //! than their timestamps say.
 
 use crate::neighbours::{Against, Samples, local_variances, noise_of};
+use crate::robust;
 use crate::spline::Vec3;
 
 /// Longest period that is looked for, in samples.
@@ -73,7 +74,7 @@ fn displaced_class(
             (a.index, score, information)
         })
         .collect();
-    let mut best: Option<(f64, Class)> = None;
+    let mut found: Vec<(f64, f64, Class)> = Vec::new();
     let mut sums = [Sums::default(); LONGEST_PERIOD];
     for period in periods {
         sums[..period].fill(Sums::default());
@@ -91,27 +92,37 @@ fn displaced_class(
                 continue;
             }
             let displacement_s = sum.score / sum.information;
-            let z = sum.score.abs() / sum.information.sqrt();
+            let z = sum.score / sum.information.sqrt();
             // Significance from the scatter of the scores themselves: a burst of
             // vibration is not the even noise that `z` assumes.
             let scatter = sum.score_squared - 2.0 * displacement_s * sum.product
                 + displacement_s * displacement_s * sum.information_squared;
-            let z_scatter = sum.score.abs() / scatter.max(f64::MIN_POSITIVE).sqrt();
-            if z > CLASS_Z
-                && z_scatter > CLASS_Z_SCATTER
-                && displacement_s.abs() > CLASS_STEP * step_s
-                && best.is_none_or(|(top, _)| z > top)
-            {
-                best = Some((
-                    z,
-                    Class {
-                        period,
-                        phase,
-                        displacement_s,
-                    },
-                ));
-            }
+            let z_scatter = sum.score / scatter.max(f64::MIN_POSITIVE).sqrt();
+            let class = Class {
+                period,
+                phase,
+                displacement_s,
+            };
+            found.push((z, z_scatter, class));
         }
     }
-    best.map(|(_, class)| class)
+    // Chance is what the hypotheses themselves show: nearly all of them are none.
+    let by_chance = |of: fn(&(f64, f64, Class)) -> f64| {
+        let values: Vec<f64> = found.iter().map(of).collect();
+        // A few hypotheses do not show it.
+        let enough = values.len() > LONGEST_PERIOD;
+        let scatter = robust::mad_sigma(&values).filter(|_| enough);
+        scatter.map_or(1.0, |sigma| sigma.max(1.0))
+    };
+    let z_limit = CLASS_Z * by_chance(|f| f.0);
+    let scatter_limit = CLASS_Z_SCATTER * by_chance(|f| f.1);
+    found
+        .into_iter()
+        .filter(|(z, z_scatter, class)| {
+            z.abs() > z_limit
+                && z_scatter.abs() > scatter_limit
+                && class.displacement_s.abs() > CLASS_STEP * step_s
+        })
+        .max_by(|x, y| x.0.abs().total_cmp(&y.0.abs()))
+        .map(|(.., class)| class)
 }

@@ -11,18 +11,22 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
-use crate::faults::{Fault, Stream};
+use crate::faults::{Fault, LeftOut, Stream, Why};
 use crate::fit::{self, Calibration, Fit, Node};
 use crate::gates::Gate;
 use crate::lag;
 use crate::pair::{Pair, Settings};
+use crate::rigid::Stretch;
 use crate::signal::{Signal, Smoothing};
 use crate::spline::Vec3;
 use crate::stream::CheckedStream;
+use crate::swing;
 use crate::track::GyroTrack;
 
 /// Numerical error of the fit, seconds: keeps the sigma of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
+/// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
+const LONGEST_FILTER_S: f64 = 4e-3;
 /// Parts of the overlap that must agree about the offset.
 const PARTS: usize = 8;
 /// Part of the samples left out above which it is said.
@@ -118,6 +122,8 @@ pub struct Report {
     pub overlap_s: Option<f64>,
     /// Faults of both streams, those of a first.
     pub faults: Vec<Fault>,
+    /// Stretches of both that were left out.
+    pub left_out: Vec<LeftOut>,
     /// All gates that could be judged.
     pub gates: Vec<Gate>,
     /// Things to know about an estimate that is accepted nevertheless.
@@ -212,9 +218,11 @@ pub fn estimate_offset(
     let Some((a, b)) = a.zip(b) else {
         return Err(Refusal { report });
     };
+    let sampled = report.judge(Gate::rate(a.step_s.max(b.step_s)));
     let mut pair = Pair::new(a, b);
-    let found = enough.and_then(|()| related(&mut pair, options, &mut report));
+    let found = enough.and(sampled).and_then(|()| related(&mut pair, options, &mut report));
     report.faults = pair.faults();
+    report.left_out = pair.left_out;
     match found {
         Some((clock, calibration)) if report.is_passed() => Ok(Estimate {
             clock,
@@ -242,21 +250,35 @@ fn related(
         low_pass_hz: options.low_pass_hz,
         spline_degree: options.spline_degree,
     };
-    let signals = pair.signals(&smoothing);
+    let mut signals = pair.signals(&smoothing);
     report.judge(Gate::motion(rms(&signals.model).min(rms(&signals.data))))?;
     let settings = Settings::new(smoothing, pair);
-    let start = lag::chosen(pair, &signals, options, &settings, report)?;
+    let (start, unexplained) = lag::chosen(pair, &signals, options, &settings, report)?;
+    let mut in_one_relation = 1.0;
+    if !unexplained.is_empty() {
+        pair.leave_out_unexplained(&start, &unexplained);
+        let stepped = |s: &&Stretch| matches!(s.why, Why::TimeStep(_));
+        let all: f64 = unexplained.iter().map(|s| s.share).sum();
+        let steps: f64 = unexplained.iter().filter(stepped).map(|s| s.share).sum();
+        let one_body = 1.0 - (all - steps);
+        report.judge(Gate::one_body(one_body))?;
+        in_one_relation = 1.0 - steps / one_body;
+        signals = pair.signals(&smoothing);
+    }
     let fit = settings.fitted(&signals, start)?;
-    let (fit, kept_share) = if options.handle_faults {
+    let (mut fit, kept_share) = if options.handle_faults {
         pair.without_faults(fit, signals, &settings)?
     } else {
         (fit, 1.0)
     };
-    let clock = clock_of(pair, &fit, options.wander);
+    swing::considered(&mut fit, settings.fit.oversampling);
+    let clock = clock_of(pair, &fit, options);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());
     report.gates.push(Gate::usable(kept));
-    report.gates.push(Gate::one_relation(kept_share));
+    report
+        .gates
+        .push(Gate::one_relation(in_one_relation * kept_share));
     let scatter_s = crosscheck::local_scatter(&fit, PARTS);
     report.gates.push(Gate::consistent(scatter_s));
     let sigma_s = clock.covariance[0][0].sqrt();
@@ -290,9 +312,33 @@ fn unresolved_s(pair: &Pair) -> f64 {
     pair.model.unresolved_s.hypot(pair.data.unresolved_s)
 }
 
+/// 1-sigma of the offset that the filters' dispersion leaves open, seconds.
+///
+/// A low-pass delays fast motion by another time than slow motion, and only the latter
+/// delay `D` is configured. The difference is `k·D³·ω²`, with `k` 1/12 of two equal
+/// poles, −1/6 of a Butterworth filter of second order, 0 of a symmetric kernel; `ω²` is
+/// the motion's, weighted as the fit weighs it.
+fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
+    let cube = |delay_s: f64| delay_s.abs().min(LONGEST_FILTER_S).powi(3) / 6.0;
+    let step = fit.nodes.windows(2).map(|p| p[1].t - p[0].t);
+    let step = step.fold(f64::INFINITY, f64::min);
+    let (mut bent, mut sloped) = (0.0, 0.0);
+    for pair in fit.nodes.windows(2) {
+        if pair[1].t - pair[0].t < 1.5 * step {
+            bent += ((pair[1].slope - pair[0].slope) / step).norm_squared();
+            sloped += pair[0].slope.norm_squared();
+        }
+    }
+    if sloped > 0.0 {
+        bent / sloped * cube(options.a_delay_s).hypot(cube(options.b_delay_s))
+    } else {
+        0.0
+    }
+}
+
 /// The relation of clock b to clock a, at the reference at which offset and skew
 /// are independent.
-fn clock_of(pair: &Pair, fit: &Fit, wander: Wander) -> ClockRelation {
+fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
     let ideal = &fit.ideal_covariance;
     let to_centroid = if ideal[(1, 1)] > 0.0 {
         -ideal[(0, 1)] / ideal[(1, 1)]
@@ -307,14 +353,16 @@ fn clock_of(pair: &Pair, fit: &Fit, wander: Wander) -> ClockRelation {
     let step = transition(centroid - fit.link.at_data);
     let link = fit.link.moved_to(centroid);
     let mut covariance = step * fit.covariance * step.transpose();
-    covariance[(0, 0)] += unresolved_s(pair).powi(2) + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
+    covariance[(0, 0)] += unresolved_s(pair).powi(2)
+        + dispersion_s(fit, options).powi(2)
+        + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
 
     let model_to_data = ClockRelation {
         reference: pair.model.epoch_s + link.at_model,
         offset: (pair.data.epoch_s - pair.model.epoch_s) + (link.at_data - link.at_model),
         skew: 1.0 / link.rate - 1.0,
         covariance: covariance.into(),
-        wander,
+        wander: options.wander,
     };
     if pair.a_is_model {
         model_to_data
@@ -366,7 +414,7 @@ fn warnings(pair: &Pair, fit: &Fit) -> Vec<Warning> {
         warnings.push(Warning::TimeLeftOpen { sigma_s });
     }
     for stream in [&pair.model, &pair.data] {
-        let part = 1.0 - stream.usable_count() as f64 / stream.t.len().max(1) as f64;
+        let part = 1.0 - stream.usable_part();
         if part > MANY_LEFT_OUT {
             let stream = stream.stream;
             warnings.push(Warning::ManyLeftOut { stream, part });

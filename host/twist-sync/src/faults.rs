@@ -46,6 +46,56 @@ pub enum FaultKind {
     DisplacedClass,
     /// Single samples that do not fit to the motion.
     Outlier,
+    /// Timestamps far from all others.
+    TimestampFar,
+    /// A stretch in which the two gyroscopes did not move as one body.
+    NotOneBody,
+    /// A stretch in which the one was turned against the other.
+    Slipped,
+}
+
+/// Why a stretch of both recordings is left out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Why {
+    /// The two did not move as one body.
+    Apart,
+    /// One was turned against the other, by this angle in rad; the clocks are related
+    /// as before.
+    Slipped(f64),
+    /// The clocks are related otherwise, by so many seconds (b − a); the two are fixed
+    /// to each other as before.
+    TimeStep(f64),
+}
+
+/// A stretch of both recordings that was left out.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct LeftOut {
+    /// Begin, in seconds from the first sample of recording a.
+    pub from_s: f64,
+    /// End, likewise.
+    pub to_s: f64,
+    /// The reason.
+    pub why: Why,
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "left out from {:.1} s to {:.1} s: ", self.from_s, self.to_s)?;
+        match self.why {
+            Why::Apart => f.write_str("the two did not move as one body"),
+            Why::Slipped(angle) => write!(
+                f,
+                "one was turned against the other by {:.1}°; the clocks are as before",
+                angle.to_degrees()
+            ),
+            Why::TimeStep(by_s) => write!(
+                f,
+                "the clocks are {:.2} ms apart from the rest",
+                by_s.abs() * 1e3
+            ),
+        }
+    }
 }
 
 /// What was done about it.

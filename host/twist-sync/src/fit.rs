@@ -156,7 +156,7 @@ fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
 }
 
 /// Nodes of the data on which the model exists; `None` if they are too few for a fit.
-fn nodes(
+pub(crate) fn nodes(
     model: &Signal,
     data: &[(f64, Vec3)],
     link: &Link,
@@ -310,10 +310,15 @@ pub(crate) fn fit(
 /// The long-run covariance scatters when little time is in common; what white
 /// noise alone would give is the least that is believed.
 fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
-    let grown = (0..2)
-        .map(|k| ideal[(k, k)] / covariance[(k, k)].max(f64::MIN_POSITIVE))
-        .fold(1.0, f64::max);
-    covariance * grown
+    let size = |k: usize| covariance[(k, k)].max(ideal[(k, k)]);
+    let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
+    let correlation = if correlation.is_finite() {
+        correlation.clamp(-1.0, 1.0)
+    } else {
+        ideal[(0, 1)] / (ideal[(0, 0)] * ideal[(1, 1)]).sqrt()
+    };
+    let mixed = correlation * (size(0) * size(1)).sqrt();
+    Matrix2::new(size(0), mixed, mixed, size(1))
 }
 
 /// Iteration from which the weights stay, so that the fit settles.

@@ -6,6 +6,8 @@ use serde::Serialize;
 
 /// Fewest usable samples of a stream.
 const FEWEST_SAMPLES: f64 = 100.0;
+/// Least rate of the samples, Hz.
+const LEAST_RATE_HZ: f64 = 20.0;
 /// Least rms of the in-band rate, rad/s: a hand at rest or a table stays below.
 const LEAST_MOTION: f64 = 0.05;
 /// Largest part of the motion's rms that the quick fit may leave unexplained,
@@ -20,6 +22,8 @@ const RESIDUAL_OF_MOTION: f64 = 0.03;
 const RESIDUAL_OF_NOISE: f64 = 3.0;
 /// Least part of a stream's samples that must be usable.
 const LEAST_USABLE: f64 = 0.5;
+/// Least part of the motion's power that must be that of one body.
+const LEAST_ONE_BODY: f64 = 1.0 / 3.0;
 /// Least part of the information that one relation of the clocks must hold.
 const LEAST_SHARE: f64 = 0.6;
 /// Largest rms disagreement between parts of the overlap, seconds.
@@ -48,6 +52,10 @@ pub struct Gate {
 }
 
 impl Gate {
+    /// Part of the motion's rms below which the unexplained rest does not put the
+    /// lag in doubt.
+    pub(crate) const MOSTLY_EXPLAINED: f64 = UNEXPLAINED_AT_FIRST;
+
     fn at_least(name: &'static str, value: f64, limit: f64, unit: &'static str) -> Self {
         Self {
             name,
@@ -77,7 +85,18 @@ impl Gate {
 
     pub(crate) fn samples(fewest: usize) -> Self {
         Self::at_least("samples", fewest as f64, FEWEST_SAMPLES, "samples")
-            .or("a recording has too few usable samples", "")
+            .or(
+                "a recording has too few usable samples",
+                "record for some seconds at 100 samples a second or more",
+            )
+    }
+
+    /// `step_s` is the distance of samples, of the stream where it is larger.
+    pub(crate) fn rate(step_s: f64) -> Self {
+        let reason = "the samples are too far apart for a twist";
+        let advice = "record 100 samples a second or more, and check the unit of the time";
+        let rate_hz = step_s.max(f64::MIN_POSITIVE).recip();
+        Self::at_least("rate", rate_hz, LEAST_RATE_HZ, "Hz").or(reason, advice)
     }
 
     /// `rms` in rad/s, of the stream that moves less.
@@ -88,7 +107,10 @@ impl Gate {
 
     pub(crate) fn overlap(common_s: f64, limit_s: f64) -> Self {
         Self::at_least("overlap", common_s, limit_s, "s")
-            .or("the recordings have too little time in common", "")
+            .or(
+                "the recordings have too little time in common",
+                "record both at the same time, and twist for some seconds",
+            )
     }
 
     /// `unexplained` is a part of the motion's rms.
@@ -118,7 +140,19 @@ impl Gate {
     pub(crate) fn usable(part: f64) -> Self {
         let (value, limit) = (100.0 * part, 100.0 * LEAST_USABLE);
         Self::at_least("usable", value, limit, "% of a stream is left")
-            .or("too many samples had to be left out", "")
+            .or(
+                "too many samples had to be left out",
+                "the list of faults says why; close other apps on the phone, and twist again",
+            )
+    }
+
+    /// `share` is a part of the motion's power.
+    pub(crate) fn one_body(share: f64) -> Self {
+        let (value, limit) = (100.0 * share, 100.0 * LEAST_ONE_BODY);
+        let unit = "% of the motion is that of one body";
+        let reason = "too little is left where the two moved as one body";
+        let advice = "take a firm hold before the twist begins, and keep it to the end";
+        Self::at_least("one_body", value, limit, unit).or(reason, advice)
     }
 
     /// `share` is a part of the information.
@@ -126,13 +160,19 @@ impl Gate {
         let (value, limit) = (100.0 * share, 100.0 * LEAST_SHARE);
         let unit = "% of the information is in one relation";
         Self::at_least("one_relation", value, limit, unit)
-            .or("the relation of the clocks jumps within the recording", "")
+            .or(
+                "the relation of the clocks jumps within the recording",
+                "twist again; if it jumps again, the timestamps of a device are at fault",
+            )
     }
 
     pub(crate) fn consistent(scatter_s: f64) -> Self {
         let (value, limit) = (1e6 * scatter_s, 1e6 * LOCAL_SCATTER_S);
         Self::at_most("consistent", value, limit, "µs rms between parts")
-            .or("parts of the overlap disagree about the offset", "")
+            .or(
+                "parts of the overlap disagree about the offset",
+                "hold both firmly to each other, and twist again",
+            )
     }
 
     pub(crate) fn sigma(sigma_s: f64, limit_s: f64) -> Self {
@@ -150,12 +190,12 @@ impl Gate {
 
     pub(crate) fn settled(settled: bool) -> Self {
         Self::at_least("settled", f64::from(u8::from(settled)), 1.0, "")
-            .or("the fit did not settle", "")
+            .or("the fit did not settle", "twist again, about all axes")
     }
 
     pub(crate) fn unsolvable() -> Self {
         let reason = "the recordings share too little usable time for a fit";
-        Self::at_least("solvable", 0.0, 1.0, "").or(reason, "")
+        Self::at_least("solvable", 0.0, 1.0, "").or(reason, "twist for longer")
     }
 }
 
@@ -227,7 +267,10 @@ mod tests {
             "the 1-sigma of the offset is too large: 100.4 µs (limit 100 µs); twist more, or \
              about more axes"
         );
-        assert_eq!(Gate::settled(false).to_string(), "the fit did not settle");
+        assert_eq!(
+            Gate::settled(false).to_string(),
+            "the fit did not settle; twist again, about all axes"
+        );
     }
 
     #[test]

@@ -8,6 +8,8 @@ use crate::estimate::Report;
 use crate::fit::{self, Fit, FitOptions, Link};
 use crate::gates::Gate;
 use crate::pair::{Pair, Settings, Signals};
+use crate::rigid::{self, Stretch};
+use crate::spline::Vec3;
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;
@@ -22,34 +24,104 @@ struct Tried {
 }
 
 impl Tried {
+    fn new(fit: Fit) -> Option<Self> {
+        let motion = fit.motion_variance();
+        if motion.is_nan() || motion <= 0.0 {
+            return None;
+        }
+        let unexplained = (fit.residual_variance() / motion).max(1e-14);
+        Some(Self {
+            evidence: fit.nodes.len() as f64 * unexplained.ln(),
+            unexplained,
+            fit,
+        })
+    }
+
     fn lag_s(&self) -> f64 {
-        self.fit.link.data_time(self.fit.link.at_model) - self.fit.link.at_model
+        lag_s(&self.fit)
     }
 }
 
-/// The lag that explains the motion best; `None` if a gate is not passed.
+fn lag_s(fit: &Fit) -> f64 {
+    fit.link.data_time(fit.link.at_model) - fit.link.at_model
+}
+
+/// The lag that explains the motion best, and the stretches that it does not explain
+/// (in the data's time); `None` if a gate is not passed.
 pub(crate) fn chosen(
     pair: &Pair,
     signals: &Signals,
     options: &Options,
     settings: &Settings,
     report: &mut Report,
-) -> Option<Link> {
-    let tried = tried(&candidates(pair, options), signals, settings);
-    let best = tried.first();
-    let overlap_s = best.map_or(0.0, |best| best.fit.nodes.len() as f64 * coarse::BIN_S);
+) -> Option<(Link, Vec<Stretch>)> {
+    let data = signals.data.sampled(coarse::BIN_S);
+    let quick = FitOptions {
+        iterations: 8,
+        oversampling: 1.0,
+        ..settings.fit
+    };
+    let at = |data: &[(f64, Vec3)], lag_s: f64| {
+        let start = Link {
+            at_model: 0.0,
+            at_data: lag_s,
+            rate: 1.0,
+        };
+        let even = Some(Matrix3::identity());
+        Tried::new(fit::fit(&signals.model, data, start, even, &quick)?)
+    };
+    let tried = distinct(&candidates(pair, options), |lag_s| at(&data, lag_s));
+    let overlap_s = tried.first().map_or(0.0, |best| overlap_s(&best.fit));
     report.judge(Gate::overlap(overlap_s, options.min_overlap_s))?;
-    let best = best?;
-    report.judge(Gate::explained(best.unexplained.sqrt()))?;
-    // How much worse the best rival explains the motion. Rivals whose evidence
-    // is far weaker (short overlaps, where anything fits) do not count.
-    let rival = tried[1..]
+    let best = tried.first()?;
+    let whole = rigid::is_whole(&best.fit, settings.fit.noise_variance);
+    if whole || !options.handle_faults {
+        report.judge(Gate::explained(best.unexplained.sqrt()))?;
+        report.judge(Gate::unique_peak(rival(best, &tried[1..])))?;
+        return Some((best.fit.link, Vec::new()));
+    }
+    // Where the best explains most, it is the lag; otherwise the largest part that any
+    // lag explains decides.
+    let lags: Vec<f64> = tried.iter().map(Tried::lag_s).collect();
+    let parts_of = if best.unexplained.sqrt() < Gate::MOSTLY_EXPLAINED {
+        &tried[..1]
+    } else {
+        &tried[..]
+    };
+    let part = parts_of
+        .iter()
+        .filter_map(|tried| rigid::part(&signals.model, &data, &tried.fit, &lags, quick))
+        .min_by(|x, y| x.evidence().total_cmp(&y.evidence()));
+    let Some(part) = part else {
+        report.judge(Gate::explained(best.unexplained.sqrt()))?;
+        report.judge(Gate::unique_peak(rival(best, &tried[1..])))?;
+        return Some((best.fit.link, Vec::new()));
+    };
+    report.judge(Gate::explained(part.unexplained.sqrt()))?;
+    // The rivals explain the same nodes.
+    let kept = part.kept(&data);
+    let others = distinct(&lags, |lag_s| at(&kept, lag_s));
+    let chosen_lag_s = lag_s(&part.fit);
+    let (chosen, others): (Vec<Tried>, Vec<Tried>) = others
+        .into_iter()
+        .partition(|other| (other.lag_s() - chosen_lag_s).abs() < SAME_LAG_S);
+    let chosen = chosen.into_iter().next().or_else(|| Tried::new(part.fit.clone()))?;
+    report.judge(Gate::unique_peak(rival(&chosen, &others)))?;
+    Some((part.fit.link, part.stretches))
+}
+
+fn overlap_s(fit: &Fit) -> f64 {
+    fit.nodes.len() as f64 * coarse::BIN_S
+}
+
+/// How much worse the best rival explains the motion. Rivals whose evidence is far
+/// weaker (short overlaps, where anything fits) do not count.
+fn rival(best: &Tried, others: &[Tried]) -> f64 {
+    others
         .iter()
         .filter(|other| other.evidence < 0.5 * best.evidence)
         .map(|other| other.unexplained / best.unexplained)
-        .fold(f64::INFINITY, f64::min);
-    report.judge(Gate::unique_peak(rival))?;
-    Some(best.fit.link)
+        .fold(f64::INFINITY, f64::min)
 }
 
 /// Lags in seconds, the data's time minus the model's.
@@ -68,38 +140,14 @@ fn candidates(pair: &Pair, options: &Options) -> Vec<f64> {
     candidates
 }
 
-/// A quick fit at each candidate, the strongest first.
-fn tried(candidates: &[f64], signals: &Signals, settings: &Settings) -> Vec<Tried> {
-    let data = signals.data.sampled(coarse::BIN_S);
-    let quick = FitOptions {
-        iterations: 8,
-        oversampling: 1.0,
-        ..settings.fit
-    };
-    let even = Some(Matrix3::identity());
+/// Quick fits at the candidates, the strongest first, one of each lag.
+fn distinct(candidates: &[f64], fitted: impl Fn(f64) -> Option<Tried>) -> Vec<Tried> {
     let mut tried: Vec<Tried> = Vec::new();
     for &lag_s in candidates {
-        let start = Link {
-            at_model: 0.0,
-            at_data: lag_s,
-            rate: 1.0,
-        };
-        let Some(fit) = fit::fit(&signals.model, &data, start, even, &quick) else {
-            continue;
-        };
-        let motion = fit.motion_variance();
-        if motion.is_nan() || motion <= 0.0 {
-            continue;
-        }
-        let unexplained = (fit.residual_variance() / motion).max(1e-14);
-        let now = Tried {
-            evidence: fit.nodes.len() as f64 * unexplained.ln(),
-            unexplained,
-            fit,
-        };
-        if tried
-            .iter()
-            .all(|other| (other.lag_s() - now.lag_s()).abs() >= SAME_LAG_S)
+        if let Some(now) = fitted(lag_s)
+            && tried
+                .iter()
+                .all(|other| (other.lag_s() - now.lag_s()).abs() >= SAME_LAG_S)
         {
             tried.push(now);
         }

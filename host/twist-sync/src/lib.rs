@@ -29,6 +29,7 @@ mod lag;
 mod neighbours;
 mod pair;
 mod recording;
+mod rigid;
 pub mod robust;
 mod samples;
 mod search;
@@ -37,13 +38,14 @@ mod signal;
 pub mod simulate;
 mod spline;
 mod stream;
+mod swing;
 mod timestamps;
 mod track;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::ClockCourse;
 pub use estimate::{Estimate, Options, Refusal, Report, Warning, estimate_offset};
-pub use faults::{Action, Fault, FaultKind, Stream};
+pub use faults::{Action, Fault, FaultKind, LeftOut, Stream, Why};
 pub use gates::Gate;
 pub use recording::{
     GyroOpener, GyroSample, GyroStream, Prior, RecordingClock, RecordingError, estimate_course,

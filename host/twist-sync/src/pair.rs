@@ -6,8 +6,10 @@
 //! are given: exchanging them negates the offset at the same instant.
 
 use crate::crosscheck::{self, Misfit, Stretch};
-use crate::faults::{Fault, FaultKind};
+use crate::faults::{Fault, FaultKind, LeftOut, Why};
 use crate::fit::{self, Fit, FitOptions, Link, Node};
+use crate::neighbours;
+use crate::rigid;
 use crate::signal::{Signal, Smoothing};
 use crate::stream::CheckedStream;
 
@@ -26,6 +28,8 @@ pub(crate) struct Pair {
     pub(crate) model: CheckedStream,
     pub(crate) data: CheckedStream,
     pub(crate) a_is_model: bool,
+    /// Stretches of both streams that were left out.
+    pub(crate) left_out: Vec<LeftOut>,
 }
 
 /// Both streams low-passed and continuous.
@@ -79,7 +83,50 @@ impl Pair {
             model,
             data,
             a_is_model,
+            left_out: Vec::new(),
         }
+    }
+
+    /// Leaves out the stretches that the relation does not explain.
+    pub(crate) fn leave_out_unexplained(&mut self, link: &Link, stretches: &[rigid::Stretch]) {
+        for stretch in stretches {
+            let kind = match stretch.why {
+                Why::Apart => FaultKind::NotOneBody,
+                Why::Slipped(_) => FaultKind::Slipped,
+                Why::TimeStep(later_s) => {
+                    self.leave_out_step(link, (stretch.from, stretch.to), -later_s);
+                    continue;
+                }
+            };
+            self.note(link, (stretch.from, stretch.to), stretch.why);
+            let of_model = (link.model_time(stretch.from), link.model_time(stretch.to));
+            let (model, data) = (&mut self.model, &mut self.data);
+            for (stream, within) in [(model, of_model), (data, (stretch.from, stretch.to))] {
+                let samples = stream.usable_within(within);
+                stream.leave_out(kind, samples, None);
+            }
+        }
+    }
+
+    /// Notes a stretch of the data's time that is left out.
+    fn note(&mut self, link: &Link, (from, to): (f64, f64), why: Why) {
+        let of_a = |t: f64| if self.a_is_model { link.model_time(t) } else { t };
+        let a = if self.a_is_model {
+            &self.model
+        } else {
+            &self.data
+        };
+        let usable = neighbours::kept(&a.usable);
+        let (Some(&first), Some(&last)) = (usable.first(), usable.last()) else {
+            return;
+        };
+        let bounded = |t: f64| of_a(t).clamp(a.t[first], a.t[last]) - a.t[0];
+        let left_out = LeftOut {
+            from_s: bounded(from),
+            to_s: bounded(to),
+            why,
+        };
+        self.left_out.push(left_out);
     }
 
     /// All faults, those of a first.
@@ -196,16 +243,22 @@ impl Pair {
         for stretch in stretches {
             let displacement = stretch.shift_s - main.shift_s;
             if displacement.abs() >= SAME_SHIFT_S {
-                self.leave_out_stretch(link, stretch, displacement);
+                self.leave_out_step(link, (stretch.from, stretch.to), displacement);
             }
         }
         share_near(main.shift_s)
     }
 
-    /// Leaves out one stretch, of the stream whose timestamps are odd at its ends.
-    fn leave_out_stretch(&mut self, link: &Link, stretch: &Stretch, displacement_s: f64) {
-        let in_data = (stretch.from, stretch.to);
-        let in_model = (link.model_time(stretch.from), link.model_time(stretch.to));
+    /// Leaves out a stretch of the data's time that is displaced by so many seconds of
+    /// the model's, of the stream whose timestamps are odd at its ends.
+    fn leave_out_step(&mut self, link: &Link, in_data: (f64, f64), displacement_s: f64) {
+        let by_s = if self.a_is_model {
+            -displacement_s
+        } else {
+            displacement_s
+        };
+        self.note(link, in_data, Why::TimeStep(by_s));
+        let in_model = (link.model_time(in_data.0), link.model_time(in_data.1));
         let oddness = |stream: &CheckedStream, (from, to): (f64, f64)| {
             stream.odd_step_near(from).max(stream.odd_step_near(to))
         };
@@ -215,10 +268,7 @@ impl Pair {
         } else {
             (&mut self.data, in_data, -displacement_s)
         };
-        let within = (from - STRETCH_MARGIN_S)..=(to + STRETCH_MARGIN_S);
-        let samples = (0..stream.t.len())
-            .filter(|&k| stream.usable[k] && within.contains(&stream.t[k]))
-            .collect();
+        let samples = stream.usable_within((from - STRETCH_MARGIN_S, to + STRETCH_MARGIN_S));
         stream.leave_out(FaultKind::TimestampStep, samples, Some(displacement_s));
     }
 }

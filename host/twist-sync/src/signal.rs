@@ -65,7 +65,8 @@ impl Signal {
         smoothing: &Smoothing,
     ) -> Self {
         let sigma = smoothing.kernel_sigma_s();
-        let grid = sample_step_s.min(sigma / 2.5);
+        // Steps so small that no gyroscope has them are a wrong unit of time.
+        let grid = sample_step_s.clamp(sigma / 50.0, sigma / 2.5);
         let reach = (KERNEL_REACH * sigma / grid).ceil() as usize;
         let kernel = gaussian_kernel(sigma / grid, reach);
         let keep_every = ((sigma / 2.5 / grid).floor() as usize).max(1);

@@ -92,16 +92,25 @@ impl CheckedStream {
         self.usable.iter().filter(|&&u| u).count()
     }
 
+    /// The usable samples from one time to another.
+    pub(crate) fn usable_within(&self, (from, to): (f64, f64)) -> Vec<usize> {
+        let within = from..=to;
+        (0..self.t.len())
+            .filter(|&k| self.usable[k] && within.contains(&self.t[k]))
+            .collect()
+    }
+
     /// Part of the samples that can be used. A sample that the sensor held over
-    /// from the one before is no sample.
+    /// from the one before is no sample, and what is left out because the two
+    /// gyroscopes were not one body is no fault of the stream.
     pub(crate) fn usable_part(&self) -> f64 {
-        let held: usize = self
-            .faults
-            .iter()
-            .filter(|f| f.kind == FaultKind::CopiedSample && f.count * 5 > self.t.len())
-            .map(|f| f.samples.len())
-            .sum();
-        self.usable_count() as f64 / (self.t.len() - held).max(1) as f64
+        let is_none = |f: &&Fault| match f.kind {
+            FaultKind::CopiedSample => f.count * 5 > self.t.len(),
+            FaultKind::NotOneBody | FaultKind::Slipped => true,
+            _ => false,
+        };
+        let none = self.faults.iter().filter(is_none).map(|f| f.samples.len());
+        self.usable_count() as f64 / (self.t.len() - none.sum::<usize>()).max(1) as f64
     }
 
     /// How far a step between neighbours near `t` is from a whole number of

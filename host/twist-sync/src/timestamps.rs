@@ -1,5 +1,10 @@
 //! Faults of a stream that its timestamps alone show.
 //!
+//! * **Far from the rest**: a gap of a minute parts a recording, and only the part with
+//!   the most samples is used. Shorter gaps part it too where the samples would be fewer
+//!   than [`LEAST_RATE_HZ`] on the average. So the span that remains is at most
+//!   `samples / LEAST_RATE_HZ`, and what is allocated for bins and grids is bounded by
+//!   the number of samples, whatever the timestamps say.
 //! * **Order**: the fewest timestamps whose removal leaves an increasing
 //!   sequence are left out (longest increasing subsequence), so one wild value
 //!   costs one sample, not the rest of the recording.
@@ -22,6 +27,11 @@ const FEW_RESETS: usize = 3;
 
 /// Largest jump that is taken for a sawtooth's reset with fewer of them.
 const LARGEST_LONE_RESET_S: f64 = 100e-6;
+
+/// Longest gap within a recording, seconds.
+const LONGEST_GAP_S: f64 = 60.0;
+/// Least mean rate of the samples.
+const LEAST_RATE_HZ: f64 = 10.0;
 
 /// Timestamps after the checks.
 pub(crate) struct Timestamps {
@@ -57,6 +67,13 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
     if !bad.is_empty() {
         out.faults
             .push(fault(FaultKind::NotFinite, bad, Action::LeftOut));
+    }
+
+    let far = far(&out.t, &out.usable);
+    leave_out(&mut out.usable, &far);
+    if !far.is_empty() {
+        out.faults
+            .push(fault(FaultKind::TimestampFar, far, Action::LeftOut));
     }
 
     let disordered = out_of_order(&out.t, &out.usable);
@@ -95,6 +112,30 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
         out.faults.push(fault(FaultKind::Gap, gaps, Action::Noted));
     }
     Some(out)
+}
+
+/// Samples outside of the largest part of the recording.
+fn far(t: &[f64], usable: &[bool]) -> Vec<usize> {
+    let mut bulk = neighbours::kept(usable);
+    bulk.sort_unstable_by(|&x, &y| t[x].total_cmp(&t[y]));
+    let mut gap_s = LONGEST_GAP_S;
+    loop {
+        let parts = bulk.chunk_by(|&k, &next| t[next] - t[k] <= gap_s);
+        let Some(largest) = parts.max_by_key(|part| part.len()) else {
+            break;
+        };
+        bulk = largest.to_vec();
+        let span_s = t[bulk[bulk.len() - 1]] - t[bulk[0]];
+        if span_s * LEAST_RATE_HZ <= bulk.len() as f64 {
+            break;
+        }
+        gap_s *= 0.5;
+    }
+    let mut is_near = vec![false; t.len()];
+    for k in bulk {
+        is_near[k] = true;
+    }
+    (0..t.len()).filter(|&k| usable[k] && !is_near[k]).collect()
 }
 
 /// The fewest samples to remove so that the rest increases strictly.
@@ -249,6 +290,24 @@ mod tests {
         let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
         let lost: Vec<usize> = (0..1000).filter(|&k| !checked.usable[k]).collect();
         assert_eq!(lost, [300, 500, 700, 900]);
+    }
+
+    #[test]
+    fn timestamps_far_from_the_rest_are_left_out() {
+        for wild in [-9.2e9, 9.2e9, 432_000.0, 1e300, f64::MAX] {
+            for at in [0, 500, 999] {
+                let mut t = regular(1000);
+                t[at] = wild;
+                let checked = check(Stream::A, &t, &vec![true; 1000]).unwrap();
+                assert_eq!(checked.faults.len(), 1, "{wild} at {at}");
+                let fault = &checked.faults[0];
+                assert_eq!(fault.kind, FaultKind::TimestampFar);
+                assert_eq!(fault.samples, [at]);
+            }
+        }
+        // Samples that are all far from each other leave nothing.
+        let t: Vec<f64> = (0..1000).map(|k| 59.0 * f64::from(k)).collect();
+        assert!(check(Stream::A, &t, &vec![true; 1000]).is_none());
     }
 
     #[test]

@@ -18,11 +18,32 @@ pub struct GyroTrack {
     pub w: Vec<Vec3>,
 }
 
+/// The first time that is no more than `near` from the median: one wild value at the
+/// beginning must not cost the others their digits.
+fn first_of_the_bulk<T: Copy + PartialOrd + Default, D: PartialOrd>(
+    times: &[T],
+    near: D,
+    distance: impl Fn(T, T) -> D,
+) -> T {
+    let mut sorted = times.to_vec();
+    sorted.retain(|time| time.partial_cmp(time).is_some());
+    let middle = sorted.len() / 2;
+    let order = |x: &T, y: &T| x.partial_cmp(y).unwrap_or(std::cmp::Ordering::Equal);
+    if sorted.is_empty() {
+        return T::default();
+    }
+    let (_, &mut median, _) = sorted.select_nth_unstable_by(middle, order);
+    let mut times = times.iter().copied();
+    times
+        .find(|&time| distance(time, median) <= near)
+        .unwrap_or(median)
+}
+
 impl GyroTrack {
     /// From times in seconds of the device's clock.
     #[must_use]
     pub fn from_seconds(times_s: &[f64], w: Vec<Vec3>) -> Self {
-        let epoch_s = times_s.first().copied().unwrap_or(0.0);
+        let epoch_s = first_of_the_bulk(times_s, 86_400.0, |x, y| (x - y).abs());
         Self {
             epoch_s,
             t: times_s.iter().map(|t| t - epoch_s).collect(),
@@ -34,7 +55,8 @@ impl GyroTrack {
     /// differences are taken in integers.
     #[must_use]
     pub fn from_nanos(times: &[i64], w: Vec<Vec3>) -> Self {
-        let epoch = times.first().copied().unwrap_or(0);
+        let day = 86_400_000_000_000;
+        let epoch = first_of_the_bulk(times, day, |x, y| x.abs_diff(y));
         let since = |&time: &i64| (i128::from(time) - i128::from(epoch)) as f64 * 1e-9;
         // Whole seconds and the rest apart, so that it is rounded once.
         let (whole, rest) = (

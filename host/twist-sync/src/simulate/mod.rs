@@ -15,10 +15,13 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use crate::GyroTrack;
+use grip::{Held, rise};
 use crate::spline::{Spline, Vec3};
 
+mod grip;
 mod scenarios;
 
+pub use grip::Grip;
 pub use scenarios::{Scenario, scenarios};
 
 /// How the rig is moved.
@@ -45,6 +48,8 @@ pub struct Sensor {
     pub lsb: f64,
     /// Two-pole low-pass: −3 dB frequency in Hz.
     pub filter_hz: Option<f64>,
+    /// Its damping ratio: 1 for two equal poles, 1/√2 for Butterworth.
+    pub filter_damping: f64,
     /// End of the range, rad/s.
     pub range: Option<f64>,
     /// Rms of the deviation of the sampling instants from the regular grid,
@@ -56,6 +61,13 @@ pub struct Sensor {
     pub lost: f64,
     /// Copies and displaced samples as phones show them.
     pub faulty: bool,
+    /// After how many samples those recur.
+    pub faulty_period: f64,
+    /// By how much the sample after a displaced one is early, seconds.
+    pub faulty_next_s: f64,
+    /// Largest amplitude of a slow swing of the content against the stamps, seconds;
+    /// amplitude and period (3 s to 15 s) are drawn. 0: none.
+    pub swing_s: f64,
 }
 
 /// A pair of recordings to be made.
@@ -71,6 +83,8 @@ pub struct TwistSpec {
     pub b_starts_s: f64,
     /// Gyroscope b sees another motion altogether.
     pub unrelated: bool,
+    /// How the two are held to each other.
+    pub grip: Grip,
     /// Skew of the clocks in ppm, drawn between minus this and this.
     pub skew_ppm: f64,
     /// Gyroscope a.
@@ -85,11 +99,15 @@ pub const SENSOR_A: Sensor = Sensor {
     noise: 1.4e-3,
     lsb: 1.332e-4,
     filter_hz: None,
+    filter_damping: 1.0,
     range: None,
     jitter_s: 0.0,
     sawtooth_s: None,
     lost: 0.0,
     faulty: false,
+    faulty_period: 10.0,
+    faulty_next_s: 0.0,
+    swing_s: 0.0,
 };
 
 /// A phone's gyroscope at about 500 Hz.
@@ -109,6 +127,7 @@ impl Default for TwistSpec {
             rest_s: 1.0,
             b_starts_s: 0.3,
             unrelated: false,
+            grip: Grip::Firm,
             skew_ppm: 20.0,
             a: SENSOR_A,
             b: SENSOR_B,
@@ -119,12 +138,57 @@ impl Default for TwistSpec {
 /// Delay of the two-pole filter at low frequency, seconds.
 #[must_use]
 pub fn filter_delay_s(sensor: &Sensor) -> f64 {
-    sensor.filter_hz.map_or(0.0, |hz| 2.0 * pole_time(hz))
+    let delay = |hz| 2.0 * sensor.filter_damping / natural_frequency(hz, sensor.filter_damping);
+    sensor.filter_hz.map_or(0.0, delay)
 }
 
-/// Time constant of each of two equal poles with −3 dB at `hz` together.
-fn pole_time(hz: f64) -> f64 {
-    (std::f64::consts::SQRT_2 - 1.0).sqrt() / (std::f64::consts::TAU * hz)
+/// Natural frequency, rad/s, of a two-pole low-pass with −3 dB at `hz`.
+fn natural_frequency(hz: f64, damping: f64) -> f64 {
+    let half = 1.0 - 2.0 * damping * damping;
+    std::f64::consts::TAU * hz / (half + (half * half + 1.0).sqrt()).sqrt()
+}
+
+/// A signal through `ω₀² / (s² + 2ζω₀s + ω₀²)`, whose −3 dB frequency is `hz`; or, of
+/// a mount (`carried`) with its resonance there, through
+/// `(2ζω₀s + ω₀²) / (s² + 2ζω₀s + ω₀²)`.
+///
+/// Trapezoidal rule in steps of 0.1 ms: at 60 Hz exact to 10⁻⁴, at the motion's few Hz
+/// to 10⁻⁶.
+fn second_order(
+    input: &dyn Fn(f64) -> Vector3<f64>,
+    hz: f64,
+    damping: f64,
+    carried: bool,
+    from: f64,
+    to: f64,
+) -> Option<Spline> {
+    let step = 1e-4;
+    let natural = if carried {
+        std::f64::consts::TAU * hz
+    } else {
+        natural_frequency(hz, damping)
+    };
+    let (stiff, loss) = (natural * natural, 2.0 * damping * natural);
+    let through = if carried { loss } else { 0.0 };
+    let half = 0.5 * step;
+    let steps = ((to - from) / step) as usize;
+    let mut before = input(from);
+    let (mut x, mut v) = (before, before * (loss - through));
+    let mut nodes: Vec<Vec3> = Vec::with_capacity(steps / 5 + 1);
+    for k in 0..steps {
+        let now = input(from + k as f64 * step);
+        let both = before + now;
+        let force = (both - x) * (half * stiff) + v;
+        let next = (x + (both * through - x * loss + v + force) * half)
+            / (1.0 + half * loss + half * half * stiff);
+        v = force - next * (half * stiff);
+        x = next;
+        before = now;
+        if k % 5 == 0 {
+            nodes.push(x.into());
+        }
+    }
+    Spline::interpolate_uniform(from, 5.0 * step, &nodes, 5)
 }
 
 /// The true course of clock b against clock a: a skew that walks at random.
@@ -197,6 +261,8 @@ pub struct Twist {
     pub offset_s: f64,
     /// The course of the clocks.
     pub path: ClockPath,
+    /// Stretches in which the two are not one body, in seconds of clock a.
+    pub loose_s: Vec<(f64, f64)>,
 }
 
 impl Twist {
@@ -259,10 +325,6 @@ impl Rates {
     }
 
     fn at(&self, t: f64) -> Vector3<f64> {
-        let rise = |x: f64| {
-            let x = x.clamp(0.0, 1.0);
-            x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
-        };
         let envelope = if self.rest_s > 0.0 {
             rise((t - self.rest_s) / 0.5) * rise((self.end_s - self.rest_s - t) / 0.5)
         } else {
@@ -289,45 +351,23 @@ fn direction(rng: &mut Pcg64) -> Vector3<f64> {
 
 /// What a sensor's filter lets through, as a function of true time.
 struct Seen<'a> {
-    rates: &'a Rates,
+    rate: &'a dyn Fn(f64) -> Vector3<f64>,
     filtered: Option<Spline>,
 }
 
 impl<'a> Seen<'a> {
-    fn new(rates: &'a Rates, sensor: &Sensor, from: f64, to: f64) -> Self {
-        let filtered = sensor.filter_hz.and_then(|hz| {
-            // Exact response of each pole to a piecewise linear input, on a grid
-            // so fine that the input is linear to 10⁻⁹.
-            let step = 1e-4;
-            let tau = pole_time(hz);
-            let decay = (-step / tau).exp();
-            let n = ((to - from + 0.2) / step) as usize;
-            let mut state = [rates.at(from - 0.1); 2];
-            let mut input = [rates.at(from - 0.1); 2];
-            let mut nodes: Vec<Vec3> = Vec::with_capacity(n / 5 + 1);
-            for k in 0..n {
-                let mut value = rates.at(from - 0.1 + k as f64 * step);
-                for pole in 0..2 {
-                    let slope = (value - input[pole]) / step;
-                    let settled = value - slope * tau;
-                    let before = input[pole] - slope * tau;
-                    state[pole] = settled + (state[pole] - before) * decay;
-                    input[pole] = value;
-                    value = state[pole];
-                }
-                if k % 5 == 0 {
-                    nodes.push(value.into());
-                }
-            }
-            Spline::interpolate_uniform(from - 0.1, 5.0 * step, &nodes, 5)
-        });
-        Self { rates, filtered }
+    fn new(rate: &'a dyn Fn(f64) -> Vector3<f64>, sensor: &Sensor, from: f64, to: f64) -> Self {
+        let (from, to) = (from - 0.1, to + 0.1);
+        let filtered = sensor
+            .filter_hz
+            .and_then(|hz| second_order(rate, hz, sensor.filter_damping, false, from, to));
+        Self { rate, filtered }
     }
 
     fn at(&self, t: f64) -> Vector3<f64> {
         self.filtered
             .as_ref()
-            .map_or_else(|| self.rates.at(t), |s| s.value(t).into())
+            .map_or_else(|| (self.rate)(t), |s| s.value(t).into())
     }
 }
 
@@ -346,6 +386,11 @@ fn record(
     let scale = Vector3::from_fn(|_, _| 1.0 + rng.random_range(-0.005..0.005));
     let class = rng.random_range(0..10_usize);
     let phase = rng.random_range(0.0..1.0);
+    let swing = (sensor.swing_s > 0.0).then(|| {
+        let amplitude = sensor.swing_s * rng.random_range(0.3..1.0);
+        let frequency = 1.0 / rng.random_range(3.0..15.0);
+        (amplitude, frequency, rng.random_range(0.0..1.0))
+    });
     let quantise = |x: f64| {
         if sensor.lsb > 0.0 {
             (x / sensor.lsb).round() * sensor.lsb
@@ -364,13 +409,20 @@ fn record(
         let mut stamp = sampled;
         let mut copied = false;
         if sensor.faulty {
-            if k % 10 == class {
+            let place = (k as f64 - class as f64).rem_euclid(sensor.faulty_period);
+            if place < 1.0 {
                 copied = rng.random_bool(0.55);
                 content -= 1e-3 + rng.random_range(-1e-4..1e-4);
+            } else if place < 2.0 {
+                content -= sensor.faulty_next_s;
             }
             if rng.random_bool(0.001) {
                 stamp += 0.7e-3;
             }
+        }
+        if let Some((amplitude, frequency, phase)) = swing {
+            let turns: f64 = k as f64 * step * frequency + phase;
+            content += amplitude * (std::f64::consts::TAU * turns).sin();
         }
         if let Some((height, period)) = sensor.sawtooth_s {
             let x: f64 = (k as f64 * step / period + phase).fract();
@@ -439,10 +491,19 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     );
     let identity = Rotation3::identity();
 
-    let seen = Seen::new(&rates, &spec.a, 0.0, end);
+    let moving = (spec.rest_s, moving_until - spec.rest_s);
+    let held = Held::new(spec.grip, seed, &rates, &other, moving);
+    let of_a = |t: f64| rates.at(t);
+    let seen = Seen::new(&of_a, &spec.a, 0.0, end);
     let (a_t, a_w) = record(&mut rng, &spec.a, &seen, &identity, 0.0, spec.duration_s);
-    let source = if spec.unrelated { &other } else { &rates };
-    let seen = Seen::new(source, &spec.b, 0.0, end);
+    let of_b = |t: f64| {
+        if spec.unrelated {
+            other.at(t)
+        } else {
+            held.at(t)
+        }
+    };
+    let seen = Seen::new(&of_b, &spec.b, 0.0, end);
     let (b_t, b_w) = record(
         &mut rng,
         &spec.b,
@@ -467,6 +528,11 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
         boot_s: a_boot,
         offset_s,
         path: path.clone(),
+        loose_s: held
+            .stretches
+            .iter()
+            .map(|(from, to)| (from + start_s + a_boot, to + start_s + a_boot))
+            .collect(),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The simulated recordings of the tests and the bench, and what is demanded of each.
 
-use super::{Motion, SENSOR_A, SENSOR_B, Sensor, TwistSpec};
+use super::{Grip, Motion, SENSOR_A, SENSOR_B, Sensor, TwistSpec};
 
 /// A scenario with the error that is demanded of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,6 +14,24 @@ pub struct Scenario {
     /// Whether error over sigma must be near one: the model of the noise holds.
     pub honest: bool,
 }
+
+impl Scenario {
+    /// The numerical floor, not noise, makes the sigma.
+    const fn with_a_floor(mut self) -> Self {
+        self.honest = false;
+        self
+    }
+}
+
+/// A phone as bad as they come: copies and displaced samples every 10, a swing of the
+/// content of up to 30 µs, a sawtooth of the stamps.
+const SEVERAL_FAULTS: Sensor = Sensor {
+    faulty: true,
+    faulty_next_s: -0.43e-3,
+    swing_s: 30e-6,
+    sawtooth_s: Some((57e-6, 1.3)),
+    ..SENSOR_B
+};
 
 /// All scenarios of the tests and the bench.
 #[must_use]
@@ -43,6 +61,7 @@ pub fn scenarios() -> Vec<Scenario> {
         rmse_us: None,
         honest: false,
     };
+    let held = |name, grip| scenario(name, TwistSpec { grip, ..base }, 6.0);
     let silent = |s: Sensor| Sensor {
         noise: 0.0,
         lsb: 0.0,
@@ -183,18 +202,72 @@ pub fn scenarios() -> Vec<Scenario> {
                 30.0,
             )
         },
-        Scenario {
-            honest: false,
-            ..scenario(
-                "noiseless",
-                TwistSpec {
-                    a: silent(SENSOR_A),
-                    b: silent(SENSOR_B),
-                    ..base
+        scenario(
+            "noiseless",
+            TwistSpec {
+                a: silent(SENSOR_A),
+                b: silent(SENSOR_B),
+                ..base
+            },
+            0.05,
+        )
+        .with_a_floor(),
+        held("held 1 s late", Grip::Late(0.5, 1.5)),
+        held("let go 1 s early", Grip::LetGo(0.5, 1.5)),
+        held("slip of 2° to 15°", Grip::Slip(2.0, 15.0)),
+        held("wrong grip for 0.3 to 1 s", Grip::Wrong(0.3, 1.0)),
+        held("mount flexes, 15 to 40 Hz", Grip::Flexing(15.0, 40.0)),
+        scenario("several faults of b", with_b(SEVERAL_FAULTS), 12.0),
+        scenario(
+            "hardly any noise",
+            TwistSpec {
+                a: Sensor {
+                    noise: 1e-9,
+                    lsb: 0.0,
+                    ..SENSOR_A
                 },
-                0.05,
-            )
-        },
+                b: Sensor {
+                    noise: 0.0,
+                    lsb: 0.0,
+                    rate_hz: 500.0,
+                    ..SENSOR_B
+                },
+                ..base
+            },
+            0.05,
+        )
+        .with_a_floor(),
+        scenario(
+            "two phones with faults",
+            TwistSpec {
+                a: Sensor {
+                    faulty: true,
+                    faulty_period: 10.37,
+                    sawtooth_s: Some((57e-6, 0.9)),
+                    ..SENSOR_B
+                },
+                b: SEVERAL_FAULTS,
+                ..base
+            },
+            20.0,
+        ),
+        scenario(
+            "Butterworth, 188 and 60 Hz",
+            TwistSpec {
+                a: Sensor {
+                    filter_hz: Some(188.0),
+                    filter_damping: std::f64::consts::FRAC_1_SQRT_2,
+                    ..SENSOR_A
+                },
+                b: Sensor {
+                    filter_hz: Some(60.0),
+                    filter_damping: std::f64::consts::FRAC_1_SQRT_2,
+                    ..SENSOR_B
+                },
+                ..base
+            },
+            8.0,
+        ),
         refused(
             "still",
             TwistSpec {

@@ -1,0 +1,431 @@
+//! Stretches in which the two gyroscopes are not one body, or not on one pair of clocks.
+//!
+//! People press record first and take a firm hold a moment later, let go before the end,
+//! or knock a mount out of its place. The rest is as good as any twist. So the relation
+//! of clocks and sensors is looked for in the largest part of the overlap that one
+//! relation explains: it is fitted to a short window, then to all blocks of time that
+//! this explains, with a tolerance that becomes narrower round by round; of all windows
+//! the one counts from which most is explained.
+//!
+//! What is left out is told apart by what explains it: another rotation between the
+//! sensors at the same relation of the clocks ([`Why::Slipped`]), another relation of
+//! the clocks at the same rotation ([`Why::TimeStep`]), or neither ([`Why::Apart`]).
+//!
+//! Limits: a turn by less than about a degree is not told from an error of the sensors.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::faults::Why;
+use crate::fit::{self, Calibration, Fit, FitOptions, Link, Node};
+use crate::signal::Signal;
+use crate::spline::Vec3;
+
+/// Blocks of time that are explained or not, seconds.
+const BLOCK_S: f64 = 0.25;
+/// Blocks of a window from which the search starts: 1.5 s.
+const WINDOW: usize = 6;
+/// Parts of the motion's rms that may stay unexplained in a block, round by round.
+const TOLERANCES: [f64; 3] = [0.15, 0.06, 0.03];
+/// The last tolerance: so many times the usual part, within these bounds.
+const TIMES_USUAL: f64 = 5.0;
+const LEAST_TOLERANCE: f64 = 0.006;
+/// In-band noise that is allowed on top, in multiples of its rms.
+const NOISE: f64 = 3.0;
+/// A residual below this part of the motion is not looked into.
+const EXPLAINED: f64 = 0.004;
+/// A window must explain so much better than the whole does to be preferred.
+const MUCH_BETTER: f64 = 2.5;
+/// A block counts as moving above this part of the largest block's rms.
+const MOVING: f64 = 0.15;
+/// Left out on either side of a stretch, seconds.
+const MARGIN_S: f64 = 0.1;
+/// Stretches closer than this are one, seconds.
+const JOIN_S: f64 = 0.3;
+/// Shortest stretch whose cause is looked for, seconds.
+const SHORTEST_S: f64 = 0.7;
+/// Largest part of the motion's rms that a cause may leave unexplained.
+const CAUSE: f64 = 0.05;
+/// Steps of time that are tried, seconds.
+const STEP_REACH_S: f64 = 0.5;
+const STEP_GRID_S: f64 = 5e-3;
+
+/// A stretch of the data's time that is left out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Stretch {
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// Time steps: the data's time, later than where the rest has it.
+    pub(crate) why: Why,
+    /// Its power of motion, as a part of all.
+    pub(crate) share: f64,
+}
+
+/// The largest part of the overlap that one relation explains.
+pub(crate) struct Part {
+    pub(crate) fit: Fit,
+    /// What is left out, in order of time.
+    pub(crate) stretches: Vec<Stretch>,
+    /// Residual power over the motion's, in what is kept.
+    pub(crate) unexplained: f64,
+    kept: Vec<bool>,
+    blocks: Blocks,
+}
+
+impl Part {
+    /// Those of the nodes that are in the kept blocks.
+    pub(crate) fn kept(&self, data: &[(f64, Vec3)]) -> Vec<(f64, Vec3)> {
+        self.blocks.kept(data, &self.kept)
+    }
+
+    /// How strong the evidence is: `n · ln(unexplained)` of what is kept.
+    pub(crate) fn evidence(&self) -> f64 {
+        self.fit.nodes.len() as f64 * self.unexplained.ln()
+    }
+}
+
+/// Equal blocks of the data's time.
+#[derive(Debug, Clone, Copy)]
+struct Blocks {
+    from: f64,
+    count: usize,
+}
+
+impl Blocks {
+    fn of(self, t: f64) -> Option<usize> {
+        let at = (t - self.from) / BLOCK_S;
+        (at >= 0.0 && at < self.count as f64).then_some(at as usize)
+    }
+
+    fn begin(self, block: usize) -> f64 {
+        self.from + BLOCK_S * block as f64
+    }
+
+    fn kept(self, data: &[(f64, Vec3)], kept: &[bool]) -> Vec<(f64, Vec3)> {
+        let is_kept = |t| self.of(t).is_some_and(|block| kept[block]);
+        data.iter().filter(|(t, _)| is_kept(*t)).copied().collect()
+    }
+
+    /// Rms of a length per axis in each block; 0 in an empty one.
+    fn rms<'a>(self, values: impl Iterator<Item = (f64, Vector3<f64>)> + 'a) -> Vec<f64> {
+        let mut sums = vec![(0.0, 0.0); self.count];
+        for (t, value) in values {
+            if let Some(block) = self.of(t) {
+                sums[block].0 += value.norm_squared();
+                sums[block].1 += 3.0;
+            }
+        }
+        sums.iter()
+            .map(|(sum, count): &(f64, f64)| (sum / count.max(1.0)).sqrt())
+            .collect()
+    }
+}
+
+/// What the search needs to know.
+struct Search<'a> {
+    model: &'a Signal,
+    data: &'a [(f64, Vec3)],
+    /// Other lags at which the two may belong together, seconds.
+    rivals: &'a [f64],
+    options: FitOptions,
+    blocks: Blocks,
+    /// Rms of the motion around each block.
+    motion: Vec<f64>,
+    moving: Vec<bool>,
+}
+
+/// What a window leads to.
+struct Consensus {
+    fit: Fit,
+    kept: Vec<bool>,
+    /// Usual part of the motion that is unexplained in a kept block.
+    usual: f64,
+    /// Power of motion in the kept blocks.
+    power: f64,
+}
+
+/// Whether the whole of a quick fit is explained, so that nothing is to be looked for.
+pub(crate) fn is_whole(fit: &Fit, noise_variance: f64) -> bool {
+    let motion = fit.motion_variance();
+    let residual = fit.residual_variance();
+    let blocks = block_powers(fit);
+    let loudest = blocks.iter().copied().fold(0.0, f64::max);
+    let limit = (EXPLAINED * EXPLAINED * motion).max(4.0 * noise_variance);
+    residual <= limit && loudest <= 9.0 * limit
+}
+
+/// Mean square of the residual in each block.
+fn block_powers(fit: &Fit) -> Vec<f64> {
+    let Some(blocks) = blocks_of(&fit.nodes) else {
+        return Vec::new();
+    };
+    let residuals = fit.nodes.iter().map(|n| (n.t, n.residual));
+    blocks.rms(residuals).iter().map(|rms| rms * rms).collect()
+}
+
+fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
+    let (first, last) = (nodes.first()?.t, nodes.last()?.t);
+    Some(Blocks {
+        from: first,
+        count: ((last - first) / BLOCK_S) as usize + 1,
+    })
+}
+
+/// The largest part of the overlap that one relation near that of `whole` explains;
+/// `data` are nodes of the data, `rivals` other lags (s, data minus model) that are
+/// thought of. `None` if no window leads to one.
+pub(crate) fn part(
+    model: &Signal,
+    data: &[(f64, Vec3)],
+    whole: &Fit,
+    rivals: &[f64],
+    options: FitOptions,
+) -> Option<Part> {
+    let blocks = blocks_of(&whole.nodes)?;
+    let n = whole.nodes.len() as f64;
+    let mean = whole.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+    let own = blocks.rms(whole.nodes.iter().map(|n| (n.t, n.y - mean)));
+    let around = |k: usize| {
+        let near = &own[k.saturating_sub(1)..(k + 2).min(own.len())];
+        near.iter().copied().fold(0.0, f64::max)
+    };
+    let motion: Vec<f64> = (0..own.len()).map(around).collect();
+    let largest = motion.iter().copied().fold(0.0, f64::max);
+    let search = Search {
+        model,
+        data,
+        rivals,
+        options,
+        blocks,
+        moving: own.iter().map(|&m| m > MOVING * largest).collect(),
+        motion,
+    };
+    let found = search.best(whole.link)?;
+    Some(search.finished(found))
+}
+
+impl Search<'_> {
+    fn best(&self, start: Link) -> Option<Consensus> {
+        let count = self.blocks.count;
+        let whole = self.consensus(start, vec![true; count]);
+        let windows = (0..count.saturating_sub(WINDOW - 1))
+            .step_by(WINDOW / 2)
+            .map(|from| {
+                let mut kept = vec![false; count];
+                kept[from..from + WINDOW].fill(true);
+                kept
+            })
+            .filter(|kept| {
+                let moving = kept.iter().zip(&self.moving).filter(|(k, m)| **k && **m);
+                2 * moving.count() > WINDOW
+            });
+        let mut found: Vec<Consensus> = windows
+            .filter_map(|window| self.consensus(start, window))
+            .collect();
+        let least = |found: &[Consensus]| {
+            let usual = found.iter().map(|c| c.usual).fold(f64::INFINITY, f64::min);
+            usual.max(LEAST_TOLERANCE / TIMES_USUAL)
+        };
+        let best = least(&found);
+        if let Some(whole) = whole
+            && whole.usual <= MUCH_BETTER * best
+        {
+            found.push(whole);
+        }
+        found
+            .into_iter()
+            .filter(|c| c.usual <= MUCH_BETTER * best)
+            .max_by(|x, y| x.power.total_cmp(&y.power))
+    }
+
+    /// Grows the kept blocks to all that one relation explains.
+    fn consensus(&self, start: Link, mut kept: Vec<bool>) -> Option<Consensus> {
+        let mut link = start;
+        for tolerance in TOLERANCES {
+            let fit = self.fitted(link, &kept)?;
+            link = fit.link;
+            kept = self.explained(&fit, tolerance)?;
+        }
+        let mut fit = self.fitted(link, &kept)?;
+        let mut usual = f64::INFINITY;
+        for _ in 0..3 {
+            usual = self.usual(&fit, &kept);
+            let tolerance = (TIMES_USUAL * usual).clamp(LEAST_TOLERANCE, TOLERANCES[2]);
+            let next = self.explained(&fit, tolerance)?;
+            if next == kept {
+                break;
+            }
+            kept = next;
+            fit = self.fitted(fit.link, &kept)?;
+        }
+        let power = self.power(|block| kept[block]);
+        Some(Consensus {
+            fit,
+            kept,
+            usual,
+            power,
+        })
+    }
+
+    fn fitted(&self, start: Link, kept: &[bool]) -> Option<Fit> {
+        let data = self.blocks.kept(self.data, kept);
+        let even = Some(Matrix3::identity());
+        fit::fit(self.model, &data, start, even, &self.options)
+    }
+
+    /// Power of the motion in the blocks that are chosen.
+    fn power(&self, chosen: impl Fn(usize) -> bool) -> f64 {
+        let chosen = (0..self.blocks.count).filter(|&block| chosen(block));
+        chosen.map(|block| self.motion[block].powi(2)).sum()
+    }
+
+    fn errors(&self, fit: &Fit) -> Vec<f64> {
+        let nodes = fit::nodes(self.model, self.data, &fit.link, &fit.calibration);
+        let nodes = nodes.unwrap_or_default();
+        self.blocks.rms(nodes.iter().map(|n| (n.t, n.residual)))
+    }
+
+    /// The blocks that a relation explains; `None` if hardly any of them moves.
+    fn explained(&self, fit: &Fit, tolerance: f64) -> Option<Vec<bool>> {
+        let noise = NOISE * self.options.noise_variance.sqrt();
+        let kept: Vec<bool> = self
+            .errors(fit)
+            .iter()
+            .zip(&self.motion)
+            .map(|(error, motion)| *error <= tolerance * motion + noise)
+            .collect();
+        let moving = kept.iter().zip(&self.moving).filter(|(k, m)| **k && **m);
+        (2 * moving.count() > WINDOW).then_some(kept)
+    }
+
+    /// Median, over the kept blocks that move, of the unexplained part.
+    fn usual(&self, fit: &Fit, kept: &[bool]) -> f64 {
+        let errors = self.errors(fit);
+        let chosen = (0..kept.len()).filter(|&k| kept[k] && self.moving[k]);
+        let mut parts: Vec<f64> = chosen.map(|k| errors[k] / self.motion[k]).collect();
+        crate::robust::median_in_place(&mut parts).unwrap_or(f64::INFINITY)
+    }
+
+    fn finished(&self, found: Consensus) -> Part {
+        let all = self.power(|_| true).max(f64::MIN_POSITIVE);
+        let noise = NOISE * self.options.noise_variance.sqrt();
+        let mut stretches: Vec<Stretch> = Vec::new();
+        let errors = self.errors(&found.fit);
+        for (block, _) in found.kept.iter().enumerate().filter(|(_, kept)| !**kept) {
+            let begin = self.blocks.begin(block);
+            let (mut from, mut to) = (begin - MARGIN_S, begin + BLOCK_S + MARGIN_S);
+            if block == 0 {
+                from = f64::NEG_INFINITY;
+            }
+            if block + 1 == self.blocks.count {
+                to = f64::INFINITY;
+            }
+            let share = self.power(|other| other == block) / all;
+            match stretches.last_mut() {
+                Some(last) if from - last.to < JOIN_S => {
+                    last.to = to;
+                    last.share += share;
+                }
+                _ => stretches.push(Stretch {
+                    from,
+                    to,
+                    why: Why::Apart,
+                    share,
+                }),
+            }
+        }
+        // A knock is a block a little above the limit: its weight is lowered later.
+        stretches.retain(|stretch| {
+            let block = self.blocks.of(stretch.to - MARGIN_S - 0.5 * BLOCK_S);
+            let is_loud = |block: usize| {
+                errors[block] > 3.0 * (found.usual * TIMES_USUAL * self.motion[block] + noise)
+            };
+            stretch.to - stretch.from > 1.5 * BLOCK_S + 2.0 * MARGIN_S || block.is_none_or(is_loud)
+        });
+        for stretch in &mut stretches {
+            stretch.why = self.why(stretch, &found.fit);
+        }
+        let motion = found.fit.motion_variance().max(f64::MIN_POSITIVE);
+        Part {
+            unexplained: (found.fit.residual_variance() / motion).max(1e-14),
+            fit: found.fit,
+            stretches,
+            kept: found.kept,
+            blocks: self.blocks,
+        }
+    }
+
+    /// What explains a stretch that the relation does not.
+    fn why(&self, stretch: &Stretch, fit: &Fit) -> Why {
+        let trim = 2.0 * MARGIN_S;
+        let within = (stretch.from + trim)..=(stretch.to - trim);
+        if stretch.to - stretch.from - 2.0 * trim < SHORTEST_S {
+            return Why::Apart;
+        }
+        let chosen = self.data.iter().filter(|(t, _)| within.contains(t));
+        let data: Vec<(f64, Vec3)> = chosen.copied().collect();
+        let nodes_at = |later_s: f64| {
+            let link = Link {
+                at_model: fit.link.at_model - later_s,
+                ..fit.link
+            };
+            fit::nodes(self.model, &data, &link, &fit.calibration)
+        };
+        let Some(nodes) = nodes_at(0.0) else {
+            return Why::Apart;
+        };
+        let motion = rms_about_mean(&nodes);
+        let unexplained = residual(&nodes, &fit.calibration);
+        let noise = NOISE * self.options.noise_variance.sqrt();
+        let limit = (CAUSE * motion + noise).min(0.5 * unexplained);
+        let other = fit::regress(&nodes, self.options.noise_variance);
+        let turned = residual(&nodes, &other);
+        let steps = (STEP_REACH_S / STEP_GRID_S) as i32;
+        let lag_s = -fit.link.model_time(0.0);
+        let on_grid = (-steps..=steps)
+            .map(|k| STEP_GRID_S * f64::from(k))
+            .chain(self.rivals.iter().map(|rival| rival - lag_s));
+        let nearest = on_grid
+            .filter_map(|later_s| Some((residual(&nodes_at(later_s)?, &fit.calibration), later_s)))
+            .min_by(|x, y| x.0.total_cmp(&y.0))
+            .map_or(0.0, |(_, later_s)| later_s);
+        let mut later_s = nearest;
+        for _ in 0..3 {
+            let nodes = nodes_at(later_s).unwrap_or_default();
+            let slope: f64 = nodes.iter().map(|n| n.slope.norm_squared()).sum();
+            let score: f64 = nodes.iter().map(|n| n.slope.dot(&n.residual)).sum();
+            later_s -= score / slope.max(f64::MIN_POSITIVE);
+        }
+        let stepped = nodes_at(later_s).map_or(f64::INFINITY, |n| residual(&n, &fit.calibration));
+        if stepped < limit && stepped < 1.5 * turned {
+            Why::TimeStep(later_s)
+        } else if turned < limit {
+            Why::Slipped(angle(&fit.calibration, &other))
+        } else {
+            Why::Apart
+        }
+    }
+}
+
+fn residual(nodes: &[Node], calibration: &Calibration) -> f64 {
+    let squares: f64 = nodes
+        .iter()
+        .map(|n| (n.y - calibration.matrix * n.x - calibration.bias).norm_squared())
+        .sum();
+    (squares / (3.0 * nodes.len().max(1) as f64)).sqrt()
+}
+
+fn rms_about_mean(nodes: &[Node]) -> f64 {
+    let n = nodes.len().max(1) as f64;
+    let mean = nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+    let squares: f64 = nodes.iter().map(|n| (n.y - mean).norm_squared()).sum();
+    (squares / (3.0 * n)).sqrt()
+}
+
+/// Angle between two rotations that are nearest to the matrices, rad.
+fn angle(one: &Calibration, other: &Calibration) -> f64 {
+    let between = (other.matrix * one.matrix.transpose()).svd(true, true);
+    let (Some(u), Some(v_t)) = (between.u, between.v_t) else {
+        return 0.0;
+    };
+    (((u * v_t).trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
+}

@@ -1,0 +1,130 @@
+//! Time errors that change slowly: what they leave open, and the estimate with them.
+//!
+//! The timestamps of a phone may swing against the content over seconds, by tens of µs.
+//! The long-run covariance of the fit reaches over 0.12 s only and takes such a swing for
+//! a part of the relation. So the local displacements `d` of the overlap, each from the
+//! same information, are taken once more as `d = shift + rate·u + g(u) + noise`, with `g`
+//! a stationary process (Gaussian covariance, size τ, length T). What τ and T are is not
+//! asked of the data alone: the estimates for all (τ, T) of a grid are averaged, each
+//! weighted by its restricted likelihood (Harville 1974) and by the prior. That is honest
+//! where a swing cannot be seen, and exact where it can.
+
+use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+
+use crate::fit::Fit;
+
+/// Parts of equal information.
+const PARTS: f64 = 32.0;
+/// Sizes of a swing, seconds.
+const SIZES_S: [f64; 7] = [8e-6, 16e-6, 32e-6, 64e-6, 128e-6, 256e-6, 512e-6];
+/// Its lengths, seconds. A sine of period P is most like a length of P/2π.
+const LENGTHS_S: [f64; 3] = [0.4, 1.0, 2.5];
+/// Prior probability that there is none.
+const NONE: f64 = 0.7;
+
+/// A part of the overlap.
+struct Local {
+    /// Time from the reference, seconds.
+    u: f64,
+    /// Displacement against the fit, seconds.
+    shift_s: f64,
+    variance: f64,
+}
+
+/// Shift and rate under one (τ, T).
+struct Given {
+    mean: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    ln_likelihood: f64,
+}
+
+/// Takes slow time errors into the fit: its relation and its covariance.
+pub(crate) fn considered(fit: &mut Fit, oversampling: f64) {
+    let locals = locals(fit, oversampling);
+    let Some(none) = given(&locals, 0.0, 1.0).filter(|_| locals.len() > 6) else {
+        return;
+    };
+    let each = (1.0 - NONE) / (SIZES_S.len() * LENGTHS_S.len()) as f64;
+    let swings = SIZES_S
+        .iter()
+        .flat_map(|&size| LENGTHS_S.iter().map(move |&length| (size, length)))
+        .filter_map(|(size, length)| Some((each, given(&locals, size, length)?)));
+    let base = (none.mean, none.covariance);
+    let all: Vec<(f64, Given)> = std::iter::once((NONE, none)).chain(swings).collect();
+    let top = all.iter().map(|(_, g)| g.ln_likelihood);
+    let top = top.fold(f64::NEG_INFINITY, f64::max);
+    let weight = |(prior, g): &(f64, Given)| prior * (g.ln_likelihood - top).exp();
+    let sum: f64 = all.iter().map(weight).sum();
+    let mean = all.iter().map(|g| g.1.mean * (weight(g) / sum)).sum::<Vector2<f64>>();
+    let covariance = all
+        .iter()
+        .map(|g| {
+            let off = g.1.mean - mean;
+            (g.1.covariance + off * off.transpose()) * (weight(g) / sum)
+        })
+        .sum::<Matrix2<f64>>();
+    let moved = mean - base.0;
+    fit.link.at_model += moved[0];
+    fit.link.rate += moved[1];
+    let added = covariance - base.1;
+    // What rounding leaves below zero is nothing.
+    if added[(0, 0)] > 0.0 && added[(1, 1)] > 0.0 {
+        fit.covariance += added;
+    }
+}
+
+/// The overlap in parts of equal information.
+fn locals(fit: &Fit, oversampling: f64) -> Vec<Local> {
+    // Coloured noise counts as the fit found it.
+    let colour = fit.covariance[(0, 0)] / fit.ideal_covariance[(0, 0)].max(f64::MIN_POSITIVE);
+    let noise = oversampling * colour.max(1.0);
+    let weighed = |n: &crate::fit::Node| fit.weights * n.slope * n.weight;
+    let information = |n: &crate::fit::Node| weighed(n).dot(&n.slope);
+    let share = fit.nodes.iter().map(information).sum::<f64>() / PARTS;
+    let mut out = Vec::new();
+    let (mut sum, mut moment, mut score) = (0.0, 0.0, 0.0);
+    for node in &fit.nodes {
+        let own = information(node);
+        sum += own;
+        moment += own * (node.t - fit.link.at_data);
+        score += weighed(node).dot(&node.residual);
+        if sum >= share && sum > 0.0 {
+            out.push(Local {
+                u: moment / sum,
+                shift_s: score / sum,
+                variance: noise / sum,
+            });
+            (sum, moment, score) = (0.0, 0.0, 0.0);
+        }
+    }
+    out
+}
+
+/// Generalised least squares of the displacements on shift and rate under a swing.
+fn given(locals: &[Local], size_s: f64, length_s: f64) -> Option<Given> {
+    let n = locals.len();
+    // In units of the median sigma, so that no figure is tiny.
+    let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n.max(1) as f64;
+    let variance = |r: usize, c: usize| {
+        let distance = (locals[r].u - locals[c].u) / length_s;
+        let swing = size_s * size_s * (-0.5 * distance * distance).exp();
+        (swing + if r == c { locals[r].variance } else { 0.0 }) / unit
+    };
+    let cholesky = DMatrix::from_fn(n, n, variance).cholesky()?;
+    let x = DMatrix::from_fn(n, 2, |r, c| if c == 0 { 1.0 } else { locals[r].u });
+    let y = DVector::from_fn(n, |r, _| locals[r].shift_s / unit.sqrt());
+    let vx = cholesky.solve(&x);
+    let normal: Matrix2<f64> = (x.transpose() * &vx).fixed_view::<2, 2>(0, 0).into_owned();
+    let right = vx.transpose() * &y;
+    let right = Vector2::new(right[0], right[1]);
+    let inverse = normal.try_inverse()?;
+    let mean = inverse * right;
+    let explained = right.dot(&mean);
+    let square = y.dot(&cholesky.solve(&y)) - explained;
+    let ln_volume: f64 = cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
+    Some(Given {
+        mean: mean * unit.sqrt(),
+        covariance: inverse * unit,
+        ln_likelihood: -ln_volume - 0.5 * (normal.determinant().ln() + square),
+    })
+}
