@@ -3,7 +3,7 @@
 
 use crate::neighbours::{Against, Samples, local_variances, noise_of};
 use crate::robust;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Longest period that is looked for, in samples.
 const LONGEST_PERIOD: usize = 64;
@@ -78,8 +78,14 @@ fn displaced_class(
     let mut sums = [Sums::default(); LONGEST_PERIOD];
     for period in periods {
         sums[..period].fill(Sums::default());
+        let (mut before, mut phase) = (0, 0);
         for &(index, score, information) in &scored {
-            let sum = &mut sums[index % period];
+            phase += index - before;
+            before = index;
+            while phase >= period {
+                phase -= period;
+            }
+            let sum = &mut sums[phase];
             sum.score += score;
             sum.information += information;
             sum.score_squared += score * score;

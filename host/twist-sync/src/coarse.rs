@@ -10,13 +10,17 @@
 //! are returned; the fit decides between them.
 
 use crate::correlate::Correlator;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Bin width of the search in seconds.
 pub(crate) const BIN_S: f64 = 0.01;
 
 /// How many peaks of each of the two scores are handed on.
 const PEAKS: usize = 6;
+
+/// Peaks whose correlation is below this part of the best are no rivals: they leave more
+/// than half of the motion's power.
+const WEAK: f64 = 0.6;
 
 /// One stream: times, rates, and which of them can be used.
 pub(crate) type Usable<'a> = (&'a [f64], &'a [Vec3], &'a [bool]);
@@ -106,9 +110,14 @@ pub(crate) fn candidates(x: Usable<'_>, y: Usable<'_>, min_overlap_s: f64) -> Ve
     };
     let min_bins = ((min_overlap_s / BIN_S) as i64).max(1);
     let (scores, first_lag) = scores(&x, &y, min_bins);
+    let [_, normalised] = &scores;
+    let best = normalised.iter().copied().fold(0.0, f64::max);
     let mut found: Vec<f64> = Vec::new();
     for score in &scores {
         for place in peaks(score) {
+            if normalised[place.round() as usize] < WEAK * best {
+                continue;
+            }
             let lag_s = (first_lag as f64 + place) * BIN_S + start_y - start_x;
             if found
                 .iter()

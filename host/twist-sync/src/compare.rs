@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::estimate::{Estimate, Options};
 use crate::faults::{Action, Fault, Stream};
-use crate::spline::{Spline, Vec3};
+use crate::interpolant::{Uneven, Vec3};
 use crate::track::GyroTrack;
 
 /// A sample of b beside the rate of a at the same instant.
@@ -55,10 +55,10 @@ pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Option
             w.push(a.w[k]);
         }
     }
-    let Some(spline) = Spline::interpolate(&t, &w, 3) else {
+    let Some(rates) = Uneven::new(&t, &w, 3) else {
         return Vec::new();
     };
-    let (first, last) = spline.domain();
+    let (first, last) = rates.domain();
     let matrix = Matrix3::from(estimate.calibration).transpose();
     let clock = &estimate.clock;
     // Relative to the epochs, so that no digits are lost.
@@ -72,7 +72,7 @@ pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Option
             if !(first..=last).contains(&at) {
                 return None;
             }
-            let rate = matrix * Vector3::from(spline.value(at)) + Vector3::from(estimate.bias);
+            let rate = matrix * Vector3::from(rates.value(at)) + Vector3::from(estimate.bias);
             Some(Pair {
                 index: k,
                 a_s: a.epoch_s + at,

@@ -15,7 +15,7 @@ use crate::coarse::Usable;
 use crate::fit::{Calibration, Fit, Node};
 use crate::robust;
 use crate::signal::Signal;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// A sample is an outlier beyond this many sigmas (length of the whitened vector).
 const OUTLIER_SIGMA: f64 = 6.0;

@@ -11,14 +11,14 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
-use crate::faults::{Fault, LeftOut, Stream, Why};
+use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
 use crate::fit::{self, Calibration, Fit, Node};
 use crate::gates::Gate;
 use crate::lag;
 use crate::pair::{Pair, Settings};
 use crate::rigid::Stretch;
 use crate::signal::{Signal, Smoothing};
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 use crate::stream::CheckedStream;
 use crate::swing;
 use crate::track::GyroTrack;
@@ -40,8 +40,8 @@ const SECOND_AXIS: f64 = 0.01;
 pub struct Options {
     /// −3 dB frequency of the zero-phase low-pass, Hz.
     pub low_pass_hz: f64,
-    /// Degree of the splines: 3, 5 or 7.
-    pub spline_degree: usize,
+    /// Degree of the interpolation: 3, 5 or 7.
+    pub degree: usize,
     /// Delay of the low-pass of gyroscope a in seconds, subtracted from its timestamps.
     pub a_delay_s: f64,
     /// Delay of the low-pass of gyroscope b in seconds, subtracted from its timestamps.
@@ -63,7 +63,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             low_pass_hz: 25.0,
-            spline_degree: 5,
+            degree: 5,
             a_delay_s: 0.0,
             b_delay_s: 0.0,
             sigma_limit_s: 100e-6,
@@ -211,8 +211,10 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     let mut report = Report::default();
-    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults);
-    let b = CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults);
+    let (a, b) = rayon::join(
+        || CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults),
+        || CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults),
+    );
     let usable = |s: &Option<CheckedStream>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {
@@ -248,7 +250,7 @@ fn related(
 ) -> Option<(ClockRelation, Calibration)> {
     let smoothing = Smoothing {
         low_pass_hz: options.low_pass_hz,
-        spline_degree: options.spline_degree,
+        degree: options.degree,
     };
     let mut signals = pair.signals(&smoothing);
     report.judge(Gate::motion(rms(&signals.model).min(rms(&signals.data))))?;
@@ -271,7 +273,9 @@ fn related(
     } else {
         (fit, 1.0)
     };
-    swing::considered(&mut fit, settings.fit.oversampling);
+    let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
+    let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
+    swing::considered(&mut fit, settings.fit.oversampling, classes[0].max(classes[1]));
     let clock = clock_of(pair, &fit, options);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());

@@ -22,7 +22,7 @@ use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Ve
 
 use crate::robust::median;
 use crate::signal::Signal;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;
@@ -74,6 +74,9 @@ pub(crate) struct Calibration {
 pub(crate) struct FitOptions {
     /// Iterations at most.
     pub(crate) iterations: usize,
+    /// Steps of the shift below which the iteration has settled, seconds; of the rate
+    /// likewise.
+    pub(crate) settled_s: f64,
     /// How many nodes one independent noise value spans (oversampling).
     pub(crate) oversampling: f64,
     /// 1-sigma of the prior of the rate.
@@ -284,7 +287,8 @@ pub(crate) fn fit(
             }
             calibration.bias[row] += step[row * 4 + 3];
         }
-        if iteration > 2 && step[SHIFT].abs() < 1e-9 && step[RATE].abs() < 1e-9 {
+        let frozen = weights.is_some() || iteration >= WEIGHTS_FROZEN;
+        if frozen && step[SHIFT].abs().max(step[RATE].abs()) < options.settled_s {
             settled = true;
             break;
         }
@@ -322,7 +326,7 @@ fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
 }
 
 /// Iteration from which the weights stay, so that the fit settles.
-const WEIGHTS_FROZEN: usize = 8;
+const WEIGHTS_FROZEN: usize = 5;
 
 /// Weights over time: below 1 in stretches whose residual is well above the usual.
 #[derive(Debug, Clone, Default)]

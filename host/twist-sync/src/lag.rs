@@ -9,7 +9,7 @@ use crate::fit::{self, Fit, FitOptions, Link};
 use crate::gates::Gate;
 use crate::pair::{Pair, Settings, Signals};
 use crate::rigid::{self, Stretch};
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;
@@ -58,6 +58,7 @@ pub(crate) fn chosen(
     let data = signals.data.sampled(coarse::BIN_S);
     let quick = FitOptions {
         iterations: 8,
+        settled_s: 1e-6,
         oversampling: 1.0,
         ..settings.fit
     };

@@ -36,7 +36,7 @@ mod search;
 mod signal;
 #[cfg(feature = "simulate")]
 pub mod simulate;
-mod spline;
+mod interpolant;
 mod stream;
 mod swing;
 mod timestamps;

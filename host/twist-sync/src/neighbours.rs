@@ -2,7 +2,7 @@
 //! at the true times, three samples on each side.
 
 use crate::robust;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Neighbours on each side.
 const SIDE: usize = 3;

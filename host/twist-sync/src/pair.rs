@@ -59,6 +59,7 @@ impl Settings {
             step_s,
             fit: FitOptions {
                 iterations: 40,
+                settled_s: 1e-9,
                 oversampling: (kernel_length_s / step_s).max(1.0),
                 rate_sigma: 300e-6,
                 noise_variance: in_band(&pair.model) + in_band(&pair.data),
@@ -140,10 +141,11 @@ impl Pair {
     }
 
     pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
-        Signals {
-            model: self.model.signal(smoothing),
-            data: self.data.signal(smoothing),
-        }
+        let (model, data) = rayon::join(
+            || self.model.signal(smoothing),
+            || self.data.signal(smoothing),
+        );
+        Signals { model, data }
     }
 
     /// Leaves out what does not fit the other stream and fits again, until nothing

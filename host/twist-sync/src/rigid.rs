@@ -18,17 +18,19 @@ use nalgebra::{Matrix3, Vector3};
 use crate::faults::Why;
 use crate::fit::{self, Calibration, Fit, FitOptions, Link, Node};
 use crate::signal::Signal;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Blocks of time that are explained or not, seconds.
 const BLOCK_S: f64 = 0.25;
 /// Blocks of a window from which the search starts: 1.5 s.
 const WINDOW: usize = 6;
-/// Parts of the motion's rms that may stay unexplained in a block, round by round.
-const TOLERANCES: [f64; 3] = [0.15, 0.06, 0.03];
-/// The last tolerance: so many times the usual part, within these bounds.
+/// Part of the motion's rms that may stay unexplained in a block: so many times what a
+/// block usually leaves, within these bounds.
 const TIMES_USUAL: f64 = 5.0;
 const LEAST_TOLERANCE: f64 = 0.006;
+const MOST_TOLERANCE: f64 = 0.03;
+/// The tolerance is wider at first, by these factors.
+const WIDER: [f64; 2] = [4.0, 2.0];
 /// In-band noise that is allowed on top, in multiples of its rms.
 const NOISE: f64 = 3.0;
 /// A residual below this part of the motion is not looked into.
@@ -239,18 +241,20 @@ impl Search<'_> {
 
     /// Grows the kept blocks to all that one relation explains.
     fn consensus(&self, start: Link, mut kept: Vec<bool>) -> Option<Consensus> {
-        let mut link = start;
-        for tolerance in TOLERANCES {
-            let fit = self.fitted(link, &kept)?;
-            link = fit.link;
-            kept = self.explained(&fit, tolerance)?;
+        let mut fit = self.fitted(start, &kept)?;
+        let mut usual = self.usual(&fit, &kept);
+        // What a window cannot explain of itself is no place to start from.
+        if usual > WIDER[0] * MOST_TOLERANCE {
+            return None;
         }
-        let mut fit = self.fitted(link, &kept)?;
-        let mut usual = f64::INFINITY;
+        let tolerance = |usual: f64| (TIMES_USUAL * usual).clamp(LEAST_TOLERANCE, MOST_TOLERANCE);
+        for wider in WIDER {
+            kept = self.explained(&fit, wider * tolerance(usual))?;
+            fit = self.fitted(fit.link, &kept)?;
+        }
         for _ in 0..3 {
             usual = self.usual(&fit, &kept);
-            let tolerance = (TIMES_USUAL * usual).clamp(LEAST_TOLERANCE, TOLERANCES[2]);
-            let next = self.explained(&fit, tolerance)?;
+            let next = self.explained(&fit, tolerance(usual))?;
             if next == kept {
                 break;
             }
@@ -374,18 +378,18 @@ impl Search<'_> {
             return Why::Apart;
         };
         let motion = rms_about_mean(&nodes);
-        let unexplained = residual(&nodes, &fit.calibration);
+        let unexplained = self.residual(&nodes, &fit.calibration);
         let noise = NOISE * self.options.noise_variance.sqrt();
         let limit = (CAUSE * motion + noise).min(0.5 * unexplained);
-        let other = fit::regress(&nodes, self.options.noise_variance);
-        let turned = residual(&nodes, &other);
+        let other = self.regressed(&nodes);
+        let turned = self.residual(&nodes, &other);
         let steps = (STEP_REACH_S / STEP_GRID_S) as i32;
         let lag_s = -fit.link.model_time(0.0);
         let on_grid = (-steps..=steps)
             .map(|k| STEP_GRID_S * f64::from(k))
             .chain(self.rivals.iter().map(|rival| rival - lag_s));
         let nearest = on_grid
-            .filter_map(|later_s| Some((residual(&nodes_at(later_s)?, &fit.calibration), later_s)))
+            .filter_map(|later_s| Some((self.residual(&nodes_at(later_s)?, &fit.calibration), later_s)))
             .min_by(|x, y| x.0.total_cmp(&y.0))
             .map_or(0.0, |(_, later_s)| later_s);
         let mut later_s = nearest;
@@ -395,7 +399,8 @@ impl Search<'_> {
             let score: f64 = nodes.iter().map(|n| n.slope.dot(&n.residual)).sum();
             later_s -= score / slope.max(f64::MIN_POSITIVE);
         }
-        let stepped = nodes_at(later_s).map_or(f64::INFINITY, |n| residual(&n, &fit.calibration));
+        let stepped = nodes_at(later_s);
+        let stepped = stepped.map_or(f64::INFINITY, |n| self.residual(&n, &fit.calibration));
         if stepped < limit && stepped < 1.5 * turned {
             Why::TimeStep(later_s)
         } else if turned < limit {
@@ -404,14 +409,32 @@ impl Search<'_> {
             Why::Apart
         }
     }
-}
 
-fn residual(nodes: &[Node], calibration: &Calibration) -> f64 {
-    let squares: f64 = nodes
-        .iter()
-        .map(|n| (n.y - calibration.matrix * n.x - calibration.bias).norm_squared())
-        .sum();
-    (squares / (3.0 * nodes.len().max(1) as f64)).sqrt()
+    /// Rms of the residual in each block that has one.
+    fn residuals(&self, nodes: &[Node], calibration: &Calibration) -> Vec<f64> {
+        let residual = |n: &Node| n.y - calibration.matrix * n.x - calibration.bias;
+        self.blocks.rms(nodes.iter().map(|n| (n.t, residual(n))))
+    }
+
+    /// Its median: the moments in which one slips are not what it is before and after.
+    fn residual(&self, nodes: &[Node], calibration: &Calibration) -> f64 {
+        let mut each = self.residuals(nodes, calibration);
+        each.retain(|&rms| rms > 0.0);
+        crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
+    }
+
+    /// The sensors' relation in most of the nodes.
+    fn regressed(&self, nodes: &[Node]) -> Calibration {
+        let mut calibration = fit::regress(nodes, self.options.noise_variance);
+        for _ in 0..3 {
+            let limit = 2.0 * self.residual(nodes, &calibration);
+            let each = self.residuals(nodes, &calibration);
+            let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
+            let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
+            calibration = fit::regress(&most, self.options.noise_variance);
+        }
+        calibration
+    }
 }
 
 fn rms_about_mean(nodes: &[Node]) -> f64 {

@@ -20,7 +20,7 @@
 use crate::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::neighbours::{Samples, kept, leave_out, local_variances, noise_of};
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Result of the checks of one stream's samples.
 #[derive(Default)]

@@ -2,12 +2,12 @@
 //!
 //! 1. The usable samples are cut into pieces wherever the distance between
 //!    neighbours is too long to be bridged.
-//! 2. Each piece is interpolated ([`Spline`]) at its true, uneven times.
+//! 2. Each piece is interpolated ([`Uneven`]) at its true, uneven times.
 //! 3. The interpolant is sampled on a uniform grid no coarser than the data and
 //!    filtered with a Gaussian, which is zero-phase: it cannot move the answer.
 //!    Nodes whose kernel would reach beyond the piece are dropped, so that no
 //!    edge effect exists.
-//! 4. The filtered nodes are interpolated again; this spline gives the smooth
+//! 4. The filtered nodes are interpolated again ([`Uniform`]), which gives the smooth
 //!    rate and its derivative at any time.
 //!
 //! The filter costs no information about the offset: only noise inside the band
@@ -15,7 +15,7 @@
 //! noise in the derivative.
 
 use crate::neighbours;
-use crate::spline::{Spline, Vec3};
+use crate::interpolant::{Uneven, Uniform, Vec3};
 
 /// How far the Gaussian kernel is carried, in standard deviations. The
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.
@@ -26,8 +26,8 @@ const KERNEL_REACH: f64 = 4.5;
 pub(crate) struct Smoothing {
     /// Frequency at which the low-pass has fallen by 3 dB, in Hz.
     pub(crate) low_pass_hz: f64,
-    /// Degree of the splines: 3, 5 or 7.
-    pub(crate) spline_degree: usize,
+    /// Degree of the interpolation: 3, 5 or 7.
+    pub(crate) degree: usize,
 }
 
 impl Smoothing {
@@ -40,7 +40,7 @@ impl Smoothing {
 /// A stretch of motion without gaps.
 #[derive(Debug, Clone)]
 struct Piece {
-    smooth: Spline,
+    smooth: Uniform,
     from: f64,
     to: f64,
 }
@@ -77,8 +77,7 @@ impl Signal {
             .filter_map(|piece| {
                 let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
                 let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
-                let degree = smoothing.spline_degree;
-                filtered(&times, &rates, grid, &kernel, keep_every, degree)
+                filtered(&times, &rates, grid, &kernel, keep_every, smoothing.degree)
             })
             .collect();
         Self { pieces }
@@ -129,16 +128,14 @@ fn filtered(
     keep_every: usize,
     degree: usize,
 ) -> Option<Piece> {
-    let raw = Spline::interpolate(t, w, degree)?;
+    let raw = Uneven::new(t, w, degree)?;
     let (from, to) = raw.domain();
     let nodes = ((to - from) / grid).floor() as usize + 1;
     let kept = (nodes.checked_sub(kernel.len())?) / keep_every + 1;
     if kept < 2 * degree {
         return None;
     }
-    let dense: Vec<Vec3> = (0..nodes)
-        .map(|k| raw.value(from + k as f64 * grid))
-        .collect();
+    let dense = raw.on_grid(grid, nodes);
     let smooth: Vec<Vec3> = (0..kept)
         .map(|k| {
             let mut sum = [0.0; 3];
@@ -153,7 +150,7 @@ fn filtered(
     let start = from + (kernel.len() / 2) as f64 * grid;
     let step = grid * keep_every as f64;
     Some(Piece {
-        smooth: Spline::interpolate_uniform(start, step, &smooth, degree)?,
+        smooth: Uniform::new(start, step, &smooth, degree)?,
         from: start,
         to: start + (kept - 1) as f64 * step,
     })
@@ -167,7 +164,7 @@ mod tests {
     fn filter_has_no_delay_and_its_stated_width() {
         let smoothing = Smoothing {
             low_pass_hz: 25.0,
-            spline_degree: 5,
+            degree: 5,
         };
         // 25 Hz sine: must come out in phase at 1/sqrt(2) of its height.
         let t: Vec<f64> = (0..2000)
@@ -189,7 +186,7 @@ mod tests {
     fn gaps_split_the_signal() {
         let smoothing = Smoothing {
             low_pass_hz: 25.0,
-            spline_degree: 5,
+            degree: 5,
         };
         let t: Vec<f64> = (0..1000).map(|k| 0.002 * k as f64).collect();
         let w = vec![[1.0, 2.0, 3.0]; 1000];

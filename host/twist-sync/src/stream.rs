@@ -5,7 +5,7 @@ use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::neighbours::{self, Samples};
 use crate::samples;
 use crate::signal::{Signal, Smoothing};
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 use crate::timestamps;
 
 /// Rates above this are no rates, rad/s.

@@ -19,8 +19,9 @@ const PARTS: f64 = 32.0;
 const SIZES_S: [f64; 7] = [8e-6, 16e-6, 32e-6, 64e-6, 128e-6, 256e-6, 512e-6];
 /// Its lengths, seconds. A sine of period P is most like a length of P/2π.
 const LENGTHS_S: [f64; 3] = [0.4, 1.0, 2.5];
-/// Prior probability that there is none.
-const NONE: f64 = 0.7;
+/// Prior probability that there is none, by how many displaced classes were found: a
+/// device whose samples belong to other times in several ways is not trusted slowly.
+const NONE: [f64; 3] = [0.99, 0.9, 0.4];
 
 /// A part of the overlap.
 struct Local {
@@ -39,18 +40,21 @@ struct Given {
 }
 
 /// Takes slow time errors into the fit: its relation and its covariance.
-pub(crate) fn considered(fit: &mut Fit, oversampling: f64) {
+pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
     let Some(none) = given(&locals, 0.0, 1.0).filter(|_| locals.len() > 6) else {
         return;
     };
-    let each = (1.0 - NONE) / (SIZES_S.len() * LENGTHS_S.len()) as f64;
+    let prior_none = NONE[classes.min(NONE.len() - 1)];
+    // The larger, the rarer: in proportion to 1/size.
+    let sum = SIZES_S.iter().map(|size| 1.0 / size).sum::<f64>() * LENGTHS_S.len() as f64;
+    let prior = |size: f64| (1.0 - prior_none) / (size * sum);
     let swings = SIZES_S
         .iter()
         .flat_map(|&size| LENGTHS_S.iter().map(move |&length| (size, length)))
-        .filter_map(|(size, length)| Some((each, given(&locals, size, length)?)));
+        .filter_map(|(size, length)| Some((prior(size), given(&locals, size, length)?)));
     let base = (none.mean, none.covariance);
-    let all: Vec<(f64, Given)> = std::iter::once((NONE, none)).chain(swings).collect();
+    let all: Vec<(f64, Given)> = std::iter::once((prior_none, none)).chain(swings).collect();
     let top = all.iter().map(|(_, g)| g.ln_likelihood);
     let top = top.fold(f64::NEG_INFINITY, f64::max);
     let weight = |(prior, g): &(f64, Given)| prior * (g.ln_likelihood - top).exp();

@@ -1,7 +1,7 @@
 //! A gyroscope's recording as the sync math takes it.
 
 use crate::recording::GyroSample;
-use crate::spline::Vec3;
+use crate::interpolant::Vec3;
 
 /// Angular rates over time.
 ///

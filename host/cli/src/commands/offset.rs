@@ -40,7 +40,7 @@ pub(crate) struct Args {
     pub(crate) low_pass_hz: f64,
     /// Degree of the splines
     #[arg(long, value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
-    pub(crate) spline_degree: String,
+    pub(crate) degree: String,
     /// Do not look for faults of the streams, to see what they do to the result
     #[arg(long)]
     pub(crate) keep_faults: bool,
@@ -78,7 +78,7 @@ impl Args {
     fn options(&self) -> Options {
         Options {
             low_pass_hz: self.low_pass_hz,
-            spline_degree: self.spline_degree.parse().unwrap_or(5),
+            degree: self.spline_degree.parse().unwrap_or(5),
             a_delay_s: self.mcu_delay_us * 1e-6,
             b_delay_s: self.phone_delay_us * 1e-6,
             sigma_limit_s: self.max_sigma_us * 1e-6,

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::{Rates, direction, second_order};
-use crate::spline::Spline;
+use crate::interpolant::Uniform;
 
 /// How firmly the two are held to each other. Ranges are drawn from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -39,7 +39,7 @@ pub(super) struct Held<'a> {
     loose: Option<(f64, f64, f64)>,
     /// Axis, angle in rad, time and duration of a turn; another takes it back.
     turns: Vec<(Unit<Vector3<f64>>, f64, f64, f64)>,
-    flexing: Option<Spline>,
+    flexing: Option<Uniform>,
     /// Stretches in which the two are not one body, seconds of true time.
     pub(super) stretches: Vec<(f64, f64)>,
 }

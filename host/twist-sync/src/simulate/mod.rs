@@ -16,7 +16,7 @@ use rand_pcg::Pcg64;
 
 use crate::GyroTrack;
 use grip::{Held, rise};
-use crate::spline::{Spline, Vec3};
+use crate::interpolant::{Uneven, Uniform, Vec3};
 
 mod grip;
 mod scenarios;
@@ -161,7 +161,7 @@ fn second_order(
     carried: bool,
     from: f64,
     to: f64,
-) -> Option<Spline> {
+) -> Option<Uniform> {
     let step = 1e-4;
     let natural = if carried {
         std::f64::consts::TAU * hz
@@ -188,7 +188,7 @@ fn second_order(
             nodes.push(x.into());
         }
     }
-    Spline::interpolate_uniform(from, 5.0 * step, &nodes, 5)
+    Uniform::new(from, 5.0 * step, &nodes, 5)
 }
 
 /// The true course of clock b against clock a: a skew that walks at random.
@@ -352,7 +352,7 @@ fn direction(rng: &mut Pcg64) -> Vector3<f64> {
 /// What a sensor's filter lets through, as a function of true time.
 struct Seen<'a> {
     rate: &'a dyn Fn(f64) -> Vector3<f64>,
-    filtered: Option<Spline>,
+    filtered: Option<Uniform>,
 }
 
 impl<'a> Seen<'a> {
@@ -539,9 +539,10 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
 /// Gives the chosen samples of a recording the content of another time, `by_s`
 /// seconds earlier.
 pub fn displace(track: &mut GyroTrack, by_s: f64, chosen: impl Fn(usize) -> bool) {
-    if let Some(spline) = Spline::interpolate(&track.t, &track.w, 5) {
+    let recorded = track.w.clone();
+    if let Some(rates) = Uneven::new(&track.t, &recorded, 5) {
         for k in (3..track.t.len().saturating_sub(3)).filter(|&k| chosen(k)) {
-            track.w[k] = spline.value(track.t[k] - by_s);
+            track.w[k] = rates.value(track.t[k] - by_s);
         }
     }
 }
