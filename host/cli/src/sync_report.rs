@@ -2,7 +2,7 @@
 //! board's gyroscope (`mcu`), stream b the phone's.
 
 use serde::Serialize;
-use twist_sync::{Action, Fault, FaultKind, Gate, Report, Stream, Warning};
+use twist_sync::{Action, Fault, FaultKind, Gate, LeftOut, Report, Stream, Warning, Why};
 
 /// Whose gyroscope a stream is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -37,8 +37,41 @@ pub(crate) struct SyncReport {
     pub(crate) motion_rms: Option<f64>,
     pub(crate) overlap_s: Option<f64>,
     pub(crate) faults: Vec<DeviceFault>,
+    pub(crate) left_out: Vec<Stretch>,
     gates: Vec<Gate>,
     pub(crate) warnings: Vec<String>,
+}
+
+/// A stretch of both recordings that was left out.
+#[derive(Debug, Serialize)]
+pub(crate) struct Stretch {
+    /// Begin and end, seconds from the board's first sample.
+    pub(crate) from_s: f64,
+    pub(crate) to_s: f64,
+    /// `apart`, `slipped` or `time_step`.
+    why: &'static str,
+    turned_deg: Option<f64>,
+    step_s: Option<f64>,
+    #[serde(skip)]
+    pub(crate) text: String,
+}
+
+impl From<&LeftOut> for Stretch {
+    fn from(left_out: &LeftOut) -> Self {
+        let (why, turned_deg, step_s) = match left_out.why {
+            Why::Apart => ("apart", None, None),
+            Why::Slipped(angle) => ("slipped", Some(angle.to_degrees()), None),
+            Why::TimeStep(by_s) => ("time_step", None, Some(by_s)),
+        };
+        Self {
+            from_s: left_out.from_s,
+            to_s: left_out.to_s,
+            why,
+            turned_deg,
+            step_s,
+            text: left_out.to_string(),
+        }
+    }
 }
 
 #[derive(Debug, Serialize)]
@@ -58,6 +91,7 @@ impl From<&Report> for SyncReport {
             motion_rms: report.motion_rms,
             overlap_s: report.overlap_s,
             faults: report.faults.iter().map(DeviceFault::from).collect(),
+            left_out: report.left_out.iter().map(Stretch::from).collect(),
             gates: report.gates.clone(),
             warnings: report.warnings.iter().map(warning).collect(),
         }

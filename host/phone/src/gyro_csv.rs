@@ -1,9 +1,11 @@
 //! Gyroscope recordings as CSV, in the two forms that exist.
 //!
-//! * **With a header**: a time column in seconds and three columns x, y, z in
-//!   rad/s, in any order, found by name (`mcu_time,mcu_x,mcu_y,mcu_z`;
-//!   `sm_time,…`; `timestamp,wx,wy,wz`; `t,gyro_x,…`). A name that carries a
-//!   unit (`timestamp_ns`, `time [us]`) is believed. More columns are ignored.
+//! * **With a header**: a time column and three columns x, y, z, in any order, found
+//!   by name (`mcu_time,mcu_x,mcu_y,mcu_z`; `sm_time,…`; `timestamp,wx,wy,wz`;
+//!   `t,gyro_x,…`). A name that carries a unit (`timestamp_ns`, `time [us]`,
+//!   `gyro_x_dps`) is believed. Without one, times are in the unit in which the samples
+//!   are [`LONGEST_STEP_S`] apart at most, and rates in rad/s. More columns are ignored,
+//!   those of an accelerometer or a magnetometer too.
 //! * **The phone app's form**: no header, `x,y,z,timestamp` with the timestamp
 //!   in integer nanoseconds.
 //!
@@ -28,9 +30,22 @@ pub enum Form {
         columns: [String; 4],
         /// Unit of the time column.
         unit: TimeUnit,
+        /// The unit is not in the name: it is the one that is plausible.
+        unit_by_step: bool,
+        /// Unit of the rates.
+        rates: RateUnit,
     },
     /// The phone app's `x,y,z,nanoseconds`.
     PhoneApp,
+}
+
+/// Unit of the rates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RateUnit {
+    /// rad/s.
+    RadPerSecond,
+    /// Degrees a second; they are converted.
+    DegPerSecond,
 }
 
 /// Unit of a time column.
@@ -47,12 +62,22 @@ pub enum TimeUnit {
 }
 
 impl TimeUnit {
-    fn per_second(self) -> f64 {
+    fn nanos(self) -> i64 {
         match self {
-            Self::Seconds => 1.0,
-            Self::Milliseconds => 1e3,
-            Self::Microseconds => 1e6,
-            Self::Nanoseconds => 1e9,
+            Self::Seconds => 1_000_000_000,
+            Self::Milliseconds => 1_000_000,
+            Self::Microseconds => 1_000,
+            Self::Nanoseconds => 1,
+        }
+    }
+
+    /// The unit in which samples this far apart are those of a gyroscope.
+    fn plausible(step: f64) -> Self {
+        match step {
+            step if step > 1e6 * LONGEST_STEP_S => Self::Nanoseconds,
+            step if step > 1e3 * LONGEST_STEP_S => Self::Microseconds,
+            step if step > LONGEST_STEP_S => Self::Milliseconds,
+            _ => Self::Seconds,
         }
     }
 }
@@ -60,19 +85,29 @@ impl TimeUnit {
 impl fmt::Display for Form {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Header { columns, unit } => {
+            Self::Header {
+                columns,
+                unit,
+                unit_by_step,
+                rates,
+            } => {
                 let unit = match unit {
                     TimeUnit::Seconds => "seconds",
                     TimeUnit::Milliseconds => "milliseconds",
                     TimeUnit::Microseconds => "microseconds",
                     TimeUnit::Nanoseconds => "nanoseconds",
                 };
-                write!(
-                    f,
-                    "header: {} in {unit}, {} in rad/s",
-                    columns[0],
-                    columns[1..].join(", ")
-                )
+                let by = if *unit_by_step {
+                    " (by the distance of the samples)"
+                } else {
+                    ""
+                };
+                let rates = match rates {
+                    RateUnit::RadPerSecond => "rad/s",
+                    RateUnit::DegPerSecond => "°/s, converted to rad/s",
+                };
+                let axes = columns[1..].join(", ");
+                write!(f, "header: {} in {unit}{by}, {axes} in {rates}", columns[0])
             }
             Self::PhoneApp => f.write_str("phone app: x, y, z in rad/s, integer nanoseconds"),
         }
@@ -182,6 +217,9 @@ pub fn read(input: impl Read) -> Result<GyroFile, CsvError> {
     Ok(rows.finish(layout.form))
 }
 
+/// Longest distance of a gyroscope's samples, seconds.
+const LONGEST_STEP_S: f64 = 0.2;
+
 /// Longest line that is read; a sample has some 60 characters.
 const LONGEST_LINE: u64 = 65_536;
 
@@ -239,7 +277,12 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
                         .contains(&&w[..w.len() - letter.len_utf8()])
             })
         };
-        let mut found = (0..names.len()).filter(|&i| i != time && is_axis(&names[i]));
+        let of_other = |name: &str| {
+            let of_other = |w: &String| w.starts_with("acc") || w.starts_with("mag");
+            words(name).iter().any(of_other)
+        };
+        let mut found =
+            (0..names.len()).filter(|&i| i != time && is_axis(&names[i]) && !of_other(&names[i]));
         match (found.next(), found.next()) {
             (Some(i), None) => Ok(i),
             (None, _) => Err(damaged(
@@ -249,39 +292,45 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
             )),
             (Some(_), Some(_)) => Err(damaged(
                 line,
-                format!("one column for {letter} (rad/s) only"),
+                format!("one column for {letter} of the gyroscope only"),
                 fields.join(","),
             )),
         }
     };
     let columns = [time, axis('x')?, axis('y')?, axis('z')?];
-    if columns[1..].iter().any(|&c| {
-        words(&names[c])
-            .iter()
-            .any(|w| w.contains("deg") || w == "dps")
-    }) {
-        return Err(damaged(line, "rates in rad/s", fields.join(",")));
-    }
-    let unit = match words(&names[time]).last().map(String::as_str) {
-        Some("ns" | "nanos" | "nsec" | "nanoseconds") => TimeUnit::Nanoseconds,
-        Some("us" | "µs" | "usec" | "micros" | "microseconds") => TimeUnit::Microseconds,
-        Some("ms" | "msec" | "millis" | "milliseconds") => TimeUnit::Milliseconds,
-        _ => TimeUnit::Seconds,
+    let in_degrees = |&c: &usize| {
+        let mut words = words(&names[c]).into_iter();
+        words.any(|w| w.contains("deg") || w == "dps") || names[c].contains('°')
+    };
+    let rates = match columns[1..].iter().filter(|c| in_degrees(c)).count() {
+        0 => RateUnit::RadPerSecond,
+        3 => RateUnit::DegPerSecond,
+        _ => return Err(damaged(line, "rates of one unit", fields.join(","))),
+    };
+    let named = match words(&names[time]).last().map(String::as_str) {
+        Some("ns" | "nanos" | "nsec" | "nanoseconds") => Some(TimeUnit::Nanoseconds),
+        Some("us" | "µs" | "usec" | "micros" | "microseconds") => Some(TimeUnit::Microseconds),
+        Some("ms" | "msec" | "millis" | "milliseconds") => Some(TimeUnit::Milliseconds),
+        Some("s" | "sec" | "secs" | "seconds") => Some(TimeUnit::Seconds),
+        _ => None,
     };
     Ok(Layout {
         columns,
         width: names.len(),
         form: Form::Header {
             columns: columns.map(|c| names[c].clone()),
-            unit,
+            unit: named.unwrap_or(TimeUnit::Seconds),
+            unit_by_step: named.is_none(),
+            rates,
         },
     })
 }
 
 #[derive(Default)]
 struct Rows {
-    nanos: Vec<PhoneNanos>,
     times: Vec<f64>,
+    /// The same times, as long as all of them are integers.
+    integers: Vec<i64>,
     rates: Vec<[f64; 3]>,
 }
 
@@ -299,10 +348,7 @@ impl Rows {
             number(text).ok_or_else(|| {
                 damaged(
                     line,
-                    format!(
-                        "a number (rad/s) in column {}",
-                        layout.columns[1 + axis] + 1
-                    ),
+                    format!("a number (rate) in column {}", layout.columns[1 + axis] + 1),
                     format!("\"{text}\""),
                 )
             })
@@ -314,48 +360,58 @@ impl Rows {
             Form::PhoneApp => true,
             Form::Header { unit, .. } => unit == TimeUnit::Nanoseconds,
         };
-        if integer {
-            let nanos = text.parse::<i64>().map_err(|_| {
-                damaged(
-                    line,
-                    format!("integer nanoseconds in column {column} ({})", layout.form),
-                    format!("\"{text}\""),
-                )
-            })?;
-            self.nanos.push(PhoneNanos(nanos));
-        } else {
-            let time = number(text).ok_or_else(|| {
-                damaged(
-                    line,
-                    format!("a number (time) in column {column}"),
-                    format!("\"{text}\""),
-                )
-            })?;
-            self.times.push(time);
+        let whole = text.parse::<i64>();
+        if integer && whole.is_err() {
+            return Err(damaged(
+                line,
+                format!("integer nanoseconds in column {column} ({})", layout.form),
+                format!("\"{text}\""),
+            ));
         }
+        let time = number(text).ok_or_else(|| {
+            damaged(
+                line,
+                format!("a number (time) in column {column}"),
+                format!("\"{text}\""),
+            )
+        })?;
+        self.integers.extend(whole);
+        self.times.push(time);
         self.rates.push(rates);
         Ok(())
     }
 
     fn finish(self, mut form: Form) -> GyroFile {
-        let track = if self.nanos.is_empty() {
-            // Whole nanoseconds under a name without a unit: no two samples of a
-            // twist are a day apart.
-            if let Form::Header { unit, .. } = &mut form
-                && *unit == TimeUnit::Seconds
-                && typical_step(&self.times).is_some_and(|step| step > 86_400.0)
-            {
-                *unit = TimeUnit::Nanoseconds;
-            }
-            let scale = match form {
-                Form::Header { unit, .. } => unit.per_second(),
-                Form::PhoneApp => 1.0,
-            };
-            let times: Vec<f64> = self.times.iter().map(|t| t / scale).collect();
-            GyroTrack::from_seconds(&times, self.rates)
-        } else {
-            phone_track(&self.nanos, self.rates)
+        if let Form::Header {
+            unit,
+            unit_by_step: true,
+            ..
+        } = &mut form
+        {
+            *unit = typical_step(&self.times).map_or(*unit, TimeUnit::plausible);
+        }
+        let (unit, rates) = match form {
+            Form::Header { unit, rates, .. } => (unit, rates),
+            Form::PhoneApp => (TimeUnit::Nanoseconds, RateUnit::RadPerSecond),
         };
+        let scaled = |time: &i64| time.checked_mul(unit.nanos()).map(PhoneNanos);
+        let nanos: Option<Vec<PhoneNanos>> = self.integers.iter().map(scaled).collect();
+        let all_whole = self.integers.len() == self.times.len();
+        let mut track = match nanos.filter(|_| all_whole) {
+            Some(nanos) => phone_track(&nanos, self.rates),
+            None => {
+                let per_second = 1e9 / unit.nanos() as f64;
+                let times: Vec<f64> = self.times.iter().map(|t| t / per_second).collect();
+                GyroTrack::from_seconds(&times, self.rates)
+            }
+        };
+        if rates == RateUnit::DegPerSecond {
+            track
+                .w
+                .iter_mut()
+                .flatten()
+                .for_each(|rate| *rate = rate.to_radians());
+        }
         GyroFile { track, form }
     }
 }
@@ -411,6 +467,55 @@ mod tests {
     }
 
     #[test]
+    fn degrees_are_converted_and_said() {
+        for header in [
+            "time,x_deg,y_deg,z_deg",
+            "t,gx_dps,gy_dps,gz_dps",
+            "t,x °/s,y °/s,z °/s",
+        ] {
+            let file = parse(&format!("{header}\n1.5,90,0,-180\n")).unwrap();
+            assert_eq!(file.track.w[0][0], 90_f64.to_radians(), "{header}");
+            assert!(file.form.to_string().contains("°/s, converted"), "{header}");
+        }
+    }
+
+    #[test]
+    fn times_are_in_the_unit_that_is_named_or_plausible() {
+        for (header, step, word) in [
+            ("t", "0.002", "in seconds (by"),
+            ("t", "2", "milliseconds (by"),
+            ("t", "2000", "microseconds (by"),
+            ("t", "2000000", "nanoseconds (by"),
+            ("t_ms", "2", "milliseconds,"),
+            ("t_us", "2000", "microseconds,"),
+            ("time_s", "0.002", "in seconds,"),
+        ] {
+            let step: f64 = step.parse().unwrap();
+            let mut text = format!("{header},x,y,z\n");
+            for k in 0..5 {
+                text += &format!("{},1,2,3\n", 1000.0 * step + step * f64::from(k));
+            }
+            let file = parse(&text).unwrap();
+            assert!(file.form.to_string().contains(word), "{}", file.form);
+            assert!((file.track.t[4] - 0.008).abs() < 1e-12, "{header} {step}");
+            assert!((file.track.epoch_s - 2.0).abs() < 1e-9, "{header} {step}");
+        }
+        // Nanoseconds since 1970 keep their digits.
+        let file = parse("time,x,y,z\n1700000000000000001,1,2,3\n1700000000002000002,1,2,3\n");
+        assert_eq!(file.unwrap().track.t[1], 2.000_001e-3);
+    }
+
+    #[test]
+    fn the_columns_of_the_gyroscope_are_taken() {
+        let own = "ticks,time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,accel_x_m_s2,\
+                   accel_y_m_s2,accel_z_m_s2,temperature_c,flags\n\
+                   48000000,1.000000000,0.1,0.2,0.3,9.0,9.1,9.2,25.000,0\n";
+        let file = parse(own).unwrap();
+        assert_eq!(file.track.w, [[0.1, 0.2, 0.3]]);
+        assert_eq!(file.track.epoch_s, 1.0);
+    }
+
+    #[test]
     fn damage_is_named_with_its_line() {
         let message = |text: &str| parse(text).unwrap_err().to_string();
         assert!(message("time,x,y,z\n1,2,3,4\n1.1,2,three,4\n").contains("line 3"));
@@ -421,7 +526,7 @@ mod tests {
         assert!(message("time,x,y,z\n1,2,3,\u{1}\n").contains("line 2"));
         assert!(message("").contains("no samples"));
         assert!(message("time,x,y,z\n").contains("no samples"));
-        assert!(message("time,x_deg,y_deg,z_deg\n1,2,3,4\n").contains("rad/s"));
+        assert!(message("time,x_deg,y_deg,z\n1,2,3,4\n").contains("one unit"));
         assert!(
             read(&b"time,x,y,z\n1,2,\xff\xfe,4\n"[..])
                 .unwrap_err()

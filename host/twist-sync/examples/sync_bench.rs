@@ -188,7 +188,8 @@ fn print_row(name: &str, trials: &[Trial]) {
     let rms = |f: &dyn Fn(&Accepted) -> f64| {
         (accepted.iter().map(|a| f(a).powi(2)).sum::<f64>() / n).sqrt()
     };
-    let most = |f: &dyn Fn(&Accepted) -> f64| accepted.iter().map(|a| f(a).abs()).fold(0.0, f64::max);
+    let most =
+        |f: &dyn Fn(&Accepted) -> f64| accepted.iter().map(|a| f(a).abs()).fold(0.0, f64::max);
     println!(
         "| {name} | {} of {count} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {ms:.0} |",
         accepted.len(),

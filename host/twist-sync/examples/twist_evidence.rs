@@ -114,17 +114,12 @@ fn main() {
         &phone,
         &with(|o| o.low_pass_hz = 40.0),
     );
+    variant("cubic interpolation", &mcu, &phone, &with(|o| o.degree = 3));
     variant(
-        "cubic splines",
+        "interpolation of degree 7",
         &mcu,
         &phone,
-        &with(|o| o.spline_degree = 3),
-    );
-    variant(
-        "splines of degree 7",
-        &mcu,
-        &phone,
-        &with(|o| o.spline_degree = 7),
+        &with(|o| o.degree = 7),
     );
     let every_other = GyroTrack {
         epoch_s: mcu.epoch_s,

@@ -1,9 +1,9 @@
 //! Classes of samples that recur with a fixed period and belong to another time
 //! than their timestamps say.
 
+use crate::interpolant::Vec3;
 use crate::neighbours::{Against, Samples, local_variances, noise_of};
 use crate::robust;
-use crate::interpolant::Vec3;
 
 /// Longest period that is looked for, in samples.
 const LONGEST_PERIOD: usize = 64;
@@ -11,6 +11,8 @@ const LONGEST_PERIOD: usize = 64;
 const CLASS_Z: f64 = 8.0;
 /// The same against the scatter of its members.
 const CLASS_Z_SCATTER: f64 = 6.0;
+/// So many of the most significant hypotheses are looked at.
+const MOST_TRIED: usize = 8;
 /// Least displacement of a class, as a part of the sampling step.
 const CLASS_STEP: f64 = 0.04;
 
@@ -74,7 +76,7 @@ fn displaced_class(
             (a.index, score, information)
         })
         .collect();
-    let mut found: Vec<(f64, f64, Class)> = Vec::new();
+    let mut found: Vec<Hypothesis> = Vec::new();
     let mut sums = [Sums::default(); LONGEST_PERIOD];
     for period in periods {
         sums[..period].fill(Sums::default());
@@ -112,23 +114,37 @@ fn displaced_class(
             found.push((z, z_scatter, class));
         }
     }
-    // Chance is what the hypotheses themselves show: nearly all of them are none.
-    let by_chance = |of: fn(&(f64, f64, Class)) -> f64| {
-        let values: Vec<f64> = found.iter().map(of).collect();
-        // A few hypotheses do not show it.
-        let enough = values.len() > LONGEST_PERIOD;
-        let scatter = robust::mad_sigma(&values).filter(|_| enough);
-        scatter.map_or(1.0, |sigma| sigma.max(1.0))
-    };
-    let z_limit = CLASS_Z * by_chance(|f| f.0);
-    let scatter_limit = CLASS_Z_SCATTER * by_chance(|f| f.1);
-    found
-        .into_iter()
+    found.retain(|f| f.2.displacement_s.is_finite());
+    let mut best: Vec<&Hypothesis> = found
+        .iter()
         .filter(|(z, z_scatter, class)| {
-            z.abs() > z_limit
-                && z_scatter.abs() > scatter_limit
+            z.abs() > CLASS_Z
+                && z_scatter.abs() > CLASS_Z_SCATTER
                 && class.displacement_s.abs() > CLASS_STEP * step_s
         })
-        .max_by(|x, y| x.0.abs().total_cmp(&y.0.abs()))
-        .map(|(.., class)| class)
+        .collect();
+    best.sort_by(|x, y| y.0.abs().total_cmp(&x.0.abs()));
+    let earned = |f: &&&Hypothesis| f.1.abs() > CLASS_Z_SCATTER * by_chance(&found, f.2.period);
+    best.iter().take(MOST_TRIED).find(earned).map(|f| f.2)
+}
+
+/// Significance against even noise, against the scatter of the members; the class.
+type Hypothesis = (f64, f64, Class);
+
+/// Scatter of the significance that the data show by chance, at least 1: that of the
+/// classes whose period has no factor in common with this one, over which a class of
+/// this period spreads evenly.
+fn by_chance(found: &[Hypothesis], period: usize) -> f64 {
+    let coprime = |other: usize| {
+        let (mut a, mut b) = (period, other);
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        a == 1
+    };
+    let others = found.iter().filter(|f| coprime(f.2.period));
+    let values: Vec<f64> = others.map(|f| f.1).collect();
+    // A few hypotheses do not show it.
+    let scatter = robust::mad_sigma(&values).filter(|_| values.len() > LONGEST_PERIOD);
+    scatter.map_or(1.0, |sigma| sigma.max(1.0))
 }

@@ -13,9 +13,9 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::coarse::Usable;
 use crate::fit::{Calibration, Fit, Node};
+use crate::interpolant::Vec3;
 use crate::robust;
 use crate::signal::Signal;
-use crate::interpolant::Vec3;
 
 /// A sample is an outlier beyond this many sigmas (length of the whitened vector).
 const OUTLIER_SIGMA: f64 = 6.0;

@@ -14,11 +14,11 @@ use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
 use crate::fit::{self, Calibration, Fit, Node};
 use crate::gates::Gate;
+use crate::interpolant::Vec3;
 use crate::lag;
 use crate::pair::{Pair, Settings};
-use crate::rigid::Stretch;
+use crate::rigid::{self, Stretch};
 use crate::signal::{Signal, Smoothing};
-use crate::interpolant::Vec3;
 use crate::stream::CheckedStream;
 use crate::swing;
 use crate::track::GyroTrack;
@@ -222,7 +222,9 @@ pub fn estimate_offset(
     };
     let sampled = report.judge(Gate::rate(a.step_s.max(b.step_s)));
     let mut pair = Pair::new(a, b);
-    let found = enough.and(sampled).and_then(|()| related(&mut pair, options, &mut report));
+    let found = enough
+        .and(sampled)
+        .and_then(|()| related(&mut pair, options, &mut report));
     report.faults = pair.faults();
     report.left_out = pair.left_out;
     match found {
@@ -259,11 +261,11 @@ fn related(
     let mut in_one_relation = 1.0;
     if !unexplained.is_empty() {
         pair.leave_out_unexplained(&start, &unexplained);
-        let stepped = |s: &&Stretch| matches!(s.why, Why::TimeStep(_));
-        let all: f64 = unexplained.iter().map(|s| s.share).sum();
-        let steps: f64 = unexplained.iter().filter(stepped).map(|s| s.share).sum();
-        let one_body = 1.0 - (all - steps);
+        let is_step = |s: &&Stretch| matches!(s.why, Why::TimeStep(_));
+        let loose = unexplained.iter().filter(|s| !is_step(s));
+        let one_body = rigid::kept_share(loose);
         report.judge(Gate::one_body(one_body))?;
+        let steps = 1.0 - rigid::kept_share(unexplained.iter().filter(is_step));
         in_one_relation = 1.0 - steps / one_body;
         signals = pair.signals(&smoothing);
     }
@@ -275,7 +277,11 @@ fn related(
     };
     let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
     let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
-    swing::considered(&mut fit, settings.fit.oversampling, classes[0].max(classes[1]));
+    swing::considered(
+        &mut fit,
+        settings.fit.oversampling,
+        classes[0].max(classes[1]),
+    );
     let clock = clock_of(pair, &fit, options);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());

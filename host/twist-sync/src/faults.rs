@@ -81,7 +81,11 @@ pub struct LeftOut {
 
 impl fmt::Display for LeftOut {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "left out from {:.1} s to {:.1} s: ", self.from_s, self.to_s)?;
+        write!(
+            f,
+            "left out from {:.1} s to {:.1} s: ",
+            self.from_s, self.to_s
+        )?;
         match self.why {
             Why::Apart => f.write_str("the two did not move as one body"),
             Why::Slipped(angle) => write!(

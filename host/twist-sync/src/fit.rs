@@ -20,9 +20,9 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
+use crate::interpolant::Vec3;
 use crate::robust::median;
 use crate::signal::Signal;
-use crate::interpolant::Vec3;
 
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;

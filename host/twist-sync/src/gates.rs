@@ -22,7 +22,7 @@ const RESIDUAL_OF_MOTION: f64 = 0.03;
 const RESIDUAL_OF_NOISE: f64 = 3.0;
 /// Least part of a stream's samples that must be usable.
 const LEAST_USABLE: f64 = 0.5;
-/// Least part of the motion's power that must be that of one body.
+/// Least part of the motion that must be that of one body.
 const LEAST_ONE_BODY: f64 = 1.0 / 3.0;
 /// Least part of the information that one relation of the clocks must hold.
 const LEAST_SHARE: f64 = 0.6;
@@ -84,11 +84,10 @@ impl Gate {
     }
 
     pub(crate) fn samples(fewest: usize) -> Self {
-        Self::at_least("samples", fewest as f64, FEWEST_SAMPLES, "samples")
-            .or(
-                "a recording has too few usable samples",
-                "record for some seconds at 100 samples a second or more",
-            )
+        Self::at_least("samples", fewest as f64, FEWEST_SAMPLES, "samples").or(
+            "a recording has too few usable samples",
+            "record for some seconds at 100 samples a second or more",
+        )
     }
 
     /// `step_s` is the distance of samples, of the stream where it is larger.
@@ -106,11 +105,10 @@ impl Gate {
     }
 
     pub(crate) fn overlap(common_s: f64, limit_s: f64) -> Self {
-        Self::at_least("overlap", common_s, limit_s, "s")
-            .or(
-                "the recordings have too little time in common",
-                "record both at the same time, and twist for some seconds",
-            )
+        Self::at_least("overlap", common_s, limit_s, "s").or(
+            "the recordings have too little time in common",
+            "record both at the same time, and twist for some seconds",
+        )
     }
 
     /// `unexplained` is a part of the motion's rms.
@@ -139,11 +137,10 @@ impl Gate {
     /// `part` of the samples, of the stream that lost more.
     pub(crate) fn usable(part: f64) -> Self {
         let (value, limit) = (100.0 * part, 100.0 * LEAST_USABLE);
-        Self::at_least("usable", value, limit, "% of a stream is left")
-            .or(
-                "too many samples had to be left out",
-                "the list of faults says why; close other apps on the phone, and twist again",
-            )
+        Self::at_least("usable", value, limit, "% of a stream is left").or(
+            "too many samples had to be left out",
+            "the list of faults says why; close other apps on the phone, and twist again",
+        )
     }
 
     /// `share` is a part of the motion's power.
@@ -159,20 +156,18 @@ impl Gate {
     pub(crate) fn one_relation(share: f64) -> Self {
         let (value, limit) = (100.0 * share, 100.0 * LEAST_SHARE);
         let unit = "% of the information is in one relation";
-        Self::at_least("one_relation", value, limit, unit)
-            .or(
-                "the relation of the clocks jumps within the recording",
-                "twist again; if it jumps again, the timestamps of a device are at fault",
-            )
+        Self::at_least("one_relation", value, limit, unit).or(
+            "the relation of the clocks jumps within the recording",
+            "twist again; if it jumps again, the timestamps of a device are at fault",
+        )
     }
 
     pub(crate) fn consistent(scatter_s: f64) -> Self {
         let (value, limit) = (1e6 * scatter_s, 1e6 * LOCAL_SCATTER_S);
-        Self::at_most("consistent", value, limit, "µs rms between parts")
-            .or(
-                "parts of the overlap disagree about the offset",
-                "hold both firmly to each other, and twist again",
-            )
+        Self::at_most("consistent", value, limit, "µs rms between parts").or(
+            "parts of the overlap disagree about the offset",
+            "hold both firmly to each other, and twist again",
+        )
     }
 
     pub(crate) fn sigma(sigma_s: f64, limit_s: f64) -> Self {

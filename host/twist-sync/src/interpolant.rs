@@ -18,7 +18,8 @@ fn is_offered(degree: usize, samples: usize) -> bool {
 
 /// First of the samples whose polynomial runs between sample `left` and the next.
 fn window(left: usize, samples: usize, degree: usize) -> usize {
-    left.saturating_sub((degree - 1) / 2).min(samples - degree - 1)
+    left.saturating_sub((degree - 1) / 2)
+        .min(samples - degree - 1)
 }
 
 /// Samples at uneven times.
@@ -130,7 +131,10 @@ impl Uniform {
         let place = (t - self.start) / self.step;
         let left = (place.max(0.0) as usize).min(last);
         let from = left * (self.degree + 1);
-        (&self.coefficients[from..=from + self.degree], place - left as f64)
+        (
+            &self.coefficients[from..=from + self.degree],
+            place - left as f64,
+        )
     }
 
     /// Value at `t`; outside of the samples the end polynomial is continued.
@@ -208,9 +212,11 @@ mod tests {
                 }
             }
             let grid = uneven.on_grid(0.007, 50);
-            assert!(grid.iter().enumerate().all(|(k, v)| {
-                *v == uneven.value(t[0] + 0.007 * k as f64)
-            }));
+            assert!(
+                grid.iter()
+                    .enumerate()
+                    .all(|(k, v)| { *v == uneven.value(t[0] + 0.007 * k as f64) })
+            );
         }
     }
 

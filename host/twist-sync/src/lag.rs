@@ -7,9 +7,9 @@ use crate::coarse;
 use crate::estimate::Report;
 use crate::fit::{self, Fit, FitOptions, Link};
 use crate::gates::Gate;
+use crate::interpolant::Vec3;
 use crate::pair::{Pair, Settings, Signals};
 use crate::rigid::{self, Stretch};
-use crate::interpolant::Vec3;
 
 /// Quick fits whose lags are closer than this are one, seconds.
 const SAME_LAG_S: f64 = 0.02;
@@ -106,7 +106,10 @@ pub(crate) fn chosen(
     let (chosen, others): (Vec<Tried>, Vec<Tried>) = others
         .into_iter()
         .partition(|other| (other.lag_s() - chosen_lag_s).abs() < SAME_LAG_S);
-    let chosen = chosen.into_iter().next().or_else(|| Tried::new(part.fit.clone()))?;
+    let chosen = chosen
+        .into_iter()
+        .next()
+        .or_else(|| Tried::new(part.fit.clone()))?;
     report.judge(Gate::unique_peak(rival(&chosen, &others)))?;
     Some((part.fit.link, part.stretches))
 }

@@ -25,6 +25,7 @@ mod estimate;
 mod faults;
 mod fit;
 mod gates;
+mod interpolant;
 mod lag;
 mod neighbours;
 mod pair;
@@ -36,7 +37,6 @@ mod search;
 mod signal;
 #[cfg(feature = "simulate")]
 pub mod simulate;
-mod interpolant;
 mod stream;
 mod swing;
 mod timestamps;

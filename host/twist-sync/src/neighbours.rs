@@ -1,8 +1,8 @@
 //! Each sample against the prediction from its neighbours: Lagrange interpolation
 //! at the true times, three samples on each side.
 
-use crate::robust;
 use crate::interpolant::Vec3;
+use crate::robust;
 
 /// Neighbours on each side.
 const SIDE: usize = 3;

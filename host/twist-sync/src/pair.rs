@@ -111,7 +111,13 @@ impl Pair {
 
     /// Notes a stretch of the data's time that is left out.
     fn note(&mut self, link: &Link, (from, to): (f64, f64), why: Why) {
-        let of_a = |t: f64| if self.a_is_model { link.model_time(t) } else { t };
+        let of_a = |t: f64| {
+            if self.a_is_model {
+                link.model_time(t)
+            } else {
+                t
+            }
+        };
         let a = if self.a_is_model {
             &self.model
         } else {

@@ -17,8 +17,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::faults::Why;
 use crate::fit::{self, Calibration, Fit, FitOptions, Link, Node};
-use crate::signal::Signal;
 use crate::interpolant::Vec3;
+use crate::signal::Signal;
 
 /// Blocks of time that are explained or not, seconds.
 const BLOCK_S: f64 = 0.25;
@@ -58,8 +58,18 @@ pub(crate) struct Stretch {
     pub(crate) to: f64,
     /// Time steps: the data's time, later than where the rest has it.
     pub(crate) why: Why,
-    /// Its power of motion, as a part of all.
-    pub(crate) share: f64,
+    /// Its part of the motion's power.
+    power: f64,
+    /// Its part of the time in motion.
+    time: f64,
+}
+
+/// What is kept of the motion without these stretches: of its power, or of its time
+/// where that is less.
+pub(crate) fn kept_share<'a>(left_out: impl Iterator<Item = &'a Stretch> + Clone) -> f64 {
+    let power: f64 = left_out.clone().map(|s| s.power).sum();
+    let time: f64 = left_out.map(|s| s.time).sum();
+    1.0 - power.max(time)
 }
 
 /// The largest part of the overlap that one relation explains.
@@ -107,18 +117,25 @@ impl Blocks {
         data.iter().filter(|(t, _)| is_kept(*t)).copied().collect()
     }
 
-    /// Rms of a length per axis in each block; 0 in an empty one.
-    fn rms<'a>(self, values: impl Iterator<Item = (f64, Vector3<f64>)> + 'a) -> Vec<f64> {
-        let mut sums = vec![(0.0, 0.0); self.count];
+    /// Rms of a length per axis in each block; 0 in an empty one. From the 60 %
+    /// quantile of the squares (of three normal axes it is their mean), so that a spike
+    /// does not count.
+    fn rms(self, values: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<f64> {
+        let mut squares: Vec<Vec<f64>> = vec![Vec::new(); self.count];
         for (t, value) in values {
             if let Some(block) = self.of(t) {
-                sums[block].0 += value.norm_squared();
-                sums[block].1 += 3.0;
+                squares[block].push(value.norm_squared());
             }
         }
-        sums.iter()
-            .map(|(sum, count): &(f64, f64)| (sum / count.max(1.0)).sqrt())
-            .collect()
+        let typical = |squares: &mut Vec<f64>| {
+            let at = squares.len() * 3 / 5;
+            let square = match squares.len() {
+                0 => 0.0,
+                _ => *squares.select_nth_unstable_by(at, f64::total_cmp).1,
+            };
+            (square / 3.0).sqrt()
+        };
+        squares.iter_mut().map(typical).collect()
     }
 }
 
@@ -311,6 +328,7 @@ impl Search<'_> {
 
     fn finished(&self, found: Consensus) -> Part {
         let all = self.power(|_| true).max(f64::MIN_POSITIVE);
+        let moving = self.moving.iter().filter(|m| **m).count().max(1) as f64;
         let noise = NOISE * self.options.noise_variance.sqrt();
         let mut stretches: Vec<Stretch> = Vec::new();
         let errors = self.errors(&found.fit);
@@ -323,17 +341,20 @@ impl Search<'_> {
             if block + 1 == self.blocks.count {
                 to = f64::INFINITY;
             }
-            let share = self.power(|other| other == block) / all;
+            let own = self.power(|other| other == block) / all;
+            let lasts = f64::from(u8::from(self.moving[block])) / moving;
             match stretches.last_mut() {
                 Some(last) if from - last.to < JOIN_S => {
                     last.to = to;
-                    last.share += share;
+                    last.power += own;
+                    last.time += lasts;
                 }
                 _ => stretches.push(Stretch {
                     from,
                     to,
                     why: Why::Apart,
-                    share,
+                    power: own,
+                    time: lasts,
                 }),
             }
         }
@@ -389,7 +410,12 @@ impl Search<'_> {
             .map(|k| STEP_GRID_S * f64::from(k))
             .chain(self.rivals.iter().map(|rival| rival - lag_s));
         let nearest = on_grid
-            .filter_map(|later_s| Some((self.residual(&nodes_at(later_s)?, &fit.calibration), later_s)))
+            .filter_map(|later_s| {
+                Some((
+                    self.residual(&nodes_at(later_s)?, &fit.calibration),
+                    later_s,
+                ))
+            })
             .min_by(|x, y| x.0.total_cmp(&y.0))
             .map_or(0.0, |(_, later_s)| later_s);
         let mut later_s = nearest;

@@ -19,8 +19,8 @@
 
 use crate::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
-use crate::neighbours::{Samples, kept, leave_out, local_variances, noise_of};
 use crate::interpolant::Vec3;
+use crate::neighbours::{Samples, kept, leave_out, local_variances, noise_of};
 
 /// Result of the checks of one stream's samples.
 #[derive(Default)]

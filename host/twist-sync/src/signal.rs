@@ -14,8 +14,8 @@
 //! of the motion's derivative matters for it. What the filter removes is the
 //! noise in the derivative.
 
-use crate::neighbours;
 use crate::interpolant::{Uneven, Uniform, Vec3};
+use crate::neighbours;
 
 /// How far the Gaussian kernel is carried, in standard deviations. The
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.

@@ -2,10 +2,10 @@
 
 use crate::GyroTrack;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
+use crate::interpolant::Vec3;
 use crate::neighbours::{self, Samples};
 use crate::samples;
 use crate::signal::{Signal, Smoothing};
-use crate::interpolant::Vec3;
 use crate::timestamps;
 
 /// Rates above this are no rates, rad/s.

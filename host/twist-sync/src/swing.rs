@@ -18,10 +18,10 @@ const PARTS: f64 = 32.0;
 /// Sizes of a swing, seconds.
 const SIZES_S: [f64; 7] = [8e-6, 16e-6, 32e-6, 64e-6, 128e-6, 256e-6, 512e-6];
 /// Its lengths, seconds. A sine of period P is most like a length of P/2π.
-const LENGTHS_S: [f64; 3] = [0.4, 1.0, 2.5];
+const LENGTHS_S: [f64; 3] = [0.4, 0.8, 1.6];
 /// Prior probability that there is none, by how many displaced classes were found: a
 /// device whose samples belong to other times in several ways is not trusted slowly.
-const NONE: [f64; 3] = [0.99, 0.9, 0.4];
+const NONE: [f64; 3] = [0.99, 0.9, 0.3];
 
 /// A part of the overlap.
 struct Local {
@@ -59,7 +59,10 @@ pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let top = top.fold(f64::NEG_INFINITY, f64::max);
     let weight = |(prior, g): &(f64, Given)| prior * (g.ln_likelihood - top).exp();
     let sum: f64 = all.iter().map(weight).sum();
-    let mean = all.iter().map(|g| g.1.mean * (weight(g) / sum)).sum::<Vector2<f64>>();
+    let mean = all
+        .iter()
+        .map(|g| g.1.mean * (weight(g) / sum))
+        .sum::<Vector2<f64>>();
     let covariance = all
         .iter()
         .map(|g| {

@@ -1,7 +1,7 @@
 //! A gyroscope's recording as the sync math takes it.
 
-use crate::recording::GyroSample;
 use crate::interpolant::Vec3;
+use crate::recording::GyroSample;
 
 /// Angular rates over time.
 ///

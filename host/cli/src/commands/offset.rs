@@ -1,5 +1,6 @@
 //! `smartdepthsync offset`: the clock relation of two gyroscope recordings.
 
+mod export;
 mod plot;
 
 use std::fmt::Write as _;
@@ -11,13 +12,14 @@ use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::sync_report::{DeviceFault, SyncReport};
 use phone::gyro_csv::{self, GyroFile};
-use twist_sync::{Action, Estimate, FaultKind, Options, estimate_offset};
+use twist_sync::{Action, Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
 /// Options of `offset`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The board's gyroscope: CSV with a header (time in seconds; x, y, z in rad/s), or in
-    /// the phone app's form (no header: x, y, z, integer nanoseconds)
+    /// The board's gyroscope: CSV with a header (time; x, y, z in rad/s or degrees a second;
+    /// what `imu --csv` writes is one), or in the phone app's form (no header: x, y, z,
+    /// integer nanoseconds)
     #[arg(long, value_name = "FILE")]
     pub(crate) mcu: PathBuf,
     /// The phone's gyroscope, in either form
@@ -26,6 +28,10 @@ pub(crate) struct Args {
     /// Draw both gyroscopes before and after, the residual and what was left out
     #[arg(long, value_name = "FILE.svg")]
     pub(crate) plot: Option<PathBuf>,
+    /// Write both recordings with times from their first sample and without names, and the
+    /// result, to this folder: to be sent to the project
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) export: Option<PathBuf>,
     /// Delay of the board gyroscope's low-pass in µs (MPU-9150: 1900 at DLPF 188 Hz)
     #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = delay, allow_negative_numbers = true)]
     pub(crate) mcu_delay_us: f64,
@@ -38,8 +44,8 @@ pub(crate) struct Args {
     /// −3 dB frequency of the zero-phase low-pass, Hz
     #[arg(long, value_name = "HZ", default_value_t = 25.0, value_parser = low_pass)]
     pub(crate) low_pass_hz: f64,
-    /// Degree of the splines
-    #[arg(long, value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
+    /// Degree of the interpolation
+    #[arg(long, alias = "spline-degree", value_name = "DEGREE", default_value = "5", value_parser = ["3", "5", "7"])]
     pub(crate) degree: String,
     /// Do not look for faults of the streams, to see what they do to the result
     #[arg(long)]
@@ -78,7 +84,7 @@ impl Args {
     fn options(&self) -> Options {
         Options {
             low_pass_hz: self.low_pass_hz,
-            degree: self.spline_degree.parse().unwrap_or(5),
+            degree: self.degree.parse().unwrap_or(5),
             a_delay_s: self.mcu_delay_us * 1e-6,
             b_delay_s: self.phone_delay_us * 1e-6,
             sigma_limit_s: self.max_sigma_us * 1e-6,
@@ -135,6 +141,76 @@ impl Input {
     }
 }
 
+impl Output {
+    /// `inputs` are those of the board and of the phone.
+    fn new(
+        result: &Result<Estimate, Refusal>,
+        options: &Options,
+        [mcu, phone]: [Input; 2],
+    ) -> Self {
+        let estimate = result.as_ref().ok();
+        let refusal = result.as_ref().err();
+        let report = match result {
+            Ok(estimate) => &estimate.report,
+            Err(refusal) => &refusal.report,
+        };
+        Self {
+            accepted: estimate.is_some(),
+            refusal: refusal.map(|refusal| refusal.report.failures()),
+            reference_s: estimate.map(|e| e.clock.reference),
+            offset_s: estimate.map(|e| e.clock.offset),
+            offset_sigma_s: estimate.map(Estimate::offset_sigma_s),
+            skew_ppm: estimate.map(|e| e.clock.skew * 1e6),
+            skew_sigma_ppm: estimate.map(|e| e.skew_sigma() * 1e6),
+            calibration: estimate.map(|e| e.calibration),
+            bias: estimate.map(|e| e.bias),
+            mcu_delay_s: options.a_delay_s,
+            phone_delay_s: options.b_delay_s,
+            report: report.into(),
+            mcu,
+            phone,
+        }
+    }
+}
+
+/// Brings both to rad/s where one is in degrees a second: gyroscopes on one body turn at
+/// the same rate, so a ratio near 57 is a unit. Says so.
+fn in_one_unit(mcu: &mut GyroTrack, phone: &mut GyroTrack) -> Option<String> {
+    let degree = 180.0 / std::f64::consts::PI;
+    let (of_mcu, of_phone) = (typical_rate(mcu)?, typical_rate(phone)?);
+    let ratio = (of_mcu / of_phone).max(of_phone / of_mcu);
+    // A factor of two for parts of the recordings that the other does not have.
+    if !(0.5 * degree..2.0 * degree).contains(&ratio) {
+        return None;
+    }
+    let (track, name) = if of_mcu > of_phone {
+        (mcu, "board")
+    } else {
+        (phone, "phone")
+    };
+    track
+        .w
+        .iter_mut()
+        .flatten()
+        .for_each(|rate| *rate = rate.to_radians());
+    Some(format!(
+        "the rates of the {name} are {ratio:.0} times those of the other: taken as degrees a \
+         second and converted"
+    ))
+}
+
+/// A large rate of the motion, without the largest: the 90 % quantile.
+fn typical_rate(track: &GyroTrack) -> Option<f64> {
+    let norm = |w: &[f64; 3]| w.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let mut rates: Vec<f64> = track.w.iter().map(norm).filter(|x| x.is_finite()).collect();
+    let at = rates.len() * 9 / 10;
+    if rates.is_empty() {
+        return None;
+    }
+    let (_, &mut rate, _) = rates.select_nth_unstable_by(at, f64::total_cmp);
+    (rate > 0.0).then_some(rate)
+}
+
 /// Relates the clocks of two recordings.
 ///
 /// # Errors
@@ -143,40 +219,26 @@ impl Input {
 /// estimate is no error but [`Outcome::Refused`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let options = args.options();
-    let mcu = read(&args.mcu)?;
-    let phone = read(&args.phone)?;
+    let mut mcu = read(&args.mcu)?;
+    let mut phone = read(&args.phone)?;
+    let unit = in_one_unit(&mut mcu.track, &mut phone.track);
     let result = estimate_offset(&mcu.track, &phone.track, &options);
     if let Some(path) = &args.plot {
         let svg = plot::svg(&mcu.track, &phone.track, &result, &options);
         std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
         context.say(format!("plot: {}", path.display()));
     }
+    let inputs = [Input::new(&args.mcu, &mcu), Input::new(&args.phone, &phone)];
+    let mut output = Output::new(&result, &options, inputs);
+    output.report.warnings.extend(unit);
+    if let Some(folder) = &args.export {
+        export::write(folder, [&mcu.track, &phone.track], &options)?;
+        context.say(format!("exported: {}", folder.display()));
+    }
     let outcome = if result.is_ok() {
         Outcome::Good
     } else {
         Outcome::Refused
-    };
-    let estimate = result.as_ref().ok();
-    let refusal = result.as_ref().err();
-    let report = match &result {
-        Ok(estimate) => &estimate.report,
-        Err(refusal) => &refusal.report,
-    };
-    let output = Output {
-        accepted: estimate.is_some(),
-        refusal: refusal.map(|refusal| refusal.report.failures()),
-        reference_s: estimate.map(|e| e.clock.reference),
-        offset_s: estimate.map(|e| e.clock.offset),
-        offset_sigma_s: estimate.map(Estimate::offset_sigma_s),
-        skew_ppm: estimate.map(|e| e.clock.skew * 1e6),
-        skew_sigma_ppm: estimate.map(|e| e.skew_sigma() * 1e6),
-        calibration: estimate.map(|e| e.calibration),
-        bias: estimate.map(|e| e.bias),
-        mcu_delay_s: options.a_delay_s,
-        phone_delay_s: options.b_delay_s,
-        report: report.into(),
-        mcu: Input::new(&args.mcu, &mcu),
-        phone: Input::new(&args.phone, &phone),
     };
     context.print(&output, || text(&output))?;
     Ok(outcome)
@@ -186,7 +248,7 @@ fn read(path: &Path) -> Result<GyroFile, Failure> {
     gyro_csv::read_file(path).map_err(|error| match error {
         gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),
         other => Failure::new(ExitStatus::Error, format!("{}: {other}", path.display())).next_step(
-            "give CSV with a header (time in seconds; x, y, z in rad/s), or the phone \
+            "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \
                      app's x,y,z,nanoseconds",
         ),
     })
@@ -203,6 +265,9 @@ fn text(output: &Output) -> String {
     }
     for fault in &output.report.faults {
         let _ = writeln!(out, "fault: {}", fault_text(fault));
+    }
+    for stretch in &output.report.left_out {
+        let _ = writeln!(out, "{}", stretch.text);
     }
     for warning in &output.report.warnings {
         let _ = writeln!(out, "warning: {warning}");
@@ -258,6 +323,9 @@ fn fault_text(fault: &DeviceFault) -> String {
         FaultKind::CopiedSample => "samples that are copies of their neighbour",
         FaultKind::DisplacedClass => "samples of a recurring class that belong to another time",
         FaultKind::Outlier => "single samples that do not fit",
+        FaultKind::TimestampFar => "timestamps far from all others",
+        FaultKind::NotOneBody => "samples while the two did not move as one body",
+        FaultKind::Slipped => "samples while one was turned against the other",
     };
     let done = match fault.action {
         Action::LeftOut => "left out",

@@ -176,6 +176,12 @@ fn relate(
                 estimate.skew_sigma() * 1e6
             );
             journal.info("twist", &text)?;
+            let together = estimate.report.overlap_s.unwrap_or_default();
+            let text = format!("{label}: board and phone moved as one body for {together:.1} s");
+            journal.info("twist", &text)?;
+            for stretch in &report.left_out {
+                journal.info("twist", &format!("{label}: {}", stretch.text))?;
+            }
             for warning in &report.warnings {
                 journal.info("twist", warning)?;
             }

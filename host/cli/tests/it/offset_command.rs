@@ -185,3 +185,155 @@ fn short_and_odd_recordings_are_refused_not_crashed_on() {
         }
     }
 }
+
+/// Runs `offset` with so many kB of memory: address space, which a large allocation
+/// takes at once.
+#[cfg(target_os = "linux")]
+fn offset_within(kilobytes: u32, mcu: &Path, phone: &Path) -> Output {
+    Command::new("sh")
+        .arg("-c")
+        .arg(format!("ulimit -v {kilobytes}; exec \"$0\" \"$@\""))
+        .arg(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(["offset", "--json", "--mcu"])
+        .arg(mcu)
+        .arg("--phone")
+        .arg(phone)
+        .output()
+        .unwrap()
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn timestamps_far_from_the_rest_are_named_and_take_no_memory() {
+    let twist = simulate::twist(&TwistSpec::default(), 9000);
+    let files = files(&twist);
+    let good = std::fs::read_to_string(&files.phone).unwrap();
+    let last = good.lines().last().unwrap().rsplit_once(',').unwrap().1;
+    let five_days = last.parse::<i64>().unwrap() + 432_000_000_000_000;
+    let with_stamp = |line: usize, stamp: String| -> String {
+        let lines = good.lines().enumerate().map(|(k, text)| {
+            let (rates, own) = text.rsplit_once(',').unwrap();
+            let stamp = if k == line { &stamp } else { own };
+            format!("{rates},{stamp}\n")
+        });
+        lines.collect()
+    };
+    let end = good.lines().count() - 1;
+    for (line, stamp) in [
+        (1000, i64::MAX.to_string()),
+        (1000, i64::MIN.to_string()),
+        (0, i64::MIN.to_string()),
+        (0, String::from("0")),
+        (end, i64::MAX.to_string()),
+        (end, five_days.to_string()),
+    ] {
+        std::fs::write(&files.phone, with_stamp(line, stamp.clone())).unwrap();
+        let output = offset_within(500_000, &files.mcu, &files.phone);
+        assert_eq!(output.status.code(), Some(0), "{line} {stamp}: {output:?}");
+        let result = json(&output);
+        let far = |fault: &&Value| fault["kind"] == "timestamp_far" && fault["count"] == 1;
+        assert_eq!(
+            result["faults"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .filter(far)
+                .count(),
+            1
+        );
+        let error = result["offset_s"].as_f64().unwrap()
+            - twist.offset_at(result["reference_s"].as_f64().unwrap());
+        assert!(
+            error.abs() < 5.0 * result["offset_sigma_s"].as_f64().unwrap(),
+            "{error}"
+        );
+    }
+    // From there on all of them: the larger part counts.
+    let shifted: String = good
+        .lines()
+        .enumerate()
+        .map(|(k, text)| {
+            let (rates, own) = text.rsplit_once(',').unwrap();
+            let jump = if k > 3600 { 432_000_000_000_000 } else { 0 };
+            format!("{rates},{}\n", own.parse::<i64>().unwrap() + jump)
+        })
+        .collect();
+    std::fs::write(&files.phone, shifted).unwrap();
+    let output = offset_within(500_000, &files.mcu, &files.phone);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    // Seconds as floats, far beyond any integer.
+    let mut floats = with_header(&twist.b);
+    for (wild, code) in [("1e300", 0), ("-1e300", 0), ("1.7976931348623157e308", 0)] {
+        floats += &format!("{wild},1,2,3\n");
+        std::fs::write(&files.phone, &floats).unwrap();
+        let output = offset_within(500_000, &files.mcu, &files.phone);
+        assert_eq!(output.status.code(), Some(code), "{wild}: {output:?}");
+    }
+}
+
+#[test]
+fn degrees_a_second_are_found_by_their_size_and_said() {
+    let mut twist = simulate::twist(&TwistSpec::default(), 10_000);
+    let plain = json(&offset(
+        &files(&twist).mcu,
+        &files(&twist).phone,
+        &["--json"],
+    ));
+    twist
+        .b
+        .w
+        .iter_mut()
+        .flatten()
+        .for_each(|rate| *rate = rate.to_degrees());
+    let files = files(&twist);
+    let output = offset(&files.mcu, &files.phone, &["--json"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let result = json(&output);
+    assert!(
+        result["warnings"][0]
+            .as_str()
+            .unwrap()
+            .contains("the rates of the phone")
+    );
+    let moved = result["offset_s"].as_f64().unwrap() - plain["offset_s"].as_f64().unwrap();
+    assert!(moved.abs() < 1e-7, "{moved}");
+}
+
+#[test]
+fn an_export_gives_the_same_result_without_names_and_times() {
+    let spec = TwistSpec {
+        grip: simulate::Grip::Slip(5.0, 10.0),
+        ..TwistSpec::default()
+    };
+    let twist = simulate::twist(&spec, 11_000);
+    let files = files(&twist);
+    let folder = files.mcu.with_file_name("export");
+    let first = offset(
+        &files.mcu,
+        &files.phone,
+        &["--json", "--export", folder.to_str().unwrap()],
+    );
+    assert_eq!(first.status.code(), Some(0), "{first:?}");
+    let first = json(&first);
+    assert_eq!(first["left_out"][0]["why"], "slipped");
+    let (from, to) = twist.loose_s[0];
+    let begin = first["left_out"][0]["from_s"].as_f64().unwrap();
+    let end = first["left_out"][0]["to_s"].as_f64().unwrap();
+    // One part was kept, up to the slip or from it on.
+    let slip = (from - twist.a.epoch_s)..(to - twist.a.epoch_s);
+    assert!(
+        (begin - slip.start).abs() < 0.6 || (end - slip.end).abs() < 0.6,
+        "{begin} to {end}, slipped at {slip:?}"
+    );
+    let (mcu, phone) = (folder.join("mcu.csv"), folder.join("phone.csv"));
+    let again = json(&offset(&mcu, &phone, &["--json"]));
+    let epochs = twist.b.epoch_s - twist.a.epoch_s;
+    let moved = first["offset_s"].as_f64().unwrap() - epochs - again["offset_s"].as_f64().unwrap();
+    assert!(moved.abs() < 1e-6, "{moved}");
+    let text = std::fs::read_to_string(folder.join("result.json")).unwrap();
+    let result: Value = serde_json::from_str(&text).unwrap();
+    let moved =
+        result["result"]["offset_s"].as_f64().unwrap() - again["offset_s"].as_f64().unwrap();
+    assert!(moved.abs() < 1e-7, "{moved}");
+    assert!(!text.contains(files.mcu.parent().unwrap().to_str().unwrap()));
+}

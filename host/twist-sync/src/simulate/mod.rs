@@ -15,8 +15,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use crate::GyroTrack;
-use grip::{Held, rise};
 use crate::interpolant::{Uneven, Uniform, Vec3};
+use grip::{Held, rise};
 
 mod grip;
 mod scenarios;

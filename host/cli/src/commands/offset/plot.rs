@@ -1,9 +1,13 @@
 //! The plot of `offset`: both gyroscopes before and after, residual, left out. The
 //! drawings of [`page::chart`], one below the other.
 
+use std::ops::Range;
+
+use super::fault_text;
+use crate::sync_report::{DeviceFault, SyncReport};
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
-use twist_sync::{Estimate, GyroTrack, Options, Refusal, Stream};
+use twist_sync::{Action, Estimate, GyroTrack, LeftOut, Options, Refusal, Stream, Why};
 
 type Points = Vec<(f64, f64)>;
 
@@ -11,7 +15,8 @@ fn panel(title: &str, unit: &str) -> Chart {
     Chart::new("s", unit).title(title)
 }
 
-/// Draws the panels as SVG text.
+/// Draws the panels as SVG text. All have one x-scale: seconds from the board's first
+/// sample; before, those of each from its own.
 pub(super) fn svg(
     mcu: &GyroTrack,
     phone: &GyroTrack,
@@ -19,40 +24,80 @@ pub(super) fn svg(
     options: &Options,
 ) -> String {
     let [board_ink, phone_ink, ..] = COLOURS;
-    let before = "Before: magnitude of the rate, each from its own first sample";
-    let line = |track| Data::Line(finite(magnitude(track)));
-    let mut panels = vec![
-        panel(before, "rad/s")
-            .add("board", line(mcu), board_ink)
-            .add("phone", line(phone), phone_ink),
-    ];
     let report = match result {
-        Ok(estimate) => {
-            let pairs = compare::pairs(mcu, phone, estimate, options);
-            panels.extend(after(&pairs, estimate));
-            panels.push(residual(&pairs, estimate));
-            &estimate.report
-        }
-        Err(refusal) => {
-            let reasons = format!("REFUSED: {}", refusal.report.failures());
-            panels.push(panel(&reasons, ""));
-            &refusal.report
-        }
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
     };
-    let left_out = |track: &GyroTrack, stream: Stream| {
-        let out = compare::left_out(&report.faults, stream, track.len());
+    let outs = [(mcu, Stream::A), (phone, Stream::B)]
+        .map(|(track, stream)| compare::left_out(&report.faults, stream, track.len()));
+    let axis = |track: &GyroTrack, axis: usize| {
+        let points = track.t.iter().zip(&track.w);
+        Data::Line(finite(points.map(|(&t, w)| (t, w[axis]))))
+    };
+    let refused = result.as_ref().err();
+    let refused = refused.map(|refusal| format!("REFUSED: {}. ", refusal.report.failures()));
+    let refused = refused.unwrap_or_default();
+    let before = ["x", "y", "z"].into_iter().enumerate().map(|(k, name)| {
+        let title = format!("{refused}Before: {name} as recorded, each from its own first sample");
+        panel(if k == 0 { &title } else { name }, "rad/s")
+            .add("board", axis(mcu, k), board_ink)
+            .add("phone", axis(phone, k), phone_ink)
+    });
+    let mut panels: Vec<Chart> = before.collect();
+    if let Ok(estimate) = result {
+        let pairs = compare::pairs(mcu, phone, estimate, options);
+        panels.extend(after(&pairs, estimate, mcu.epoch_s));
+        panels.push(residual(&pairs, estimate, mcu.epoch_s));
+    }
+    let left_out = |track: &GyroTrack, out: &[bool]| {
         let points = out.iter().zip(magnitude(track));
         Data::Points(finite(
             points.filter_map(|(out, point)| out.then_some(point)),
         ))
     };
-    let caption = "Left out (samples as recorded, each from its own first sample)";
+    let device_faults = SyncReport::from(report).faults;
+    let left = |fault: &&DeviceFault| fault.action == Action::LeftOut;
+    let reasons: Vec<String> = device_faults.iter().filter(left).map(fault_text).collect();
+    let caption = if reasons.is_empty() {
+        String::from("Left out: nothing")
+    } else {
+        format!("Left out (magnitude as recorded): {}", reasons.join("; "))
+    };
+    let words = |left_out: &LeftOut| match left_out.why {
+        Why::Apart => "not one body",
+        Why::Slipped(_) => "turned",
+        Why::TimeStep(_) => "step of time",
+    };
+    let marks = report.left_out.iter();
+    let marks = marks.map(|l| (0.5 * (l.from_s + l.to_s), words(l).to_owned()));
     panels.push(
-        panel(caption, "rad/s")
-            .add("board", left_out(mcu, Stream::A), board_ink)
-            .add("phone", left_out(phone, Stream::B), phone_ink),
+        panel(&caption, "rad/s")
+            .add("board", left_out(mcu, &outs[0]), board_ink)
+            .add("phone", left_out(phone, &outs[1]), phone_ink)
+            .add("", Data::Marks(marks.collect()), COLOURS[3]),
     );
+    let ends = report.left_out.iter().flat_map(|l| [l.from_s, l.to_s]);
+    let ends: Vec<f64> = ends.collect();
+    let shown = shown([(mcu, &outs[0]), (phone, &outs[1])]);
+    let panels: Vec<Chart> = panels
+        .into_iter()
+        .map(|panel| panel.xs(shown.clone()))
+        .map(|panel| panel.add("", Data::Upright(ends.clone()), COLOURS[3].pale(0.3)))
+        .collect();
     stack(SIZE, &panels)
+}
+
+/// The time of both recordings, without timestamps that were left out.
+fn shown(recordings: [(&GyroTrack, &Vec<bool>); 2]) -> Range<f64> {
+    let used = |(track, out): (&'_ GyroTrack, &'_ Vec<bool>)| -> Vec<f64> {
+        let times = track.t.iter().zip(out);
+        let used = times.filter(|(t, out)| !**out && t.is_finite());
+        used.map(|(t, _)| *t).collect()
+    };
+    let times: Vec<f64> = recordings.into_iter().flat_map(used).collect();
+    let last = times.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let first = times.iter().copied().fold(f64::INFINITY, f64::min);
+    if first < last { first..last } else { 0.0..1.0 }
 }
 
 fn magnitude(track: &GyroTrack) -> impl Iterator<Item = (f64, f64)> {
@@ -70,7 +115,7 @@ fn finite(points: impl Iterator<Item = (f64, f64)>) -> Points {
         .collect()
 }
 
-fn after(pairs: &[Pair], estimate: &Estimate) -> [Chart; 3] {
+fn after(pairs: &[Pair], estimate: &Estimate, start: f64) -> [Chart; 3] {
     let found = format!(
         "After: offset {:.6} s ± {:.2} µs, skew {:+.1} ± {:.1} ppm; board carried to the phone's axes",
         estimate.clock.offset,
@@ -78,7 +123,6 @@ fn after(pairs: &[Pair], estimate: &Estimate) -> [Chart; 3] {
         estimate.clock.skew * 1e6,
         estimate.skew_sigma() * 1e6
     );
-    let start = pairs.first().map_or(0.0, |pair| pair.a_s);
     let axes = [(0, format!("{found}. x")), (1, "y".into()), (2, "z".into())];
     axes.map(|(axis, title)| {
         let line = |of: fn(&Pair) -> [f64; 3]| {
@@ -92,8 +136,7 @@ fn after(pairs: &[Pair], estimate: &Estimate) -> [Chart; 3] {
     })
 }
 
-fn residual(pairs: &[Pair], estimate: &Estimate) -> Chart {
-    let start = pairs.first().map_or(0.0, |pair| pair.a_s);
+fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
     let points = |used: bool, axis: usize| -> Points {
         let pairs = pairs.iter().filter(|pair| pair.used == used);
         pairs
