@@ -23,10 +23,12 @@ fn example(name: &str, args: &[&str]) -> Result<()> {
     process::cargo(all)
 }
 
-/// `cargo xtask bench --sync`: all scenarios, then the package beside ours.
+/// `cargo xtask bench --sync`: all scenarios, twists over an hour, then the package
+/// beside ours.
 pub(crate) fn run(trials: u32) -> Result<()> {
     let trials_text = trials.to_string();
     example("sync_bench", &["--trials", &trials_text])?;
+    example("sync_bench", &["--hour", "--trials", &trials_text])?;
     let python = tools::ensure_python()?;
     let files = trials.min(MOST_FILES).to_string();
     for (scenario, label) in [

@@ -16,7 +16,7 @@ use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_
 
 #[derive(Parser)]
 struct Args {
-    /// Twists per scenario
+    /// Twists per scenario; five times as many of those that must be refused
     #[arg(long, default_value_t = 300)]
     trials: u64,
     /// Only scenarios whose name contains this
@@ -61,6 +61,9 @@ fn csv(track: &GyroTrack) -> String {
     }
     out
 }
+
+/// So many times the trials of what must be refused.
+const REFUSALS: u64 = 5;
 
 /// Recordings of which five are taken over an hour.
 const HOUR: [&str; 4] = [
@@ -114,7 +117,12 @@ fn twist(args: &Args, scenario: &Scenario, trial: u64) -> Twist {
 
 fn row(args: &Args, scenario: &Scenario) {
     let options = options(scenario);
-    let trials: Vec<Trial> = (0..args.trials)
+    // One that is accepted wrongly weighs more than one that is refused.
+    let count = match scenario.rmse_us {
+        Some(_) => args.trials,
+        None => REFUSALS * args.trials,
+    };
+    let trials: Vec<Trial> = (0..count)
         .into_par_iter()
         .map(|trial| {
             let twist = twist(args, scenario, trial);

@@ -24,21 +24,25 @@ pub(crate) struct Class {
     pub(crate) displacement_s: f64,
 }
 
-/// The most significant displaced class among the usable samples.
-pub(crate) fn most_displaced(samples: Samples<'_>, usable: &[bool]) -> Option<Class> {
-    let search = |usable: &[bool], periods| {
-        let against = samples.predictions(usable);
-        let noise = noise_of(&against);
-        displaced_class(&against, &noise, samples.step_s, periods)
+/// The most significant displaced class among the usable samples, whose predictions are
+/// `against`.
+pub(crate) fn most_displaced(
+    samples: Samples<'_>,
+    usable: &[bool],
+    against: &[Against],
+) -> Option<Class> {
+    let search_in = |against: &[Against], periods| {
+        displaced_class(against, &noise_of(against), samples.step_s, periods)
     };
-    let class = search(usable, 2..=LONGEST_PERIOD)?;
+    let search = |usable: &[bool], periods| search_in(&samples.predictions(usable), periods);
+    let class = search_in(against, 2..=LONGEST_PERIOD)?;
     if class.period > 2 {
         return Some(class);
     }
     // Every fourth (sixth, ...) sample displaced spoils every second prediction
     // and looks like period 2. If leaving out that class leaves nothing, it was it.
     for period in [4, 6, 8] {
-        if let Some(finer) = search(usable, period..=period) {
+        if let Some(finer) = search_in(against, period..=period) {
             let mut without = usable.to_vec();
             for k in (finer.phase..without.len()).step_by(finer.period) {
                 without[k] = false;

@@ -67,9 +67,14 @@ pub(crate) fn outliers(
         let from = i.saturating_sub(AROUND);
         let to = (i + AROUND + 1).min(index.len());
         for axis in 0..3 {
-            window.clear();
-            window.extend(difference[from..to].iter().map(|d| d[axis]));
-            let usual = robust::median_in_place(&mut window).unwrap_or(0.0);
+            let around = &difference[from..to];
+            let usual = if let Ok(nine) = <&[Vec3; 2 * AROUND + 1]>::try_from(around) {
+                robust::median_of_nine(&nine.map(|d| d[axis]))
+            } else {
+                window.clear();
+                window.extend(around.iter().map(|d| d[axis]));
+                robust::median_in_place(&mut window).unwrap_or(0.0)
+            };
             contrast[i][axis] = difference[i][axis] - usual;
         }
     }
@@ -221,28 +226,35 @@ impl Steps {
     /// and all sizes.
     fn fitted(&self, blocks: &[Block], cuts: &[usize]) -> Option<(f64, f64, f64, Vec<f64>)> {
         let n = 2 + cuts.len();
-        let row = |i: usize, b: &Block| {
-            DVector::from_fn(n, |k, _| match k {
-                0 => 1.0,
-                1 => b.from - self.middle,
-                _ => f64::from(u8::from(i >= cuts[k - 2])),
-            })
+        // Without a matrix of its own for each block: there are many.
+        let row = |i: usize, b: &Block, x: &mut [f64]| {
+            x[0] = 1.0;
+            x[1] = b.from - self.middle;
+            for (x, cut) in x[2..n].iter_mut().zip(cuts) {
+                *x = f64::from(u8::from(i >= *cut));
+            }
         };
+        let mut x = [0.0; 2 + MOST_STEPS];
         let mut normal = DMatrix::<f64>::zeros(n, n);
         let mut right = DVector::<f64>::zeros(n);
         for (i, b) in blocks.iter().enumerate() {
-            let x = row(i, b);
-            normal += &x * x.transpose() * b.information;
-            right += x * b.score;
+            row(i, b, &mut x);
+            for c in 0..n {
+                for r in 0..n {
+                    normal[(r, c)] += x[r] * x[c] * b.information;
+                }
+                right[c] += x[c] * b.score;
+            }
         }
         let inverse = normal.cholesky()?.inverse();
         let solution = &inverse * right;
         let last = n - 1;
         let mut scatter = 0.0;
         for (i, b) in blocks.iter().enumerate() {
-            let x = row(i, b);
-            let influence = (inverse.row(last) * &x)[0];
-            let left = b.score - solution.dot(&x) * b.information;
+            row(i, b, &mut x);
+            let dot = |of: &dyn Fn(usize) -> f64| (0..n).map(|k| of(k) * x[k]).sum::<f64>();
+            let influence = dot(&|k| inverse[(last, k)]);
+            let left = b.score - dot(&|k| solution[k]) * b.information;
             scatter += (influence * left).powi(2);
         }
         let sizes = solution.iter().skip(2).copied().collect();

@@ -60,8 +60,8 @@ pub enum FaultKind {
 pub enum Why {
     /// The two did not move as one body.
     Apart,
-    /// One was turned against the other, by this angle in rad; the clocks are related
-    /// as before.
+    /// One was turned against the other, by about this angle in rad (to a degree); the
+    /// clocks are related as before.
     Slipped(f64),
     /// The clocks are related otherwise, by so many seconds (b − a); the two are fixed
     /// to each other as before.
@@ -90,7 +90,7 @@ impl fmt::Display for LeftOut {
             Why::Apart => f.write_str("the two did not move as one body"),
             Why::Slipped(angle) => write!(
                 f,
-                "one was turned against the other by {:.1}°; the clocks are as before",
+                "one was turned against the other by about {:.0}°; the clocks are as before",
                 angle.to_degrees()
             ),
             Why::TimeStep(by_s) => write!(

@@ -191,18 +191,24 @@ impl Pair {
             ..settings.smoothing
         });
         let (model, data, link) = (&self.model, &self.data, fit.link);
-        let of_data = crosscheck::outliers(
-            (&data.t, &data.w, &data.usable),
-            &wide.model,
-            |t| link.model_time(t),
-            &fit.calibration,
-        );
         let reverse: Vec<Node> = fit.nodes.iter().map(Node::swapped).collect();
-        let of_model = crosscheck::outliers(
-            (&model.t, &model.w, &model.usable),
-            &wide.data,
-            |t| link.data_time(t),
-            &fit::regress(&reverse, settings.fit.noise_variance),
+        let (of_data, of_model) = rayon::join(
+            || {
+                crosscheck::outliers(
+                    (&data.t, &data.w, &data.usable),
+                    &wide.model,
+                    |t| link.model_time(t),
+                    &fit.calibration,
+                )
+            },
+            || {
+                crosscheck::outliers(
+                    (&model.t, &model.w, &model.usable),
+                    &wide.data,
+                    |t| link.data_time(t),
+                    &fit::regress(&reverse, settings.fit.noise_variance),
+                )
+            },
         );
         // One fault may show in both: it belongs to the stream where it is larger.
         let near_s = 1.5 * (model.step_s + data.step_s);

@@ -23,6 +23,24 @@ pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
     })
 }
 
+/// Median of nine: that of the highest low, the middle middle and the lowest high of
+/// three sorted threes.
+pub(crate) fn median_of_nine(v: &[f64; 9]) -> f64 {
+    let sorted = |a: f64, b: f64, c: f64| {
+        let (low, high) = (a.min(b), a.max(b));
+        (low.min(c), low.max(high.min(c)), high.max(c))
+    };
+    let (a, b, c) = (
+        sorted(v[0], v[1], v[2]),
+        sorted(v[3], v[4], v[5]),
+        sorted(v[6], v[7], v[8]),
+    );
+    let low = a.0.max(b.0).max(c.0);
+    let middle = sorted(a.1, b.1, c.1).1;
+    let high = a.2.min(b.2).min(c.2);
+    sorted(low, middle, high).1
+}
+
 /// Standard deviation from the median absolute deviation, as for a normal
 /// distribution; `None` without values.
 pub(crate) fn mad_sigma(values: &[f64]) -> Option<f64> {
@@ -53,6 +71,10 @@ mod tests {
         assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
         assert_eq!(median(&[4.0, 1.0, 3.0, 2.0]), Some(2.5));
         assert_eq!(median(&[]), None);
+        for seed in 0..200 {
+            let nine = std::array::from_fn(|k| f64::from((seed * 9 + k as i32) * 7919 % 13));
+            assert_eq!(Some(median_of_nine(&nine)), median(&nine));
+        }
         let sigma = mad_sigma(&[0.0, 1.0, 2.0, 3.0, 100.0]).unwrap();
         assert!((sigma - 1.4826).abs() < 1e-3);
         let (mean, slope, centre) = line(&[0.0, 1.0, 2.0], &[1.0, 3.0, 5.0]);

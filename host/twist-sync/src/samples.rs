@@ -20,7 +20,7 @@
 use crate::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::Vec3;
-use crate::neighbours::{Samples, kept, leave_out, local_variances, noise_of};
+use crate::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
 
 /// Result of the checks of one stream's samples.
 #[derive(Default)]
@@ -44,12 +44,14 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
         out.faults.push(fault(FaultKind::Clipped, clipped));
     }
 
-    out.noise = noise_of(&samples.predictions(usable));
+    let mut against = samples.predictions(usable);
+    out.noise = noise_of(&against);
 
     let pairs = copies(samples.w, usable, &out.noise);
     if !pairs.is_empty() {
         let (stale, displacement_s) = stale_copies(samples, usable, &pairs, &out.noise);
         leave_out(usable, &stale);
+        against = samples.predictions(usable);
         out.faults.push(Fault {
             count: pairs.len(),
             period: recurrence(&pairs.iter().map(|p| p.1).collect::<Vec<_>>()),
@@ -58,9 +60,9 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
         });
     }
 
-    let (displaced, unresolved_s) = displaced_classes(stream, samples, usable);
+    let (displaced, unresolved_s) = displaced_classes(stream, samples, usable, &mut against);
     if !displaced.is_empty() {
-        out.noise = noise_of(&samples.predictions(usable));
+        out.noise = noise_of(&against);
         out.unresolved_s = unresolved_s;
         out.faults.extend(displaced);
     }
@@ -68,16 +70,18 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
 }
 
 /// Leaves out displaced classes, the most significant first, and gives the
-/// uncertainty of time that the last one leaves open, seconds.
+/// uncertainty of time that the last one leaves open, seconds. `against` are the
+/// predictions of the usable samples, before and after.
 fn displaced_classes(
     stream: Stream,
     samples: Samples<'_>,
     usable: &mut [bool],
+    against: &mut Vec<Against>,
 ) -> (Vec<Fault>, f64) {
     let mut faults = Vec::new();
     let total = kept(usable).len();
     for _ in 0..12 {
-        let Some(class) = classes::most_displaced(samples, usable) else {
+        let Some(class) = classes::most_displaced(samples, usable, against) else {
             break;
         };
         let left = kept(usable);
@@ -91,6 +95,7 @@ fn displaced_classes(
             Action::Noted
         } else {
             leave_out(usable, &members);
+            *against = samples.predictions(usable);
             Action::LeftOut
         };
         faults.push(Fault {

@@ -18,6 +18,8 @@ use crate::track::GyroTrack;
 const BIN: i64 = 40_000_000;
 /// Longest recording that is searched: 48 hours.
 const MAX_BINS: usize = 48 * 3600 * 25;
+/// Pause of a recording beyond which its length alone does not carry, in bins: a minute.
+const PAUSE: usize = 1500;
 /// Length of the parts on which lags are tried, in bins: 12 s.
 const PART: usize = 300;
 /// Parts and lags that are tried.
@@ -46,11 +48,14 @@ pub(crate) fn first_relation<E: Error + 'static>(
     let lags = best_lags(&profile_a.bins, &profile_b.bins);
     let mut reason = None;
     for part in busiest(&profile_a.bins) {
-        let from = profile_a.start + part as i64 * BIN;
-        let window = between(a, from, from + PART as i64 * BIN)?;
+        let from = profile_a.start.saturating_add(part as i64 * BIN);
+        let window = between(a, from, from.saturating_add(PART as i64 * BIN))?;
         for &lag in &lags {
             // Bin i of a is bin i + lag of b.
-            let offset = profile_b.start - profile_a.start + lag * BIN;
+            let offset = profile_b
+                .start
+                .saturating_sub(profile_a.start)
+                .saturating_add(lag * BIN);
             let margin = (MARGIN * 2e9) as i64;
             let start = from.saturating_add(offset).saturating_sub(margin);
             let end = from
@@ -73,14 +78,29 @@ pub(crate) fn first_relation<E: Error + 'static>(
 }
 
 fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Option<Profile>, E> {
-    let mut start = None;
+    let mut begin = None;
     let mut sums: Vec<(f64, u32)> = Vec::new();
+    let (mut taken, mut skipped) = (0, 0);
     for sample in stream {
         let sample = sample?;
-        let start = *start.get_or_insert(sample.at);
-        let Ok(bin) = usize::try_from(sample.at.saturating_sub(start) / BIN) else {
-            continue;
+        let start = *begin.get_or_insert(sample.at);
+        let since = usize::try_from(sample.at.saturating_sub(start) / BIN).ok();
+        // Far ahead is a wild timestamp, or, if most are there, the others were: so the
+        // bins are no more than the samples and a pause.
+        let bin = match since.filter(|bin| *bin <= sums.len() + taken + PAUSE) {
+            Some(bin) => bin,
+            None if skipped < taken => {
+                skipped += 1;
+                continue;
+            }
+            None => {
+                begin = Some(sample.at);
+                sums.clear();
+                (taken, skipped) = (0, 0);
+                0
+            }
         };
+        taken += 1;
         if bin >= MAX_BINS {
             break;
         }
@@ -98,7 +118,7 @@ fn profile<E>(stream: impl Iterator<Item = Result<GyroSample, E>>) -> Result<Opt
             sums[bin].1 += 1;
         }
     }
-    Ok(start.map(|start| Profile {
+    Ok(begin.map(|start| Profile {
         start,
         bins: sums
             .into_iter()

@@ -3,3 +3,4 @@
 
 mod robustness;
 mod statistics;
+mod stretches;

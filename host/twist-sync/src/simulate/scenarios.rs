@@ -276,6 +276,13 @@ pub fn scenarios() -> Vec<Scenario> {
             },
         ),
         refused(
+            "held for the last second only",
+            TwistSpec {
+                grip: Grip::Late(5.5, 6.5),
+                ..base
+            },
+        ),
+        refused(
             "unrelated",
             TwistSpec {
                 unrelated: true,

@@ -1,0 +1,109 @@
+//! Stretches in which the two are not one body: left out, and named for what they are.
+
+use twist_sync::simulate::{self, Grip, Twist, TwistSpec};
+use twist_sync::{Estimate, LeftOut, Options, Why, estimate_offset};
+
+fn twist(grip: Grip, seed: u64) -> Twist {
+    let spec = TwistSpec {
+        grip,
+        ..TwistSpec::default()
+    };
+    simulate::twist(&spec, seed)
+}
+
+/// The estimate, right within five sigmas.
+fn right(twist: &Twist) -> Estimate {
+    let estimate = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
+    let error = estimate.clock.offset - twist.offset_at(estimate.clock.reference);
+    assert!(error.abs() < 5.0 * estimate.offset_sigma_s(), "{error}");
+    estimate
+}
+
+/// The stretches that were left out, those for other reasons than `is` aside.
+fn left_out(estimate: &Estimate, is: fn(&Why) -> bool) -> Vec<LeftOut> {
+    let all = estimate.report.left_out.iter();
+    all.filter(|l| is(&l.why)).copied().collect()
+}
+
+const fn is_apart(why: &Why) -> bool {
+    matches!(why, Why::Apart)
+}
+
+#[test]
+fn a_firm_hold_leaves_nothing_out() {
+    for seed in 0..10 {
+        let estimate = right(&twist(Grip::Firm, 1000 * seed + 23));
+        assert_eq!(estimate.report.left_out, []);
+    }
+}
+
+#[test]
+fn holding_late_and_letting_go_are_named_with_their_times() {
+    for seed in 0..10 {
+        let late = twist(Grip::Late(0.8, 1.5), 1000 * seed + 29);
+        let found = left_out(&right(&late), is_apart);
+        let ends = late.loose_s[0].1 - late.a.epoch_s;
+        // The motion begins after a second of rest.
+        assert!(
+            found[0].from_s < 1.5 && (found[0].to_s - ends).abs() < 0.6,
+            "{found:?} {ends}"
+        );
+
+        let early = twist(Grip::LetGo(0.8, 1.5), 1000 * seed + 31);
+        let found = left_out(&right(&early), is_apart);
+        let begins = early.loose_s[0].0 - early.a.epoch_s;
+        let last = found.last().unwrap();
+        assert!(
+            last.to_s > 7.9 && (last.from_s - begins).abs() < 0.6,
+            "{found:?} {begins}"
+        );
+    }
+}
+
+#[test]
+fn slips_of_rotation_and_steps_of_time_are_told_apart() {
+    for seed in 0..10 {
+        let slip = twist(Grip::Slip(6.0, 6.0), 1000 * seed + 37);
+        let found = left_out(&right(&slip), |why| matches!(why, Why::Slipped(_)));
+        let Why::Slipped(angle) = found[0].why else {
+            unreachable!()
+        };
+        assert!(
+            (angle.to_degrees() - 6.0).abs() < 1.0,
+            "{}",
+            angle.to_degrees()
+        );
+
+        let mut step = twist(Grip::Firm, 1000 * seed + 41);
+        let n = step.b.len();
+        step.b.t[n * 3 / 4..].iter_mut().for_each(|t| *t += 0.03);
+        let found = left_out(&right(&step), |why| matches!(why, Why::TimeStep(_)));
+        let Why::TimeStep(by_s) = found[0].why else {
+            unreachable!()
+        };
+        assert!((by_s - 0.03).abs() < 0.5e-3, "{by_s}");
+    }
+}
+
+#[test]
+fn nothing_is_accepted_where_hardly_anything_holds() {
+    for seed in 0..20 {
+        let loose = twist(Grip::Late(5.5, 6.5), 1000 * seed + 43);
+        assert!(estimate_offset(&loose.a, &loose.b, &Options::default()).is_err());
+    }
+}
+
+#[test]
+fn exchanging_the_streams_leaves_out_the_same() {
+    for grip in [
+        Grip::Late(0.8, 1.5),
+        Grip::Slip(6.0, 6.0),
+        Grip::Wrong(0.5, 1.0),
+    ] {
+        let twist = twist(grip, 47_000);
+        let there = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
+        let back = estimate_offset(&twist.b, &twist.a, &Options::default()).unwrap();
+        assert!((there.clock.offset + back.clock.offset).abs() < 1e-9);
+        assert_eq!(there.report.left_out.len(), back.report.left_out.len());
+    }
+}
