@@ -117,9 +117,8 @@ impl Blocks {
         data.iter().filter(|(t, _)| is_kept(*t)).copied().collect()
     }
 
-    /// Rms of a length per axis in each block; 0 in an empty one. From the 60 %
-    /// quantile of the squares (of three normal axes it is their mean), so that a spike
-    /// does not count.
+    /// Rms of a length per axis in each block; 0 in an empty one. From the 80 %
+    /// quantile of the squares, so that a spike does not count, and a turn of 50 ms does.
     fn rms(self, values: impl Iterator<Item = (f64, Vector3<f64>)>) -> Vec<f64> {
         let mut squares: Vec<Vec<f64>> = vec![Vec::new(); self.count];
         for (t, value) in values {
@@ -128,12 +127,13 @@ impl Blocks {
             }
         }
         let typical = |squares: &mut Vec<f64>| {
-            let at = squares.len() * 3 / 5;
+            let at = squares.len() * 4 / 5;
             let square = match squares.len() {
                 0 => 0.0,
                 _ => *squares.select_nth_unstable_by(at, f64::total_cmp).1,
             };
-            (square / 3.0).sqrt()
+            // Of three normal axes of variance 1 that quantile is 4.64.
+            (square / 4.64).sqrt()
         };
         squares.iter_mut().map(typical).collect()
     }
