@@ -281,7 +281,7 @@ mod tests {
     use super::*;
     use stm32f4_sim::model_bench::Bench;
 
-    /// Sends bytes on the line from `from` on, low when idle.
+    /// Sends bytes on PC12 from `from` on, high when idle, as a UART does.
     fn send(bench: &mut Bench<Lidar>, from: SimTime, text: &str) {
         let bit = |n: u64| SimDuration::from_units(n * UNITS_PER_SECOND / 9_600);
         let mut bits = 0;
@@ -289,12 +289,12 @@ mod tests {
             let frame = u16::from(byte) << 1 | 1 << 9;
             for n in 0..10 {
                 bench.run_until(from + bit(bits));
-                bench.set_pin(wiring::NMEA, Level::from(frame >> n & 1 == 0));
+                bench.set_pin(wiring::NMEA, Level::from(frame >> n & 1 == 1));
                 bits += 1;
             }
         }
         bench.run_until(from + bit(bits));
-        bench.set_pin(wiring::NMEA, Level::Low);
+        bench.set_pin(wiring::NMEA, Level::High);
     }
 
     fn ms(ms: u64) -> SimTime {

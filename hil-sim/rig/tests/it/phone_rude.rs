@@ -290,6 +290,9 @@ fn in_the_background_recordings_and_server_end() {
 
     let mut phone = bench.connect();
     assert_eq!(phone.ask("video_start")[0], "SUCCESS");
+    // The server looks whether it is to end once behind each answer: let it wait for the
+    // next request first.
+    std::thread::sleep(Duration::from_millis(200));
     bench.phone.send_to_background();
     until("the video ends", || !bench.phone.is_recording());
     // Held all the time: the new server does not get the port.
