@@ -310,7 +310,7 @@ impl RunningRig {
 
     /// Flips a bit in so many of a million bytes that the board sends.
     pub fn corrupt(&self, ppm: u32) {
-        self.order(Order::Corrupt(ppm), false);
+        let _ = self.orders.send(Order::Corrupt(ppm));
     }
 
     /// Presses the board's reset button.

@@ -28,7 +28,7 @@ use verify::{Verdict as Checked, verify};
 
 use super::plan::{Event, Fault, Plan};
 use super::{Programs, Verdict};
-use crate::board_truth::UNITS_PER_TICK;
+use crate::board_truth::{UNITS_PER_TICK, captured};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::mpu9150::SampleRecord;
@@ -435,7 +435,7 @@ fn compare(recording: &Path, file: &SessionFile, truth: &RunTruth) -> Result<Com
         .as_ref()
         .ok_or("no scale in the session file")?
         .scale;
-    let tick = |record: &SampleRecord| ticks_at(zero, record.at);
+    let tick = |record: &SampleRecord| Ticks(captured(record.at, zero.units()));
     let mut records = truth.imu.iter().filter(|record| record.edge).peekable();
     let mut compared = Compared {
         samples: 0,

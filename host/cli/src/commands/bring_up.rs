@@ -100,8 +100,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         [] => Part::ALL.to_vec(),
         some => some.iter().copied().map(Part::from).collect(),
     };
-    std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
     let mut board = args.port.open()?;
+    std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
     let mut person = Person {
         context,
         hands_off: args.hands_off,

@@ -23,6 +23,12 @@ const CASES: &[Case] = &[
     ),
     ("info --port text.txt", 8, "text.txt", "serial port"),
     (
+        "bring-up --port /no/such/port",
+        5,
+        "/no/such/port",
+        "smartdepthsync ports",
+    ),
+    (
         "imu --port /no/such/port",
         5,
         "/no/such/port",
@@ -122,10 +128,17 @@ const CASES: &[Case] = &[
     ),
     (
         "phone get-video --phone 127.0.0.1:1",
+        2,
+        "--recorded",
+        "help phone",
+    ),
+    (
+        "phone get-video --recorded --phone 127.0.0.1:1",
         12,
         "127.0.0.1:1",
         "remote control",
     ),
+    ("phone get-files --phase word", 2, "--phase", "help COMMAND"),
     // Sessions.
     ("record --port /no/such/port", 5, "/no/such/port", "ports"),
     (
