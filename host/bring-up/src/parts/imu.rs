@@ -1,0 +1,179 @@
+//! Data-ready, and the recovery from an unplugged SDA.
+
+use board::imu::Spread;
+use protocol::{ImuClock, ImuFlags, ImuSetup, ImuState, MIN_PULSE_WIDTH, Status, TickDelta};
+
+use super::{HANDS_TIME, PERIOD, Session, ticks};
+use crate::bench::{Heard, millis};
+use crate::train::{Extent, Trains};
+use crate::{BringUpError, HandsOn, Histogram};
+
+/// How long samples may be missing before SDA counts as unplugged, and how long the
+/// board may take to have them back.
+const IMU_BACK: TickDelta = millis(1_000);
+
+impl Session<'_> {
+    pub(super) fn imu(&mut self) -> Result<(), BringUpError> {
+        let setup = self.board.imu()?;
+        if setup.status.state != ImuState::Running {
+            self.check(
+                "data-ready",
+                false,
+                format!("the IMU is {:?}; {}", setup.status.state, fault(&setup)),
+                "samples",
+                "the IMU's supply, SCL, SDA with their pull-ups, or INT at PA1",
+            );
+            return Ok(());
+        }
+        let heard = self.hear(millis(10_000))?;
+        let after = self.board.imu()?;
+        self.data_ready(&setup, &after, &heard);
+        self.recovery()
+    }
+
+    fn data_ready(&mut self, before: &ImuSetup, after: &ImuSetup, heard: &Heard) {
+        let intervals: Vec<u64> = (heard.imu.windows(2))
+            .filter_map(|pair| {
+                let [a, b] = pair else { return None };
+                let broken = b.flags.has(ImuFlags::AFTER_LOSS) || b.seq != a.seq.wrapping_add(1);
+                (!broken).then(|| (b.at - a.at).unsigned_abs())
+            })
+            .collect();
+        self.intervals = histogram(&intervals);
+        let mut spread = Spread::default();
+        let mut extent = Extent::default();
+        for &interval in &intervals {
+            spread.add(interval as f64);
+            extent.add(i64::try_from(interval).unwrap_or(i64::MAX));
+        }
+        let nominal = f64::from(before.interval);
+        let off_ppm = spread
+            .mean()
+            .map_or(f64::NAN, |mean| (mean / nominal - 1.0) * 1e6);
+        let external = after.status.clock == ImuClock::External;
+        // On PA8's clock the sensor divides the board's own crystal.
+        let most_ppm = if external { 10.0 } else { 15_000.0 };
+        self.check(
+            "sample rate",
+            off_ppm.abs() <= most_ppm,
+            format!(
+                "{off_ppm:+.1} ppm from nominal, {:?} clock; intervals {}",
+                after.status.clock,
+                ticks(extent)
+            ),
+            format!("{most_ppm} ppm on this clock"),
+            "the wire from PA8 to CLKIN; without it the sensor's own clock is off by up to 1 %",
+        );
+        let lost = heard.lost
+            + u64::from(
+                after
+                    .status
+                    .overcaptures
+                    .saturating_sub(before.status.overcaptures),
+            )
+            + u64::from(after.status.late.saturating_sub(before.status.late));
+        let gaps = intervals
+            .iter()
+            .filter(|&&i| i as f64 > 1.5 * nominal)
+            .count();
+        self.check(
+            "data-ready",
+            lost == 0 && gaps == 0 && !intervals.is_empty(),
+            format!(
+                "{} samples, {lost} lost or late, {gaps} gaps",
+                heard.imu.len()
+            ),
+            "none lost, late or missing",
+            "a handler that comes too late, or a loose wire at PA1",
+        );
+    }
+
+    /// SDA is unplugged and plugged in again, while the trigger runs.
+    fn recovery(&mut self) -> Result<(), BringUpError> {
+        const NAME: &str = "recovery of the IMU";
+        const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
+        let grid = self.start(PERIOD, MIN_PULSE_WIDTH)?;
+        if !self.operator.asked(HandsOn::UnplugSda) {
+            self.stop()?;
+            self.skip(NAME, "nobody there to unplug SDA", REASON);
+            return Ok(());
+        }
+        let failed = |status: &Status| status.imu.state != ImuState::Running;
+        let mut heard = self.hear_until(HANDS_TIME, |h| h.statuses.last().is_some_and(failed))?;
+        if !heard.statuses.last().is_some_and(failed) {
+            self.stop()?;
+            self.skip(NAME, "SDA was not unplugged within two minutes", REASON);
+            return Ok(());
+        }
+        self.operator.asked(HandsOn::PlugSda);
+        heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
+        let back = self.hear(IMU_BACK)?;
+        let runs = back.statuses.last().is_some_and(|status| !failed(status));
+        let enough = back.imu.len() > 400;
+        heard.append(back);
+        heard.append(self.stop()?);
+        self.check(
+            NAME,
+            runs && enough,
+            String::from(if runs && enough {
+                "samples came again by themselves"
+            } else {
+                "the samples did not come again steadily"
+            }),
+            "samples again within a second of the plug",
+            REASON,
+        );
+        let mut trains = Trains::default();
+        trains.compare(&grid, &heard.pulses);
+        self.check(
+            "trigger beside a failed IMU",
+            trains.grid_error.within(0, 0),
+            format!(
+                "{} pulses, {} off",
+                trains.on_grid,
+                ticks(trains.grid_error)
+            ),
+            "0 ticks off",
+            "the recovery of the bus keeps the trigger's handler from running",
+        );
+        Ok(())
+    }
+}
+
+fn fault(setup: &ImuSetup) -> String {
+    setup.status.last_fault.map_or_else(
+        || String::from("no fault is noted"),
+        |fault| format!("last fault: {fault:?}"),
+    )
+}
+
+/// At most 60 bins.
+fn histogram(intervals: &[u64]) -> Histogram {
+    let (Some(&first), Some(&last)) = (intervals.iter().min(), intervals.iter().max()) else {
+        return Histogram::default();
+    };
+    let bin = (last - first) / 60 + 1;
+    let mut counts = vec![0; ((last - first) / bin + 1) as usize];
+    for interval in intervals {
+        if let Some(count) = counts.get_mut(((interval - first) / bin) as usize) {
+            *count += 1;
+        }
+    }
+    Histogram { first, bin, counts }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_interval_is_in_one_of_few_bins() {
+        let all: Vec<u64> = (96_000..97_000).chain([200_000]).collect();
+        let histogram = histogram(&all);
+        assert!(histogram.counts.len() <= 61);
+        assert_eq!(histogram.counts.iter().sum::<u64>(), all.len() as u64);
+        assert_eq!(histogram.first, 96_000);
+        assert_eq!(super::histogram(&[5, 5]).counts, [2]);
+        assert_eq!(super::histogram(&[]), Histogram::default());
+    }
+}
