@@ -8,8 +8,7 @@ use crate::bench::{Heard, millis};
 use crate::train::{Extent, Trains};
 use crate::{BringUpError, HandsOn, Histogram};
 
-/// How long samples may be missing before SDA counts as unplugged, and how long the
-/// board may take to have them back.
+/// How long samples must come again without a break, at 500 a second.
 const IMU_BACK: TickDelta = millis(1_000);
 
 impl Session<'_> {
