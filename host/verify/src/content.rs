@@ -288,8 +288,7 @@ impl Content {
         let imu = self
             .streams
             .get(Stream::Imu as usize)
-            .and_then(|stream| stream.expected)
-            .map_or(0, u64::from);
+            .and_then(|stream| stream.expected);
         self.counters.take(status, imu, self.missing());
         if !self.after_gap {
             self.pulses.count(status, findings);

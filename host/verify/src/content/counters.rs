@@ -8,7 +8,7 @@ use board::Stream;
 
 /// How many messages may be under way between a status and the streams that it
 /// counts: the queues of the board hold at most a few.
-const UNDER_WAY: u64 = 8;
+const UNDER_WAY: u32 = 8;
 
 /// The counters while they are followed.
 #[derive(Default)]
@@ -21,30 +21,35 @@ pub(super) struct Counters {
 /// The board's counters at its first and its last status of a run.
 struct Run {
     first: Status,
-    first_imu: u64,
     last: Status,
-    last_imu: u64,
+    /// At the first and the last status that came behind a sample.
+    imu: Option<(ImuCount, ImuCount)>,
     missing_at_first: [u64; STREAMS],
 }
 
+/// Samples as the board counts and as it numbers them.
+#[derive(Clone, Copy)]
+struct ImuCount {
+    read: u32,
+    next: u32,
+}
+
 impl Counters {
-    /// Takes a status. `imu` is the number of the next sample, `missing` what is missing
-    /// of each stream so far.
-    pub(super) fn take(&mut self, status: &Status, imu: u64, missing: [u64; STREAMS]) {
-        match &mut self.run {
-            None => {
-                self.run = Some(Run {
-                    first: status.clone(),
-                    first_imu: imu,
-                    last: status.clone(),
-                    last_imu: imu,
-                    missing_at_first: missing,
-                });
-            }
-            Some(run) => {
-                run.last = status.clone();
-                run.last_imu = imu;
-            }
+    /// Takes a status. `imu` is the number of the next sample, if one has come since the
+    /// board's reset, `missing` what is missing of each stream so far.
+    pub(super) fn take(&mut self, status: &Status, imu: Option<u32>, missing: [u64; STREAMS]) {
+        let run = self.run.get_or_insert_with(|| Run {
+            first: status.clone(),
+            last: status.clone(),
+            imu: None,
+            missing_at_first: missing,
+        });
+        run.last = status.clone();
+        if let Some(next) = imu {
+            let read = status.imu.samples;
+            let now = ImuCount { read, next };
+            let first = run.imu.map_or(now, |(first, _)| first);
+            run.imu = Some((first, now));
         }
     }
 
@@ -78,8 +83,11 @@ impl Counters {
                 });
             }
         }
-        let made = u64::from(run.last.imu.samples.wrapping_sub(run.first.imu.samples));
-        let numbered = run.last_imu.wrapping_sub(run.first_imu) & u64::from(u32::MAX);
+        let Some((first, last)) = run.imu else {
+            return;
+        };
+        let made = last.read.wrapping_sub(first.read);
+        let numbered = last.next.wrapping_sub(first.next);
         if !has_gaps && made.abs_diff(numbered) > UNDER_WAY {
             findings.add(Grade::Error, "imu_count", Some(run.last.at), || {
                 format!(
@@ -88,5 +96,32 @@ impl Counters {
                 )
             });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A board that was reset and counted 1,385 samples before a host came back.
+    #[test]
+    fn a_status_before_the_first_sample_of_a_run_counts_no_samples() {
+        let status = |samples| {
+            // All counters 0, the first of each enum.
+            let mut status: Status = postcard::from_bytes(&[0; 256]).unwrap();
+            status.imu.samples = samples;
+            status
+        };
+        let judged = |last_number| {
+            let mut counters = Counters::default();
+            counters.take(&status(1_385), None, [0; STREAMS]);
+            counters.take(&status(1_885), Some(1_885), [0; STREAMS]);
+            counters.take(&status(8_385), Some(last_number), [0; STREAMS]);
+            let mut findings = Findings::default();
+            counters.close_run([0; STREAMS], false, &mut findings);
+            findings.all().len()
+        };
+        assert_eq!(judged(8_385), 0);
+        assert_eq!(judged(8_400), 1);
     }
 }
