@@ -204,24 +204,24 @@ impl<'a> Session<'a> {
             format!("all of them, at most {MAX_DELAY} ticks later"),
             "the wire from PA5 to PA3, or what it passes on its way",
         );
-        self.captures("strobe input", &trains, MAX_DELAY);
+        self.captures("strobe input", &trains);
         self.trigger_delay = trains.delay.0.map(|(low, _)| low);
         Ok(())
     }
 
     /// What captures on PA2 say of trains.
-    fn captures(&mut self, name: &'static str, trains: &Trains, max_delay: i64) {
+    fn captures(&mut self, name: &'static str, trains: &Trains) {
         let steady = trains.delay.spread().is_some_and(|s| s <= TICK_OF_DOUBT);
         self.check(
             name,
-            trains.captured == trains.pulses && steady && trains.delay.within(0, max_delay),
+            trains.captured == trains.pulses && steady && trains.delay.within(0, MAX_DELAY),
             format!(
                 "{} of {} pulses captured on PA2, {} after their edge",
                 trains.captured,
                 trains.pulses,
                 ticks(trains.delay)
             ),
-            format!("all of them, after one constant of at most {max_delay} ticks"),
+            format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
             "the wire to PA2; or an edge that is not made by the timer",
         );
         self.check(
@@ -248,21 +248,17 @@ impl<'a> Session<'a> {
                 period: PERIOD,
                 slew,
             })?;
-            let way = self.hear_until(millis(10_000), |heard| !heard.arrived.is_empty())?;
-            let mut there = self.hear(millis(500))?;
-            let mut both = way;
-            both.append(std::mem::take(&mut there));
-            for pulse in &both.pulses {
+            let mut way = self.hear_until(millis(10_000), |heard| !heard.arrived.is_empty())?;
+            way.append(self.hear(millis(500))?);
+            for pulse in &way.pulses {
                 if pulse.number >= plan.arrival_pulse {
-                    trains.on_grid += 1;
-                    let off = PERIOD.phase_error(anchor, pulse.at);
-                    trains.grid_error.add(off.0);
+                    trains.compared(PERIOD.phase_error(anchor, pulse.at));
                 }
             }
             if slew > 0 {
-                slewed_by(&both.pulses, &mut slewed);
+                slewed_by(&way.pulses, &mut slewed);
             }
-            heard.append(both);
+            heard.append(way);
             anchor = anchor + millis(1);
         }
         let other = period(33_322_225_925);
@@ -309,7 +305,7 @@ impl<'a> Session<'a> {
         let pulses: Vec<Pulse> = heard.outputs.iter().map(|output| output.pulse).collect();
         let mut trains = Trains::default();
         trains.find(&pulses, MIN_OUTPUT_WIDTH, &heard.strobe);
-        self.captures(NAME, &trains, MAX_DELAY);
+        self.captures(NAME, &trains);
         let measured = trains.delay.0.zip(self.trigger_delay);
         match measured {
             Some(((low, _), trigger)) => self.check(

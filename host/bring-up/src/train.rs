@@ -82,9 +82,14 @@ impl Trains {
     /// Compares the pulses with their grid.
     pub(crate) fn compare(&mut self, grid: &Grid, pulses: &[Pulse]) {
         for pulse in pulses {
-            self.on_grid += 1;
-            self.grid_error.add(grid.error(pulse).0);
+            self.compared(grid.error(pulse));
         }
+    }
+
+    /// A pulse was compared with its grid and is so far off.
+    pub(crate) fn compared(&mut self, off: TickDelta) {
+        self.on_grid += 1;
+        self.grid_error.add(off.0);
     }
 
     /// Looks for each pulse on the strobe input: `captures` in the order of time. A
