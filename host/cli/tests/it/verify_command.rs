@@ -365,15 +365,28 @@ fn a_recording_of_an_older_board_is_read() {
         (0..hex.len()).step_by(2).map(byte).collect()
     };
     let streams = ["imu", "captures", "pps", "status", "outputs", "pulses"];
-    for (says_hello, protocol, read) in [(true, None, true), (false, Some(2), true), (false, Some(9), false)] {
+    for (says_hello, protocol, read) in [
+        (true, None, true),
+        (false, Some(2), true),
+        (false, Some(9), false),
+    ] {
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("old");
         fs::create_dir(&folder).unwrap();
         let mut writer = Writer::create(&folder).unwrap();
         if says_hello {
-            writer.frame(Ticks(48_000_001), frame("hello-PowerOn ")).unwrap();
+            writer
+                .frame(Ticks(48_000_001), frame("hello-PowerOn "))
+                .unwrap();
         }
-        for name in ["imu ", "capture-Rising ", "pps ", "status ", "output-pulse-2 ", "pulse-alone "] {
+        for name in [
+            "imu ",
+            "capture-Rising ",
+            "pps ",
+            "status ",
+            "output-pulse-2 ",
+            "pulse-alone ",
+        ] {
             let frame = frame(name);
             let message = read_recorded(2, &frame).unwrap().unwrap();
             let (_, _, at) = board::Stream::of(&message).unwrap();
@@ -417,7 +430,12 @@ fn a_recording_of_an_older_board_is_read() {
         }
         let found = kinds(&report);
         assert_eq!(found.contains(&"frames_not_read"), !read, "{found:?}");
-        for wrong in ["frame_damaged", "message_differs", "message_without_frame", "frame_without_message"] {
+        for wrong in [
+            "frame_damaged",
+            "message_differs",
+            "message_without_frame",
+            "frame_without_message",
+        ] {
             assert!(!found.contains(&wrong), "{report:?}");
         }
     }
