@@ -58,7 +58,7 @@ static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 /// Inputs that are to be switched on again, as bits of [`Input`].
 static UNMUTE: AtomicU8 = AtomicU8::new(0);
 
-/// What the trigger's handler waits for nothing, in core cycles: a self test.
+/// By what a self test makes the trigger's handler slower, in core cycles.
 static SLOWED: AtomicU32 = AtomicU32::new(0);
 
 /// Makes the trigger's handler slow, to try out what notices it.
