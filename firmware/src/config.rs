@@ -1,6 +1,8 @@
 //! Every tuning number of the firmware, with its derivation.
 
-use protocol::{AccelRange, GyroRange, ImuConfig, LowPass, NMEA_SLACK_MS, TICK_HZ, TickDelta};
+use protocol::{
+    AccelRange, CORE_HZ, GyroRange, ImuConfig, LowPass, NMEA_SLACK_MS, TICK_HZ, TickDelta,
+};
 
 /// Ticks in a microsecond: 48.
 pub const TICKS_PER_US: u32 = TICK_HZ / 1_000_000;
@@ -11,7 +13,7 @@ pub const HSE_HZ: u32 = 8_000_000;
 /// Core clock in Hz: 8 MHz / 4 · 96 / 2. Of the settings that give USB its
 /// 48 MHz (8 / 4 · 96 / 4) it is the one whose PLL output also divides to the
 /// IMU's 19.2 MHz (96 / 5, MCO1). `docs/decisions/0002-clock-tree.md`.
-pub const SYSCLK_HZ: u32 = 96_000_000;
+pub const SYSCLK_HZ: u32 = CORE_HZ;
 
 /// Timer clock of APB1 in Hz: 96 MHz / 4, doubled by the hardware for timers
 /// (RM0090 7.2). One tick of board time.
@@ -29,13 +31,13 @@ pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 /// simulated board's; `docs/outputs.md` says how to measure a real one's.
 pub const OUTPUT_START_DELAY: u32 = 2;
 
-/// An edge of TIM1 that is nearer than this is armed on it, in ticks: 0.6 ms. TIM1
-/// comes round every 65,536 of its clocks, 0.68 ms.
-pub const OUTPUT_NEAR: u32 = 600 * TICKS_PER_US;
+/// How far ahead an edge is armed on TIM1, in ticks: 0.6 ms. TIM1 comes round every 65,536 of its clocks, 0.68 ms.
+pub const OUTPUT_REACH: u32 = 600 * TICKS_PER_US;
 
-/// How long before an edge that is farther away TIM5 calls the handler that arms
-/// it on TIM1, in ticks: 0.4 ms.
-pub const OUTPUT_LEAD: u32 = 400 * TICKS_PER_US;
+/// How long before an edge that is too far ahead to be armed its handler is called: 0.4
+/// ms. A channel reaches more than that by what a handler may be late
+/// ([`OUTPUT_REACH`]).
+pub const WAKE_LEAD: TickDelta = TickDelta::from_micros(400);
 
 /// The quiet margin of TIM1's handlers: 40 µs. Longer than TIM2's
 /// ([`QUIET_MARGIN`]), as TIM2's handler goes on meanwhile.
@@ -48,7 +50,7 @@ pub const NMEA_SLACK: TickDelta = TickDelta::from_micros(NMEA_SLACK_MS * 1_000);
 /// the low 32 bits; half of their range keeps "ahead" and "behind" apart, and
 /// half of that again is the margin of [`crate::timebase`]. Edges farther away
 /// are reached by waypoints.
-pub(crate) const MAX_ARM_AHEAD: u32 = 1 << 30;
+pub const MAX_ARM_AHEAD: u32 = 1 << 30;
 
 /// An edge that was missed is made this much later than the moment at which
 /// that was seen: 10 µs, three times what the handler takes to arm it (some 20
@@ -164,6 +166,10 @@ pub const WATCHDOG_US: u32 = 4_000_000;
 
 /// From the answer to a self test to the failure, in ms: the answer has left.
 pub const SELF_TEST_DELAY_MS: u64 = 50;
+
+/// By what a self test makes the trigger's handler slower, in core cycles: 50 µs, more
+/// than the shortest gap between two pulses leaves it ([`protocol::MIN_PULSE_GAP`]).
+pub const SLOW_HANDLER_CYCLES: u32 = 50 * (SYSCLK_HZ / 1_000_000);
 
 /// I2C clock in Hz: the sensor's fastest.
 pub const I2C_HZ: u32 = 400_000;

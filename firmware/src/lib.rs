@@ -11,6 +11,7 @@
 //! - [`imu`]: the MPU-9150.
 //! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
+//! - [`die`]: the chip's temperature.
 //! - [`filler`]: load for tests of the link.
 //! - [`alive`]: which tasks have checked in.
 //! - [`keep`]: what survives a reset.
@@ -22,6 +23,7 @@
 pub mod alive;
 pub mod capture;
 pub mod config;
+pub mod die;
 pub mod filler;
 pub mod imu;
 pub mod keep;

@@ -11,8 +11,7 @@
 
 use heapless::Deque;
 use protocol::{
-    Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, OutputArrived, OutputPulse,
-    Pps, Pulse, Status,
+    Answer, Arrived, Capture, DeviceToHost, Dropped, Hello, ImuSample, Pps, Pulse, Status,
 };
 
 use crate::config;
@@ -34,7 +33,7 @@ pub struct Outbox {
 /// What the further outputs have to say.
 #[derive(Clone, Copy, Debug)]
 enum OutputMessage {
-    Pulse(OutputPulse),
+    Pulse(Pulse),
     Pps(Pps),
 }
 
@@ -113,11 +112,6 @@ impl Outbox {
         self.with_answers(DeviceToHost::Arrived(arrived));
     }
 
-    /// Queues an arrival of a further output, with the answers.
-    pub fn output_arrived(&mut self, arrived: OutputArrived) {
-        self.with_answers(DeviceToHost::OutputArrived(arrived));
-    }
-
     fn with_answers(&mut self, message: DeviceToHost) {
         push(
             &mut self.answers,
@@ -125,11 +119,6 @@ impl Outbox {
             message,
             &mut self.dropped.answers,
         );
-    }
-
-    /// Queues a pulse of a further output.
-    pub fn output_pulse(&mut self, pulse: OutputPulse) {
-        self.output(OutputMessage::Pulse(pulse));
     }
 
     /// Queues a pulse per second.
@@ -148,6 +137,9 @@ impl Outbox {
 
     /// Queues a pulse.
     pub fn pulse(&mut self, pulse: Pulse) {
+        if !pulse.output.is_camera() {
+            return self.output(OutputMessage::Pulse(pulse));
+        }
         push(
             &mut self.pulses,
             self.linked,
@@ -208,7 +200,7 @@ impl Outbox {
         }
         if let Some(message) = self.outputs.pop_front() {
             return Some(match message {
-                OutputMessage::Pulse(pulse) => DeviceToHost::OutputPulse(pulse),
+                OutputMessage::Pulse(pulse) => DeviceToHost::Pulse(pulse),
                 OutputMessage::Pps(pps) => DeviceToHost::Pps(pps),
             });
         }
@@ -225,12 +217,12 @@ impl Outbox {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::{CaptureChannel, Edge, ImuFlags, Reply, Ticks};
+    use protocol::{CaptureChannel, Edge, ImuFlags, Output, Reply, Ticks};
 
     fn answer(id: u32) -> Answer {
         Answer {
             id,
-            result: Ok(Reply::Done),
+            result: Ok(Reply::SayHello(())),
         }
     }
 
@@ -247,6 +239,7 @@ mod tests {
 
     fn pulse(seq: u32) -> Pulse {
         Pulse {
+            output: Output::Camera,
             seq,
             train: 1,
             number: u64::from(seq),
@@ -289,6 +282,24 @@ mod tests {
         assert_eq!(outbox.pop(), Some(DeviceToHost::Imu(sample(0))));
         assert_eq!(outbox.pop(), None);
         assert!(outbox.is_empty());
+    }
+
+    #[test]
+    fn pulses_of_the_camera_go_before_those_of_the_further_outputs() {
+        let mut outbox = linked();
+        let further = Output::FURTHER.map(|output| Pulse { output, ..pulse(9) });
+        for pulse in further {
+            outbox.pulse(pulse);
+        }
+        outbox.pulse(pulse(0));
+        for expected in [pulse(0)].into_iter().chain(further) {
+            assert_eq!(outbox.pop(), Some(DeviceToHost::Pulse(expected)));
+        }
+        for _ in 0..1_000 {
+            outbox.pulse(further[0]);
+        }
+        assert_eq!(outbox.dropped().pulses, 0);
+        assert!(outbox.dropped().outputs > 0);
     }
 
     #[test]

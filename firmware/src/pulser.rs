@@ -9,8 +9,9 @@
 //!   so a pulse must be longer than that handler can be late
 //!   ([`protocol::MIN_OUTPUT_WIDTH`]).
 //!
-//! Rising edges are armed nearly a period ahead, so how late a handler comes does not
-//! matter to them. If an edge is armed too late all the same (a debugger stopped the
+//! A channel reaches only so far ahead. For an edge that is farther, the handler is
+//! called on the way to it, [`WAKE_LEAD`] before the edge, and arms it then. So how late
+//! a handler comes does not matter to a rising edge, up to that lead. If an edge is armed too late all the same (a debugger stopped the
 //! core, say), the compare would only match 89 s later. That is seen at once: a pulse
 //! that should be over is ended by force, a rising edge is made some µs later and
 //! reported at the time at which it really came, and both are counted.
@@ -18,11 +19,11 @@
 //! The logic runs against [`CompareOutput`], on the board and in tests.
 
 use protocol::{
-    MIN_START_LEAD, OutputStart, OutputStatus, Period, Readback, Refusal, TickDelta, Ticks,
-    TrainState, TriggerStatus,
+    MIN_START_LEAD, OutputStatus, Period, Readback, Refusal, TickDelta, Ticks, TrainState,
+    TriggerStart, TriggerStatus,
 };
 
-use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN};
+use crate::config::{LATE_EDGE_DELAY, MAX_ARM_AHEAD, START_LEAD, STOP_MARGIN, WAKE_LEAD};
 use crate::timebase::Timebase;
 use crate::trigger::{Alignment, Edge, Limits, Position, Train};
 
@@ -56,6 +57,10 @@ pub trait CompareOutput {
     /// Whether it is armed by [`Action::Pulse`] and its handler called after the falling
     /// edge; otherwise by [`Action::Rise`] and [`Action::Fall`], with a call after each.
     fn makes_whole_pulses(&self) -> bool;
+
+    /// How far ahead it can be armed to make an edge, in ticks: clearly more than
+    /// [`WAKE_LEAD`]. [`Action::Wake`] reaches [`MAX_ARM_AHEAD`].
+    fn reach(&self) -> u32;
 
     /// The counter.
     fn counter(&self) -> u32;
@@ -96,12 +101,14 @@ enum Stage {
     /// No train.
     #[default]
     Idle,
-    /// The rising edge is too far ahead for the compare: a point on the way.
+    /// A point on the way to the rising edge.
     Waypoint(Edge),
     /// The rising edge, at this time.
     Rise(Edge, Ticks),
     /// The end of the pulse that rises at this time.
     Pulse(Edge, Ticks),
+    /// A point on the way to the falling edge of the pulse that rose at this time.
+    High(Edge, Ticks),
     /// The falling edge of the pulse that rose at this time.
     Fall(Edge, Ticks),
 }
@@ -161,11 +168,11 @@ impl Pulser {
     /// # Errors
     ///
     /// Values out of bounds; another train runs.
-    pub fn start<O: CompareOutput>(
+    pub fn start<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
         time: &Timebase,
-        start: OutputStart,
+        start: TriggerStart,
     ) -> Result<(), Refusal> {
         if self.running().is_some_and(|train| *train.start() == start) {
             return Ok(());
@@ -210,7 +217,7 @@ impl Pulser {
     }
 
     /// Stops the train, after the pulse that is being made or about to be.
-    pub fn stop<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) {
+    pub fn stop<O: CompareOutput + ?Sized>(&mut self, output: &mut O, time: &Timebase) {
         match self.stage {
             Stage::Idle => {}
             Stage::Waypoint(_) => {
@@ -226,12 +233,12 @@ impl Pulser {
                     self.stopping = true;
                 }
             }
-            Stage::Fall(..) => self.stopping = true,
+            Stage::High(..) | Stage::Fall(..) => self.stopping = true,
         }
     }
 
     /// The armed match has come. Returns the pulse that is over with it.
-    pub fn on_match<O: CompareOutput>(
+    pub fn on_match<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
         time: &Timebase,
@@ -244,9 +251,9 @@ impl Pulser {
             }
             Stage::Rise(edge, at) => {
                 self.pulses = self.pulses.wrapping_add(1);
-                self.stage = Stage::Fall(edge, at);
                 self.arm_fall(output, time, edge, at)
             }
+            Stage::High(edge, at) => self.arm_fall(output, time, edge, at),
             Stage::Pulse(edge, at) => {
                 self.pulses = self.pulses.wrapping_add(1);
                 self.end_pulse(output, time, edge, at)
@@ -255,34 +262,22 @@ impl Pulser {
         }
     }
 
-    /// Arms what is armed already, once more: for an output that sees less far
-    /// ahead than `MAX_ARM_AHEAD` and was told of an edge too early. Returns
-    /// the pulse that is over with it, if that came too late.
-    pub fn rearm<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase) -> Option<Pulsed> {
-        match self.stage {
-            Stage::Idle => None,
-            Stage::Waypoint(edge) => {
-                self.arm_rise(output, time, edge);
-                None
-            }
-            Stage::Rise(edge, at) | Stage::Pulse(edge, at) => {
-                self.arm_rise_at(output, time, edge, at);
-                None
-            }
-            Stage::Fall(edge, at) => self.arm_fall(output, time, edge, at),
-        }
-    }
-
-    /// Arms the falling edge of the pulse that rose at `at`. Returns that pulse
-    /// if it had to be ended by force.
-    fn arm_fall<O: CompareOutput>(
+    /// Arms the falling edge of the pulse that rose at `at`, or a point on the way to it.
+    /// Returns that pulse if it had to be ended by force.
+    fn arm_fall<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
         time: &Timebase,
         edge: Edge,
         at: Ticks,
     ) -> Option<Pulsed> {
-        let fall = (at.0 as u32).wrapping_add(self.width());
+        let fall = at + TickDelta(self.width().into());
+        if wakes_before(output, time, fall) {
+            self.stage = Stage::High(edge, at);
+            return None;
+        }
+        let fall = fall.0 as u32;
+        self.stage = Stage::Fall(edge, at);
         output.arm(fall, Action::Fall);
         if is_past(fall, output.counter()) && !output.has_matched() {
             self.late = self.late.saturating_add(1);
@@ -292,7 +287,7 @@ impl Pulser {
         None
     }
 
-    fn end_pulse<O: CompareOutput>(
+    fn end_pulse<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
         time: &Timebase,
@@ -323,19 +318,17 @@ impl Pulser {
     }
 
     /// Arms the rising edge, or a point on the way to it.
-    fn arm_rise<O: CompareOutput>(&mut self, output: &mut O, time: &Timebase, edge: Edge) {
-        let now = time.extend(output.counter());
+    fn arm_rise<O: CompareOutput + ?Sized>(&mut self, output: &mut O, time: &Timebase, edge: Edge) {
         let at = edge.position.ticks();
-        if at.0 > now.0 + u64::from(MAX_ARM_AHEAD) {
-            output.arm((now.0 as u32).wrapping_add(MAX_ARM_AHEAD), Action::Wake);
+        if wakes_before(output, time, at) {
             self.stage = Stage::Waypoint(edge);
-            return;
+        } else {
+            self.arm_rise_at(output, time, edge, at);
         }
-        self.arm_rise_at(output, time, edge, at);
     }
 
     /// Arms the rising edge at `at`, or as soon after it as can be.
-    fn arm_rise_at<O: CompareOutput>(
+    fn arm_rise_at<O: CompareOutput + ?Sized>(
         &mut self,
         output: &mut O,
         time: &Timebase,
@@ -392,12 +385,15 @@ impl Pulser {
         self.train.map_or(0, |train| train.width())
     }
 
-    /// When the handler is wanted next.
+    /// When the next edge needs the handler.
     fn due(&self) -> Option<Ticks> {
         match self.stage {
-            Stage::Idle | Stage::Waypoint(_) => None,
+            Stage::Idle => None,
+            Stage::Waypoint(edge) => Some(edge.position.ticks()),
             Stage::Rise(_, at) => Some(at),
-            Stage::Pulse(_, at) | Stage::Fall(_, at) => Some(at + TickDelta(self.width().into())),
+            Stage::Pulse(_, at) | Stage::High(_, at) | Stage::Fall(_, at) => {
+                Some(at + TickDelta(self.width().into()))
+            }
         }
     }
 
@@ -459,7 +455,7 @@ impl Pulser {
             Stage::Idle => Position::default(),
             Stage::Pulse(..) if self.has_risen(now) => self.next_position(),
             Stage::Waypoint(edge) | Stage::Rise(edge, _) | Stage::Pulse(edge, _) => edge.position,
-            Stage::Fall(..) => self.next_position(),
+            Stage::High(..) | Stage::Fall(..) => self.next_position(),
         };
         TriggerStatus {
             state: self.state(now),
@@ -473,6 +469,18 @@ impl Pulser {
             readback: self.readback,
         }
     }
+}
+
+/// Arms a call on the way to `at` if the output does not reach that far.
+fn wakes_before<O: CompareOutput + ?Sized>(output: &mut O, time: &Timebase, at: Ticks) -> bool {
+    let now = time.extend(output.counter());
+    if at.0 <= now.0 + u64::from(output.reach()) {
+        return false;
+    }
+    let farthest = now + TickDelta(MAX_ARM_AHEAD.into());
+    let wake = farthest.min(at - WAKE_LEAD);
+    output.arm(wake.0 as u32, Action::Wake);
+    true
 }
 
 /// Whether the counter value `at` is now or behind, not ahead.

@@ -10,13 +10,16 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
-use crate::board::{clocks, faults, handover, idle, leds, nmea_port, outputs, rng, stack, tim2};
+use crate::board::{
+    clocks, cycles, faults, handover, idle, leds, nmea_port, outputs, rng, stack, tim2,
+};
 use crate::state::{self, BoardInfo};
 use crate::tasks;
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
     clocks::set_priorities();
+    cycles::init();
     let reset_cause = clocks::take_reset_cause();
     let run = faults::begin_run();
     let watchdog = start_watchdog();

@@ -16,7 +16,7 @@
 
 use protocol::{
     AlignPlan, MAX_TIME_AWAY, MIN_OUTPUT_GAP, MIN_OUTPUT_WIDTH, MIN_PULSE_GAP, MIN_PULSE_WIDTH,
-    OutputAlign, OutputStart, Period, Refusal, TickDelta, Ticks,
+    Period, Refusal, TickDelta, Ticks, TriggerAlign, TriggerStart,
 };
 
 /// Fraction bits of positions and periods.
@@ -135,7 +135,7 @@ impl Limits {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Train {
     /// The command that started it.
-    start: OutputStart,
+    start: TriggerStart,
     limits: Limits,
     period: Period,
     number: u64,
@@ -160,7 +160,7 @@ impl Train {
     ///
     /// Values out of bounds; a first edge before `earliest`.
     pub(crate) fn new(
-        start: OutputStart,
+        start: TriggerStart,
         limits: Limits,
         now: Ticks,
         earliest: Ticks,
@@ -187,7 +187,7 @@ impl Train {
     }
 
     /// The command that started it.
-    pub(crate) const fn start(&self) -> &OutputStart {
+    pub(crate) const fn start(&self) -> &TriggerStart {
         &self.start
     }
 
@@ -242,7 +242,7 @@ impl Train {
     /// # Errors
     ///
     /// Values out of bounds for this train.
-    pub fn align(&self, command: u32, to: &OutputAlign, now: Ticks) -> Result<Alignment, Refusal> {
+    pub fn align(&self, command: u32, to: &TriggerAlign, now: Ticks) -> Result<Alignment, Refusal> {
         self.limits.check_period(to.period, self.width())?;
         check_near(to.anchor, now)?;
         let max = self.limits.max_slew(to.period, self.width());

@@ -6,12 +6,14 @@ use serde::{Deserialize, Serialize};
 use crate::framing::LinkCounters;
 use crate::gnss::GnssStatus;
 use crate::imu::ImuStatus;
-use crate::outputs::OutputStatus;
-use crate::trigger::TriggerStatus;
+use crate::trigger::{OutputStatus, TriggerStatus};
 use crate::units::Ticks;
 
 /// The longest text of a last panic, in bytes; longer ones are cut.
 pub const MAX_PANIC: usize = 128;
+
+/// The core's clock, in Hz.
+pub const CORE_HZ: u32 = 96_000_000;
 
 /// Who the board is and how it last ended.
 ///
@@ -85,14 +87,15 @@ pub struct Status {
     pub stack_used: u32,
     /// Stack there is, in bytes.
     pub stack_size: u32,
-    /// The train.
+    /// The camera's train.
     pub trigger: TriggerStatus,
     /// Longest time from a trigger edge to the end of its handler since reset,
     /// in ticks.
     pub trigger_latency: u32,
-    /// Time spent in the handler of trigger and captures over the last second,
-    /// in ticks.
-    pub trigger_busy: u32,
+    /// What the handlers of interrupts took.
+    pub handlers: Handlers,
+    /// Temperature of the chip, in 0.1 °C; `None` before it was first measured.
+    pub die_decidegrees: Option<i16>,
     /// How often edges on the strobe input were lost (over-captures of TIM2
     /// channel 3).
     pub strobe_overcaptures: u32,
@@ -108,6 +111,42 @@ pub struct Status {
     pub output_latency: u32,
     /// The pulse per second.
     pub gnss: GnssStatus,
+}
+
+/// What one handler took, by the core's cycle counter, at [`CORE_HZ`]. A handler that
+/// another one interrupted has the other's time in its own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HandlerTime {
+    /// Calls over the last second.
+    pub calls: u32,
+    /// Cycles of all these calls.
+    pub cycles: u32,
+    /// Cycles of the longest call since reset.
+    pub worst: u32,
+}
+
+impl HandlerTime {
+    /// Cycles of a call over the last second, in the mean; 0 without one.
+    #[must_use]
+    pub const fn mean(&self) -> u32 {
+        match self.cycles.checked_div(self.calls) {
+            Some(mean) => mean,
+            None => 0,
+        }
+    }
+}
+
+/// What the handlers of interrupts took.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Handlers {
+    /// The camera's trigger and the captures (TIM2, DMA1 stream 5).
+    pub trigger: HandlerTime,
+    /// The further outputs and the pulse per second (TIM1, TIM5).
+    pub outputs: HandlerTime,
+    /// What takes their events to the outbox.
+    pub handover: HandlerTime,
+    /// USB.
+    pub usb: HandlerTime,
 }
 
 /// How many messages of each stream found no place in the outbox.

@@ -24,7 +24,7 @@ const CRC_LEN: usize = 4;
 const COBS_OVERHEAD: usize = 1 + (MAX_MESSAGE + CRC_LEN) / 254;
 
 /// The longest message in postcard form, in bytes.
-pub const MAX_MESSAGE: usize = 320;
+pub const MAX_MESSAGE: usize = 400;
 
 /// The longest frame on the wire, with CRC, COBS overhead (one byte in each
 /// 254, and one) and the delimiter.
@@ -156,9 +156,9 @@ fn cobs_in_place(buffer: &mut [u8], end: usize) -> Option<usize> {
 /// the next zero byte and has counted what it lost.
 ///
 /// ```
-/// use protocol::{Command, Decoder, HostToDevice, MAX_FRAME, encode};
+/// use protocol::{Decoder, HostToDevice, MAX_FRAME, QueryImu, encode};
 ///
-/// let sent = HostToDevice { id: 7, command: Command::Hello };
+/// let sent = HostToDevice { id: 7, command: QueryImu.into() };
 /// let mut buffer = [0; MAX_FRAME];
 /// let frame = encode(&sent, &mut buffer).unwrap();
 ///
@@ -278,7 +278,12 @@ impl<M: DeserializeOwned> Default for Decoder<M> {
 }
 
 fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
-    match postcard::take_from_bytes(body(frame)?) {
+    parse(body(frame)?)
+}
+
+/// A message that is all of `body`.
+pub(crate) fn parse<M: DeserializeOwned>(body: &[u8]) -> Result<M, FrameError> {
+    match postcard::take_from_bytes(body) {
         Ok((message, [])) => Ok(message),
         _ => Err(FrameError::Message),
     }
@@ -291,6 +296,10 @@ fn decode<M: DeserializeOwned>(frame: &mut [u8]) -> Result<M, FrameError> {
 /// variant in every version of the protocol.
 #[must_use]
 pub fn hello_version(frame: &[u8]) -> Option<u16> {
+    // COBS of a message that begins with zero begins with 1.
+    if frame.first() != Some(&1) {
+        return None;
+    }
     let mut buffer = [0; MAX_FRAME];
     let copy = buffer.get_mut(..frame.len())?;
     copy.copy_from_slice(frame);
@@ -304,7 +313,7 @@ pub fn hello_version(frame: &[u8]) -> Option<u16> {
 }
 
 /// Undoes COBS and checks the CRC.
-fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
+pub(crate) fn body(frame: &mut [u8]) -> Result<&[u8], FrameError> {
     let len = cobs::decode_in_place(frame).map_err(|_| FrameError::Cobs)?;
     let decoded = frame.get(..len).ok_or(FrameError::Cobs)?;
     let (body, crc) = decoded

@@ -8,12 +8,12 @@
 //! - [`units`]: board time ([`Ticks`], [`TickDelta`], [`Period`]).
 //! - [`framing`]: how a message of any type is put on the wire (postcard, CRC-32,
 //!   COBS, a zero byte behind each frame) and taken off again.
-//! - [`trigger`], [`capture`], [`imu`]: settings, events and status of the camera
-//!   trigger, the capture inputs and the IMU.
-//! - [`outputs`], [`gnss`]: the same of the further trigger outputs (2 to 4) and of
-//!   the pulse per second.
+//! - [`trigger`], [`capture`], [`imu`], [`gnss`]: settings, events and status of the
+//!   trigger outputs, the capture inputs, the IMU and the pulse per second.
 //! - [`board`]: who the board is ([`Hello`]) and how all of it fares ([`Status`]).
+//! - [`commands`]: what the host can ask for, each with its reply.
 //! - [`messages`]: what is said ([`DeviceToHost`], [`HostToDevice`]).
+//! - [`recorded`]: frames in recordings, also of boards of an older version.
 //!
 //! Beside them, without imports:
 //!
@@ -29,27 +29,29 @@
 
 pub mod board;
 pub mod capture;
+pub mod commands;
 pub mod framing;
 pub mod gnss;
 pub mod imu;
 pub mod messages;
 pub mod mpu9150;
-pub mod outputs;
+pub mod recorded;
 pub mod trigger;
 pub mod units;
 pub mod usb;
 
 pub use board::*;
 pub use capture::*;
+pub use commands::*;
 pub use framing::{Decoder, FrameError, LinkCounters, MAX_FRAME, encode, hello_version};
 pub use gnss::*;
 pub use imu::*;
 pub use messages::*;
-pub use outputs::*;
+pub use recorded::{OLDEST_RECORDED, read_recorded};
 pub use trigger::*;
 pub use units::{Period, TICK_HZ, TickDelta, Ticks};
 
 /// Version of the wire format. Host and board must agree on it exactly; it is
 /// the first field of [`Hello`], whose position never changes, so that a host
 /// can read the version of any board.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;

@@ -1,8 +1,8 @@
 //! What board and host say to each other.
 //!
-//! Host to board: commands, each with an id. Every command gets exactly one
-//! [`Answer`] with that id. Commands are idempotent: sending one twice changes
-//! nothing beyond the first time.
+//! Host to board: commands ([`crate::commands`]), each with an id. Every command gets
+//! exactly one [`Answer`] with that id. Commands are idempotent: sending one twice
+//! changes nothing beyond the first time.
 //!
 //! Board to host: [`Hello`] on connect and on request, answers, and streams.
 //! Each stream numbers its messages on its own (`seq`, wrapping at 2³²), the
@@ -15,11 +15,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::board::{Hello, Status};
 use crate::capture::Capture;
-use crate::gnss::{GnssReport, GnssSettings, Pps};
-use crate::imu::{ImuConfig, ImuSample, ImuSetup};
-use crate::outputs::{Output, OutputAction, OutputArrived, OutputPulse};
-use crate::trigger::{AlignPlan, Arrived, Pulse, TriggerAlign, TriggerStart, TriggerStatus};
-use crate::units::{Period, Ticks};
+use crate::commands::{Command, Reply};
+use crate::gnss::Pps;
+use crate::imu::ImuSample;
+use crate::trigger::{Arrived, Pulse};
+use crate::units::Ticks;
 
 /// Payload bytes of one [`Filler`].
 pub const MAX_FILLER: usize = 240;
@@ -31,82 +31,6 @@ pub struct HostToDevice {
     pub id: u32,
     /// What to do.
     pub command: Command,
-}
-
-/// What the host can ask for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Command {
-    /// Send a [`Hello`] (before the answer, which is [`Reply::Done`]).
-    Hello,
-    /// Answered with [`Reply::Pong`].
-    Ping {
-        /// Any number of the host's, returned as it is.
-        host_time: u64,
-    },
-    /// Start the trigger train. Where a train runs that was started with the
-    /// same parameters, nothing changes. Answered with [`Reply::Trigger`].
-    TriggerStart(TriggerStart),
-    /// Move the running train onto an absolute grid. Answered with
-    /// [`Reply::Align`]; an [`Arrived`] follows. An align replaces one that is
-    /// still on its way, whose [`Arrived`] then never comes.
-    TriggerAlign(TriggerAlign),
-    /// Set another period, from the next edge that is not armed yet on. The
-    /// phase continues from that edge. Refused while an align is on its way.
-    TriggerPeriod(Period),
-    /// Stop the train after the pulse that is being made, if any.
-    TriggerStop,
-    /// Answered with [`Reply::Trigger`].
-    TriggerQuery,
-    /// Set up the IMU. Answered with [`Reply::Imu`]; sampling restarts.
-    ImuConfigure(ImuConfig),
-    /// Answered with [`Reply::Imu`].
-    ImuQuery,
-    /// Send filler at up to this many payload bytes a second; 0 is off,
-    /// `u32::MAX` as much as USB takes. To load the link in tests.
-    Filler {
-        /// Payload bytes a second.
-        bytes_per_second: u32,
-    },
-    /// Fail on purpose, to try out the recovery.
-    SelfTest {
-        /// Must be [`SELF_TEST_KEY`]; anything else is refused.
-        key: u32,
-        /// The failure to cause.
-        failure: Failure,
-    },
-    /// A command to one of the further trigger outputs. Answered with
-    /// [`Reply::Trigger`] or, for an align, [`Reply::Align`].
-    Output {
-        /// The output.
-        output: Output,
-        /// What it is asked to do.
-        action: OutputAction,
-    },
-    /// Start the pulse per second and its sentences, on the next whole second of
-    /// board time. Where it runs with the same settings, nothing changes.
-    /// Answered with [`Reply::Gnss`].
-    GnssStart(GnssSettings),
-    /// Stop it. Answered with [`Reply::Gnss`].
-    GnssStop,
-    /// Answered with [`Reply::Gnss`].
-    GnssQuery,
-}
-
-/// The key of [`Command::SelfTest`], so that no stray bytes crash a rig.
-pub const SELF_TEST_KEY: u32 = 0x5EED_FA11;
-
-/// The failures that [`Command::SelfTest`] can cause.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Failure {
-    /// Panic with a known message; the next [`Hello`] must report it.
-    Panic,
-    /// A task that never yields; the watchdog must reset the board.
-    Hang,
-    /// An undefined instruction, which ends in a HardFault.
-    HardFault,
-    /// One task that stops being alive while all others go on; the watchdog
-    /// must reset the board.
-    Stall,
 }
 
 /// Board to host.
@@ -122,9 +46,9 @@ pub enum DeviceToHost {
     Answer(Answer),
     /// Once a second.
     Status(Status),
-    /// A pulse of the trigger was made.
+    /// A pulse of a trigger output was made.
     Pulse(Pulse),
-    /// The train has arrived where an align sent it.
+    /// A train has arrived where an align sent it.
     Arrived(Arrived),
     /// An edge on a capture input.
     Capture(Capture),
@@ -132,10 +56,6 @@ pub enum DeviceToHost {
     Imu(ImuSample),
     /// Load for tests.
     Filler(Filler),
-    /// A pulse of one of the further trigger outputs was made.
-    OutputPulse(OutputPulse),
-    /// One of their trains has arrived where an align sent it.
-    OutputArrived(OutputArrived),
     /// A pulse per second was made.
     Pps(Pps),
 }
@@ -147,30 +67,6 @@ pub struct Answer {
     pub id: u32,
     /// What came of it.
     pub result: Result<Reply, Refusal>,
-}
-
-/// A command that was carried out.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Reply {
-    /// Done; there is nothing to tell.
-    Done,
-    /// To [`Command::Ping`].
-    Pong {
-        /// The number of the ping.
-        host_time: u64,
-        /// When the command was taken from the link.
-        received: Ticks,
-        /// When the answer was put into the outbox.
-        sent: Ticks,
-    },
-    /// To start, period, stop and query of any trigger output.
-    Trigger(TriggerStatus),
-    /// To [`Command::TriggerAlign`]; an [`Arrived`] follows.
-    Align(AlignPlan),
-    /// To the IMU's commands.
-    Imu(ImuSetup),
-    /// To the commands of the pulse per second.
-    Gnss(GnssReport),
 }
 
 /// Why a command was refused. It has changed nothing.
@@ -221,9 +117,6 @@ pub enum Refusal {
         /// When they would end, in µs after the pulse.
         ends_us: u32,
     },
-    /// The rate is not possible with an inverted line: from boards that inverted it
-    /// themselves.
-    GnssBaudTooHigh,
 }
 
 /// Load for tests; the payload counts up from the low byte of `seq`.

@@ -1,25 +1,83 @@
-//! The camera trigger: how a train of pulses is started and moved, what it makes
-//! and how it fares.
+//! The trigger outputs: how a train of pulses is started and moved, what it makes and
+//! how it fares.
+//!
+//! All four outputs are in the one timebase, take the same commands and send the same
+//! messages. A first edge or an anchor has a fraction of a tick, as a period has, so
+//! that a train can be put on an exact multiple of another one and stay on it for ever:
+//! the next edge of any train is told with its fraction
+//! ([`TriggerStatus::next_fraction`]).
 
 use serde::{Deserialize, Serialize};
 
 use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 
-/// The shortest pulse, in ticks: 10 µs.
+/// The shortest pulse of the camera's output, in ticks: 10 µs.
 ///
 /// The hardware loads the falling edge at the rising one, in less than a tenth of that
 /// (`docs/timing.md`). The camera needs more than 8 µs.
 pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
-/// The shortest time from a falling edge to the next rising edge, in ticks:
-/// 20 µs, in which a handler arms the next pulse.
+/// The shortest time from a falling edge of the camera's output to the next rising
+/// edge, in ticks: 20 µs, in which a handler arms the next pulse.
 pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
+
+/// The shortest pulse of the further outputs, in ticks: 50 µs.
+///
+/// The handler of the rising edge arms the falling one. It waits for the camera
+/// trigger's, and for the others' at a coincidence (`docs/timing.md`).
+pub const MIN_OUTPUT_WIDTH: u32 = 50 * (TICK_HZ / 1_000_000);
+
+/// The shortest time from a falling edge of the further outputs to the next rising
+/// edge, in ticks: 100 µs.
+pub const MIN_OUTPUT_GAP: u32 = 100 * (TICK_HZ / 1_000_000);
 
 /// How far ahead a first edge must lie: 100 µs.
 pub const MIN_START_LEAD: TickDelta = TickDelta::from_micros(100);
 
 /// How far from now a first edge or an anchor may lie, in ticks: an hour.
 pub const MAX_TIME_AWAY: u64 = 3_600 * TICK_HZ as u64;
+
+/// A trigger output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Output {
+    /// Output 1, PA5, TIM2 channel 1: the camera's, with a read-back.
+    Camera,
+    /// PE11, TIM1 channel 2.
+    Two,
+    /// PE13, TIM1 channel 3.
+    Three,
+    /// PE14, TIM1 channel 4.
+    Four,
+}
+
+impl Output {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Camera, Self::Two, Self::Three, Self::Four];
+
+    /// Those beside the camera's.
+    pub const FURTHER: [Self; 3] = [Self::Two, Self::Three, Self::Four];
+
+    /// Its number on the board, from 1.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self as u8 + 1
+    }
+
+    /// The output with this number.
+    #[must_use]
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|output| output.number() == number)
+    }
+
+    /// Whether it is the camera's.
+    #[must_use]
+    pub const fn is_camera(self) -> bool {
+        matches!(self, Self::Camera)
+    }
+}
 
 /// Parameters of a train.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,11 +86,14 @@ pub struct TriggerStart {
     /// Distance of the pulses, [`Period::MIN`] to [`Period::MAX`].
     pub period: Period,
     /// Length of a pulse in ticks: [`MIN_PULSE_WIDTH`] up to the period less
-    /// [`MIN_PULSE_GAP`].
+    /// [`MIN_PULSE_GAP`]; of the further outputs [`MIN_OUTPUT_WIDTH`] up to the period
+    /// less [`MIN_OUTPUT_GAP`].
     pub width: u32,
     /// The first rising edge, [`MIN_START_LEAD`] to [`MAX_TIME_AWAY`] from now;
     /// `None`: as soon as possible.
     pub first_edge: Option<Ticks>,
+    /// Fraction of `first_edge`, in 2⁻³² ticks; of no meaning without one.
+    pub first_fraction: u32,
 }
 
 /// "Some pulse edge falls at `anchor`, the period is `period`."
@@ -41,6 +102,8 @@ pub struct TriggerAlign {
     /// A tick of the wanted grid, in the past or the future, at most one hour
     /// away.
     pub anchor: Ticks,
+    /// Fraction of `anchor`, in 2⁻³² ticks.
+    pub anchor_fraction: u32,
     /// The period from now on.
     pub period: Period,
     /// The most ticks that the distance of two pulses may differ from `period`
@@ -63,7 +126,7 @@ pub struct AlignPlan {
     pub arrival: Ticks,
 }
 
-/// State of the train.
+/// State of a train.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerStatus {
     /// What the train does.
@@ -84,7 +147,7 @@ pub struct TriggerStatus {
     /// Edges that were armed too late and came at a later time than asked for.
     /// Must be 0.
     pub late: u32,
-    /// The read-back of the trigger wire.
+    /// The read-back of the trigger wire; the camera's output alone has one.
     pub readback: Readback,
 }
 
@@ -117,10 +180,36 @@ pub struct Readback {
     pub delay: Option<i32>,
 }
 
-/// One pulse of the trigger.
+/// How the train of one of the further outputs fares, in short.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutputStatus {
+    /// What the train does.
+    pub state: TrainState,
+    /// Number of this train; 0: none yet.
+    pub train: u32,
+    /// Rising edges that this train has made.
+    pub pulses: u64,
+    /// Edges that came later than asked for. Must be 0.
+    pub late: u32,
+}
+
+impl OutputStatus {
+    /// An output that was never started.
+    pub const IDLE: Self = Self {
+        state: TrainState::Stopped,
+        train: 0,
+        pulses: 0,
+        late: 0,
+    };
+}
+
+/// One pulse of a trigger output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pulse {
-    /// Sequence number of the pulse stream.
+    /// The output.
+    pub output: Output,
+    /// Sequence number: the pulses of the camera's output are one stream, those of the
+    /// three further ones together another.
     pub seq: u32,
     /// The train it belongs to.
     pub train: u32,
@@ -137,6 +226,8 @@ pub struct Pulse {
 /// An align has reached its grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Arrived {
+    /// The output.
+    pub output: Output,
     /// The id of the align command.
     pub command: u32,
     /// The train.

@@ -191,7 +191,7 @@ fn a_good_checksum_around_no_message_is_another_protocol() {
     // A message with something behind it.
     let ping = HostToDevice {
         id: 1,
-        command: Command::Hello,
+        command: SayHello.into(),
     };
     let mut frame = encode(&(ping, 7_u8), &mut buffer).unwrap();
     let mut decoder = Decoder::<HostToDevice>::new();
@@ -203,7 +203,7 @@ fn a_good_checksum_around_no_message_is_another_protocol() {
 fn a_reset_forgets_half_a_frame() {
     let command = HostToDevice {
         id: 9,
-        command: Command::TriggerQuery,
+        command: QueryTrigger(Output::Camera).into(),
     };
     let mut buffer = [0; MAX_FRAME];
     let frame = encode(&command, &mut buffer).unwrap();

@@ -104,6 +104,20 @@ fn gnss_status() -> GnssStatus {
     }
 }
 
+fn handlers() -> Handlers {
+    let handler = |n: u32| HandlerTime {
+        calls: 100 * n,
+        cycles: 130_000 * n,
+        worst: 3_000 * n,
+    };
+    Handlers {
+        trigger: handler(1),
+        outputs: handler(2),
+        handover: handler(3),
+        usb: handler(4),
+    }
+}
+
 fn status() -> Status {
     Status {
         seq: 60,
@@ -131,7 +145,8 @@ fn status() -> Status {
         stack_size: 110_000,
         trigger: trigger_status(),
         trigger_latency: 120,
-        trigger_busy: 13_000,
+        handlers: handlers(),
+        die_decidegrees: Some(-123),
         strobe_overcaptures: 13,
         strobe_floods: 14,
         imu: imu_status(None),
@@ -154,52 +169,69 @@ fn status() -> Status {
 /// Every command, and every value of every enum in them.
 fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
     let period = Period::from_picos(33_333_333_330).unwrap();
-    let mut commands = vec![
-        ("hello".to_owned(), Command::Hello),
+    let start = TriggerStart {
+        period,
+        width: 576,
+        first_edge: Some(Ticks(96_000_000)),
+        first_fraction: 0x8000_0001,
+    };
+    let soon = TriggerStart {
+        period: Period::MIN,
+        width: MIN_PULSE_WIDTH,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    let to = TriggerAlign {
+        anchor: Ticks(1_234_567_890_123),
+        anchor_fraction: 7,
+        period,
+        slew: 1_600,
+    };
+    let output = Output::Camera;
+    let ping = Ping {
+        host_time: 0x8877_6655_4433_2211,
+    };
+    let filler = SendFiller {
+        bytes_per_second: u32::MAX,
+    };
+    let camera_at = StartTrigger { output, start };
+    let camera_soon = StartTrigger {
+        output,
+        start: soon,
+    };
+    let (two, period) = (Output::Two, Period::MAX);
+    let mut commands: std::vec::Vec<(std::string::String, Command)> = vec![
+        ("hello".to_owned(), SayHello.into()),
+        ("ping".to_owned(), ping.into()),
+        ("trigger-start-at".to_owned(), camera_at.into()),
+        ("trigger-start-soon".to_owned(), camera_soon.into()),
         (
-            "ping".to_owned(),
-            Command::Ping {
-                host_time: 0x8877_6655_4433_2211,
-            },
-        ),
-        (
-            "trigger-start-at".to_owned(),
-            Command::TriggerStart(TriggerStart {
-                period,
-                width: 576,
-                first_edge: Some(Ticks(96_000_000)),
-            }),
-        ),
-        (
-            "trigger-start-soon".to_owned(),
-            Command::TriggerStart(TriggerStart {
-                period: Period::MIN,
-                width: MIN_PULSE_WIDTH,
-                first_edge: None,
-            }),
+            "trigger-start-2".to_owned(),
+            StartTrigger { output: two, start }.into(),
         ),
         (
             "trigger-align".to_owned(),
-            Command::TriggerAlign(TriggerAlign {
-                anchor: Ticks(1_234_567_890_123),
-                period,
-                slew: 1_600,
-            }),
+            AlignTrigger { output, to }.into(),
+        ),
+        (
+            "trigger-align-2".to_owned(),
+            AlignTrigger { output: two, to }.into(),
         ),
         (
             "trigger-period".to_owned(),
-            Command::TriggerPeriod(Period::MAX),
+            SetPeriod { output, period }.into(),
         ),
-        ("trigger-stop".to_owned(), Command::TriggerStop),
-        ("trigger-query".to_owned(), Command::TriggerQuery),
-        ("imu-query".to_owned(), Command::ImuQuery),
-        (
-            "filler".to_owned(),
-            Command::Filler {
-                bytes_per_second: u32::MAX,
-            },
-        ),
+        ("trigger-stop".to_owned(), StopTrigger(Output::Three).into()),
+        ("imu-query".to_owned(), QueryImu.into()),
+        ("filler".to_owned(), filler.into()),
     ];
+    for output in Output::ALL {
+        let name = format!("trigger-query-{}", output.number());
+        commands.push((name, QueryTrigger(output).into()));
+    }
+    let mut configure = |name: std::string::String, config| {
+        commands.push((format!("imu-configure-{name}"), ConfigureImu(config).into()));
+    };
     for low_pass in [
         LowPass::Hz188,
         LowPass::Hz98,
@@ -212,10 +244,7 @@ fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
             low_pass,
             ..imu_config()
         };
-        commands.push((
-            format!("imu-configure-{low_pass:?}"),
-            Command::ImuConfigure(config),
-        ));
+        configure(format!("{low_pass:?}"), config);
     }
     for gyro_range in [
         GyroRange::Dps250,
@@ -227,10 +256,7 @@ fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
             gyro_range,
             ..imu_config()
         };
-        commands.push((
-            format!("imu-configure-{gyro_range:?}"),
-            Command::ImuConfigure(config),
-        ));
+        configure(format!("{gyro_range:?}"), config);
     }
     for accel_range in [
         AccelRange::G2,
@@ -242,94 +268,52 @@ fn commands() -> std::vec::Vec<(std::string::String, HostToDevice)> {
             accel_range,
             ..imu_config()
         };
-        commands.push((
-            format!("imu-configure-{accel_range:?}"),
-            Command::ImuConfigure(config),
-        ));
+        configure(format!("{accel_range:?}"), config);
     }
     for failure in [
         Failure::Panic,
         Failure::Hang,
         Failure::HardFault,
         Failure::Stall,
+        Failure::SlowHandler,
     ] {
         let key = SELF_TEST_KEY;
-        commands.push((
-            format!("self-test-{failure:?}"),
-            Command::SelfTest { key, failure },
-        ));
-    }
-    for (name, action) in [
-        (
-            "start",
-            OutputAction::Start(OutputStart {
-                period,
-                width: MIN_OUTPUT_WIDTH,
-                first_edge: Some(Ticks(96_000_000)),
-                first_fraction: 0x8000_0001,
-            }),
-        ),
-        (
-            "align",
-            OutputAction::Align(OutputAlign {
-                anchor: Ticks(1_234_567_890_123),
-                anchor_fraction: 7,
-                period,
-                slew: 1_600,
-            }),
-        ),
-        ("period", OutputAction::Period(Period::MIN)),
-        ("stop", OutputAction::Stop),
-        ("query", OutputAction::Query),
-    ] {
-        let output = Output::Two;
-        commands.push((format!("output-{name}"), Command::Output { output, action }));
-    }
-    for output in [Output::Three, Output::Four] {
-        let action = OutputAction::Query;
-        commands.push((
-            format!("output-{}", output.number()),
-            Command::Output { output, action },
-        ));
+        let name = format!("self-test-{failure:?}");
+        commands.push((name, SelfTest { key, failure }.into()));
     }
     for baud in Baud::ALL {
         let settings = GnssSettings {
             baud,
             ..gnss_settings()
         };
-        commands.push((
-            format!("gnss-start-{}", baud.hz()),
-            Command::GnssStart(settings),
-        ));
+        let name = format!("gnss-start-{}", baud.hz());
+        commands.push((name, StartGnss(settings).into()));
     }
-    commands.push((
-        "gnss-start-zda".to_owned(),
-        Command::GnssStart(GnssSettings {
-            sentences: Sentences::RmcZda,
-            line_inverted: false,
-            pulse_inverted: true,
-            ..gnss_settings()
-        }),
-    ));
-    commands.push(("gnss-stop".to_owned(), Command::GnssStop));
-    commands.push(("gnss-query".to_owned(), Command::GnssQuery));
+    let zda = GnssSettings {
+        sentences: Sentences::RmcZda,
+        line_inverted: false,
+        pulse_inverted: true,
+        ..gnss_settings()
+    };
+    commands.push(("gnss-start-zda".to_owned(), StartGnss(zda).into()));
+    commands.push(("gnss-stop".to_owned(), StopGnss.into()));
+    commands.push(("gnss-query".to_owned(), QueryGnss.into()));
     // A new command does not compile here until it has its golden bytes above.
     let known = |command: &Command| match command {
-        Command::Hello
-        | Command::Ping { .. }
-        | Command::TriggerStart(_)
-        | Command::TriggerAlign(_)
-        | Command::TriggerPeriod(_)
-        | Command::TriggerStop
-        | Command::TriggerQuery
-        | Command::ImuConfigure(_)
-        | Command::ImuQuery
-        | Command::Filler { .. }
-        | Command::SelfTest { .. }
-        | Command::Output { .. }
-        | Command::GnssStart(_)
-        | Command::GnssStop
-        | Command::GnssQuery => true,
+        Command::SayHello(_)
+        | Command::Ping(_)
+        | Command::StartTrigger(_)
+        | Command::AlignTrigger(_)
+        | Command::SetPeriod(_)
+        | Command::StopTrigger(_)
+        | Command::QueryTrigger(_)
+        | Command::ConfigureImu(_)
+        | Command::QueryImu(_)
+        | Command::SendFiller(_)
+        | Command::SelfTest(_)
+        | Command::StartGnss(_)
+        | Command::StopGnss(_)
+        | Command::QueryGnss(_) => true,
     };
     commands
         .into_iter()
@@ -363,41 +347,41 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         DeviceToHost::Hello(hello(ResetCause::Software, panic)),
     );
 
+    let pong = Pong {
+        host_time: 5,
+        received: Ticks(1_000),
+        sent: Ticks(1_100),
+    };
+    let plan = AlignPlan {
+        shift: TickDelta(-777),
+        frames: 8,
+        arrival_pulse: 1_008,
+        arrival: Ticks(9_999_999_999),
+    };
+    let imu = imu_setup(imu_config(), imu_status(None));
+    let gnss = GnssReport {
+        settings: Some(gnss_settings()),
+        status: gnss_status(),
+    };
+    let gnss_off = GnssReport {
+        settings: None,
+        status: gnss_status(),
+    };
     let replies = [
-        ("done", Reply::Done),
-        (
-            "pong",
-            Reply::Pong {
-                host_time: 5,
-                received: Ticks(1_000),
-                sent: Ticks(1_100),
-            },
-        ),
-        ("trigger", Reply::Trigger(trigger_status())),
-        (
-            "align",
-            Reply::Align(AlignPlan {
-                shift: TickDelta(-777),
-                frames: 8,
-                arrival_pulse: 1_008,
-                arrival: Ticks(9_999_999_999),
-            }),
-        ),
-        ("imu", Reply::Imu(imu_setup(imu_config(), imu_status(None)))),
-        (
-            "gnss",
-            Reply::Gnss(GnssReport {
-                settings: Some(gnss_settings()),
-                status: gnss_status(),
-            }),
-        ),
-        (
-            "gnss-off",
-            Reply::Gnss(GnssReport {
-                settings: None,
-                status: gnss_status(),
-            }),
-        ),
+        ("hello", SayHello::wrap(())),
+        ("pong", Ping::wrap(pong)),
+        ("trigger-start", StartTrigger::wrap(trigger_status())),
+        ("trigger-align", AlignTrigger::wrap(plan)),
+        ("trigger-period", SetPeriod::wrap(trigger_status())),
+        ("trigger-stop", StopTrigger::wrap(trigger_status())),
+        ("trigger-query", QueryTrigger::wrap(trigger_status())),
+        ("imu-configure", ConfigureImu::wrap(imu)),
+        ("imu-query", QueryImu::wrap(imu)),
+        ("gnss-start", StartGnss::wrap(gnss)),
+        ("gnss-stop", StopGnss::wrap(gnss_off)),
+        ("gnss-query", QueryGnss::wrap(gnss)),
+        ("filler", SendFiller::wrap(())),
+        ("self-test", SelfTest::wrap(())),
     ];
     for (name, reply) in replies {
         let result = Ok(reply);
@@ -423,7 +407,6 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         Refusal::GnssStopping,
         Refusal::GnssDateOutOfRange,
         Refusal::GnssWindowExceeded { ends_us: 512_000 },
-        Refusal::GnssBaudTooHigh,
     ];
     for (number, refusal) in refusals.into_iter().enumerate() {
         let result = Err(refusal);
@@ -443,7 +426,7 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
     .into_iter()
     .enumerate()
     {
-        let reply = Reply::Trigger(TriggerStatus {
+        let reply = QueryTrigger::wrap(TriggerStatus {
             state,
             ..trigger_status()
         });
@@ -496,6 +479,7 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         add(
             format!("pulse-{}", readback.map_or("alone", |_| "read-back")),
             DeviceToHost::Pulse(Pulse {
+                output: Output::Camera,
                 seq: 5,
                 train: 1,
                 number: 1_000_000,
@@ -508,6 +492,7 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
     add(
         "arrived".to_owned(),
         DeviceToHost::Arrived(Arrived {
+            output: Output::Camera,
             command: 17,
             train: 1,
             pulse: 1_008,
@@ -545,25 +530,23 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             payload: (2..10).collect(),
         }),
     );
-    for output in Output::ALL {
+    for output in Output::FURTHER {
         add(
-            format!("output-pulse-{}", output.number()),
-            DeviceToHost::OutputPulse(OutputPulse {
+            format!("pulse-{}", output.number()),
+            DeviceToHost::Pulse(Pulse {
                 output,
-                pulse: Pulse {
-                    seq: 6,
-                    train: 2,
-                    number: 108_000,
-                    at: Ticks(9_599_999_999),
-                    aligned: true,
-                    readback: None,
-                },
+                seq: 6,
+                train: 2,
+                number: 108_000,
+                at: Ticks(9_599_999_999),
+                aligned: true,
+                readback: None,
             }),
         );
     }
     add(
-        "output-arrived".to_owned(),
-        DeviceToHost::OutputArrived(OutputArrived {
+        "arrived-3".to_owned(),
+        DeviceToHost::Arrived(Arrived {
             output: Output::Three,
             command: 18,
             train: 2,
@@ -591,8 +574,6 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             | DeviceToHost::Capture(_)
             | DeviceToHost::Imu(_)
             | DeviceToHost::Filler(_)
-            | DeviceToHost::OutputPulse(_)
-            | DeviceToHost::OutputArrived(_)
             | DeviceToHost::Pps(_) => {}
         }
     }
@@ -606,6 +587,11 @@ fn hex(bytes: &[u8]) -> std::string::String {
             write!(text, "{byte:02x}").unwrap();
             text
         })
+}
+
+fn bytes(hex: &str) -> std::vec::Vec<u8> {
+    let digits = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).unwrap();
+    (0..hex.len()).step_by(2).map(digits).collect()
 }
 
 fn golden() -> std::string::String {
@@ -658,6 +644,64 @@ fn the_golden_bytes_are_read_back_as_the_same_messages() {
     for (name, command) in commands() {
         let mut frame = encode(&command, &mut buffer).unwrap();
         assert_eq!(board.next(&mut frame), Some(Ok(command)), "{name}");
+    }
+}
+
+/// The frames of a board that spoke version 2, and what they say today.
+#[test]
+fn recorded_frames_of_version_2_are_read() {
+    let pinned = include_str!("version_2.txt");
+    let read = |name: &str| {
+        let line = pinned.lines().find_map(|line| line.strip_prefix(name));
+        let frame = bytes(line.unwrap().trim());
+        read_recorded(2, frame.strip_suffix(&[0]).unwrap()).unwrap()
+    };
+    let today: std::collections::HashMap<_, _> = messages().into_iter().collect();
+    for (then, now) in [
+        ("pulse-alone", "pulse-alone"),
+        ("pulse-read-back", "pulse-read-back"),
+        ("output-pulse-2", "pulse-2"),
+        ("output-pulse-3", "pulse-3"),
+        ("output-pulse-4", "pulse-4"),
+        ("arrived", "arrived"),
+        ("output-arrived", "arrived-3"),
+        ("capture-Rising", "capture-Rising"),
+        ("imu", "imu"),
+        ("filler", "filler"),
+        ("pps", "pps"),
+    ] {
+        assert_eq!(read(&format!("{then} ")).as_ref(), today.get(now), "{then}");
+    }
+    let mut hello = hello(ResetCause::PowerOn, None);
+    hello.protocol_version = 2;
+    assert_eq!(read("hello-PowerOn "), Some(DeviceToHost::Hello(hello)));
+    let mut status = status();
+    status.handlers = Handlers::default();
+    status.handlers.trigger.cycles = 2 * 13_000;
+    status.die_decidegrees = None;
+    assert_eq!(read("status "), Some(DeviceToHost::Status(status)));
+    for answer in ["answer-pong ", "answer-align ", "answer-imu "] {
+        assert_eq!(read(answer), None);
+    }
+    // And as a frame of any other version they are not taken for something else.
+    let pps = bytes("110a0980f0f0e401a2ec88b00db03598ba");
+    for version in [0, 1, PROTOCOL_VERSION, PROTOCOL_VERSION + 1] {
+        assert_eq!(read_recorded(version, &pps), Err(FrameError::Message));
+    }
+    let mut damaged = pps;
+    damaged[5] ^= 1;
+    assert_eq!(read_recorded(2, &damaged), Err(FrameError::Checksum));
+}
+
+/// A frame of this version is read as the decoder reads it.
+#[test]
+fn recorded_frames_of_this_version_are_read() {
+    let mut buffer = [0; MAX_FRAME];
+    for (name, message) in messages() {
+        let frame = encode(&message, &mut buffer).unwrap();
+        let frame = frame.strip_suffix(&[0]).unwrap();
+        let read = read_recorded(PROTOCOL_VERSION, frame);
+        assert_eq!(read, Ok(Some(message)), "{name}");
     }
 }
 
@@ -734,7 +778,18 @@ fn no_message_is_longer_than_a_frame() {
         },
     };
     status.trigger_latency = all;
-    status.trigger_busy = all;
+    let handler = HandlerTime {
+        calls: all,
+        cycles: all,
+        worst: all,
+    };
+    status.handlers = Handlers {
+        trigger: handler,
+        outputs: handler,
+        handover: handler,
+        usb: handler,
+    };
+    status.die_decidegrees = Some(i16::MIN);
     status.strobe_overcaptures = all;
     status.strobe_floods = all;
     status.imu = ImuStatus {

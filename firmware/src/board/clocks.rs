@@ -92,7 +92,10 @@ pub(crate) fn enable_peripherals() {
         w.set_uart5en(true);
     });
     let _ = pac::RCC.apb1enr().read();
-    pac::RCC.apb2enr().modify(|w| w.set_tim1en(true));
+    pac::RCC.apb2enr().modify(|w| {
+        w.set_tim1en(true);
+        w.set_adc1en(true);
+    });
     let _ = pac::RCC.apb2enr().read();
 }
 

@@ -13,7 +13,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use firmware::pulser::Pulsed;
 use heapless::spsc::Producer;
-use protocol::{Capture, Ticks};
+use protocol::{Capture, Output, Ticks};
 
 pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::DCMI;
 
@@ -44,11 +44,12 @@ pub(crate) struct DataReady {
     pub(crate) after_loss: bool,
 }
 
-/// What TIM1's and TIM5's handlers have to say: a pulse of a channel of
-/// [`super::outputs`], with its number in the stream.
+/// What TIM1's and TIM5's handlers have to say: a pulse of a line, with its number in the
+/// stream.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct OutputEvent {
-    pub(crate) channel: usize,
+    /// None: the pulse per second.
+    pub(crate) output: Option<Output>,
     pub(crate) seq: u32,
     pub(crate) pulsed: Pulsed,
 }

@@ -13,12 +13,12 @@ use firmware::config;
 use firmware::nmea;
 use firmware::pulser::Pulsed;
 use heapless::spsc::{Consumer, Producer, Queue};
-use protocol::{Arrived, Output, OutputArrived, OutputPulse, Pps, Pulse, TickDelta};
+use protocol::{Arrived, Output, Pps, Pulse, TickDelta};
 use static_cell::StaticCell;
 
+use crate::board::cycles::HANDOVER_TIME;
 use crate::board::events::{DATA_READY, Event, FLOODED, INTERRUPT, LOST_DATA_READY, OutputEvent};
 use crate::board::leds::{self, Led};
-use crate::board::outputs;
 use crate::state;
 
 /// The end of a queue that this handler empties, once it is set up.
@@ -48,9 +48,16 @@ fn next<T>(events: &Receiver<T>) -> Option<T> {
 
 #[interrupt]
 fn DCMI() {
+    HANDOVER_TIME.of(hand_over);
+}
+
+fn hand_over() {
     while let Some(event) = next(&EVENTS) {
         match event {
-            Event::Pulse(seq, pulsed) => send_pulse(seq, pulsed),
+            Event::Pulse(seq, pulsed) => {
+                leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
+                send_pulse(Output::Camera, seq, &pulsed);
+            }
             Event::Capture(capture) => state::send(|outbox| outbox.capture(capture)),
             Event::DataReady(edge) => {
                 if DATA_READY.try_send(edge).is_err() {
@@ -62,58 +69,31 @@ fn DCMI() {
             }
         }
     }
-    while let Some(event) = next(&OUTPUTS) {
-        send_output(&event);
+    while let Some(OutputEvent {
+        output,
+        seq,
+        pulsed,
+    }) = next(&OUTPUTS)
+    {
+        match output {
+            Some(output) => send_pulse(output, seq, &pulsed),
+            None => send_pps(seq, &pulsed),
+        }
     }
 }
 
-fn send_output(event: &OutputEvent) {
-    let OutputEvent {
-        channel,
+fn send_pps(seq: u32, pulsed: &Pulsed) {
+    let pps = Pps {
         seq,
-        pulsed,
-    } = *event;
-    let output = Output::ALL
-        .into_iter()
-        .find(|&output| outputs::channel_of(output) == channel);
-    let Some(output) = output else {
-        let pps = Pps {
-            seq,
-            at: pulsed.at,
-            utc: nmea::utc_of(state::UTC_AT_ZERO.lock(Cell::get), pulsed.at),
-        };
-        return state::send(|outbox| outbox.pps(pps));
-    };
-    let pulse = OutputPulse {
-        output,
-        pulse: Pulse {
-            seq,
-            train: pulsed.train,
-            number: pulsed.number,
-            at: pulsed.at,
-            aligned: pulsed.aligned,
-            readback: None,
-        },
-    };
-    let arrived = pulsed.arrived.map(|command| OutputArrived {
-        output,
-        command,
-        train: pulsed.train,
-        pulse: pulsed.number,
         at: pulsed.at,
-        remaining: TickDelta::ZERO,
-    });
-    state::send(|outbox| {
-        outbox.output_pulse(pulse);
-        if let Some(arrived) = arrived {
-            outbox.output_arrived(arrived);
-        }
-    });
+        utc: nmea::utc_of(state::UTC_AT_ZERO.lock(Cell::get), pulsed.at),
+    };
+    state::send(|outbox| outbox.pps(pps));
 }
 
-fn send_pulse(seq: u32, pulsed: Pulsed) {
-    leds::set(Led::Pulse, pulsed.number.is_multiple_of(2));
+fn send_pulse(output: Output, seq: u32, pulsed: &Pulsed) {
     let pulse = Pulse {
+        output,
         seq,
         train: pulsed.train,
         number: pulsed.number,
@@ -122,6 +102,7 @@ fn send_pulse(seq: u32, pulsed: Pulsed) {
         readback: pulsed.readback,
     };
     let arrived = pulsed.arrived.map(|command| Arrived {
+        output,
         command,
         train: pulsed.train,
         pulse: pulsed.number,

@@ -20,6 +20,7 @@
 
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
+pub(crate) mod cycles;
 pub(crate) mod events;
 mod falls;
 pub(crate) mod faults;
@@ -31,5 +32,8 @@ pub(crate) mod nmea_port;
 pub(crate) mod outputs;
 pub(crate) mod rng;
 pub(crate) mod stack;
+pub(crate) mod thermometer;
+mod tim1;
 pub(crate) mod tim2;
+pub(crate) mod triggers;
 pub(crate) mod urgent;

@@ -16,7 +16,7 @@
 //! pulled down, so that one with nothing wired to it is silent.
 
 use core::cell::RefCell;
-use core::sync::atomic::{AtomicU8, Ordering};
+use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 
 use cortex_m::interrupt::{Mutex, free as with_all_masked};
 use cortex_m::peripheral::NVIC;
@@ -31,8 +31,9 @@ use firmware::pulser::{Action, Captured, CompareOutput, Pulser};
 use firmware::timebase::Timebase;
 use firmware::trigger::Limits;
 use heapless::spsc::Producer;
-use protocol::{AlignPlan, Capture, CaptureChannel, OutputAlign, Refusal, Ticks};
+use protocol::{Capture, CaptureChannel, Ticks};
 
+use crate::board::cycles::TRIGGER_TIME;
 use crate::board::events::{self, DataReady, Event, Input};
 use crate::board::falls;
 
@@ -57,13 +58,19 @@ static SHARED: Mutex<RefCell<Shared>> = Mutex::new(RefCell::new(Shared::new()));
 /// Inputs that are to be switched on again, as bits of [`Input`].
 static UNMUTE: AtomicU8 = AtomicU8::new(0);
 
+/// By what a self test makes the trigger's handler slower, in core cycles.
+static SLOWED: AtomicU32 = AtomicU32::new(0);
+
+/// Makes the trigger's handler slow, to try out what notices it.
+pub(crate) fn slow_down() {
+    SLOWED.store(config::SLOW_HANDLER_CYCLES, Ordering::Relaxed);
+}
+
 /// Counters of the handler since reset.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Counters {
     /// Longest time from a trigger edge to the end of its handling, in ticks.
     pub(crate) latency: u32,
-    /// Time spent in the handler, in ticks; wraps.
-    pub(crate) busy: u32,
     pub(crate) strobe_overcaptures: u32,
     pub(crate) strobe_floods: u32,
     pub(crate) data_ready_overcaptures: u32,
@@ -206,27 +213,9 @@ fn with_shared<R>(work: impl FnOnce(&mut Shared) -> R) -> R {
     }
 }
 
-/// Works on the trigger, as [`with_shared`].
+/// Works on the camera's trigger, as [`with_shared`].
 pub(crate) fn with_pulser<R>(work: impl FnOnce(&mut Pulser, &mut Channel, &Timebase) -> R) -> R {
     with_shared(|shared| work(&mut shared.pulser, &mut Channel, &TIMEBASE))
-}
-
-/// Plans an align and puts it into force.
-///
-/// # Errors
-///
-/// As [`firmware::trigger::Train::align`]; no train runs.
-pub(crate) fn align(command: u32, to: &OutputAlign) -> Result<AlignPlan, Refusal> {
-    loop {
-        let train = with_pulser(|pulser, _, _| pulser.running().copied());
-        let train = train.ok_or(Refusal::TriggerStopped)?;
-        let alignment = train.align(command, to, now())?;
-        // Planned from an edge that has gone by meanwhile? Once more; edges are
-        // a millisecond apart at least.
-        if with_pulser(|pulser, _, _| pulser.adopt(&alignment))? {
-            return Ok(alignment.plan);
-        }
-    }
 }
 
 pub(crate) fn counters() -> Counters {
@@ -246,22 +235,22 @@ pub(crate) fn unmute(input: Input) {
 
 #[interrupt]
 fn TIM2() {
-    let begin = counter();
-    with_all_masked(|token| SHARED.borrow(token).borrow_mut().handle(begin));
+    TRIGGER_TIME.of(|| {
+        with_all_masked(|token| SHARED.borrow(token).borrow_mut().handle());
+    });
 }
 
 /// The end of a whole pulse.
 #[interrupt]
 fn DMA1_STREAM5() {
-    let begin = counter();
-    with_all_masked(|token| {
-        let shared = &mut *SHARED.borrow(token).borrow_mut();
-        TIMEBASE.refresh(begin);
-        // The stream also calls when it is switched off.
-        if let Some(fell) = falls::take_end() {
-            shared.trigger(fell);
-        }
-        shared.account(begin);
+    TRIGGER_TIME.of(|| {
+        with_all_masked(|token| {
+            TIMEBASE.refresh(counter());
+            // The stream also calls when it is switched off.
+            if let Some(fell) = falls::take_end() {
+                SHARED.borrow(token).borrow_mut().trigger(fell);
+            }
+        });
     });
 }
 
@@ -307,7 +296,6 @@ impl Shared {
             ),
             counters: Counters {
                 latency: 0,
-                busy: 0,
                 strobe_overcaptures: 0,
                 strobe_floods: 0,
                 data_ready_overcaptures: 0,
@@ -318,8 +306,8 @@ impl Shared {
         }
     }
 
-    fn handle(&mut self, begin: u32) {
-        TIMEBASE.refresh(begin);
+    fn handle(&mut self) {
+        TIMEBASE.refresh(counter());
         loop {
             // Only what has its interrupt on. The trigger, on its way to an edge far
             // ahead, goes first.
@@ -342,13 +330,6 @@ impl Shared {
         if unmute & Input::Strobe as u8 != 0 {
             self.strobe.listen(STROBE);
         }
-        self.account(begin);
-    }
-
-    /// Books the time of a handler that began at `begin`.
-    fn account(&mut self, begin: u32) {
-        let busy = counter().wrapping_sub(begin);
-        self.counters.busy = self.counters.busy.wrapping_add(busy);
     }
 
     /// Handles the match of the trigger's channel at `edge`.
@@ -360,6 +341,10 @@ impl Shared {
             if !events::send(&mut self.events, Event::Pulse(seq, pulsed)) {
                 self.counters.lost_pulses = self.counters.lost_pulses.saturating_add(1);
             }
+        }
+        let slowed = SLOWED.load(Ordering::Relaxed);
+        if slowed > 0 {
+            cortex_m::asm::delay(slowed);
         }
         let latency = counter().wrapping_sub(edge);
         self.counters.latency = self.counters.latency.max(latency);
@@ -449,6 +434,10 @@ pub(crate) struct Channel;
 impl CompareOutput for Channel {
     fn makes_whole_pulses(&self) -> bool {
         true
+    }
+
+    fn reach(&self) -> u32 {
+        config::MAX_ARM_AHEAD
     }
 
     fn counter(&self) -> u32 {

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use protocol::{MAX_TIME_AWAY, MIN_PULSE_WIDTH, OutputAlign, TriggerStart};
+use protocol::{MAX_TIME_AWAY, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, TriggerAlign};
 
 use super::*;
 
@@ -11,6 +11,7 @@ use super::*;
 struct Mock {
     /// It makes whole pulses.
     whole: bool,
+    reach: u32,
     now: Cell<u64>,
     /// Absolute time of the armed match, and what it does.
     armed: Cell<Option<(u64, Action)>>,
@@ -27,6 +28,7 @@ impl Mock {
     fn new(now: u64, whole: bool) -> Self {
         Self {
             whole,
+            reach: MAX_ARM_AHEAD,
             now: Cell::new(now),
             armed: Cell::new(None),
             matched: Cell::new(false),
@@ -78,6 +80,10 @@ impl CompareOutput for Mock {
         self.whole
     }
 
+    fn reach(&self) -> u32 {
+        self.reach
+    }
+
     fn counter(&self) -> u32 {
         self.advance_to(self.now.get() + self.cost);
         self.now.get() as u32
@@ -92,6 +98,7 @@ impl CompareOutput for Mock {
         }
         // The match comes when the counter next reaches the value.
         let ahead = at.wrapping_sub(self.now.get() as u32).wrapping_sub(1);
+        assert!(action == Action::Wake || ahead <= self.reach || ahead >= 1 << 31);
         self.armed
             .set(Some((self.now.get() + 1 + u64::from(ahead), action)));
     }
@@ -149,7 +156,7 @@ impl Rig {
     }
 
     fn start(&mut self, start: TriggerStart) -> Result<(), Refusal> {
-        self.pulser.start(&mut self.mock, &self.time, start.into())
+        self.pulser.start(&mut self.mock, &self.time, start)
     }
 
     fn status(&self) -> TriggerStatus {
@@ -188,6 +195,7 @@ fn start(picos: u64, width: u32, first: u64) -> TriggerStart {
         period: Period::from_picos(picos).unwrap(),
         width,
         first_edge: Some(Ticks(first)),
+        first_fraction: 0,
     }
 }
 
@@ -267,6 +275,51 @@ fn an_edge_too_near_is_refused() {
     rig.start(soon).unwrap();
     let at = rig.next_pulse(50).at.0 - 1_000_000;
     assert!((48_000..48_100).contains(&at), "{at}");
+}
+
+/// A channel that sees half a millisecond ahead, under a handler that comes late.
+#[test]
+fn edges_beyond_the_reach_are_made_on_their_ticks() {
+    for (picos, width) in [
+        (33_330_652_540, MIN_OUTPUT_WIDTH),
+        (33_330_652_540, 1_500_000),
+        (1_000_000_000, 40_000),
+        (1_000_000_000_000, 24_000_000),
+    ] {
+        for latency in [10, 2_000, 15_000] {
+            let mut rig = Rig::new(0);
+            rig.mock.reach = 24_000;
+            let start = start(picos, width, 1_000_000);
+            rig.start(start).unwrap();
+            for k in 0..300_i64 {
+                let pulse = rig.next_pulse(if k % 2 == 0 { latency } else { 10 });
+                assert_eq!(pulse.at, start.period.edge(Ticks(1_000_000), k));
+            }
+            let edges = rig.mock.edges.borrow();
+            for pair in edges.chunks(2) {
+                let &[(rise, true), (fall, false)] = pair else {
+                    panic!("{pair:?}");
+                };
+                // A fall in reach is armed by the late handler of its rise.
+                let wide = width > 24_000;
+                assert!(fall - rise == u64::from(width) || !wide && latency > 2_000);
+            }
+            assert_eq!(rig.status().pulses, 300);
+        }
+    }
+}
+
+/// Just beyond the reach, the call on the way leaves time to arm the edge.
+#[test]
+fn an_edge_just_beyond_the_reach_is_not_late() {
+    for beyond in [0, 1, 30, 60, 1_000] {
+        let at = 1_000 + u64::from(MAX_ARM_AHEAD) + beyond;
+        for mut rig in Rig::both(1_000) {
+            rig.start(start(33_330_652_540, 576, at)).unwrap();
+            assert_eq!(rig.next_pulse(50).at, Ticks(at));
+            assert_eq!(rig.status().late, 0);
+        }
+    }
 }
 
 #[test]
@@ -403,7 +456,7 @@ fn an_align_is_adopted_and_its_arrival_reported_once() {
     let begin = start(33_330_652_540, 576, 1_000_000);
     rig.start(begin).unwrap();
     rig.next_pulse(50);
-    let to = OutputAlign {
+    let to = TriggerAlign {
         anchor: Ticks(1_000_777),
         anchor_fraction: 0,
         period: begin.period,

@@ -3,96 +3,81 @@
 use core::sync::atomic::Ordering;
 
 use protocol::{
-    Answer, Command, HostToDevice, Output, OutputAction, Refusal, Reply, SELF_TEST_KEY, Ticks,
-    TriggerStatus,
+    Answer, Command, HostToDevice, Output, Ping, Pong, Refusal, Reply, Request, SELF_TEST_KEY,
+    SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
 };
 
-use crate::board::{outputs, tim2};
+use crate::board::{tim2, triggers};
 use crate::state::{self, FILLER_RATE};
 use crate::tasks::{gnss, imu, self_test};
 
 /// Carries out one command, which came in at `received`, and answers it.
 pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
+    let id = message.id;
     let result = match message.command {
-        Command::Hello => {
+        Command::SayHello(command) => answer(command, |_| {
             let hello = state::hello(tim2::now());
             state::send(|outbox| outbox.hello(hello));
-            Ok(Reply::Done)
-        }
-        Command::Ping { host_time } => Ok(Reply::Pong {
-            host_time,
-            received,
-            sent: tim2::now(),
+            Ok(())
         }),
-        Command::Filler { bytes_per_second } => {
+        Command::Ping(command) => answer(command, |Ping { host_time }| {
+            Ok(Pong {
+                host_time,
+                received,
+                sent: tim2::now(),
+            })
+        }),
+        Command::StartTrigger(command) => answer(command, start),
+        Command::AlignTrigger(command) => answer(command, |align| {
+            triggers::align(align.output, id, &align.to)
+        }),
+        Command::SetPeriod(command) => answer(command, |set| {
+            triggers::with_pulser(set.output, |pulser, _, _| pulser.set_period(set.period))?;
+            state_of(set.output)
+        }),
+        Command::StopTrigger(command) => answer(command, |stop| {
+            triggers::with_pulser(stop.0, |pulser, output, time| pulser.stop(output, time));
+            state_of(stop.0)
+        }),
+        Command::QueryTrigger(command) => answer(command, |query| state_of(query.0)),
+        Command::ConfigureImu(command) => answer(command, |configure| imu::configure(configure.0)),
+        Command::QueryImu(command) => answer(command, |_| Ok(imu::setup())),
+        Command::StartGnss(command) => answer(command, |start| gnss::start(start.0)),
+        Command::StopGnss(command) => answer(command, |_| Ok(gnss::stop())),
+        Command::QueryGnss(command) => answer(command, |_| Ok(gnss::report())),
+        Command::SendFiller(command) => answer(command, |SendFiller { bytes_per_second }| {
             FILLER_RATE.store(bytes_per_second, Ordering::Relaxed);
-            Ok(Reply::Done)
-        }
-        Command::SelfTest { key, failure } => {
-            if key == SELF_TEST_KEY {
-                self_test::request(failure);
-                Ok(Reply::Done)
-            } else {
-                Err(Refusal::WrongKey)
+            Ok(())
+        }),
+        Command::SelfTest(command) => answer(command, |SelfTest { key, failure }| {
+            if key != SELF_TEST_KEY {
+                return Err(Refusal::WrongKey);
             }
-        }
-        Command::TriggerStart(start) => trigger(tim2::with_pulser(|pulser, output, time| {
-            pulser.start(output, time, start.into())
-        })),
-        Command::TriggerAlign(to) => tim2::align(message.id, &to.into()).map(Reply::Align),
-        Command::TriggerPeriod(period) => {
-            trigger(tim2::with_pulser(|pulser, _, _| pulser.set_period(period)))
-        }
-        Command::TriggerStop => {
-            tim2::with_pulser(|pulser, output, time| pulser.stop(output, time));
-            trigger(Ok(()))
-        }
-        Command::TriggerQuery => trigger(Ok(())),
-        Command::ImuConfigure(config) => imu::configure(config).map(Reply::Imu),
-        Command::ImuQuery => Ok(Reply::Imu(imu::setup())),
-        Command::Output { output, action } => act(message.id, output, action),
-        Command::GnssStart(settings) => gnss::start(settings).map(Reply::Gnss),
-        Command::GnssStop => Ok(Reply::Gnss(gnss::stop())),
-        Command::GnssQuery => Ok(Reply::Gnss(gnss::report())),
+            self_test::request(failure);
+            Ok(())
+        }),
     };
     if let Err(refusal) = &result {
-        defmt::info!("command {=u32} refused: {}", message.id, refusal);
+        defmt::info!("command {=u32} refused: {}", id, refusal);
     }
-    let answer = Answer {
-        id: message.id,
-        result,
-    };
-    state::send(|outbox| outbox.answer(answer));
+    state::send(|outbox| outbox.answer(Answer { id, result }));
 }
 
-/// Carries out what one of the further outputs is asked to do.
-fn act(id: u32, output: Output, action: OutputAction) -> Result<Reply, Refusal> {
-    match action {
-        OutputAction::Start(start) => outputs::with_output(output, |pulser, channel, time| {
-            pulser.start(channel, time, start)
-        })?,
-        OutputAction::Align(to) => return outputs::align(output, id, &to).map(Reply::Align),
-        OutputAction::Period(period) => {
-            outputs::with_output(output, |pulser, _, _| pulser.set_period(period))?;
-        }
-        OutputAction::Stop => outputs::with_output(output, |pulser, channel, time| {
-            pulser.stop(channel, time);
-            Ok(())
-        })?,
-        OutputAction::Query => {}
-    }
-    let channel = outputs::channel_of(output);
-    Ok(Reply::Trigger(outputs::pulser(channel).status(tim2::now())))
+/// What came of a command, as its own reply.
+fn answer<R: Request>(
+    command: R,
+    carry_out: impl FnOnce(R) -> Result<R::Reply, Refusal>,
+) -> Result<Reply, Refusal> {
+    carry_out(command).map(R::wrap)
 }
 
-/// The state of the train behind what came of a command.
-fn trigger(outcome: Result<(), Refusal>) -> Result<Reply, Refusal> {
-    outcome.map(|()| Reply::Trigger(trigger_status()))
+fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {
+    triggers::with_pulser(command.output, |pulser, output, time| {
+        pulser.start(output, time, command.start)
+    })?;
+    state_of(command.output)
 }
 
-pub(crate) fn trigger_status() -> TriggerStatus {
-    // On a copy: the status of the train as it was at one moment, worked out
-    // with interrupts on.
-    let (pulser, now) = tim2::with_pulser(|pulser, _, _| (*pulser, tim2::now()));
-    pulser.status(now)
+fn state_of(output: Output) -> Result<TriggerStatus, Refusal> {
+    Ok(triggers::status(output))
 }

@@ -16,10 +16,11 @@ use firmware::alive::Task;
 use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
 use firmware::nmea;
 use protocol::{
-    GnssReport, GnssSettings, GnssStatus, OutputStart, Period, Refusal, TICK_HZ, TickDelta, Ticks,
+    GnssReport, GnssSettings, GnssStatus, Period, Refusal, TICK_HZ, TickDelta, Ticks, TriggerStart,
 };
 
-use crate::board::{nmea_port, outputs, tim2};
+use crate::board::outputs::{self, Line};
+use crate::board::{nmea_port, tim2};
 use crate::state::{ALIVE, UTC_AT_ZERO};
 
 const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
@@ -77,22 +78,21 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
         Some(_) => return Err(Refusal::GnssRunning),
         None => {}
     }
-    let stopped = outputs::pulser(outputs::PPS).running().is_none();
+    let stopped = outputs::pps().running().is_none();
     if state.open || !stopped {
         return Err(Refusal::GnssStopping);
     }
     let second = (now + START_LEAD).0 / u64::from(TICK_HZ) + 1;
-    let train = OutputStart {
+    let train = TriggerStart {
         period: Period::from_ticks(TICK_HZ),
         width: settings.pulse_width,
         first_edge: Some(start_of(second)),
         first_fraction: 0,
     };
     outputs::set_pps_inverted(settings.pulse_inverted);
-    outputs::with_channel(outputs::PPS, |pulser, output, time| {
+    outputs::with_line(Line::Pps, |pulser, output, time| {
         pulser.start(output, time, train)
     })
-    .unwrap_or(Err(Refusal::GnssStopping))
     .map_err(|refusal| match refusal {
         Refusal::TriggerRunning => Refusal::GnssStopping,
         other => other,
@@ -109,9 +109,7 @@ pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
 
 /// Stops it. The pulse and the sentences under way are finished.
 pub(crate) fn stop() -> GnssReport {
-    let _ = outputs::with_channel(outputs::PPS, |pulser, output, time| {
-        pulser.stop(output, time);
-    });
+    outputs::with_line(Line::Pps, |pulser, output, time| pulser.stop(output, time));
     let now = tim2::now();
     update(|state| {
         if state.settings.take().is_some() {
@@ -131,7 +129,7 @@ pub(crate) fn report() -> GnssReport {
 
 pub(crate) fn status() -> GnssStatus {
     let state = STATE.lock(Cell::get);
-    let pulses = outputs::pulser(outputs::PPS).summary(tim2::now());
+    let pulses = outputs::pps().summary(tim2::now());
     GnssStatus {
         state: pulses.state,
         pulses: pulses.pulses,

@@ -136,12 +136,6 @@ async fn alive() {
     ALIVE.check_in(Task::Imu);
 }
 
-enum Next {
-    Edge(DataReady),
-    Silence,
-    Reconfigured,
-}
-
 struct Sampler {
     config: ImuConfig,
     seq: u32,
@@ -169,40 +163,32 @@ impl Sampler {
         defmt::info!("imu runs, clock {}", clock);
 
         let patience = self.patience();
+        let mut sensor = Mpu9150::new(bus.open());
         let mut one_failed = false;
         loop {
-            let mut sensor = Mpu9150::new(bus.open());
-            // Until a transfer fails.
-            let fault = loop {
-                alive().await;
-                match read(&mut sensor).await {
-                    Ok(raw) => self.send(edge, &raw),
-                    Err(fault) => break fault,
+            alive().await;
+            match read(&mut sensor).await {
+                Ok(raw) => {
+                    self.send(edge, &raw);
+                    one_failed = false;
                 }
-                one_failed = false;
-                edge = match next_edge(patience).await {
-                    Next::Edge(edge) => edge,
-                    Next::Silence => return Err(ImuFault::NoDataReady),
-                    Next::Reconfigured => return Ok(()),
-                };
-            };
-            // This edge's sample is lost: a gap in the stream.
-            self.seq = self.seq.wrapping_add(1);
-            self.flags = self.flags.with(ImuFlags::AFTER_LOSS);
-            book(fault);
-            drop(sensor);
-            if one_failed {
-                return Err(fault);
+                Err(fault) => {
+                    self.lose(fault);
+                    if one_failed {
+                        return Err(fault);
+                    }
+                    one_failed = true;
+                    drop(sensor);
+                    if !bus.free().await {
+                        return Err(ImuFault::BusHeld);
+                    }
+                    sensor = Mpu9150::new(bus.open());
+                }
             }
-            one_failed = true;
-            if !bus.free().await {
-                return Err(ImuFault::BusHeld);
+            match next_edge(patience).await? {
+                Some(next) => edge = next,
+                None => return Ok(()),
             }
-            edge = match next_edge(patience).await {
-                Next::Edge(edge) => edge,
-                Next::Silence => return Err(ImuFault::NoDataReady),
-                Next::Reconfigured => return Ok(()),
-            };
         }
     }
 
@@ -246,17 +232,21 @@ impl Sampler {
         // Edges from before the reset, or of another clock.
         DATA_READY.clear();
         let first = FIRST_DATA_READY_MS + u64::from(imu::interval_ms(&self.config));
-        match next_edge(Duration::from_millis(first)).await {
-            Next::Edge(edge) => Ok(Some((clock, edge))),
-            Next::Silence => Err(after(ImuFault::NoDataReady)),
-            Next::Reconfigured => Ok(None),
-        }
+        let edge = next_edge(Duration::from_millis(first)).await;
+        Ok(edge.map_err(after)?.map(|edge| (clock, edge)))
     }
 
     /// How long data-ready may stay away.
     fn patience(&self) -> Duration {
         let interval = u64::from(imu::interval_ms(&self.config));
         Duration::from_millis(2 * interval + DATA_READY_SLACK_MS)
+    }
+
+    /// The sample of an edge could not be read: a gap in the stream.
+    fn lose(&mut self, fault: ImuFault) {
+        self.seq = self.seq.wrapping_add(1);
+        self.flags = self.flags.with(ImuFlags::AFTER_LOSS);
+        book(fault);
     }
 
     fn send(&mut self, edge: DataReady, raw: &RawSample) {
@@ -297,12 +287,14 @@ struct Setback {
     fault: ImuFault,
 }
 
-async fn next_edge(patience: Duration) -> Next {
+/// The next data-ready, which may stay away that long; `None` if another configuration
+/// came.
+async fn next_edge(patience: Duration) -> Result<Option<DataReady>, ImuFault> {
     let event = select(DATA_READY.receive(), RECONFIGURED.wait());
     match with_timeout(patience, event).await {
-        Ok(Either::First(edge)) => Next::Edge(edge),
-        Ok(Either::Second(())) => Next::Reconfigured,
-        Err(_) => Next::Silence,
+        Ok(Either::First(edge)) => Ok(Some(edge)),
+        Ok(Either::Second(())) => Ok(None),
+        Err(_) => Err(ImuFault::NoDataReady),
     }
 }
 

@@ -8,7 +8,7 @@ use embassy_time::Timer;
 use firmware::config::SELF_TEST_DELAY_MS;
 use protocol::Failure;
 
-use crate::board::faults;
+use crate::board::{faults, tim2};
 
 static WANTED: Signal<CriticalSectionRawMutex, Failure> = Signal::new();
 
@@ -32,6 +32,7 @@ pub(crate) async fn run() {
         match failure {
             Failure::Panic => panic!("self test: panic on request"),
             Failure::HardFault => faults::undefined_instruction(),
+            Failure::SlowHandler => tim2::slow_down(),
             Failure::Stall => STALLED.store(true, Ordering::Relaxed),
             Failure::Hang => loop {
                 core::hint::spin_loop();

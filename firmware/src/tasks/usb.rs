@@ -9,20 +9,40 @@ use core::sync::atomic::{AtomicU8, Ordering};
 
 use embassy_stm32::peripherals::{PA11, PA12, USB_OTG_FS};
 use embassy_stm32::usb::{Config, Driver, InterruptHandler};
-use embassy_stm32::{Peri, bind_interrupts};
+use embassy_stm32::{Peri, bind_interrupts, interrupt};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Handler, UsbDevice};
 use firmware::config::USB_PACKET;
 use heapless::String;
 use static_cell::StaticCell;
 
+use crate::board::cycles::USB_TIME;
 use crate::board::leds::{self, Led};
 use crate::board::tim2;
 use crate::state;
 
 bind_interrupts!(struct Irqs {
-    OTG_FS => InterruptHandler<USB_OTG_FS>;
+    OTG_FS => Timed;
 });
+
+/// The driver's handler, under a meter.
+struct Timed;
+
+#[allow(unsafe_code, reason = "a handler around the driver's")]
+impl interrupt::typelevel::Handler<interrupt::typelevel::OTG_FS> for Timed {
+    unsafe fn on_interrupt() {
+        // SAFETY: called by the vector of this interrupt alone, as it asks for.
+        USB_TIME.of(|| unsafe { InterruptHandler::<USB_OTG_FS>::on_interrupt() });
+    }
+}
+
+// SAFETY: `Timed`, which is bound, calls it.
+#[allow(unsafe_code, reason = "a handler around the driver's")]
+unsafe impl
+    interrupt::typelevel::Binding<interrupt::typelevel::OTG_FS, InterruptHandler<USB_OTG_FS>>
+    for Irqs
+{
+}
 
 pub(crate) type UsbDriver = Driver<'static, USB_OTG_FS>;
 

@@ -1,7 +1,7 @@
 //! Tests of the train's arithmetic against the closed formula.
 
 use proptest::prelude::*;
-use protocol::{TICK_HZ, TriggerStart};
+use protocol::TICK_HZ;
 
 use super::*;
 
@@ -22,12 +22,13 @@ fn train(period: Period, first: u64) -> Train {
         period,
         width: WIDTH,
         first_edge: Some(Ticks(first)),
+        first_fraction: 0,
     };
-    Train::new(start.into(), Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap()
+    Train::new(start, Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap()
 }
 
-fn align(anchor: u64, period: Period, slew: u32) -> OutputAlign {
-    OutputAlign {
+fn align(anchor: u64, period: Period, slew: u32) -> TriggerAlign {
+    TriggerAlign {
         anchor: Ticks(anchor),
         anchor_fraction: 0,
         period,
@@ -58,9 +59,9 @@ fn values_out_of_bounds_are_refused_with_the_bounds() {
         period: Period::from_ticks(1_600_000),
         width: WIDTH,
         first_edge: None,
+        first_fraction: 0,
     };
-    let new =
-        |start: TriggerStart| Train::new(start.into(), Limits::CAMERA, now, now, now).map(|_| ());
+    let new = |start: TriggerStart| Train::new(start, Limits::CAMERA, now, now, now).map(|_| ());
     assert_eq!(new(good), Ok(()));
     for period in [
         Period(0),
@@ -92,7 +93,7 @@ fn values_out_of_bounds_are_refused_with_the_bounds() {
 
     let mut train = train(good.period, now.0);
     let before = train;
-    let refused = |to: OutputAlign| train.align(1, &to, now).map(|_| ());
+    let refused = |to: TriggerAlign| train.align(1, &to, now).map(|_| ());
     let period = good.period;
     let half = 800_000;
     assert_eq!(refused(align(now.0, period, half)), Ok(()));
@@ -122,8 +123,9 @@ fn a_wide_pulse_bounds_the_slew_and_the_period() {
         period,
         width: 90_000,
         first_edge: None,
+        first_fraction: 0,
     };
-    let mut train = Train::new(start.into(), Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap();
+    let mut train = Train::new(start, Limits::CAMERA, Ticks(0), Ticks(0), Ticks(0)).unwrap();
     let max = 100_000 - 90_000 - MIN_PULSE_GAP;
     let refused = train.align(1, &align(0, period, max + 1), Ticks(0));
     assert_eq!(refused, Err(Refusal::SlewOutOfRange { max }));
@@ -149,7 +151,7 @@ fn a_wide_pulse_bounds_the_slew_and_the_period() {
 }
 
 /// Walks to the arrival and checks every pulse on the way. Returns the edge.
-fn walk(train: &mut Train, to: &OutputAlign, plan: &AlignPlan, command: u32) -> Edge {
+fn walk(train: &mut Train, to: &TriggerAlign, plan: &AlignPlan, command: u32) -> Edge {
     let mut last = train.edge();
     loop {
         let edge = train.advance();
@@ -297,8 +299,8 @@ proptest! {
     ) {
         let new = Period(if keep { old } else { new });
         let now = Ticks(first);
-        let start = TriggerStart { period: Period(old), width: WIDTH, first_edge: Some(now) };
-        let mut train = Train::new(start.into(), Limits::CAMERA, now, now, now).unwrap();
+        let start = TriggerStart { period: Period(old), width: WIDTH, first_edge: Some(now), first_fraction: 0 };
+        let mut train = Train::new(start, Limits::CAMERA, now, now, now).unwrap();
         train.advance();
         let step = (new.ticks() / 2).checked_div(parts).unwrap_or(0);
         let slew = step.min(Limits::CAMERA.max_slew(new, WIDTH));

@@ -3,7 +3,7 @@
 
 use protocol::{
     Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, MAX_FRAME, Refusal,
-    Reply, Status, encode,
+    Request, Status, encode,
 };
 
 use stm32f4_sim::sim::{Sim, SimError};
@@ -43,6 +43,12 @@ pub enum LinkError {
     /// The command was refused.
     #[error("the board refused: {0:?}")]
     Refused(Refusal),
+    /// The answer is the reply to another command.
+    #[error("the board answered `{command}` with something else")]
+    OddReply {
+        /// The command.
+        command: &'static str,
+    },
     /// The command does not fit a frame.
     #[error("the command cannot be encoded: {0}")]
     Encode(postcard::Error),
@@ -94,7 +100,8 @@ impl BoardLink {
     /// # Errors
     ///
     /// If it does not fit a frame.
-    pub fn send(&mut self, rig: &mut Sim, command: Command) -> Result<u32, LinkError> {
+    pub fn send(&mut self, rig: &mut Sim, command: impl Into<Command>) -> Result<u32, LinkError> {
+        let command = command.into();
         let id = self.next_id;
         self.next_id = id.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
@@ -139,13 +146,18 @@ impl BoardLink {
     /// # Errors
     ///
     /// If it is refused or not answered within two seconds, or the firmware fails.
-    pub fn request(&mut self, rig: &mut Sim, command: Command) -> Result<Reply, LinkError> {
+    pub fn request<R: Request>(
+        &mut self,
+        rig: &mut Sim,
+        command: R,
+    ) -> Result<R::Reply, LinkError> {
         let id = self.send(rig, command)?;
         let result = self.wait(rig, "answer", ANSWER_LIMIT, |m| match m {
             DeviceToHost::Answer(Answer { id: of, result }) if *of == id => Some(result.clone()),
             _ => None,
         })?;
-        result.map_err(LinkError::Refused)
+        let reply = result.map_err(LinkError::Refused)?;
+        R::unwrap(reply).ok_or(LinkError::OddReply { command: R::NAME })
     }
 
     /// Runs until a `Hello` comes.

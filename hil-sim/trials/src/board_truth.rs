@@ -240,7 +240,7 @@ impl BoardTruth {
     /// It is about something that did not happen, or not then, or not so.
     pub(crate) fn message(&mut self, message: &DeviceToHost) -> Result<(), Wrong> {
         match message {
-            DeviceToHost::Pulse(pulse) => self.pulse(pulse),
+            DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulse(pulse),
             DeviceToHost::Imu(sample) => self.sample(sample),
             DeviceToHost::Capture(capture) => self.capture(capture),
             _ => Ok(()),

@@ -8,9 +8,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use protocol::{
-    AlignPlan, Command, DeviceToHost, GnssReport, GnssSettings, Hello, ImuConfig, ImuSetup, Output,
-    OutputAction, OutputAlign, Period, Refusal, Reply, Ticks, TriggerAlign, TriggerStart,
-    TriggerStatus,
+    AlignPlan, AlignTrigger, ConfigureImu, DeviceToHost, GnssReport, GnssSettings, Hello,
+    ImuConfig, ImuSetup, Output, Period, Ping, QueryGnss, QueryImu, QueryTrigger, Refusal, Reply,
+    Request, SayHello, SetPeriod, StartGnss, StartTrigger, StopGnss, StopTrigger, Ticks,
+    TriggerAlign, TriggerStart, TriggerStatus,
 };
 
 use crate::conversation::{Conversation, Event};
@@ -170,35 +171,44 @@ impl Board {
     /// # Errors
     ///
     /// The link is gone, no answer came, or the board refused.
-    pub fn call(&mut self, command: &Command) -> Result<Reply> {
+    pub fn call<R: Request>(&mut self, command: R) -> Result<R::Reply> {
         self.wire.call(command)
     }
 
-    /// State of the trigger.
+    /// State of the camera's trigger.
     ///
     /// # Errors
     ///
     /// As [`Board::call`].
     pub fn trigger(&mut self) -> Result<TriggerStatus> {
-        self.call_trigger(&Command::TriggerQuery)
+        self.output(Output::Camera)
     }
 
-    /// Starts the trigger.
+    /// State of a trigger output.
     ///
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn start_trigger(&mut self, start: TriggerStart) -> Result<TriggerStatus> {
-        self.call_trigger(&Command::TriggerStart(start))
+    pub fn output(&mut self, output: Output) -> Result<TriggerStatus> {
+        self.call(QueryTrigger(output))
     }
 
-    /// Stops the trigger.
+    /// Starts a train.
     ///
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn stop_trigger(&mut self) -> Result<TriggerStatus> {
-        self.call_trigger(&Command::TriggerStop)
+    pub fn start_trigger(&mut self, output: Output, start: TriggerStart) -> Result<TriggerStatus> {
+        self.call(StartTrigger { output, start })
+    }
+
+    /// Stops a train.
+    ///
+    /// # Errors
+    ///
+    /// As [`Board::call`].
+    pub fn stop_trigger(&mut self, output: Output) -> Result<TriggerStatus> {
+        self.call(StopTrigger(output))
     }
 
     /// Changes the period from the next edge on.
@@ -206,36 +216,17 @@ impl Board {
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn set_period(&mut self, period: Period) -> Result<TriggerStatus> {
-        self.call_trigger(&Command::TriggerPeriod(period))
+    pub fn set_period(&mut self, output: Output, period: Period) -> Result<TriggerStatus> {
+        self.call(SetPeriod { output, period })
     }
 
-    /// Moves the train onto a grid.
+    /// Moves a train onto a grid.
     ///
     /// # Errors
     ///
     /// As [`Board::call`].
-    pub fn align(&mut self, align: TriggerAlign) -> Result<AlignPlan> {
-        self.call_align(&Command::TriggerAlign(align))
-    }
-
-    /// A command to one of the further trigger outputs, all but an align.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn output(&mut self, output: Output, action: OutputAction) -> Result<TriggerStatus> {
-        self.call_trigger(&Command::Output { output, action })
-    }
-
-    /// Moves the train of a further output onto a grid.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub fn align_output(&mut self, output: Output, to: OutputAlign) -> Result<AlignPlan> {
-        let action = OutputAction::Align(to);
-        self.call_align(&Command::Output { output, action })
+    pub fn align(&mut self, output: Output, to: TriggerAlign) -> Result<AlignPlan> {
+        self.call(AlignTrigger { output, to })
     }
 
     /// The pulse per second.
@@ -244,7 +235,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn gnss(&mut self) -> Result<GnssReport> {
-        self.call_gnss(&Command::GnssQuery)
+        self.call(QueryGnss)
     }
 
     /// Starts the pulse per second.
@@ -253,7 +244,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub(crate) fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
-        self.call_gnss(&Command::GnssStart(settings))
+        self.call(StartGnss(settings))
     }
 
     /// Stops the pulse per second.
@@ -262,7 +253,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn stop_gnss(&mut self) -> Result<GnssReport> {
-        self.call_gnss(&Command::GnssStop)
+        self.call(StopGnss)
     }
 
     /// The IMU's setup and state.
@@ -271,7 +262,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn imu(&mut self) -> Result<ImuSetup> {
-        self.call_imu(&Command::ImuQuery)
+        self.call(QueryImu)
     }
 
     /// Sets the IMU up.
@@ -280,7 +271,7 @@ impl Board {
     ///
     /// As [`Board::call`].
     pub fn configure_imu(&mut self, config: ImuConfig) -> Result<ImuSetup> {
-        self.call_imu(&Command::ImuConfigure(config))
+        self.call(ConfigureImu(config))
     }
 
     /// One round trip: the board's time when it took the ping, and how long the
@@ -292,57 +283,23 @@ impl Board {
     pub fn ping(&mut self) -> Result<(Ticks, Duration)> {
         let before = self.wire.link.now();
         let host_time = u64::try_from(before.as_nanos()).unwrap_or(u64::MAX);
-        match self.call(&Command::Ping { host_time })? {
-            Reply::Pong {
-                host_time: echoed,
-                received,
-                ..
-            } if echoed == host_time => Ok((received, self.wire.link.now().saturating_sub(before))),
-            _ => Err(BoardError::OddReply { command: "ping" }),
+        let pong = self.call(Ping { host_time })?;
+        if pong.host_time != host_time {
+            return Err(BoardError::OddReply {
+                command: Ping::NAME,
+            });
         }
+        let round_trip = self.wire.link.now().saturating_sub(before);
+        Ok((pong.received, round_trip))
     }
 
     /// Asks for the board's time without waiting: the [`Event::Answer`] with this
-    /// id brings a [`Reply::Pong`], or [`Event::Expired`] none.
+    /// id brings a [`Reply::Ping`], or [`Event::Expired`] none.
     pub fn ask_time(&mut self) -> u32 {
         let now = self.wire.link.now();
         let host_time = u64::try_from(now.as_nanos()).unwrap_or(u64::MAX);
-        let command = Command::Ping { host_time };
-        self.wire.conversation.send(now, command, ANSWER_TIMEOUT)
-    }
-
-    fn call_trigger(&mut self, command: &Command) -> Result<TriggerStatus> {
-        match self.call(command)? {
-            Reply::Trigger(status) => Ok(status),
-            _ => Err(odd_reply(command)),
-        }
-    }
-
-    fn call_align(&mut self, command: &Command) -> Result<AlignPlan> {
-        match self.call(command)? {
-            Reply::Align(plan) => Ok(plan),
-            _ => Err(odd_reply(command)),
-        }
-    }
-
-    fn call_gnss(&mut self, command: &Command) -> Result<GnssReport> {
-        match self.call(command)? {
-            Reply::Gnss(report) => Ok(report),
-            _ => Err(odd_reply(command)),
-        }
-    }
-
-    fn call_imu(&mut self, command: &Command) -> Result<ImuSetup> {
-        match self.call(command)? {
-            Reply::Imu(setup) => Ok(setup),
-            _ => Err(odd_reply(command)),
-        }
-    }
-}
-
-const fn odd_reply(command: &Command) -> BoardError {
-    BoardError::OddReply {
-        command: command_name(command),
+        let ping = Ping { host_time };
+        self.wire.conversation.send(now, ping, ANSWER_TIMEOUT)
     }
 }
 
@@ -381,17 +338,17 @@ struct Wire {
 }
 
 impl Wire {
-    fn call(&mut self, command: &Command) -> Result<Reply> {
-        let name = command_name(command);
+    fn call<R: Request>(&mut self, command: R) -> Result<R::Reply> {
+        let name = R::NAME;
         for _ in 0..TRIES {
-            let id = self
-                .conversation
-                .send(self.link.now(), command.clone(), ANSWER_TIMEOUT);
+            let now = self.link.now();
+            let id = self.conversation.send(now, command.clone(), ANSWER_TIMEOUT);
             if let Some(result) = self.wait_for(id)? {
-                return result.map_err(|refusal| BoardError::Refused {
+                let reply = result.map_err(|refusal| BoardError::Refused {
                     command: name,
                     refusal,
-                });
+                })?;
+                return R::unwrap(reply).ok_or(BoardError::OddReply { command: name });
             }
             tracing::debug!(command = name, "no answer, sending it again");
         }
@@ -432,8 +389,8 @@ impl Wire {
     /// what lay in the system's buffers from before comes earlier.
     fn say_hello(&mut self) -> Result<Hello> {
         let before = self.conversation.bytes();
-        match self.call(&Command::Hello) {
-            Ok(_) => {}
+        match self.call(SayHello) {
+            Ok(()) => {}
             Err(BoardError::NoAnswer { .. }) => {
                 let bytes = self.conversation.bytes() - before;
                 return Err(if bytes == 0 {
@@ -441,7 +398,9 @@ impl Wire {
                 } else if self.conversation.frames() == 0 {
                     BoardError::NotThisBoard { bytes }
                 } else {
-                    BoardError::NoAnswer { command: "hello" }
+                    BoardError::NoAnswer {
+                        command: SayHello::NAME,
+                    }
                 });
             }
             Err(error) => return Err(error),
@@ -450,27 +409,9 @@ impl Wire {
             Event::Message(DeviceToHost::Hello(hello)) => Some(hello.clone()),
             _ => None,
         });
-        hello.ok_or(BoardError::OddReply { command: "hello" })
-    }
-}
-
-const fn command_name(command: &Command) -> &'static str {
-    match command {
-        Command::Hello => "hello",
-        Command::Ping { .. } => "ping",
-        Command::TriggerStart(_) => "trigger start",
-        Command::TriggerAlign(_) => "trigger align",
-        Command::TriggerPeriod(_) => "trigger period",
-        Command::TriggerStop => "trigger stop",
-        Command::TriggerQuery => "trigger status",
-        Command::ImuConfigure(_) => "imu configure",
-        Command::ImuQuery => "imu status",
-        Command::Filler { .. } => "filler",
-        Command::SelfTest { .. } => "self test",
-        Command::Output { .. } => "trigger output",
-        Command::GnssStart(_) => "gnss start",
-        Command::GnssStop => "gnss stop",
-        Command::GnssQuery => "gnss status",
+        hello.ok_or(BoardError::OddReply {
+            command: SayHello::NAME,
+        })
     }
 }
 

@@ -115,7 +115,8 @@ impl Conversation {
 
     /// Numbers a command, queues its frame, and expects its answer until
     /// `now + within`. Returns its id.
-    pub fn send(&mut self, now: Duration, command: Command, within: Duration) -> u32 {
+    pub fn send(&mut self, now: Duration, command: impl Into<Command>, within: Duration) -> u32 {
+        let command = command.into();
         let id = self.next_id;
         self.next_id = self.next_id.wrapping_add(1);
         let mut buffer = [0; MAX_FRAME];
@@ -329,7 +330,6 @@ impl Conversation {
             }
             DeviceToHost::Status(ref status) => self.run(status.epoch),
             DeviceToHost::Arrived(ref arrived) => self.time(arrived.at),
-            DeviceToHost::OutputArrived(ref arrived) => self.time(arrived.at),
             _ => {}
         }
         if let Some((stream, number, at)) = Stream::of(&message) {

@@ -109,9 +109,6 @@ pub fn explain(refusal: &Refusal) -> String {
             f64::from(ends_us) / 1e3,
             protocol::NMEA_WINDOW_MS
         ),
-        Refusal::GnssBaudTooHigh => {
-            String::from("a line that is low when idle takes at most 19200 Bd")
-        }
     }
 }
 

@@ -161,10 +161,12 @@ pub struct SummaryReport {
 }
 
 impl Summary {
-    /// Takes one sample.
-    pub fn add(&mut self, sample: &Sample) {
+    /// Takes one sample. Gives the interval from the one before it in ticks, if that is
+    /// unbroken.
+    pub fn add(&mut self, sample: &Sample) -> Option<u64> {
         let starts_anew =
             sample.flags.has(ImuFlags::FIRST) || sample.flags.has(ImuFlags::AFTER_LOSS);
+        let mut unbroken = None;
         self.samples += 1;
         self.late += u64::from(sample.flags.has(ImuFlags::LATE));
         self.saturated += u64::from(sample.flags.has(ImuFlags::SATURATED));
@@ -172,6 +174,7 @@ impl Summary {
             self.breaks += u64::from(starts_anew);
             if !starts_anew && !self.gap {
                 let interval = (sample.at - last).unsigned_abs();
+                unbroken = Some(interval);
                 self.interval.add(interval as f64);
                 self.shortest = Some(self.shortest.map_or(interval, |least| least.min(interval)));
                 self.longest = Some(self.longest.map_or(interval, |most| most.max(interval)));
@@ -185,6 +188,7 @@ impl Summary {
             self.accel[axis].add(sample.accel[axis]);
         }
         self.temperature.add(sample.temperature);
+        unbroken
     }
 
     /// Samples are missing before the next one.

@@ -1,6 +1,6 @@
 //! The numbered streams of the board, and what came and was lost on each.
 
-use protocol::{DeviceToHost, Dropped, Ticks};
+use protocol::{DeviceToHost, Dropped, Output, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// The numbered streams of the board.
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum Stream {
     /// [`DeviceToHost::Status`].
     Status,
-    /// [`DeviceToHost::Pulse`].
+    /// [`DeviceToHost::Pulse`] of the camera's trigger.
     Pulses,
     /// [`DeviceToHost::Capture`].
     Captures,
@@ -17,7 +17,7 @@ pub enum Stream {
     Imu,
     /// [`DeviceToHost::Filler`].
     Filler,
-    /// [`DeviceToHost::OutputPulse`].
+    /// [`DeviceToHost::Pulse`] of the further outputs.
     Outputs,
     /// [`DeviceToHost::Pps`].
     Pps,
@@ -41,17 +41,23 @@ impl Stream {
     pub const fn of(message: &DeviceToHost) -> Option<(Self, u32, Ticks)> {
         Some(match message {
             DeviceToHost::Status(status) => (Self::Status, status.seq, status.at),
-            DeviceToHost::Pulse(pulse) => (Self::Pulses, pulse.seq, pulse.at),
+            DeviceToHost::Pulse(pulse) => (Self::of_pulses(pulse.output), pulse.seq, pulse.at),
             DeviceToHost::Capture(capture) => (Self::Captures, capture.seq, capture.at),
             DeviceToHost::Imu(sample) => (Self::Imu, sample.seq, sample.at),
             DeviceToHost::Filler(filler) => (Self::Filler, filler.seq, Ticks::ZERO),
-            DeviceToHost::OutputPulse(output) => (Self::Outputs, output.pulse.seq, output.pulse.at),
             DeviceToHost::Pps(pps) => (Self::Pps, pps.seq, pps.at),
-            DeviceToHost::Hello(_)
-            | DeviceToHost::Answer(_)
-            | DeviceToHost::Arrived(_)
-            | DeviceToHost::OutputArrived(_) => return None,
+            DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) => {
+                return None;
+            }
         })
+    }
+
+    /// The stream of an output's pulses.
+    const fn of_pulses(output: Output) -> Self {
+        match output {
+            Output::Camera => Self::Pulses,
+            Output::Two | Output::Three | Output::Four => Self::Outputs,
+        }
     }
 
     /// Its name in reports.

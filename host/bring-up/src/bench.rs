@@ -3,9 +3,7 @@
 use std::time::Duration;
 
 use board::{Board, BoardError, Event};
-use protocol::{
-    Arrived, Capture, DeviceToHost, ImuSample, OutputPulse, Pulse, Status, TICK_HZ, TickDelta,
-};
+use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pulse, Status, TICK_HZ, TickDelta};
 
 use crate::{BringUpError, Operator};
 
@@ -25,7 +23,8 @@ pub(crate) const fn millis(ms: u32) -> TickDelta {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Heard {
     pub(crate) pulses: Vec<Pulse>,
-    pub(crate) outputs: Vec<OutputPulse>,
+    /// Pulses of output 2.
+    pub(crate) outputs: Vec<Pulse>,
     pub(crate) strobe: Vec<Capture>,
     pub(crate) imu: Vec<ImuSample>,
     pub(crate) statuses: Vec<Status>,
@@ -54,16 +53,13 @@ impl Heard {
     fn take(&mut self, message: DeviceToHost) {
         match message {
             DeviceToHost::Status(status) => self.statuses.push(status),
-            DeviceToHost::Pulse(pulse) => self.pulses.push(pulse),
+            DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
+            DeviceToHost::Pulse(pulse) => self.outputs.push(pulse),
             DeviceToHost::Arrived(arrived) => self.arrived.push(arrived),
             DeviceToHost::Capture(capture) => self.strobe.push(capture),
             DeviceToHost::Imu(sample) => self.imu.push(sample),
             DeviceToHost::Filler(filler) => self.filler += filler.payload.len() as u64,
-            DeviceToHost::OutputPulse(pulse) => self.outputs.push(pulse),
-            DeviceToHost::Hello(_)
-            | DeviceToHost::Answer(_)
-            | DeviceToHost::OutputArrived(_)
-            | DeviceToHost::Pps(_) => {}
+            DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Pps(_) => {}
         }
     }
 }

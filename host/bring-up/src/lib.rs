@@ -19,6 +19,8 @@ mod page;
 mod parts;
 mod train;
 
+use std::time::Duration;
+
 use board::BoardError;
 use protocol::usb::serial_number;
 use serde::Serialize;
@@ -171,7 +173,7 @@ pub enum BringUpError {
     Stopped,
 }
 
-/// Measures the parts. The trigger and output 2 are stopped at the end, also after an
+/// Measures the parts, [`Part::Clock`] for so long on the computer's clock. The trigger and output 2 are stopped at the end, also after an
 /// error.
 ///
 /// # Errors
@@ -181,6 +183,7 @@ pub fn run(
     board: &mut board::Board,
     operator: &mut dyn Operator,
     parts: &[Part],
+    clock: Duration,
 ) -> Result<Report, BringUpError> {
     let hello = board.hello();
     let (major, minor, patch) = hello.firmware_version;
@@ -198,7 +201,7 @@ pub fn run(
     let measured = Part::ALL
         .iter()
         .filter(|part| parts.contains(part))
-        .try_for_each(|&part| session.measure(part));
+        .try_for_each(|&part| session.measure(part, clock));
     let stopped = session.stop_everything();
     measured?;
     stopped?;

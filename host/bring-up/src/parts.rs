@@ -3,10 +3,12 @@
 mod imu;
 mod link;
 
+use std::time::Duration;
+
 use board::Board;
 use protocol::{
-    Command, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, OutputAction, OutputStart, Period, Pulse,
-    TICK_HZ, TickDelta, TrainState, TriggerAlign, TriggerStart,
+    MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, Pulse, SendFiller, TICK_HZ, TickDelta,
+    TrainState, TriggerAlign, TriggerStart,
 };
 
 use crate::bench::{Heard, hear, millis};
@@ -71,7 +73,7 @@ impl<'a> Session<'a> {
         operator: &'a mut dyn Operator,
     ) -> Result<Self, BringUpError> {
         let trigger = board.trigger()?;
-        let output = board.output(Output::Two, OutputAction::Query)?;
+        let output = board.output(Output::Two)?;
         if trigger.state != TrainState::Stopped || output.state != TrainState::Stopped {
             return Err(BringUpError::InUse);
         }
@@ -89,7 +91,7 @@ impl<'a> Session<'a> {
         (self.checks, self.intervals)
     }
 
-    pub(crate) fn measure(&mut self, part: Part) -> Result<(), BringUpError> {
+    pub(crate) fn measure(&mut self, part: Part, clock: Duration) -> Result<(), BringUpError> {
         self.part = part;
         self.operator.begins(part);
         match part {
@@ -97,13 +99,13 @@ impl<'a> Session<'a> {
             Part::Outputs => self.outputs(),
             Part::Imu => self.imu(),
             Part::Link => self.link(),
-            Part::Clock => self.clock(),
+            Part::Clock => self.clock(clock),
         }
     }
 
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
-        self.board.stop_trigger()?;
-        self.board.output(Output::Two, OutputAction::Stop)?;
+        self.board.stop_trigger(Output::Camera)?;
+        self.board.stop_trigger(Output::Two)?;
         self.fill(0)
     }
 
@@ -150,17 +152,19 @@ impl<'a> Session<'a> {
 
     /// Starts the trigger and gives the grid on which its pulses must be.
     fn start(&mut self, period: Period, width: u32) -> Result<Grid, BringUpError> {
-        let status = self.board.start_trigger(TriggerStart {
+        let start = TriggerStart {
             period,
             width,
             first_edge: None,
-        })?;
+            first_fraction: 0,
+        };
+        let status = self.board.start_trigger(Output::Camera, start)?;
         Ok(Grid::of(&status))
     }
 
     /// Stops the trigger and hears the rest of its messages.
     fn stop(&mut self) -> Result<Heard, BringUpError> {
-        self.board.stop_trigger()?;
+        self.board.stop_trigger(Output::Camera)?;
         self.hear(millis(300))
     }
 
@@ -204,13 +208,13 @@ impl<'a> Session<'a> {
             format!("all of them, at most {MAX_DELAY} ticks later"),
             "the wire from PA5 to PA3, or what it passes on its way",
         );
-        self.captures("strobe input", &trains);
+        self.captures("strobe input", "pulse width", &trains);
         self.trigger_delay = trains.delay.0.map(|(low, _)| low);
         Ok(())
     }
 
     /// What captures on PA2 say of trains.
-    fn captures(&mut self, name: &'static str, trains: &Trains) {
+    fn captures(&mut self, name: &'static str, width: &'static str, trains: &Trains) {
         let steady = trains.delay.spread().is_some_and(|s| s <= TICK_OF_DOUBT);
         self.check(
             name,
@@ -225,7 +229,7 @@ impl<'a> Session<'a> {
             "the wire to PA2; or an edge that is not made by the timer",
         );
         self.check(
-            "pulse width",
+            width,
             trains.width_error.within(-TICK_OF_DOUBT, TICK_OF_DOUBT),
             format!("{} from what was asked for", ticks(trains.width_error)),
             "0 ticks, 1 in doubt",
@@ -243,11 +247,13 @@ impl<'a> Session<'a> {
         let mut anchor = first.at + third;
         let mut slewed = Extent::default();
         for slew in [0, SLEW] {
-            let plan = self.board.align(TriggerAlign {
+            let to = TriggerAlign {
                 anchor,
+                anchor_fraction: 0,
                 period: PERIOD,
                 slew,
-            })?;
+            };
+            let plan = self.board.align(Output::Camera, to)?;
             let mut way = self.hear_until(millis(10_000), |heard| !heard.arrived.is_empty())?;
             way.append(self.hear(millis(500))?);
             for pulse in &way.pulses {
@@ -262,7 +268,7 @@ impl<'a> Session<'a> {
             anchor = anchor + millis(1);
         }
         let other = period(33_322_225_925);
-        let status = self.board.set_period(other)?;
+        let status = self.board.set_period(Output::Camera, other)?;
         let grid = Grid::of(&status);
         let mut changed = self.hear(millis(500))?;
         changed.append(self.stop()?);
@@ -302,10 +308,9 @@ impl<'a> Session<'a> {
         self.start_output()?;
         let mut heard = self.hear(millis(3_000))?;
         heard.append(self.stop_output()?);
-        let pulses: Vec<Pulse> = heard.outputs.iter().map(|output| output.pulse).collect();
         let mut trains = Trains::default();
-        trains.find(&pulses, MIN_OUTPUT_WIDTH, &heard.strobe);
-        self.captures(NAME, &trains);
+        trains.find(&heard.outputs, MIN_OUTPUT_WIDTH, &heard.strobe);
+        self.captures(NAME, "pulse width of output 2", &trains);
         let measured = trains.delay.0.zip(self.trigger_delay);
         match measured {
             Some(((low, _), trigger)) => self.check(
@@ -325,24 +330,23 @@ impl<'a> Session<'a> {
     }
 
     fn start_output(&mut self) -> Result<(), BringUpError> {
-        let start = OutputAction::Start(OutputStart {
+        let start = TriggerStart {
             period: PERIOD,
             width: MIN_OUTPUT_WIDTH,
             first_edge: None,
             first_fraction: 0,
-        });
-        self.board.output(Output::Two, start)?;
+        };
+        self.board.start_trigger(Output::Two, start)?;
         Ok(())
     }
 
     fn stop_output(&mut self) -> Result<Heard, BringUpError> {
-        self.board.output(Output::Two, OutputAction::Stop)?;
+        self.board.stop_trigger(Output::Two)?;
         self.hear(millis(300))
     }
 
     fn fill(&mut self, bytes_per_second: u32) -> Result<(), BringUpError> {
-        self.board.call(&Command::Filler { bytes_per_second })?;
-        Ok(())
+        Ok(self.board.call(SendFiller { bytes_per_second })?)
     }
 }
 

@@ -127,6 +127,7 @@ mod tests {
 
     fn pulse(number: u64, at: u64) -> Pulse {
         Pulse {
+            output: protocol::Output::Camera,
             seq: 0,
             train: 1,
             number,

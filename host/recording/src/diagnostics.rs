@@ -93,7 +93,7 @@ fn trigger(status: &Status) -> DiagnosticStatus {
             ("readback_missing", &trigger.readback.missing),
             ("readback_stray", &trigger.readback.stray),
             ("latency_ticks", &status.trigger_latency),
-            ("busy_ticks", &status.trigger_busy),
+            ("busy_ticks", &(status.handlers.trigger.cycles / 2)),
         ],
     )
 }

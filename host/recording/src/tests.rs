@@ -31,6 +31,7 @@ fn sample(number: u64) -> Sample {
 
 fn pulse(number: u64) -> protocol::Pulse {
     protocol::Pulse {
+        output: protocol::Output::Camera,
         seq: 5,
         train: 2,
         number,
@@ -68,7 +69,8 @@ fn status(at: Ticks) -> Status {
             },
         },
         trigger_latency: 5,
-        trigger_busy: 6,
+        handlers: protocol::Handlers::default(),
+        die_decidegrees: Some(312),
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {

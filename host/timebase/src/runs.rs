@@ -182,10 +182,6 @@ impl Axis {
             DeviceToHost::Arrived(arrived) => arrived.at = self.recorded(arrived.at),
             DeviceToHost::Capture(capture) => capture.at = self.recorded(capture.at),
             DeviceToHost::Imu(sample) => sample.at = self.recorded(sample.at),
-            DeviceToHost::OutputPulse(output) => {
-                output.pulse.at = self.recorded(output.pulse.at);
-            }
-            DeviceToHost::OutputArrived(arrived) => arrived.at = self.recorded(arrived.at),
             DeviceToHost::Pps(pps) => pps.at = self.recorded(pps.at),
             DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => {}
         }

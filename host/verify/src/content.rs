@@ -10,7 +10,9 @@ mod topics;
 use std::collections::{BTreeMap, VecDeque};
 
 use mcap::records::MessageHeader;
-use protocol::{Decoder, DeviceToHost, Status, Ticks};
+use protocol::{
+    DeviceToHost, OLDEST_RECORDED, PROTOCOL_VERSION, Status, Ticks, hello_version, read_recorded,
+};
 
 use counters::Counters;
 use pulses::Pulses;
@@ -67,6 +69,8 @@ struct Numbers {
 pub(crate) struct Content {
     /// Later runs as the session file has them.
     runs_in_file: Vec<session_file::BoardRun>,
+    /// The protocol that the board spoke.
+    protocol: u16,
     /// Recorded ticks less the board's in this run.
     shift: u64,
     imu_interval: Option<u64>,
@@ -75,6 +79,8 @@ pub(crate) struct Content {
     epoch: Option<u32>,
     runs: u64,
     damaged_frames: u64,
+    /// There are frames of a version that is not read.
+    unread: bool,
     in_step: bool,
     counters: Counters,
     pulses: Pulses,
@@ -90,6 +96,9 @@ impl Content {
     pub(crate) fn new(session: Option<&SessionFile>) -> Self {
         Self {
             runs_in_file: session.map_or_else(Vec::new, |session| session.runs.clone()),
+            protocol: session
+                .and_then(|session| session.board.as_ref())
+                .map_or(PROTOCOL_VERSION, |board| board.protocol),
             shift: 0,
             imu_interval: session
                 .and_then(|session| session.imu.as_ref())
@@ -99,6 +108,7 @@ impl Content {
             epoch: None,
             runs: 1,
             damaged_frames: 0,
+            unread: false,
             in_step: false,
             counters: Counters::default(),
             pulses: Pulses::new(session),
@@ -186,23 +196,35 @@ impl Content {
 
     /// A frame of the link: decoded again.
     fn frame(&mut self, frame: &LinkFrame, at: Ticks, findings: &mut Findings) {
-        let mut decoder = Decoder::<DeviceToHost>::new();
-        let mut bytes = frame.data.clone();
-        bytes.push(0);
-        let mut rest = bytes.as_slice();
-        match decoder.next(&mut rest) {
-            Some(Ok(message)) => {
-                self.in_step = true;
-                self.link_message(message, findings);
+        self.protocol = hello_version(&frame.data).unwrap_or(self.protocol);
+        let version = self.protocol;
+        if !(OLDEST_RECORDED..=PROTOCOL_VERSION).contains(&version) {
+            if !std::mem::replace(&mut self.unread, true) {
+                findings.add(Grade::Warning, "frames_not_read", Some(at), || {
+                    format!(
+                        "the board spoke protocol version {version}; this program reads the \
+                         frames of {OLDEST_RECORDED} to {PROTOCOL_VERSION}, so its numbers are \
+                         not checked"
+                    )
+                });
             }
-            Some(Err(error)) if self.in_step => {
+            return;
+        }
+        match read_recorded(version, &frame.data) {
+            Ok(message) => {
+                self.in_step = true;
+                if let Some(message) = message {
+                    self.link_message(message, findings);
+                }
+            }
+            Err(error) if self.in_step => {
                 self.damaged_frames += 1;
                 findings.add(Grade::Warning, "frame_damaged", Some(at), || {
                     format!("a frame of the link was damaged when it came: {error}")
                 });
             }
             // The stream is joined in the middle of a frame.
-            _ => {}
+            Err(_) => {}
         }
     }
 

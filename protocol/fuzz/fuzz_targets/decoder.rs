@@ -4,7 +4,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use protocol::{Command, Decoder, DeviceToHost, HostToDevice, MAX_FRAME, encode};
+use protocol::{Decoder, DeviceToHost, HostToDevice, MAX_FRAME, SayHello, encode};
 
 fuzz_target!(|input: (usize, &[u8])| {
     let (split, bytes) = input;
@@ -22,7 +22,7 @@ fuzz_target!(|input: (usize, &[u8])| {
     let _ = board.next(&mut delimiter);
     let sent = HostToDevice {
         id: 1,
-        command: Command::Hello,
+        command: SayHello.into(),
     };
     let mut buffer = [0; MAX_FRAME];
     let Ok(mut frame) = encode(&sent, &mut buffer) else {

@@ -143,7 +143,7 @@ fn a_host_that_stops_reading_costs_only_counted_messages() {
         .sum();
     assert!(gaps > 0);
     assert_eq!(last.dropped.status, gaps);
-    assert!(board.ask(Command::Ping { host_time: 5 }).is_ok());
+    assert!(board.ask(Ping { host_time: 5 }).is_ok());
 }
 
 /// Ten megabytes of anything: no panic, no reset, and every command is
@@ -170,8 +170,8 @@ fn ten_megabytes_of_random_bytes_change_nothing() {
     // A delimiter ends what is left of the noise.
     board.rig.usb_write(&[0]);
     for n in 0..20 {
-        match board.ask(Command::Ping { host_time: n }) {
-            Ok(Reply::Pong { host_time, .. }) => assert_eq!(host_time, n),
+        match board.ask(Ping { host_time: n }) {
+            Ok(pong) => assert_eq!(pong.host_time, n),
             other => panic!("{other:?}"),
         }
     }
@@ -185,11 +185,11 @@ fn ten_megabytes_of_random_bytes_change_nothing() {
 }
 
 fn self_test(board: &mut Board, failure: Failure) {
-    let answer = board.ask(Command::SelfTest {
+    let answer = board.ask(SelfTest {
         key: SELF_TEST_KEY,
         failure,
     });
-    assert_eq!(answer, Ok(Reply::Done));
+    assert_eq!(answer, Ok(()));
 }
 
 /// Waits for the `Hello` of the next run.
@@ -396,7 +396,7 @@ fn damaged_bytes_are_counted_and_the_link_goes_on() {
     let mut board = Board::boot(wiring::board());
     board.rig.usb_corrupt(0, 20_000);
     for n in 0..300 {
-        board.send(Command::Ping { host_time: n });
+        board.send(Ping { host_time: n });
         board.run(5);
     }
     board.rig.usb_corrupt(0, 0);
@@ -405,7 +405,7 @@ fn damaged_bytes_are_counted_and_the_link_goes_on() {
     assert!((100..300).contains(&pongs), "{pongs} of 300 answered");
     let link = board.next_status().link;
     assert!(link.lost_frames() > 0, "{link:?}");
-    assert!(board.ask(Command::Ping { host_time: 1 }).is_ok());
+    assert!(board.ask(Ping { host_time: 1 }).is_ok());
 }
 
 #[test]
@@ -417,4 +417,39 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
     let foreign = Firmware::load(&std::env::current_exe().unwrap());
     let text = foreign.unwrap_err().to_string();
     assert!(text.contains("not a firmware of this board"), "{text}");
+}
+
+/// What each handler took, and the chip's temperature whatever its supply.
+#[test]
+fn the_status_tells_what_handlers_take_and_how_warm_the_chip_is() {
+    for (celsius, supply) in [(-12.0, 3.3), (41.5, 2.9), (84.0, 2.5)] {
+        let mut board = Board::boot(wiring::board().die(celsius, supply));
+        board.start(TriggerStart {
+            period: Period::from_ticks(TICK_HZ / 100),
+            width: MIN_PULSE_WIDTH,
+            first_edge: None,
+            first_fraction: 0,
+        });
+        board.run(3_100);
+        let status = board.statuses.last().unwrap();
+        let told = f64::from(status.die_decidegrees.unwrap()) / 10.0;
+        // A code is 0.3 °C; two of them and the rounding of the calibration.
+        assert!((told - celsius).abs() < 0.8, "{told} for {celsius}");
+
+        let Handlers {
+            trigger,
+            outputs,
+            handover,
+            usb,
+        } = status.handlers;
+        // One call for the end of each pulse.
+        assert!((99..=101).contains(&trigger.calls), "{trigger:?}");
+        assert!(handover.calls >= 99 && usb.calls > 0);
+        assert_eq!(outputs, HandlerTime::default());
+        for handler in [trigger, handover, usb] {
+            assert!(handler.mean() > 20 && handler.worst >= handler.mean());
+            assert!(handler.worst < 20_000, "{handler:?}");
+            assert!(handler.cycles < CORE_HZ / 50, "{handler:?}");
+        }
+    }
 }

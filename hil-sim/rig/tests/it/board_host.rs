@@ -20,8 +20,8 @@ pub(crate) struct Board {
     pub(crate) arrived: Vec<Arrived>,
     pub(crate) captures: Vec<Capture>,
     pub(crate) samples: Vec<ImuSample>,
-    pub(crate) output_pulses: Vec<OutputPulse>,
-    pub(crate) output_arrived: Vec<OutputArrived>,
+    /// Pulses of the further outputs.
+    pub(crate) output_pulses: Vec<Pulse>,
     pub(crate) pps: Vec<Pps>,
     pub(crate) statuses: Vec<Status>,
     pub(crate) fillers: u64,
@@ -46,7 +46,6 @@ impl Board {
             captures: Vec::new(),
             samples: Vec::new(),
             output_pulses: Vec::new(),
-            output_arrived: Vec::new(),
             pps: Vec::new(),
             statuses: Vec::new(),
             fillers: 0,
@@ -65,12 +64,11 @@ impl Board {
                 DeviceToHost::Hello(hello) => self.hellos.push(hello),
                 DeviceToHost::Answer(answer) => self.answers.push(answer),
                 DeviceToHost::Status(status) => self.statuses.push(status),
-                DeviceToHost::Pulse(pulse) => self.pulses.push(pulse),
+                DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulses.push(pulse),
+                DeviceToHost::Pulse(pulse) => self.output_pulses.push(pulse),
                 DeviceToHost::Arrived(arrived) => self.arrived.push(arrived),
                 DeviceToHost::Capture(capture) => self.captures.push(capture),
                 DeviceToHost::Imu(sample) => self.samples.push(sample),
-                DeviceToHost::OutputPulse(pulse) => self.output_pulses.push(pulse),
-                DeviceToHost::OutputArrived(arrived) => self.output_arrived.push(arrived),
                 DeviceToHost::Pps(pps) => self.pps.push(pps),
                 DeviceToHost::Filler(filler) => {
                     self.fillers += 1;
@@ -129,7 +127,8 @@ impl Board {
     }
 
     /// Sends a command, without waiting. Returns its id.
-    pub(crate) fn send(&mut self, command: Command) -> u32 {
+    pub(crate) fn send(&mut self, command: impl Into<Command>) -> u32 {
+        let command = command.into();
         let id = self.next_id;
         self.next_id += 1;
         let mut buffer = [0; MAX_FRAME];
@@ -139,25 +138,45 @@ impl Board {
     }
 
     /// Sends a command and waits for its answer.
-    pub(crate) fn ask(&mut self, command: Command) -> Result<Reply, Refusal> {
+    pub(crate) fn ask<R: Request>(&mut self, command: R) -> Result<R::Reply, Refusal> {
         let id = self.send(command);
         let find = |board: &Self| board.answers.iter().position(|answer| answer.id == id);
         self.wait(2_000, |board| find(board).is_some());
         let at = find(self).unwrap();
-        self.answers.swap_remove(at).result
+        let reply = self.answers.swap_remove(at).result?;
+        Ok(R::unwrap(reply).expect("the reply of this command"))
+    }
+
+    /// Starts the camera's train.
+    pub(crate) fn start(&mut self, start: TriggerStart) -> TriggerStatus {
+        self.try_start(start).unwrap()
+    }
+
+    /// Starts the camera's train, or is refused.
+    pub(crate) fn try_start(&mut self, start: TriggerStart) -> Result<TriggerStatus, Refusal> {
+        let output = Output::Camera;
+        self.ask(StartTrigger { output, start })
+    }
+
+    /// Changes its period, or is refused.
+    pub(crate) fn try_period(&mut self, period: Period) -> Result<TriggerStatus, Refusal> {
+        let output = Output::Camera;
+        self.ask(SetPeriod { output, period })
+    }
+
+    /// Stops it.
+    pub(crate) fn stop(&mut self) -> TriggerStatus {
+        self.ask(StopTrigger(Output::Camera)).unwrap()
     }
 
     /// Asks for the state of the train.
     pub(crate) fn trigger(&mut self) -> TriggerStatus {
-        trigger_status(self.ask(Command::TriggerQuery))
+        self.ask(QueryTrigger(Output::Camera)).unwrap()
     }
 
     /// Asks for the time.
     pub(crate) fn now(&mut self) -> Ticks {
-        match self.ask(Command::Ping { host_time: 0 }) {
-            Ok(Reply::Pong { sent, .. }) => sent,
-            other => panic!("{other:?}"),
-        }
+        self.ask(Ping { host_time: 0 }).unwrap().sent
     }
 
     /// Waits for the next status and returns it.
@@ -168,11 +187,10 @@ impl Board {
     }
 }
 
-pub(crate) fn trigger_status(reply: Result<Reply, Refusal>) -> TriggerStatus {
-    match reply {
-        Ok(Reply::Trigger(status)) => status,
-        other => panic!("{other:?}"),
-    }
+/// An align of the camera's train.
+pub(crate) const fn camera_align(to: TriggerAlign) -> AlignTrigger {
+    let output = Output::Camera;
+    AlignTrigger { output, to }
 }
 
 /// Relates the pin's time to the board's: the time at which tick 0 was.

@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
+use crate::board_host::{Board, UNITS_PER_TICK, camera_align, pulses_of};
 use protocol::*;
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
 use rig::oscillator::{BoardTime, OscillatorConfig};
@@ -56,8 +56,9 @@ impl Bench {
             period: Period::from_picos(33_330_652_540).unwrap(),
             width,
             first_edge: None,
+            first_fraction: 0,
         };
-        trigger_status(board.ask(Command::TriggerStart(start)));
+        board.start(start);
         board.wait(100, |board| !board.pulses.is_empty());
         let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
         let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
@@ -145,13 +146,14 @@ fn the_boards_shortest_pulse_is_long_enough() {
         lock(&bench.camera).pulses(),
         bench.board.pulses.len() as u64
     );
-    bench.board.ask(Command::TriggerStop).unwrap();
+    bench.board.stop();
     let eight_us = TriggerStart {
         period: Period::from_ticks(1_600_000),
         width: 8 * 48,
         first_edge: None,
+        first_fraction: 0,
     };
-    let refused = bench.board.ask(Command::TriggerStart(eight_us));
+    let refused = bench.board.try_start(eight_us);
     assert!(matches!(refused, Err(Refusal::WidthOutOfRange { .. })));
 }
 
@@ -176,7 +178,7 @@ fn device_timestamps_are_of_the_cameras_own_clock() {
 fn it_runs_freely_when_the_pulses_stop_and_follows_them_again() {
     let mut bench = Bench::new(2, 576, wiring::board());
     bench.run(1_000);
-    bench.board.ask(Command::TriggerStop).unwrap();
+    bench.board.stop();
     bench.board.run(200);
     lock(&bench.camera).take_frames();
     bench.board.captures.clear();
@@ -195,8 +197,9 @@ fn it_runs_freely_when_the_pulses_stop_and_follows_them_again() {
         period: Period::from_picos(33_330_652_540).unwrap(),
         width: 576,
         first_edge: None,
+        first_fraction: 0,
     };
-    bench.board.ask(Command::TriggerStart(start)).unwrap();
+    bench.board.start(start);
     bench.board.run(1_000);
     let frames = lock(&bench.camera).take_frames();
     let followed = |frame: &FrameRecord| matches!(frame.source, Source::Pulse { .. });
@@ -214,11 +217,11 @@ fn a_jump_spoils_frames_and_small_steps_do_not() {
         let status = bench.board.trigger();
         let to = TriggerAlign {
             anchor: Ticks(status.next_edge.0 + u64::from(period.ticks()) / 4),
+            anchor_fraction: 0,
             period,
             slew,
         };
-        let answer = bench.board.ask(Command::TriggerAlign(to));
-        assert!(matches!(answer, Ok(Reply::Align(_))), "{answer:?}");
+        bench.board.ask(camera_align(to)).unwrap();
         bench.board.wait(10_000, |board| !board.arrived.is_empty());
         let arrived = bench.board.arrived[0];
         let frames = bench.run(1_000);
@@ -266,8 +269,9 @@ fn a_vcd_trace_shows_the_edges_of_the_pins() {
         period: Period::from_ticks(1_600_000),
         width: 576,
         first_edge: None,
+        first_fraction: 0,
     };
-    board.ask(Command::TriggerStart(start)).unwrap();
+    board.start(start);
     board.run(1_000);
     let edges = board.rig.take_edges();
     lock(&trace).flush().unwrap();

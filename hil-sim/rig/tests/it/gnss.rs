@@ -38,8 +38,9 @@ impl Bench {
             period: Period::from_picos(33_330_652_540).unwrap(),
             width: 576,
             first_edge: None,
+            first_fraction: 0,
         };
-        board.ask(Command::TriggerStart(start)).unwrap();
+        board.start(start);
         board.wait(100, |board| !board.pulses.is_empty());
         let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
         let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
@@ -47,14 +48,14 @@ impl Bench {
     }
 
     fn start(&mut self, settings: GnssSettings) -> GnssReport {
-        match self.board.ask(Command::GnssStart(settings)) {
-            Ok(Reply::Gnss(report)) => report,
+        match self.board.ask(StartGnss(settings)) {
+            Ok(report) => report,
             other => panic!("{other:?}"),
         }
     }
 
     fn stop(&mut self) {
-        self.board.ask(Command::GnssStop).unwrap();
+        self.board.ask(StopGnss).unwrap();
     }
 
     /// Ticks since tick 0, exactly.
@@ -186,24 +187,20 @@ fn a_line_without_its_inverting_gate_is_not_understood() {
 fn no_second_is_lost_under_full_load() {
     let mut bench = Bench::new(LidarConfig::default());
     bench.start(SETTINGS);
-    for output in Output::ALL {
-        let action = OutputAction::Start(OutputStart {
+    for output in Output::FURTHER {
+        let start = TriggerStart {
             period: Period::from_picos(1_500_000_000).unwrap(),
             width: MIN_OUTPUT_WIDTH,
             first_edge: None,
             first_fraction: 0,
-        });
-        let start = Command::Output { output, action };
-        bench.board.ask(start).unwrap();
+        };
+        bench.board.ask(StartTrigger { output, start }).unwrap();
     }
     let bytes_per_second = u32::MAX;
-    bench
-        .board
-        .ask(Command::Filler { bytes_per_second })
-        .unwrap();
+    bench.board.ask(SendFiller { bytes_per_second }).unwrap();
     for _ in 0..500 {
-        bench.board.send(Command::Ping { host_time: 0 });
-        bench.board.send(Command::GnssQuery);
+        bench.board.send(Ping { host_time: 0 });
+        bench.board.send(QueryGnss);
         bench.board.run(20);
     }
     assert!(bench.check(&SETTINGS).len() >= 8);
@@ -224,7 +221,7 @@ fn a_stop_finishes_what_it_began() {
         utc_at_zero: SETTINGS.utc_at_zero + 1_000,
         ..SETTINGS
     };
-    let refused = bench.board.ask(Command::GnssStart(other));
+    let refused = bench.board.ask(StartGnss(other));
     assert_eq!(refused, Err(Refusal::GnssRunning));
     // Within the pulse of the next second, and then within its sentence.
     for within_ms in [10, 80] {
@@ -236,7 +233,7 @@ fn a_stop_finishes_what_it_began() {
         let ms = (stop_at - bench.board.rig.now()).as_nanos() / 1_000_000;
         bench.board.run(ms);
         bench.stop();
-        let refused = bench.board.ask(Command::GnssStart(SETTINGS));
+        let refused = bench.board.ask(StartGnss(SETTINGS));
         assert_eq!(refused, Err(Refusal::GnssStopping));
         bench.board.run(1_500);
         assert_eq!(lock(&bench.lidar).faults(), LidarFaults::default());
@@ -279,7 +276,7 @@ fn what_the_board_cannot_keep_is_refused() {
             Refusal::GnssWindowExceeded { ends_us: 525_000 },
         ),
     ] {
-        let refused = bench.board.ask(Command::GnssStart(settings));
+        let refused = bench.board.ask(StartGnss(settings));
         assert_eq!(refused, Err(expected));
     }
     bench.board.run(2_000);

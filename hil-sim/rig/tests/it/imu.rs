@@ -3,7 +3,7 @@
 
 use std::collections::VecDeque;
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of, trigger_status};
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
 use protocol::*;
 use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
@@ -47,8 +47,9 @@ impl Bench {
             period: Period::from_picos(33_330_652_540).unwrap(),
             width: 576,
             first_edge: None,
+            first_fraction: 0,
         };
-        trigger_status(board.ask(Command::TriggerStart(start)));
+        board.start(start);
         board.run(100);
         let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
         let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
@@ -139,8 +140,8 @@ impl Bench {
     }
 
     fn status(&mut self) -> ImuStatus {
-        match self.board.ask(Command::ImuQuery) {
-            Ok(Reply::Imu(setup)) => setup.status,
+        match self.board.ask(QueryImu) {
+            Ok(setup) => setup.status,
             other => panic!("{other:?}"),
         }
     }
@@ -403,7 +404,7 @@ fn settings_reach_the_sensor_and_are_reported() {
             gyro_range: GyroRange::Dps1000,
             accel_range: AccelRange::G8,
         };
-        let Ok(Reply::Imu(setup)) = bench.board.ask(Command::ImuConfigure(config)) else {
+        let Ok(setup) = bench.board.ask(ConfigureImu(config)) else {
             panic!("refused");
         };
         assert_eq!(setup.config, config);
@@ -433,7 +434,7 @@ fn settings_reach_the_sensor_and_are_reported() {
         accel_range: AccelRange::G2,
     };
     assert_eq!(
-        bench.board.ask(Command::ImuConfigure(config)),
+        bench.board.ask(ConfigureImu(config)),
         Err(Refusal::ImuSettingOutOfRange)
     );
 }

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, trigger_status};
+use crate::board_host::{Board, UNITS_PER_TICK};
 use crate::trigger_rig::Strobe;
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
@@ -116,12 +116,8 @@ impl Bench {
         }
     }
 
-    fn output(&mut self, output: Output, action: OutputAction) -> Result<Reply, Refusal> {
-        self.board.ask(Command::Output { output, action })
-    }
-
-    fn start(&mut self, output: Output, start: OutputStart) -> TriggerStatus {
-        trigger_status(self.output(output, OutputAction::Start(start)))
+    fn start(&mut self, output: Output, start: TriggerStart) -> TriggerStatus {
+        self.board.ask(StartTrigger { output, start }).unwrap()
     }
 
     /// The camera's train, and all others, each beginning at `first`.
@@ -130,13 +126,14 @@ impl Bench {
             period: camera,
             width: WIDTH,
             first_edge: Some(first),
+            first_fraction: 0,
         };
-        let status = trigger_status(self.board.ask(Command::TriggerStart(start)));
+        let status = self.board.start(start);
         self.trains.push(Train::new(Pin::PA5, &status));
-        for (output, period) in Output::ALL.into_iter().zip(periods) {
+        for (output, period) in Output::FURTHER.into_iter().zip(periods) {
             let status = self.start(
                 output,
-                OutputStart {
+                TriggerStart {
                     period,
                     width: OUTPUT_WIDTH,
                     first_edge: Some(first),
@@ -159,7 +156,7 @@ impl Bench {
             pulse_width: 20 * (TICK_HZ / 1_000),
             pulse_inverted: false,
         };
-        let Ok(Reply::Gnss(_)) = self.board.ask(Command::GnssStart(gnss)) else {
+        let Ok(_) = self.board.ask(StartGnss(gnss)) else {
             panic!("refused");
         };
         let second = u64::from(TICK_HZ);
@@ -202,7 +199,7 @@ impl Bench {
         for pulse in board.pulses.drain(..) {
             report(Pin::PA5, pulse.number, pulse.at);
         }
-        for OutputPulse { output, pulse } in board.output_pulses.drain(..) {
+        for pulse in board.output_pulses.drain(..) {
             let pin = PINS[usize::from(output.number()) - 1];
             report(pin, pulse.number, pulse.at);
             assert!(pulse.aligned);
@@ -265,14 +262,10 @@ fn run_all(seconds: u64) {
     bench.start_all(camera, periods, first);
     for second in 0..seconds {
         let bytes_per_second = if second % 2 == 0 { u32::MAX } else { 0 };
-        bench
-            .board
-            .ask(Command::Filler { bytes_per_second })
-            .unwrap();
+        bench.board.ask(SendFiller { bytes_per_second }).unwrap();
         for _ in 0..20 {
-            for output in Output::ALL {
-                let action = OutputAction::Query;
-                bench.board.send(Command::Output { output, action });
+            for output in Output::FURTHER {
+                bench.board.send(QueryTrigger(output));
             }
             bench.board.run(50);
         }
@@ -362,15 +355,16 @@ fn a_multiple_stays_on_every_sixth_pulse() {
         period: picos(CAMERA),
         width: WIDTH,
         first_edge: None,
+        first_fraction: 0,
     };
-    let status = trigger_status(bench.board.ask(Command::TriggerStart(start)));
+    let status = bench.board.start(start);
     bench.trains.push(Train::new(Pin::PA5, &status));
     bench.board.run(777);
     let status = bench.board.trigger();
     let next = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
     assert_ne!(status.next_fraction, 0, "the train has a fraction by now");
     let join = place(next, status.period, 5);
-    let sixth = OutputStart {
+    let sixth = TriggerStart {
         period: Period(status.period.0 * 6),
         width: OUTPUT_WIDTH,
         first_edge: Some(Ticks((join >> 32) as u64)),
@@ -399,7 +393,7 @@ fn a_multiple_stays_on_every_sixth_pulse() {
 fn every_align_of_an_output_arrives_on_its_grid() {
     let mut bench = Bench::new();
     let period = picos(50_000_123_457);
-    let start = OutputStart {
+    let start = TriggerStart {
         period,
         width: OUTPUT_WIDTH,
         first_edge: None,
@@ -417,20 +411,18 @@ fn every_align_of_an_output_arrives_on_its_grid() {
     let mut previous: Option<Pulse> = None;
     for round in 0..40_u32 {
         let now = bench.board.now();
-        let to = OutputAlign {
+        let to = TriggerAlign {
             anchor: Ticks(now.0 + next() % (1_800 * u64::from(TICK_HZ))),
             anchor_fraction: next() as u32,
             period,
             slew: if round % 5 == 4 { 0 } else { 400_000 },
         };
-        let id = bench.board.send(Command::Output {
-            output: Output::Three,
-            action: OutputAction::Align(to),
-        });
-        bench.board.wait(2_000, |board| {
-            board.output_arrived.iter().any(|a| a.command == id)
-        });
-        let arrived = *bench.board.output_arrived.last().unwrap();
+        let output = Output::Three;
+        let id = bench.board.send(AlignTrigger { output, to });
+        bench
+            .board
+            .wait(2_000, |board| board.arrived.iter().any(|a| a.command == id));
+        let arrived = *bench.board.arrived.last().unwrap();
         assert_eq!(
             (arrived.output, arrived.remaining),
             (Output::Three, TickDelta::ZERO)
@@ -441,7 +433,7 @@ fn every_align_of_an_output_arrives_on_its_grid() {
         let j = (away.as_secs_f64() / period.as_secs_f64()).round() as i128;
         let exact = anchor as i128 + j * i128::from(period.0);
         assert_eq!(i128::from(arrived.at.0), exact >> 32, "round {round}");
-        for OutputPulse { pulse, .. } in bench.board.output_pulses.drain(..) {
+        for pulse in bench.board.output_pulses.drain(..) {
             if let Some(previous) = previous {
                 assert_eq!(pulse.number, previous.number + 1, "lost or doubled");
                 let moved = (pulse.at - previous.at).0 - i64::from(period.ticks());
@@ -468,37 +460,39 @@ fn every_align_of_an_output_arrives_on_its_grid() {
 #[test]
 fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
     let mut bench = Bench::new();
-    let good = OutputStart {
+    let output = Output::Four;
+    let good = TriggerStart {
         period: picos(CAMERA),
         width: OUTPUT_WIDTH,
         first_edge: None,
         first_fraction: 0,
     };
     for width in [0, MIN_OUTPUT_WIDTH - 1, good.period.ticks()] {
-        let start = OutputStart { width, ..good };
-        let refused = bench.output(Output::Four, OutputAction::Start(start));
+        let start = TriggerStart { width, ..good };
+        let refused = bench.board.ask(StartTrigger { output, start });
         let max = good.period.ticks() - MIN_OUTPUT_GAP;
         let min = MIN_OUTPUT_WIDTH;
         assert_eq!(refused, Err(Refusal::WidthOutOfRange { min, max }));
     }
-    let stopped = bench.output(Output::Four, OutputAction::Period(good.period));
+    let period = good.period;
+    let stopped = bench.board.ask(SetPeriod { output, period });
     assert_eq!(stopped, Err(Refusal::TriggerStopped));
     assert_eq!(bench.board.rig.edge_count(Pin::PE14), 0);
 
     // The widest and the narrowest pulse, then a stop and a start.
     for width in [MIN_OUTPUT_WIDTH, good.period.ticks() - MIN_OUTPUT_GAP] {
-        let start = OutputStart { width, ..good };
+        let start = TriggerStart { width, ..good };
         let status = bench.start(Output::Four, start);
         bench.trains = vec![Train::new(Pin::PE14, &status)];
         bench.board.run(500);
         bench.check();
-        let other = OutputStart {
+        let start = TriggerStart {
             period: picos(CAMERA + 1),
             ..start
         };
-        let refused = bench.output(Output::Four, OutputAction::Start(other));
+        let refused = bench.board.ask(StartTrigger { output, start });
         assert_eq!(refused, Err(Refusal::TriggerRunning));
-        bench.output(Output::Four, OutputAction::Stop).unwrap();
+        bench.board.ask(StopTrigger(output)).unwrap();
         bench.board.run(100);
         bench.check();
         assert!(
@@ -511,7 +505,7 @@ fn outputs_refuse_what_they_cannot_make_and_stop_cleanly() {
     }
     // A first edge minutes ahead, beyond what a 32-bit compare tells from the past.
     let first = Ticks(bench.board.now().0 + 100 * u64::from(TICK_HZ) + 12_345);
-    let far = OutputStart {
+    let far = TriggerStart {
         first_edge: Some(first),
         first_fraction: 0xFFFF_FFFF,
         ..good

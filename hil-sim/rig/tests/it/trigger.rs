@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::board_host::{Board, Epoch, UNITS_PER_TICK, pulses_of, trigger_status};
+use crate::board_host::{Board, Epoch, UNITS_PER_TICK, camera_align, pulses_of};
 use crate::trigger_rig::{Strobe, Wire};
 use protocol::*;
 use rig::wiring;
@@ -30,14 +30,15 @@ fn start(board: &mut Board, period: Period, width: u32) -> TriggerStatus {
         period,
         width,
         first_edge: None,
+        first_fraction: 0,
     };
-    trigger_status(board.ask(Command::TriggerStart(start)))
+    board.start(start)
 }
 
 /// Checks every pulse at the pin and every report against
 /// `floor(first + k · period)`, from pulse 0 on. Returns how many there were.
 fn check_train(board: &mut Board, first: Ticks, period: Period, width: u32) -> usize {
-    trigger_status(board.ask(Command::TriggerStop));
+    board.stop();
     board.run(1_100);
     let edges = board.rig.take_edges();
     let pins = pulses_of(&edges, Pin::PA5);
@@ -123,14 +124,14 @@ fn pulses_are_exact_under_full_load() {
         let mut pings = 0;
         for second in 0..seconds {
             board
-                .ask(Command::Filler {
+                .ask(SendFiller {
                     bytes_per_second: u32::MAX,
                 })
                 .unwrap();
             for _ in 0..40 {
                 for _ in 0..10 {
-                    board.send(Command::Ping { host_time: 1 });
-                    board.send(Command::TriggerQuery);
+                    board.send(Ping { host_time: 1 });
+                    board.send(QueryTrigger(Output::Camera));
                     pings += 1;
                 }
                 board.run(20);
@@ -171,8 +172,9 @@ fn a_first_edge_minutes_ahead_is_exact() {
         period,
         width: WIDTH,
         first_edge: Some(first),
+        first_fraction: 0,
     };
-    let status = trigger_status(board.ask(Command::TriggerStart(command)));
+    let status = board.start(command);
     assert_eq!(status.state, TrainState::Waiting);
     assert_eq!(status.next_edge, first);
     board.run(129_900);
@@ -213,15 +215,16 @@ fn every_align_arrives_on_its_grid() {
         } else {
             100_000 + (next() % 700_000) as u32
         };
-        let command = Command::TriggerAlign(TriggerAlign {
+        let command = camera_align(TriggerAlign {
             anchor,
+            anchor_fraction: 0,
             period,
             slew,
         });
-        let id = board.send(command.clone());
+        let id = board.send(command);
         board.wait(2_000, |board| board.answers.iter().any(|a| a.id == id));
         let answer = board.answers.iter().find(|a| a.id == id).unwrap();
-        let Ok(Reply::Align(plan)) = answer.result else {
+        let Ok(Reply::AlignTrigger(plan)) = answer.result else {
             panic!("{answer:?}");
         };
         board.wait(2_000, |board| board.arrived.iter().any(|a| a.command == id));
@@ -261,12 +264,8 @@ fn every_align_arrives_on_its_grid() {
         }
         // Once more: it is there already, and nothing moves.
         if round % 20 == 0 {
-            match board.ask(command) {
-                Ok(Reply::Align(again)) => {
-                    assert_eq!((again.shift, again.frames), (TickDelta::ZERO, 0));
-                }
-                other => panic!("{other:?}"),
-            }
+            let again = board.ask(command).unwrap();
+            assert_eq!((again.shift, again.frames), (TickDelta::ZERO, 0));
         }
     }
     assert_eq!(board.trigger().late, 0);
@@ -284,10 +283,11 @@ fn one_tick_of_anchor_moves_the_edges_by_one_tick() {
         let anchor = Ticks(first.0 + step);
         let to = TriggerAlign {
             anchor,
+            anchor_fraction: 0,
             period,
             slew: 0,
         };
-        board.ask(Command::TriggerAlign(to)).unwrap();
+        board.ask(camera_align(to)).unwrap();
         board.run(150);
         board.rig.take_edges();
         board.run(100);
@@ -305,7 +305,7 @@ fn a_new_period_goes_on_from_the_armed_edge() {
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(500);
     let new = picos(33_330_652_540);
-    let status = trigger_status(board.ask(Command::TriggerPeriod(new)));
+    let status = board.try_period(new).unwrap();
     assert_eq!(status.period, new);
     // The next edge is armed already; from it on the new period holds.
     let from = (u128::from(status.next_edge.0) << 32) | u128::from(status.next_fraction);
@@ -329,8 +329,9 @@ fn values_out_of_range_are_refused_and_change_nothing() {
     let mut board = board();
     let period = picos(33_333_333_330);
     let to = |period, anchor, slew| {
-        Command::TriggerAlign(TriggerAlign {
+        camera_align(TriggerAlign {
             anchor,
+            anchor_fraction: 0,
             period,
             slew,
         })
@@ -339,14 +340,12 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         board.ask(to(period, Ticks(0), 0)),
         Err(Refusal::TriggerStopped)
     );
-    assert_eq!(
-        board.ask(Command::TriggerPeriod(period)),
-        Err(Refusal::TriggerStopped)
-    );
+    assert_eq!(board.try_period(period), Err(Refusal::TriggerStopped));
     let good = TriggerStart {
         period,
         width: WIDTH,
         first_edge: None,
+        first_fraction: 0,
     };
     let starts = [
         (
@@ -382,7 +381,7 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         ),
     ];
     for (command, refusal) in starts {
-        assert_eq!(board.ask(Command::TriggerStart(command)), Err(refusal));
+        assert_eq!(board.try_start(command), Err(refusal));
     }
     for first in [
         0,
@@ -390,7 +389,7 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         board.now().0 + MAX_TIME_AWAY + u64::from(TICK_HZ),
     ] {
         let first_edge = Some(Ticks(first));
-        let refused = board.ask(Command::TriggerStart(TriggerStart { first_edge, ..good }));
+        let refused = board.try_start(TriggerStart { first_edge, ..good });
         assert!(matches!(refused, Err(Refusal::TimeOutOfRange { .. })));
     }
     assert_eq!(board.trigger().state, TrainState::Stopped);
@@ -414,19 +413,16 @@ fn values_out_of_range_are_refused_and_change_nothing() {
         Err(Refusal::PeriodOutOfRange)
     );
     assert_eq!(
-        board.ask(Command::TriggerPeriod(Period(u64::MAX))),
+        board.try_period(Period(u64::MAX)),
         Err(Refusal::PeriodOutOfRange)
     );
     let other = TriggerStart {
         width: WIDTH + 1,
         ..good
     };
-    assert_eq!(
-        board.ask(Command::TriggerStart(other)),
-        Err(Refusal::TriggerRunning)
-    );
+    assert_eq!(board.try_start(other), Err(Refusal::TriggerRunning));
     // The same start again is welcome and changes nothing.
-    trigger_status(board.ask(Command::TriggerStart(good)));
+    board.start(good);
     board.run(300);
     check_train(&mut board, first, period, WIDTH);
 }
@@ -486,7 +482,7 @@ fn flashes_are_captured(ms: u64, synchroniser: u64) {
     board.rig.log_pin(Pin::PA5);
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(ms);
-    trigger_status(board.ask(Command::TriggerStop));
+    board.stop();
     board.run(200);
     let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
     let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
@@ -516,7 +512,7 @@ fn ringing_on_the_strobe_input_makes_no_edges() {
     let mut board = Board::boot(wiring::board().model(strobe));
     start(&mut board, picos(33_333_333_330), WIDTH);
     board.run(3_000);
-    trigger_status(board.ask(Command::TriggerStop));
+    board.stop();
     board.run(200);
     assert_eq!(board.captures.len(), 18 * board.pulses.len());
     for (index, capture) in board.captures.iter().enumerate() {
@@ -579,7 +575,7 @@ fn a_stop_finishes_the_pulse_and_a_train_can_start_again() {
         let status = start(&mut board, picos(1_000_000_000), 40_000);
         assert_eq!(status.train, train);
         board.run(20 + u64::from(train));
-        trigger_status(board.ask(Command::TriggerStop));
+        board.stop();
         board.run(5);
         assert_eq!(board.trigger().state, TrainState::Stopped);
         let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);

@@ -1,5 +1,6 @@
 //! The memory map: which register an address is (RM0090 2.3).
 
+use super::adc::{TS_CAL, VREFINT_CAL};
 use super::events::Source;
 use super::rules::{End, Rule};
 use super::uart::UARTS;
@@ -25,6 +26,7 @@ enum Block {
     Rcc,
     Dma(usize),
     Rng,
+    Adc,
     Otg,
     /// Without behaviour: at best some of its registers are stored.
     Other,
@@ -54,6 +56,7 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
         0x4001_0000 => (Block::Tim(TIM1), Some((APB2, 0))),
         0x4001_1000 => (Block::Uart(0), Some((APB2, 4))),
         0x4001_1400 => (Block::Uart(5), Some((APB2, 5))),
+        0x4001_2000 => (Block::Adc, Some((APB2, 8))),
         0x4001_3800 => (Block::Syscfg, Some((APB2, 14))),
         0x4001_3c00 => (Block::Exti, None),
         base @ 0x4002_0000..=0x4002_2000 => {
@@ -139,6 +142,7 @@ impl Soc {
                 let (clock, hclk) = (self.clocks.usb, self.clocks.hclk);
                 self.rng.read(offset, now, clock, hclk)
             }
+            Block::Adc => self.adc.read(offset, now),
             Block::Dma(n) => self.dma[n].read(offset),
             Block::Otg => {
                 let offset = addr - OTG_FS;
@@ -230,6 +234,7 @@ impl Soc {
             }
             Block::Rcc => self.write_rcc(offset, value),
             Block::Rng => self.rng.write(offset, value, now),
+            Block::Adc => self.adc.write(offset, value, now, self.clocks.pclk2),
             Block::Dma(n) => {
                 if let Some(stream) = self.dma[n].enables_with_flags(offset, value) {
                     self.forbid(Rule::DmaFlags {
@@ -425,8 +430,8 @@ impl Soc {
             // Flash size in KiB in the upper half.
             0x1fff_7a20 => 1024 << 16,
             // VREFINT_CAL in the upper half; TS_CAL1 and TS_CAL2.
-            0x1fff_7a28 => 1504 << 16,
-            0x1fff_7a2c => (1208 << 16) | 943,
+            0x1fff_7a28 => VREFINT_CAL << 16,
+            0x1fff_7a2c => (TS_CAL[1] << 16) | TS_CAL[0],
             _ => 0,
         }
     }

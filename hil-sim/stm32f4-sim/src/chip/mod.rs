@@ -5,6 +5,7 @@
 //! runs (or sleeps) up to it. An access of the core to a peripheral first does
 //! what is due by then, so that every register reads as of its very cycle.
 
+pub(crate) mod adc;
 pub(crate) mod cells;
 mod clock_tree;
 pub(crate) mod dma;
@@ -35,6 +36,7 @@ use crate::random::{RNG_STREAM, Random, Seed};
 use crate::time::SimTime;
 use crate::usb::UsbHost;
 
+use adc::{Adc, Die};
 use cells::Cells;
 use dma::Dma;
 use events::{Events, Source};
@@ -81,6 +83,7 @@ pub(crate) struct ChipConfig {
     pub(crate) revision: Revision,
     /// The random number generator reports a seed error.
     pub(crate) broken_rng: bool,
+    pub(crate) die: Die,
 }
 
 /// Revision of the chip.
@@ -122,6 +125,7 @@ pub(crate) struct Soc {
     iwdg: Iwdg,
     uart: [Uart; UARTS],
     pub(crate) rng: Rng,
+    adc: Adc,
     revision: Revision,
     pub(crate) otg: Otg,
     pub(crate) usb: UsbHost,
@@ -187,6 +191,7 @@ impl Soc {
             iwdg: Iwdg::new(config.low_speed),
             uart: std::array::from_fn(|_| Uart::new()),
             rng: Rng::new(seed.stream(RNG_STREAM)),
+            adc: Adc::new(config.die),
             revision: config.revision,
             otg: Otg::new(),
             usb: UsbHost::new(seed),
@@ -237,6 +242,7 @@ impl Soc {
             uart.reset();
         }
         self.rng.reset();
+        self.adc.reset();
         self.otg.reset();
         self.cells.clear();
         self.irq = 0;

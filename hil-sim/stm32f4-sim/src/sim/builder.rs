@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 
 use super::{LogSink, Sim, SimError};
+use crate::chip::adc::Die;
 use crate::chip::{ChipConfig, I2cWires, Revision, Soc};
 use crate::clock::Rate;
 use crate::cpu::Cpu;
@@ -58,6 +59,7 @@ impl SimBuilder {
                 synchroniser: INPUT_SYNCHRONISER,
                 revision: Revision::Y,
                 broken_rng: false,
+                die: Die::default(),
             },
             models: Vec::new(),
             targets: Vec::new(),
@@ -133,6 +135,13 @@ impl SimBuilder {
     #[must_use]
     pub fn broken_random_generator(mut self) -> Self {
         self.chip.broken_rng = true;
+        self
+    }
+
+    /// Temperature of the chip in °C and its analogue supply in V: what its ADC finds.
+    #[must_use]
+    pub fn die(mut self, celsius: f64, supply: f64) -> Self {
+        self.chip.die = Die { celsius, supply };
         self
     }
 

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use protocol::{
-    Baud, Command, DeviceToHost, GnssSettings, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output,
-    OutputAction, OutputStart, Period, Sentences, TICK_HZ, TriggerStart,
+    Baud, DeviceToHost, GnssSettings, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period,
+    SendFiller, Sentences, StartGnss, StartTrigger, StopTrigger, TICK_HZ, TriggerStart,
 };
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::motion::Motion;
@@ -170,7 +170,7 @@ fn measure(args: &Args) -> Result<Figures> {
     start(&mut rig, &mut link, Period::MIN, MIN_PULSE_WIDTH)?;
     let name = "trigger at 1 kHz";
     figures.loads.push(load(name, &mut rig, &mut link, 10)?);
-    link.request(&mut rig, Command::TriggerStop)?;
+    link.request(&mut rig, StopTrigger(Output::Camera))?;
     filler(&mut rig, &mut link)?;
     figures.loads.push(load(
         "streaming as much as USB takes",
@@ -225,14 +225,14 @@ impl Figures {
 /// Starts the outputs 2 to 4 at 30, 30 and 5 fps and the pulse per second, as a
 /// lidar wants it.
 fn start_outputs(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
-    for (output, fps) in Output::ALL.into_iter().zip([30, 30, 5]) {
-        let action = OutputAction::Start(OutputStart {
+    for (output, fps) in Output::FURTHER.into_iter().zip([30, 30, 5]) {
+        let start = TriggerStart {
             period: Period::from_ticks(TICK_HZ / fps),
             width: 100 * (TICK_HZ / 1_000_000),
             first_edge: None,
             first_fraction: 0,
-        });
-        link.request(rig, Command::Output { output, action })?;
+        };
+        link.request(rig, StartTrigger { output, start })?;
     }
     let settings = GnssSettings {
         utc_at_zero: 1_800_000_000,
@@ -243,7 +243,7 @@ fn start_outputs(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
         pulse_width: TICK_HZ / 50,
         pulse_inverted: false,
     };
-    link.request(rig, Command::GnssStart(settings))?;
+    link.request(rig, StartGnss(settings))?;
     rig.run_for(SimDuration::from_secs(1))?;
     Ok(())
 }
@@ -254,8 +254,10 @@ fn start(rig: &mut Sim, link: &mut BoardLink, period: Period, width: u32) -> Res
         period,
         width,
         first_edge: None,
+        first_fraction: 0,
     };
-    link.request(rig, Command::TriggerStart(start))?;
+    let output = Output::Camera;
+    link.request(rig, StartTrigger { output, start })?;
     rig.run_for(SimDuration::from_secs(1))?;
     Ok(())
 }
@@ -264,7 +266,7 @@ fn start(rig: &mut Sim, link: &mut BoardLink, period: Period, width: u32) -> Res
 fn filler(rig: &mut Sim, link: &mut BoardLink) -> Result<()> {
     link.request(
         rig,
-        Command::Filler {
+        SendFiller {
             bytes_per_second: u32::MAX,
         },
     )?;

@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use protocol::{
-    Command, Failure as SelfTestFailure, HostToDevice, MAX_FRAME, SELF_TEST_KEY, encode,
+    Failure as SelfTestFailure, HostToDevice, MAX_FRAME, SELF_TEST_KEY, SelfTest, encode,
 };
 
 use super::plan::Fault;
@@ -142,10 +142,11 @@ impl Scene {
     fn hang(&mut self) {
         let command = HostToDevice {
             id: u32::MAX,
-            command: Command::SelfTest {
+            command: SelfTest {
                 key: SELF_TEST_KEY,
                 failure: SelfTestFailure::Stall,
-            },
+            }
+            .into(),
         };
         let mut buffer = [0; MAX_FRAME];
         if let Ok(frame) = encode(&command, &mut buffer) {

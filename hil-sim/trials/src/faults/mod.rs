@@ -41,7 +41,7 @@ use board::Board;
 use board::StreamCounts;
 use board::imu::Scale;
 use phone::task::PhoneTask;
-use protocol::{Period, TICK_HZ, TriggerStart};
+use protocol::{Output, Period, TICK_HZ, TriggerStart};
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
@@ -310,13 +310,13 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
         return Ok(());
     };
     host.trigger_started = true;
-    let status = host.call(|board| {
-        board.start_trigger(TriggerStart {
-            period,
-            width: WIDTH,
-            first_edge: None,
-        })
-    })?;
+    let start = TriggerStart {
+        period,
+        width: WIDTH,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    let status = host.call(|board| board.start_trigger(Output::Camera, start))?;
     let train = Train {
         first: status.next_edge,
         period,

@@ -5,7 +5,9 @@ use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use protocol::{Command, Decoder, DeviceToHost, Hello, HostToDevice, ImuState, Status, Ticks};
+use protocol::{
+    Command, Decoder, DeviceToHost, Hello, HostToDevice, ImuState, StartTrigger, Status, Ticks,
+};
 
 use super::happenings::{Flood, Turn};
 use super::plan::Plan;
@@ -194,10 +196,11 @@ impl Scene {
     fn listen(&mut self, mut bytes: &[u8]) {
         while let Some(item) = self.commands.next(&mut bytes) {
             if let Ok(HostToDevice {
-                command: Command::TriggerStart(start),
+                command: Command::StartTrigger(StartTrigger { output, start }),
                 ..
             }) = item
                 && let Some(first) = start.first_edge
+                && output.is_camera()
                 && self.recording
             {
                 let train = Train {

@@ -163,6 +163,7 @@ fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {
     }
     for number in 0..SECONDS * 30 {
         let pulse = Pulse {
+            output: Output::Camera,
             seq: number as u32,
             train: 1,
             number,
@@ -172,6 +173,7 @@ fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {
         };
         writer.pulse(&pulse, None)?;
         let left = Pulse {
+            output: Output::Two,
             readback: None,
             ..pulse
         };

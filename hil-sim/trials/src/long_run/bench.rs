@@ -3,7 +3,10 @@
 use std::time::Duration;
 
 use board::{Conversation, Event, Stream as HostStream};
-use protocol::{Command, DeviceToHost, Period, Reply, Status, TICK_HZ, TriggerStart};
+use protocol::{
+    Command, DeviceToHost, Output, Period, Request, SendFiller, StartTrigger, Status, StopTrigger,
+    TICK_HZ, TriggerStart,
+};
 
 use super::{Growth, Interrupt, LongRunError, Options, Report};
 use crate::board_truth::{BoardTruth, Compared, Train, Wrong};
@@ -169,15 +172,15 @@ impl Bench {
             period,
             width: WIDTH,
             first_edge: None,
+            first_fraction: 0,
         };
-        match self.ask(Command::TriggerStart(start))? {
-            Reply::Trigger(status) => self.truth.started(Train {
-                first: status.next_edge,
-                period,
-                width: WIDTH,
-            }),
-            other => return Err(self.wrong(format!("{other:?}"))),
-        }
+        let output = Output::Camera;
+        let status = self.ask(StartTrigger { output, start })?;
+        self.truth.started(Train {
+            first: status.next_edge,
+            period,
+            width: WIDTH,
+        });
         // From here on nothing may be lost.
         self.conversation.start_counting();
         self.first_status = None;
@@ -186,7 +189,7 @@ impl Bench {
     }
 
     pub(super) fn stop(&mut self) -> Result<(), LongRunError> {
-        self.ask(Command::TriggerStop)?;
+        self.ask(StopTrigger(Output::Camera))?;
         for _ in 0..2 * STEPS_A_SECOND {
             self.step()?;
         }
@@ -195,13 +198,13 @@ impl Bench {
 
     pub(super) fn fill(&mut self, full: bool) -> Result<(), LongRunError> {
         let bytes_per_second = if full { u32::MAX } else { 0 };
-        self.ask(Command::Filler { bytes_per_second })?;
-        Ok(())
+        self.ask(SendFiller { bytes_per_second })
     }
 
     /// Sends a command and runs on until it is answered.
-    fn ask(&mut self, command: Command) -> Result<Reply, LongRunError> {
+    fn ask<R: Request>(&mut self, command: R) -> Result<R::Reply, LongRunError> {
         let now = Duration::from_nanos(self.rig.now().as_nanos());
+        let command: Command = command.into();
         let what = format!("{command:?}");
         let id = self.conversation.send(now, command, Duration::from_secs(2));
         let bytes = self.conversation.take_outgoing();
@@ -213,7 +216,8 @@ impl Bench {
             self.receive()?;
             if let Some(at) = self.answers.iter().position(|answer| answer.id == id) {
                 return match self.answers.swap_remove(at).result {
-                    Ok(reply) => Ok(reply),
+                    Ok(reply) => R::unwrap(reply)
+                        .ok_or_else(|| self.wrong(format!("{what} had another's reply"))),
                     Err(refusal) => Err(self.wrong(format!("{what} was refused: {refusal:?}"))),
                 };
             }
@@ -263,6 +267,9 @@ impl Bench {
             .map_err(|wrong| self.differs(wrong))?;
         let fields = &mut self.fields;
         match message {
+            DeviceToHost::Pulse(pulse) if !pulse.output.is_camera() => {
+                return Err(self.wrong("an output that was not started".to_owned()));
+            }
             DeviceToHost::Pulse(pulse) => {
                 fields.pulse_at.see(pulse.at.0);
                 fields.pulse_seq.see(pulse.seq.into());
@@ -290,9 +297,7 @@ impl Bench {
                 fields.status_seq.see(status.seq.into());
                 self.status(status)?;
             }
-            DeviceToHost::OutputPulse(_)
-            | DeviceToHost::OutputArrived(_)
-            | DeviceToHost::Pps(_) => {
+            DeviceToHost::Pps(_) => {
                 return Err(self.wrong("an output that was not started".to_owned()));
             }
             DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) => {}

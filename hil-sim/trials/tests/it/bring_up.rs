@@ -9,6 +9,7 @@ use crate::objects;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::Session;
+use protocol::{Failure, SELF_TEST_KEY, SelfTest};
 use rig::jumpers::Jumpers;
 use rig::mpu9150::Fault;
 use rig::random::Seed;
@@ -27,12 +28,16 @@ struct Bench {
 
 impl Bench {
     fn new(seed: u64, jumpers: Jumpers) -> Self {
+        Self::at_speed(seed, jumpers, 10.0)
+    }
+
+    fn at_speed(seed: u64, jumpers: Jumpers, speed: f64) -> Self {
         let mut config = RigConfig::published(Seed(seed));
         config.depth_camera = None;
         let jumpers = Arc::new(Mutex::new(jumpers));
         let board = wiring::board().model(Arc::clone(&jumpers));
         let pace = Pace {
-            speed: Some(10.0),
+            speed: Some(speed),
             wait_for_host: false,
         };
         Self {
@@ -112,6 +117,7 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         "read-back",
         "strobe input",
         "pulse width",
+        "pulse width of output 2",
         "output 2 beside the trigger",
         "sample rate",
         "data-ready",
@@ -119,8 +125,12 @@ fn a_board_in_order_passes_with_somebody_at_its_wires() {
         "throughput",
         "a host that does not read",
         "handlers",
+        "handler of the trigger",
+        "handler of the outputs",
+        "handler of the hand-over",
+        "handler of USB",
     ] {
-        verdicts(&report, name);
+        assert_eq!(verdicts(&report, name).len(), 1, "{name}");
     }
     objects::check("bring-up", &[&report]);
     let page = std::fs::read_to_string(bench.out().join("bring-up.html")).unwrap();
@@ -183,4 +193,38 @@ fn a_board_in_use_is_left_alone() {
     assert!(said.contains("trigger stop"), "{said}");
     assert!(trigger(&["status"]).contains("running"));
     assert!(!bench.out().join("bring-up.json").exists());
+}
+
+/// Slower than the gap between two pulses leaves it, though no edge comes late by it.
+#[test]
+fn a_slow_handler_fails() {
+    let _turn = turn::beside_others();
+    let bench = Bench::new(34, Jumpers::default());
+    let mut board = board::Board::open(bench.rig.port().to_str()).unwrap();
+    let (key, failure) = (SELF_TEST_KEY, Failure::SlowHandler);
+    board.call(SelfTest { key, failure }).unwrap();
+    drop(board);
+    let said = Session::start(&mut bench.command(&["--part=link", "--hands-off"])).ends_with(3);
+    let report = bench.report();
+    for name in ["handlers", "handler of the trigger"] {
+        assert_eq!(verdicts(&report, name)[0].0, "fail", "{said}");
+    }
+    for name in ["handler of the outputs", "handler of USB", "throughput"] {
+        assert_eq!(verdicts(&report, name)[0].0, "pass", "{said}");
+    }
+    assert!(said.contains("a handler of higher priority that takes too long"));
+}
+
+/// At the speed of time, so that the computer's clock is the board's.
+#[test]
+fn the_crystal_is_compared_with_the_computers_clock() {
+    let _turn = turn::alone();
+    let arguments = ["--part=clock", "--clock-time=8s", "--hands-off"];
+    for (speed, verdict, code) in [(1.0, "pass", 0), (1.01, "fail", 3)] {
+        let bench = Bench::at_speed(35, Jumpers::default(), speed);
+        let said = Session::start(&mut bench.command(&arguments)).ends_with(code);
+        let (found, measured) = &verdicts(&bench.report(), "crystal")[0];
+        assert_eq!(found, verdict, "{said}");
+        assert!(measured.contains("the chip at 36."), "{measured}");
+    }
 }

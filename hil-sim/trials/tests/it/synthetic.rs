@@ -298,6 +298,7 @@ fn make_train(
             break;
         }
         train.push(Pulse {
+            output: protocol::Output::Camera,
             seq: number as u32,
             train: 1,
             number: number as u64,

@@ -52,7 +52,7 @@ impl Link for Scripted {
             }));
             self.say(&DeviceToHost::Answer(Answer {
                 id: command.id,
-                result: Ok(Reply::Done),
+                result: Ok(Reply::SayHello(())),
             }));
             self.filler(&after);
         }
@@ -81,7 +81,7 @@ fn what_lay_in_the_buffers_before_the_connection_is_no_loss() {
     }
     assert_eq!(board.conversation().counts().lost(), 0);
     // From then on gaps are losses.
-    board.call(&Command::Hello).unwrap();
+    board.call(SayHello).unwrap();
     let lost = std::iter::from_fn(|| board.next_event(Duration::ZERO).unwrap())
         .filter(|event| matches!(event, Event::Lost { .. }))
         .count();

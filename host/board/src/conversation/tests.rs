@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 use protocol::{
-    Filler, ImuFlags, ImuSample, MAX_FILLER, Refusal, Reply, ResetCause, SELF_TEST_KEY,
+    Filler, ImuFlags, ImuSample, MAX_FILLER, Output, Refusal, Reply, ResetCause, SELF_TEST_KEY,
+    SayHello, SelfTest, StopTrigger,
 };
 
 use super::*;
@@ -45,8 +46,8 @@ const SECOND: Duration = Duration::from_secs(1);
 #[test]
 fn an_answer_finds_its_command_and_a_late_one_finds_none() {
     let mut conversation = Conversation::new(40);
-    let first = conversation.send(Duration::ZERO, Command::Hello, SECOND);
-    let second = conversation.send(Duration::ZERO, Command::TriggerStop, SECOND * 3);
+    let first = conversation.send(Duration::ZERO, SayHello, SECOND);
+    let second = conversation.send(Duration::ZERO, StopTrigger(Output::Camera), SECOND * 3);
     assert_eq!((first, second), (40, 41));
 
     conversation.tick(SECOND);
@@ -54,7 +55,7 @@ fn an_answer_finds_its_command_and_a_late_one_finds_none() {
 
     let late = DeviceToHost::Answer(Answer {
         id: first,
-        result: Ok(Reply::Done),
+        result: Ok(Reply::SayHello(())),
     });
     let refused = Answer {
         id: second,
@@ -70,11 +71,11 @@ fn an_answer_finds_its_command_and_a_late_one_finds_none() {
 #[test]
 fn outgoing_bytes_decode_to_the_commands_even_after_garbage() {
     let mut conversation = Conversation::new(0);
-    let command = Command::SelfTest {
+    let command = SelfTest {
         key: SELF_TEST_KEY,
         failure: protocol::Failure::Panic,
     };
-    conversation.send(Duration::ZERO, command.clone(), SECOND);
+    conversation.send(Duration::ZERO, command, SECOND);
     let mut bytes = vec![1, 2, 3];
     bytes.extend(conversation.take_outgoing());
     assert!(conversation.take_outgoing().is_empty());
@@ -83,7 +84,10 @@ fn outgoing_bytes_decode_to_the_commands_even_after_garbage() {
     assert!(matches!(decoder.next(&mut input), Some(Err(_))));
     assert_eq!(
         decoder.next(&mut input),
-        Some(Ok(HostToDevice { id: 0, command }))
+        Some(Ok(HostToDevice {
+            id: 0,
+            command: command.into()
+        }))
     );
 }
 
@@ -164,7 +168,7 @@ fn what_was_dropped_while_the_line_was_cut_shows_as_loss() {
     conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
     conversation.receive(&frame(&sample(0)));
     conversation.receive(&frame(&sample(1))[..5]);
-    let id = conversation.send(Duration::ZERO, Command::Hello, SECOND);
+    let id = conversation.send(Duration::ZERO, SayHello, SECOND);
     conversation.cut();
     conversation.receive(&frame(&hello(1, PROTOCOL_VERSION)));
     conversation.receive(&frame(&sample(500)));

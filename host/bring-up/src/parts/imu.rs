@@ -1,11 +1,11 @@
 //! Data-ready, and the recovery from an unplugged SDA.
 
-use board::imu::Spread;
-use protocol::{ImuClock, ImuFlags, ImuSetup, ImuState, MIN_PULSE_WIDTH, Status, TickDelta};
+use board::imu::{Scale, Summary};
+use protocol::{ImuClock, ImuSetup, ImuState, MIN_PULSE_WIDTH, Status, TickDelta};
 
 use super::{HANDS_TIME, PERIOD, Session, ticks};
 use crate::bench::{Heard, millis};
-use crate::train::{Extent, Trains};
+use crate::train::Trains;
 use crate::{BringUpError, HandsOn, Histogram};
 
 /// How long samples must come again without a break, at 500 a second.
@@ -14,7 +14,9 @@ const IMU_BACK: TickDelta = millis(1_000);
 impl Session<'_> {
     pub(super) fn imu(&mut self) -> Result<(), BringUpError> {
         let setup = self.board.imu()?;
-        if setup.status.state != ImuState::Running {
+        let scale = Scale::of(&setup);
+        let running = setup.status.state == ImuState::Running;
+        let Some(scale) = scale.filter(|_| running) else {
             self.check(
                 "data-ready",
                 false,
@@ -23,32 +25,34 @@ impl Session<'_> {
                 "the IMU's supply, SCL, SDA with their pull-ups, or INT at PA1",
             );
             return Ok(());
-        }
+        };
         let heard = self.hear(millis(10_000))?;
         let after = self.board.imu()?;
-        self.data_ready(&setup, &after, &heard);
+        self.data_ready(&scale, &setup, &after, &heard);
         self.recovery()
     }
 
-    fn data_ready(&mut self, before: &ImuSetup, after: &ImuSetup, heard: &Heard) {
-        let intervals: Vec<u64> = (heard.imu.windows(2))
-            .filter_map(|pair| {
-                let [a, b] = pair else { return None };
-                let broken = b.flags.has(ImuFlags::AFTER_LOSS) || b.seq != a.seq.wrapping_add(1);
-                (!broken).then(|| (b.at - a.at).unsigned_abs())
-            })
-            .collect();
-        self.intervals = histogram(&intervals);
-        let mut spread = Spread::default();
-        let mut extent = Extent::default();
-        for &interval in &intervals {
-            spread.add(interval as f64);
-            extent.add(i64::try_from(interval).unwrap_or(i64::MAX));
+    fn data_ready(&mut self, scale: &Scale, before: &ImuSetup, after: &ImuSetup, heard: &Heard) {
+        let mut summary = Summary::default();
+        let mut intervals = Vec::new();
+        let mut expected = None;
+        for raw in &heard.imu {
+            if expected.is_some_and(|seq| seq != raw.seq) {
+                summary.gap();
+            }
+            expected = Some(raw.seq.wrapping_add(1));
+            intervals.extend(summary.add(&scale.apply(raw)));
         }
+        self.intervals = histogram(&intervals);
+        let report = summary.report();
         let nominal = f64::from(before.interval);
-        let off_ppm = spread
-            .mean()
-            .map_or(f64::NAN, |mean| (mean / nominal - 1.0) * 1e6);
+        let mean = report.interval_mean_ticks.unwrap_or(f64::NAN);
+        let off_ppm = (mean / nominal - 1.0) * 1e6;
+        let extent = report.interval_min_ticks.zip(report.interval_max_ticks);
+        let extent = extent.map_or_else(
+            || String::from("nothing"),
+            |(least, most)| format!("{least} to {most} ticks"),
+        );
         let external = after.status.clock == ImuClock::External;
         // On PA8's clock the sensor divides the board's own crystal.
         let most_ppm = if external { 10.0 } else { 15_000.0 };
@@ -56,9 +60,8 @@ impl Session<'_> {
             "sample rate",
             off_ppm.abs() <= most_ppm,
             format!(
-                "{off_ppm:+.1} ppm from nominal, {:?} clock; intervals {}",
-                after.status.clock,
-                ticks(extent)
+                "{off_ppm:+.1} ppm from nominal, {:?} clock; intervals {extent}",
+                after.status.clock
             ),
             format!("{most_ppm} ppm on this clock"),
             "the wire from PA8 to CLKIN; without it the sensor's own clock is off by up to 1 %",

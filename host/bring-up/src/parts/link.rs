@@ -3,7 +3,9 @@
 use std::time::Duration;
 
 use board::imu::Scale;
-use protocol::{Dropped, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Status, TICK_HZ, TickDelta};
+use protocol::{
+    CORE_HZ, Dropped, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Status, TickDelta,
+};
 use twist_sync::robust::median;
 
 use super::{PERIOD, Session};
@@ -17,11 +19,22 @@ const MIN_THROUGHPUT: f64 = 300e3;
 /// How long the host does not read.
 const STALL: Duration = Duration::from_millis(1_500);
 
-/// How long the clocks are compared.
-const CLOCK_TIME: Duration = Duration::from_secs(60);
-
 /// The crystal's 30 ppm and a computer's 70.
 const MAX_CLOCK_PPM: f64 = 100.0;
+
+const SLOW: &str = "wait states, or a handler of higher priority that takes too long";
+
+/// Which handler, by what name, and the longest that it may take, in µs: the trigger's
+/// the gap between two pulses, the outputs' the shortest pulse, whose end they arm. The
+/// two below are held off by those, and by each other; within a millisecond the queues
+/// before them do not fill (`EVENTS`, `OUTPUT_EVENTS` in the firmware).
+type Handler = (&'static str, fn(&Handlers) -> HandlerTime, f64);
+const HANDLERS: [Handler; 4] = [
+    ("handler of the trigger", |all| all.trigger, 20.0),
+    ("handler of the outputs", |all| all.outputs, 50.0),
+    ("handler of the hand-over", |all| all.handover, 1_000.0),
+    ("handler of USB", |all| all.usb, 1_000.0),
+];
 
 impl Session<'_> {
     pub(super) fn link(&mut self) -> Result<(), BringUpError> {
@@ -78,18 +91,33 @@ impl Session<'_> {
         let most = |of: fn(&Status) -> u32| heard.statuses.iter().map(of).max().unwrap_or(0);
         let latency = most(|status| status.trigger_latency.max(status.output_latency));
         let late = most(|status| status.trigger.late);
-        let busy = most(|status| status.trigger_busy);
         self.check(
             "handlers",
             latency <= MIN_PULSE_GAP && late == 0 && trains.grid_error.within(0, 0),
             format!(
-                "slowest {:.1} µs, {:.2} % of the time, {late} edges late",
-                micros(latency.into()),
-                f64::from(busy) / f64::from(TICK_HZ) * 100.0
+                "slowest {:.1} µs after its edge, {late} edges late",
+                micros(latency.into())
             ),
             format!("{:.0} µs, none late", micros(MIN_PULSE_GAP.into())),
-            "wait states, or a handler of higher priority that takes too long",
+            SLOW,
         );
+        let handlers: Vec<Handlers> = heard.statuses.iter().map(|s| s.handlers).collect();
+        for (name, of, limit_us) in HANDLERS {
+            let times = || handlers.iter().map(of);
+            let worst = cycles_us(times().map(|time| time.worst).max().unwrap_or(0));
+            let mean = cycles_us(times().map(|time| time.mean()).max().unwrap_or(0));
+            let busy = times().map(|time| time.cycles).max().unwrap_or(0);
+            self.check(
+                name,
+                worst <= limit_us,
+                format!(
+                    "worst {worst:.1} µs, mean {mean:.1} µs, {:.2} % of the time",
+                    f64::from(busy) / f64::from(CORE_HZ) * 100.0
+                ),
+                format!("{limit_us:.0} µs"),
+                SLOW,
+            );
+        }
         let load = most(|status| status.cpu_permille.into());
         let stack = |status: &Status| status.stack_used * 100 / status.stack_size.max(1);
         let stack = heard.statuses.iter().map(stack).max().unwrap_or(0);
@@ -105,15 +133,20 @@ impl Session<'_> {
         );
     }
 
-    pub(super) fn clock(&mut self) -> Result<(), BringUpError> {
+    pub(super) fn clock(&mut self, length: Duration) -> Result<(), BringUpError> {
+        const REASON: &str =
+            "the board does not run on its crystal, or the computer's clock is off";
         let scale = Scale::of(&self.board.imu()?);
-        let (mut temperature, mut best) = (None, Vec::new());
+        let (mut temperature, mut die, mut best) = (None, None, Vec::new());
         let begun = self.board.now();
-        while self.board.now().saturating_sub(begun) < CLOCK_TIME {
+        while self.board.now().saturating_sub(begun) < length {
             // Of ten exchanges the quickest: it waited least in any queue.
             let mut quickest: Option<(Duration, f64, f64)> = None;
             for _ in 0..10 {
                 let heard = self.hear(millis(50))?;
+                if let Some(status) = heard.statuses.last() {
+                    die = status.die_decidegrees;
+                }
                 if let (Some(scale), Some(sample)) = (&scale, heard.imu.last()) {
                     temperature = Some(scale.apply(sample).temperature);
                 }
@@ -129,20 +162,35 @@ impl Session<'_> {
         let slopes: Vec<f64> = (best.iter().zip(best.iter().skip(half)))
             .map(|((_, h0, b0), (_, h1, b1))| (b1 - b0) / (h1 - h0))
             .collect();
-        let ppm = median(&slopes).map_or(f64::NAN, |slope| (slope - 1.0) * 1e6);
-        let warmth = temperature.map_or_else(
-            || String::from("no temperature"),
-            |celsius| format!("the IMU at {celsius:.1} °C"),
+        let Some(slope) = median(&slopes) else {
+            self.skip("crystal", "too short a time to compare clocks", REASON);
+            return Ok(());
+        };
+        let ppm = (slope - 1.0) * 1e6;
+        let warmth = |celsius: Option<f64>| {
+            celsius.map_or_else(
+                || String::from("of unknown temperature"),
+                |celsius| format!("at {celsius:.1} °C"),
+            )
+        };
+        let warmth = format!(
+            "the chip {}, the IMU {}",
+            warmth(die.map(|tenths| f64::from(tenths) / 10.0)),
+            warmth(temperature)
         );
         self.check(
             "crystal",
             ppm.abs() <= MAX_CLOCK_PPM,
             format!("{ppm:+.1} ppm from this computer's clock, {warmth}"),
             format!("{MAX_CLOCK_PPM} ppm"),
-            "the board does not run on its crystal, or the computer's clock is off",
+            REASON,
         );
         Ok(())
     }
+}
+
+fn cycles_us(cycles: u32) -> f64 {
+    f64::from(cycles) * 1e6 / f64::from(CORE_HZ)
 }
 
 fn micros(ticks: i64) -> f64 {

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use protocol::{DeviceToHost, Period, TICK_HZ, TrainState, TriggerStart};
+use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
 
 use super::PortArg;
 use super::listen::{Heard, Listened, listen};
@@ -138,13 +138,15 @@ fn check_trigger(
 ) -> Result<(), Failure> {
     let before = board.trigger()?;
     let after = if before.state == TrainState::Stopped && !args.no_trigger {
-        board.start_trigger(TriggerStart {
+        let start = TriggerStart {
             period: Period::from_ticks(TICK_HZ / 30),
             width: 12 * TICK_HZ / 1_000_000,
             first_edge: None,
-        })?;
+            first_fraction: 0,
+        };
+        board.start_trigger(Output::Camera, start)?;
         let listened = listen_for(board, context, TRIGGER_TIME, |_| {});
-        let after = board.stop_trigger()?;
+        let after = board.stop_trigger(Output::Camera)?;
         listened?;
         after
     } else {

@@ -238,21 +238,20 @@ fn show_live(
 ) -> Result<(), RecordingError> {
     match message {
         DeviceToHost::Imu(raw) => topics.imu(&scale.apply(raw)),
-        DeviceToHost::Pulse(pulse) => topics.pulse(pulse, None),
+        DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => topics.pulse(pulse, None),
         DeviceToHost::Capture(capture) => topics.capture(capture, None),
-        DeviceToHost::OutputPulse(output) => {
+        DeviceToHost::Pulse(pulse) => {
             let name = profile.map_or_else(
-                || format!("output {}", output.output.number()),
-                |profile| profile.output_name(output.output),
+                || format!("output {}", pulse.output.number()),
+                |profile| profile.output_name(pulse.output),
             );
-            topics.output_pulse(&output.pulse, &name)
+            topics.output_pulse(pulse, &name)
         }
         DeviceToHost::Pps(pps) => topics.pps(pps, profile.map_or("gnss", Profile::lidar_name)),
         DeviceToHost::Status(status) => topics.status(status, board),
         DeviceToHost::Hello(_)
         | DeviceToHost::Answer(_)
         | DeviceToHost::Arrived(_)
-        | DeviceToHost::OutputArrived(_)
         | DeviceToHost::Filler(_) => Ok(()),
     }
 }

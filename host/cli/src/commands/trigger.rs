@@ -5,8 +5,7 @@ mod printed;
 
 use clap::Subcommand;
 use protocol::{
-    AlignPlan, Arrived, DeviceToHost, Output, OutputAction, OutputAlign, OutputStart, Period,
-    TICK_HZ, Ticks, TriggerAlign, TriggerStart, TriggerStatus,
+    AlignPlan, Arrived, DeviceToHost, Output, Period, TICK_HZ, Ticks, TriggerAlign, TriggerStart,
 };
 
 use self::printed::{PrintedArrival, PrintedMove, PrintedTrain};
@@ -17,7 +16,7 @@ use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use board::Event;
-use board::{Board, BoardError, Result as BoardResult};
+use board::{Board, BoardError};
 use evaluate::train::TrainGeometry;
 
 /// Options of `trigger`.
@@ -123,7 +122,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         )
         .next_step("give one of them, for example `trigger period --fps 30`"));
     }
-    let output = Output::from_number(args.output);
+    // The command line takes 1 to 4.
+    let output = Output::from_number(args.output).unwrap_or(Output::Camera);
     let fraction = match args.action {
         Action::Start { first_fraction, .. } => first_fraction,
         Action::Align {
@@ -131,14 +131,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         } => anchor_fraction,
         _ => 0,
     };
-    if output.is_none() && fraction != 0 {
+    if output.is_camera() && fraction != 0 {
         return Err(Failure::new(
             crate::outcome::ExitStatus::Usage,
             "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
         )
         .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4"));
     }
-    if output.is_some() && matches!(args.action, Action::Latency { .. }) {
+    if !output.is_camera() && matches!(args.action, Action::Latency { .. }) {
         return Err(Failure::new(
             ExitStatus::Usage,
             "the latency is measured on the camera's trigger, output 1",
@@ -153,43 +153,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
 /// One trigger output of a board.
 struct Target {
     board: Board,
-    /// None is the camera's.
-    output: Option<Output>,
-}
-
-impl Target {
-    /// Acts on the output; the camera's takes whole ticks only.
-    fn act(&mut self, action: OutputAction) -> BoardResult<TriggerStatus> {
-        let board = &mut self.board;
-        match (self.output, action) {
-            (Some(output), action) => board.output(output, action),
-            (None, OutputAction::Start(start)) => board.start_trigger(TriggerStart {
-                period: start.period,
-                width: start.width,
-                first_edge: start.first_edge,
-            }),
-            (None, OutputAction::Period(period)) => board.set_period(period),
-            (None, OutputAction::Stop) => board.stop_trigger(),
-            (None, OutputAction::Query | OutputAction::Align(_)) => board.trigger(),
-        }
-    }
-
-    fn align(&mut self, to: OutputAlign) -> BoardResult<AlignPlan> {
-        match self.output {
-            Some(output) => self.board.align_output(output, to),
-            None => self.board.align(TriggerAlign {
-                anchor: to.anchor,
-                period: to.period,
-                slew: to.slew,
-            }),
-        }
-    }
+    output: Output,
 }
 
 fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcome, Failure> {
-    let action = match *action {
+    let Target { board, output } = target;
+    let status = match *action {
         Action::Latency { train, pulses } => {
-            return latency::measure(&mut target.board, context, &train, pulses as usize);
+            return latency::measure(board, context, &train, pulses as usize);
         }
         Action::Start {
             period,
@@ -197,13 +168,14 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
             first_edge,
             first_fraction,
         } => {
-            let default_us = if target.output.is_none() { 12 } else { 100 };
-            OutputAction::Start(OutputStart {
+            let default_us = if output.is_camera() { 12 } else { 100 };
+            let start = TriggerStart {
                 period: period.given().unwrap_or(Period::from_ticks(TICK_HZ / 30)),
                 width: width_us.unwrap_or(default_us * (TICK_HZ / 1_000_000)),
                 first_edge: first_edge.map(Ticks),
                 first_fraction,
-            })
+            };
+            board.start_trigger(*output, start)?
         }
         Action::Align {
             anchor,
@@ -214,9 +186,9 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
         } => {
             let period = match period.given() {
                 Some(period) => period,
-                None => target.act(OutputAction::Query)?.period,
+                None => board.output(*output)?.period,
             };
-            let to = OutputAlign {
+            let to = TriggerAlign {
                 anchor: Ticks(anchor),
                 anchor_fraction,
                 period,
@@ -224,15 +196,15 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
             };
             return align(target, context, to, !no_wait);
         }
-        Action::Period { period } => period
-            .given()
-            .map_or(OutputAction::Query, OutputAction::Period),
-        Action::Stop => OutputAction::Stop,
-        Action::Status => OutputAction::Query,
+        Action::Period { period } => match period.given() {
+            Some(period) => board.set_period(*output, period)?,
+            None => board.output(*output)?,
+        },
+        Action::Stop => board.stop_trigger(*output)?,
+        Action::Status => board.output(*output)?,
     };
-    let status = target.act(action)?;
     let mut report = PrintedTrain::from(&status);
-    if target.output.is_some() {
+    if !target.output.is_camera() {
         report.readback.state = String::from("none on this output");
     }
     context.print(&report, || report.text(&status))?;
@@ -244,10 +216,10 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
 fn align(
     target: &mut Target,
     context: &Context,
-    to: OutputAlign,
+    to: TriggerAlign,
     wait: bool,
 ) -> Result<Outcome, Failure> {
-    let plan = target.align(to)?;
+    let plan = target.board.align(target.output, to)?;
     let mut report = PrintedMove::from(&plan);
     if !context.global.json {
         context.print(&report, || report.text())?;
@@ -278,12 +250,12 @@ fn wait_for_arrival(
     // In board time; a rig in which no time passes at all falls silent.
     let listened = listen(&mut target.board, context, |board, event| {
         let arrived = match &event {
-            Some(Event::Message(message)) => arrival(output, message),
+            Some(Event::Message(DeviceToHost::Arrived(arrived))) => Some(*arrived),
             _ => None,
         };
-        if let Some(arrived) =
-            arrived.filter(|arrived| arrived.pulse == planned.pulse && arrived.at == planned.at)
-        {
+        if let Some(arrived) = arrived.filter(|arrived| {
+            (arrived.output, arrived.pulse, arrived.at) == (output, planned.pulse, planned.at)
+        }) {
             return Ok(Heard::Done(Some(arrived)));
         }
         Ok(match event {
@@ -297,27 +269,10 @@ fn wait_for_arrival(
         Listened::Done(Some(arrived)) => return Ok((Some(arrived), Outcome::Good)),
         Listened::Done(None) | Listened::Quiet => {}
     }
-    if planned.has_come(&target.act(OutputAction::Query)?) {
+    if planned.has_come(&target.board.output(output)?) {
         tracing::warn!("the train runs on its grid, but its arrival was not reported");
         return Ok((None, Outcome::Loss));
     }
     let command = "arrival of the align";
     Err(BoardError::NoAnswer { command }.into())
-}
-
-/// The arrival that a message tells of, if it is one of this output.
-fn arrival(output: Option<Output>, message: &DeviceToHost) -> Option<Arrived> {
-    match (output, message) {
-        (None, DeviceToHost::Arrived(arrived)) => Some(*arrived),
-        (Some(output), DeviceToHost::OutputArrived(arrived)) if arrived.output == output => {
-            Some(Arrived {
-                command: arrived.command,
-                train: arrived.train,
-                pulse: arrived.pulse,
-                at: arrived.at,
-                remaining: arrived.remaining,
-            })
-        }
-        _ => None,
-    }
 }

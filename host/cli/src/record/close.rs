@@ -11,10 +11,10 @@ use super::twist::second_twist;
 use super::{Options, Stop};
 use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
-use board::Board;
 use board::Conversation;
 use phone::adb::copy_command;
 use phone::task::{Answer, PhoneTask, Request};
+use protocol::Output;
 use recording::writer::Writer;
 use verify::watch::Finding;
 
@@ -82,7 +82,7 @@ fn stop_devices(rig: &mut Rig<'_>) {
             let text = format!("a further output could not be stopped: {failure}");
             rig.journal.last_problem("outputs_not_stopped", text);
         }
-        if let Err(Stop::Failed(failure)) = rig.call(Board::stop_trigger) {
+        if let Err(Stop::Failed(failure)) = rig.call(|board| board.stop_trigger(Output::Camera)) {
             let text = format!("the trigger could not be stopped: {failure}");
             rig.journal.last_problem("trigger_not_stopped", text);
         }

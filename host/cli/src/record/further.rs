@@ -6,8 +6,8 @@
 //! exact to 2⁻³² ticks, so it stays on that pulse for ever.
 
 use protocol::{
-    GnssSettings, Output, OutputAction, OutputStart, Period, Refusal, Sentences, TICK_HZ, Ticks,
-    TrainState, TriggerStatus,
+    GnssSettings, Output, Period, Refusal, Sentences, TICK_HZ, Ticks, TrainState, TriggerStart,
+    TriggerStatus,
 };
 
 use super::Stop;
@@ -55,7 +55,7 @@ pub(super) fn stop(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let mut result = Ok(());
     for sensor in &profile.outputs {
         if let Some(output) = Output::from_number(sensor.output) {
-            let stopped = rig.call(|board| board.output(output, OutputAction::Stop));
+            let stopped = rig.call(|board| board.stop_trigger(output));
             result = result.and(stopped.map(drop));
         }
     }
@@ -77,24 +77,22 @@ fn start_output(rig: &mut Rig<'_>, sensor: &TriggerOutput) -> Result<(), Stop> {
         .next_step("set a smaller `every` in the profile")
     };
     let output = Output::from_number(sensor.output).ok_or_else(too_long)?;
-    let status = rig.call(|board| board.output(output, OutputAction::Query))?;
+    let status = rig.call(|board| board.output(output))?;
     if status.state != TrainState::Stopped {
-        rig.call(|board| board.output(output, OutputAction::Stop))?;
+        rig.call(|board| board.stop_trigger(output))?;
     }
     // A rig that runs faster than time, or a slow link, may have gone past the
     // first pulse when the command arrives: then once more, from farther ahead.
     for attempt in 0..ATTEMPTS {
         let camera = rig.call(Board::trigger)?;
         let start = joined(sensor, &camera, LEAD << attempt).ok_or_else(too_long)?;
-        let started = rig.call(
-            |board| match board.output(output, OutputAction::Start(start)) {
-                Err(BoardError::Refused {
-                    refusal: Refusal::TimeOutOfRange { .. },
-                    ..
-                }) if attempt + 1 < ATTEMPTS => Ok(false),
-                other => other.map(|_| true),
-            },
-        )?;
+        let started = rig.call(|board| match board.start_trigger(output, start) {
+            Err(BoardError::Refused {
+                refusal: Refusal::TimeOutOfRange { .. },
+                ..
+            }) if attempt + 1 < ATTEMPTS => Ok(false),
+            other => other.map(|_| true),
+        })?;
         if started {
             break;
         }
@@ -112,7 +110,7 @@ fn start_output(rig: &mut Rig<'_>, sensor: &TriggerOutput) -> Result<(), Stop> {
 
 /// The train of an output that joins the camera's, `lead` ticks from now at least;
 /// none if its period is out of bounds.
-fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<OutputStart> {
+fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<TriggerStart> {
     let ticks_per_us = f64::from(TICK_HZ / 1_000_000);
     let period = camera.period.0.checked_mul(sensor.every.into())?;
     let period = Some(Period(period)).filter(|period| period.in_bounds())?;
@@ -120,7 +118,7 @@ fn joined(sensor: &TriggerOutput, camera: &TriggerStatus, lead: u64) -> Option<O
     let pulses = lead.div_ceil(u64::from(camera.period.ticks().max(1)));
     let delay = sensor.delay_us * ticks_per_us * (1_u64 << FRACTION_BITS) as f64;
     let first = next + u128::from(pulses) * u128::from(camera.period.0) + delay.round() as u128;
-    Some(OutputStart {
+    Some(TriggerStart {
         period,
         width: (sensor.width_us * ticks_per_us).round() as u32,
         first_edge: Some(Ticks((first >> FRACTION_BITS) as u64)),

@@ -65,11 +65,15 @@ impl Observers {
 
     fn message(&mut self, message: &DeviceToHost) {
         match (message, &mut self.watch) {
-            (DeviceToHost::Pulse(pulse), Some(watch)) => watch.pulse(pulse, &mut self.findings),
+            (DeviceToHost::Pulse(pulse), Some(watch)) if pulse.output.is_camera() => {
+                watch.pulse(pulse, &mut self.findings);
+            }
             (DeviceToHost::Status(status), Some(watch)) => {
                 watch.status(status, &mut self.findings);
             }
-            (DeviceToHost::Arrived(arrived), _) => self.arrived = Some(*arrived),
+            (DeviceToHost::Arrived(arrived), _) if arrived.output.is_camera() => {
+                self.arrived = Some(*arrived);
+            }
             _ => {}
         }
     }
@@ -96,13 +100,19 @@ pub(super) fn take_message(
             observers.sample(&raw, &sample);
             (raw.at, writer.imu(&sample))
         }
-        DeviceToHost::Pulse(pulse) => (pulse.at, writer.pulse(&pulse, phone_time(pulse.at))),
+        DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {
+            (pulse.at, writer.pulse(&pulse, phone_time(pulse.at)))
+        }
+        DeviceToHost::Pulse(pulse) => {
+            let name = profile.output_name(pulse.output);
+            (pulse.at, writer.output_pulse(&pulse, &name))
+        }
         DeviceToHost::Capture(capture) => {
             let phone = phone_time(capture.at);
             (capture.at, writer.capture(&capture, phone))
         }
         DeviceToHost::Status(status) => (status.at, writer.status(&status, &link.id)),
-        DeviceToHost::Arrived(arrived) => {
+        DeviceToHost::Arrived(arrived) if arrived.output.is_camera() => {
             let text = format!(
                 "the trigger arrived at pulse {}, {} ticks from its grid",
                 arrived.pulse, arrived.remaining.0
@@ -110,11 +120,7 @@ pub(super) fn take_message(
             let written = writer.log(arrived.at, Severity::Info, "arrived", &text);
             (arrived.at, written)
         }
-        DeviceToHost::OutputPulse(output) => {
-            let name = profile.output_name(output.output);
-            (output.pulse.at, writer.output_pulse(&output.pulse, &name))
-        }
-        DeviceToHost::OutputArrived(arrived) => {
+        DeviceToHost::Arrived(arrived) => {
             let text = format!(
                 "{} arrived at pulse {}, {} ticks from its grid",
                 profile.output_name(arrived.output),

@@ -24,7 +24,7 @@ use crate::cli::Context;
 use board::Event;
 use board::transport::LinkError;
 use board::{Board, BoardError};
-use protocol::{Reply, Ticks};
+use protocol::{Pong, Reply, Ticks};
 use recording::profile::Profile;
 use recording::writer::Severity;
 
@@ -206,7 +206,7 @@ impl<'a> Rig<'a> {
             }
             Event::Answer(answer) => {
                 // Calls take their answers themselves.
-                if let Ok(Reply::Pong { received, .. }) = answer.result {
+                if let Ok(Reply::Ping(Pong { received, .. })) = answer.result {
                     let heard = self.link.board.now();
                     self.link.axis.answered(answer.id, heard, received);
                 }

@@ -2,7 +2,7 @@
 
 use indicatif::ProgressBar;
 use phone::task::Answer;
-use protocol::{Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
+use protocol::{Output, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::connect::{check_readback, preflight};
 use super::further;
@@ -68,16 +68,16 @@ fn start_trigger(rig: &mut Rig<'_>) -> Result<(), Stop> {
     };
     let status = rig.call(Board::trigger)?;
     if status.state != TrainState::Stopped {
-        rig.call(Board::stop_trigger)?;
+        rig.call(|board| board.stop_trigger(Output::Camera))?;
     }
     rig.trigger_started = true;
-    rig.call(|board| {
-        board.start_trigger(TriggerStart {
-            period,
-            width,
-            first_edge: None,
-        })
-    })?;
+    let start = TriggerStart {
+        period,
+        width,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    rig.call(|board| board.start_trigger(Output::Camera, start))?;
     rig.journal.info(
         "trigger",
         &format!("the trigger runs with a period of {period}"),
@@ -110,10 +110,11 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
     let alignment = planned.alignment;
     let align = TriggerAlign {
         anchor: alignment.anchor,
+        anchor_fraction: 0,
         period: Period(alignment.period_q32),
         slew: rig.profile.slew(),
     };
-    let plan = rig.call(|board| board.align(align))?;
+    let plan = rig.call(|board| board.align(Output::Camera, align))?;
     let alignment = Alignment {
         arrival_pulse: Some(plan.arrival_pulse),
         arrival: Some(plan.arrival),

@@ -3,7 +3,7 @@
 use frame_sync::alignment::phase_sigma_us_at;
 use std::collections::VecDeque;
 
-use protocol::{DeviceToHost, ImuState, Output, OutputPulse, Period, TICK_HZ, Ticks, TrainState};
+use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainState};
 
 use super::{
     Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
@@ -136,24 +136,24 @@ const fn state_word(state: TrainState) -> &'static str {
 impl Gauge {
     /// What the sensors of a rig are called.
     pub(crate) fn name_sensors(&mut self, profile: &Profile) {
-        for output in Output::ALL {
+        for output in Output::FURTHER {
             let number = output.number();
             let sensor = profile
                 .outputs
                 .iter()
                 .find(|sensor| sensor.output == number);
-            self.sensor(output).name = sensor.map(|sensor| sensor.name.clone());
+            if let Some(place) = self.sensor(output) {
+                place.name = sensor.map(|sensor| sensor.name.clone());
+            }
         }
         let lidar = profile.lidar.as_ref();
         self.sensors[LIDAR].name = lidar.map(|lidar| lidar.name.clone());
     }
 
-    fn sensor(&mut self, output: Output) -> &mut Connected {
-        &mut self.sensors[match output {
-            Output::Two => 0,
-            Output::Three => 1,
-            Output::Four => 2,
-        }]
+    /// What is connected to a further output.
+    fn sensor(&mut self, output: Output) -> Option<&mut Connected> {
+        let place = Output::FURTHER.iter().position(|&of| of == output)?;
+        self.sensors.get_mut(place)
     }
 
     /// What a session knows of its further phones by now.
@@ -181,7 +181,7 @@ impl Gauge {
                     self.sample(&scale.apply(raw));
                 }
             }
-            DeviceToHost::Pulse(pulse) => {
+            DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {
                 self.time(pulse.at);
                 self.pulses.add(pulse.at);
                 self.trigger.pulse = Some(pulse.number);
@@ -200,8 +200,7 @@ impl Gauge {
                 self.imu_running = Some(status.imu.state == ImuState::Running);
                 let trigger = &status.trigger;
                 self.trigger.state = state_word(trigger.state).to_owned();
-                for (output, status) in Output::ALL.into_iter().zip(&status.outputs) {
-                    let sensor = self.sensor(output);
+                for (sensor, status) in self.sensors.iter_mut().zip(&status.outputs) {
                     sensor.state = Some(status.state);
                     sensor.late = status.late;
                 }
@@ -223,11 +222,12 @@ impl Gauge {
                 // After a reset of the board its time is an earlier one.
                 self.now = hello.now;
             }
-            DeviceToHost::OutputPulse(OutputPulse { output, pulse }) => {
+            DeviceToHost::Pulse(pulse) => {
                 self.time(pulse.at);
-                let sensor = self.sensor(*output);
-                sensor.rate.add(pulse.at);
-                sensor.pulse = Some(pulse.number);
+                if let Some(sensor) = self.sensor(pulse.output) {
+                    sensor.rate.add(pulse.at);
+                    sensor.pulse = Some(pulse.number);
+                }
             }
             DeviceToHost::Pps(pps) => {
                 self.time(pps.at);
@@ -236,10 +236,7 @@ impl Gauge {
                 lidar.pulse = Some(lidar.pulse.map_or(1, |pulses| pulses.saturating_add(1)));
                 lidar.utc = Some(pps.utc);
             }
-            DeviceToHost::Arrived(_)
-            | DeviceToHost::Answer(_)
-            | DeviceToHost::OutputArrived(_)
-            | DeviceToHost::Filler(_) => {}
+            DeviceToHost::Arrived(_) | DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => {}
         }
     }
 
@@ -407,16 +404,14 @@ mod tests {
     fn sensors_are_shown_by_name_once_there_is_something_to_them() {
         let mut gauge = Gauge::default();
         let pulse = |k: u64| {
-            DeviceToHost::OutputPulse(OutputPulse {
+            DeviceToHost::Pulse(protocol::Pulse {
                 output: Output::Three,
-                pulse: protocol::Pulse {
-                    seq: k as u32,
-                    train: 1,
-                    number: k,
-                    at: Ticks(k * 9_600_000),
-                    aligned: true,
-                    readback: None,
-                },
+                seq: k as u32,
+                train: 1,
+                number: k,
+                at: Ticks(k * 9_600_000),
+                aligned: true,
+                readback: None,
             })
         };
         for k in 0..11 {

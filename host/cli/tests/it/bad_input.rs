@@ -28,6 +28,7 @@ const CASES: &[Case] = &[
         "/no/such/port",
         "smartdepthsync ports",
     ),
+    ("bring-up --clock-time soon", 2, "soon", "90s"),
     (
         "imu --port /no/such/port",
         5,

@@ -28,6 +28,7 @@ fn recording(parent: &Path) -> PathBuf {
         writer
             .pulse(
                 &Pulse {
+                    output: protocol::Output::Camera,
                     seq: number as u32,
                     train: 1,
                     number,

@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use protocol::{
-    Command, DeviceToHost, HostToDevice, ImuFlags, ImuSample, MAX_FRAME, Pulse, Ticks, encode,
+    Command, DeviceToHost, HostToDevice, ImuFlags, ImuSample, MAX_FRAME, Output, Period, Pulse,
+    SayHello, SendFiller, SetPeriod, StopTrigger, Ticks, encode,
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
@@ -144,6 +145,7 @@ fn bytes_of_the_link() {
             gyro: [4, 5, -6],
         });
         let pulse = DeviceToHost::Pulse(Pulse {
+            output: Output::Camera,
             seq: number,
             train: 1,
             number: number.into(),
@@ -181,13 +183,14 @@ fn commands_to_the_board() {
     let mut stream = vec![5];
     let mut buffer = [0; MAX_FRAME];
     for id in 0..20 {
+        let output = Output::Camera;
+        let period = Period::from_ticks(1_600_000);
+        let bytes_per_second = 1_000 * id;
         for command in [
-            Command::Hello,
-            Command::Filler {
-                bytes_per_second: 1_000 * id,
-            },
-            Command::TriggerPeriod(protocol::Period::from_ticks(1_600_000)),
-            Command::TriggerStop,
+            Command::from(SayHello),
+            SendFiller { bytes_per_second }.into(),
+            SetPeriod { output, period }.into(),
+            StopTrigger(output).into(),
         ] {
             let sent = HostToDevice { id, command };
             stream.extend_from_slice(encode(&sent, &mut buffer).unwrap());

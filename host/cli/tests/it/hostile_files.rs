@@ -363,6 +363,7 @@ fn sensors_with_names_alike_lose_nothing() {
     for number in 0..30_u64 {
         for (index, name) in (0..).zip(names) {
             let pulse = Pulse {
+                output: protocol::Output::Two,
                 seq: number as u32,
                 train: 1,
                 number,
@@ -448,11 +449,11 @@ fn no_escape_sequence_reaches_the_terminal() {
     greeting.last_panic = Some(WILD.try_into().unwrap());
     greeting.git_revision = "\u{1b}[2Jrev".try_into().unwrap();
     let board = StandIn::new(move |command: HostToDevice| match command.command {
-        protocol::Command::Hello => {
+        protocol::Command::SayHello(_) => {
             let mut bytes = frame(&DeviceToHost::Hello(greeting.clone()));
             bytes.extend(frame(&DeviceToHost::Answer(Answer {
                 id: command.id,
-                result: Ok(Reply::Done),
+                result: Ok(Reply::SayHello(())),
             })));
             bytes
         }

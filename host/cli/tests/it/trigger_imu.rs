@@ -6,9 +6,10 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use crate::support::{Behaviour, StandIn, code, frame, polite, run, text};
 use protocol::{
-    AccelRange, AlignPlan, Answer, Arrived, Command, DeviceToHost, GyroRange, HostToDevice,
-    ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, LowPass, Period,
-    Readback, Refusal, Reply, TickDelta, Ticks, TrainState, TriggerStatus,
+    AccelRange, AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost,
+    GyroRange, HostToDevice, ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSetup, ImuState,
+    ImuStatus, LowPass, Output, Period, QueryImu, QueryTrigger, Readback, Refusal, Reply, Request,
+    StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
 };
 use serde_json::Value;
 
@@ -43,13 +44,14 @@ struct TriggerStandIn {
 
 impl Behaviour for TriggerStandIn {
     fn command(&mut self, command: HostToDevice) -> Vec<u8> {
-        if matches!(command.command, Command::Hello) {
+        if matches!(command.command, Command::SayHello(_)) {
             return polite(command);
         }
         self.commands.send(command.command.clone()).unwrap();
         let mut bytes = answer(command.id, (self.result)(&command.command));
-        if matches!(command.command, Command::TriggerAlign(_)) {
+        if let Command::AlignTrigger(align) = command.command {
             bytes.extend(frame(&DeviceToHost::Arrived(Arrived {
+                output: align.output,
                 command: command.id,
                 train: 1,
                 pulse: 44,
@@ -69,10 +71,12 @@ fn trigger(result: fn(&Command) -> Result<Reply, Refusal>) -> (StandIn, Receiver
 #[test]
 fn a_period_in_microseconds_reaches_the_board_exactly() {
     let (board, received) = trigger(|command| match command {
-        Command::TriggerStart(start) => Ok(Reply::Trigger(status(start.period, start.width))),
+        Command::StartTrigger(StartTrigger { start, .. }) => {
+            Ok(StartTrigger::wrap(status(start.period, start.width)))
+        }
         _ => Err(Refusal::TriggerStopped),
     });
-    let output = run(&[
+    let done = run(&[
         "trigger",
         "--port",
         &board.path,
@@ -85,14 +89,15 @@ fn a_period_in_microseconds_reaches_the_board_exactly() {
         "--first-edge",
         "4800000000",
     ]);
-    assert_eq!(code(&output), 0, "{output:?}");
-    let Command::TriggerStart(start) = received.recv().unwrap() else {
+    assert_eq!(code(&done), 0, "{done:?}");
+    let Command::StartTrigger(StartTrigger { output, start }) = received.recv().unwrap() else {
         panic!("another command");
     };
+    assert_eq!(output, Output::Camera);
     assert_eq!(start.period, Period::from_picos(33_330_652_540).unwrap());
     assert_eq!(start.width, 600);
     assert_eq!(start.first_edge, Some(Ticks(4_800_000_000)));
-    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let report: Value = serde_json::from_slice(&done.stdout).unwrap();
     assert_eq!(report["period_ns"], "33330652.540");
     assert_eq!(report["period_ticks"], 1_599_871);
     assert_eq!(report["readback"]["state"], "ok");
@@ -103,11 +108,11 @@ fn a_period_in_microseconds_reaches_the_board_exactly() {
 #[test]
 fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
     let (board, received) = trigger(|command| match command {
-        Command::TriggerQuery => Ok(Reply::Trigger(status(
+        Command::QueryTrigger(_) => Ok(QueryTrigger::wrap(status(
             Period(0x1234_5678_9ABC_DEF0 >> 8),
             576,
         ))),
-        Command::TriggerAlign(_) => Ok(Reply::Align(AlignPlan {
+        Command::AlignTrigger(_) => Ok(AlignTrigger::wrap(AlignPlan {
             shift: TickDelta(-480),
             frames: 3,
             arrival_pulse: 44,
@@ -127,8 +132,11 @@ fn an_align_is_waited_for_and_keeps_the_period_unless_told() {
         "10",
     ]);
     assert_eq!(code(&output), 0, "{output:?}");
-    assert_eq!(received.recv().unwrap(), Command::TriggerQuery);
-    let Command::TriggerAlign(align) = received.recv().unwrap() else {
+    assert_eq!(
+        received.recv().unwrap(),
+        QueryTrigger(Output::Camera).into()
+    );
+    let Command::AlignTrigger(AlignTrigger { to: align, .. }) = received.recv().unwrap() else {
         panic!("another command");
     };
     assert_eq!(align.anchor, Ticks(4_416_000_000));
@@ -184,34 +192,38 @@ struct ImuStandIn {
     missing: u32,
 }
 
+impl ImuStandIn {
+    fn setup(&self) -> ImuSetup {
+        ImuSetup {
+            config: ImuConfig {
+                divider: 1,
+                low_pass: LowPass::Hz188,
+                gyro_range: GyroRange::Dps500,
+                accel_range: AccelRange::G4,
+            },
+            interval: 96_000,
+            gyro_lsb_per_dps_times_10: 655,
+            accel_lsb_per_g: 8_192,
+            gyro_delay_us: 1_900,
+            accel_delay_us: 2_000,
+            status: ImuStatus {
+                state: ImuState::Running,
+                clock: ImuClock::External,
+                samples: self.next,
+                late: 0,
+                overcaptures: 0,
+                recoveries: 0,
+                last_fault: None,
+            },
+        }
+    }
+}
+
 impl Behaviour for ImuStandIn {
     fn command(&mut self, command: HostToDevice) -> Vec<u8> {
         match command.command {
-            Command::ImuQuery | Command::ImuConfigure(_) => answer(
-                command.id,
-                Ok(Reply::Imu(ImuSetup {
-                    config: ImuConfig {
-                        divider: 1,
-                        low_pass: LowPass::Hz188,
-                        gyro_range: GyroRange::Dps500,
-                        accel_range: AccelRange::G4,
-                    },
-                    interval: 96_000,
-                    gyro_lsb_per_dps_times_10: 655,
-                    accel_lsb_per_g: 8_192,
-                    gyro_delay_us: 1_900,
-                    accel_delay_us: 2_000,
-                    status: ImuStatus {
-                        state: ImuState::Running,
-                        clock: ImuClock::External,
-                        samples: self.next,
-                        late: 0,
-                        overcaptures: 0,
-                        recoveries: 0,
-                        last_fault: None,
-                    },
-                })),
-            ),
+            Command::QueryImu(_) => answer(command.id, Ok(QueryImu::wrap(self.setup()))),
+            Command::ConfigureImu(_) => answer(command.id, Ok(ConfigureImu::wrap(self.setup()))),
             _ => polite(command),
         }
     }

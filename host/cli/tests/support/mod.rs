@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use protocol::{
-    Answer, Decoder, DeviceToHost, Hello, HostToDevice, MAX_FRAME, PROTOCOL_VERSION, Reply,
+    Answer, Decoder, DeviceToHost, Hello, HostToDevice, MAX_FRAME, PROTOCOL_VERSION, Pong, Reply,
     ResetCause, TICK_HZ, Ticks, encode,
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -131,16 +131,16 @@ pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
         }))
     };
     match command.command {
-        protocol::Command::Hello => {
+        protocol::Command::SayHello(_) => {
             let mut bytes = frame(&DeviceToHost::Hello(hello()));
-            bytes.extend(answer(Reply::Done));
+            bytes.extend(answer(Reply::SayHello(())));
             bytes
         }
-        protocol::Command::Ping { host_time } => answer(Reply::Pong {
-            host_time,
+        protocol::Command::Ping(ping) => answer(Reply::Ping(Pong {
+            host_time: ping.host_time,
             received: Ticks(48_000_000 * 91),
             sent: Ticks(48_000_000 * 91 + 900),
-        }),
+        })),
         _ => Vec::new(),
     }
 }

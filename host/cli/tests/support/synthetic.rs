@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use board::imu::Sample;
 use protocol::{
     CaptureChannel, DeviceToHost, Dropped, Edge, ImuClock, ImuFlags, ImuSample, ImuState,
-    ImuStatus, LinkCounters, MAX_FRAME, Output, OutputPulse, Period, Pulse, Readback, Status,
-    TICK_HZ, Ticks, TrainState, TriggerStatus, encode,
+    ImuStatus, LinkCounters, MAX_FRAME, Output, Period, Pulse, Readback, Status, TICK_HZ, Ticks,
+    TrainState, TriggerStatus, encode,
 };
 use recording::profile::Profile;
 use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
@@ -87,7 +87,8 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
             },
         },
         trigger_latency: 5,
-        trigger_busy: 6,
+        handlers: protocol::Handlers::default(),
+        die_decidegrees: None,
         strobe_overcaptures: 0,
         strobe_floods: 0,
         imu: ImuStatus {
@@ -206,6 +207,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
             1 => {
                 pulses += 1;
                 let pulse = Pulse {
+                    output: Output::Camera,
                     seq: number as u32,
                     train: 1,
                     number,
@@ -233,6 +235,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
             4 if wrong.outputs_lost.contains(&number) => {}
             4 => {
                 let pulse = Pulse {
+                    output: Output::Two,
                     seq: number as u32,
                     train: 1,
                     number,
@@ -240,10 +243,7 @@ pub(crate) fn make(parent: &Path, wrong: Wrong) -> PathBuf {
                     aligned: false,
                     readback: None,
                 };
-                maker.frame(&DeviceToHost::OutputPulse(OutputPulse {
-                    output: Output::Two,
-                    pulse,
-                }));
+                maker.frame(&DeviceToHost::Pulse(pulse));
                 maker.writer.output_pulse(&pulse, "left").unwrap();
             }
             _ => {

@@ -46,6 +46,7 @@ fn chip_of(revision: Revision) -> Soc {
             synchroniser: 2,
             revision,
             broken_rng: false,
+            die: Default::default(),
         },
     )
 }

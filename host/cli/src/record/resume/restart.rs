@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use protocol::{Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
+use protocol::{Output, Period, Refusal, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::link::BoardLink;
@@ -113,7 +113,7 @@ impl BoardLink<'_> {
             Some(tried) => tried,
             None => {
                 if runs {
-                    self.board.stop_trigger()?;
+                    self.board.stop_trigger(Output::Camera)?;
                 }
                 let (now, _) = self.board.ping()?;
                 let earliest = Ticks(now.0.saturating_add(pending.lead));
@@ -123,18 +123,22 @@ impl BoardLink<'_> {
         let first_edge = self.axis.of_board(anchor);
         if ours.is_none() {
             pending.tried = Some(anchor);
-            self.board.start_trigger(TriggerStart {
+            let start = TriggerStart {
                 period: grid.period,
                 width: profile.pulse_width(),
                 first_edge: Some(first_edge),
-            })?;
+                first_fraction: 0,
+            };
+            self.board.start_trigger(Output::Camera, start)?;
         }
         // It is there already: this makes its pulses say so.
-        self.board.align(TriggerAlign {
+        let to = TriggerAlign {
             anchor: first_edge,
+            anchor_fraction: 0,
             period: grid.period,
             slew: 0,
-        })?;
+        };
+        self.board.align(Output::Camera, to)?;
         Ok(anchor)
     }
 }

@@ -1,0 +1,89 @@
+//! What handlers take, by the core's cycle counter (DWT_CYCCNT, ARMv7-M C1.8). It stands
+//! still while the core sleeps, in which no handler runs.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::DWT;
+use protocol::{HandlerTime, Handlers};
+
+pub(crate) static TRIGGER_TIME: Meter = Meter::new();
+pub(crate) static OUTPUTS_TIME: Meter = Meter::new();
+pub(crate) static HANDOVER_TIME: Meter = Meter::new();
+pub(crate) static USB_TIME: Meter = Meter::new();
+
+/// Starts the counter.
+#[allow(unsafe_code, reason = "nobody else uses the debug unit")]
+pub(crate) fn init() {
+    // SAFETY: called once, before any handler runs.
+    let mut core = unsafe { cortex_m::Peripherals::steal() };
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+}
+
+/// What one handler, or several of one priority, took since reset.
+pub(crate) struct Meter {
+    calls: AtomicU32,
+    /// Wraps.
+    cycles: AtomicU32,
+    worst: AtomicU32,
+}
+
+impl Meter {
+    const fn new() -> Self {
+        Self {
+            calls: AtomicU32::new(0),
+            cycles: AtomicU32::new(0),
+            worst: AtomicU32::new(0),
+        }
+    }
+
+    /// Runs a handler. Nothing interrupts it that runs under the same meter, so plain
+    /// loads and stores do.
+    pub(crate) fn of(&self, handler: impl FnOnce()) {
+        let begin = DWT::cycle_count();
+        handler();
+        let took = DWT::cycle_count().wrapping_sub(begin);
+        let add = |counter: &AtomicU32, more: u32| {
+            let sum = counter.load(Ordering::Relaxed).wrapping_add(more);
+            counter.store(sum, Ordering::Relaxed);
+        };
+        add(&self.calls, 1);
+        add(&self.cycles, took);
+        if took > self.worst.load(Ordering::Relaxed) {
+            self.worst.store(took, Ordering::Relaxed);
+        }
+    }
+
+    fn total(&self) -> HandlerTime {
+        HandlerTime {
+            calls: self.calls.load(Ordering::Relaxed),
+            cycles: self.cycles.load(Ordering::Relaxed),
+            worst: self.worst.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// All meters as they stand: the numbers of calls and cycles since reset, which wrap.
+pub(crate) fn totals() -> Handlers {
+    Handlers {
+        trigger: TRIGGER_TIME.total(),
+        outputs: OUTPUTS_TIME.total(),
+        handover: HANDOVER_TIME.total(),
+        usb: USB_TIME.total(),
+    }
+}
+
+/// What the handlers took between two looks.
+pub(crate) fn between(before: &Handlers, now: &Handlers) -> Handlers {
+    let since = |before: HandlerTime, now: HandlerTime| HandlerTime {
+        calls: now.calls.wrapping_sub(before.calls),
+        cycles: now.cycles.wrapping_sub(before.cycles),
+        worst: now.worst,
+    };
+    Handlers {
+        trigger: since(before.trigger, now.trigger),
+        outputs: since(before.outputs, now.outputs),
+        handover: since(before.handover, now.handover),
+        usb: since(before.usb, now.usb),
+    }
+}

@@ -1,0 +1,57 @@
+//! The trigger outputs by their number, whichever timer makes them.
+
+use firmware::pulser::{CompareOutput, Pulser};
+use firmware::timebase::Timebase;
+use protocol::{AlignPlan, Output, Refusal, TickDelta, TriggerAlign, TriggerStatus};
+
+use crate::board::outputs::{self, Line};
+use crate::board::tim2;
+
+/// Works on an output while no edge of its timer is due soon: to be kept short.
+pub(crate) fn with_pulser<R>(
+    output: Output,
+    work: impl FnOnce(&mut Pulser, &mut dyn CompareOutput, &Timebase) -> R,
+) -> R {
+    match output {
+        Output::Camera => tim2::with_pulser(|pulser, channel, time| work(pulser, channel, time)),
+        Output::Two => outputs::with_line(Line::Two, work),
+        Output::Three => outputs::with_line(Line::Three, work),
+        Output::Four => outputs::with_line(Line::Four, work),
+    }
+}
+
+/// Plans an align and puts it into force.
+///
+/// # Errors
+///
+/// As [`firmware::trigger::Train::align`]; no train runs.
+pub(crate) fn align(output: Output, command: u32, to: &TriggerAlign) -> Result<AlignPlan, Refusal> {
+    loop {
+        let train = with_pulser(output, |pulser, _, _| pulser.running().copied());
+        let train = train.ok_or(Refusal::TriggerStopped)?;
+        let alignment = train.align(command, to, tim2::now())?;
+        // Planned from an edge that has gone by meanwhile? Once more; edges are
+        // a millisecond apart at least.
+        if with_pulser(output, |pulser, _, _| pulser.adopt(&alignment))? {
+            return Ok(alignment.plan);
+        }
+    }
+}
+
+/// A copy of the pulser, to be looked at with interrupts on.
+pub(crate) fn pulser(output: Output) -> Pulser {
+    with_pulser(output, |pulser, _, _| *pulser)
+}
+
+/// The state of the train as it was at one moment.
+pub(crate) fn status(output: Output) -> TriggerStatus {
+    let (pulser, now) = with_pulser(output, |pulser, _, _| (*pulser, tim2::now()));
+    pulser.status(now)
+}
+
+/// Whether an edge of any line is overdue by more than `by`.
+pub(crate) fn is_overdue(by: TickDelta) -> bool {
+    let now = tim2::now();
+    let overdue = |pulser: Pulser| pulser.is_overdue(now, by);
+    Output::ALL.into_iter().map(pulser).any(overdue) || overdue(outputs::pps())
+}
