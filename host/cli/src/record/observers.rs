@@ -37,6 +37,13 @@ impl Observers {
         }
     }
 
+    /// A message's number does not follow on the one before.
+    pub(super) fn disordered(&mut self, stream: Stream) {
+        if let Some(watch) = &mut self.watch {
+            watch.disordered(stream, &mut self.findings);
+        }
+    }
+
     /// All that had come by this time was taken.
     pub(super) fn time(&mut self, now: Ticks) {
         if let Some(watch) = &mut self.watch {
