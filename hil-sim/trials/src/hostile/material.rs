@@ -17,6 +17,7 @@ use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use timebase::{BoardSeconds, ClockModel, Wander};
 use twist_sync::simulate::{self, TwistSpec};
 
+use super::bag::{self, Message};
 use super::{path, tool};
 
 /// Length of the recording, s.
@@ -40,6 +41,8 @@ pub struct Files {
     /// The recording's folder.
     pub recording: PathBuf,
     pub(super) mcap: PathBuf,
+    /// A bag of the published system.
+    pub(super) bag: PathBuf,
     pub(super) session: PathBuf,
     pub(super) profile: PathBuf,
     pub(super) timestamps: PathBuf,
@@ -60,6 +63,7 @@ impl Files {
         Self {
             bait: path(root, "bait"),
             mcap: recording.join(MCAP_FILE),
+            bag: work.join("published.bag"),
             session: recording.join(recording::SESSION_FILE),
             profile: work.join("rig.toml"),
             timestamps: recording.join(format!("{VIDEO}_timestamps.csv")),
@@ -125,6 +129,8 @@ impl Material {
             .status();
         tool("ffmpeg", made)?;
         write_depth(&files.depth)?;
+        let messages = published(&twist.a);
+        fs::write(&files.bag, bag::bag(&messages, bag::NOT_PACKED, 1))?;
         Ok(Self(root.to_owned()))
     }
 
@@ -209,6 +215,29 @@ fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {
     session.outcome = Some(SessionOutcome::Good);
     session.save(folder)?;
     Ok(())
+}
+
+/// What the published system records of the same, with its topics.
+fn published(track: &twist_sync::GyroTrack) -> Vec<Message> {
+    const FIRST: u64 = 1_000_000_000;
+    let mut messages: Vec<Message> = (0..)
+        .zip(track.t.iter().zip(&track.w))
+        .map(|(seq, (t, w))| bag::imu(seq, FIRST + (t.max(0.0) * 1e9) as u64, [w[0], w[1], w[2]]))
+        .collect();
+    for number in 0..SECONDS as u32 * 30 {
+        let at = FIRST + u64::from(number) * 33_333_333;
+        messages.push(bag::time_reference("/mcu_cameras_ts", number, at, at));
+        let stamp = 1_600_000_000_000_000_000 + at;
+        messages.push(bag::depth_image(number, stamp, (6, 4)));
+        if number == 0 {
+            let phone = OFFSET as u64 * 1_000_000_000 + at;
+            messages.push(bag::time_reference("/mcu_s10_ts", 0, at, phone));
+            messages.push(bag::time_reference("/depth_to_mcu_offset", 0, at, stamp));
+            messages.push(bag::time_reference("/mcu_lidar_ts", 0, at, at));
+            messages.push(bag::time_reference("/sequences_ts", 0, at, at));
+        }
+    }
+    messages
 }
 
 fn write_depth(to: &Path) -> Result<()> {

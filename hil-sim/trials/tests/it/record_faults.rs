@@ -9,12 +9,14 @@ use std::process::Command;
 use crate::support::smartdepthsync;
 use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
+use protocol::{DeviceToHost, ImuSample, TICK_HZ, TickDelta};
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
+use trials::lies::board::{Change, Liar};
 
 /// Virtual time against real time: fast enough for many sessions, slow enough
 /// that a test can act within a state.
@@ -382,7 +384,10 @@ fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
     let wanted = rig.record("full", &["--duration", "600s"]);
     let mut command = Command::new("sh");
     command
-        .args(["-c", "ulimit -f 1024; exec \"$0\" \"$@\""])
+        .args([
+            "-c",
+            "ulimit -f 1024; exec env --default-signal=XFSZ \"$0\" \"$@\"",
+        ])
         .arg(wanted.get_program())
         .args(wanted.get_args());
     let said = Session::start(&mut command).ends_with(STORAGE);
@@ -449,4 +454,142 @@ fn a_kill_takes_the_depth_recorder_along() {
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
     rig.stop_phone();
+}
+
+/// With its guard killed too, nobody stops it; the next start says so.
+#[test]
+fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(16, SPEED);
+    let profile = format!(
+        "{}\n[depth.recorder]\ncommand = [\"sh\", \"-c\", \"echo $$ > {{folder}}/pid; sleep 600\"]\n",
+        rig.profile()
+    );
+    let mut session = Session::start(&mut rig.record_with("left", &profile, &[]));
+    session.wait_for("the trigger runs");
+    let pid = std::fs::read_to_string(rig.recording("left").join("pid")).unwrap();
+    let doctor = || {
+        let mut command = Command::new(smartdepthsync());
+        command.args(["doctor", "--port"]).arg(rig.rig.port());
+        command
+            .arg("--profile")
+            .arg(rig.folder.path().join("left.toml"));
+        let output = command.output().unwrap();
+        String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
+    };
+    let told = format!("still runs (process {})", pid.trim());
+    let guards = children(session.id());
+    // One of a `record` that lives is none.
+    let said = doctor();
+    assert!(!said.contains("still runs"), "{said}");
+    // The recorder is the other child.
+    for guard in guards
+        .into_iter()
+        .filter(|child| child.to_string() != pid.trim())
+    {
+        let guard = rustix::process::Pid::from_raw(guard).unwrap();
+        rustix::process::kill_process(guard, Signal::KILL).unwrap();
+    }
+    session.signal(Signal::KILL);
+    session.end();
+    rig.stop_phone();
+    let said = doctor();
+    assert!(said.contains(&told), "{told}: {said}");
+    let mut next = Session::start(&mut rig.record_with("next", &profile, &["--duration", "1s"]));
+    next.wait_for(&told);
+    next.signal(Signal::INT);
+    next.ends_with(INTERRUPTED);
+    let group = rustix::process::Pid::from_raw(pid.trim().parse().unwrap()).unwrap();
+    rustix::process::kill_process_group(group, Signal::KILL).unwrap();
+}
+
+/// The processes that a process has started.
+fn children(process: u32) -> Vec<i32> {
+    let list = std::fs::read_to_string(format!("/proc/{process}/task/{process}/children"));
+    let list = list.unwrap();
+    list.split_whitespace()
+        .map(|pid| pid.parse().unwrap())
+        .collect()
+}
+
+#[test]
+fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(17, SPEED);
+    let mut session = Session::start(&mut rig.record("gone", &["--duration", "600s"]));
+    session.wait_for("recording for");
+    std::fs::remove_dir_all(rig.recording("gone")).unwrap();
+    let began = std::time::Instant::now();
+    let said = session.ends_with(STORAGE);
+    assert!(began.elapsed().as_secs() < 20, "{said}");
+    assert!(said.contains("was deleted or moved"), "{said}");
+    all_is_stopped(&rig, "folder deleted");
+}
+
+/// Through somebody who changes what the board says.
+#[test]
+fn a_board_whose_numbers_do_not_follow_is_told_and_not_called_without_loss() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(18, SPEED);
+    let changes: [(&str, u64, Change); 2] = [
+        ("twice", 20, |message| vec![message.clone(); 50]),
+        ("jump", u64::MAX, |message| match message {
+            DeviceToHost::Imu(sample) => {
+                let seq = sample.seq.wrapping_add(1 << 31);
+                vec![DeviceToHost::Imu(ImuSample { seq, ..*sample })]
+            }
+            other => vec![other.clone()],
+        }),
+    ];
+    for (name, count, change) in changes {
+        let liar = Liar::honest(rig.rig.port()).unwrap();
+        let mut session = Session::start(&mut behind(&rig, &liar, name));
+        session.wait_for("recording for");
+        liar.tell("Imu", count, change);
+        let said = session.ends_with(LOSS);
+        assert!(said.contains("IMU samples came twice"), "{said}");
+        let file = readable(&rig, name, SessionOutcome::Loss);
+        assert!(problems(&file).contains(&"numbers_disordered"), "{name}");
+        assert!(file.counts.imu.disordered > 0, "{name}");
+        drop(liar);
+        all_is_stopped(&rig, name);
+    }
+}
+
+#[test]
+fn one_sample_an_hour_ahead_ends_nothing() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(19, SPEED);
+    let liar = Liar::honest(rig.rig.port()).unwrap();
+    let mut session = Session::start(&mut behind(&rig, &liar, "ahead"));
+    session.wait_for("recording for");
+    liar.tell("Imu", 1, |message| match message {
+        DeviceToHost::Imu(sample) => {
+            let at = sample.at + TickDelta(3_600 * i64::from(TICK_HZ));
+            vec![DeviceToHost::Imu(ImuSample { at, ..*sample })]
+        }
+        other => vec![other.clone()],
+    });
+    let said = session.ends_with(LOSS);
+    assert!(said.contains("far from all others"), "{said}");
+    let file = readable(&rig, "ahead", SessionOutcome::Loss);
+    let span = file.recorded.unwrap();
+    let seconds = (span.to - span.from).as_secs_f64();
+    assert!((4.0..6.0).contains(&seconds), "{seconds}");
+    drop(liar);
+    all_is_stopped(&rig, "ahead");
+}
+
+/// A recording of 4 s on another port.
+fn behind(rig: &WholeRig, liar: &Liar, name: &str) -> Command {
+    let honest = rig.record(name, &["--duration", "4s"]);
+    let mut command = Command::new(honest.get_program());
+    command.args(honest.get_args().map(|argument| {
+        if argument == rig.rig.port() {
+            liar.port().as_os_str()
+        } else {
+            argument
+        }
+    }));
+    command
 }

@@ -43,8 +43,7 @@ pub(crate) fn left_over() -> BTreeSet<u32> {
             })?;
             let (_, group) = parent_and_group(&entry.path())?;
             let leader = parent_and_group(&Path::new("/proc").join(group.to_string()));
-            let is_watched =
-                leader.is_some_and(|(parent, _)| started_by == parent.to_string());
+            let is_watched = leader.is_some_and(|(parent, _)| started_by == parent.to_string());
             (!is_watched).then_some(group)
         })
         .collect()
