@@ -11,14 +11,15 @@ use board::imu::Sample;
 use protocol::{ImuFlags, Output, Period, Pulse, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::profile::{DEFAULT, Profile};
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
 use recording::writer::Writer;
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
-use timebase::{BoardSeconds, ClockModel, Wander};
 use twist_sync::simulate::{self, TwistSpec};
 
 use super::bag::{self, Message};
 use super::{path, tool};
+
+#[path = "../../../../host/cli/tests/support/session.rs"]
+mod session;
 
 /// Length of the recording, s.
 const SECONDS: u64 = 6;
@@ -185,34 +186,10 @@ fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {
     }
     writer.marker(Ticks(ANCHOR.0 + 2 * u64::from(TICK_HZ)), None, "door")?;
     writer.finish()?;
-    let clock = ClockModel {
-        reference: BoardSeconds(4.0),
-        offset: OFFSET as f64,
-        skew: 0.0,
-        covariance: [[1e-6, 0.0], [0.0, 1e-14]],
-        wander: Wander(5e-8),
-    };
-    let mut session = SessionFile::new(String::from("walk"), Profile::published()?);
+    let clock = session::clock(4.0, OFFSET as f64, 0.0, 1e-3);
+    let (profile, grid) = (Profile::published()?, (ANCHOR, PERIOD));
+    let mut session = session::session(profile, clock, grid, 33_333_333.0, SECONDS);
     session.clock = Some(clock);
-    session.alignment = Some(Alignment {
-        exposure_us: 4_000.0,
-        middle_row_us: 5_503.0,
-        center_offset_us: 6_362.5,
-        bias_us: 0.0,
-        frame_period_ns: 33_333_333.0,
-        frame_period_sigma_ns: None,
-        frame_period_source: FramePeriodSource::VideoStart,
-        clock,
-        anchor: ANCHOR,
-        period_q32: PERIOD.0,
-        phase_sigma_us: 3.0,
-        drift_sigma_us_per_min: 10.0,
-        arrival_pulse: Some(0),
-        arrival: Some(ANCHOR),
-    });
-    let to = Ticks(ANCHOR.0 + SECONDS * u64::from(TICK_HZ));
-    session.recorded = Some(Span { from: ANCHOR, to });
-    session.outcome = Some(SessionOutcome::Good);
     session.save(folder)?;
     Ok(())
 }

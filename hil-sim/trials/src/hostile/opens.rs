@@ -63,7 +63,7 @@ fn is_allowed(path: &Path, kind: Kind, folder: &Path, program: &Path) -> bool {
 /// The absolute paths that a call is about.
 fn targets(line: &str, folder: &Path) -> Vec<(PathBuf, Kind)> {
     let mut all = Vec::new();
-    if let Some((_, result)) = line.rsplit_once(") = ")
+    if let Some((_, result)) = line.rsplit_once(" = ")
         && let Some(found) = result
             .split_once("</")
             .and_then(|(_, rest)| rest.strip_suffix('>'))

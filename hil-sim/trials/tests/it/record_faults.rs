@@ -467,7 +467,13 @@ fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
     );
     let mut session = Session::start(&mut rig.record_with("left", &profile, &[]));
     session.wait_for("the trigger runs");
-    let pid = std::fs::read_to_string(rig.recording("left").join("pid")).unwrap();
+    let file = rig.recording("left").join("pid");
+    let pid = loop {
+        match std::fs::read_to_string(&file) {
+            Ok(pid) if pid.ends_with('\n') => break pid,
+            _ => rig.wait_ms(10),
+        }
+    };
     let doctor = || {
         let mut command = Command::new(smartdepthsync());
         command.args(["doctor", "--port"]).arg(rig.rig.port());
