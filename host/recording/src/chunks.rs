@@ -40,7 +40,7 @@ pub(crate) const MAX_RECORD: u64 = MAX_CHUNK + (1 << 16);
 const MAX_CHUNK: u64 = 20 << 20;
 
 /// What a file may unpack to in all: this much, and so many times the bytes that it has
-/// up to there. Recordings of this program unpack to 3 to 4 times their length.
+/// up to there. Recordings of this program unpack to 2.1 to 2.6 times their length.
 const MAX_UNPACKED: u64 = 64 << 20;
 const MAX_RATIO: u64 = 16;
 

@@ -23,7 +23,7 @@ const KINDS: [&str; 10] = [
 ];
 
 /// The first message of a kind that is changed.
-const FIRSTS: [u64; 6] = [0, 1, 2, 4, 8, 100];
+const FIRSTS: [u64; 7] = [0, 1, 2, 4, 8, 100, 9_000];
 
 /// Pause when nothing comes.
 const PAUSE: Duration = Duration::from_millis(1);

@@ -34,11 +34,12 @@ fn a_small_bag_that_unpacks_to_much_costs_little() {
         let file = bag::bag(&messages, ("bz2", &pack), times);
         assert!(file.len() < 20 << 20, "{}", file.len());
         std::fs::write(work.join("bomb.bag"), file).unwrap();
+        let out = format!("out-{times}");
         let arguments = [
             "extract",
             "bomb.bag",
             "--out",
-            "out",
+            &out,
             "--exposure-us",
             "4000",
         ];

@@ -599,3 +599,14 @@ fn behind(rig: &WholeRig, liar: &Liar, name: &str) -> Command {
     }));
     command
 }
+
+/// The board could do 40 fps; the depth camera's mode has 30.
+#[test]
+fn a_phone_with_frames_at_another_rate_does_not_drive_the_depth_camera() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::with(20, SPEED, |_, phone| phone.camera.frame_period_ns = 25e6);
+    let said = Session::start(&mut rig.record("rate", &["--duration", "2s"])).ends_with(REFUSED);
+    assert!(said.contains("within 10 %"), "{said}");
+    readable(&rig, "rate", SessionOutcome::Failed);
+    all_is_stopped(&rig, "another rate");
+}
