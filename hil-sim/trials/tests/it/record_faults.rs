@@ -9,14 +9,12 @@ use std::process::Command;
 use crate::support::smartdepthsync;
 use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
-use protocol::{DeviceToHost, ImuSample, TICK_HZ, TickDelta};
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
-use trials::lies::board::{Change, Liar};
 
 /// Virtual time against real time: fast enough for many sessions, slow enough
 /// that a test can act within a state.
@@ -43,7 +41,7 @@ const STATES: [&str; 6] = [
 ];
 
 /// The train is stopped, and the phone records nothing.
-fn all_is_stopped(rig: &WholeRig, state: &str) {
+pub(crate) fn all_is_stopped(rig: &WholeRig, state: &str) {
     assert!(!rig.phone().is_recording(), "{state}: the phone records");
     let output = Command::new(smartdepthsync())
         .args(["trigger", "status", "--json", "--port"])
@@ -56,7 +54,7 @@ fn all_is_stopped(rig: &WholeRig, state: &str) {
 }
 
 /// The files of a recording can be read, and say how it ended.
-fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile {
+pub(crate) fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile {
     let folder = rig.recording(name);
     let session = SessionFile::load(&folder).unwrap();
     assert_eq!(session.outcome, Some(outcome), "{name}");
@@ -70,7 +68,7 @@ fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile 
     session
 }
 
-fn problems(session: &SessionFile) -> Vec<&str> {
+pub(crate) fn problems(session: &SessionFile) -> Vec<&str> {
     session.problems.iter().map(|p| p.kind.as_str()).collect()
 }
 
@@ -530,83 +528,4 @@ fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
     assert!(began.elapsed().as_secs() < 20, "{said}");
     assert!(said.contains("was deleted or moved"), "{said}");
     all_is_stopped(&rig, "folder deleted");
-}
-
-/// Through somebody who changes what the board says.
-#[test]
-fn a_board_whose_numbers_do_not_follow_is_told_and_not_called_without_loss() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::new(18, SPEED);
-    let changes: [(&str, u64, Change); 2] = [
-        ("twice", 20, |message| vec![message.clone(); 50]),
-        ("jump", u64::MAX, |message| match message {
-            DeviceToHost::Imu(sample) => {
-                let seq = sample.seq.wrapping_add(1 << 31);
-                vec![DeviceToHost::Imu(ImuSample { seq, ..*sample })]
-            }
-            other => vec![other.clone()],
-        }),
-    ];
-    for (name, count, change) in changes {
-        let liar = Liar::honest(rig.rig.port()).unwrap();
-        let mut session = Session::start(&mut behind(&rig, &liar, name));
-        session.wait_for("recording for");
-        liar.tell("Imu", count, change);
-        let said = session.ends_with(LOSS);
-        assert!(said.contains("IMU samples came twice"), "{said}");
-        let file = readable(&rig, name, SessionOutcome::Loss);
-        assert!(problems(&file).contains(&"numbers_disordered"), "{name}");
-        assert!(file.counts.imu.disordered > 0, "{name}");
-        drop(liar);
-        all_is_stopped(&rig, name);
-    }
-}
-
-#[test]
-fn one_sample_an_hour_ahead_ends_nothing() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::new(19, SPEED);
-    let liar = Liar::honest(rig.rig.port()).unwrap();
-    let mut session = Session::start(&mut behind(&rig, &liar, "ahead"));
-    session.wait_for("recording for");
-    liar.tell("Imu", 1, |message| match message {
-        DeviceToHost::Imu(sample) => {
-            let at = sample.at + TickDelta(3_600 * i64::from(TICK_HZ));
-            vec![DeviceToHost::Imu(ImuSample { at, ..*sample })]
-        }
-        other => vec![other.clone()],
-    });
-    let said = session.ends_with(LOSS);
-    assert!(said.contains("far from all others"), "{said}");
-    let file = readable(&rig, "ahead", SessionOutcome::Loss);
-    let span = file.recorded.unwrap();
-    let seconds = (span.to - span.from).as_secs_f64();
-    assert!((4.0..6.0).contains(&seconds), "{seconds}");
-    drop(liar);
-    all_is_stopped(&rig, "ahead");
-}
-
-/// A recording of 4 s on another port.
-fn behind(rig: &WholeRig, liar: &Liar, name: &str) -> Command {
-    let honest = rig.record(name, &["--duration", "4s"]);
-    let mut command = Command::new(honest.get_program());
-    command.args(honest.get_args().map(|argument| {
-        if argument == rig.rig.port() {
-            liar.port().as_os_str()
-        } else {
-            argument
-        }
-    }));
-    command
-}
-
-/// The board could do 40 fps; the depth camera's mode has 30.
-#[test]
-fn a_phone_with_frames_at_another_rate_does_not_drive_the_depth_camera() {
-    let _turn = turn::beside_others();
-    let rig = WholeRig::with(20, SPEED, |_, phone| phone.camera.frame_period_ns = 25e6);
-    let said = Session::start(&mut rig.record("rate", &["--duration", "2s"])).ends_with(REFUSED);
-    assert!(said.contains("within 10 %"), "{said}");
-    readable(&rig, "rate", SessionOutcome::Failed);
-    all_is_stopped(&rig, "another rate");
 }
