@@ -16,12 +16,14 @@ use super::opens::{self, CALLS};
 const MEMORY: u64 = 1 << 30;
 /// Time of the processor, s.
 const SECONDS: u64 = 20;
-/// Time on the clock: a command that waits uses no processor.
+/// Time in which all of it sleeps: a command that waits uses no processor, and on a busy
+/// machine one that does not wait may get none.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Length of a file, bytes.
 const FILE: u64 = 1 << 30;
-/// How often the memory is looked at.
+/// How often the memory is looked at, and at each how many of these looks whether it waits.
 const LOOK: Duration = Duration::from_millis(4);
+const LOOKS: u32 = 25;
 
 /// How a command ended.
 #[derive(Debug)]
@@ -76,13 +78,21 @@ pub fn run(program: &Path, arguments: &[OsString], folder: &Path, root: &Path) -
         let _ = stderr.map(|mut stderr| stderr.read_to_end(&mut said));
         String::from_utf8_lossy(&said).into_owned()
     });
-    let (mut peak, mut late) = (0, false);
+    let (mut peak, mut late, mut looks) = (0, false, 0_u32);
+    let (mut waited, mut looked) = (Duration::ZERO, Instant::now());
     let status = loop {
         if let Some(status) = child.try_wait().context("waiting for the program")? {
             break status;
         }
         peak = peak.max(memory_of(child.id()).unwrap_or(0));
-        if began.elapsed() > PATIENCE {
+        looks += 1;
+        if looks.is_multiple_of(LOOKS) {
+            let since = std::mem::replace(&mut looked, Instant::now());
+            if sleeps(child.id()) {
+                waited += since.elapsed();
+            }
+        }
+        if waited > PATIENCE {
             late = true;
             child.kill().context("ending the program")?;
         }
@@ -100,7 +110,7 @@ pub fn run(program: &Path, arguments: &[OsString], folder: &Path, root: &Path) -
     Ok(Ended {
         code: status.code().filter(|_| !late),
         how: match status.signal() {
-            _ if late => format!("it did not end within {} s", PATIENCE.as_secs()),
+            _ if late => format!("it waited for {} s", PATIENCE.as_secs()),
             Some(signal) => format!("ended by signal {signal}"),
             None => status.to_string(),
         },
@@ -108,6 +118,24 @@ pub fn run(program: &Path, arguments: &[OsString], folder: &Path, root: &Path) -
         peak,
         took,
         strays: opens::strays(&calls, folder, program),
+    })
+}
+
+/// Whether all threads of a process and of what it started sleep.
+fn sleeps(process: u32) -> bool {
+    let Ok(tasks) = fs::read_dir(format!("/proc/{process}/task")) else {
+        return true;
+    };
+    tasks.flatten().all(|task| {
+        let read = |name: &str| fs::read_to_string(task.path().join(name)).unwrap_or_default();
+        // proc(5): the state stands behind the name, which is in brackets.
+        let stat = read("stat");
+        let state = stat.rsplit_once(") ").map_or("S", |(_, rest)| rest);
+        let children = read("children");
+        let mut children = children
+            .split_whitespace()
+            .filter_map(|pid| pid.parse().ok());
+        state.starts_with(['S', 'Z']) && children.all(sleeps)
     })
 }
 
