@@ -18,7 +18,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use board::imu::Scale;
-use protocol::{ImuFlags, ImuSample, Ticks};
+use protocol::{ImuFlags, ImuSample, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
@@ -44,6 +44,8 @@ use stm32f4_sim::time::SimTime;
 const PATIENCE: Duration = Duration::from_secs(180);
 /// What a kill or a full disk may cost, s.
 const COSTS_S: f64 = 1.0;
+/// How many of a mark's sigmas a later run may be off its place, as in [`super::judge`].
+const SIGMAS: f64 = 5.0;
 /// How often a session is begun: its patience with the phone is real time, which a
 /// busy machine may not have.
 const TRIES: usize = 3;
@@ -366,7 +368,14 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     // that may be left recording.
     let missed = kinds.contains(&"phone_lost");
     let zero = truth.zero.ok_or("the board's zero is not known")?;
-    let to_be_stopped = file.recorded.map_or(Ticks(0), |span| span.to);
+    // A later run of the board is where the mark says, within its sigmas.
+    let unsure_us = file
+        .runs
+        .last()
+        .map_or(0.0, |run| SIGMAS * run.shift_sigma_us);
+    let unsure = (unsure_us * f64::from(TICK_HZ / 1_000_000)) as u64;
+    let recorded_to = file.recorded.map_or(Ticks(0), |span| span.to);
+    let to_be_stopped = Ticks(recorded_to.0.saturating_sub(unsure));
     if missed
         && seen
             .phone_away
