@@ -31,6 +31,17 @@ struct Cli {
     command: Command,
 }
 
+/// Which runs of a campaign.
+#[derive(clap::Args)]
+struct Seeds {
+    /// The first seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Number of seeds.
+    #[arg(long, default_value_t = 200)]
+    count: u64,
+}
+
 #[derive(Subcommand)]
 enum Command {
     /// Build the firmware for the board, the host tool and the simulator.
@@ -73,24 +84,13 @@ enum Command {
     Hour,
     /// Run the fault campaign: things go wrong during recordings on the simulated
     /// board, and the truth judges them.
-    Faults {
-        /// The first seed.
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
-        /// Number of seeds.
-        #[arg(long, default_value_t = 200)]
-        count: u64,
-    },
+    Faults(Seeds),
+    /// Run sessions with a board or a phone that lies: any field of any message or
+    /// answer becomes an extreme one.
+    Lies(Seeds),
     /// Run the hostile campaign: absurd values in valid recordings, through whole
     /// commands that run in limits of their own.
-    Hostile {
-        /// The first seed.
-        #[arg(long, default_value_t = 1)]
-        seed: u64,
-        /// Number of seeds.
-        #[arg(long, default_value_t = 200)]
-        count: u64,
-    },
+    Hostile(Seeds),
     /// Measure the simulator or, with an option, another part. Compare figures
     /// within one run only.
     Bench {
@@ -159,8 +159,13 @@ fn run(command: Command) -> Result<()> {
             no_strobe,
             seed,
         } => long_run(&length, full_link, no_strobe, seed),
-        Command::Faults { seed, count } => campaign("faults", seed, count),
-        Command::Hostile { seed, count } => campaign("hostile", seed, count),
+        Command::Faults(seeds) => campaign("faults", &seeds),
+        Command::Lies(seeds) => campaign("lies", &seeds),
+        Command::Hostile(seeds) => {
+            tools::ensure_program("ffmpeg", "ffmpeg")?;
+            tools::ensure_program("strace", "strace")?;
+            campaign("hostile", &seeds)
+        }
         Command::Bench { evaluate: true, .. } => evaluate_bench::run(),
         Command::Bench {
             extract: true,
@@ -296,7 +301,7 @@ fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<(
     process::run_hil_sim(&args, &elf)
 }
 
-fn campaign(name: &str, seed: u64, count: u64) -> Result<()> {
+fn campaign(name: &str, Seeds { seed, count }: &Seeds) -> Result<()> {
     let elf = firmware::build_rig()?;
     let args = [
         name.to_owned(),

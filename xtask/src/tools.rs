@@ -16,6 +16,7 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
     ensure_program("chromium", "chromium")?;
     ensure_program("tmux", "tmux")?;
+    ensure_program("strace", "strace")?;
     ensure_program("qemu-system-arm", "qemu-system-arm")?;
     ensure_python()?;
     Ok(())

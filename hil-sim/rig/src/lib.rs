@@ -17,7 +17,7 @@ pub mod oscillator;
 pub mod owner_profile;
 pub mod phone;
 pub mod pin_log;
-pub(crate) mod pty;
+pub mod pty;
 pub mod random;
 pub mod rig_config;
 pub mod rolling_shutter;

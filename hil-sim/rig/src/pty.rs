@@ -15,7 +15,7 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 /// The master side.
 #[derive(Debug)]
-pub(crate) struct Pty {
+pub struct Pty {
     master: OwnedFd,
     path: PathBuf,
 }
@@ -26,7 +26,7 @@ impl Pty {
     /// # Errors
     ///
     /// If the system has none left.
-    pub(crate) fn new() -> std::io::Result<Self> {
+    pub fn new() -> std::io::Result<Self> {
         let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
         let master = openpt(flags)?;
         grantpt(&master)?;
@@ -46,7 +46,7 @@ impl Pty {
 
     /// What other programs open.
     #[must_use]
-    pub(crate) fn path(&self) -> &std::path::Path {
+    pub fn path(&self) -> &std::path::Path {
         &self.path
     }
 
@@ -55,7 +55,7 @@ impl Pty {
     /// # Errors
     ///
     /// If the system refuses to tell.
-    pub(crate) fn is_open(&self) -> std::io::Result<bool> {
+    pub fn is_open(&self) -> std::io::Result<bool> {
         let mut fds = [PollFd::new(&self.master, PollFlags::IN)];
         let now = Timespec {
             tv_sec: 0,
@@ -72,7 +72,7 @@ impl Pty {
     /// # Errors
     ///
     /// If reading fails.
-    pub(crate) fn read(&self, buffer: &mut [u8]) -> std::io::Result<usize> {
+    pub fn read(&self, buffer: &mut [u8]) -> std::io::Result<usize> {
         match rustix::io::read(&self.master, buffer) {
             Ok(n) => Ok(n),
             // EIO: nobody has it open.
@@ -86,7 +86,7 @@ impl Pty {
     /// # Errors
     ///
     /// If writing fails.
-    pub(crate) fn write(&self, bytes: &[u8]) -> std::io::Result<usize> {
+    pub fn write(&self, bytes: &[u8]) -> std::io::Result<usize> {
         match rustix::io::write(&self.master, bytes) {
             Ok(n) => Ok(n),
             Err(Errno::AGAIN | Errno::INTR | Errno::IO) => Ok(0),

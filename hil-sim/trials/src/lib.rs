@@ -1,5 +1,5 @@
 //! Sessions on the simulated rig, judged by the truth: the demo, the fault campaign,
-//! the hostile campaign, the long run and the whole chain. Test code, not a part of the simulator.
+//! the hostile campaign, boards and phones that lie, the long run and the whole chain. Test code, not a part of the simulator.
 
 pub mod board_link;
 pub(crate) mod board_truth;
@@ -7,6 +7,7 @@ pub mod demo;
 pub mod faults;
 pub(crate) mod frame_phase;
 pub mod hostile;
+pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
 pub mod whole_chain;

@@ -52,6 +52,12 @@ pub enum Event {
         /// How many.
         count: u32,
     },
+    /// The number of the next message came before, or lies so far ahead that nobody can
+    /// tell how many are missing.
+    Disordered {
+        /// Which stream.
+        stream: Stream,
+    },
     /// A frame that could not be taken; what it carried shows as
     /// [`Event::Lost`] once the next message of its stream comes.
     Damaged(FrameError),
@@ -360,18 +366,17 @@ impl Conversation {
         let Some(expected) = self.expected.get_mut(stream as usize) else {
             return;
         };
-        // Numbers wrap. More than half of them missing is no gap, but a stream
-        // that began anew without the board's epoch telling so yet.
-        let gap = match *expected {
-            Some(expected) => seq.wrapping_sub(expected),
-            None => 0,
-        };
-        let gap = if gap > u32::MAX / 2 { 0 } else { gap };
+        // Numbers wrap. More than half of them missing is no gap: a message came twice, or
+        // the board lies.
+        let gap = expected.map_or(0, |expected| seq.wrapping_sub(expected));
         *expected = Some(seq.wrapping_add(1));
         let count = self.counts.get_mut(stream);
         count.received += 1;
-        count.lost += u64::from(gap);
-        if gap > 0 {
+        if gap > u32::MAX / 2 {
+            count.disordered += 1;
+            self.events.push_back(Event::Disordered { stream });
+        } else if gap > 0 {
+            count.lost += u64::from(gap);
             self.events.push_back(Event::Lost { stream, count: gap });
         }
     }

@@ -120,6 +120,10 @@ pub struct StreamCount {
     pub received: u64,
     /// Messages missing, by their numbers.
     pub lost: u64,
+    /// Messages whose number came before, or lies so far ahead that nobody can tell how
+    /// many are missing.
+    #[serde(default)]
+    pub disordered: u64,
 }
 
 /// Counts of all streams.
@@ -161,7 +165,19 @@ impl StreamCounts {
     /// Messages missing on all streams.
     #[must_use]
     pub fn lost(&self) -> u64 {
-        Stream::ALL.iter().map(|&stream| self.of(stream).lost).sum()
+        self.sum(|count| count.lost)
+    }
+
+    /// Messages on all streams whose number does not follow.
+    #[must_use]
+    pub fn disordered(&self) -> u64 {
+        self.sum(|count| count.disordered)
+    }
+
+    /// Saturating: the numbers may come from a file.
+    fn sum(&self, of: fn(&StreamCount) -> u64) -> u64 {
+        let counts = Stream::ALL.iter().map(|&stream| of(&self.of(stream)));
+        counts.fold(0, u64::saturating_add)
     }
 
     pub(crate) const fn get_mut(&mut self, stream: Stream) -> &mut StreamCount {

@@ -84,6 +84,7 @@ pub(crate) fn hear(
                 heard.take(message);
             }
             Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
+            Some(Event::Disordered { .. }) => heard.lost += 1,
             Some(Event::Damaged(_)) => heard.damaged += 1,
             Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
             Some(Event::OtherVersion { found }) => {

@@ -346,7 +346,7 @@ fn start_log(global: &Global) {
     };
     let builder = tracing_subscriber::fmt()
         .with_max_level(level)
-        .with_writer(LogOutput)
+        .with_writer(LogOutput::new(level))
         .with_ansi(io::stderr().is_terminal());
     match global.log_format {
         LogFormat::Text => builder.without_time().with_target(false).init(),

@@ -8,7 +8,10 @@
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use tracing::Metadata;
+use tracing_subscriber::filter::LevelFilter;
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::fmt::writer::OptionalWriter;
 
 /// How much is held back, in bytes.
 const MOST: usize = 64 << 10;
@@ -63,19 +66,45 @@ pub(crate) fn release() {
     }
 }
 
+/// What serves live data. Whoever connects makes it log errors, which are theirs.
+const SERVER: &str = "foxglove";
+
 /// Standard error for log lines, for `tracing_subscriber`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LogOutput;
+pub(crate) struct LogOutput {
+    /// Whether the server of live data is heard too.
+    server: bool,
+}
 
-impl<'a> MakeWriter<'a> for LogOutput {
-    type Writer = Self;
-
-    fn make_writer(&'a self) -> Self {
-        *self
+impl LogOutput {
+    /// For a log from this level on: the server's is for those who ask for more.
+    pub(crate) fn new(least: LevelFilter) -> Self {
+        Self {
+            server: least >= LevelFilter::INFO,
+        }
     }
 }
 
-impl Write for LogOutput {
+impl<'a> MakeWriter<'a> for LogOutput {
+    type Writer = OptionalWriter<Lines>;
+
+    fn make_writer(&'a self) -> Self::Writer {
+        OptionalWriter::some(Lines)
+    }
+
+    fn make_writer_for(&'a self, meta: &Metadata<'_>) -> Self::Writer {
+        if self.server || !meta.target().starts_with(SERVER) {
+            OptionalWriter::some(Lines)
+        } else {
+            OptionalWriter::none()
+        }
+    }
+}
+
+/// Takes whole lines.
+pub(crate) struct Lines;
+
+impl Write for Lines {
     /// One call is one line: the formatter hands over whole events.
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
         if let Some(held) = held().as_mut() {
@@ -114,7 +143,7 @@ mod tests {
     #[test]
     fn while_held_nothing_reaches_the_terminal() {
         hold();
-        LogOutput.write_all(b"a line\n").unwrap();
+        Lines.write_all(b"a line\n").unwrap();
         assert_eq!(held().as_ref().unwrap().text, b"a line\n");
         release();
         assert!(held().is_none());

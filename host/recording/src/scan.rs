@@ -15,7 +15,7 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-use super::chunks::{self, Chunk, MAX_RECORD};
+use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD};
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -70,6 +70,7 @@ pub struct Scan {
     file: BufReader<File>,
     length: u64,
     position: u64,
+    budget: Budget,
     /// Up to here it is known where the heads of chunks are: none, but for `head`.
     searched: u64,
     head: Option<u64>,
@@ -109,6 +110,7 @@ impl Scan {
             file: BufReader::with_capacity(1 << 20, file),
             length,
             position: 0,
+            budget: Budget::default(),
             searched: 0,
             head: None,
             hasher: Some(crc32fast::Hasher::new()),
@@ -214,7 +216,12 @@ impl Scan {
                 Ok(Some(Piece::Record(opcode, body.to_vec())))
             }
             op::CHUNK => match chunk_of(body) {
-                Some((header, packed)) => Ok(Some(unpack(at, &header, packed))),
+                Some((header, packed)) => {
+                    let fits = self.budget.takes_chunk(&header, self.position);
+                    let chunk =
+                        fits.and_then(|()| chunks::unpack(&header, packed.into(), Vec::new()));
+                    Ok(Some(piece_of(at, &header, chunk)))
+                }
                 None => self.search(at).map(Some),
             },
             op::FOOTER => {
@@ -340,8 +347,8 @@ fn chunk_of(body: &[u8]) -> Option<(ChunkHeader, &[u8])> {
     (name <= MAX_NAME && packed.len() as u64 == header.compressed_size).then_some((header, packed))
 }
 
-fn unpack(at: u64, header: &ChunkHeader, packed: &[u8]) -> Piece {
-    match chunks::unpack(header, packed.into(), Vec::new()) {
+fn piece_of(at: u64, header: &ChunkHeader, chunk: Result<Chunk, BadChunk>) -> Piece {
+    match chunk {
         Ok(chunk) => Piece::Chunk(chunk),
         Err(bad) => Piece::BadChunk {
             at,

@@ -82,6 +82,8 @@ pub struct Watch {
     last_imu: Ticks,
     imu_away: bool,
     baseline: Option<Baseline>,
+    /// Streams whose numbers were told not to follow.
+    disordered: Vec<Stream>,
 }
 
 impl Watch {
@@ -97,6 +99,7 @@ impl Watch {
             last_imu: now,
             imu_away: false,
             baseline: None,
+            disordered: Vec::new(),
         }
     }
 
@@ -172,6 +175,18 @@ impl Watch {
             Stream::Filler => return,
         };
         findings.push(Finding::warning(kind, format!("{count} {stream} lost")));
+    }
+
+    /// The number of a message does not follow on the one before; told once a stream.
+    pub fn disordered(&mut self, stream: Stream, findings: &mut Vec<Finding>) {
+        if !self.disordered.contains(&stream) {
+            self.disordered.push(stream);
+            let text = format!(
+                "{stream} came twice, or with numbers that do not follow: how many are missing \
+                 is not known"
+            );
+            findings.push(Finding::error("numbers_disordered", text));
+        }
     }
 
     /// A status.

@@ -16,16 +16,10 @@ pub(crate) struct Args {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// The program of runs that need one; the `smartdepthsync` beside this one by
-    /// default.
-    #[arg(long, value_name = "FILE")]
-    program: Option<PathBuf>,
-    /// The first seed.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// How many seeds.
-    #[arg(long, default_value_t = 200)]
-    count: u64,
+    #[command(flatten)]
+    program: super::Program,
+    #[command(flatten)]
+    seeds: super::Seeds,
     /// Keep the recordings in this folder.
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
@@ -37,13 +31,12 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<()> {
     let temporary = tempfile::tempdir().context("no temporary folder")?;
     let programs = Programs {
-        smartdepthsync: super::session_program(args.program.as_deref())?,
+        smartdepthsync: args.program.path()?,
         elf: args.elf.clone(),
         speed: SPEED,
     };
     let folder = args.keep.as_deref().unwrap_or(temporary.path());
-    let seeds: Vec<u64> = (args.seed..args.seed.saturating_add(args.count)).collect();
-    let results = campaign(&seeds, &programs, folder, &|seed, result| {
+    let results = campaign(&args.seeds.all(), &programs, folder, &|seed, result| {
         match result {
             Ok(verdict) => eprintln!(
                 "passed {} -> exit code {}, {:?}",
@@ -71,7 +64,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         bail!(
             "{} of {} seeds failed: {}; `cargo xtask faults --seed N --count 1` repeats one exactly",
             failed.len(),
-            args.count,
+            args.seeds.count,
             seeds.join(", ")
         );
     }

@@ -1,30 +1,31 @@
 //! `hil-sim hostile`: the hostile campaign.
 
-use std::path::PathBuf;
-
 use anyhow::{Result, bail};
 use trials::hostile::campaign;
+
+use super::Seeds;
 
 /// Options of `hostile`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The program; the `smartdepthsync` beside this one by default.
-    #[arg(long, value_name = "FILE")]
-    program: Option<PathBuf>,
-    /// The first seed.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// How many seeds.
-    #[arg(long, default_value_t = 200)]
-    count: u64,
+    #[command(flatten)]
+    program: super::Program,
+    #[command(flatten)]
+    seeds: super::Seeds,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let program = super::session_program(args.program.as_deref())?;
-    let outcome = campaign(&program, args.seed, args.count, &|_, result| {
-        if let Err(finding) = result {
-            eprintln!("FAILED {finding}");
-        }
+    let program = args.program.path()?;
+    let Seeds { seed, count } = args.seeds;
+    let outcome = campaign(&program, seed, count, &|seed, result| match result {
+        Ok(verdict) => eprintln!(
+            "passed {seed}: {:?} -> exit code {}, {} MB, {:.1} s",
+            verdict.command,
+            verdict.exit_code,
+            verdict.peak / 1_000_000,
+            verdict.took.as_secs_f64()
+        ),
+        Err(finding) => eprintln!("FAILED {finding}"),
     })?;
     println!(
         "{:<10} {:>6} {:>9} {:>9}  exit codes",
@@ -53,7 +54,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         bail!(
             "{} of {} seeds failed: {}; `cargo xtask hostile --seed N --count 1` repeats one",
             outcome.failed.len(),
-            args.count,
+            count,
             seeds.join(", ")
         );
     }

@@ -6,6 +6,7 @@ pub(crate) mod demo;
 pub(crate) mod faults;
 pub(crate) mod frame_sync;
 pub(crate) mod hostile;
+pub(crate) mod lies;
 pub(crate) mod long_run;
 pub(crate) mod phone_faults;
 
@@ -13,6 +14,37 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 pub(crate) use rig::serve::speed;
+
+/// Which runs of a campaign.
+#[derive(clap::Args)]
+pub(crate) struct Seeds {
+    /// The first seed.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// How many seeds.
+    #[arg(long, default_value_t = 200)]
+    pub(crate) count: u64,
+}
+
+impl Seeds {
+    pub(crate) fn all(&self) -> Vec<u64> {
+        (self.seed..self.seed.saturating_add(self.count)).collect()
+    }
+}
+
+/// Which program runs in a campaign.
+#[derive(clap::Args)]
+pub(crate) struct Program {
+    /// The program under test; the `smartdepthsync` beside this one by default.
+    #[arg(long, value_name = "FILE")]
+    program: Option<PathBuf>,
+}
+
+impl Program {
+    pub(crate) fn path(&self) -> anyhow::Result<PathBuf> {
+        session_program(self.program.as_deref())
+    }
+}
 
 /// The program of the sessions: the given one, or the one beside this.
 pub(crate) fn session_program(given: Option<&Path>) -> anyhow::Result<PathBuf> {

@@ -6,17 +6,12 @@ use trials::phone_faults::campaign;
 /// Options of `phone-faults`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The first seed.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// How many seeds.
-    #[arg(long, default_value_t = 500)]
-    count: u64,
+    #[command(flatten)]
+    seeds: super::Seeds,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let seeds: Vec<u64> = (args.seed..args.seed.saturating_add(args.count)).collect();
-    let runs = campaign(&seeds, &|run| {
+    let runs = campaign(&args.seeds.all(), &|run| {
         let verdict = if run.left_running { "FAILED" } else { "passed" };
         eprintln!("{verdict} {}: {}", run.seed, run.story);
     })?;

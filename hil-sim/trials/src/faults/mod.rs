@@ -27,7 +27,7 @@
 mod happenings;
 mod judge;
 pub mod plan;
-mod process;
+pub(crate) mod process;
 mod scene;
 mod stage;
 

@@ -18,7 +18,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use board::imu::Scale;
-use protocol::{ImuFlags, ImuSample, Ticks};
+use protocol::{ImuFlags, ImuSample, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
@@ -44,6 +44,8 @@ use stm32f4_sim::time::SimTime;
 const PATIENCE: Duration = Duration::from_secs(180);
 /// What a kill or a full disk may cost, s.
 const COSTS_S: f64 = 1.0;
+/// How many of a mark's sigmas a later run may be off its place, as in [`super::judge`].
+const SIGMAS: f64 = 5.0;
 /// How often a session is begun: its patience with the phone is real time, which a
 /// busy machine may not have.
 const TRIES: usize = 3;
@@ -51,14 +53,14 @@ const TRIES: usize = 3;
 const RECORDS: &str = "recording for";
 
 /// A process with what it says.
-struct Session {
+pub(crate) struct Session {
     child: Child,
     said: Arc<Mutex<String>>,
     readers: Vec<JoinHandle<()>>,
 }
 
 impl Session {
-    fn start(command: &mut Command) -> Result<Self, String> {
+    pub(crate) fn start(command: &mut Command) -> Result<Self, String> {
         let mut child = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -93,8 +95,16 @@ impl Session {
         })
     }
 
-    fn said(&self) -> String {
+    pub(crate) fn said(&self) -> String {
         lock(&self.said).clone()
+    }
+
+    /// The same of one that has ended: what it said last may still be on its way.
+    pub(crate) fn all_said(&mut self) -> String {
+        for reader in self.readers.drain(..) {
+            let _ = reader.join();
+        }
+        self.said()
     }
 
     fn pid(&self) -> Result<Pid, String> {
@@ -104,7 +114,7 @@ impl Session {
             .ok_or_else(|| "a process without a number".to_owned())
     }
 
-    fn ended(&mut self) -> Result<Option<ProcessStatus>, String> {
+    pub(crate) fn ended(&mut self) -> Result<Option<ProcessStatus>, String> {
         self.child.try_wait().map_err(|error| error.to_string())
     }
 }
@@ -141,11 +151,19 @@ pub(super) fn run(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Ver
         std::fs::remove_dir_all(&place).map_err(|error| error.to_string())?;
     }
     std::fs::create_dir_all(&place).map_err(|error| error.to_string())?;
-    let rig = start_rig(plan, programs, &place)?;
+    let rig = start_rig(plan.seed, programs, &place)?;
+    let profile = rig.profile().map_err(|error| format!("{error:#}"))?;
     let mut last = None;
     for attempt in 0..TRIES {
         let name = format!("try-{attempt}");
-        let mut session = Session::start(&mut command(&rig, plan, programs, &place, &name)?)?;
+        let record = Record {
+            port: rig.port(),
+            profile: &profile,
+            seconds: plan.length_us.div_ceil(1_000_000),
+            place: &place,
+            name: &name,
+        };
+        let mut session = Session::start(&mut record.command(programs)?)?;
         if !records(&mut session)? {
             last = Some(session.said());
             drop(session);
@@ -164,8 +182,13 @@ pub(super) fn run(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Ver
     ))
 }
 
-fn start_rig(plan: &Plan, programs: &Programs, place: &Path) -> Result<RunningRig, String> {
-    let seed = Seed(plan.seed);
+/// A rig whose operator twists it all the time, with a small and quick phone.
+pub(crate) fn start_rig(
+    seed: u64,
+    programs: &Programs,
+    place: &Path,
+) -> Result<RunningRig, String> {
+    let seed = Seed(seed);
     let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
     let mut phone = PhoneConfig::draw(seed);
     // Small and quick: videos are not what is judged here.
@@ -189,39 +212,45 @@ fn phone(rig: &RunningRig) -> Result<&SimPhone, String> {
 }
 
 /// Its owner stops what a session left.
-fn stop_phone(phone: &SimPhone) {
+pub(crate) fn stop_phone(phone: &SimPhone) {
     if phone.is_recording() {
         phone.press_record();
     }
 }
 
-fn command(
-    rig: &RunningRig,
-    plan: &Plan,
-    programs: &Programs,
-    place: &Path,
-    name: &str,
-) -> Result<Command, String> {
-    let profile = rig.profile().map_err(|error| format!("{error:#}"))?;
-    let profile = profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n");
-    let file = place.join("rig.toml");
-    std::fs::write(&file, profile + "\n[align]\nslew_us = 1000\n")
-        .map_err(|error| error.to_string())?;
-    // A file that may not grow is then an error to the program, as a full disk is.
-    let mut command = Command::new("env");
-    command
-        .arg("--ignore-signal=XFSZ")
-        .arg(&programs.smartdepthsync)
-        .arg("record")
-        .arg("--port")
-        .arg(rig.port())
-        .arg("--profile")
-        .arg(file)
-        .arg("--out")
-        .arg(place)
-        .args(["--name", name, "--yes", "--duration"])
-        .arg(format!("{}s", plan.length_us.div_ceil(1_000_000)));
-    Ok(command)
+/// A recording that is to be made.
+pub(crate) struct Record<'a> {
+    pub(crate) port: &'a Path,
+    /// The owner's profile; the twist is made shorter, and the way to the grid faster.
+    pub(crate) profile: &'a str,
+    pub(crate) seconds: u64,
+    /// Where it and its profile go.
+    pub(crate) place: &'a Path,
+    pub(crate) name: &'a str,
+}
+
+impl Record<'_> {
+    pub(crate) fn command(&self, programs: &Programs) -> Result<Command, String> {
+        let profile = self.profile.replace("[phone]\n", "[phone]\ntwist_s = 6\n");
+        let file = self.place.join("rig.toml");
+        std::fs::write(&file, profile + "\n[align]\nslew_us = 1000\n")
+            .map_err(|error| error.to_string())?;
+        // Whoever runs this may have switched the signal off that a full disk is here.
+        let mut command = Command::new("env");
+        command
+            .arg("--default-signal=XFSZ")
+            .arg(&programs.smartdepthsync)
+            .arg("record")
+            .arg("--port")
+            .arg(self.port)
+            .arg("--profile")
+            .arg(file)
+            .arg("--out")
+            .arg(self.place)
+            .args(["--name", self.name, "--yes", "--duration"])
+            .arg(format!("{}s", self.seconds));
+        Ok(command)
+    }
 }
 
 /// Waits until it records; false if it ends before.
@@ -301,14 +330,11 @@ fn happen(
             other => return Err(format!("{other:?} is no fault of this kind of run")),
         }
     };
-    // What it said last may still be on its way.
-    for reader in session.readers.drain(..) {
-        let _ = reader.join();
-    }
+    let said = session.all_said();
     let phone = phone(rig)?;
     let seen = Seen {
         status,
-        said: session.said(),
+        said,
         killed,
         full,
         phone_away: last_away,
@@ -342,7 +368,14 @@ fn judge(plan: &Plan, seen: &Seen, recording: &Path, truth: &RunTruth) -> Result
     // that may be left recording.
     let missed = kinds.contains(&"phone_lost");
     let zero = truth.zero.ok_or("the board's zero is not known")?;
-    let to_be_stopped = file.recorded.map_or(Ticks(0), |span| span.to);
+    // A later run of the board is where the mark says, within its sigmas.
+    let unsure_us = file
+        .runs
+        .last()
+        .map_or(0.0, |run| SIGMAS * run.shift_sigma_us);
+    let unsure = (unsure_us * f64::from(TICK_HZ / 1_000_000)) as u64;
+    let recorded_to = file.recorded.map_or(Ticks(0), |span| span.to);
+    let to_be_stopped = Ticks(recorded_to.0.saturating_sub(unsure));
     if missed
         && seen
             .phone_away

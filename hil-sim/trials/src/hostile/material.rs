@@ -11,13 +11,15 @@ use board::imu::Sample;
 use protocol::{ImuFlags, Output, Period, Pulse, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::profile::{DEFAULT, Profile};
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
 use recording::writer::Writer;
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
-use timebase::{BoardSeconds, ClockModel, Wander};
 use twist_sync::simulate::{self, TwistSpec};
 
+use super::bag::{self, Message};
 use super::{path, tool};
+
+#[path = "../../../../host/cli/tests/support/session.rs"]
+mod session;
 
 /// Length of the recording, s.
 const SECONDS: u64 = 6;
@@ -40,6 +42,8 @@ pub struct Files {
     /// The recording's folder.
     pub recording: PathBuf,
     pub(super) mcap: PathBuf,
+    /// A bag of the published system.
+    pub(super) bag: PathBuf,
     pub(super) session: PathBuf,
     pub(super) profile: PathBuf,
     pub(super) timestamps: PathBuf,
@@ -60,6 +64,7 @@ impl Files {
         Self {
             bait: path(root, "bait"),
             mcap: recording.join(MCAP_FILE),
+            bag: work.join("published.bag"),
             session: recording.join(recording::SESSION_FILE),
             profile: work.join("rig.toml"),
             timestamps: recording.join(format!("{VIDEO}_timestamps.csv")),
@@ -125,6 +130,8 @@ impl Material {
             .status();
         tool("ffmpeg", made)?;
         write_depth(&files.depth)?;
+        let messages = published(&twist.a);
+        fs::write(&files.bag, bag::bag(&messages, bag::NOT_PACKED, 1))?;
         Ok(Self(root.to_owned()))
     }
 
@@ -181,36 +188,35 @@ fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {
     }
     writer.marker(Ticks(ANCHOR.0 + 2 * u64::from(TICK_HZ)), None, "door")?;
     writer.finish()?;
-    let clock = ClockModel {
-        reference: BoardSeconds(4.0),
-        offset: OFFSET as f64,
-        skew: 0.0,
-        covariance: [[1e-6, 0.0], [0.0, 1e-14]],
-        wander: Wander(5e-8),
-    };
-    let mut session = SessionFile::new(String::from("walk"), Profile::published()?);
+    let clock = session::clock(4.0, OFFSET as f64, 0.0, 1e-3);
+    let (profile, grid) = (Profile::published()?, (ANCHOR, PERIOD));
+    let mut session = session::session(profile, clock, grid, 33_333_333.0, SECONDS);
     session.clock = Some(clock);
-    session.alignment = Some(Alignment {
-        exposure_us: 4_000.0,
-        middle_row_us: 5_503.0,
-        center_offset_us: 6_362.5,
-        bias_us: 0.0,
-        frame_period_ns: 33_333_333.0,
-        frame_period_sigma_ns: None,
-        frame_period_source: FramePeriodSource::VideoStart,
-        clock,
-        anchor: ANCHOR,
-        period_q32: PERIOD.0,
-        phase_sigma_us: 3.0,
-        drift_sigma_us_per_min: 10.0,
-        arrival_pulse: Some(0),
-        arrival: Some(ANCHOR),
-    });
-    let to = Ticks(ANCHOR.0 + SECONDS * u64::from(TICK_HZ));
-    session.recorded = Some(Span { from: ANCHOR, to });
-    session.outcome = Some(SessionOutcome::Good);
     session.save(folder)?;
     Ok(())
+}
+
+/// What the published system records of the same, with its topics.
+fn published(track: &twist_sync::GyroTrack) -> Vec<Message> {
+    const FIRST: u64 = 1_000_000_000;
+    let mut messages: Vec<Message> = (0..)
+        .zip(track.t.iter().zip(&track.w))
+        .map(|(seq, (t, w))| bag::imu(seq, FIRST + (t.max(0.0) * 1e9) as u64, [w[0], w[1], w[2]]))
+        .collect();
+    for number in 0..SECONDS as u32 * 30 {
+        let at = FIRST + u64::from(number) * 33_333_333;
+        messages.push(bag::time_reference("/mcu_cameras_ts", number, at, at));
+        let stamp = 1_600_000_000_000_000_000 + at;
+        messages.push(bag::depth_image(number, stamp, (6, 4)));
+        if number == 0 {
+            let phone = OFFSET as u64 * 1_000_000_000 + at;
+            messages.push(bag::time_reference("/mcu_s10_ts", 0, at, phone));
+            messages.push(bag::time_reference("/depth_to_mcu_offset", 0, at, stamp));
+            messages.push(bag::time_reference("/mcu_lidar_ts", 0, at, at));
+            messages.push(bag::time_reference("/sequences_ts", 0, at, at));
+        }
+    }
+    messages
 }
 
 fn write_depth(to: &Path) -> Result<()> {

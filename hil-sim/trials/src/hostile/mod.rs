@@ -8,15 +8,15 @@
 //!
 //! The program runs in limits ([`limits`]): address space, time of the processor, size of
 //! a file, time on the clock. Judged: it ends by itself, with an exit code that the
-//! documents have, without a panic, and touches nothing outside of its folder. For that
-//! the names in the mutations lead to a bait beside the folder, which the kernel watches:
-//! whoever opens, makes, changes or removes a file there is named.
-//!
-//! Limit: an open somewhere else than at the bait is not seen.
+//! documents have, without a panic, and opens, makes, changes or removes nothing outside of
+//! its folder but what the system has for reading ([`opens`], by `strace`). The names in the
+//! mutations lead to a bait beside the folder.
 
-mod limits;
+pub mod bag;
+pub mod limits;
 pub mod material;
 mod mutate;
+mod opens;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -29,7 +29,7 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, ensure};
 use smartdepthsync::outcome::ExitStatus;
 
-use limits::{Ended, Watch};
+use limits::Ended;
 use material::Material;
 use mutate::Draw;
 use rig::random::{Seed, Stream};
@@ -39,6 +39,8 @@ use rig::random::{Seed, Stream};
 pub enum Command {
     /// `extract`, in any format.
     Extract,
+    /// `extract` of a ROS 1 bag of the published system.
+    Bag,
     /// `offset` of two gyroscope files.
     Offset,
     /// `verify`.
@@ -57,11 +59,15 @@ pub enum Command {
 
 impl Command {
     /// All of them, those with the most to read more often.
-    const DRAWN: [Self; 12] = [
+    const DRAWN: [Self; 16] = [
         Self::Extract,
         Self::Extract,
         Self::Extract,
         Self::Extract,
+        Self::Bag,
+        Self::Bag,
+        Self::Offset,
+        Self::Offset,
         Self::Offset,
         Self::Verify,
         Self::Verify,
@@ -147,8 +153,14 @@ pub fn campaign(
     count: u64,
     each: &(dyn Fn(u64, &Result<Verdict, Finding>) + Sync),
 ) -> Result<Outcome> {
-    let place = tempfile::tempdir().context("no temporary folder")?;
-    let material = Material::make(&place.path().join("material"))?;
+    let folder = tempfile::tempdir().context("no temporary folder")?;
+    // As the kernel names it.
+    let place = folder
+        .path()
+        .canonicalize()
+        .context("no temporary folder")?;
+    let program = &program.canonicalize().context("finding the program")?;
+    let material = Material::make(&place.join("material"))?;
     let (next, outcome) = (AtomicU64::new(first), Mutex::new(Outcome::default()));
     let work = || -> Result<()> {
         loop {
@@ -156,7 +168,7 @@ pub fn campaign(
             if seed - first >= count {
                 return Ok(());
             }
-            let root = place.path().join(format!("seed-{seed}"));
+            let root = place.join(format!("seed-{seed}"));
             let result = run(seed, program, &material, &root)?;
             each(seed, &result);
             std::fs::remove_dir_all(&root).context("removing a run's folder")?;
@@ -198,9 +210,7 @@ fn run(
         .map(|_| mutate::mutate(&mut draw, command, &files))
         .collect::<Result<_>>()?;
     let arguments = arguments(&mut draw, command, &files);
-    let watch = Watch::new(root, &files)?;
-    let ended = limits::run(program, &arguments, &files.work)?;
-    let touched = watch.touched()?;
+    let ended = limits::run(program, &arguments, &files.work, root)?;
     let finding = |what: String| {
         Ok(Err(Finding {
             seed,
@@ -215,13 +225,12 @@ fn run(
         said,
         peak,
         took,
+        strays,
     } = ended;
     let said: String = said.chars().take(2_000).collect();
-    if !touched.is_empty() {
-        return finding(format!(
-            "touched outside of its folder: {}",
-            touched.join(", ")
-        ));
+    if !strays.is_empty() {
+        let strays = strays.join(", ");
+        return finding(format!("opened outside of its folder: {strays}"));
     }
     let Some(code) = code else {
         return finding(format!(
@@ -252,6 +261,14 @@ fn arguments(draw: &mut Draw<'_>, command: Command, files: &material::Files) -> 
             let format = *draw.one_of(&["euroc", "tum", "topics"]);
             let mut all = words(&["extract", "--format", format, "--out"]);
             all.extend([out.into(), recording()]);
+            all
+        }
+        Command::Bag => {
+            let format = *draw.one_of(&["euroc", "tum", "topics"]);
+            let mut all = words(&["extract", "--format", format, "--exposure-us", "4000"]);
+            all.extend(words(&["--readout-us", "11006", "--out"]));
+            all.extend([out.into(), files.bag.clone().into(), "--phone".into()]);
+            all.push(recording());
             all
         }
         Command::Offset => {

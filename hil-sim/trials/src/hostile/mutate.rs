@@ -5,11 +5,15 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use anyhow::{Context as _, Result};
+use extract::bag::reader::{Bag, BagError};
 use recording::chunks::Chunks;
 use rig::random::Random;
 use serde_json::Value;
 
+mod samples;
+
 use super::Command;
+use super::bag::{self, Message};
 use super::material::Files;
 
 /// Opcodes of records in an MCAP file that are mutated.
@@ -124,10 +128,22 @@ pub(super) fn mutate(draw: &mut Draw<'_>, command: Command, files: &Files) -> Re
             5 => link(draw, files),
             _ => mcap(draw, &files.mcap),
         },
+        Command::Bag => match draw.below(4) {
+            0 => {
+                let rows = [&files.gyro, &files.timestamps];
+                let file = *draw.one_of(&rows);
+                csv(draw, file)
+            }
+            _ => bag_file(draw, &files.bag),
+        },
         Command::Offset => {
             let both = [&files.board_csv, &files.phone_csv];
             let file = *draw.one_of(&both);
-            csv(draw, file)
+            // One in four is no more than the reader's to refuse.
+            match draw.below(4) {
+                0 => csv(draw, file),
+                _ => samples::mutate(draw, file),
+            }
         }
         Command::Evaluate => match draw.below(3) {
             0 => session(draw, &files.session),
@@ -322,6 +338,75 @@ fn change(draw: &mut Draw<'_>, records: &mut Vec<Record>) -> String {
             format!("message {which}: a length of {claim} at {place}")
         }
     }
+}
+
+/// Values of messages in a bag.
+fn bag_file(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
+    let mut reader = Bag::open(fs::File::open(file)?)?;
+    let mut messages: Vec<Message> = Vec::new();
+    while reader.next_chunk(|message| {
+        messages.push(Message {
+            topic: message.connection.topic.to_string(),
+            kind: message.connection.kind.clone(),
+            data: message.data.to_vec(),
+        });
+        Ok::<_, BagError>(())
+    })? {}
+    if messages.is_empty() {
+        return Ok(String::from("the bag is damaged already"));
+    }
+    // Rare topics as often as common ones.
+    let mut topics: Vec<String> = messages.iter().map(|m| m.topic.clone()).collect();
+    topics.sort();
+    topics.dedup();
+    let topic = draw.one_of(&topics).clone();
+    let those = (0..messages.len()).filter(|&i| messages[i].topic == topic);
+    let those: Vec<usize> = those.collect();
+    let which = *draw.one_of(&those);
+    let length = messages[which].data.len();
+    let what = match draw.below(8) {
+        0..=3 => {
+            let value = if draw.below(2) == 0 {
+                draw.one_of(&WHOLE).to_le_bytes()
+            } else {
+                draw.one_of(&REAL).to_le_bytes()
+            };
+            let place = 4 * draw.below(length / 4);
+            let all = draw.below(4) == 0;
+            for &index in those.iter().filter(|&&index| all || index == which) {
+                let data = messages[index].data.iter_mut().skip(place);
+                data.zip(value).for_each(|(slot, byte)| *slot = byte);
+            }
+            format!(
+                "byte {place} of {} messages = {value:?}",
+                if all { those.len() } else { 1 }
+            )
+        }
+        4 => {
+            let times = [50, 5_000, 100_000][draw.below(3)];
+            let copy = messages[which].clone();
+            messages.splice(which..which, std::iter::repeat_n(copy, times));
+            format!("a message {times} times more")
+        }
+        5 => {
+            messages[which].data.truncate(draw.below(length));
+            String::from("a message is cut")
+        }
+        6 => {
+            let name = draw.name();
+            for &index in &those {
+                messages[index].topic = format!("{name}{topic}");
+            }
+            format!("topic below {name:.40}")
+        }
+        _ => {
+            let other = draw.below(messages.len());
+            messages.swap(which, other);
+            format!("swapped with message {other}")
+        }
+    };
+    fs::write(file, bag::bag(&messages, bag::NOT_PACKED, 1))?;
+    Ok(format!("bag {topic}: {what}"))
 }
 
 /// One value of a file of rows.

@@ -219,6 +219,43 @@ fn the_monitor_serves_too_and_only_if_it_is_asked_to() {
     session.ends_with(0);
 }
 
+/// Whoever connects cannot write into the log: what a client does wrong is the client's.
+#[test]
+fn nonsense_from_a_viewer_is_not_logged() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(63, 4.0);
+    let mut command = Command::new(support::smartdepthsync());
+    command.args(["monitor", "--foxglove", "127.0.0.1:0", "--port"]);
+    let mut session = Session::start(command.arg(rig.rig.port()));
+    let url = served(&mut session);
+    let mut viewer = Viewer::connect(&url);
+    for text in [
+        "nonsense",
+        "{\"op\": \"nonsense\"}",
+        "{\"op\": \"getParameters\", \"parameterNames\": []}",
+    ] {
+        viewer.socket.send(Message::text(text)).unwrap();
+    }
+    let subscription = json!([{"id": 1, "channelId": 4_000_000_000_u32}]);
+    let unknown = json!({"op": "subscribe", "subscriptions": subscription});
+    viewer
+        .socket
+        .send(Message::text(unknown.to_string()))
+        .unwrap();
+    viewer.socket.send(Message::binary(vec![255; 99])).unwrap();
+    let mut raw = TcpStream::connect(url.trim_start_matches("ws://")).unwrap();
+    std::io::Write::write_all(&mut raw, &[7; 4_000]).unwrap();
+    drop(raw);
+    // It is served on, and so has read all that.
+    viewer.subscribe(&[STATE_TOPIC]);
+    viewer.next().unwrap();
+    session.signal(rustix::process::Signal::INT);
+    let said = session.ends_with(0);
+    for word in ["ERROR", "WARN", "nvalid", "nonsense", "handshake"] {
+        assert!(!said.contains(word), "{word}: {said}");
+    }
+}
+
 /// The TCP sockets of a process that listen, by their local addresses.
 fn listeners(process: u32) -> Vec<String> {
     let mut own = Vec::new();

@@ -20,6 +20,7 @@ mod foxglove;
 mod hostile;
 mod imu_csv;
 mod json_objects;
+mod lies;
 mod live_view;
 mod long_run;
 #[path = "../../../../host/cli/tests/support/objects.rs"]

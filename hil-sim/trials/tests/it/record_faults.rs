@@ -41,7 +41,7 @@ const STATES: [&str; 6] = [
 ];
 
 /// The train is stopped, and the phone records nothing.
-fn all_is_stopped(rig: &WholeRig, state: &str) {
+pub(crate) fn all_is_stopped(rig: &WholeRig, state: &str) {
     assert!(!rig.phone().is_recording(), "{state}: the phone records");
     let output = Command::new(smartdepthsync())
         .args(["trigger", "status", "--json", "--port"])
@@ -54,7 +54,7 @@ fn all_is_stopped(rig: &WholeRig, state: &str) {
 }
 
 /// The files of a recording can be read, and say how it ended.
-fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile {
+pub(crate) fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile {
     let folder = rig.recording(name);
     let session = SessionFile::load(&folder).unwrap();
     assert_eq!(session.outcome, Some(outcome), "{name}");
@@ -68,7 +68,7 @@ fn readable(rig: &WholeRig, name: &str, outcome: SessionOutcome) -> SessionFile 
     session
 }
 
-fn problems(session: &SessionFile) -> Vec<&str> {
+pub(crate) fn problems(session: &SessionFile) -> Vec<&str> {
     session.problems.iter().map(|p| p.kind.as_str()).collect()
 }
 
@@ -382,7 +382,10 @@ fn a_full_disk_ends_the_session_and_what_was_written_can_be_read() {
     let wanted = rig.record("full", &["--duration", "600s"]);
     let mut command = Command::new("sh");
     command
-        .args(["-c", "ulimit -f 1024; exec \"$0\" \"$@\""])
+        .args([
+            "-c",
+            "ulimit -f 1024; exec env --default-signal=XFSZ \"$0\" \"$@\"",
+        ])
         .arg(wanted.get_program())
         .args(wanted.get_args());
     let said = Session::start(&mut command).ends_with(STORAGE);
@@ -449,4 +452,80 @@ fn a_kill_takes_the_depth_recorder_along() {
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
     rig.stop_phone();
+}
+
+/// With its guard killed too, nobody stops it; the next start says so.
+#[test]
+fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(16, SPEED);
+    let profile = format!(
+        "{}\n[depth.recorder]\ncommand = [\"sh\", \"-c\", \"echo $$ > {{folder}}/pid; sleep 600\"]\n",
+        rig.profile()
+    );
+    let mut session = Session::start(&mut rig.record_with("left", &profile, &[]));
+    session.wait_for("the trigger runs");
+    let file = rig.recording("left").join("pid");
+    let pid = loop {
+        match std::fs::read_to_string(&file) {
+            Ok(pid) if pid.ends_with('\n') => break pid,
+            _ => rig.wait_ms(10),
+        }
+    };
+    let doctor = || {
+        let mut command = Command::new(smartdepthsync());
+        command.args(["doctor", "--port"]).arg(rig.rig.port());
+        command
+            .arg("--profile")
+            .arg(rig.folder.path().join("left.toml"));
+        let output = command.output().unwrap();
+        String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
+    };
+    let told = format!("still runs (process {})", pid.trim());
+    let guards = children(session.id());
+    // One of a `record` that lives is none.
+    let said = doctor();
+    assert!(!said.contains("still runs"), "{said}");
+    // The recorder is the other child.
+    for guard in guards
+        .into_iter()
+        .filter(|child| child.to_string() != pid.trim())
+    {
+        let guard = rustix::process::Pid::from_raw(guard).unwrap();
+        rustix::process::kill_process(guard, Signal::KILL).unwrap();
+    }
+    session.signal(Signal::KILL);
+    session.end();
+    rig.stop_phone();
+    let said = doctor();
+    assert!(said.contains(&told), "{told}: {said}");
+    let mut next = Session::start(&mut rig.record_with("next", &profile, &["--duration", "1s"]));
+    next.wait_for(&told);
+    next.signal(Signal::INT);
+    next.ends_with(INTERRUPTED);
+    let group = rustix::process::Pid::from_raw(pid.trim().parse().unwrap()).unwrap();
+    rustix::process::kill_process_group(group, Signal::KILL).unwrap();
+}
+
+/// The processes that a process has started.
+fn children(process: u32) -> Vec<i32> {
+    let list = std::fs::read_to_string(format!("/proc/{process}/task/{process}/children"));
+    let list = list.unwrap();
+    list.split_whitespace()
+        .map(|pid| pid.parse().unwrap())
+        .collect()
+}
+
+#[test]
+fn a_folder_that_is_deleted_while_it_records_ends_the_session_at_once() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(17, SPEED);
+    let mut session = Session::start(&mut rig.record("gone", &["--duration", "600s"]));
+    session.wait_for("recording for");
+    std::fs::remove_dir_all(rig.recording("gone")).unwrap();
+    let began = std::time::Instant::now();
+    let said = session.ends_with(STORAGE);
+    assert!(began.elapsed().as_secs() < 20, "{said}");
+    assert!(said.contains("was deleted or moved"), "{said}");
+    all_is_stopped(&rig, "folder deleted");
 }

@@ -117,6 +117,19 @@ fn gaps_are_counted_across_the_wrap_of_the_number() {
 }
 
 #[test]
+fn numbers_that_do_not_follow_are_counted_apart() {
+    let mut conversation = Conversation::new(0);
+    for seq in [7, 7, 7, 8, 8 + (1 << 31) + 1, 8 + (1 << 31) + 2] {
+        conversation.receive(&frame(&sample(seq)));
+    }
+    let count = conversation.counts().of(Stream::Imu);
+    assert_eq!((count.received, count.lost, count.disordered), (6, 0, 3));
+    let told = events(&mut conversation);
+    let disordered = |event: &&Event| matches!(event, Event::Disordered { .. });
+    assert_eq!(told.iter().filter(disordered).count(), 3, "{told:?}");
+}
+
+#[test]
 fn a_damaged_frame_is_told_and_its_message_shows_as_lost() {
     let mut conversation = Conversation::new(0);
     conversation.receive(&frame(&sample(10)));

@@ -168,6 +168,10 @@ impl Monitor<'_> {
                 let text = format!("{count} {stream} lost");
                 self.gauge.warning("pulse_messages_lost", &text);
             }
+            Event::Disordered { stream } => {
+                let text = format!("{stream} came twice, or with numbers that do not follow");
+                self.gauge.warning("numbers_disordered", &text);
+            }
             Event::Damaged(error) => {
                 self.gauge.damaged();
                 self.gauge.warning("damaged", &error.to_string());

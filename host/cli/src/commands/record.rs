@@ -196,6 +196,13 @@ fn summary(report: &PrintedSession<'_>) -> String {
         session.damaged_frames,
         session.reconnects
     );
+    if counts.disordered() > 0 {
+        let _ = writeln!(
+            text,
+            "disordered   {} messages came twice, or with numbers that do not follow",
+            counts.disordered()
+        );
+    }
     if !session.markers.is_empty() {
         let _ = writeln!(text, "marks        {}", session.markers.len());
     }

@@ -6,9 +6,12 @@
 //! killed if it does not end in time.
 //!
 //! If this program is killed, it can do nothing of that any more. So a [guard](Guard)
-//! waits beside it: a shell that reads from a pipe of ours, which ends when we do.
+//! waits beside it: a shell that reads from a pipe of ours, which ends when we do. Where
+//! that was killed too, the next start says that a recorder is [left over](left_over): a
+//! recorder has the process that started it in its environment ([`STARTED_BY`]).
 
-use std::fs::File;
+use std::collections::BTreeSet;
+use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus as ProcessStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -18,6 +21,42 @@ use recording::profile::{Depth, StopSignal};
 
 /// Name of the file that keeps what it says.
 pub(crate) const LOG_FILE: &str = "depth_recorder.log";
+
+/// Variable of a recorder's environment: the process of the program that started it.
+const STARTED_BY: &str = "SMARTDEPTHSYNC_STARTED_BY";
+
+/// Process groups of depth recorders whose `record` has gone, on Linux. A recorder and
+/// what it started are one group, whose leader is a child of `record`.
+pub(crate) fn left_over() -> BTreeSet<u32> {
+    let Ok(processes) = fs::read_dir("/proc") else {
+        return BTreeSet::new();
+    };
+    processes
+        .flatten()
+        .filter_map(|entry| {
+            // Those of other users cannot be read, and are not ours.
+            let environment = fs::read(entry.path().join("environ")).ok()?;
+            let mut variables = environment.split(|&byte| byte == 0);
+            let started_by = variables.find_map(|variable| {
+                let name_less = variable.strip_prefix(STARTED_BY.as_bytes())?;
+                std::str::from_utf8(name_less.strip_prefix(b"=")?).ok()
+            })?;
+            let (_, group) = parent_and_group(&entry.path())?;
+            let leader = parent_and_group(&Path::new("/proc").join(group.to_string()));
+            let is_watched = leader.is_some_and(|(parent, _)| started_by == parent.to_string());
+            (!is_watched).then_some(group)
+        })
+        .collect()
+}
+
+/// Parent and process group of a process, by its folder in `/proc` (proc(5), `stat`).
+fn parent_and_group(process: &Path) -> Option<(u32, u32)> {
+    let stat = fs::read_to_string(process.join("stat")).ok()?;
+    // The name in brackets may hold anything.
+    let (_, behind_name) = stat.rsplit_once(')')?;
+    let mut fields = behind_name.split_whitespace().skip(1);
+    Some((fields.next()?.parse().ok()?, fields.next()?.parse().ok()?))
+}
 
 /// A depth recorder that runs.
 pub(crate) struct DepthRecorder {
@@ -101,6 +140,7 @@ impl DepthRecorder {
         let mut command = Command::new(program);
         command
             .args(arguments.iter().map(|text| fill_in(text, depth, folder)))
+            .env(STARTED_BY, std::process::id().to_string())
             .stdin(Stdio::null())
             .stdout(log)
             .stderr(log_too);

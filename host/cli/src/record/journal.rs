@@ -35,6 +35,7 @@ pub struct Journal<'a> {
     pub(super) now: Ticks,
     /// A time far beyond it that one message told.
     ahead: Option<Ticks>,
+    odd_told: bool,
     has_problems: bool,
 }
 
@@ -56,20 +57,34 @@ impl<'a> Journal<'a> {
             file,
             now: Ticks::ZERO,
             ahead: None,
+            odd_told: false,
             has_problems: false,
         }
     }
 
     /// A message tells a board time. One that is far ahead of all others is believed once
-    /// a second message says the same: a single wrong one must not end a recording.
-    pub(super) fn advance(&mut self, at: Ticks) {
+    /// a second message says the same: a single wrong one must not end a recording. That
+    /// there was one is told, once.
+    pub(super) fn advance(&mut self, at: Ticks) -> Result<(), Stop> {
         let is_far = |from: Ticks| at.0.abs_diff(from.0) > FAR;
         if at > self.now && is_far(self.now) && self.ahead.is_none_or(is_far) {
             self.ahead = Some(at);
-            return;
+            return Ok(());
         }
-        self.ahead = None;
+        let behind = (at < self.now && is_far(self.now)).then_some(at);
+        let odd = self.ahead.take().filter(|ahead| is_far(*ahead)).or(behind);
         self.now = self.now.max(at);
+        match odd {
+            Some(odd) if !std::mem::replace(&mut self.odd_told, true) => {
+                let text = format!(
+                    "a message of the board has the time {:.3} s, far from all others; it is \
+                     recorded as it came, and further ones are not told",
+                    odd.as_secs_f64()
+                );
+                self.problem(Finding::warning("time_odd", text))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Whether anything went wrong so far.

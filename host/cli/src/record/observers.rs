@@ -37,6 +37,13 @@ impl Observers {
         }
     }
 
+    /// A message's number does not follow on the one before.
+    pub(super) fn disordered(&mut self, stream: Stream) {
+        if let Some(watch) = &mut self.watch {
+            watch.disordered(stream, &mut self.findings);
+        }
+    }
+
     /// All that had come by this time was taken.
     pub(super) fn time(&mut self, now: Ticks) {
         if let Some(watch) = &mut self.watch {
@@ -137,6 +144,6 @@ pub(super) fn take_message(
         ),
         DeviceToHost::Answer(_) | DeviceToHost::Filler(_) => return Ok(()),
     };
-    journal.advance(at);
-    Ok(written?)
+    written?;
+    journal.advance(at)
 }

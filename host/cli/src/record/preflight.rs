@@ -13,6 +13,7 @@ use std::process::{Command, Stdio};
 use protocol::{Hello, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
 use serde::Serialize;
 
+use super::depth_recorder::left_over;
 use super::rounds::free_space;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
@@ -229,6 +230,13 @@ impl Checks {
         };
         if found {
             self.good("depth recorder", program.clone());
+            for group in left_over() {
+                self.warn(
+                    "depth recorder",
+                    format!("one of a `record` that was killed still runs (process {group})"),
+                    &format!("it holds the camera: stop it with `kill -s INT -- -{group}`"),
+                );
+            }
         } else {
             self.bad(
                 "depth recorder",

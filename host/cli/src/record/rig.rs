@@ -189,6 +189,7 @@ impl<'a> Rig<'a> {
                 let text = format!("{count} {stream} lost on the link");
                 writer.log(now, Severity::Warning, "lost", &text)?;
             }
+            Event::Disordered { stream } => self.observers.disordered(stream),
             Event::Damaged(error) => {
                 self.journal.live.gauge.damaged();
                 writer.log(now, Severity::Warning, "damaged", &error.to_string())?;

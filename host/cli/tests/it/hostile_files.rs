@@ -9,11 +9,10 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use board::imu::Sample;
-use mcap::records::MessageHeader;
 use protocol::{Answer, DeviceToHost, HostToDevice, ImuFlags, Pulse, Reply, Ticks};
-use recording::session_file::{Problem, SessionFile};
-use recording::writer::{Writer, options};
-use recording::{MCAP_FILE, SESSION_FILE, Topic};
+use recording::session_file::Problem;
+use recording::writer::Writer;
+use recording::{MCAP_FILE, SESSION_FILE};
 use serde_json::Value;
 
 use crate::support::synthetic::{self, Wrong};
@@ -24,7 +23,7 @@ const MEMORY: u64 = 1 << 30;
 const SECONDS: u64 = 20;
 
 /// Runs the program in its limits; whatever it meets, it ends with a code of its own.
-fn limited(args: &[&str]) -> Output {
+pub(crate) fn limited(args: &[&str]) -> Output {
     let output = command(args).output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(!said.contains("panicked"), "{args:?}: {said}");
@@ -33,7 +32,7 @@ fn limited(args: &[&str]) -> Output {
     output
 }
 
-fn command(args: &[&str]) -> Command {
+pub(crate) fn command(args: &[&str]) -> Command {
     let mut command = Command::new("prlimit");
     command
         .arg(format!("--as={MEMORY}"))
@@ -44,7 +43,7 @@ fn command(args: &[&str]) -> Command {
     command
 }
 
-fn utf8(path: &Path) -> &str {
+pub(crate) fn utf8(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
@@ -117,57 +116,6 @@ fn names_in_a_session_lead_nowhere() {
         assert!(!said.contains("VID_1"), "{what}: nothing was read: {said}");
         assert_eq!(code(&limited(&["verify", utf8(&folder)])), 4, "{what}");
         assert_eq!(code(&limited(&["report", utf8(&folder)])), 13, "{what}");
-    }
-}
-
-/// An MCAP file of `chunks` chunks of 16 MiB, each of the same message over and over.
-fn bomb(folder: &Path, topic: Topic, message: &[u8], chunks: usize) {
-    fs::create_dir_all(folder).unwrap();
-    let file = BufWriter::new(fs::File::create(folder.join(MCAP_FILE)).unwrap());
-    let options = options().emit_message_indexes(false);
-    let mut writer = options.create(mcap::write::NoSeek::new(file)).unwrap();
-    let schema = writer
-        .add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())
-        .unwrap();
-    let channel = writer
-        .add_channel(schema, topic.name(), "cdr", &Default::default())
-        .unwrap();
-    let header = MessageHeader {
-        channel_id: channel,
-        sequence: 0,
-        log_time: 1_000_000_000,
-        publish_time: 1_000_000_000,
-    };
-    let each = (16 << 20) / (31 + message.len());
-    for _ in 0..chunks {
-        for _ in 0..each {
-            writer.write_to_known_channel(&header, message).unwrap();
-        }
-        writer.flush().unwrap();
-    }
-    writer.finish().unwrap();
-}
-
-/// A time reference: stamp, empty names, time.
-const TIMES: &[u8] = &[
-    0, 1, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0,
-    0,
-];
-
-#[test]
-fn a_small_recording_that_unpacks_to_much_takes_little_memory() {
-    let parent = tempfile::tempdir().unwrap();
-    for (name, topic) in [("marks", Topic::Marker), ("pairs", Topic::Trigger)] {
-        let folder = parent.path().join(name);
-        bomb(&folder, topic, TIMES, 20);
-        let length = fs::metadata(folder.join(MCAP_FILE)).unwrap().len();
-        assert!(length < 3 << 20, "{length}");
-        let output = limited(&["extract", utf8(&folder)]);
-        assert_eq!(code(&output), 4, "{output:?}");
-        let said = text(&output.stdout);
-        assert!(said.contains("left out"), "{said}");
-        let output = limited(&["report", utf8(&folder)]);
-        assert_eq!(code(&output), 13, "there is no session: {output:?}");
     }
 }
 
@@ -293,36 +241,6 @@ fn false_heads_of_chunks_cost_a_time_that_grows_as_the_file() {
         fs::write(&file, bytes).unwrap();
         let output = limited(&["verify", utf8(&file)]);
         assert!([4, 13].contains(&code(&output)), "{kind}: {output:?}");
-    }
-}
-
-#[test]
-fn the_first_ctrl_c_stops_every_command_that_reads_long() {
-    let parent = tempfile::tempdir().unwrap();
-    let folder = parent.path().join("walk");
-    bomb(&folder, Topic::Marker, TIMES, 150);
-    SessionFile::save(&synthetic::session(), &folder).unwrap();
-    let out = parent.path().join("out");
-    for args in [
-        vec!["verify", utf8(&folder)],
-        vec!["report", utf8(&folder)],
-        vec!["repair", utf8(&folder), utf8(&out)],
-        vec!["extract", utf8(&folder)],
-    ] {
-        let mut command = command(&args);
-        let mut child = command
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
-        std::thread::sleep(Duration::from_millis(800));
-        assert_eq!(child.try_wait().unwrap(), None, "{args:?} ended by itself");
-        let pid = rustix::process::Pid::from_child(&child);
-        rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
-        let asked = Instant::now();
-        let status = child.wait().unwrap();
-        assert_eq!(status.code(), Some(130), "{args:?}");
-        assert!(asked.elapsed() < Duration::from_secs(3), "{args:?}");
     }
 }
 

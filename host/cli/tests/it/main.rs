@@ -8,6 +8,7 @@ mod documented_commands;
 mod evaluate_command;
 mod extract_command;
 mod fuzz_smoke;
+mod hostile_costs;
 mod hostile_files;
 mod offset_command;
 mod phone_faults;

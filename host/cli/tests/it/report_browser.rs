@@ -31,11 +31,12 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
     session.counts = StreamCounts {
         pulses: StreamCount {
             received: SECONDS * 30,
-            lost: 0,
+            ..StreamCount::default()
         },
         imu: StreamCount {
             received: SECONDS * 500,
             lost: 2,
+            disordered: 0,
         },
         ..StreamCounts::default()
     };

@@ -12,10 +12,11 @@ use protocol::{
     TrainState, TriggerStatus, encode,
 };
 use recording::profile::Profile;
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
+use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
-use timebase::BoardSeconds;
-use timebase::{ClockModel, Wander};
+
+#[path = "session.rs"]
+mod session;
 
 /// Length in seconds.
 pub(crate) const SECONDS: u64 = 6;
@@ -107,36 +108,12 @@ fn status(seq: u32, at: Ticks, samples: u32, pulses: u64, dropped: u32) -> Statu
 }
 
 pub(crate) fn session() -> SessionFile {
-    let mut session = SessionFile::new(String::from("walk"), Profile::published().unwrap());
-    let clock = ClockModel {
-        reference: BoardSeconds(12.5),
-        offset: 94_000.25,
-        skew: -1.5e-5,
-        covariance: [[1e-12, 2e-19], [2e-19, 1e-14]],
-        wander: Wander(5e-8),
-    };
-    session.alignment = Some(Alignment {
-        exposure_us: 4_000.0,
-        middle_row_us: 5_503.0,
-        center_offset_us: 6_362.5,
-        bias_us: 0.0,
-        frame_period_ns: 33_330_652.0,
-        frame_period_sigma_ns: None,
-        frame_period_source: FramePeriodSource::VideoStart,
-        clock,
-        anchor: ANCHOR,
-        period_q32: PERIOD.0,
-        phase_sigma_us: 3.0,
-        drift_sigma_us_per_min: 10.0,
-        arrival_pulse: Some(0),
-        arrival: Some(ANCHOR),
-    });
-    session.recorded = Some(Span {
-        from: ANCHOR,
-        to: Ticks(ANCHOR.0 + SECONDS * u64::from(TICK_HZ)),
-    });
-    session.outcome = Some(SessionOutcome::Good);
-    session
+    let profile = Profile::published().unwrap();
+    let mut clock = session::clock(12.5, 94_000.25, -1.5e-5, 1e-6);
+    clock.covariance[0][1] = 2e-19;
+    clock.covariance[1][0] = 2e-19;
+    let frame_period_ns = 33_330_652.0;
+    session::session(profile, clock, (ANCHOR, PERIOD), frame_period_ns, SECONDS)
 }
 
 /// Writes a recording into `parent/walk`.

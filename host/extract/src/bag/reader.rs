@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use std::io::{self, Read};
 use std::sync::Arc;
 
+use recording::chunks::Budget;
+
 /// The first line of a bag.
 const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Most bytes of a record's header.
@@ -15,6 +17,9 @@ const MAX_HEADER: u32 = 1 << 20;
 /// Most bytes of a record, and of a chunk when unpacked: above an uncompressed colour
 /// image of 3840x2160.
 const MAX_DATA: u64 = 40 << 20;
+/// How many times its length a bag may unpack to: LZ4 packs pictures without any depth
+/// to a 250th, others to some quarter.
+const MAX_RATIO: u64 = 64;
 /// Most connections that are kept, and bytes of a topic or type.
 const MAX_CONNECTIONS: usize = 1_000;
 const MAX_NAME: usize = 1_000;
@@ -85,6 +90,7 @@ pub struct Bag<R> {
     closed: bool,
     ended: bool,
     chunk: Vec<u8>,
+    budget: Budget,
 }
 
 impl<R: Read> Bag<R> {
@@ -114,6 +120,7 @@ impl<R: Read> Bag<R> {
             closed: false,
             ended: false,
             chunk: Vec::new(),
+            budget: Budget::new(MAX_RATIO),
         })
     }
 
@@ -296,9 +303,18 @@ impl<R: Read> Bag<R> {
         if let Err(error) = result {
             self.note(at, &format!("a chunk cannot be unpacked in full: {error}"));
         }
-        if self.chunk.len() as u64 > MAX_DATA {
+        let unpacked = self.chunk.len() as u64;
+        if unpacked > MAX_DATA {
             self.chunk.clear();
             self.note(at, "a chunk is larger than any real one when unpacked");
+        }
+        if !self.budget.takes(unpacked, self.position) {
+            self.chunk.clear();
+            let text = format!(
+                "the bag unpacks to more than {MAX_RATIO} times its length, which no real one \
+                 does; the rest is left out"
+            );
+            self.end(at, &text);
         }
         Ok(())
     }

@@ -167,7 +167,8 @@ fn tied_knots(points: &[(f64, f64)], a: f64, b: f64, sigma: f64, count: usize) -
     knots
 }
 
-/// The median; 0 of nothing.
+/// The upper median; 0 of nothing. One of the values, so that whole periods stay whole:
+/// [`twist_sync::robust::median`] takes the mean of two.
 pub(crate) fn median(mut values: Vec<f64>) -> f64 {
     if values.is_empty() {
         return 0.0;

@@ -1,0 +1,51 @@
+//! The session file of a recording that went well, of a rig that is not there.
+
+use protocol::{Period, TICK_HZ, Ticks};
+use recording::profile::Profile;
+use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
+use timebase::{BoardSeconds, ClockModel, Wander};
+
+/// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
+/// 0.1 ppm.
+pub(crate) const fn clock(reference: f64, offset: f64, skew: f64, sigma_s: f64) -> ClockModel {
+    ClockModel {
+        reference: BoardSeconds(reference),
+        offset,
+        skew,
+        covariance: [[sigma_s * sigma_s, 0.0], [0.0, 1e-14]],
+        wander: Wander(5e-8),
+    }
+}
+
+/// `walk`, recorded from `anchor` on for so many seconds, with pulses on a grid.
+pub(crate) fn session(
+    profile: Profile,
+    clock: ClockModel,
+    (anchor, period): (Ticks, Period),
+    frame_period_ns: f64,
+    seconds: u64,
+) -> SessionFile {
+    let mut session = SessionFile::new(String::from("walk"), profile);
+    session.alignment = Some(Alignment {
+        exposure_us: 4_000.0,
+        middle_row_us: 5_503.0,
+        center_offset_us: 6_362.5,
+        bias_us: 0.0,
+        frame_period_ns,
+        frame_period_sigma_ns: None,
+        frame_period_source: FramePeriodSource::VideoStart,
+        clock,
+        anchor,
+        period_q32: period.0,
+        phase_sigma_us: 3.0,
+        drift_sigma_us_per_min: 10.0,
+        arrival_pulse: Some(0),
+        arrival: Some(anchor),
+    });
+    session.recorded = Some(Span {
+        from: anchor,
+        to: Ticks(anchor.0 + seconds * u64::from(TICK_HZ)),
+    });
+    session.outcome = Some(SessionOutcome::Good);
+    session
+}
