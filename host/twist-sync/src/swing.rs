@@ -54,7 +54,8 @@ struct Given {
 /// Takes slow time errors into the fit: its relation and its covariance.
 pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
-    let Some(none) = given(&locals, 0.0, 1.0).filter(|_| locals.len() > 6) else {
+    let none = given(&locals, 0.0, &shape(&locals, 1.0));
+    let Some(none) = none.filter(|_| locals.len() > 6) else {
         return;
     };
     let prior_none = NONE[classes.min(NONE.len() - 1)];
@@ -63,10 +64,11 @@ pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let rarity = |size: f64| 1.0 / size.sqrt();
     let sum = SIZES_S.iter().copied().map(rarity).sum::<f64>() * lengths.len() as f64;
     let prior = |size: f64| (1.0 - prior_none) * rarity(size) / sum;
-    let swings = SIZES_S
-        .iter()
-        .flat_map(|&size| lengths.iter().map(move |&length| (size, length)))
-        .filter_map(|(size, length)| Some((prior(size), given(&locals, size, length)?)));
+    let swings = lengths.iter().flat_map(|&length| {
+        let shape = shape(&locals, length);
+        let at = |size| Some((prior(size), given(&locals, size, &shape)?));
+        SIZES_S.into_iter().filter_map(at).collect::<Vec<_>>()
+    });
     let base = (none.mean, none.covariance);
     let all: Vec<(f64, Given)> = std::iter::once((prior_none, none)).chain(swings).collect();
     let top = all.iter().map(|(_, g)| g.ln_likelihood);
@@ -129,15 +131,21 @@ fn locals(fit: &Fit, oversampling: f64) -> Vec<Local> {
     out
 }
 
+/// Correlation of the displacements of the parts by a swing of this length.
+fn shape(locals: &[Local], length_s: f64) -> DMatrix<f64> {
+    DMatrix::from_fn(locals.len(), locals.len(), |r, c| {
+        let square = ((locals[r].u - locals[c].u) / length_s).powi(2);
+        (1.0 - 2.0 * square + square * square / 3.0) * (-0.5 * square).exp()
+    })
+}
+
 /// Generalised least squares of the displacements on shift and rate under a swing.
-fn given(locals: &[Local], size_s: f64, length_s: f64) -> Option<Given> {
+fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
     let n = locals.len();
     // In units of the median sigma, so that no figure is tiny.
     let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n.max(1) as f64;
     let variance = |r: usize, c: usize| {
-        let square = ((locals[r].u - locals[c].u) / length_s).powi(2);
-        let shape = (1.0 - 2.0 * square + square * square / 3.0) * (-0.5 * square).exp();
-        let swing = size_s * size_s * shape;
+        let swing = size_s * size_s * shape[(r, c)];
         (swing + if r == c { locals[r].variance } else { 0.0 }) / unit
     };
     let cholesky = DMatrix::from_fn(n, n, variance).cholesky()?;

@@ -65,7 +65,7 @@ pub(super) fn svg(
     };
     let words = |left_out: &LeftOut| match left_out.why {
         Why::Apart => "not one body",
-        Why::Slipped(_) => "turned",
+        Why::Slipped { .. } => "turned",
         Why::TimeStep(_) => "step of time",
     };
     let marks = report.left_out.iter();
