@@ -90,7 +90,11 @@ fn measured() {
     hostile("every tenth at the end of time", &wild, MULTIPLE);
     hostile("half of it 30 years later", &later, MULTIPLE);
     hostile("gaps of a minute", &parts, MULTIPLE_SPARSE);
-    hostile("10 samples a second", &|k| 0.0999 * k as f64, MULTIPLE_SPARSE);
+    hostile(
+        "10 samples a second",
+        &|k| 0.0999 * k as f64,
+        MULTIPLE_SPARSE,
+    );
     println!("at most {most:.1} times");
 }
 
