@@ -23,6 +23,10 @@ from scipy.interpolate import CubicSpline
 from twistnsync.twistnsync import TimeSync
 
 
+# As often as the example runs ours.
+RUNS = 5
+
+
 def read(path):
     data = np.loadtxt(path, delimiter=",", skiprows=1)
     return data[:, 0], data[:, 1:]
@@ -39,13 +43,15 @@ def peak(correlation):
 
 
 def offsets(mcu, phone):
-    """Phone - mcu as published, and repaired; and the seconds it took."""
+    """Phone - mcu as published, and repaired; and the seconds of the fastest run."""
     (t_mcu, w_mcu), (t_phone, w_phone) = mcu, phone
-    start = time.perf_counter()
-    sync = TimeSync(w_mcu, w_phone, t_mcu - t_mcu[0], t_phone - t_phone[0], True)
-    sync.resample(step=None)
-    sync.obtain_delay()
-    seconds = time.perf_counter() - start
+    seconds = math.inf
+    for _ in range(RUNS):
+        start = time.perf_counter()
+        sync = TimeSync(w_mcu, w_phone, t_mcu - t_mcu[0], t_phone - t_phone[0], True)
+        sync.resample(step=None)
+        sync.obtain_delay()
+        seconds = min(seconds, time.perf_counter() - start)
     between = t_phone[0] - t_mcu[0]
     shift = -len(sync._xx1_new) + 1
     repaired = (peak(sync.cor) + shift) * sync._dt
@@ -73,13 +79,13 @@ def main():
             seconds.append(took)
             ours_ms.append(float(row["ms"]))
     print(f"{len(seconds)} simulated twists, the same files for all\n")
-    print("| | RMSE µs | median µs | largest µs | ms each |")
+    print("| | RMSE µs | median µs | largest µs | ms |")
     print("|---|---|---|---|---|")
     for name, values in errors.items():
         if not values:
             print(f"| {name} | all refused | | | |")
             continue
-        ms = np.mean(ours_ms) if name == "smartdepthsync" else 1e3 * np.mean(seconds)
+        ms = np.median(ours_ms) if name == "smartdepthsync" else 1e3 * np.median(seconds)
         absolute = np.abs(values) * 1e6
         print(
             f"| {name} | {rms(values) * 1e6:.2f} | {np.median(absolute):.2f}"

@@ -37,6 +37,8 @@ pub(crate) struct SyncReport {
     pub(crate) motion_rms: Option<f64>,
     pub(crate) overlap_s: Option<f64>,
     pub(crate) faults: Vec<DeviceFault>,
+    /// From, to, seconds from the board's first sample.
+    pub(crate) together: Vec<(f64, f64)>,
     pub(crate) left_out: Vec<Stretch>,
     gates: Vec<Gate>,
     pub(crate) warnings: Vec<String>,
@@ -51,6 +53,7 @@ pub(crate) struct Stretch {
     /// `apart`, `slipped` or `time_step`.
     why: &'static str,
     turned_deg: Option<f64>,
+    turned_sigma_deg: Option<f64>,
     step_s: Option<f64>,
     #[serde(skip)]
     pub(crate) text: String,
@@ -58,16 +61,17 @@ pub(crate) struct Stretch {
 
 impl From<&LeftOut> for Stretch {
     fn from(left_out: &LeftOut) -> Self {
-        let (why, turned_deg, step_s) = match left_out.why {
+        let (why, turned, step_s) = match left_out.why {
             Why::Apart => ("apart", None, None),
-            Why::Slipped(angle) => ("slipped", Some(angle.to_degrees()), None),
+            Why::Slipped { by, sigma } => ("slipped", Some((by, sigma)), None),
             Why::TimeStep(by_s) => ("time_step", None, Some(by_s)),
         };
         Self {
             from_s: left_out.from_s,
             to_s: left_out.to_s,
             why,
-            turned_deg,
+            turned_deg: turned.map(|(by, _)| by.to_degrees()),
+            turned_sigma_deg: turned.map(|(_, sigma)| sigma.to_degrees()),
             step_s,
             text: left_out.to_string(),
         }
@@ -91,10 +95,23 @@ impl From<&Report> for SyncReport {
             motion_rms: report.motion_rms,
             overlap_s: report.overlap_s,
             faults: report.faults.iter().map(DeviceFault::from).collect(),
+            together: report.together.clone(),
             left_out: report.left_out.iter().map(Stretch::from).collect(),
             gates: report.gates.clone(),
             warnings: report.warnings.iter().map(warning).collect(),
         }
+    }
+}
+
+impl SyncReport {
+    /// When the two moved as one body, in words; `None` where no part of them did.
+    pub(crate) fn together_text(&self) -> Option<String> {
+        let stretch = |(from, to): &(f64, f64)| format!("from {from:.1} s to {to:.1} s");
+        let stretches: Vec<String> = self.together.iter().map(stretch).collect();
+        (!stretches.is_empty()).then(|| {
+            let stretches = stretches.join(", ");
+            format!("board and phone moved as one body {stretches}")
+        })
     }
 }
 

@@ -66,6 +66,39 @@ struct Sums {
     members: usize,
 }
 
+impl Sums {
+    fn add(&mut self, other: &Self) {
+        self.score += other.score;
+        self.information += other.information;
+        self.score_squared += other.score_squared;
+        self.product += other.product;
+        self.information_squared += other.information_squared;
+        self.members += other.members;
+    }
+}
+
+/// The sums of each phase of a period, over (index, score, information).
+fn by_phase(scored: &[(usize, f64, f64)], period: usize) -> Vec<Sums> {
+    let mut sums = vec![Sums::default(); period];
+    let (mut before, mut phase) = (0, 0);
+    for &(index, score, information) in scored {
+        phase += index - before;
+        before = index;
+        while phase >= period {
+            phase -= period;
+        }
+        sums[phase].add(&Sums {
+            score,
+            information,
+            score_squared: score * score,
+            product: score * information,
+            information_squared: information * information,
+            members: 1,
+        });
+    }
+    sums
+}
+
 fn displaced_class(
     against: &[Against],
     noise: &Vec3,
@@ -81,25 +114,20 @@ fn displaced_class(
         })
         .collect();
     let mut found: Vec<Hypothesis> = Vec::new();
-    let mut sums = [Sums::default(); LONGEST_PERIOD];
-    for period in periods {
-        sums[..period].fill(Sums::default());
-        let (mut before, mut phase) = (0, 0);
-        for &(index, score, information) in &scored {
-            phase += index - before;
-            before = index;
-            while phase >= period {
-                phase -= period;
-            }
-            let sum = &mut sums[phase];
-            sum.score += score;
-            sum.information += information;
-            sum.score_squared += score * score;
-            sum.product += score * information;
-            sum.information_squared += information * information;
-            sum.members += 1;
+    let mut longer: Vec<Vec<Sums>> = vec![Vec::new(); LONGEST_PERIOD + 1];
+    for period in periods.rev() {
+        // The phases of a multiple, folded, are those of the period itself.
+        let multiple = LONGEST_PERIOD / period * period;
+        if longer[multiple].is_empty() {
+            longer[multiple] = by_phase(&scored, multiple);
         }
-        for (phase, sum) in sums[..period].iter().enumerate() {
+        let mut sums = longer[multiple][..period].to_vec();
+        for more in longer[multiple][period..].chunks_exact(period) {
+            for (sum, more) in sums.iter_mut().zip(more) {
+                sum.add(more);
+            }
+        }
+        for (phase, sum) in sums.iter().enumerate() {
             if sum.members < 8 || sum.information <= 0.0 {
                 continue;
             }

@@ -122,6 +122,9 @@ pub struct Report {
     pub overlap_s: Option<f64>,
     /// Faults of both streams, those of a first.
     pub faults: Vec<Fault>,
+    /// Stretches (from, to) in which the two moved as one body and that the estimate is
+    /// from, in seconds from the first sample of a.
+    pub together: Vec<(f64, f64)>,
     /// Stretches of both that were left out.
     pub left_out: Vec<LeftOut>,
     /// All gates that could be judged.
@@ -299,6 +302,7 @@ fn related(
     report.gates.push(Gate::skew(clock.skew, skew_sigma));
     report.gates.push(Gate::settled(fit.settled));
     report.warnings = warnings(pair, &fit);
+    report.together = together(pair, &fit);
     Some((clock, calibration))
 }
 
@@ -403,6 +407,22 @@ fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report)
         .gates
         .push(Gate::residual(residual_rms, motion_rms, noise_rms));
     calibration
+}
+
+/// The stretches that were used, in seconds from the first sample of a.
+fn together(pair: &Pair, fit: &Fit) -> Vec<(f64, f64)> {
+    let stretches = fit
+        .nodes
+        .chunk_by(|node, next| next.t - node.t < rigid::JOIN_S);
+    stretches
+        .filter_map(|nodes| Some((nodes.first()?.t, nodes.last()?.t)))
+        .map(|(from, to)| {
+            (
+                pair.since_first_of_a(&fit.link, from),
+                pair.since_first_of_a(&fit.link, to),
+            )
+        })
+        .collect()
 }
 
 fn warnings(pair: &Pair, fit: &Fit) -> Vec<Warning> {

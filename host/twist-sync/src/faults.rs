@@ -60,9 +60,13 @@ pub enum FaultKind {
 pub enum Why {
     /// The two did not move as one body.
     Apart,
-    /// One was turned against the other, by about this angle in rad (to a degree); the
-    /// clocks are related as before.
-    Slipped(f64),
+    /// One was turned against the other; the clocks are related as before.
+    Slipped {
+        /// By this angle, rad.
+        by: f64,
+        /// 1-sigma of the angle, rad.
+        sigma: f64,
+    },
     /// The clocks are related otherwise, by so many seconds (b − a); the two are fixed
     /// to each other as before.
     TimeStep(f64),
@@ -88,10 +92,11 @@ impl fmt::Display for LeftOut {
         )?;
         match self.why {
             Why::Apart => f.write_str("the two did not move as one body"),
-            Why::Slipped(angle) => write!(
+            Why::Slipped { by, sigma } => write!(
                 f,
-                "one was turned against the other by about {:.0}°; the clocks are as before",
-                angle.to_degrees()
+                "one was turned against the other by {:.1}° ± {:.1}°; the clocks are as before",
+                by.to_degrees(),
+                sigma.to_degrees().max(0.1) // printed to a tenth
             ),
             Why::TimeStep(by_s) => write!(
                 f,

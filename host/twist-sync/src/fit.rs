@@ -165,21 +165,19 @@ pub(crate) fn nodes(
     link: &Link,
     calibration: &Calibration,
 ) -> Option<Vec<Node>> {
-    let nodes: Vec<Node> = data
-        .iter()
-        .filter_map(|&(t, y)| {
-            let (x, dx) = model.at(link.model_time(t))?;
-            let (x, y) = (Vector3::from(x), Vector3::from(y));
-            Some(Node {
-                t,
-                y,
-                x,
-                residual: y - calibration.matrix * x - calibration.bias,
-                slope: calibration.matrix * Vector3::from(dx),
-                weight: 1.0,
-            })
+    let mut nodes = Vec::with_capacity(data.len());
+    nodes.extend(data.iter().filter_map(|&(t, y)| {
+        let (x, dx) = model.at(link.model_time(t))?;
+        let (x, y) = (Vector3::from(x), Vector3::from(y));
+        Some(Node {
+            t,
+            y,
+            x,
+            residual: y - calibration.matrix * x - calibration.bias,
+            slope: calibration.matrix * Vector3::from(dx),
+            weight: 1.0,
         })
-        .collect();
+    }));
     (nodes.len() >= 4 * PARAMETERS).then_some(nodes)
 }
 

@@ -66,23 +66,33 @@ impl<'a> Uneven<'a> {
 
     fn within(&self, left: usize, t: f64) -> Vec3 {
         let from = window(left, self.t.len(), self.degree);
-        let near = &self.t[from..=from + self.degree];
-        let mut value = [0.0; 3];
-        for (j, y) in self.y[from..=from + self.degree].iter().enumerate() {
-            let (mut above, mut below) = (1.0, 1.0);
-            for (m, &other) in near.iter().enumerate() {
-                if m != j {
-                    above *= t - other;
-                    below *= near[j] - other;
-                }
-            }
-            let weight = above / below;
-            for axis in 0..3 {
-                value[axis] += weight * y[axis];
-            }
+        let (times, values) = (&self.t[from..], &self.y[from..]);
+        // The compiler unrolls loops whose length it knows.
+        match self.degree {
+            1 => lagrange::<2>(times, values, t),
+            3 => lagrange::<4>(times, values, t),
+            5 => lagrange::<6>(times, values, t),
+            _ => lagrange::<8>(times, values, t),
         }
-        value
     }
+}
+
+/// The polynomial through the first `N` samples, at `t`.
+fn lagrange<const N: usize>(times: &[f64], values: &[Vec3], t: f64) -> Vec3 {
+    let (near, values) = (&times[..N], &values[..N]);
+    let mut value = [0.0; 3];
+    for j in 0..N {
+        let (mut above, mut below) = (1.0, 1.0);
+        for m in (0..N).filter(|&m| m != j) {
+            above *= t - near[m];
+            below *= near[j] - near[m];
+        }
+        let weight = above / below;
+        for axis in 0..3 {
+            value[axis] += weight * values[j][axis];
+        }
+    }
+    value
 }
 
 /// A piecewise polynomial through equidistant samples.
@@ -102,21 +112,12 @@ impl Uniform {
         if !is_offered(degree, y.len()) {
             return None;
         }
-        let bases: Vec<_> = (0..degree).map(|place| taylor(degree, place)).collect();
-        let mut coefficients = Vec::with_capacity((y.len() - 1) * (degree + 1));
-        for left in 0..y.len() - 1 {
-            let from = window(left, y.len(), degree);
-            let basis = &bases[left - from];
-            for power in 0..=degree {
-                let mut sum = [0.0; 3];
-                for (weights, y) in basis.iter().zip(&y[from..=from + degree]) {
-                    for axis in 0..3 {
-                        sum[axis] += weights[power] * y[axis];
-                    }
-                }
-                coefficients.push(sum);
-            }
-        }
+        let coefficients = match degree {
+            1 => coefficients::<2>(y),
+            3 => coefficients::<4>(y),
+            5 => coefficients::<6>(y),
+            _ => coefficients::<8>(y),
+        };
         Some(Self {
             degree,
             start,
@@ -161,6 +162,26 @@ impl Uniform {
         }
         (v, d.map(|d| d / self.step))
     }
+}
+
+/// Per interval the `N` Taylor coefficients of the polynomial through `N` samples.
+fn coefficients<const N: usize>(y: &[Vec3]) -> Vec<Vec3> {
+    let bases: Vec<_> = (0..N - 1).map(|place| taylor(N - 1, place)).collect();
+    let mut out = Vec::with_capacity((y.len() - 1) * N);
+    for left in 0..y.len() - 1 {
+        let from = window(left, y.len(), N - 1);
+        let (basis, near) = (&bases[left - from][..N], &y[from..from + N]);
+        let mut own = [[0.0; 3]; N];
+        for j in 0..N {
+            for (power, sum) in own.iter_mut().enumerate() {
+                for axis in 0..3 {
+                    sum[axis] += basis[j][power] * near[j][axis];
+                }
+            }
+        }
+        out.extend_from_slice(&own);
+    }
+    out
 }
 
 /// Per sample of a window the coefficients (by rising power) of its Lagrange polynomial

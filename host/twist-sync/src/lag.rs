@@ -56,6 +56,7 @@ pub(crate) fn chosen(
     report: &mut Report,
 ) -> Option<(Link, Vec<Stretch>)> {
     let data = signals.data.sampled(coarse::BIN_S);
+    let noise_span = (settings.fit.oversampling * settings.step_s / coarse::BIN_S).max(1.0);
     let quick = FitOptions {
         iterations: 8,
         settled_s: 1e-6,
@@ -91,7 +92,9 @@ pub(crate) fn chosen(
     };
     let part = parts_of
         .iter()
-        .filter_map(|tried| rigid::part(&signals.model, &data, &tried.fit, &lags, quick))
+        .filter_map(|tried| {
+            rigid::part(&signals.model, &data, &tried.fit, &lags, quick, noise_span)
+        })
         .min_by(|x, y| x.evidence().total_cmp(&y.evidence()));
     let Some(part) = part else {
         report.judge(Gate::explained(best.unexplained.sqrt()))?;

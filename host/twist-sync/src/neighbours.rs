@@ -87,12 +87,14 @@ impl Samples<'_> {
         let mut predicted = [0.0; 3];
         let mut gain = 1.0;
         for (i, &n) in near.iter().enumerate() {
-            let mut weight = 1.0;
+            let (mut above, mut below) = (1.0, 1.0);
             for (j, &m) in near.iter().enumerate() {
                 if i != j {
-                    weight *= (t[k] - t[m]) / (t[n] - t[m]);
+                    above *= t[k] - t[m];
+                    below *= t[n] - t[m];
                 }
             }
+            let weight = above / below;
             gain += weight * weight;
             for axis in 0..3 {
                 predicted[axis] += weight * w[n][axis];

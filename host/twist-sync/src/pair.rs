@@ -93,7 +93,7 @@ impl Pair {
         for stretch in stretches {
             let kind = match stretch.why {
                 Why::Apart => FaultKind::NotOneBody,
-                Why::Slipped(_) => FaultKind::Slipped,
+                Why::Slipped { .. } => FaultKind::Slipped,
                 Why::TimeStep(later_s) => {
                     self.leave_out_step(link, (stretch.from, stretch.to), -later_s);
                     continue;
@@ -109,25 +109,36 @@ impl Pair {
         }
     }
 
-    /// Notes a stretch of the data's time that is left out.
-    fn note(&mut self, link: &Link, (from, to): (f64, f64), why: Why) {
-        let of_a = |t: f64| {
-            if self.a_is_model {
-                link.model_time(t)
-            } else {
-                t
-            }
-        };
-        let a = if self.a_is_model {
+    const fn a(&self) -> &CheckedStream {
+        if self.a_is_model {
             &self.model
         } else {
             &self.data
+        }
+    }
+
+    /// A time of the data in seconds from the first sample of a.
+    pub(crate) fn since_first_of_a(&self, link: &Link, t: f64) -> f64 {
+        let of_a = if self.a_is_model {
+            link.model_time(t)
+        } else {
+            t
         };
+        of_a - self.a().t[0]
+    }
+
+    /// Notes a stretch of the data's time that is left out.
+    fn note(&mut self, link: &Link, (from, to): (f64, f64), why: Why) {
+        let a = self.a();
         let usable = neighbours::kept(&a.usable);
         let (Some(&first), Some(&last)) = (usable.first(), usable.last()) else {
             return;
         };
-        let bounded = |t: f64| of_a(t).clamp(a.t[first], a.t[last]) - a.t[0];
+        let since = |k: usize| a.t[k] - a.t[0];
+        let bounded = |t: f64| {
+            let t = self.since_first_of_a(link, t);
+            t.clamp(since(first), since(last))
+        };
         let left_out = LeftOut {
             from_s: bounded(from),
             to_s: bounded(to),

@@ -42,7 +42,7 @@ const MOVING: f64 = 0.15;
 /// Left out on either side of a stretch, seconds.
 const MARGIN_S: f64 = 0.1;
 /// Stretches closer than this are one, seconds.
-const JOIN_S: f64 = 0.3;
+pub(crate) const JOIN_S: f64 = 0.3;
 /// Shortest stretch whose cause is looked for, seconds.
 const SHORTEST_S: f64 = 0.7;
 /// Largest part of the motion's rms that a cause may leave unexplained.
@@ -146,6 +146,8 @@ struct Search<'a> {
     /// Other lags at which the two may belong together, seconds.
     rivals: &'a [f64],
     options: FitOptions,
+    /// How many nodes one independent noise value spans.
+    noise_span: f64,
     blocks: Blocks,
     /// Rms of the motion around each block.
     motion: Vec<f64>,
@@ -191,13 +193,15 @@ fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
 
 /// The largest part of the overlap that one relation near that of `whole` explains;
 /// `data` are nodes of the data, `rivals` other lags (s, data minus model) that are
-/// thought of. `None` if no window leads to one.
+/// thought of; one independent noise value spans `noise_span` of the nodes. `None` if no
+/// window leads to one.
 pub(crate) fn part(
     model: &Signal,
     data: &[(f64, Vec3)],
     whole: &Fit,
     rivals: &[f64],
     options: FitOptions,
+    noise_span: f64,
 ) -> Option<Part> {
     let blocks = blocks_of(&whole.nodes)?;
     let n = whole.nodes.len() as f64;
@@ -214,6 +218,7 @@ pub(crate) fn part(
         data,
         rivals,
         options,
+        noise_span,
         blocks,
         moving: own.iter().map(|&m| m > MOVING * largest).collect(),
         motion,
@@ -430,7 +435,14 @@ impl Search<'_> {
         if stepped < limit && stepped < 1.5 * turned {
             Why::TimeStep(later_s)
         } else if turned < limit {
-            Why::Slipped(angle(&fit.calibration, &other))
+            let (by, axis) = turn(&fit.calibration, &other);
+            let variance = |nodes: &[Node], calibration: &Calibration| {
+                let covariance = self.rotation_covariance(nodes, calibration);
+                axis.dot(&(covariance * axis))
+            };
+            let variance = variance(&nodes, &other) + variance(&fit.nodes, &fit.calibration);
+            let sigma = variance.sqrt().min(std::f64::consts::PI);
+            Why::Slipped { by, sigma }
         } else {
             Why::Apart
         }
@@ -447,6 +459,24 @@ impl Search<'_> {
         let mut each = self.residuals(nodes, calibration);
         each.retain(|&rms| rms > 0.0);
         crate::robust::median_in_place(&mut each).unwrap_or(f64::INFINITY)
+    }
+
+    /// Covariance of the rotation that nodes give, rad², from their usual residual.
+    ///
+    /// A small turn `φ` changes the prediction `v` by `φ × v`, so that the information is
+    /// `Σ (|v|²·I − v·vᵀ)/σ²`, with `v` about its mean because the bias is fitted too.
+    fn rotation_covariance(&self, nodes: &[Node], calibration: &Calibration) -> Matrix3<f64> {
+        let n = nodes.len().max(1) as f64;
+        let rate = |n: &Node| calibration.matrix * n.x;
+        let mean = nodes.iter().map(rate).sum::<Vector3<f64>>() / n;
+        let mut information = Matrix3::zeros();
+        for node in nodes {
+            let v = rate(node) - mean;
+            information += Matrix3::identity() * v.norm_squared() - v * v.transpose();
+        }
+        let variance = self.residual(nodes, calibration).powi(2) * self.noise_span;
+        let inverse = information.try_inverse();
+        inverse.map_or_else(|| Matrix3::identity() * f64::INFINITY, |i| i * variance)
     }
 
     /// The sensors' relation in most of the nodes.
@@ -470,11 +500,14 @@ fn rms_about_mean(nodes: &[Node]) -> f64 {
     (squares / (3.0 * n)).sqrt()
 }
 
-/// Angle between two rotations that are nearest to the matrices, rad.
-fn angle(one: &Calibration, other: &Calibration) -> f64 {
+/// Angle, rad, and axis between two rotations that are nearest to the matrices.
+fn turn(one: &Calibration, other: &Calibration) -> (f64, Vector3<f64>) {
     let between = (other.matrix * one.matrix.transpose()).svd(true, true);
     let (Some(u), Some(v_t)) = (between.u, between.v_t) else {
-        return 0.0;
+        return (0.0, Vector3::zeros());
     };
-    (((u * v_t).trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos()
+    let r = u * v_t;
+    let angle = ((r.trace() - 1.0) / 2.0).clamp(-1.0, 1.0).acos();
+    let axis = Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
+    (angle, axis.try_normalize(0.0).unwrap_or_default())
 }

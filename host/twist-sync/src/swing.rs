@@ -4,10 +4,18 @@
 //! The long-run covariance of the fit reaches over 0.12 s only and takes such a swing for
 //! a part of the relation. So the local displacements `d` of the overlap, each from the
 //! same information, are taken once more as `d = shift + rate·u + g(u) + noise`, with `g`
-//! a stationary process (Gaussian covariance, size τ, length T). What τ and T are is not
-//! asked of the data alone: the estimates for all (τ, T) of a grid are averaged, each
-//! weighted by its restricted likelihood (Harville 1974) and by the prior. That is honest
-//! where a swing cannot be seen, and exact where it can.
+//! a stationary process of rms τ and length T. Its covariance is
+//! `τ²·(1 − 2x² + x⁴/3)·exp(−x²/2)`, `x = distance/T`: that of the second derivative of a
+//! process with Gaussian covariance. Its power is at periods around `π·T` and none at
+//! frequency zero: timestamps that are steered overshoot and come back.
+//!
+//! What τ and T are is not asked of the data alone: the estimates for all (τ, T) of a grid
+//! are averaged, each weighted by its restricted likelihood (Harville 1974) and by the
+//! prior. That is honest where a swing cannot be seen, and exact where it can.
+//!
+//! Limits: a swing about as long as the twist bends the rate and hardly shows otherwise.
+//! What it leaves open is the prior's: right on the average over swings of all periods up
+//! to twice the twist, too little for one whose period is always the worst.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 
@@ -17,11 +25,15 @@ use crate::fit::Fit;
 const PARTS: f64 = 32.0;
 /// Sizes of a swing, seconds.
 const SIZES_S: [f64; 7] = [8e-6, 16e-6, 32e-6, 64e-6, 128e-6, 256e-6, 512e-6];
-/// Its lengths, seconds. A sine of period P is most like a length of P/2π.
-const LENGTHS_S: [f64; 3] = [0.4, 0.8, 1.6];
+/// Its longest, as a part of the overlap: a period of 1.8 overlaps. What is slower
+/// bends neither the rate much nor the offset away from its mean over the time around. The
+/// next is half as long.
+const LONGEST: f64 = 0.57;
+/// None is shorter, seconds: a period of 1.6 s.
+const SHORTEST_S: f64 = 0.5;
 /// Prior probability that there is none, by how many displaced classes were found: a
 /// device whose samples belong to other times in several ways is not trusted slowly.
-const NONE: [f64; 3] = [0.99, 0.9, 0.3];
+const NONE: [f64; 3] = [0.99, 0.9, 0.1];
 
 /// A part of the overlap.
 struct Local {
@@ -42,17 +54,21 @@ struct Given {
 /// Takes slow time errors into the fit: its relation and its covariance.
 pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
-    let Some(none) = given(&locals, 0.0, 1.0).filter(|_| locals.len() > 6) else {
+    let none = given(&locals, 0.0, &shape(&locals, 1.0));
+    let Some(none) = none.filter(|_| locals.len() > 6) else {
         return;
     };
     let prior_none = NONE[classes.min(NONE.len() - 1)];
-    // The larger, the rarer: in proportion to 1/size.
-    let sum = SIZES_S.iter().map(|size| 1.0 / size).sum::<f64>() * LENGTHS_S.len() as f64;
-    let prior = |size: f64| (1.0 - prior_none) / (size * sum);
-    let swings = SIZES_S
-        .iter()
-        .flat_map(|&size| LENGTHS_S.iter().map(move |&length| (size, length)))
-        .filter_map(|(size, length)| Some((prior(size), given(&locals, size, length)?)));
+    // The larger, the rarer: in proportion to 1/√size.
+    let lengths = lengths_s(&locals);
+    let rarity = |size: f64| 1.0 / size.sqrt();
+    let sum = SIZES_S.iter().copied().map(rarity).sum::<f64>() * lengths.len() as f64;
+    let prior = |size: f64| (1.0 - prior_none) * rarity(size) / sum;
+    let swings = lengths.iter().flat_map(|&length| {
+        let shape = shape(&locals, length);
+        let at = |size| Some((prior(size), given(&locals, size, &shape)?));
+        SIZES_S.into_iter().filter_map(at).collect::<Vec<_>>()
+    });
     let base = (none.mean, none.covariance);
     let all: Vec<(f64, Given)> = std::iter::once((prior_none, none)).chain(swings).collect();
     let top = all.iter().map(|(_, g)| g.ln_likelihood);
@@ -78,6 +94,14 @@ pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     if added[(0, 0)] > 0.0 && added[(1, 1)] > 0.0 {
         fit.covariance += added;
     }
+}
+
+/// The lengths of swings that are looked for, seconds.
+fn lengths_s(locals: &[Local]) -> Vec<f64> {
+    let span_s = locals.last().map_or(0.0, |l| l.u) - locals.first().map_or(0.0, |l| l.u);
+    let shorter = |length: &f64| Some(0.5 * length).filter(|&next| next >= SHORTEST_S);
+    let longest = (LONGEST * span_s).max(SHORTEST_S);
+    std::iter::successors(Some(longest), shorter).collect()
 }
 
 /// The overlap in parts of equal information.
@@ -107,14 +131,21 @@ fn locals(fit: &Fit, oversampling: f64) -> Vec<Local> {
     out
 }
 
+/// Correlation of the displacements of the parts by a swing of this length.
+fn shape(locals: &[Local], length_s: f64) -> DMatrix<f64> {
+    DMatrix::from_fn(locals.len(), locals.len(), |r, c| {
+        let square = ((locals[r].u - locals[c].u) / length_s).powi(2);
+        (1.0 - 2.0 * square + square * square / 3.0) * (-0.5 * square).exp()
+    })
+}
+
 /// Generalised least squares of the displacements on shift and rate under a swing.
-fn given(locals: &[Local], size_s: f64, length_s: f64) -> Option<Given> {
+fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
     let n = locals.len();
     // In units of the median sigma, so that no figure is tiny.
     let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n.max(1) as f64;
     let variance = |r: usize, c: usize| {
-        let distance = (locals[r].u - locals[c].u) / length_s;
-        let swing = size_s * size_s * (-0.5 * distance * distance).exp();
+        let swing = size_s * size_s * shape[(r, c)];
         (swing + if r == c { locals[r].variance } else { 0.0 }) / unit
     };
     let cholesky = DMatrix::from_fn(n, n, variance).cholesky()?;

@@ -266,6 +266,9 @@ fn text(output: &Output) -> String {
     for fault in &output.report.faults {
         let _ = writeln!(out, "fault: {}", fault_text(fault));
     }
+    if let Some(together) = output.report.together_text() {
+        let _ = writeln!(out, "{together}");
+    }
     for stretch in &output.report.left_out {
         let _ = writeln!(out, "{}", stretch.text);
     }

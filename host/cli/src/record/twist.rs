@@ -166,6 +166,13 @@ fn relate(
     };
     journal.keep_twist(place, twist);
     journal.file.files.push(name);
+    // First what the hands did: that is what a further twist can change.
+    if let Some(together) = report.together_text() {
+        journal.info("twist", &format!("{label}: {together}"))?;
+    }
+    for stretch in &report.left_out {
+        journal.info("twist", &format!("{label}: {}", stretch.text))?;
+    }
     match result {
         Ok(estimate) => {
             let text = format!(
@@ -176,12 +183,6 @@ fn relate(
                 estimate.skew_sigma() * 1e6
             );
             journal.info("twist", &text)?;
-            let together = estimate.report.overlap_s.unwrap_or_default();
-            let text = format!("{label}: board and phone moved as one body for {together:.1} s");
-            journal.info("twist", &text)?;
-            for stretch in &report.left_out {
-                journal.info("twist", &format!("{label}: {}", stretch.text))?;
-            }
             for warning in &report.warnings {
                 journal.info("twist", warning)?;
             }

@@ -316,6 +316,15 @@ fn an_export_gives_the_same_result_without_names_and_times() {
     assert_eq!(first.status.code(), Some(0), "{first:?}");
     let first = json(&first);
     assert_eq!(first["left_out"][0]["why"], "slipped");
+    let turned = first["left_out"][0]["turned_deg"].as_f64().unwrap();
+    let sigma = first["left_out"][0]["turned_sigma_deg"].as_f64().unwrap();
+    assert!((4.0..11.0).contains(&turned) && sigma > 0.0 && sigma < 1.0);
+    // What was used is named, and is the rest.
+    let used = first["together"].as_array().unwrap();
+    let length = |s: &Value| s[1].as_f64().unwrap() - s[0].as_f64().unwrap();
+    let used_s: f64 = used.iter().map(length).sum();
+    let overlap_s = first["overlap_s"].as_f64().unwrap();
+    assert!((used_s - overlap_s).abs() < 0.5, "{used:?} {overlap_s}");
     let (from, to) = twist.loose_s[0];
     let begin = first["left_out"][0]["from_s"].as_f64().unwrap();
     let end = first["left_out"][0]["to_s"].as_f64().unwrap();

@@ -49,11 +49,15 @@ pub(super) fn svg(
         panels.extend(after(&pairs, estimate, mcu.epoch_s));
         panels.push(residual(&pairs, estimate, mcu.epoch_s));
     }
-    let left_out = |track: &GyroTrack, out: &[bool]| {
+    // The phone's, where a relation of the clocks is known, on the board's time.
+    let starts_s = result.as_ref().map_or(0.0, |estimate| {
+        let board_s = mcu.epoch_s - options.a_delay_s;
+        phone.epoch_s - options.b_delay_s - estimate.clock.offset - board_s
+    });
+    let left_out = |track: &GyroTrack, out: &[bool], starts_s: f64| {
         let points = out.iter().zip(magnitude(track));
-        Data::Points(finite(
-            points.filter_map(|(out, point)| out.then_some(point)),
-        ))
+        let points = points.filter_map(|(out, (t, rate))| out.then_some((t + starts_s, rate)));
+        Data::Points(finite(points))
     };
     let device_faults = SyncReport::from(report).faults;
     let left = |fault: &&DeviceFault| fault.action == Action::LeftOut;
@@ -65,15 +69,15 @@ pub(super) fn svg(
     };
     let words = |left_out: &LeftOut| match left_out.why {
         Why::Apart => "not one body",
-        Why::Slipped(_) => "turned",
+        Why::Slipped { .. } => "turned",
         Why::TimeStep(_) => "step of time",
     };
     let marks = report.left_out.iter();
     let marks = marks.map(|l| (0.5 * (l.from_s + l.to_s), words(l).to_owned()));
     panels.push(
         panel(&caption, "rad/s")
-            .add("board", left_out(mcu, &outs[0]), board_ink)
-            .add("phone", left_out(phone, &outs[1]), phone_ink)
+            .add("board", left_out(mcu, &outs[0], 0.0), board_ink)
+            .add("phone", left_out(phone, &outs[1], starts_s), phone_ink)
             .add("", Data::Marks(marks.collect()), COLOURS[3]),
     );
     let ends = report.left_out.iter().flat_map(|l| [l.from_s, l.to_s]);

@@ -1,0 +1,116 @@
+//! How much memory an estimate takes at its peak, as a multiple of what it is given.
+//!
+//! The allocator counts for the whole process, so each figure is taken in one of its own.
+
+use peak_alloc::PeakAlloc;
+use std::process::Command;
+
+use twist_sync::simulate::{self, Twist, TwistSpec};
+use twist_sync::{GyroTrack, Options, estimate_offset};
+
+#[global_allocator]
+static ALLOCATED: PeakAlloc = PeakAlloc;
+
+/// Peak over input, as stated in "Sync math", of samples without gaps.
+const MULTIPLE: f64 = 24.0;
+/// The same where gaps leave 10 samples a second on the average.
+const MULTIPLE_SPARSE: f64 = 110.0;
+/// On top whatever the input, bytes: threads, plans of the Fourier transform.
+const BASE: f64 = 2e6;
+
+/// Bytes of a track's times and rates.
+fn size(track: &GyroTrack) -> usize {
+    track.t.len() * size_of::<f64>() + track.w.len() * size_of::<[f64; 3]>()
+}
+
+/// Peak of one estimate above what was there before, less the base, over the input.
+fn multiple(a: &GyroTrack, b: &GyroTrack) -> f64 {
+    let before = ALLOCATED.current_usage();
+    ALLOCATED.reset_peak_usage();
+    let result = estimate_offset(a, b, &Options::default());
+    let peak = ALLOCATED.peak_usage() - before;
+    drop(result);
+    (peak as f64 - BASE) / (size(a) + size(b)) as f64
+}
+
+/// The twist whose stamps are `stamp(k)` instead.
+fn stamped(twist: &Twist, stamp: impl Fn(usize) -> f64) -> (GyroTrack, GyroTrack) {
+    [&twist.a, &twist.b]
+        .map(|track| GyroTrack {
+            t: (0..track.len()).map(&stamp).collect(),
+            ..track.clone()
+        })
+        .into()
+}
+
+#[test]
+#[ignore = "run in a process of its own by `the_peak_is_a_stated_multiple_of_the_input`"]
+fn measured() {
+    let mut most: f64 = 0.0;
+    let mut check = |name: &str, (a, b): (GyroTrack, GyroTrack), limit: f64| {
+        let found = multiple(&a, &b);
+        println!("{name}: {found:.1} times the input above {BASE} bytes");
+        assert!(found < limit, "{name}: {found:.1}");
+        most = most.max(found);
+    };
+    let names = [
+        "base",
+        "208 Hz",
+        "60 s, moved for 7 s",
+        "slip of 2° to 15°",
+        "two phones with faults",
+    ];
+    for scenario in simulate::scenarios() {
+        if names.contains(&scenario.name) {
+            let twist = simulate::twist(&scenario.spec, 52_000);
+            check(scenario.name, (twist.a, twist.b), MULTIPLE);
+        }
+    }
+    let long = TwistSpec {
+        duration_s: 40.0,
+        ..TwistSpec::default()
+    };
+    let long = simulate::twist(&long, 53_000);
+    let n = long.a.len();
+    let regular = |k: usize| 0.002 * k as f64;
+    let scattered = |k: usize| (k * 7919 % n) as f64 * 1e3;
+    let wild = |k: usize| if k % 10 == 3 { 1e300 } else { regular(k) };
+    let later = |k: usize| regular(k) + if k > n / 2 { 1e9 } else { 0.0 };
+    let parts = |k: usize| regular(k) + 59.0 * (k / 590) as f64;
+    let mut hostile = |name: &str, stamp: &dyn Fn(usize) -> f64, limit: f64| {
+        check(name, stamped(&long, stamp), limit);
+    };
+    hostile("40 s", &regular, MULTIPLE);
+    hostile("nanoseconds for seconds", &|k| 2e6 * k as f64, MULTIPLE);
+    hostile("seconds for nanoseconds", &|k| 2e-12 * k as f64, MULTIPLE);
+    hostile("all equal", &|_| 1.0, MULTIPLE);
+    hostile("backwards", &|k| -regular(k), MULTIPLE);
+    hostile("scattered over years", &scattered, MULTIPLE);
+    hostile("not a number", &|_| f64::NAN, MULTIPLE);
+    hostile("every tenth at the end of time", &wild, MULTIPLE);
+    hostile("half of it 30 years later", &later, MULTIPLE);
+    hostile("gaps of a minute", &parts, MULTIPLE_SPARSE);
+    hostile(
+        "10 samples a second",
+        &|k| 0.0999 * k as f64,
+        MULTIPLE_SPARSE,
+    );
+    println!("at most {most:.1} times");
+}
+
+#[test]
+fn the_peak_is_a_stated_multiple_of_the_input() {
+    let child = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "memory::measured", "--ignored", "--nocapture"])
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&child.stdout);
+    println!("{told}");
+    assert!(
+        child.status.success(),
+        "{told}{}",
+        String::from_utf8_lossy(&child.stderr)
+    );
+    // The one test did run.
+    assert!(told.contains("at most"), "{told}");
+}
