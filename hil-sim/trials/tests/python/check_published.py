@@ -60,6 +60,12 @@ for part in PARTS:
     for path in (topics / part / "_azure_depth_image_raw").glob("*.png"):
         found[int(path.stem)] = np.array(Image.open(path))
 assert sorted(found) == sorted(expected), "depth stamps"
+# Whoever sorts names has the images in order of time, in every format.
+for base, folder in [(topics, "_azure_depth_image_raw"), (euroc, "mav0/depth0/data"), (tum, "depth")]:
+    for part in PARTS:
+        names = sorted(path.name for path in (base / part / folder).glob("*.png"))
+        same(names, sorted(names, key=lambda name: float(Path(name).stem)), "order of names")
+        assert len({len(name) for name in names}) == 1, names[:3]
 for stamp, pixels in found.items():
     wanted = np.arange(24) * 300 + expected[stamp]
     wanted[0] = 0

@@ -1,5 +1,5 @@
-//! EuRoC / ASL: folders below `mav0`, images named by nanoseconds, `data.csv` and
-//! `sensor.yaml` beside them.
+//! EuRoC / ASL: folders below `mav0`, images named by nanoseconds (19 digits), `data.csv`
+//! and `sensor.yaml` beside them.
 //!
 //! | folder | what |
 //! |---|---|
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
-use crate::time::BoardNanos;
+use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Euroc;
 
@@ -57,7 +57,7 @@ fn imu_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("mav0/{folder}/data/{}.png", at.0))
+    PathBuf::from(format!("mav0/{folder}/data/{}.png", in_name(at)))
 }
 
 impl Layout for Euroc {
@@ -160,7 +160,8 @@ fn images(
     }
     let mut text = String::from("#timestamp [ns],filename\n");
     for row in rows {
-        let _ = writeln!(text, "{},{}.png", row.at.0, row.at.0);
+        let stamp = in_name(row.at);
+        let _ = writeln!(text, "{stamp},{stamp}.png");
     }
     write_whole(&folder.join("data.csv"), text.as_bytes())?;
     let (width, height) = size.unwrap_or((0, 0));

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `_mcu_imu/imu.csv` | `timestamp,ox,oy,oz,ax,ay,az,temperature`, no header |
 //! | `_mcu_cameras_ts`, `_mcu_lidar_ts`, `_mcu_s10_ts`, `_depth_to_mcu_offset`, `_sequences_ts` | `time_ref.csv`: `seq,timestamp,time_ref` |
-//! | `_azure_depth_image_raw`, `_azure_ir_image_raw` | PNG, 16 bits, mm, named by ns |
+//! | `_azure_depth_image_raw`, `_azure_ir_image_raw` | PNG, 16 bits, mm, named by ns (19 digits) |
 //! | `smartphone_video_frames` | PNG, named by ns |
 //! | `_smartphone_imu/imu.csv` | as `_mcu_imu`, without the temperature (an addition) |
 //!
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
-use crate::time::BoardNanos;
+use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Topics;
 
@@ -42,7 +42,7 @@ fn phone_imu_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", at.0))
+    PathBuf::from(format!("{folder}/{}.png", in_name(at)))
 }
 
 impl Layout for Topics {

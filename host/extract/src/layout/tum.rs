@@ -1,4 +1,4 @@
-//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds with six digits,
+//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds (ten digits and six),
 //! `rgb.txt`, `depth.txt`, `accelerometer.txt`, `associations.txt`; depth in 16
 //! bits with 5,000 a metre, 0 for none.
 //!
@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, slashed};
 use crate::board_data::ImuRow;
 use crate::image::{depth_to_tum, write_whole};
-use crate::time::{BoardNanos, decimal_seconds};
+use crate::time::{BoardNanos, decimal_seconds, seconds_in_name};
 
 pub(super) struct Tum;
 
@@ -24,7 +24,7 @@ fn accel_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", decimal_seconds(at.0, 6)))
+    PathBuf::from(format!("{folder}/{}.png", seconds_in_name(at, 6)))
 }
 
 impl Layout for Tum {
