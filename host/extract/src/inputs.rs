@@ -31,6 +31,10 @@ pub struct Options {
     pub first_pulse: Option<usize>,
     /// Whether infrared images are written too.
     pub infrared: bool,
+    /// Exposure of the depth camera's colour images, ns.
+    pub camera_exposure_ns: Option<i64>,
+    /// Depth frames are timed by the camera's own clock, whatever the trigger did.
+    pub free_running: bool,
     /// Where the files of phones lie, by their names in the rig profile.
     #[serde(skip)]
     pub phones: Vec<(String, PathBuf)>,
@@ -105,6 +109,8 @@ pub(crate) struct Inputs {
     pub(crate) board_id: Option<String>,
     /// What the lidar is called, if there is a session.
     pub(crate) lidar: Option<String>,
+    /// The depth camera's mode in the rig profile, if there is a session.
+    pub(crate) depth_mode: Option<String>,
     /// Board time of the recorded span, in which the trigger was on its grid, ns.
     pub(crate) recorded: Option<(i64, i64)>,
     /// Worth knowing.
@@ -253,6 +259,9 @@ pub(crate) fn find(
         lidar: session
             .as_ref()
             .map(|session| session.profile.lidar_name().to_owned()),
+        depth_mode: session
+            .as_ref()
+            .map(|session| session.profile.depth.mode.clone()),
         recorded: session.and_then(|session| {
             let span = session.recorded?;
             let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();

@@ -219,6 +219,10 @@ pub struct DepthReport {
     pub images: u64,
     /// Infrared images written.
     pub infrared: u64,
+    /// Colour images of the camera written.
+    pub color: u64,
+    /// How the camera was told to be synchronised (`K4A_WIRED_SYNC_MODE`).
+    pub sync: Option<String>,
     /// Mode of the camera.
     pub mode: Option<String>,
     /// Serial number of the camera.
@@ -306,6 +310,9 @@ impl ExtractReport {
                 format!("{}, {} on a pulse", depth.frames, depth.matched),
             ));
             lines.push(("depth images", depth.images.to_string()));
+            if depth.color > 0 {
+                lines.push(("depth camera's colour", depth.color.to_string()));
+            }
             if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
                 lines.push((
                     "depth clock",

@@ -9,7 +9,7 @@ use super::depth_clock::{DepthMatch, FrameState, PulseTime};
 use super::frames::FrameTiming;
 use super::image::WholeFile;
 use super::pairs::Pair;
-use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap};
+use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
 
 /// A frame of the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +40,15 @@ pub(crate) struct DepthFrame {
     pub(crate) residual: i64,
     /// Whether it has the bytes of a whole image.
     pub(crate) whole: bool,
+}
+
+/// A colour image of the depth camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct CameraFrame {
+    /// Its timestamp on the camera's clock: the centre of exposure.
+    pub(crate) device: DeviceNanos,
+    /// The same on the board; `None` where the depth frame next to it has no time.
+    pub(crate) at: Option<BoardNanos>,
 }
 
 impl DepthFrame {
@@ -98,6 +107,66 @@ pub(crate) fn depth_frames(
             }
         })
         .collect()
+}
+
+/// The colour images of the depth camera in board time: as far from the depth frame next
+/// to each as the camera's clock has it.
+pub(crate) fn camera_frames(
+    stamps: &[DeviceNanos],
+    depth: &[DepthFrame],
+    found: Option<&DepthMatch>,
+) -> Vec<CameraFrame> {
+    let mut near: Vec<(DeviceNanos, BoardNanos)> = depth
+        .iter()
+        .filter(|frame| frame.state != Some(FrameState::Doubled))
+        .filter_map(|frame| Some((frame.device, frame.at?)))
+        .collect();
+    near.sort_by_key(|frame| frame.0);
+    let time_of = |stamp: DeviceNanos| -> Option<BoardNanos> {
+        let after = near.partition_point(|frame| frame.0 < stamp);
+        let next = [after.checked_sub(1), Some(after)]
+            .into_iter()
+            .flatten()
+            .filter_map(|place| near.get(place))
+            .min_by_key(|frame| frame.0.0.abs_diff(stamp.0))?;
+        let clock = &found?.clock;
+        let way = clock.apply(stamp)?.0.checked_sub(clock.apply(next.0)?.0)?;
+        // A frame that has no depth frame near it is of a part without times.
+        (way.abs() <= SECOND).then(|| BoardNanos(next.1.0.saturating_add(way)))
+    };
+    stamps
+        .iter()
+        .map(|&device| CameraFrame {
+            device,
+            at: time_of(device),
+        })
+        .collect()
+}
+
+/// Writes `camera_frames.csv`: the start of exposure only where the exposure is known.
+///
+/// # Errors
+///
+/// Writing fails.
+pub(crate) fn write_camera(
+    path: &Path,
+    frames: &[CameraFrame],
+    exposure: Option<i64>,
+) -> io::Result<()> {
+    let header = "#frame,device_timestamp [ns],start_of_exposure [ns],timestamp [ns]";
+    write_rows(path, header, frames, |text, index, frame| {
+        let start = frame
+            .at
+            .zip(exposure)
+            .map(|(at, exposure)| at.0.saturating_sub(exposure / 2));
+        let _ = write!(
+            text,
+            "{index},{},{},{}",
+            frame.device.0,
+            optional(start),
+            optional(frame.at.map(|at| at.0))
+        );
+    })
 }
 
 fn optional<T: std::fmt::Display>(value: Option<T>) -> String {
@@ -179,6 +248,7 @@ pub(crate) fn write_depth(
             Some(FrameState::BeforeFirstPulse) => "before_first_pulse",
             Some(FrameState::AfterLastPulse) => "after_last_pulse",
             Some(FrameState::OffPulse) => "off_pulse",
+            Some(FrameState::FreeRunning) => "free_running",
             Some(FrameState::NotMatched) | None => "not_matched",
         };
         let _ = write!(

@@ -72,6 +72,12 @@ pub(crate) struct Args {
     /// From the trigger pulse to the centre of exposure of the depth image
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     depth_center_us: Option<i64>,
+    /// Exposure of the depth camera's colour images, if it recorded colour
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    camera_exposure_us: Option<i64>,
+    /// Time depth frames by the camera's own clock (a camera that did not follow the trigger)
+    #[arg(long, conflicts_with = "depth_first_pulse")]
+    free_running: bool,
     /// Low-pass delay of the board's IMU, subtracted from its times (0 for none)
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     imu_delay_us: Option<i64>,
@@ -126,6 +132,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             phone_imu_delay_ns: args.phone_imu_delay_us,
             first_pulse: args.depth_first_pulse,
             infrared: args.infrared,
+            camera_exposure_ns: args.camera_exposure_us,
+            free_running: args.free_running,
             phones,
         },
     };

@@ -4,6 +4,7 @@
 //! | folder | what |
 //! |---|---|
 //! | `cam0` | the phone's camera |
+//! | `cam1` | the depth camera's colour images, as the camera's JPEG files |
 //! | `imu0` | the board's IMU |
 //! | `imu1` | the phone's IMU: accelerations interpolated to the gyroscope's times |
 //! | `depth0`, `ir0` | depth (mm) and infrared: an extension of the format |
@@ -69,6 +70,10 @@ impl Layout for Euroc {
         image("depth0", at)
     }
 
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(PathBuf::from(format!("mav0/cam1/data/{}.jpg", in_name(at))))
+    }
+
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
         Some(image("ir0", at))
     }
@@ -109,6 +114,14 @@ impl Layout for Euroc {
             &middle,
             facts.color_rate,
             facts.color_size,
+        )?;
+        images(
+            &base.join("cam1"),
+            &tables.camera,
+            "colour of the depth camera; times are the centre of exposure as the camera stamps it; intrinsics \
+             and T_BS are not known to the extractor",
+            facts.camera_rate,
+            facts.camera_size,
         )?;
         images(
             &base.join("depth0"),
@@ -160,8 +173,8 @@ fn images(
     }
     let mut text = String::from("#timestamp [ns],filename\n");
     for row in rows {
-        let stamp = in_name(row.at);
-        let _ = writeln!(text, "{stamp},{stamp}.png");
+        let name = row.path.file_name().unwrap_or_default();
+        let _ = writeln!(text, "{},{}", in_name(row.at), name.display());
     }
     write_whole(&folder.join("data.csv"), text.as_bytes())?;
     let (width, height) = size.unwrap_or((0, 0));

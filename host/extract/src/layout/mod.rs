@@ -88,6 +88,10 @@ pub(crate) struct Facts {
     pub(crate) color_size: Option<(u32, u32)>,
     /// Width and height of depth and infrared.
     pub(crate) depth_size: Option<(u32, u32)>,
+    /// The depth camera's colour images a second.
+    pub(crate) camera_rate: Option<f64>,
+    /// Width and height of them.
+    pub(crate) camera_size: Option<(u32, u32)>,
     /// Low-pass delay that is subtracted from the board's IMU times, ns.
     pub(crate) board_imu_delay: i64,
     /// The same of the phone.
@@ -107,6 +111,8 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) depth: Vec<ImageRow>,
     /// Infrared images in order of time.
     pub(crate) infrared: Vec<ImageRow>,
+    /// Colour images of the depth camera in order of time.
+    pub(crate) camera: Vec<ImageRow>,
     /// Pairs as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
     /// Pairs of times on the recording's topics.
@@ -122,6 +128,10 @@ pub(crate) trait Layout: Sync {
 
     /// A depth image.
     fn depth_path(&self, at: BoardNanos) -> PathBuf;
+
+    /// A colour image of the depth camera, a JPEG file; `None` if the format has no place
+    /// for it.
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf>;
 
     /// An infrared image; `None` if the format has no place for it.
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf>;

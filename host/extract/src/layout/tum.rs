@@ -36,6 +36,10 @@ impl Layout for Tum {
         image("depth", at)
     }
 
+    fn camera_path(&self, _at: BoardNanos) -> Option<PathBuf> {
+        None
+    }
+
     fn infrared_path(&self, _at: BoardNanos) -> Option<PathBuf> {
         None
     }

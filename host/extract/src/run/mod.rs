@@ -166,6 +166,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
     let images = run.write_depth_images(depth.as_ref(), &sequences, depth_frames)?;
+    let camera = depth.as_ref().map_or(&[][..], |depth| &depth.color);
     let board_delay = constants.board_imu_delay_ns;
     run.write_board_imu(&sequences, board_delay)?;
     let phone_imu = run.write_phone_imu(
@@ -181,6 +182,10 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         board_imu_rate: survey.imu.rate(),
         phone_imu_rate: phone_imu.rate,
         color_size: video.as_ref().and_then(|video| video.size),
+        camera_rate: rate_of(camera.iter().filter_map(|frame| frame.at)),
+        camera_size: depth
+            .as_ref()
+            .and_then(|depth| Some(depth.index.color.as_ref()?.size)),
         depth_size: depth.as_ref().map(|depth| depth.index.size),
         board_imu_delay: constants.board_imu_delay_ns,
         phone_imu_delay: constants.phone_imu_delay_ns,
@@ -191,6 +196,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         times: &survey.times,
         color,
         depth: depth_frames,
+        camera,
         pairs: &pairs,
         video: video.as_ref(),
         images: images.as_ref(),

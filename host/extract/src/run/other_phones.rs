@@ -43,6 +43,7 @@ impl Extraction<'_> {
                 times: &[],
                 color,
                 depth: &[],
+                camera: &[],
                 pairs: &[],
                 video: video.as_ref(),
                 images: None,
