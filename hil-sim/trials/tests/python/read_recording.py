@@ -16,6 +16,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg
+
+PACKAGE = Path(__file__).parents[4] / "ros/smartdepthsync_msgs/msg"
 
 
 def nanos(stamp):
@@ -63,6 +66,13 @@ def check_folder(folder, counts):
         for connection in bag.connections:
             (qos,) = connection.ext.offered_qos_profiles
             assert qos.reliability == QosReliability.RELIABLE and qos.depth == 1000
+        # The installable package has the types of the file.
+        own = {connection.msgtype: connection.msgdef.data for connection in bag.connections
+               if connection.msgtype.startswith("smartdepthsync_msgs/")}
+        assert sorted(own) == sorted(f"smartdepthsync_msgs/msg/{path.stem}" for path in PACKAGE.glob("*.msg"))
+        for name, definition in own.items():
+            packaged = (PACKAGE / f"{name.split('/')[-1]}.msg").read_text()
+            assert get_types_from_msg(packaged, name)[name] == get_types_from_msg(definition, name)[name]
 
 
 def check_attachments(path):
