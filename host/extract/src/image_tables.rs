@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use video::{Video, VideoError};
 
 use super::depth::{CameraImage, DepthError, DepthImage, DepthInput};
+use super::geometry::register::Registration;
 use super::image::{Pixels, encode_png, write_whole};
 use super::layout::Layout;
 use super::progress::Progress;
@@ -87,7 +88,7 @@ pub(crate) struct DepthOutcome {
 pub(crate) fn write_depth(
     input: &DepthInput,
     places: &CameraPlaces,
-    size: (u32, u32),
+    (size, registration): ((u32, u32), Option<&Registration>),
     layout: &dyn Layout,
     progress: &dyn Progress,
 ) -> Result<DepthOutcome, ImagesError> {
@@ -105,7 +106,7 @@ pub(crate) fn write_depth(
             .map(|image| match image {
                 CameraImage::Depth(image) => {
                     let place = places.depth.get(image.index);
-                    write_one(image, place, size, layout).map(One::Depth)
+                    write_one(image, place, (size, registration), layout).map(One::Depth)
                 }
                 CameraImage::Color(index, jpeg) => {
                     let place = places.color.get(*index).and_then(Option::as_deref);
@@ -190,7 +191,7 @@ impl DepthOutcome {
 fn write_one(
     image: &DepthImage,
     place: Option<&DepthPlace>,
-    size: (u32, u32),
+    (size, registration): ((u32, u32), Option<&Registration>),
     layout: &dyn Layout,
 ) -> Result<OneDepth, ImagesError> {
     let mut one = OneDepth {
@@ -206,8 +207,10 @@ fn write_one(
         return Ok(one);
     };
     if let Some(path) = place.depth.as_ref().filter(|_| !one.broken) {
-        let (pixels, lost) = layout.depth_pixels(&image.depth);
+        let seen = registration.map(|registration| registration.apply(&image.depth));
+        let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
+        let size = registration.map_or(size, |registration| registration.out);
         write_missing(path, size, Pixels::Gray16(&pixels))?;
         one.written = true;
     }

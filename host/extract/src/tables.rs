@@ -4,6 +4,8 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::Path;
 
+use recording::profile::Direction;
+
 use super::depth::DepthIndex;
 use super::depth_clock::{DepthMatch, FrameState, PulseTime};
 use super::frames::FrameTiming;
@@ -41,6 +43,9 @@ pub(crate) struct DepthFrame {
     /// Whether it has the bytes of a whole image.
     pub(crate) whole: bool,
 }
+
+/// Time from one row (or column) to the next, ns, and where the readout goes.
+pub(crate) type Shutter = (i64, Direction);
 
 /// A colour image of the depth camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -197,12 +202,12 @@ fn write_rows<T>(
 /// Writing fails.
 pub(crate) fn write_phone(
     folder: &Path,
-    color: &[ColorFrame],
+    (color, shutter): (&[ColorFrame], Option<Shutter>),
     pairs: &[Pair],
     depth: &[DepthFrame],
 ) -> io::Result<()> {
     if !color.is_empty() {
-        write_color(&folder.join("phone_frames.csv"), color)?;
+        write_color(&folder.join("phone_frames.csv"), color, shutter)?;
     }
     if !pairs.is_empty() {
         write_pairs(&folder.join("pairs.csv"), pairs, color, depth)?;
@@ -215,14 +220,19 @@ pub(crate) fn write_phone(
 /// # Errors
 ///
 /// Writing fails.
-fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
-    let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame";
+fn write_color(path: &Path, frames: &[ColorFrame], shutter: Option<Shutter>) -> io::Result<()> {
+    let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame,\
+                  row_time [ns],readout";
+    let shutter = shutter.map_or_else(
+        || String::from(","),
+        |(row, direction)| format!("{row},{}", direction.name()),
+    );
     write_rows(path, header, frames, |text, index, frame| {
         let image = optional(frame.image);
         // Writing into a String cannot fail.
         let _ = write!(
             text,
-            "{index},{},{},{},{image}",
+            "{index},{},{},{},{image},{shutter}",
             frame.phone.0, frame.start.0, frame.at.0
         );
     })

@@ -9,11 +9,14 @@ use serde_json::json;
 use crate::python;
 use crate::synthetic::{Synthetic, make};
 use crate::turn;
+use extract::geometry::View;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{Job, run};
+use recording::profile::Pose;
+use recording::session_file::SessionFile;
 
 /// Numbers of the maker's enumerations (k4atypes.h).
 const NFOV_2X2BINNED: u8 = 1;
@@ -39,11 +42,21 @@ impl Case {
     }
 
     fn extract(&self, depth: Option<&Path>, out: &str, options: Options) -> ExtractReport {
+        self.extract_as(Format::Euroc, depth, out, options)
+    }
+
+    fn extract_as(
+        &self,
+        format: Format,
+        depth: Option<&Path>,
+        out: &str,
+        options: Options,
+    ) -> ExtractReport {
         let job = Job {
             recording: self.path("recording"),
             phone: None,
             depth: depth.map(Path::to_owned),
-            format: Format::Euroc,
+            format,
             out: self.path(out),
             options,
         };
@@ -66,6 +79,18 @@ impl Case {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/vendor_recording.py");
         python::run_script(&script, &[&spec_path, &out]);
         out
+    }
+
+    /// Frames of 1280 × 720 by ffmpeg.
+    fn test_picture(&self, name: &str, frames: usize) -> PathBuf {
+        let path = self.path(name);
+        let made = Command::new("ffmpeg")
+            .args(["-v", "error", "-f", "lavfi", "-i", "testsrc=size=1280x720"])
+            .args(["-frames:v", &frames.to_string()])
+            .arg(&path)
+            .status();
+        assert!(made.unwrap().success());
+        path
     }
 
     /// Columns of a table of an output as integers.
@@ -131,13 +156,7 @@ fn the_files_own_tags_decide_the_times() {
     assert!((nominal - base[0]).abs() < 1_000_000, "{nominal}");
 
     // Delays, and colour 160 µs behind depth.
-    let jpeg = case.path("color.jpg");
-    let made = Command::new("ffmpeg")
-        .args(["-v", "error", "-f", "lavfi", "-i", "testsrc=size=1280x720"])
-        .args(["-frames:v", "1"])
-        .arg(&jpeg)
-        .status();
-    assert!(made.unwrap().success());
+    let jpeg = case.test_picture("color.jpg", 1);
     let delays = json!({
         "subordinate_us": 500, "depth_delay_us": -160, "color": jpeg, "color_us": 160,
         "size": [320, 288],
@@ -263,4 +282,117 @@ fn a_camera_on_its_own_is_timed_by_its_own_clock() {
         errors.iter().all(|error| (error - mean).abs() < 100_000),
         "{mean}"
     );
+}
+
+/// A calibration as the camera has it, with made-up numbers of the usual size: depth, and
+/// colour 32 mm beside it and tilted by 6°.
+fn calibration() -> serde_json::Value {
+    // cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1.
+    let depth = [
+        0.502, 0.498, 0.4926, 0.4927, 0.65, 0.04, -0.004, 0.99, 0.15, -0.02, 0.0, 0.0, -8e-5, 1e-4,
+    ];
+    let color = [
+        0.498, 0.502, 0.475, 0.634, 0.6, -2.8, 1.6, 0.48, -2.6, 1.5, 0.0, 0.0, -2e-4, 3e-4,
+    ];
+    let (sin, cos) = 6.0_f64.to_radians().sin_cos();
+    let camera =
+        |place: &str, lens: [f64; 14], rotation: [f64; 9], way: [f64; 3], side: [u32; 2]| {
+            json!({
+                "Location": format!("CALIBRATION_CameraLocation{place}"),
+                "Intrinsics": {
+                    "ModelParameterCount": 14,
+                    "ModelParameters": lens,
+                    "ModelType": "CALIBRATION_LensDistortionModelBrownConrady",
+                },
+                "MetricRadius": 1.74,
+                "Rt": { "Rotation": rotation, "Translation": way },
+                "SensorWidth": side[0],
+                "SensorHeight": side[1],
+            })
+        };
+    let imu = |kind: &str| {
+        json!({
+            "SensorType": format!("CALIBRATION_InertialSensorType_{kind}"),
+            "BiasTemperatureModel": vec![0.0; 12], "BiasUncertainty": vec![1e-4; 3],
+            "MixingMatrixTemperatureModel": vec![0.0; 36], "ModelTypeMask": 16,
+            "Noise": vec![1e-3; 6], "SecondOrderScaling": vec![0.0; 9],
+            "Rt": { "Rotation": [0, -1, 0, 0, 0, 1, -1, 0, 0], "Translation": [0, 0, 0] },
+            "TemperatureBounds": [5, 60], "TemperatureC": 40.0,
+        })
+    };
+    let (straight, none) = ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0; 3]);
+    let tilted = [1.0, 0.0, 0.0, 0.0, cos, sin, 0.0, -sin, cos];
+    json!({ "CalibrationInformation": {
+        "Cameras": [
+            camera("D0", depth, straight, none, [1024, 1024]),
+            camera("PV0", color, tilted, [-0.032, -0.002, 0.004], [4096, 3072]),
+        ],
+        "InertialSensors": [imu("Gyro"), imu("Accelerometer")],
+    } })
+}
+
+#[test]
+fn depth_is_registered_as_the_makers_library_has_it() {
+    let _turn = turn::beside_others();
+    let case = Case::new(&Synthetic {
+        seed: 8,
+        seconds: 16,
+        ..Synthetic::default()
+    });
+    // Without registration the two images do not lie over one another: no associations.
+    let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
+    said(&plain, "no associations.txt");
+    assert!(!case.path("plain/associations.txt").exists());
+    let device = case.table("plain/depth_frames.csv", &[1]);
+    let device: Vec<i64> = device.iter().map(|row| row[0].unwrap() / 1000).collect();
+    let calibration = calibration().to_string();
+    let jpeg = case.test_picture("color.jpg", 1);
+    let depth = case.vendor(
+        "depth",
+        &device,
+        json!({ "color": jpeg, "size": [320, 288], "calibration": calibration }),
+    );
+    let to = |view| Options {
+        view: Some(view),
+        ..Options::default()
+    };
+    let report = case.extract_as(Format::Tum, Some(&depth), "color", to(View::Color));
+    assert_eq!(report.depth.unwrap().images, device.len() as u64);
+    let path = case.path("calibration.json");
+    std::fs::write(&path, &calibration).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_registered.py");
+    let printed = python::run_script(&script, &[&path, &case.path("color")]);
+    assert_eq!(printed.trim(), "ok");
+
+    // To the phone it takes the profile.
+    let stamps = case.table("plain/phone_frames.csv", &[0]).len();
+    case.test_picture("recording/phone/VID_20260131_140327.mp4", stamps);
+    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to(View::Phone));
+    said(&refused, "phone.cameras");
+    assert_eq!(refused.depth.unwrap().images, 0);
+    // A phone that sees what the colour camera sees, from the same place.
+    let mut session = SessionFile::load(&case.path("recording")).unwrap();
+    let cameras = std::fs::read(case.path("color/cameras.json")).unwrap();
+    let cameras: serde_json::Value = serde_json::from_slice(&cameras).unwrap();
+    let same = serde_json::from_value(cameras["color"]["intrinsics"].clone()).unwrap();
+    let pose = Pose([
+        [0.0, -1.0, 0.0, 0.02],
+        [0.0, 0.0, -1.0, 0.03],
+        [1.0, 0.0, 0.0, -0.1],
+        [0.0, 0.0, 0.0, 1.0],
+    ]);
+    session.profile.phone.cameras = vec![same];
+    session.profile.phone.from_imu = Some(pose);
+    session.profile.depth.color_from_imu = Some(pose);
+    session.save(&case.path("recording")).unwrap();
+    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to(View::Phone));
+    assert_eq!(report.depth.unwrap().images, device.len() as u64);
+    let phone = case.path("phone/mav0/depth0/data");
+    let printed = python::run_script(&script, &[&path, &case.path("color"), &phone]);
+    assert_eq!(printed.trim(), "ok");
+    let yaml = std::fs::read_to_string(case.path("phone/mav0/cam0/sensor.yaml")).unwrap();
+    assert!(yaml.contains("distortion_model: rational"), "{yaml}");
+    // The camera in the frame of the board's IMU: the inverse of from_imu.
+    assert!(yaml.contains("data: [0, 0, 1, 0.1"), "{yaml}");
+    assert!(yaml.contains("direction: down}"), "{yaml}");
 }

@@ -268,12 +268,6 @@ impl<R: Read + Seek> Recording<R> {
         self.color.as_ref()
     }
 
-    /// Whether there is a track of the camera's IMU.
-    #[must_use]
-    pub fn has_imu_track(&self) -> bool {
-        self.imu.is_some()
-    }
-
     /// The value of a tag (`K4A_DEPTH_MODE`, `K4A_DEVICE_SERIAL_NUMBER`, ...).
     #[must_use]
     pub fn tag(&self, name: &str) -> Option<&str> {

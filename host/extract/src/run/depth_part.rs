@@ -1,5 +1,6 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
+use super::geometry_part::DepthView;
 use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
@@ -265,16 +266,20 @@ impl Extraction<'_> {
     pub(super) fn write_depth_images(
         &mut self,
         depth: Option<&Depth>,
+        view: &DepthView,
         sequences: &Sequences,
         frames: &[DepthFrame],
     ) -> Result<Option<DepthOutcome>, ExtractError> {
         let (Some(depth), Some(input)) = (depth, self.inputs.depth.clone()) else {
             return Ok(None);
         };
-        if depth.matched.is_err() {
-            return Ok(None);
-        }
-        let layout = self.job.format.layout();
+        let registration = match view {
+            _ if depth.matched.is_err() => return Ok(None),
+            DepthView::None => return Ok(None),
+            DepthView::Own => None,
+            DepthView::Other(registration) => Some(&**registration),
+        };
+        let layout = self.layout();
         let place_of = |frame: &DepthFrame| match frame.at.filter(|_| frame.is_used()) {
             None => DepthPlace::default(),
             Some(at) => {
@@ -301,7 +306,8 @@ impl Extraction<'_> {
         let outcome = match self.place.done::<DepthOutcome>("depth") {
             Some(outcome) => outcome,
             None => {
-                let written = write_depth(&input, &places, depth.index.size, layout, self.progress);
+                let size = (depth.index.size, registration);
+                let written = write_depth(&input, &places, size, layout, self.progress);
                 match written {
                     Ok(outcome) => {
                         self.place

@@ -31,7 +31,7 @@ impl Extraction<'_> {
         written: &Written<'_>,
         facts: &Facts,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
-        let layout = self.job.format.layout();
+        let layout = self.layout();
         let topics = written.times.iter().map(|pair| &*pair.topic).collect();
         let lidar = self.inputs.lidar.clone();
         let (names, longer) = file_names(layout, &topics, lidar.as_deref());
@@ -71,7 +71,7 @@ impl Extraction<'_> {
         sequences: &Sequences,
         written: &Written<'a>,
     ) -> SequenceTables<'a> {
-        let layout = self.job.format.layout();
+        let layout = self.layout();
         let decoded = written.video.map_or(0, |video| video.decoded);
         let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
         let mut tables = SequenceTables::default();
