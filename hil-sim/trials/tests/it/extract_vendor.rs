@@ -336,7 +336,7 @@ fn depth_is_registered_as_the_makers_library_has_it() {
     let _turn = turn::beside_others();
     let case = Case::new(&Synthetic {
         seed: 8,
-        seconds: 16,
+        seconds: 25,
         ..Synthetic::default()
     });
     // Without registration the two images do not lie over one another: no associations.
@@ -344,7 +344,9 @@ fn depth_is_registered_as_the_makers_library_has_it() {
     said(&plain, "no associations.txt");
     assert!(!case.path("plain/associations.txt").exists());
     let device = case.table("plain/depth_frames.csv", &[1]);
-    let device: Vec<i64> = device.iter().map(|row| row[0].unwrap() / 1000).collect();
+    // The first eight seconds have the pattern of the pulses, and are enough to look at.
+    let device = device.iter().take(240);
+    let device: Vec<i64> = device.map(|row| row[0].unwrap() / 1000).collect();
     let calibration = calibration().to_string();
     let jpeg = case.test_picture("color.jpg", 1);
     let depth = case.vendor(
