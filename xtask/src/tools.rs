@@ -9,11 +9,12 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// What the tests need beyond Rust: ffmpeg, a browser for the reports, a terminal
-/// emulator for the live view, another Cortex-M4 to compare ours with, and Python with
+/// What the tests need beyond Rust: ffmpeg, mkvmerge, a browser for the reports, a
+/// terminal emulator for the live view, another Cortex-M4 to compare ours with, and Python with
 /// public readers of the formats that we write.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
+    ensure_program("mkvmerge", "mkvtoolnix")?;
     ensure_program("chromium", "chromium")?;
     ensure_program("tmux", "tmux")?;
     ensure_program("strace", "strace")?;

@@ -10,8 +10,8 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
-use super::mkv::k4a::{Batch, Content, K4aError, Recording};
-use super::time::DeviceNanos;
+use super::mkv::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
+use super::time::{DeviceNanos, SECOND};
 use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.
@@ -73,10 +73,32 @@ pub(crate) struct DepthIndex {
     pub(crate) mode: Option<String>,
     /// `K4A_DEVICE_SERIAL_NUMBER`.
     pub(crate) serial: Option<String>,
+    /// `K4A_WIRED_SYNC_MODE`.
+    pub(crate) sync: Option<String>,
+    /// `K4A_SUBORDINATE_DELAY_NS`: from the trigger's edge to the exposure of colour (of
+    /// depth, without colour).
+    pub(crate) subordinate_delay: i64,
+    /// `K4A_DEPTH_DELAY_NS`: from the exposure of colour to that of depth.
+    pub(crate) depth_delay: i64,
+    /// The colour track.
+    pub(crate) color: Option<ColorTrack>,
+    /// Device times of the colour images.
+    pub(crate) color_frames: Vec<DeviceNanos>,
+    /// Who wrote the file anew with coarser times, in words.
+    pub(crate) rewritten: Option<String>,
     /// Whether there are samples of the camera's IMU.
     pub(crate) has_imu: bool,
     /// What is damaged, in words.
     pub(crate) faults: Vec<String>,
+}
+
+/// An image of the recording.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum CameraImage {
+    /// Depth, perhaps with infrared.
+    Depth(DepthImage),
+    /// Colour, by its number in the recording: the bytes of a JPEG file.
+    Color(usize, Vec<u8>),
 }
 
 /// A frame with its pixels.
@@ -133,6 +155,7 @@ impl DepthInput {
             source,
             path: self.path().to_owned(),
             next: 0,
+            next_color: 0,
             waiting: Vec::new().into_iter(),
         })
     }
@@ -194,8 +217,34 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
         calibration: recording.calibration().map(<[u8]>::to_vec),
         mode: text("K4A_DEPTH_MODE"),
         serial: text("K4A_DEVICE_SERIAL_NUMBER"),
+        sync: text("K4A_WIRED_SYNC_MODE"),
+        color: recording.color().cloned(),
+        rewritten: recording.rewritten().map(|(by, unit)| {
+            let by = if by.is_empty() { "another program" } else { by };
+            format!(
+                "{by} wrote the file anew and rounded the times of its frames to {} ms (the recorder \
+                 writes them to 0.001 ms): give the recorder's own file with --depth",
+                unit as f64 * 1e-6
+            )
+        }),
         ..DepthIndex::default()
     };
+    for (name, delay) in [
+        ("K4A_SUBORDINATE_DELAY_NS", &mut index.subordinate_delay),
+        ("K4A_DEPTH_DELAY_NS", &mut index.depth_delay),
+    ] {
+        let Some(text) = text(name) else { continue };
+        match text.trim().parse::<i64>() {
+            // The recorder allows a frame's period.
+            Ok(nanos) if nanos.abs() <= SECOND => *delay = nanos,
+            _ => {
+                let text: String = text.chars().take(32).collect();
+                index.faults.push(format!(
+                    "the tag {name} is {text:?}, expected nanoseconds up to a second: taken as 0"
+                ));
+            }
+        }
+    }
     loop {
         let batch = recording.next_batch(Content::Times);
         let Some(batch) = batch.map_err(reading(path))? else {
@@ -207,17 +256,18 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
             whole: image.size == size,
         });
         index.frames.extend(stamps);
+        index
+            .color_frames
+            .extend(batch.color.iter().map(|image| image.at));
         progress(recording.position());
     }
     let damage = recording.damage().iter().take(MAX_FAULTS);
-    index.faults = damage
-        .map(|damage| {
-            format!(
-                "byte {}, {} bytes: {}",
-                damage.at, damage.bytes, damage.what
-            )
-        })
-        .collect();
+    index.faults.extend(damage.map(|damage| {
+        format!(
+            "byte {}, {} bytes: {}",
+            damage.at, damage.bytes, damage.what
+        )
+    }));
     if !recording.was_closed() {
         index.faults.push(
             "the recorder did not close the file: its information, index and last moments are missing".into(),
@@ -254,18 +304,27 @@ pub(crate) struct DepthImages {
     source: Source,
     path: PathBuf,
     next: usize,
-    waiting: std::vec::IntoIter<DepthImage>,
+    next_color: usize,
+    waiting: std::vec::IntoIter<CameraImage>,
 }
 
 impl DepthImages {
     /// The next images (perhaps none); `None` at the end.
-    fn read(&mut self) -> Result<Option<Vec<DepthImage>>, DepthError> {
+    fn read(&mut self) -> Result<Option<Vec<CameraImage>>, DepthError> {
         match &mut self.source {
             Source::Mkv(recording) => {
                 let size = recording.image_bytes();
                 let batch = recording.next_batch(Content::Pixels);
                 let batch = batch.map_err(reading(&self.path))?;
-                Ok(batch.map(|batch| images_of(batch, size, &mut self.next)))
+                Ok(batch.map(|mut batch| {
+                    let mut images = Vec::new();
+                    for image in std::mem::take(&mut batch.color) {
+                        images.push(CameraImage::Color(self.next_color, image.bytes));
+                        self.next_color += 1;
+                    }
+                    images.extend(images_of(batch, size, &mut self.next));
+                    images
+                }))
             }
             Source::Bag(stream) => {
                 let Some(event) = stream.next_event()? else {
@@ -276,19 +335,19 @@ impl DepthImages {
                 };
                 let index = self.next;
                 self.next += 1;
-                Ok(Some(vec![DepthImage {
+                Ok(Some(vec![CameraImage::Depth(DepthImage {
                     index,
                     depth: image.pixels,
                     infrared: None,
                     damaged: false,
-                }]))
+                })]))
             }
         }
     }
 }
 
 impl Iterator for DepthImages {
-    type Item = Result<DepthImage, DepthError>;
+    type Item = Result<CameraImage, DepthError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
@@ -303,7 +362,7 @@ impl Iterator for DepthImages {
     }
 }
 
-fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<DepthImage> {
+fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<CameraImage> {
     let mut infrared = batch.ir;
     let images = batch.depth.into_iter().map(|image| {
         let index = *next;
@@ -311,7 +370,7 @@ fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<DepthImage> {
         let partner = infrared
             .iter()
             .position(|ir| ir.at == image.at && ir.bytes.len() == size);
-        DepthImage {
+        CameraImage::Depth(DepthImage {
             index,
             infrared: partner.map(|place| infrared.swap_remove(place).bytes),
             depth: if image.bytes.len() == size {
@@ -320,7 +379,7 @@ fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<DepthImage> {
                 Vec::new()
             },
             damaged: !batch.intact,
-        }
+        })
     });
     images.collect()
 }

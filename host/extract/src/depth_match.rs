@@ -10,15 +10,16 @@
 use super::board_data::BoardInput;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
-    Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
+    Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
+use super::gyro_clock;
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
 use super::progress::Progress;
 use super::report::Constants;
 use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::time::{AffineMap, BoardNanos, DeviceNanos, PiecewiseMap, SECOND};
-use twist_sync::Options;
+use twist_sync::{Options, RecordingClock};
 
 /// 1-sigma of a clock relation from the camera's gyroscope, ns: its low-pass delay
 /// is not documented and is a few milliseconds at most.
@@ -99,6 +100,7 @@ impl Matched {
                 format!("the pattern of the pulses (χ² margin {margin:.0})")
             }
             Decision::Pattern { .. } => "the pattern of the pulses".into(),
+            Decision::Hint { left: 0 } => self.by.to_owned(),
             Decision::Hint { left } => format!("{} (of {left} possible shifts)", self.by),
         }
     }
@@ -139,6 +141,13 @@ pub(crate) fn find(
         Ok(found) => return Ok(Ok(found)),
         Err(error) => error,
     };
+    let error = match error {
+        MatchError::Ambiguous(left) => MatchError::Ambiguous(Ambiguity {
+            has_imu: index.has_imu,
+            ..left
+        }),
+        other => other,
+    };
     if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
         let hint = if index.has_imu {
             camera_hint(board, input, survey, constants, progress)?
@@ -175,6 +184,75 @@ pub(crate) fn find(
     Ok(Err(error))
 }
 
+/// Times the frames of a camera that ran on its own clock, through its gyroscope and the
+/// board's. The inner error says why that is not possible.
+///
+/// # Errors
+///
+/// Stopped, or the board's recording cannot be read.
+pub(crate) fn free_running(
+    board: &BoardInput,
+    input: &DepthInput,
+    index: &DepthIndex,
+    survey: &Survey,
+    constants: &Constants,
+    progress: &dyn Progress,
+) -> Result<Result<Matched, MatchError>, Stopped> {
+    let failed = |why: &str| {
+        Ok(Err(MatchError::NoGyro {
+            why: why.to_owned(),
+        }))
+    };
+    if !index.has_imu {
+        return failed("the recording has no samples of the camera's IMU; record with the IMU on");
+    }
+    if !survey.runs.is_empty() {
+        return failed("the board was reset in the recording");
+    }
+    let clock = match camera_clock(board, input, survey, constants, 1, progress)? {
+        Ok(clock) => clock,
+        Err(why) => return failed(&why),
+    };
+    let (first, last) = (
+        BoardNanos(survey.imu.first_ns),
+        BoardNanos(survey.imu.last_ns),
+    );
+    // The time of an image is its stamp's: what is put on with the tables is taken off.
+    let knots = gyro_clock::knots::<DeviceNanos>(&clock.course, first, last);
+    let map = PiecewiseMap::from_knots(knots.into_iter().map(|(device, at)| {
+        let edge = at.0.saturating_sub(constants.depth_center_ns);
+        (device, BoardNanos(edge))
+    }));
+    let (from, to) = clock.course.span();
+    let model = clock.course.at(0.5 * (from + to));
+    let frame = Assignment {
+        state: FrameState::FreeRunning,
+        pulse: None,
+        residual: 0,
+    };
+    let found = DepthMatch {
+        frames: vec![frame; index.frames.len()],
+        missing: Vec::new(),
+        decision: Decision::Hint { left: 0 },
+        rate_error: model.skew,
+        rate_sigma: model.covariance[1][1].max(0.0).sqrt(),
+        residual: 0.0,
+        clock: map,
+    };
+    let remark = format!(
+        "the depth camera ran on its own clock: its frames are timed through the gyroscopes of camera and \
+         board, ± {:.1} µs (1-sigma) and a constant of up to {:.1} ms, for the low-pass delay of the \
+         camera's gyroscope is not documented",
+        model.covariance[0][0].max(0.0).sqrt() * 1e6,
+        CAMERA_SIGMA * 1e-6
+    );
+    let matched = Matched {
+        remarks: vec![remark],
+        ..Matched::new(found)
+    };
+    Ok(Ok(matched.by("the camera's own clock")))
+}
+
 /// Where the board's runs after resets begin among the pulses. A run without pulses is
 /// none here; its uncertainty goes to the next.
 fn resets(survey: &Survey) -> Vec<Reset> {
@@ -200,21 +278,8 @@ fn camera_hint(
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Option<Hint>, Stopped> {
-    let options = Options {
-        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
-        ..Options::of_windows()
-    };
-    let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
-    let related = streams::related(
-        "relating the depth camera's clock by its gyroscope",
-        (board, (BoardNanos(first), BoardNanos(last))),
-        (&|| streams::camera(input, progress), &options),
-        None,
-        EVERY,
-        progress,
-    );
     // Without a relation the pulses stay ambiguous, which is what is said.
-    let Ok(clock) = related? else {
+    let Ok(clock) = camera_clock(board, input, survey, constants, EVERY, progress)? else {
         return Ok(None);
     };
     let (from, to) = clock.course.span();
@@ -232,6 +297,31 @@ fn camera_hint(
         sigma: CAMERA_SIGMA,
         center: constants.depth_center_ns,
     }))
+}
+
+/// The relation of the camera's clock to the board's by their gyroscopes, from each
+/// `every`-th window.
+fn camera_clock(
+    board: &BoardInput,
+    input: &DepthInput,
+    survey: &Survey,
+    constants: &Constants,
+    every: usize,
+    progress: &dyn Progress,
+) -> Result<Result<RecordingClock, String>, Stopped> {
+    let options = Options {
+        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
+        ..Options::of_windows()
+    };
+    let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
+    streams::related(
+        "relating the depth camera's clock by its gyroscope",
+        (board, (BoardNanos(first), BoardNanos(last))),
+        (&|| streams::camera(input, progress), &options),
+        None,
+        every,
+        progress,
+    )
 }
 
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.

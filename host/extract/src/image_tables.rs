@@ -11,7 +11,8 @@ use std::sync::mpsc::sync_channel;
 use rayon::prelude::*;
 use video::{Video, VideoError};
 
-use super::depth::{DepthError, DepthImage, DepthInput};
+use super::depth::{CameraImage, DepthError, DepthImage, DepthInput};
+use super::geometry::register::Registration;
 use super::image::{Pixels, encode_png, write_whole};
 use super::layout::Layout;
 use super::progress::Progress;
@@ -49,6 +50,15 @@ pub(crate) struct DepthPlace {
     pub(crate) infrared: Option<PathBuf>,
 }
 
+/// Where the images of the depth camera go: one entry a frame.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct CameraPlaces {
+    /// Depth and infrared.
+    pub(crate) depth: Vec<DepthPlace>,
+    /// Colour, as JPEG files.
+    pub(crate) color: Vec<Option<PathBuf>>,
+}
+
 /// What the depth images were like.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct DepthOutcome {
@@ -64,34 +74,57 @@ pub(crate) struct DepthOutcome {
     pub(crate) empty: Vec<usize>,
     /// Pixels too far away for the format.
     pub(crate) out_of_range: u64,
+    /// Colour images of the camera that are there, by frame.
+    pub(crate) color: Vec<usize>,
+    /// Colour images with a place that are no JPEG files.
+    pub(crate) color_broken: Vec<usize>,
 }
 
-/// Writes the depth images. `places` has one entry a frame.
+/// Writes the images of the depth camera.
 ///
 /// # Errors
 ///
 /// Reading or writing fails, or it was stopped.
 pub(crate) fn write_depth(
     input: &DepthInput,
-    places: &[DepthPlace],
-    size: (u32, u32),
+    places: &CameraPlaces,
+    (size, registration): ((u32, u32), Option<&Registration>),
     layout: &dyn Layout,
     progress: &dyn Progress,
 ) -> Result<DepthOutcome, ImagesError> {
     let mut outcome = DepthOutcome::default();
-    progress.begin("writing depth images", places.len() as u64);
-    let bytes =
-        |image: &DepthImage| image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len);
+    progress.begin("writing depth images", places.depth.len() as u64);
+    let bytes = |image: &CameraImage| match image {
+        CameraImage::Depth(image) => {
+            image.depth.len() + image.infrared.as_ref().map_or(0, Vec::len)
+        }
+        CameraImage::Color(_, jpeg) => jpeg.len(),
+    };
     let written = in_batches(input.images()?, bytes, progress, |batch| {
-        let last = batch.last().map_or(0, |image| image.index);
-        let results: Vec<Result<OneDepth, ImagesError>> = batch
+        let results: Vec<Result<One, ImagesError>> = batch
             .par_iter()
-            .map(|image| write_one(image, places.get(image.index), size, layout))
+            .map(|image| match image {
+                CameraImage::Depth(image) => {
+                    let place = places.depth.get(image.index);
+                    write_one(image, place, (size, registration), layout).map(One::Depth)
+                }
+                CameraImage::Color(index, jpeg) => {
+                    let place = places.color.get(*index).and_then(Option::as_deref);
+                    write_jpeg(place, jpeg).map(|written| One::Color(*index, written))
+                }
+            })
             .collect();
         for result in results {
-            outcome.take(result?);
+            match result? {
+                One::Depth(one) => {
+                    progress.at(one.index as u64 + 1);
+                    outcome.take(one);
+                }
+                One::Color(index, Some(true)) => outcome.color.push(index),
+                One::Color(index, Some(false)) => outcome.color_broken.push(index),
+                One::Color(_, None) => {}
+            }
         }
-        progress.at(last as u64 + 1);
         Ok(())
     });
     match written {
@@ -100,6 +133,31 @@ pub(crate) fn write_depth(
         Err(BatchError::Images(error)) => return Err(error),
     }
     Ok(outcome)
+}
+
+enum One {
+    Depth(OneDepth),
+    /// Whether it was written; nothing if it has no place.
+    Color(usize, Option<bool>),
+}
+
+/// Writes a JPEG file as it came, unless it is none.
+fn write_jpeg(place: Option<&Path>, jpeg: &[u8]) -> Result<Option<bool>, ImagesError> {
+    let Some(path) = place else {
+        return Ok(None);
+    };
+    // Start of image, and the end of it somewhere behind: the camera fills up its frames.
+    let begins = jpeg.starts_with(&[0xFF, 0xD8]);
+    if !begins || !jpeg.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
+        return Ok(Some(false));
+    }
+    if !path.exists() {
+        write_whole(path, jpeg).map_err(|error| ImagesError::Write {
+            path: path.to_owned(),
+            error,
+        })?;
+    }
+    Ok(Some(true))
 }
 
 struct OneDepth {
@@ -133,7 +191,7 @@ impl DepthOutcome {
 fn write_one(
     image: &DepthImage,
     place: Option<&DepthPlace>,
-    size: (u32, u32),
+    (size, registration): ((u32, u32), Option<&Registration>),
     layout: &dyn Layout,
 ) -> Result<OneDepth, ImagesError> {
     let mut one = OneDepth {
@@ -149,8 +207,10 @@ fn write_one(
         return Ok(one);
     };
     if let Some(path) = place.depth.as_ref().filter(|_| !one.broken) {
-        let (pixels, lost) = layout.depth_pixels(&image.depth);
+        let seen = registration.map(|registration| registration.apply(&image.depth));
+        let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
+        let size = registration.map_or(size, |registration| registration.out);
         write_missing(path, size, Pixels::Gray16(&pixels))?;
         one.written = true;
     }

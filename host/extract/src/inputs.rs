@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use super::board_data::BoardInput;
 use super::depth::DepthInput;
+use super::geometry::{CameraFacts, View};
 use super::gyro_clock::prior;
 use super::later_runs::Moves;
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
-use recording::profile::Phone;
+use recording::profile::{Direction, Intrinsics, Phone, Pose};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
 
@@ -31,6 +32,12 @@ pub struct Options {
     pub first_pulse: Option<usize>,
     /// Whether infrared images are written too.
     pub infrared: bool,
+    /// Exposure of the depth camera's colour images, ns.
+    pub camera_exposure_ns: Option<i64>,
+    /// The camera from whose place depth images are given.
+    pub view: Option<View>,
+    /// Depth frames are timed by the camera's own clock, whatever the trigger did.
+    pub free_running: bool,
     /// Where the files of phones lie, by their names in the rig profile.
     #[serde(skip)]
     pub phones: Vec<(String, PathBuf)>,
@@ -45,6 +52,8 @@ pub(crate) struct PhoneInput {
     pub(crate) files: Option<VideoFiles>,
     /// What the session says about it.
     pub(crate) rig: RigFacts,
+    /// What the profile says about its camera.
+    pub(crate) camera: PhoneCamera,
     /// Its folder below the output; the output itself for the phone that the trigger
     /// was aligned to.
     pub(crate) folder: PathBuf,
@@ -67,6 +76,43 @@ impl PhoneInput {
         match &self.name {
             Some(name) if self.is_other() => format!("{name}: {text}"),
             _ => text.to_owned(),
+        }
+    }
+}
+
+/// What the profile says of a phone's camera.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PhoneCamera {
+    cameras: Vec<Intrinsics>,
+    from_imu: Option<Pose>,
+    direction: Direction,
+    rows: u32,
+    readout_ns: Option<i64>,
+}
+
+impl PhoneCamera {
+    fn of(phone: &Phone) -> Self {
+        Self {
+            cameras: phone.cameras.clone(),
+            from_imu: phone.from_imu,
+            direction: phone.readout_direction,
+            rows: phone.rows,
+            readout_ns: nanos(phone.readout_us),
+        }
+    }
+
+    /// What is known of it for images of this size; `readout` (ns) goes before the
+    /// profile's.
+    pub(crate) fn facts(&self, size: Option<(u32, u32)>, readout: Option<i64>) -> CameraFacts {
+        let own = |camera: &&Intrinsics| Some(camera.size()) == size;
+        let last = i64::from(self.rows.saturating_sub(1));
+        CameraFacts {
+            intrinsics: self.cameras.iter().find(own).cloned(),
+            from_imu: self.from_imu,
+            shutter: readout
+                .or(self.readout_ns)
+                .filter(|_| last > 0)
+                .map(|readout| (readout / last, self.direction)),
         }
     }
 }
@@ -105,6 +151,10 @@ pub(crate) struct Inputs {
     pub(crate) board_id: Option<String>,
     /// What the lidar is called, if there is a session.
     pub(crate) lidar: Option<String>,
+    /// The depth camera's mode in the rig profile, if there is a session.
+    pub(crate) depth_mode: Option<String>,
+    /// Where the profile has the depth camera's colour camera.
+    pub(crate) color_from_imu: Option<Pose>,
     /// Board time of the recorded span, in which the trigger was on its grid, ns.
     pub(crate) recorded: Option<(i64, i64)>,
     /// Worth knowing.
@@ -253,6 +303,12 @@ pub(crate) fn find(
         lidar: session
             .as_ref()
             .map(|session| session.profile.lidar_name().to_owned()),
+        depth_mode: session
+            .as_ref()
+            .map(|session| session.profile.depth.mode.clone()),
+        color_from_imu: session
+            .as_ref()
+            .and_then(|session| session.profile.depth.color_from_imu),
         recorded: session.and_then(|session| {
             let span = session.recorded?;
             let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();
@@ -299,6 +355,7 @@ fn find_phones(
         name: Some(session.profile.phone.name.clone()),
         files: files_of(&session.profile.phone.name, phone)?,
         rig,
+        camera: PhoneCamera::of(&session.profile.phone),
         folder: PathBuf::new(),
     };
     let mut others = Vec::new();
@@ -308,6 +365,7 @@ fn find_phones(
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
             rig: facts_of_other(phone, said, rig),
+            camera: PhoneCamera::of(phone),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }

@@ -8,6 +8,7 @@
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
 //!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
 //!   and images), `pairs`, `grid` (frames against the trigger).
+//! - Space: [`geometry`] (lenses, the depth camera's calibration, registration).
 //! - Outputs: [`layout`] (EuRoC, TUM, topics), sequences, `tables`, `imu_tables`,
 //!   `image_tables`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
 //!   recording teaches into a rig profile.
@@ -23,6 +24,7 @@ mod depth_clock;
 mod depth_match;
 mod faults;
 mod frames;
+pub mod geometry;
 mod grid;
 mod gyro_clock;
 mod image;

@@ -219,6 +219,10 @@ pub struct DepthReport {
     pub images: u64,
     /// Infrared images written.
     pub infrared: u64,
+    /// Colour images of the camera written.
+    pub color: u64,
+    /// How the camera was told to be synchronised (`K4A_WIRED_SYNC_MODE`).
+    pub sync: Option<String>,
     /// Mode of the camera.
     pub mode: Option<String>,
     /// Serial number of the camera.
@@ -234,6 +238,9 @@ pub struct PairsReport {
     pub histogram: Histogram,
     /// Those near to the median (within ten times the distance of the quartiles).
     pub central: Histogram,
+    /// Depth − phone over time: board time of the phone's frame and the difference, ns, of
+    /// the pairs near to the median; of many, evenly picked ones.
+    pub course: Vec<(i64, i64)>,
 }
 
 /// A sensor on a further output, or a lidar.
@@ -306,6 +313,9 @@ impl ExtractReport {
                 format!("{}, {} on a pulse", depth.frames, depth.matched),
             ));
             lines.push(("depth images", depth.images.to_string()));
+            if depth.color > 0 {
+                lines.push(("depth camera's colour", depth.color.to_string()));
+            }
             if let (Some((rate, sigma)), Some(residual)) = (depth.rate_ppm, depth.residual_us) {
                 lines.push((
                     "depth clock",
@@ -424,6 +434,10 @@ impl ExtractReport {
                 );
             }
             page.figure(&svg, &caption);
+            page.figure(
+                &pairs_svg(&pairs.course),
+                "The same over time. A slope is a drift of the trigger against the phone's frames.",
+            );
         }
         if let Some(clock) = self.clock.as_ref().filter(|clock| clock.course.len() > 1) {
             page.section("Clock of the phone");
@@ -512,6 +526,18 @@ impl OtherReport {
         }
         line
     }
+}
+
+/// The difference of each pair over time.
+fn pairs_svg(course: &[(i64, i64)]) -> String {
+    let points = course
+        .iter()
+        .map(|&(at, difference)| (at as f64 * 1e-9, difference as f64 / 1000.0));
+    let series = Series {
+        name: String::from("pairs"),
+        data: Data::Points(points.collect()),
+    };
+    chart::series("board time, s", "depth − phone, µs", -1.0..1.0, &[series])
 }
 
 /// Windows against the course, with the course's own band.

@@ -4,12 +4,14 @@ use std::fmt::Write as _;
 use std::io::{self, Write};
 use std::path::Path;
 
+use recording::profile::Direction;
+
 use super::depth::DepthIndex;
 use super::depth_clock::{DepthMatch, FrameState, PulseTime};
 use super::frames::FrameTiming;
 use super::image::WholeFile;
 use super::pairs::Pair;
-use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap};
+use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
 
 /// A frame of the phone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +42,18 @@ pub(crate) struct DepthFrame {
     pub(crate) residual: i64,
     /// Whether it has the bytes of a whole image.
     pub(crate) whole: bool,
+}
+
+/// Time from one row (or column) to the next, ns, and where the readout goes.
+pub(crate) type Shutter = (i64, Direction);
+
+/// A colour image of the depth camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct CameraFrame {
+    /// Its timestamp on the camera's clock: the centre of exposure.
+    pub(crate) device: DeviceNanos,
+    /// The same on the board; `None` where the depth frame next to it has no time.
+    pub(crate) at: Option<BoardNanos>,
 }
 
 impl DepthFrame {
@@ -100,6 +114,66 @@ pub(crate) fn depth_frames(
         .collect()
 }
 
+/// The colour images of the depth camera in board time: as far from the depth frame next
+/// to each as the camera's clock has it.
+pub(crate) fn camera_frames(
+    stamps: &[DeviceNanos],
+    depth: &[DepthFrame],
+    found: Option<&DepthMatch>,
+) -> Vec<CameraFrame> {
+    let mut near: Vec<(DeviceNanos, BoardNanos)> = depth
+        .iter()
+        .filter(|frame| frame.state != Some(FrameState::Doubled))
+        .filter_map(|frame| Some((frame.device, frame.at?)))
+        .collect();
+    near.sort_by_key(|frame| frame.0);
+    let time_of = |stamp: DeviceNanos| -> Option<BoardNanos> {
+        let after = near.partition_point(|frame| frame.0 < stamp);
+        let next = [after.checked_sub(1), Some(after)]
+            .into_iter()
+            .flatten()
+            .filter_map(|place| near.get(place))
+            .min_by_key(|frame| frame.0.0.abs_diff(stamp.0))?;
+        let clock = &found?.clock;
+        let way = clock.apply(stamp)?.0.checked_sub(clock.apply(next.0)?.0)?;
+        // A frame that has no depth frame near it is of a part without times.
+        (way.abs() <= SECOND).then(|| BoardNanos(next.1.0.saturating_add(way)))
+    };
+    stamps
+        .iter()
+        .map(|&device| CameraFrame {
+            device,
+            at: time_of(device),
+        })
+        .collect()
+}
+
+/// Writes `camera_frames.csv`: the start of exposure only where the exposure is known.
+///
+/// # Errors
+///
+/// Writing fails.
+pub(crate) fn write_camera(
+    path: &Path,
+    frames: &[CameraFrame],
+    exposure: Option<i64>,
+) -> io::Result<()> {
+    let header = "#frame,device_timestamp [ns],start_of_exposure [ns],timestamp [ns]";
+    write_rows(path, header, frames, |text, index, frame| {
+        let start = frame
+            .at
+            .zip(exposure)
+            .map(|(at, exposure)| at.0.saturating_sub(exposure / 2));
+        let _ = write!(
+            text,
+            "{index},{},{},{}",
+            frame.device.0,
+            optional(start),
+            optional(frame.at.map(|at| at.0))
+        );
+    })
+}
+
 fn optional<T: std::fmt::Display>(value: Option<T>) -> String {
     value.map_or_else(String::new, |value| value.to_string())
 }
@@ -128,12 +202,12 @@ fn write_rows<T>(
 /// Writing fails.
 pub(crate) fn write_phone(
     folder: &Path,
-    color: &[ColorFrame],
+    (color, shutter): (&[ColorFrame], Option<Shutter>),
     pairs: &[Pair],
     depth: &[DepthFrame],
 ) -> io::Result<()> {
     if !color.is_empty() {
-        write_color(&folder.join("phone_frames.csv"), color)?;
+        write_color(&folder.join("phone_frames.csv"), color, shutter)?;
     }
     if !pairs.is_empty() {
         write_pairs(&folder.join("pairs.csv"), pairs, color, depth)?;
@@ -146,14 +220,19 @@ pub(crate) fn write_phone(
 /// # Errors
 ///
 /// Writing fails.
-fn write_color(path: &Path, frames: &[ColorFrame]) -> io::Result<()> {
-    let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame";
+fn write_color(path: &Path, frames: &[ColorFrame], shutter: Option<Shutter>) -> io::Result<()> {
+    let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame,\
+                  row_time [ns],readout";
+    let shutter = shutter.map_or_else(
+        || String::from(","),
+        |(row, direction)| format!("{row},{}", direction.name()),
+    );
     write_rows(path, header, frames, |text, index, frame| {
         let image = optional(frame.image);
         // Writing into a String cannot fail.
         let _ = write!(
             text,
-            "{index},{},{},{},{image}",
+            "{index},{},{},{},{image},{shutter}",
             frame.phone.0, frame.start.0, frame.at.0
         );
     })
@@ -179,6 +258,7 @@ pub(crate) fn write_depth(
             Some(FrameState::BeforeFirstPulse) => "before_first_pulse",
             Some(FrameState::AfterLastPulse) => "after_last_pulse",
             Some(FrameState::OffPulse) => "off_pulse",
+            Some(FrameState::FreeRunning) => "free_running",
             Some(FrameState::NotMatched) | None => "not_matched",
         };
         let _ = write!(

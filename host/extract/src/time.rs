@@ -177,6 +177,11 @@ fn saturate(value: i128) -> i64 {
 /// Nanoseconds as decimal seconds with `digits` digits after the point (at most
 /// 9), rounded to nearest, by integer arithmetic: `1264.250903`.
 pub(crate) fn decimal_seconds(nanos: i64, digits: u32) -> String {
+    padded_seconds(nanos, 1, digits)
+}
+
+/// The same with at least `whole` digits before the point.
+fn padded_seconds(nanos: i64, whole: usize, digits: u32) -> String {
     let digits = digits.min(9);
     let step = 10_i128.pow(9 - digits);
     let units = (i128::from(nanos) + step / 2).div_euclid(step);
@@ -184,14 +189,25 @@ pub(crate) fn decimal_seconds(nanos: i64, digits: u32) -> String {
     let sign = if units < 0 { "-" } else { "" };
     let units = units.abs();
     if digits == 0 {
-        return format!("{sign}{units}");
+        return format!("{sign}{units:0whole$}");
     }
     format!(
-        "{sign}{}.{:0width$}",
+        "{sign}{:0whole$}.{:0width$}",
         units / scale,
         units % scale,
         width = digits as usize
     )
+}
+
+/// A time in the name of a file: nanoseconds with 19 digits, as many as the largest has,
+/// so that names sort by time.
+pub(crate) fn in_name(at: BoardNanos) -> String {
+    format!("{:019}", at.0)
+}
+
+/// The same in seconds, with `digits` digits behind the point.
+pub(crate) fn seconds_in_name(at: BoardNanos, digits: u32) -> String {
+    padded_seconds(at.0, 10, digits)
 }
 
 #[cfg(test)]
@@ -249,6 +265,17 @@ mod tests {
         assert_eq!(decimal_seconds(-1, 6), "0.000000");
         assert_eq!(decimal_seconds(1_500_000_000, 0), "2");
         assert_eq!(decimal_seconds(i64::MAX, 9), "9223372036.854775807");
+    }
+
+    #[test]
+    fn names_sort_by_time() {
+        let times = [0, 999_999_999, 12_021_807_055, 100_020_673_025, i64::MAX].map(BoardNanos);
+        let names = times.map(in_name);
+        assert_eq!(names[2], "0000000012021807055");
+        assert!(names.is_sorted() && names.iter().all(|name| name.len() == 19));
+        let names = times.map(|at| seconds_in_name(at, 6));
+        assert_eq!(names[2], "0000000012.021807");
+        assert!(names.is_sorted() && names.iter().all(|name| name.len() == 17));
     }
 
     proptest! {

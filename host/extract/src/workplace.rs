@@ -16,7 +16,7 @@ use serde::de::DeserializeOwned;
 use super::image::write_whole;
 
 /// Version of what is in the output folder: a new one cannot go on in an old one's.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const FOLDER: &str = ".extraction";
 
 /// Why the output folder cannot be used.

@@ -2,10 +2,12 @@
 //!
 //! - [`train`]: the frames' period in the phone's clock, from their timestamps.
 //! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
+//! - [`kalibr`]: what Kalibr found, put into the rig profile.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
 //!   same instant.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
+pub mod kalibr;
 pub mod learn;
 pub mod train;

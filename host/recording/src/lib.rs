@@ -4,6 +4,7 @@
 //! 2026-01-31_14-03-27/
 //!   recording.mcap   streams of the board, what was decided, raw link frames
 //!   session.json     everything that was decided, with versions and profile
+//!   metadata.yaml    makes the folder a rosbag2
 //!   ...              twists, the phone's and the depth recorder's files
 //! ```
 //!
@@ -15,6 +16,7 @@
 //! - [`reader`]: reads it, whole or broken off.
 //! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
 //! - [`scan`]: walks its records over any damage.
+//! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
 //!
 //! The format is described in `docs/formats.md`.
@@ -26,6 +28,7 @@ pub mod messages;
 pub mod profile;
 mod publish;
 pub mod reader;
+pub mod rosbag2;
 pub mod scan;
 pub mod session_file;
 pub mod topic;
@@ -40,6 +43,9 @@ pub const MCAP_FILE: &str = "recording.mcap";
 
 /// Name of the session file in the folder.
 pub const SESSION_FILE: &str = "session.json";
+
+/// Name of the rig profile that is attached to the MCAP file.
+pub const PROFILE_FILE: &str = "profile.toml";
 
 /// What can go wrong with a recording's files.
 #[derive(Debug, thiserror::Error)]

@@ -5,8 +5,11 @@
 //! a misspelt constant must not silently be its default.
 
 mod check;
+mod geometry;
 
 use std::path::{Path, PathBuf};
+
+pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
@@ -132,8 +135,17 @@ pub struct Phone {
     pub gyro_delay_us: f64,
     /// 1-sigma of it, µs.
     pub gyro_delay_sigma_us: f64,
+    /// Where the readout goes in the images of the video.
+    #[serde(default)]
+    pub readout_direction: Direction,
     /// Length of a twist, s.
     pub twist_s: u32,
+    /// From the frame of the board's IMU to that of the phone's camera, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from_imu: Option<Pose>,
+    /// Intrinsics of its camera, one for each size of its images.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<Intrinsics>,
     /// What was learnt about it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learnt: Option<Learnt>,
@@ -189,6 +201,9 @@ pub struct Depth {
     pub center_offset_sigma_us: f64,
     /// Length of the trigger pulse, µs.
     pub pulse_width_us: f64,
+    /// From the frame of the board's IMU to that of the depth camera's colour camera, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color_from_imu: Option<Pose>,
     /// The program that records it.
     pub recorder: Recorder,
 }

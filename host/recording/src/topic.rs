@@ -134,6 +134,7 @@ impl Topic {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rosbag2::{QOS, QOS_KEY};
 
     /// What readers of older recordings rely on, and what a repair assumes where the
     /// description of the topics is lost.
@@ -144,7 +145,8 @@ mod tests {
             let schema = channel.schema.as_ref().unwrap();
             assert_eq!(schema.encoding, "ros2msg");
             assert_eq!(channel.message_encoding, "cdr");
-            assert!(channel.metadata.is_empty());
+            assert_eq!(channel.metadata.len(), 1);
+            assert_eq!(channel.metadata[QOS_KEY], QOS);
             known.push((
                 id,
                 channel.topic.clone(),

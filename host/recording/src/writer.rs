@@ -12,6 +12,7 @@
 //! round to different nanoseconds, so `round(ns · 6 / 125)` gives them back
 //! exactly.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Cursor, Seek, Write};
@@ -20,12 +21,14 @@ use std::time::{Duration, Instant, SystemTime};
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use mcap::{Compression, WriteOptions};
+use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
 pub use super::publish::{Output, Publisher, Severity};
+use super::rosbag2::{self, METADATA_FILE, QOS, QOS_KEY};
+use super::session_file::SessionFile;
 use super::topic::Topic;
-use super::{MCAP_FILE, RecordingError};
+use super::{MCAP_FILE, PROFILE_FILE, RecordingError, SESSION_FILE};
 
 /// The longest stretch of board time in one chunk, ticks.
 const CHUNK_TICKS: u64 = TICK_HZ as u64 / 2;
@@ -53,6 +56,7 @@ pub struct McapFile {
     file: File,
     path: PathBuf,
     channels: [Channel; Topic::ALL.len()],
+    last: Ticks,
     chunk_from: Option<Ticks>,
     waits_since: Option<Duration>,
     synced: Instant,
@@ -88,6 +92,7 @@ impl Writer {
             file: copy,
             path,
             channels,
+            last: Ticks::ZERO,
             chunk_from: None,
             waits_since: None,
             synced: Instant::now(),
@@ -137,18 +142,74 @@ impl Writer {
         self.0.flush()
     }
 
-    /// Writes index and end of the file and pushes it to the disk.
+    /// Attaches the session and its rig profile to the file and then finishes it, as
+    /// [`Writer::finish`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn finish_with(mut self, session: &SessionFile) -> Result<(), RecordingError> {
+        attach(&mut self.0.mcap, self.0.last, session)
+            .map_err(|source| mcap_error(&self.0.path, source))?;
+        self.finish()
+    }
+
+    /// Writes index and end of the file, `metadata.yaml` beside it, and pushes the file
+    /// to the disk.
     ///
     /// # Errors
     ///
     /// As [`Publisher::imu`].
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        self.0
+        let summary = self
+            .0
             .mcap
             .finish()
             .map_err(|source| mcap_error(&self.0.path, source))?;
-        self.0.sync()
+        self.0.sync()?;
+        let folder = self.0.path.parent().unwrap_or(Path::new(""));
+        rosbag2::save(folder, &summary).map_err(|source| RecordingError::Io {
+            action: "write",
+            path: folder.join(METADATA_FILE),
+            source,
+        })
     }
+}
+
+/// Attaches `session.json` and the rig profile in it, as of board time `at`.
+///
+/// # Errors
+///
+/// The file cannot be written.
+pub fn attach<W: Write + Seek>(
+    mcap: &mut mcap::Writer<W>,
+    at: Ticks,
+    session: &SessionFile,
+) -> Result<(), mcap::McapError> {
+    // Neither fails: both are written to files of their own in the same way.
+    let texts = [
+        (
+            SESSION_FILE,
+            "application/json",
+            serde_json::to_string_pretty(session).ok(),
+        ),
+        (
+            PROFILE_FILE,
+            "application/toml",
+            toml::to_string_pretty(&session.profile).ok(),
+        ),
+    ];
+    for (name, media_type, text) in texts {
+        let Some(text) = text else { continue };
+        mcap.attach(&Attachment {
+            log_time: at.as_nanos(),
+            create_time: at.as_nanos(),
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: Cow::Owned(text.into_bytes()),
+        })?;
+    }
+    Ok(())
 }
 
 impl McapFile {
@@ -195,6 +256,7 @@ impl Output for McapFile {
                 .map_err(|source| mcap_error(&self.path, source))?;
         }
         self.dirty = true;
+        self.last = self.last.max(at);
         let from = *self.chunk_from.get_or_insert(at);
         if at.0.abs_diff(from.0) >= CHUNK_TICKS {
             self.flush()?;
@@ -240,9 +302,10 @@ fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
 ) -> Result<[Channel; Topic::ALL.len()], mcap::McapError> {
     let mut channels = [Channel::default(); Topic::ALL.len()];
+    let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
     for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
         let schema = mcap.add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())?;
-        channel.id = mcap.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())?;
+        channel.id = mcap.add_channel(schema, topic.name(), "cdr", &metadata)?;
     }
     Ok(channels)
 }

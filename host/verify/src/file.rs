@@ -39,6 +39,11 @@ pub(crate) trait Sink {
         Ok(())
     }
 
+    /// The body of the record of an attached file.
+    fn attachment(&mut self, body: Vec<u8>) {
+        let _ = body;
+    }
+
     /// Something is missing here.
     fn gap(&mut self) {}
 }
@@ -168,6 +173,7 @@ impl Walk<'_> {
                 });
                 self.sink.gap();
             }
+            Piece::Record(op::ATTACHMENT, body) => self.sink.attachment(body),
             Piece::Record(opcode, body) => self.record(opcode, &body, findings)?,
             Piece::Skipped { from, to } => {
                 let bytes = to - from;

@@ -5,23 +5,25 @@
 //! chunk; what is new is the end of the file with its index. What was lost stays
 //! lost, and `smartdepthsync verify` of the result says what it is.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use mcap::McapError;
 use mcap::records::{Channel, MessageHeader, SchemaHeader};
 use mcap::write::NoSeek;
+use mcap::{Attachment, McapError};
 use protocol::Ticks;
 use serde::Serialize;
 
 use super::file::{Sink, walk};
 use super::{FileReport, Findings, Report, mcap_of, session_of, verify};
 use recording::reader::ticks_of_nanos;
+use recording::rosbag2::{self, METADATA_FILE};
 use recording::scan::Scan;
-use recording::session_file::{Problem, SessionOutcome};
-use recording::writer::options;
+use recording::session_file::{Problem, SessionFile, SessionOutcome};
+use recording::writer::{attach, options};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic};
 
 /// The result of a repair.
@@ -77,8 +79,8 @@ pub fn repair(
             return Err(error);
         }
     };
-    let last = copy.last;
-    copy.finish()?;
+    let session = repaired_session(&from, &before, copy.last);
+    copy.finish(session.as_ref(), is_folder.then_some(out))?;
     let lost = before.bad_chunks > 0
         || before.skipped_bytes > 0
         || findings.all().iter().any(|finding| {
@@ -95,7 +97,10 @@ pub fn repair(
     let mut copied = Vec::new();
     if is_folder {
         copy_files(recording, out, Path::new(""), &mut copied)?;
-        repair_session(&from, out, &before, last, &mut copied)?;
+        if let Some(session) = session {
+            session.save(out)?;
+            copied.push(SESSION_FILE.to_owned());
+        }
     }
     Ok(Repaired {
         out: out.to_owned(),
@@ -112,6 +117,7 @@ struct Copy {
     path: PathBuf,
     schemas: BTreeSet<u16>,
     channels: BTreeSet<u16>,
+    attached: Vec<Attachment<'static>>,
     last: Ticks,
 }
 
@@ -130,17 +136,40 @@ impl Copy {
             path: path.to_owned(),
             schemas: BTreeSet::new(),
             channels: BTreeSet::new(),
+            attached: Vec::new(),
             last: Ticks::ZERO,
         })
     }
 
-    fn finish(mut self) -> Result<(), RecordingError> {
-        self.mcap
+    /// Ends the file, with the session attached (without one, with what was attached
+    /// before); in a recording's `folder`, with what makes it a rosbag2.
+    fn finish(
+        mut self,
+        session: Option<&SessionFile>,
+        folder: Option<&Path>,
+    ) -> Result<(), RecordingError> {
+        let attached = match session {
+            Some(session) => attach(&mut self.mcap, self.last, session),
+            None => self
+                .attached
+                .iter()
+                .try_for_each(|old| self.mcap.attach(old)),
+        };
+        attached.map_err(|source| failed(&self.path, source))?;
+        let summary = self
+            .mcap
             .finish()
             .map_err(|source| failed(&self.path, source))?;
         self.file
             .sync_all()
-            .map_err(|source| io("write", &self.path, source))
+            .map_err(|source| io("write", &self.path, source))?;
+        match folder {
+            Some(folder) => {
+                let wrong = |source| io("write", &folder.join(METADATA_FILE), source);
+                rosbag2::save(folder, &summary).map_err(wrong)
+            }
+            None => Ok(()),
+        }
     }
 }
 
@@ -207,19 +236,58 @@ impl Sink for Copy {
             .flush()
             .map_err(|source| failed(&self.path, source))
     }
+
+    fn attachment(&mut self, body: Vec<u8>) {
+        match attachment(&body) {
+            Some(attachment)
+                if self.attached.len() < MAX_ATTACHED && body.len() < MAX_ATTACHMENT =>
+            {
+                self.attached.push(attachment);
+            }
+            _ => tracing::warn!("an attached file is damaged and left out"),
+        }
+    }
 }
 
-/// The session file, with the end that it could not be given.
-fn repair_session(
-    from: &Path,
-    out: &Path,
-    before: &FileReport,
-    last: Ticks,
-    copied: &mut Vec<String>,
-) -> Result<(), RecordingError> {
-    let Some(mut session) = session_of(from, &mut Findings::default()) else {
-        return Ok(());
-    };
+/// Most attached files that are taken over; this program attaches two.
+const MAX_ATTACHED: usize = 4;
+
+/// The largest of them, bytes.
+const MAX_ATTACHMENT: usize = 16 << 20;
+
+/// An attached file from the body of its record: times of the log and of making, name,
+/// media type, data, and the checksum of all that (0 for none).
+fn attachment(body: &[u8]) -> Option<Attachment<'static>> {
+    let (body, crc) = body.split_last_chunk::<4>()?;
+    let crc = u32::from_le_bytes(*crc);
+    if crc != 0 && crc != crc32fast::hash(body) {
+        return None;
+    }
+    let (log_time, rest) = body.split_first_chunk::<8>()?;
+    let (create_time, rest) = rest.split_first_chunk::<8>()?;
+    let (name, rest) = text(rest)?;
+    let (media_type, rest) = text(rest)?;
+    let (length, data) = rest.split_first_chunk::<8>()?;
+    let whole = u64::from_le_bytes(*length) == data.len() as u64;
+    whole.then(|| Attachment {
+        log_time: u64::from_le_bytes(*log_time),
+        create_time: u64::from_le_bytes(*create_time),
+        name,
+        media_type,
+        data: Cow::Owned(data.to_vec()),
+    })
+}
+
+fn text(bytes: &[u8]) -> Option<(String, &[u8])> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
+    let (text, rest) = rest.split_at_checked(length)?;
+    Some((String::from_utf8(text.to_vec()).ok()?, rest))
+}
+
+/// The session, with the end that it could not be given.
+fn repaired_session(from: &Path, before: &FileReport, last: Ticks) -> Option<SessionFile> {
+    let mut session = session_of(from, &mut Findings::default())?;
     if session.outcome.is_none() {
         session.outcome = Some(SessionOutcome::Loss);
         if let Some(span) = &mut session.recorded {
@@ -246,8 +314,7 @@ fn repair_session(
             ),
         });
     }
-    copied.push(SESSION_FILE.to_owned());
-    session.save(out)
+    Some(session)
 }
 
 /// The other files of a recording's folder; links are not followed.
@@ -264,7 +331,9 @@ fn copy_files(
         let kind = entry
             .file_type()
             .map_err(|source| io("read", &entry.path(), source))?;
-        if name == Path::new(MCAP_FILE) || (name == Path::new(SESSION_FILE)) {
+        // Made anew.
+        let own = [MCAP_FILE, SESSION_FILE, METADATA_FILE];
+        if own.iter().any(|own| name == Path::new(own)) {
             continue;
         }
         let target = to.join(&name);

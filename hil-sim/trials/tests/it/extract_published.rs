@@ -79,9 +79,10 @@ fn the_bag_extracts_to_the_same_numbers() {
     let (topics_report, topics) = extract(folder.path(), Format::Topics);
     let (report, euroc) = extract(folder.path(), Format::Euroc);
     let (_, tum) = extract(folder.path(), Format::Tum);
+    let (_, kalibr) = extract(folder.path(), Format::Kalibr);
     let printed = python::run_script(
         &script("check_published.py"),
-        &[folder.path(), &topics, &euroc, &tum],
+        &[folder.path(), &topics, &euroc, &tum, &kalibr],
     );
     assert_eq!(printed.trim(), "ok");
 

@@ -211,6 +211,8 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
             &pairs,
             "Missing or damaged",
             "Time difference of the pairs",
+            "depth − phone, µs",
+            "The same over time.",
             "Clock of the phone",
             "1-sigma of the course",
             "Settings: constants",

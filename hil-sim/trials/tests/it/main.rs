@@ -15,6 +15,7 @@ mod evaluate_video;
 mod extract_mkv;
 mod extract_published;
 mod extract_truth;
+mod extract_vendor;
 mod faults;
 mod foxglove;
 mod hostile;

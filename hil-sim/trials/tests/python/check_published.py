@@ -1,7 +1,7 @@
 """Reads the extractions of the published system's bag with public packages and
 compares every number with what went into the bag.
 
-usage: check_published.py TRUTH_FOLDER TOPICS EUROC TUM
+usage: check_published.py TRUTH_FOLDER TOPICS EUROC TUM KALIBR
 """
 
 import json
@@ -13,7 +13,7 @@ import pandas as pd
 from evo.core import sync
 from PIL import Image
 
-truth_folder, topics, euroc, tum = map(Path, sys.argv[1:])
+truth_folder, topics, euroc, tum, kalibr = map(Path, sys.argv[1:])
 truth = json.loads((truth_folder / "truth.json").read_text())
 imu = np.array([row[1:] for row in truth["imu"]])
 stamps = np.array([row[0] for row in truth["imu"]])
@@ -60,6 +60,12 @@ for part in PARTS:
     for path in (topics / part / "_azure_depth_image_raw").glob("*.png"):
         found[int(path.stem)] = np.array(Image.open(path))
 assert sorted(found) == sorted(expected), "depth stamps"
+# Whoever sorts names has the images in order of time, in every format.
+for base, folder in [(topics, "_azure_depth_image_raw"), (euroc, "mav0/depth0/data"), (tum, "depth")]:
+    for part in PARTS:
+        names = sorted(path.name for path in (base / part / folder).glob("*.png"))
+        same(names, sorted(names, key=lambda name: float(Path(name).stem)), "order of names")
+        assert len({len(name) for name in names}) == 1, names[:3]
 for stamp, pixels in found.items():
     wanted = np.arange(24) * 300 + expected[stamp]
     wanted[0] = 0
@@ -118,4 +124,24 @@ for part in PARTS:
     accelerometer = np.loadtxt(tum / part / "accelerometer.txt")
     assert accelerometer.shape[1] == 4
 assert count == len(expected), count
+
+# Kalibr: its bag creator takes the last nine digits of a stamp's text for nanoseconds and
+# what is before for seconds, of names and of rows alike, and ROS has no time zero.
+def as_kalibr(text):
+    assert int(text[:-9]) >= 1000
+    return int(text[:-9]) * 1_000_000_000 + int(text[-9:])
+
+
+OFFSET = 1_000_000_000_000
+rows = [line.split(",") for part in PARTS
+        for line in (kalibr / part / "kalibr/imu0.csv").read_text().splitlines()[1:]]
+same([as_kalibr(row[0]) for row in rows], stamps - DELAY + OFFSET, "Kalibr's stamps")
+same([[float(cell) for cell in row[1:4]] for row in rows], imu, "Kalibr's rates")
+names = [path.stem for part in PARTS for path in (kalibr / part / "kalibr/depth0").glob("*.png")]
+same(sorted(map(as_kalibr, names)), np.array(sorted(expected)) + CENTER + OFFSET, "Kalibr's images")
+# ORB-SLAM3 takes each line of its times file for a name without its ending.
+for part in PARTS:
+    folder = euroc / part / "mav0/depth0"
+    times = (folder / "times.txt").read_text().split()
+    same(times, [path.stem for path in sorted((folder / "data").glob("*.png"))], "times of ORB-SLAM3")
 print("ok")

@@ -1,17 +1,24 @@
 """Reads a recording with the public Python packages and prints what they found.
 
-`mcap` with `mcap-ros2-support`, and `rosbags`, each read every message with the
-definitions in the file; both must find the same. One JSON object comes out, for
-the caller to compare with what was recorded.
+`mcap` with `mcap-ros2-support`, and `rosbags` (the file, and its folder as a rosbag2),
+each read every message with the definitions in the file; all must find the same. What is
+attached to the file is what lies beside it. One JSON object comes out, for the caller to
+compare with what was recorded.
 """
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosReliability
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_types_from_msg
+
+PACKAGE = Path(__file__).parents[4] / "ros/smartdepthsync_msgs/msg"
 
 
 def nanos(stamp):
@@ -52,7 +59,35 @@ def with_rosbags(path):
             yield connection.topic, time, reader.deserialize(data, connection.msgtype)
 
 
+def check_folder(folder, counts):
+    with Reader(folder) as bag:
+        assert bag.message_count == sum(counts.values())
+        assert {topic: info.msgcount for topic, info in bag.topics.items() if info.msgcount} == counts
+        for connection in bag.connections:
+            (qos,) = connection.ext.offered_qos_profiles
+            assert qos.reliability == QosReliability.RELIABLE and qos.depth == 1000
+        # The installable package has the types of the file.
+        own = {connection.msgtype: connection.msgdef.data for connection in bag.connections
+               if connection.msgtype.startswith("smartdepthsync_msgs/")}
+        assert sorted(own) == sorted(f"smartdepthsync_msgs/msg/{path.stem}" for path in PACKAGE.glob("*.msg"))
+        for name, definition in own.items():
+            packaged = (PACKAGE / f"{name.split('/')[-1]}.msg").read_text()
+            assert get_types_from_msg(packaged, name)[name] == get_types_from_msg(definition, name)[name]
+
+
+def check_attachments(path):
+    with path.open("rb") as file:
+        attached = {item.name: item.data for item in make_reader(file).iter_attachments()}
+    assert sorted(attached) == ["profile.toml", "session.json"], sorted(attached)
+    session = json.loads((path.parent / "session.json").read_text())
+    assert json.loads(attached["session.json"]) == session
+    assert tomllib.loads(attached["profile.toml"].decode()) == session["profile"]
+
+
 path = Path(sys.argv[1])
 first, second = summary(with_mcap(path)), summary(with_rosbags(path))
 assert first == second, "the two packages found different messages"
+assert first == summary(with_rosbags(path.parent)), "the folder is another bag than its file"
+check_folder(path.parent, first["counts"])
+check_attachments(path)
 print(json.dumps(first))

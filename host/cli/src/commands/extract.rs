@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
 use extract::learn;
@@ -29,6 +30,8 @@ enum FormatArg {
     Tum,
     /// One folder a topic, as the published extractor has it.
     Topics,
+    /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
+    Kalibr,
 }
 
 impl From<FormatArg> for Format {
@@ -37,6 +40,25 @@ impl From<FormatArg> for Format {
             FormatArg::Euroc => Self::Euroc,
             FormatArg::Tum => Self::Tum,
             FormatArg::Topics => Self::Topics,
+            FormatArg::Kalibr => Self::Kalibr,
+        }
+    }
+}
+
+/// The cameras that depth is registered to.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ViewArg {
+    /// The phone's; the profile must have its intrinsics and where both cameras are
+    Phone,
+    /// That of the depth camera's colour images, by the camera's own calibration
+    Color,
+}
+
+impl From<ViewArg> for View {
+    fn from(view: ViewArg) -> Self {
+        match view {
+            ViewArg::Phone => Self::Phone,
+            ViewArg::Color => Self::Color,
         }
     }
 }
@@ -60,6 +82,9 @@ pub(crate) struct Args {
     /// The output folder; RECORDING-FORMAT beside the recording unless given
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Give depth images from the place of another camera, in the size of its images
+    #[arg(long, value_enum)]
+    register: Option<ViewArg>,
     /// Write infrared images too
     #[arg(long)]
     infrared: bool,
@@ -72,6 +97,12 @@ pub(crate) struct Args {
     /// From the trigger pulse to the centre of exposure of the depth image
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     depth_center_us: Option<i64>,
+    /// Exposure of the depth camera's colour images, if it recorded colour
+    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    camera_exposure_us: Option<i64>,
+    /// Time depth frames by the camera's own clock (a camera that did not follow the trigger)
+    #[arg(long, conflicts_with = "depth_first_pulse")]
+    free_running: bool,
     /// Low-pass delay of the board's IMU, subtracted from its times (0 for none)
     #[arg(long, value_name = "µS", value_parser = microseconds)]
     imu_delay_us: Option<i64>,
@@ -126,6 +157,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             phone_imu_delay_ns: args.phone_imu_delay_us,
             first_pulse: args.depth_first_pulse,
             infrared: args.infrared,
+            camera_exposure_ns: args.camera_exposure_us,
+            view: args.register.map(View::from),
+            free_running: args.free_running,
             phones,
         },
     };

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use frame_sync::kalibr::{self, KalibrError};
 use frame_sync::learn;
 use frame_sync::train::{FramePeriod, frame_period};
 use phone::frame_timestamps;
@@ -50,6 +51,18 @@ enum Action {
         #[arg(long, value_name = "FILE")]
         timestamps: PathBuf,
     },
+    /// Take over intrinsics and poses of the cameras from Kalibr's camchain-imucam.yaml
+    ImportKalibr {
+        /// The profile to write into; its comments stay
+        file: PathBuf,
+        /// What kalibr_calibrate_imu_camera wrote: cam0 is the phone, cam1 the depth
+        /// camera's colour
+        #[arg(value_name = "CAMCHAIN")]
+        chain: PathBuf,
+        /// Of several phones, the one that cam0 is; unless given, the reference
+        #[arg(long, value_name = "NAME")]
+        phone: Option<String>,
+    },
 }
 
 /// What `profile init --json` prints.
@@ -90,7 +103,55 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             phone,
             timestamps,
         } => teach(file, recording, phone.as_deref(), timestamps, context),
+        Action::ImportKalibr { file, chain, phone } => {
+            import(file, chain, phone.as_deref(), context)
+        }
     }
+}
+
+fn import(
+    file: &Path,
+    chain: &Path,
+    phone: Option<&str>,
+    context: &Context,
+) -> Result<Outcome, Failure> {
+    let text = read(file)?;
+    let profile = Profile::parse(&text, Some(file))?;
+    if let Some(name) = phone
+        && !profile.all_phones().any(|phone| phone.name == name)
+    {
+        let message = format!("the profile has no phone called {name:?}");
+        return Err(Failure::new(ExitStatus::Usage, message)
+            .next_step("give --phone as the phone is called in the profile"));
+    }
+    let phone = phone.unwrap_or(&profile.phone.name);
+    let (text, imported) = kalibr::into_profile(&text, file, Some(phone), &read(chain)?).map_err(
+        |error| match error {
+            KalibrError::Profile(error) => error.into(),
+            KalibrError::Chain(_) => Failure::new(
+                ExitStatus::Error,
+                format!("{}: {error}", chain.display()),
+            )
+            .next_step(
+                "calibrate cameras and IMU with Kalibr on what `extract --format kalibr` writes",
+            ),
+        },
+    )?;
+    files::replace(file, text.as_bytes()).map_err(|error| Failure::file("write", file, &error))?;
+    context.print(&imported, || {
+        let camera = &imported.camera;
+        let also = match imported.color_from_imu {
+            Some(_) => " and the depth camera's place",
+            None => "; the file has no cam1, so the depth camera's place stays as it was",
+        };
+        format!(
+            "intrinsics of {phone} for images of {} × {}, its place{also}: written to {}",
+            camera.width,
+            camera.height,
+            file.display()
+        )
+    })?;
+    Ok(Outcome::Good)
 }
 
 fn init(file: &Path, context: &Context) -> Result<Outcome, Failure> {

@@ -15,7 +15,6 @@ use board::Conversation;
 use phone::adb::copy_command;
 use phone::task::{Answer, PhoneTask, Request};
 use protocol::Output;
-use recording::writer::Writer;
 use verify::watch::Finding;
 
 /// How long after its first failure a phone is asked again to stop its video.
@@ -269,6 +268,8 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
 fn finish(rig: &mut Rig<'_>, result: Result<(), Stop>) -> Result<(), Stop> {
     rig.closing = true;
     let writer = rig.journal.writer.take();
-    let finished = writer.map_or(Ok(()), Writer::finish);
+    rig.journal.file.outcome = Some(rig.journal.outcome_of(&result));
+    let session = &rig.journal.file;
+    let finished = writer.map_or(Ok(()), |writer| writer.finish_with(session));
     result.and(finished.map_err(Stop::from))
 }

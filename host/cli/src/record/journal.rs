@@ -9,7 +9,7 @@ use super::Stop;
 use super::live::Live;
 use crate::cli::Context;
 use recording::RecordingError;
-use recording::session_file::{OtherPhone, Problem, SessionFile, Twist, Video};
+use recording::session_file::{OtherPhone, Problem, SessionFile, SessionOutcome, Twist, Video};
 use recording::writer::{Severity, Writer};
 use timebase::ClockModel;
 use verify::watch::Finding;
@@ -157,6 +157,16 @@ impl<'a> Journal<'a> {
             }
         }
         Ok(())
+    }
+
+    /// How the session ends with this result.
+    pub(super) fn outcome_of(&self, result: &Result<(), Stop>) -> SessionOutcome {
+        match result {
+            Err(Stop::Failed(_)) => SessionOutcome::Failed,
+            Err(Stop::Interrupted) => SessionOutcome::Interrupted,
+            Ok(()) if self.has_problems() => SessionOutcome::Loss,
+            Ok(()) => SessionOutcome::Good,
+        }
     }
 
     /// Writes the session file.

@@ -47,7 +47,7 @@ use board::BoardError;
 use board::transport::serial::SerialLink;
 use board::transport::{Link, ports};
 use recording::profile::Profile;
-use recording::session_file::{SessionFile, SessionOutcome};
+use recording::session_file::SessionFile;
 
 /// What a session is asked to do.
 #[derive(Clone, Debug)]
@@ -162,11 +162,11 @@ pub(crate) fn run(
     let result = steps::session(&mut rig, options, checked);
     let result = close::close(&mut rig, options, result);
     let journal = &mut rig.journal;
-    let (ended, outcome) = match result {
-        Err(Stop::Failed(failure)) => (SessionOutcome::Failed, Err(failure)),
-        Err(Stop::Interrupted) => (SessionOutcome::Interrupted, Ok(Outcome::Interrupted)),
-        Ok(()) if journal.has_problems() => (SessionOutcome::Loss, Ok(Outcome::Loss)),
-        Ok(()) => (SessionOutcome::Good, Ok(Outcome::Good)),
+    let ended = journal.outcome_of(&result);
+    let outcome = match result {
+        Err(Stop::Failed(failure)) => Err(failure),
+        Err(Stop::Interrupted) => Ok(Outcome::Interrupted),
+        Ok(()) => Ok(Outcome::of_loss(journal.has_problems())),
     };
     journal.file.outcome = Some(ended);
     let saved = journal.file.save(&journal.folder);

@@ -246,6 +246,12 @@ const CASES: &[Case] = &[
         "nothing",
         "check the",
     ),
+    (
+        "profile import-kalibr nothing.toml wrong.toml",
+        13,
+        "nothing.toml",
+        "check the path",
+    ),
     // Recordings.
     ("extract nothing", 13, "nothing", "a bag"),
     ("extract folder", 2, "recording.mcap", "`record` made"),

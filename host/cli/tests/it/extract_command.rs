@@ -138,8 +138,8 @@ fn a_video_becomes_images_named_by_board_time() {
     let middle = (10_000_000 + 11_006_000) / 2;
     for (index, row) in (0..).zip(&rows) {
         let expected = 1_000_000_000 + index * PERIOD_NS + middle;
-        assert_eq!(*row, format!("{expected},{expected}.png"));
-        let image = fs::read(out.join("data").join(format!("{expected}.png"))).unwrap();
+        assert_eq!(*row, format!("{expected:019},{expected:019}.png"));
+        let image = fs::read(out.join("data").join(format!("{expected:019}.png"))).unwrap();
         assert_eq!(&image[..8], b"\x89PNG\r\n\x1a\n");
         let size = |at: usize| u32::from_be_bytes(image[at..at + 4].try_into().unwrap());
         assert_eq!((size(16), size(20)), (64, 48));

@@ -58,6 +58,20 @@ fn a_whole_recording_is_whole_and_stays_so_when_repaired() {
         |folder: &Path| -> Vec<_> { Reader::open(folder).unwrap().map(Result::unwrap).collect() };
     assert_eq!(entries(&folder), entries(&out));
     assert!(out.join("twist_1_phone_gyro.csv").exists());
+    assert!(out.join("metadata.yaml").exists());
+
+    // The session goes along inside the file, and stays there without its folder.
+    let alone = parent.path().join("alone.mcap");
+    fs::copy(out.join(MCAP), &alone).unwrap();
+    let again = parent.path().join("alone_again.mcap");
+    let repaired = run(&["repair", alone.to_str().unwrap(), again.to_str().unwrap()]);
+    assert_eq!(repaired.status.code(), Some(0), "{repaired:?}");
+    let session = fs::read(out.join("session.json")).unwrap();
+    for file in [out.join(MCAP), again] {
+        let bytes = fs::read(file).unwrap();
+        let has = |text: &[u8]| bytes.windows(text.len()).any(|window| window == text);
+        assert!(has(session.trim_ascii_end()) && has(b"profile.toml"));
+    }
 
     // Never over something that is there.
     let before = fs::read(folder.join(MCAP)).unwrap();

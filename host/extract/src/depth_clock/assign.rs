@@ -23,6 +23,8 @@ pub(crate) enum FrameState {
     AfterLastPulse,
     /// It lies between pulses, or where a pulse is missing in the recording.
     OffPulse,
+    /// The camera ran on its own clock, which times it.
+    FreeRunning,
     /// It is of a run of the board that frames could not be matched to: it has no
     /// board time.
     NotMatched,

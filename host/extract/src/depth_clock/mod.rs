@@ -141,10 +141,9 @@ pub(crate) enum MatchError {
     /// Several shifts by whole periods fit alike.
     #[error(
         "which pulse made the first depth frame is ambiguous: {}, so {} shifts by whole periods \
-         cannot be told apart (first frame at pulse {} to {}); record with the camera's IMU on, \
-         start the depth recorder before the trigger is aligned and with a slew of 200 µs or \
+         cannot be told apart (first frame at pulse {} to {}); {}; start the depth recorder before the trigger is aligned and with a slew of 200 µs or \
          less, or give the pulse with --depth-first-pulse",
-        .0.why(), .0.shifts, .0.first, .0.last
+        .0.why(), .0.shifts, .0.first, .0.last, .0.about_imu()
     )]
     Ambiguous(Ambiguity),
     /// The board was reset, and frames and runs do not fit together.
@@ -158,6 +157,24 @@ pub(crate) enum MatchError {
         run: usize,
         /// What does not.
         why: Box<RunError>,
+    },
+    /// The camera was not told to follow the trigger.
+    #[error(
+        "the depth camera was recorded as {sync} (its file's K4A_WIRED_SYNC_MODE; expected SUBORDINATE): \
+         no pulse made its frames; record with `--external-sync sub`, or give --free-running to have \
+         them timed by the camera's own clock"
+    )]
+    OtherSync {
+        /// The sync mode.
+        sync: String,
+    },
+    /// A camera that runs on its own clock, whose relation to the board's is not known.
+    #[error(
+        "frames of a camera that runs free are timed through its gyroscope, and that is not possible: {why}"
+    )]
+    NoGyro {
+        /// What is missing.
+        why: String,
     },
     /// Pattern and hint contradict each other.
     #[error(
@@ -186,9 +203,19 @@ pub(crate) struct Ambiguity {
     /// The trigger moved faster than a camera follows for certain, so that a
     /// neighbouring shift cannot be ruled out.
     pub(crate) moved_fast: bool,
+    /// The recording has the camera's IMU, and its gyroscope does not tell either.
+    pub(crate) has_imu: bool,
 }
 
 impl Ambiguity {
+    const fn about_imu(self) -> &'static str {
+        if self.has_imu {
+            "the camera's gyroscope does not tell them apart either (it needs some seconds of turning by hand)"
+        } else {
+            "record with the camera's IMU on"
+        }
+    }
+
     const fn why(self) -> &'static str {
         if self.moved_fast {
             "the trigger moved by more than 200 µs at a time, which a camera may follow a frame late"
@@ -293,6 +320,7 @@ fn decide(
             first: grid.index_of(found.left.iter().copied().min().unwrap_or(found.best)),
             last: grid.index_of(found.left.iter().copied().max().unwrap_or(found.best)),
             moved_fast: grid.moved_fast,
+            has_imu: false,
         })),
     }
 }

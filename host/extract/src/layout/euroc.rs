@@ -1,9 +1,10 @@
-//! EuRoC / ASL: folders below `mav0`, images named by nanoseconds, `data.csv` and
-//! `sensor.yaml` beside them.
+//! EuRoC / ASL: folders below `mav0`, images named by nanoseconds (19 digits), `data.csv`
+//! and `sensor.yaml` beside them, and `times.txt` for ORB-SLAM3.
 //!
 //! | folder | what |
 //! |---|---|
 //! | `cam0` | the phone's camera |
+//! | `cam1` | the depth camera's colour images, as the camera's JPEG files |
 //! | `imu0` | the board's IMU |
 //! | `imu1` | the phone's IMU: accelerations interpolated to the gyroscope's times |
 //! | `depth0`, `ir0` | depth (mm) and infrared: an extension of the format |
@@ -12,44 +13,19 @@ use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
+use recording::profile::{DistortionModel, Pose};
+
+use super::noise::{self, Noise};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, number, push_sample};
 use crate::board_data::ImuRow;
+use crate::geometry::CameraFacts;
 use crate::image::write_whole;
-use crate::time::BoardNanos;
+use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Euroc;
 
 const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
     a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
-
-/// Noise of the board's MPU-9150: gyroscope 0.005 °/s/√Hz, accelerometer
-/// 400 µg/√Hz (MPU-9150 product specification, 6.1 and 6.2). The random walks are
-/// not specified; these are values usual for the part, to be replaced by an Allan
-/// variance of the own one.
-const MPU_9150_NOISE: Noise = Noise {
-    gyro: 8.7e-5,
-    gyro_walk: 2.0e-5,
-    accel: 3.9e-3,
-    accel_walk: 3.0e-3,
-    source: "data sheet of the MPU-9150; random walks are usual values, not measured",
-};
-
-/// A phone's IMU, usual values.
-const PHONE_NOISE: Noise = Noise {
-    gyro: 1.7e-4,
-    gyro_walk: 2.0e-5,
-    accel: 2.0e-3,
-    accel_walk: 3.0e-3,
-    source: "usual values of phones, not measured",
-};
-
-struct Noise {
-    gyro: f64,
-    gyro_walk: f64,
-    accel: f64,
-    accel_walk: f64,
-    source: &'static str,
-}
 
 fn imu_row(row: &mut String, sample: &ImuRow) {
     push_sample(row, sample);
@@ -57,7 +33,7 @@ fn imu_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("mav0/{folder}/data/{}.png", at.0))
+    PathBuf::from(format!("mav0/{folder}/data/{}.png", in_name(at)))
 }
 
 impl Layout for Euroc {
@@ -67,6 +43,10 @@ impl Layout for Euroc {
 
     fn depth_path(&self, at: BoardNanos) -> PathBuf {
         image("depth0", at)
+    }
+
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(PathBuf::from(format!("mav0/cam1/data/{}.jpg", in_name(at))))
     }
 
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
@@ -96,7 +76,7 @@ impl Layout for Euroc {
         super::further::write(&base, tables)?;
         let middle = format!(
             "phone camera; times are the middle of exposure of the middle row, {} ns after the phone's \
-             frame timestamp; intrinsics and T_BS are not known to the extractor",
+             frame timestamp",
             facts.color_middle
         );
         let center = format!(
@@ -108,28 +88,35 @@ impl Layout for Euroc {
             &tables.color,
             &middle,
             facts.color_rate,
-            facts.color_size,
+            (facts.color_size, &facts.cameras.phone),
+        )?;
+        images(
+            &base.join("cam1"),
+            &tables.camera,
+            "colour of the depth camera; times are the centre of exposure as the camera stamps it",
+            facts.camera_rate,
+            (facts.camera_size, &facts.cameras.color),
         )?;
         images(
             &base.join("depth0"),
             &tables.depth,
             &center,
             facts.depth_rate,
-            facts.depth_size,
+            (facts.depth_size, &facts.cameras.depth),
         )?;
         images(
             &base.join("ir0"),
             &tables.infrared,
             "infrared of the depth camera; times as in depth0",
             facts.depth_rate,
-            facts.depth_size,
+            (facts.infrared_size, &CameraFacts::default()),
         )?;
         if let Some(rate) = facts.board_imu_rate {
             let comment = format!(
                 "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
                 facts.board_imu_delay
             );
-            let text = imu_yaml(&comment, rate, &MPU_9150_NOISE);
+            let text = imu_yaml(&comment, rate, &noise::MPU_9150);
             write_whole(&base.join("imu0/sensor.yaml"), text.as_bytes())?;
         }
         if let Some(rate) = facts.phone_imu_rate {
@@ -138,7 +125,7 @@ impl Layout for Euroc {
                  low-pass delay of {} ns subtracted",
                 facts.phone_imu_delay
             );
-            let text = imu_yaml(&comment, rate, &PHONE_NOISE);
+            let text = imu_yaml(&comment, rate, &noise::PHONE);
             write_whole(&base.join("imu1/sensor.yaml"), text.as_bytes())?;
         }
         write_whole(
@@ -153,45 +140,91 @@ fn images(
     rows: &[ImageRow],
     comment: &str,
     rate: Option<f64>,
-    size: Option<(u32, u32)>,
+    (size, camera): (Option<(u32, u32)>, &CameraFacts),
 ) -> io::Result<()> {
     if rows.is_empty() {
         return Ok(());
     }
     let mut text = String::from("#timestamp [ns],filename\n");
     for row in rows {
-        let _ = writeln!(text, "{},{}.png", row.at.0, row.at.0);
+        let name = row.path.file_name().unwrap_or_default();
+        let _ = writeln!(text, "{},{}", in_name(row.at), name.display());
     }
     write_whole(&folder.join("data.csv"), text.as_bytes())?;
+    // One stamp a line and nothing else, as ORB-SLAM3 wants it.
+    let mut times = String::new();
+    for row in rows {
+        let _ = writeln!(times, "{}", in_name(row.at));
+    }
+    write_whole(&folder.join("times.txt"), times.as_bytes())?;
     let (width, height) = size.unwrap_or((0, 0));
     let yaml = format!(
-        "sensor_type: camera\ncomment: {comment}\n{IDENTITY}rate_hz: {}\nresolution: [{width}, {height}]\n",
-        number(rate.unwrap_or(0.0))
+        "sensor_type: camera\ncomment: {comment}\n{}rate_hz: {}\nresolution: [{width}, {height}]\n{}",
+        pose(camera.from_imu),
+        number(rate.unwrap_or(0.0)),
+        seeing(camera)
     );
     write_whole(&folder.join("sensor.yaml"), yaml.as_bytes())
 }
 
-/// Where a sensor sits is not known to the extractor.
+/// The pose of a camera in the frame of the board's IMU.
+fn pose(from_imu: Option<Pose>) -> String {
+    let Some(pose) = from_imu else {
+        return format!("# where it is is not known\n{IDENTITY}");
+    };
+    let rows = pose.inverse().0.map(|row| {
+        let cells = row.map(|cell| cell.to_string());
+        cells.join(", ")
+    });
+    format!(
+        "T_BS:\n  cols: 4\n  rows: 4\n  data: [{}]\n",
+        rows.join(",\n         ")
+    )
+}
+
+/// Intrinsics, in the order of the format: fu, fv, cu, cv; and the rolling shutter, which
+/// is an extension.
+fn seeing(camera: &CameraFacts) -> String {
+    let mut text = String::new();
+    if let Some(known) = &camera.intrinsics {
+        let ([fu, fv], [cu, cv]) = (known.focal, known.center);
+        let model = match known.distortion {
+            DistortionModel::None | DistortionModel::Radtan => "radial-tangential",
+            DistortionModel::Rational => "rational",
+            DistortionModel::Equidistant => "equidistant",
+        };
+        let coefficients: Vec<String> = match known.distortion {
+            DistortionModel::None => vec![String::from("0"); 4],
+            _ => known.coefficients.iter().map(f64::to_string).collect(),
+        };
+        let _ = write!(
+            text,
+            "camera_model: pinhole\nintrinsics: [{fu}, {fv}, {cu}, {cv}]\ndistortion_model: {model}\n\
+             distortion_coefficients: [{}]\n",
+            coefficients.join(", ")
+        );
+    } else {
+        text.push_str("# intrinsics are not known\n");
+    }
+    if let Some((row, direction)) = camera.shutter {
+        let _ = writeln!(
+            text,
+            "rolling_shutter: {{row_time_ns: {row}, direction: {}}}",
+            direction.name()
+        );
+    }
+    text
+}
+
+/// The body frame itself, and what is not known.
 const IDENTITY: &str = "T_BS:\n  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n         \
     0.0, 1.0, 0.0, 0.0,\n         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\n";
 
 fn imu_yaml(comment: &str, rate: f64, noise: &Noise) -> String {
     format!(
         "sensor_type: imu\ncomment: {comment}\n{IDENTITY}rate_hz: {}\n\
-         # noise: {}\n\
-         gyroscope_noise_density: {:e}\ngyroscope_random_walk: {:e}\n\
-         accelerometer_noise_density: {:e}\naccelerometer_random_walk: {:e}\n",
+         {}",
         number(rate),
-        noise.source,
-        noise.gyro,
-        noise.gyro_walk,
-        noise.accel,
-        noise.accel_walk
+        noise.yaml()
     )
-}
-
-/// A rate with six digits and no trailing zeros.
-fn number(value: f64) -> String {
-    let text = format!("{value:.6}");
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }

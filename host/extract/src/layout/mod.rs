@@ -6,6 +6,8 @@
 
 mod euroc;
 mod further;
+mod kalibr;
+mod noise;
 mod topics;
 mod tum;
 
@@ -15,6 +17,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{ImuRow, TimePair};
+use super::geometry::{Cameras, View};
 use super::time::BoardNanos;
 
 /// Which format.
@@ -27,6 +30,8 @@ pub enum Format {
     Tum,
     /// One folder a topic, as the published extractor has it.
     Topics,
+    /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
+    Kalibr,
 }
 
 impl Format {
@@ -36,15 +41,18 @@ impl Format {
             Self::Euroc => "euroc",
             Self::Tum => "tum",
             Self::Topics => "topics",
+            Self::Kalibr => "kalibr",
         }
     }
 
     /// Its layout.
-    pub(crate) fn layout(self) -> &'static dyn Layout {
+    pub(crate) fn layout(self, view: Option<View>) -> &'static dyn Layout {
         match self {
             Self::Euroc => &euroc::Euroc,
-            Self::Tum => &tum::Tum,
+            Self::Tum if view == Some(View::Color) => &tum::OF_CAMERA,
+            Self::Tum => &tum::OF_PHONE,
             Self::Topics => &topics::Topics,
+            Self::Kalibr => &kalibr::Kalibr,
         }
     }
 }
@@ -86,8 +94,18 @@ pub(crate) struct Facts {
     pub(crate) phone_imu_rate: Option<f64>,
     /// Width and height of the phone's images.
     pub(crate) color_size: Option<(u32, u32)>,
-    /// Width and height of depth and infrared.
+    /// Width and height of depth as it is written.
     pub(crate) depth_size: Option<(u32, u32)>,
+    /// Width and height of infrared.
+    pub(crate) infrared_size: Option<(u32, u32)>,
+    /// Whether depth is given from the place of the images that it is paired with.
+    pub(crate) registered: bool,
+    /// How the cameras see and where they are.
+    pub(crate) cameras: Cameras,
+    /// The depth camera's colour images a second.
+    pub(crate) camera_rate: Option<f64>,
+    /// Width and height of them.
+    pub(crate) camera_size: Option<(u32, u32)>,
     /// Low-pass delay that is subtracted from the board's IMU times, ns.
     pub(crate) board_imu_delay: i64,
     /// The same of the phone.
@@ -107,6 +125,8 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) depth: Vec<ImageRow>,
     /// Infrared images in order of time.
     pub(crate) infrared: Vec<ImageRow>,
+    /// Colour images of the depth camera in order of time.
+    pub(crate) camera: Vec<ImageRow>,
     /// Pairs as indices into `color` and `depth`.
     pub(crate) pairs: Vec<(usize, usize)>,
     /// Pairs of times on the recording's topics.
@@ -117,11 +137,20 @@ pub(crate) struct SequenceTables<'a> {
 
 /// A format.
 pub(crate) trait Layout: Sync {
+    /// Whether the phone's images are a part of it.
+    fn has_color(&self) -> bool {
+        true
+    }
+
     /// A phone image.
     fn color_path(&self, at: BoardNanos) -> PathBuf;
 
     /// A depth image.
     fn depth_path(&self, at: BoardNanos) -> PathBuf;
+
+    /// A colour image of the depth camera, a JPEG file; `None` if the format has no place
+    /// for it.
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf>;
 
     /// An infrared image; `None` if the format has no place for it.
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf>;
@@ -158,6 +187,7 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
         Format::Euroc => "mav0/depth0/calibration.json",
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
+        Format::Kalibr => "kalibr/depth0/calibration.json",
     }
 }
 
@@ -202,6 +232,12 @@ pub(crate) fn file_names<'a>(
 fn harmless(name: &str) -> String {
     let harmless = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     name.chars().take(120).map(harmless).collect()
+}
+
+/// A rate with six digits and no trailing zeros.
+fn number(value: f64) -> String {
+    let text = format!("{value:.6}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
 /// `name.extension` of a relative path with forward slashes, as the formats have it.

@@ -4,7 +4,8 @@
 //! |---|---|
 //! | `_mcu_imu/imu.csv` | `timestamp,ox,oy,oz,ax,ay,az,temperature`, no header |
 //! | `_mcu_cameras_ts`, `_mcu_lidar_ts`, `_mcu_s10_ts`, `_depth_to_mcu_offset`, `_sequences_ts` | `time_ref.csv`: `seq,timestamp,time_ref` |
-//! | `_azure_depth_image_raw`, `_azure_ir_image_raw` | PNG, 16 bits, mm, named by ns |
+//! | `_azure_depth_image_raw`, `_azure_ir_image_raw` | PNG, 16 bits, mm, named by ns (19 digits) |
+//! | `_azure_rgb_image_raw` | the depth camera's JPEG files, named by ns (an addition) |
 //! | `smartphone_video_frames` | PNG, named by ns |
 //! | `_smartphone_imu/imu.csv` | as `_mcu_imu`, without the temperature (an addition) |
 //!
@@ -19,12 +20,13 @@ use std::path::{Path, PathBuf};
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
-use crate::time::BoardNanos;
+use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Topics;
 
 const COLOR: &str = "smartphone_video_frames";
 const DEPTH: &str = "_azure_depth_image_raw";
+const CAMERA: &str = "_azure_rgb_image_raw";
 const INFRARED: &str = "_azure_ir_image_raw";
 
 fn imu_row(row: &mut String, sample: &ImuRow) {
@@ -42,7 +44,7 @@ fn phone_imu_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", at.0))
+    PathBuf::from(format!("{folder}/{}.png", in_name(at)))
 }
 
 impl Layout for Topics {
@@ -52,6 +54,10 @@ impl Layout for Topics {
 
     fn depth_path(&self, at: BoardNanos) -> PathBuf {
         image(DEPTH, at)
+    }
+
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(PathBuf::from(format!("{CAMERA}/{}.jpg", in_name(at))))
     }
 
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
@@ -84,6 +90,7 @@ impl Layout for Topics {
         transformation(&folder.join(COLOR), &tables.color)?;
         transformation(&folder.join(DEPTH), &tables.depth)?;
         transformation(&folder.join(INFRARED), &tables.infrared)?;
+        transformation(&folder.join(CAMERA), &tables.camera)?;
         for (topic, name) in &tables.names {
             let mut text = String::new();
             for pair in tables.times.iter().filter(|pair| &*pair.topic == *topic) {

@@ -1,9 +1,9 @@
-//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds with six digits,
+//! TUM RGB-D: `rgb/` and `depth/` with images named by seconds (ten digits and six),
 //! `rgb.txt`, `depth.txt`, `accelerometer.txt`, `associations.txt`; depth in 16
 //! bits with 5,000 a metre, 0 for none.
 //!
 //! The format rounds times to microseconds; `pairs.csv` in the output folder has
-//! nanoseconds. It has no place for angular rates and infrared.
+//! nanoseconds. `associations.txt` is written for registered depth only. It has no place for angular rates and infrared.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -13,9 +13,19 @@ use std::path::{Path, PathBuf};
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, slashed};
 use crate::board_data::ImuRow;
 use crate::image::{depth_to_tum, write_whole};
-use crate::time::{BoardNanos, decimal_seconds};
+use crate::pairs;
+use crate::time::{BoardNanos, SECOND, decimal_seconds, seconds_in_name};
 
-pub(super) struct Tum;
+/// Colour and depth of one capture lie nearer than this: half a period at 30 fps.
+const NEAR: i64 = SECOND / 60;
+
+/// With the phone's images as `rgb`, or with those of the depth camera's colour camera.
+pub(super) struct Tum {
+    of_camera: bool,
+}
+
+pub(super) static OF_PHONE: Tum = Tum { of_camera: false };
+pub(super) static OF_CAMERA: Tum = Tum { of_camera: true };
 
 fn accel_row(row: &mut String, sample: &ImuRow) {
     let [x, y, z] = sample.accel;
@@ -24,16 +34,26 @@ fn accel_row(row: &mut String, sample: &ImuRow) {
 }
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", decimal_seconds(at.0, 6)))
+    PathBuf::from(format!("{folder}/{}.png", seconds_in_name(at, 6)))
 }
 
 impl Layout for Tum {
+    fn has_color(&self) -> bool {
+        !self.of_camera
+    }
+
     fn color_path(&self, at: BoardNanos) -> PathBuf {
         image("rgb", at)
     }
 
     fn depth_path(&self, at: BoardNanos) -> PathBuf {
         image("depth", at)
+    }
+
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        let name = seconds_in_name(at, 6);
+        self.of_camera
+            .then(|| PathBuf::from(format!("rgb/{name}.jpg")))
     }
 
     fn infrared_path(&self, _at: BoardNanos) -> Option<PathBuf> {
@@ -58,23 +78,48 @@ impl Layout for Tum {
         None
     }
 
-    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         super::further::write(folder, tables)?;
-        list(&folder.join("rgb.txt"), "color images", &tables.color)?;
+        let color = if self.of_camera {
+            &tables.camera
+        } else {
+            &tables.color
+        };
+        list(&folder.join("rgb.txt"), "color images", color)?;
         list(&folder.join("depth.txt"), "depth maps", &tables.depth)?;
+        // Whoever reads pairs lays the two images over one another.
+        let size = if self.of_camera {
+            facts.camera_size
+        } else {
+            facts.color_size
+        };
+        if size.is_none() || size != facts.depth_size || !facts.registered {
+            return Ok(());
+        }
+        let own = self.of_camera.then(|| camera_pairs(tables));
         let mut text = String::new();
-        for &(color, depth) in &tables.pairs {
-            let (Some(color), Some(depth)) = (tables.color.get(color), tables.depth.get(depth))
-            else {
+        for &(image, depth) in own.as_ref().unwrap_or(&tables.pairs) {
+            let (Some(image), Some(depth)) = (color.get(image), tables.depth.get(depth)) else {
                 continue;
             };
-            let _ = writeln!(text, "{} {}", line(color), line(depth));
+            let _ = writeln!(text, "{} {}", line(image), line(depth));
         }
         if text.is_empty() {
             return Ok(());
         }
         write_whole(&folder.join("associations.txt"), text.as_bytes())
     }
+}
+
+/// A colour image of the depth camera for each of depth, next to it in time.
+fn camera_pairs(tables: &SequenceTables<'_>) -> Vec<(usize, usize)> {
+    let times = |rows: &[ImageRow]| -> Vec<(usize, BoardNanos)> {
+        rows.iter().map(|row| row.at).enumerate().collect()
+    };
+    pairs::find(&times(&tables.camera), &times(&tables.depth), NEAR)
+        .iter()
+        .map(|pair| (pair.color, pair.depth))
+        .collect()
 }
 
 fn line(row: &ImageRow) -> String {

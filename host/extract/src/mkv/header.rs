@@ -27,6 +27,8 @@ pub(crate) struct Track {
 pub(crate) struct Header {
     /// Nanoseconds in one unit of time; `None` if the segment information is lost.
     pub(crate) scale: Option<u64>,
+    /// The program that wrote the file.
+    pub(crate) written_by: Option<String>,
     /// The tracks.
     pub(crate) tracks: Vec<Track>,
     /// Names and values of the tags.
@@ -47,10 +49,10 @@ impl Header {
 }
 
 pub(super) fn read_info(data: &[u8], header: &mut Header) {
-    let mut children = ebml::children(data);
-    let scale = children.find(|(child, _)| *child == id::TIMESTAMP_SCALE);
+    let find = |wanted| ebml::children(data).find(|(child, _)| *child == wanted);
+    header.written_by = find(id::WRITING_APP).map(|(_, data)| ebml::text(data));
     // Present but without a scale: the specification's default of one millisecond.
-    header.scale = scale
+    header.scale = find(id::TIMESTAMP_SCALE)
         .and_then(|(_, data)| ebml::unsigned(data))
         .filter(|&scale| scale > 0)
         .or(Some(1_000_000));

@@ -8,7 +8,8 @@
 //! ([`StartOffset::Lost`]): enough to match them to pulses by their pattern.
 //!
 //! Depth and infrared are `b16g`: 16 bits a pixel, big-endian; depth in
-//! millimetres, 0 = none.
+//! millimetres, 0 = none. Colour is given as it lies in the file, if it is `MJPG`: each
+//! frame a JPEG file.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -106,6 +107,8 @@ pub struct Batch {
     pub depth: Vec<RawImage>,
     /// Infrared images.
     pub ir: Vec<RawImage>,
+    /// Colour images: JPEG files.
+    pub color: Vec<RawImage>,
     /// IMU samples.
     pub imu: Vec<CameraImu>,
     /// False if the cluster's checksum is wrong: at least one of its frames is damaged.
@@ -121,12 +124,31 @@ pub enum Content {
     Pixels,
 }
 
+/// The colour track.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColorTrack {
+    /// Its format: `MJPG`, `NV12`, `YUY2`, `BGRA`.
+    pub format: String,
+    /// Width and height in pixels.
+    pub size: (u32, u32),
+    number: u64,
+}
+
+impl ColorTrack {
+    /// Whether its frames are JPEG files.
+    #[must_use]
+    pub fn is_jpeg(&self) -> bool {
+        self.format == "MJPG"
+    }
+}
+
 /// An open depth recording.
 pub struct Recording<R> {
     mkv: Mkv<R>,
     depth: u64,
     ir: Option<u64>,
     imu: Option<u64>,
+    color: Option<ColorTrack>,
     width: u32,
     height: u32,
     scale: i64,
@@ -178,6 +200,13 @@ impl<R: Read + Seek> Recording<R> {
         let imu = find_track(header, "IMU", "K4A_IMU_TRACK")
             .filter(|track| track.codec == "S_K4A/IMU")
             .map(|track| track.number);
+        let color = find_track(header, "COLOR", "K4A_COLOR_TRACK").and_then(|track| {
+            Some(ColorTrack {
+                format: String::from_utf8_lossy(&fourcc(track)?).trim().to_owned(),
+                size: image_size(track).ok()?,
+                number: track.number,
+            })
+        });
         let scale = header.scale.unwrap_or(RECORDER_SCALE);
         let scale = i64::try_from(scale).map_err(|_| K4aError::BadTrack {
             what: format!("has a time unit of {scale} ns, which no recorder writes"),
@@ -190,6 +219,7 @@ impl<R: Read + Seek> Recording<R> {
             depth: number,
             ir,
             imu,
+            color,
             width,
             height,
             scale,
@@ -221,6 +251,21 @@ impl<R: Read + Seek> Recording<R> {
     pub fn was_closed(&self) -> bool {
         let header = self.mkv.header();
         header.scale.is_some() && header.has_size
+    }
+
+    /// The program that wrote the file in another unit of time than the recorder's, and
+    /// that unit in nanoseconds: the times of the frames are rounded to it.
+    #[must_use]
+    pub fn rewritten(&self) -> Option<(&str, u64)> {
+        let header = self.mkv.header();
+        let scale = header.scale.filter(|&scale| scale > RECORDER_SCALE)?;
+        Some((header.written_by.as_deref().unwrap_or_default(), scale))
+    }
+
+    /// The colour track, if there is one.
+    #[must_use]
+    pub fn color(&self) -> Option<&ColorTrack> {
+        self.color.as_ref()
     }
 
     /// The value of a tag (`K4A_DEPTH_MODE`, `K4A_DEVICE_SERIAL_NUMBER`, ...).
@@ -257,11 +302,11 @@ impl<R: Read + Seek> Recording<R> {
     ///
     /// Reading fails.
     pub fn next_batch(&mut self, content: Content) -> std::io::Result<Option<Batch>> {
-        let (depth, ir, imu) = (self.depth, self.ir, self.imu);
+        let imu = self.imu;
         let wanted = |track| match content {
             Content::Times => Some(track) == imu,
-            // All of it, so that the checksum can be verified.
-            Content::Pixels => track == depth || Some(track) == ir || Some(track) == imu,
+            // All of it, whatever the track: the checksum is over the whole cluster.
+            Content::Pixels => true,
         };
         let Some(cluster) = self.mkv.next_cluster(&wanted)? else {
             return Ok(None);
@@ -281,6 +326,8 @@ impl<R: Read + Seek> Recording<R> {
                 batch.depth.push(self.image(frame));
             } else if Some(frame.track) == self.ir {
                 batch.ir.push(self.image(frame));
+            } else if self.color.as_ref().map(|color| color.number) == Some(frame.track) {
+                batch.color.push(self.image(frame));
             }
         }
         batch

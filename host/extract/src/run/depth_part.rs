@@ -1,22 +1,26 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
+use super::geometry_part::DepthView;
 use super::{ExtractError, Extraction};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{self, Matched};
-use crate::image_tables::{DepthOutcome, DepthPlace, ImagesError, write_depth};
+use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
 use crate::layout::calibration_path;
+use crate::mkv::k4a::ColorTrack;
 use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
 use crate::survey::Survey;
-use crate::tables::{self, DepthFrame};
+use crate::tables::{self, CameraFrame, DepthFrame};
 
 /// The depth camera's part after reading.
 pub(super) struct Depth {
     pub(super) index: DepthIndex,
     matched: Result<Matched, MatchError>,
     pub(super) frames: Vec<DepthFrame>,
+    /// Colour images of the camera.
+    pub(super) color: Vec<CameraFrame>,
 }
 
 impl Extraction<'_> {
@@ -53,15 +57,10 @@ impl Extraction<'_> {
         }
         self.set_center(&index, constants);
         let constants = *constants;
-        let matched = depth_match::find(
-            &self.inputs.board,
-            &input,
-            &index,
-            survey,
-            &constants,
-            self.job.options.first_pulse,
-            self.progress,
-        )?;
+        let matched = self.match_depth(&input, &index, survey, &constants)?;
+        if let Some(by) = &index.rewritten {
+            self.lose("depth", by.clone());
+        }
         match &matched {
             Ok(matched) => {
                 self.remarks.extend(matched.remarks.iter().cloned());
@@ -74,7 +73,12 @@ impl Extraction<'_> {
                     self.lose("depth", format!("{count} pulses have no depth frame; depth_frames.csv and report.json name them"));
                 }
             }
-            Err(error) => self.lose("depth", error.to_string()),
+            Err(error) if index.rewritten.is_none() => self.lose("depth", error.to_string()),
+            // Times that are rounded explain it.
+            Err(_) => self.lose(
+                "depth",
+                "with rounded times it is not found which pulse made which depth frame",
+            ),
         }
         let found = matched.as_ref().ok().map(|matched| &matched.found);
         let frames = tables::depth_frames(&index, found, &survey.pulses, constants.depth_center_ns);
@@ -85,23 +89,156 @@ impl Extraction<'_> {
                 format!("{broken} depth frames do not hold a whole image"),
             );
         }
+        let color = tables::camera_frames(&index.color_frames, &frames, found);
+        self.write_camera_table(&index, &color)?;
         Ok(Some(Depth {
             index,
             matched,
             frames,
+            color,
         }))
     }
 
-    /// The edge-to-centre time of the camera's mode, where nothing better is known.
+    /// Depth frames and their pulses, or their times on the camera's own clock.
+    fn match_depth(
+        &self,
+        input: &DepthInput,
+        index: &DepthIndex,
+        survey: &Survey,
+        constants: &Constants,
+    ) -> Result<Result<Matched, MatchError>, ExtractError> {
+        let board = &self.inputs.board;
+        if self.job.options.free_running {
+            let timed =
+                depth_match::free_running(board, input, index, survey, constants, self.progress)?;
+            return Ok(timed);
+        }
+        if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
+            let sync = sync.chars().take(32).collect();
+            return Ok(Err(MatchError::OtherSync { sync }));
+        }
+        Ok(depth_match::find(
+            board,
+            input,
+            index,
+            survey,
+            constants,
+            self.job.options.first_pulse,
+            self.progress,
+        )?)
+    }
+
+    fn write_camera_table(
+        &mut self,
+        index: &DepthIndex,
+        frames: &[CameraFrame],
+    ) -> Result<(), ExtractError> {
+        let Some(color) = &index.color else {
+            return Ok(());
+        };
+        if !color.is_jpeg() {
+            let format: String = color.format.chars().filter(|c| !c.is_control()).collect();
+            self.lose(
+                "depth",
+                format!(
+                    "the camera's colour images are {format}, expected MJPG: their times are in \
+                     camera_frames.csv, and no images are written; record with an MJPG colour mode"
+                ),
+            );
+        }
+        let exposure = self.job.options.camera_exposure_ns;
+        let path = self.place.out.join("camera_frames.csv");
+        tables::write_camera(&path, frames, exposure).map_err(|error| self.failed(error))
+    }
+
+    /// From the pulse to the centre of exposure. What the user gives is the whole of it.
+    /// Else it is the profile's, or the nominal one of the mode, made to fit to what the
+    /// file says: its mode, its delays, and a colour camera that exposes longer.
     fn set_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        let given = self
-            .job
-            .options
-            .depth_center_ns
-            .or(self.inputs.phone.rig.depth_center_ns);
-        if given.is_some() {
+        if self.job.options.depth_center_ns.is_some() {
             return;
         }
+        match self.inputs.phone.rig.depth_center_ns {
+            Some(_) => self.compare_mode(index, constants),
+            None => self.nominal_center(index, constants),
+        }
+        // Without colour the recorder's library refuses a delay of depth behind it.
+        let behind_color = index.depth_delay * i64::from(index.color.is_some());
+        let delay = index.subordinate_delay.saturating_add(behind_color);
+        if index.subordinate_delay != 0 || behind_color != 0 {
+            constants.depth_center_ns = constants.depth_center_ns.saturating_add(delay);
+            self.remarks.push(format!(
+                "the depth camera's file has delays that the profile does not know: \
+                 {} µs behind the trigger (K4A_SUBORDINATE_DELAY_NS) and {} µs of depth behind colour \
+                 (K4A_DEPTH_DELAY_NS); depth is timed {} µs later by that",
+                micros(index.subordinate_delay),
+                micros(behind_color),
+                micros(delay)
+            ));
+        }
+        if index.color.is_some() {
+            self.add_color_exposure(index, constants);
+        }
+    }
+
+    /// The camera puts the centres of colour and depth on one another, and begins with
+    /// the longer exposure (issue 868 of the camera's SDK): a colour exposure longer than
+    /// the train of infrared pulses makes depth later by half of the difference.
+    fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
+        let half_train = index.mode.as_deref().and_then(nominal_center);
+        let (Some(exposure), Some(half_train)) = (self.job.options.camera_exposure_ns, half_train)
+        else {
+            self.remarks.push(String::from(
+                "the depth camera recorded colour too: it exposes depth later by half of what the colour \
+                 exposure is longer than the train of infrared pulses (12.725 ms; WFOV_UNBINNED 20.245 ms). \
+                 The file does not say that exposure: give --camera-exposure-us if it may be longer",
+            ));
+            return;
+        };
+        let later = (exposure / 2 - half_train).max(0);
+        constants.depth_center_ns = constants.depth_center_ns.saturating_add(later);
+        if later > 0 {
+            self.remarks.push(format!(
+                "depth is timed {} µs later, because the camera exposed colour for {} µs",
+                micros(later),
+                micros(exposure)
+            ));
+        }
+    }
+
+    /// The file's mode decides where the profile has another.
+    fn compare_mode(&mut self, index: &DepthIndex, constants: &mut Constants) {
+        let (Some(file), Some(profile)) = (&index.mode, &self.inputs.depth_mode) else {
+            return;
+        };
+        if file == profile {
+            return;
+        }
+        let change = nominal_center(file)
+            .zip(nominal_center(profile))
+            .map(|(file, profile)| file - profile);
+        let file: String = file.chars().take(32).collect();
+        let what = match change {
+            Some(0) => {
+                String::from("the time from pulse to centre of exposure is the same in both")
+            }
+            Some(change) => format!(
+                "depth is timed {} µs later than the profile's center_offset_us says, by the difference of \
+                 the modes",
+                micros(change)
+            ),
+            None => String::from(
+                "the time from pulse to centre of exposure is the profile's; give --depth-center-us",
+            ),
+        };
+        constants.depth_center_ns += change.unwrap_or(0);
+        self.remarks.push(format!(
+            "the depth camera recorded in mode {file} and the profile says {profile}: {what}"
+        ));
+    }
+
+    /// The edge-to-centre time of the camera's mode, where nothing better is known.
+    fn nominal_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let mode = index.mode.as_deref();
         match mode.and_then(nominal_center) {
             Some(center) => {
@@ -129,16 +266,20 @@ impl Extraction<'_> {
     pub(super) fn write_depth_images(
         &mut self,
         depth: Option<&Depth>,
+        view: &DepthView,
         sequences: &Sequences,
         frames: &[DepthFrame],
     ) -> Result<Option<DepthOutcome>, ExtractError> {
         let (Some(depth), Some(input)) = (depth, self.inputs.depth.clone()) else {
             return Ok(None);
         };
-        if depth.matched.is_err() {
-            return Ok(None);
-        }
-        let layout = self.job.format.layout();
+        let registration = match view {
+            _ if depth.matched.is_err() => return Ok(None),
+            DepthView::None => return Ok(None),
+            DepthView::Own => None,
+            DepthView::Other(registration) => Some(&**registration),
+        };
+        let layout = self.layout();
         let place_of = |frame: &DepthFrame| match frame.at.filter(|_| frame.is_used()) {
             None => DepthPlace::default(),
             Some(at) => {
@@ -152,11 +293,21 @@ impl Extraction<'_> {
                 }
             }
         };
-        let places: Vec<DepthPlace> = frames.iter().map(place_of).collect();
+        let is_jpeg = depth.index.color.as_ref().is_some_and(ColorTrack::is_jpeg);
+        let color_place = |frame: &CameraFrame| {
+            let at = frame.at.filter(|_| is_jpeg)?;
+            let folder = self.place.out.join(sequences.folder(sequences.at(at)));
+            Some(folder.join(layout.camera_path(at)?))
+        };
+        let places = CameraPlaces {
+            depth: frames.iter().map(place_of).collect(),
+            color: depth.color.iter().map(color_place).collect(),
+        };
         let outcome = match self.place.done::<DepthOutcome>("depth") {
             Some(outcome) => outcome,
             None => {
-                let written = write_depth(&input, &places, depth.index.size, layout, self.progress);
+                let size = (depth.index.size, registration);
+                let written = write_depth(&input, &places, size, layout, self.progress);
                 match written {
                     Ok(outcome) => {
                         self.place
@@ -180,6 +331,10 @@ impl Extraction<'_> {
             (
                 &outcome.empty,
                 "depth frames are black: no pixel has a depth",
+            ),
+            (
+                &outcome.color_broken,
+                "colour images of the depth camera are no whole JPEG files",
             ),
         ];
         for (frames, what) in counts {
@@ -222,6 +377,12 @@ fn nominal_center(mode: &str) -> Option<i64> {
     }
 }
 
+/// Nanoseconds as people write microseconds.
+fn micros(nanos: i64) -> String {
+    let text = format!("{:.3}", nanos as f64 / 1000.0);
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
 impl Depth {
     pub(super) fn report(&self, survey: &Survey, images: Option<&DepthOutcome>) -> DepthReport {
         let those = |is_so: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
@@ -256,6 +417,8 @@ impl Depth {
             out_of_range: images.map_or(0, |images| images.out_of_range),
             images: images.map_or(0, |images| images.written),
             infrared: images.map_or(0, |images| images.infrared.len() as u64),
+            color: images.map_or(0, |images| images.color.len() as u64),
+            sync: self.index.sync.clone(),
             mode: self.index.mode.clone(),
             serial: self.index.serial.clone(),
         }

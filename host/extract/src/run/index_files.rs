@@ -9,13 +9,14 @@ use crate::layout::{Facts, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;
 use crate::report::SequenceReport;
 use crate::sequence::Sequences;
-use crate::tables::{ColorFrame, DepthFrame};
+use crate::tables::{CameraFrame, ColorFrame, DepthFrame};
 
 /// What there is for all sequences.
 pub(super) struct Written<'a> {
     pub(super) times: &'a [TimePair],
     pub(super) color: &'a [ColorFrame],
     pub(super) depth: &'a [DepthFrame],
+    pub(super) camera: &'a [CameraFrame],
     pub(super) pairs: &'a [Pair],
     pub(super) video: Option<&'a VideoOutcome>,
     pub(super) images: Option<&'a DepthOutcome>,
@@ -30,7 +31,7 @@ impl Extraction<'_> {
         written: &Written<'_>,
         facts: &Facts,
     ) -> Result<Vec<SequenceReport>, ExtractError> {
-        let layout = self.job.format.layout();
+        let layout = self.layout();
         let topics = written.times.iter().map(|pair| &*pair.topic).collect();
         let lidar = self.inputs.lidar.clone();
         let (names, longer) = file_names(layout, &topics, lidar.as_deref());
@@ -70,7 +71,7 @@ impl Extraction<'_> {
         sequences: &Sequences,
         written: &Written<'a>,
     ) -> SequenceTables<'a> {
-        let layout = self.job.format.layout();
+        let layout = self.layout();
         let decoded = written.video.map_or(0, |video| video.decoded);
         let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
         let mut tables = SequenceTables::default();
@@ -106,6 +107,16 @@ impl Extraction<'_> {
             let infrared = layout.infrared_path(at);
             if let Some(path) = infrared.filter(|_| listed(&images.infrared, index)) {
                 tables.infrared.push(row(path));
+            }
+        }
+        for (index, frame) in written.camera.iter().enumerate() {
+            let there = written
+                .images
+                .is_some_and(|images| listed(&images.color, index));
+            let at = frame.at.filter(|&at| there && sequences.at(at) == sequence);
+            if let Some((at, path)) = at.and_then(|at| Some((at, layout.camera_path(at)?))) {
+                let own = frame.device.0;
+                tables.camera.push(ImageRow { at, own, path });
             }
         }
         let place = |pair: &Pair| {

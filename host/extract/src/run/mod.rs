@@ -13,6 +13,7 @@
 //! folder that cannot be written, is an error.
 
 mod depth_part;
+mod geometry_part;
 mod index_files;
 mod other_phones;
 mod phone_part;
@@ -21,6 +22,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use geometry_part::DepthView;
 use index_files::Written;
 use phone_part::Phone;
 
@@ -32,7 +34,7 @@ use super::image_tables::ImagesError;
 use super::imu_tables::TableWriter;
 use super::inputs::{Inputs, InputsError, Options, PhoneInput};
 use super::later_runs;
-use super::layout::{Facts, Format};
+use super::layout::{Facts, Format, Layout};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
 use super::report::{
@@ -41,12 +43,15 @@ use super::report::{
 use super::sequence::Sequences;
 use super::streams::{Stopped, each_event};
 use super::survey::{ImuSpan, Survey, survey};
-use super::tables::{self, ColorFrame, DepthFrame};
+use super::tables::{self, ColorFrame, DepthFrame, Shutter};
 use super::time::BoardNanos;
 use super::workplace::{FileMark, Workplace, WorkplaceError, check_outside};
 
 /// The most gaps between pulses that are listed one by one.
 const LISTED_GAPS: usize = 1_000;
+
+/// The most pairs whose difference is drawn over time.
+const DRAWN_PAIRS: usize = 1_000;
 
 /// Version of the report's form.
 const REPORT_VERSION: u32 = 2;
@@ -158,14 +163,20 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     let joints = run.join_runs(&mut survey, phone.as_ref())?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
+    let readout = job.options.readout_ns;
+    let shutter = input.camera.facts(None, readout).shutter;
 
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
     let pairs = find_pairs(color, depth_frames, &survey);
-    run.write_tables(&survey, color, depth_frames, &pairs)?;
+    run.write_tables(&survey, (color, shutter), depth_frames, &pairs)?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
-    let images = run.write_depth_images(depth.as_ref(), &sequences, depth_frames)?;
+    let size = video.as_ref().and_then(|video| video.size);
+    let (cameras, view) = run.geometry(&input, size, depth.as_ref());
+    run.write_cameras(&cameras)?;
+    let images = run.write_depth_images(depth.as_ref(), &view, &sequences, depth_frames)?;
+    let camera = depth.as_ref().map_or(&[][..], |depth| &depth.color);
     let board_delay = constants.board_imu_delay_ns;
     run.write_board_imu(&sequences, board_delay)?;
     let phone_imu = run.write_phone_imu(
@@ -180,8 +191,18 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         depth_rate: rate_of(depth_frames.iter().filter_map(|frame| frame.at)),
         board_imu_rate: survey.imu.rate(),
         phone_imu_rate: phone_imu.rate,
-        color_size: video.as_ref().and_then(|video| video.size),
-        depth_size: depth.as_ref().map(|depth| depth.index.size),
+        color_size: size,
+        camera_rate: rate_of(camera.iter().filter_map(|frame| frame.at)),
+        camera_size: depth
+            .as_ref()
+            .and_then(|depth| Some(depth.index.color.as_ref()?.size)),
+        infrared_size: depth.as_ref().map(|depth| depth.index.size),
+        depth_size: match &view {
+            DepthView::Other(registration) => Some(registration.out),
+            _ => depth.as_ref().map(|depth| depth.index.size),
+        },
+        registered: matches!(view, DepthView::Other(_)),
+        cameras,
         board_imu_delay: constants.board_imu_delay_ns,
         phone_imu_delay: constants.phone_imu_delay_ns,
         depth_center: constants.depth_center_ns,
@@ -191,10 +212,19 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         times: &survey.times,
         color,
         depth: depth_frames,
+        camera,
         pairs: &pairs,
         video: video.as_ref(),
         images: images.as_ref(),
     };
+    if job.format == Format::Tum && job.options.view.is_none() && !pairs.is_empty() {
+        run.lose(
+            "pairs",
+            "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
+             the same place, and depth is not registered; give --register phone or --register color \
+             (the pairs are in pairs.csv)",
+        );
+    }
     let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
@@ -226,7 +256,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
-        pairs: pairs_report(&pairs),
+        pairs: pairs_report(&pairs, color),
         grid,
         later_grids,
         phones,
@@ -265,6 +295,10 @@ impl Extraction<'_> {
             part,
             what: what.into(),
         });
+    }
+
+    fn layout(&self) -> &'static dyn Layout {
+        self.job.format.layout(self.job.options.view)
     }
 
     fn failed(&self, error: io::Error) -> ExtractError {
@@ -406,7 +440,7 @@ impl Extraction<'_> {
     fn write_tables(
         &self,
         survey: &Survey,
-        color: &[ColorFrame],
+        (color, shutter): (&[ColorFrame], Option<Shutter>),
         depth: &[DepthFrame],
         pairs: &[Pair],
     ) -> Result<(), ExtractError> {
@@ -416,13 +450,13 @@ impl Extraction<'_> {
             if !depth.is_empty() {
                 tables::write_depth(&out.join("depth_frames.csv"), depth, &survey.pulses)?;
             }
-            tables::write_phone(out, color, pairs, depth)
+            tables::write_phone(out, (color, shutter), pairs, depth)
         };
         write().map_err(|error| self.failed(error))
     }
 
     fn write_board_imu(&self, sequences: &Sequences, delay: i64) -> Result<(), ExtractError> {
-        let table = self.job.format.layout().board_imu();
+        let table = self.layout().board_imu();
         let mut writer = TableWriter::new(table, &self.place.out, sequences, delay);
         let board = &self.inputs.board;
         let what = "writing the board's IMU";
@@ -441,12 +475,16 @@ impl Extraction<'_> {
     }
 }
 
-fn pairs_report(pairs: &[Pair]) -> Option<PairsReport> {
+fn pairs_report(pairs: &[Pair], color: &[ColorFrame]) -> Option<PairsReport> {
     let spread = pairs::spread(pairs)?;
+    let central = pairs::central(pairs, &spread);
+    let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
+    let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
     Some(PairsReport {
         spread,
         histogram: pairs::histogram(pairs)?,
-        central: pairs::histogram(&pairs::central(pairs, &spread))?,
+        central: pairs::histogram(&central)?,
+        course: central.iter().step_by(step).filter_map(place).collect(),
     })
 }
 

@@ -4,6 +4,7 @@
 use super::index_files::Written;
 use super::phone_part::Phone;
 use super::{ExtractError, Extraction, find_pairs, pairs_report, rate_of};
+use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
 use crate::report::OtherReport;
@@ -25,7 +26,9 @@ impl Extraction<'_> {
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = find_pairs(color, depth, survey);
         let folder = self.place.out.join(&input.folder);
-        tables::write_phone(&folder, color, &pairs, depth).map_err(|error| self.failed(error))?;
+        let known = input.camera.facts(None, None);
+        tables::write_phone(&folder, (color, known.shutter), &pairs, depth)
+            .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
         let delay = constants.phone_imu_delay_ns;
         let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;
@@ -36,6 +39,12 @@ impl Extraction<'_> {
                 color_size: video.as_ref().and_then(|video| video.size),
                 phone_imu_delay: delay,
                 color_middle: constants.color_middle_ns,
+                cameras: Cameras {
+                    phone: input
+                        .camera
+                        .facts(video.as_ref().and_then(|video| video.size), None),
+                    ..Cameras::default()
+                },
                 ..Facts::default()
             };
             // Depth, board and the pairs of images stand with the first phone.
@@ -43,6 +52,7 @@ impl Extraction<'_> {
                 times: &[],
                 color,
                 depth: &[],
+                camera: &[],
                 pairs: &[],
                 video: video.as_ref(),
                 images: None,
@@ -56,7 +66,7 @@ impl Extraction<'_> {
                 .as_ref()
                 .map(|phone| phone.report(video.as_ref(), &imu)),
             clock: phone.as_ref().and_then(Phone::clock_report),
-            pairs: pairs_report(&pairs),
+            pairs: pairs_report(&pairs, color),
             grid,
             later_grids,
             constants,

@@ -169,7 +169,10 @@ impl Extraction<'_> {
         if phone.frames.is_empty() {
             return Ok(None);
         }
-        let layout = self.job.format.layout();
+        let layout = self.layout();
+        if !layout.has_color() {
+            return Ok(None);
+        }
         let last = phone.frames.iter().filter_map(|frame| frame.image).max();
         let mut places: Vec<Option<PathBuf>> = vec![None; last.map_or(0, |last| last + 1)];
         for frame in &phone.frames {
@@ -235,12 +238,9 @@ impl Extraction<'_> {
     ) -> Result<PhoneImu, ExtractError> {
         let clock = phone.and_then(|phone| phone.clock.as_ref());
         let files = input.files.clone().unwrap_or_default();
-        let (Some(clock), Some(gyro), Some(accel), Some(table)) = (
-            clock,
-            &files.gyro,
-            &files.accel,
-            self.job.format.layout().phone_imu(),
-        ) else {
+        let (Some(clock), Some(gyro), Some(accel), Some(table)) =
+            (clock, &files.gyro, &files.accel, self.layout().phone_imu())
+        else {
             return Ok(PhoneImu::default());
         };
         let (mut gyro, mut accel) = match (PhoneRows::open(gyro), PhoneRows::open(accel)) {

@@ -138,6 +138,20 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
         ),
         ("phone.twist_s", f64::from(phone.twist_s), 3.0..=60.0, "s"),
     ])?;
+    if let Some(pose) = &phone.from_imu {
+        pose.check("phone.from_imu")?;
+    }
+    for (index, camera) in phone.cameras.iter().enumerate() {
+        camera.check()?;
+        let earlier = phone.cameras.iter().take(index);
+        if earlier
+            .into_iter()
+            .any(|other| other.size() == camera.size())
+        {
+            let found = format!("{} × {} twice", camera.width, camera.height);
+            return Err(wrong("phone.cameras", found, "each size of images once"));
+        }
+    }
     phone.learnt.as_ref().map_or(Ok(()), check_learnt)
 }
 
@@ -164,6 +178,9 @@ fn check_learnt(learnt: &Learnt) -> Result<(), ProfileError> {
 fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
     if ![30, 15, 5].contains(&depth.fps) {
         return Err(wrong("depth.fps", depth.fps.to_string(), "30, 15 or 5"));
+    }
+    if let Some(pose) = &depth.color_from_imu {
+        pose.check("depth.color_from_imu")?;
     }
     within(&[
         (
@@ -247,7 +264,7 @@ impl Profile {
 }
 
 /// Refuses the first value that is out of its bounds.
-fn within(rows: &[Row]) -> Result<(), ProfileError> {
+pub(super) fn within(rows: &[Row]) -> Result<(), ProfileError> {
     for (key, value, bounds, unit) in rows {
         if !bounds.contains(value) {
             let unit = match *unit {

@@ -1,0 +1,400 @@
+//! Depth recordings by the camera maker's own library (from PyPI), whose tags decide the
+//! times: mode, delays, sync mode; and one that mkvmerge wrote anew.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use serde_json::json;
+
+use crate::python;
+use crate::synthetic::{Synthetic, make};
+use crate::turn;
+use extract::geometry::View;
+use extract::inputs::Options;
+use extract::layout::Format;
+use extract::progress::Silent;
+use extract::report::ExtractReport;
+use extract::run::{Job, run};
+use recording::profile::Pose;
+use recording::session_file::SessionFile;
+
+/// Numbers of the maker's enumerations (k4atypes.h).
+const NFOV_2X2BINNED: u8 = 1;
+const WFOV_UNBINNED: u8 = 4;
+const STANDALONE: u8 = 0;
+const SUBORDINATE: u8 = 2;
+
+struct Case {
+    folder: tempfile::TempDir,
+}
+
+impl Case {
+    fn new(config: &Synthetic) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let recording = folder.path().join("recording");
+        std::fs::create_dir(&recording).unwrap();
+        make(&recording, config);
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn extract(&self, depth: Option<&Path>, out: &str, options: Options) -> ExtractReport {
+        self.extract_as(Format::Euroc, depth, out, options)
+    }
+
+    fn extract_as(
+        &self,
+        format: Format,
+        depth: Option<&Path>,
+        out: &str,
+        options: Options,
+    ) -> ExtractReport {
+        let job = Job {
+            recording: self.path("recording"),
+            phone: None,
+            depth: depth.map(Path::to_owned),
+            format,
+            out: self.path(out),
+            options,
+        };
+        run(&job, &Silent).unwrap()
+    }
+
+    /// A recording of the maker's library with these device times.
+    fn vendor(&self, name: &str, frames: &[i64], more: serde_json::Value) -> PathBuf {
+        let mut spec = json!({
+            "frames": frames, "depth_mode": NFOV_2X2BINNED, "sync": SUBORDINATE,
+            "subordinate_us": 0, "depth_delay_us": 0, "color": null, "color_us": 0,
+            "size": [16, 16], "calibration": null,
+        });
+        for (key, value) in more.as_object().unwrap() {
+            spec[key] = value.clone();
+        }
+        let spec_path = self.path(&format!("{name}.json"));
+        std::fs::write(&spec_path, spec.to_string()).unwrap();
+        let out = self.path(&format!("{name}.mkv"));
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/vendor_recording.py");
+        python::run_script(&script, &[&spec_path, &out]);
+        out
+    }
+
+    /// Frames of 1280 × 720 by ffmpeg.
+    fn test_picture(&self, name: &str, frames: usize) -> PathBuf {
+        let path = self.path(name);
+        let made = Command::new("ffmpeg")
+            .args(["-v", "error", "-f", "lavfi", "-i", "testsrc=size=1280x720"])
+            .args(["-frames:v", &frames.to_string()])
+            .arg(&path)
+            .status();
+        assert!(made.unwrap().success());
+        path
+    }
+
+    /// Columns of a table of an output as integers.
+    fn table(&self, file: &str, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
+        let text = std::fs::read_to_string(self.path(file)).unwrap();
+        let row = |line: &str| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let cell = |&column: &usize| cells[column].parse().ok();
+            columns.iter().map(cell).collect()
+        };
+        text.lines().skip(1).map(row).collect()
+    }
+
+    fn depth_times(&self, out: &str) -> Vec<i64> {
+        let rows = self.table(&format!("{out}/depth_frames.csv"), &[2]);
+        rows.iter().map(|row| row[0].unwrap()).collect()
+    }
+}
+
+fn said(report: &ExtractReport, what: &str) {
+    let losses = report.losses.iter().map(|loss| &loss.what);
+    let found = losses
+        .chain(&report.remarks)
+        .any(|text| text.contains(what));
+    assert!(found, "{what}\n{:#?}\n{:#?}", report.losses, report.remarks);
+}
+
+fn later(found: &[i64], base: &[i64], by: i64) {
+    assert_eq!(found.len(), base.len());
+    for (found, base) in found.iter().zip(base) {
+        assert_eq!(found - base, by);
+    }
+}
+
+#[test]
+fn the_files_own_tags_decide_the_times() {
+    let _turn = turn::beside_others();
+    let case = Case::new(&Synthetic {
+        seed: 5,
+        seconds: 25,
+        ..Synthetic::default()
+    });
+    case.extract(None, "base", Options::default());
+    let base = case.depth_times("base");
+    let device = case.table("base/depth_frames.csv", &[1]);
+    let device: Vec<i64> = device.iter().map(|row| row[0].unwrap() / 1000).collect();
+
+    // Another mode than the profile's NFOV: 20.245 ms of pulses and not 12.725 ms.
+    let wide = case.vendor("wide", &device, json!({ "depth_mode": WFOV_UNBINNED }));
+    let report = case.extract(Some(&wide), "wide", Options::default());
+    later(&case.depth_times("wide"), &base, 3_760_000);
+    said(
+        &report,
+        "in mode WFOV_UNBINNED and the profile says NFOV_UNBINNED",
+    );
+    // What the user gives is the whole of it.
+    let options = Options {
+        depth_center_ns: Some(6_362_500),
+        ..Options::default()
+    };
+    case.extract(Some(&wide), "given", options);
+    let nominal = case.depth_times("given")[0];
+    assert!((nominal - base[0]).abs() < 1_000_000, "{nominal}");
+
+    // Delays, and colour 160 µs behind depth.
+    let jpeg = case.test_picture("color.jpg", 1);
+    let delays = json!({
+        "subordinate_us": 500, "depth_delay_us": -160, "color": jpeg, "color_us": 160,
+        "size": [320, 288],
+    });
+    let delayed = case.vendor("delayed", &device, delays);
+    let report = case.extract(Some(&delayed), "delayed", Options::default());
+    let depth = case.depth_times("delayed");
+    later(&depth, &base, 340_000);
+    said(&report, "500 µs behind the trigger");
+    said(&report, "--camera-exposure-us");
+    let found = report.depth.as_ref().unwrap();
+    assert_eq!(found.color, base.len() as u64);
+    assert!(
+        found.damaged.is_empty() && found.broken.is_empty(),
+        "{found:?}"
+    );
+    let color = case.table("delayed/camera_frames.csv", &[3]);
+    assert_eq!(color.len(), depth.len());
+    for (color, depth) in color.iter().zip(&depth) {
+        // 160 µs of a clock that is 300 ppm off, and stamps of whole microseconds.
+        assert!(
+            (color[0].unwrap() - depth - 160_000).abs() < 1_100,
+            "{color:?}"
+        );
+    }
+    let cam1 = case.path("delayed/mav0/cam1");
+    let list = std::fs::read_to_string(cam1.join("data.csv")).unwrap();
+    let name = list.lines().nth(1).unwrap().split(',').nth(1).unwrap();
+    let written = std::fs::read(cam1.join("data").join(name)).unwrap();
+    assert_eq!(written, std::fs::read(&jpeg).unwrap());
+
+    // A colour exposure of 20 ms begins before the pulses of depth, by SDK issue 868.
+    let options = Options {
+        camera_exposure_ns: Some(20_000_000),
+        ..Options::default()
+    };
+    case.extract(Some(&delayed), "exposed", options);
+    later(&case.depth_times("exposed"), &base, 340_000 + 3_637_500);
+    let start = case.table("exposed/camera_frames.csv", &[2, 3]);
+    assert!(
+        start
+            .iter()
+            .all(|row| row[1].unwrap() - row[0].unwrap() == 10_000_000)
+    );
+
+    // A flipped bit in a colour image is found by the checksum of its cluster.
+    let mut bytes = std::fs::read(&delayed).unwrap();
+    let place = bytes
+        .windows(4)
+        .rposition(|w| w == [0xFF, 0xD8, 0xFF, 0xE0])
+        .unwrap();
+    bytes[place + 5_000] ^= 4;
+    let flipped = case.path("flipped.mkv");
+    std::fs::write(&flipped, bytes).unwrap();
+    let report = case.extract(Some(&flipped), "flipped", Options::default());
+    assert!(!report.depth.as_ref().unwrap().damaged.is_empty());
+    said(&report, "checksum is wrong");
+
+    // Written anew with times in whole milliseconds.
+    let merged = case.path("merged.mkv");
+    let done = Command::new("mkvmerge")
+        .arg("-q")
+        .arg("-o")
+        .args([&merged, &wide])
+        .status();
+    assert!(done.unwrap().success(), "mkvmerge (Debian: mkvtoolnix)");
+    let report = case.extract(Some(&merged), "merged", Options::default());
+    said(&report, "mkvmerge");
+    said(&report, "to 1 ms");
+    let losses = format!("{:?}", report.losses);
+    assert!(!losses.contains("sync cable"), "{losses}");
+
+    // No pulse made the frames of a camera on its own.
+    let alone = case.vendor("alone", &device, json!({ "sync": STANDALONE }));
+    let report = case.extract(Some(&alone), "alone", Options::default());
+    let why = report.depth.unwrap().not_matched.unwrap();
+    assert!(
+        why.contains("STANDALONE") && why.contains("--free-running"),
+        "{why}"
+    );
+    let options = Options {
+        free_running: true,
+        ..Options::default()
+    };
+    let report = case.extract(Some(&alone), "still_alone", options);
+    let why = report.depth.unwrap().not_matched.unwrap();
+    assert!(why.contains("no samples of the camera's IMU"), "{why}");
+}
+
+#[test]
+fn a_camera_on_its_own_is_timed_by_its_own_clock() {
+    let _turn = turn::beside_others();
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("recording");
+    std::fs::create_dir(&recording).unwrap();
+    let truth = make(
+        &recording,
+        &Synthetic {
+            seed: 6,
+            seconds: 40,
+            drop_probability: 0.0,
+            camera_imu: true,
+            ..Synthetic::default()
+        },
+    );
+    let case = Case { folder };
+    let options = Options {
+        free_running: true,
+        ..Options::default()
+    };
+    let report = case.extract(None, "out", options);
+    said(&report, "its own clock");
+    let errors: Vec<i64> = case
+        .depth_times("out")
+        .iter()
+        .zip(&truth.depth)
+        .map(|(found, truth)| found - truth.center_ns)
+        .collect();
+    // The camera's low-pass of 2 ms, which nobody knows of, is in all of them alike.
+    let mean = errors.iter().sum::<i64>() / errors.len() as i64;
+    assert!((mean.abs() - 2_000_000).abs() < 200_000, "{mean}");
+    assert!(
+        errors.iter().all(|error| (error - mean).abs() < 100_000),
+        "{mean}"
+    );
+}
+
+/// A calibration as the camera has it, with made-up numbers of the usual size: depth, and
+/// colour 32 mm beside it and tilted by 6°.
+fn calibration() -> serde_json::Value {
+    // cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1.
+    let depth = [
+        0.502, 0.498, 0.4926, 0.4927, 0.65, 0.04, -0.004, 0.99, 0.15, -0.02, 0.0, 0.0, -8e-5, 1e-4,
+    ];
+    let color = [
+        0.498, 0.502, 0.475, 0.634, 0.6, -2.8, 1.6, 0.48, -2.6, 1.5, 0.0, 0.0, -2e-4, 3e-4,
+    ];
+    let (sin, cos) = 6.0_f64.to_radians().sin_cos();
+    let camera =
+        |place: &str, lens: [f64; 14], rotation: [f64; 9], way: [f64; 3], side: [u32; 2]| {
+            json!({
+                "Location": format!("CALIBRATION_CameraLocation{place}"),
+                "Intrinsics": {
+                    "ModelParameterCount": 14,
+                    "ModelParameters": lens,
+                    "ModelType": "CALIBRATION_LensDistortionModelBrownConrady",
+                },
+                "MetricRadius": 1.74,
+                "Rt": { "Rotation": rotation, "Translation": way },
+                "SensorWidth": side[0],
+                "SensorHeight": side[1],
+            })
+        };
+    let imu = |kind: &str| {
+        json!({
+            "SensorType": format!("CALIBRATION_InertialSensorType_{kind}"),
+            "BiasTemperatureModel": vec![0.0; 12], "BiasUncertainty": vec![1e-4; 3],
+            "MixingMatrixTemperatureModel": vec![0.0; 36], "ModelTypeMask": 16,
+            "Noise": vec![1e-3; 6], "SecondOrderScaling": vec![0.0; 9],
+            "Rt": { "Rotation": [0, -1, 0, 0, 0, 1, -1, 0, 0], "Translation": [0, 0, 0] },
+            "TemperatureBounds": [5, 60], "TemperatureC": 40.0,
+        })
+    };
+    let (straight, none) = ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.0; 3]);
+    let tilted = [1.0, 0.0, 0.0, 0.0, cos, sin, 0.0, -sin, cos];
+    json!({ "CalibrationInformation": {
+        "Cameras": [
+            camera("D0", depth, straight, none, [1024, 1024]),
+            camera("PV0", color, tilted, [-0.032, -0.002, 0.004], [4096, 3072]),
+        ],
+        "InertialSensors": [imu("Gyro"), imu("Accelerometer")],
+    } })
+}
+
+#[test]
+fn depth_is_registered_as_the_makers_library_has_it() {
+    let _turn = turn::beside_others();
+    let case = Case::new(&Synthetic {
+        seed: 8,
+        seconds: 25,
+        ..Synthetic::default()
+    });
+    // Without registration the two images do not lie over one another: no associations.
+    let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
+    said(&plain, "no associations.txt");
+    assert!(!case.path("plain/associations.txt").exists());
+    let device = case.table("plain/depth_frames.csv", &[1]);
+    // The first eight seconds have the pattern of the pulses, and are enough to look at.
+    let device = device.iter().take(240);
+    let device: Vec<i64> = device.map(|row| row[0].unwrap() / 1000).collect();
+    let calibration = calibration().to_string();
+    let jpeg = case.test_picture("color.jpg", 1);
+    let depth = case.vendor(
+        "depth",
+        &device,
+        json!({ "color": jpeg, "size": [320, 288], "calibration": calibration }),
+    );
+    let to = |view| Options {
+        view: Some(view),
+        ..Options::default()
+    };
+    let report = case.extract_as(Format::Tum, Some(&depth), "color", to(View::Color));
+    assert_eq!(report.depth.unwrap().images, device.len() as u64);
+    let path = case.path("calibration.json");
+    std::fs::write(&path, &calibration).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_registered.py");
+    let printed = python::run_script(&script, &[&path, &case.path("color")]);
+    assert_eq!(printed.trim(), "ok");
+
+    // To the phone it takes the profile.
+    let stamps = case.table("plain/phone_frames.csv", &[0]).len();
+    case.test_picture("recording/phone/VID_20260131_140327.mp4", stamps);
+    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to(View::Phone));
+    said(&refused, "phone.cameras");
+    assert_eq!(refused.depth.unwrap().images, 0);
+    // A phone that sees what the colour camera sees, from the same place.
+    let mut session = SessionFile::load(&case.path("recording")).unwrap();
+    let cameras = std::fs::read(case.path("color/cameras.json")).unwrap();
+    let cameras: serde_json::Value = serde_json::from_slice(&cameras).unwrap();
+    let same = serde_json::from_value(cameras["color"]["intrinsics"].clone()).unwrap();
+    let pose = Pose([
+        [0.0, -1.0, 0.0, 0.02],
+        [0.0, 0.0, -1.0, 0.03],
+        [1.0, 0.0, 0.0, -0.1],
+        [0.0, 0.0, 0.0, 1.0],
+    ]);
+    session.profile.phone.cameras = vec![same];
+    session.profile.phone.from_imu = Some(pose);
+    session.profile.depth.color_from_imu = Some(pose);
+    session.save(&case.path("recording")).unwrap();
+    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to(View::Phone));
+    assert_eq!(report.depth.unwrap().images, device.len() as u64);
+    let phone = case.path("phone/mav0/depth0/data");
+    let printed = python::run_script(&script, &[&path, &case.path("color"), &phone]);
+    assert_eq!(printed.trim(), "ok");
+    let yaml = std::fs::read_to_string(case.path("phone/mav0/cam0/sensor.yaml")).unwrap();
+    assert!(yaml.contains("distortion_model: rational"), "{yaml}");
+    // The camera in the frame of the board's IMU: the inverse of from_imu.
+    assert!(yaml.contains("data: [0, 0, 1, 0.1"), "{yaml}");
+    assert!(yaml.contains("direction: down}"), "{yaml}");
+}

@@ -1,0 +1,85 @@
+"""Compares depth that was registered to colour with the camera maker's own library (libk4a
+in the wheel `pyk4a-bundle`), and loads the data set as Open3D's `create_from_tum_format` and
+ORB-SLAM3's RGB-D example do: each line of `associations.txt` names two images of the same
+size, depth with 16 bits and 5,000 a metre.
+
+usage: check_registered.py CALIBRATION OUT [SAME]
+
+The depth camera saw a wall at 1,000 mm plus the number of the frame, in mode
+NFOV_2X2BINNED beside colour of 720p. SAME is a folder of depth images in mm that must show
+the same.
+"""
+
+import ctypes as C
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+calibration_path, out, *same = map(Path, sys.argv[1:])
+libraries = Path(sysconfig.get_path("purelib")) / "pyk4a_bundle.libs"
+
+
+def load(name):
+    (path,) = libraries.glob(name)
+    return C.CDLL(str(path), C.RTLD_GLOBAL)
+
+
+load("libudev*")
+k4a = load("libk4a-*")
+raw = calibration_path.read_bytes() + b"\0"
+calibration = C.create_string_buffer(16_384)
+NFOV_2X2BINNED, COLOR_720P = 1, 1
+assert k4a.k4a_calibration_get_from_raw(
+    raw, C.c_size_t(len(raw)), NFOV_2X2BINNED, COLOR_720P, calibration) == 0
+for name in ["k4a_calibration_2d_to_2d", "k4a_calibration_2d_to_3d"]:
+    getattr(k4a, name).argtypes = [
+        C.c_void_p, C.c_void_p, C.c_float, C.c_int, C.c_int, C.c_void_p, C.c_void_p]
+
+
+def as_seen(column, row, depth):
+    """Pixel of colour, and depth from there."""
+    pixel, point = (C.c_float * 2)(column, row), (C.c_float * 3)()
+    seen, valid = (C.c_float * 2)(), C.c_int()
+    k4a.k4a_calibration_2d_to_2d(calibration, pixel, depth, 0, 1, seen, C.byref(valid))
+    if not valid.value:
+        return None
+    k4a.k4a_calibration_2d_to_3d(calibration, pixel, depth, 0, 1, point, C.byref(valid))
+    return seen[0], seen[1], point[2]
+
+
+frames = pd.read_csv(out / "depth_frames.csv")
+number_of = {f"{(at + 500) // 1000 / 1e6:.6f}": number
+             for number, at in zip(frames["#frame"], frames["timestamp [ns]"])}
+lines = [line.split() for line in (out / "associations.txt").read_text().splitlines()]
+assert len(lines) > 100, len(lines)
+compared = 0
+for _, color_name, stamp, depth_name in lines[:: len(lines) // 4]:
+    color, depth = Image.open(out / color_name), Image.open(out / depth_name)
+    assert color.size == depth.size == (1280, 720), (color.size, depth.size)
+    millimetres = np.array(depth).astype(float) / 5
+    wall = 1_000 + number_of[stamp]
+    for column in range(4, 320, 12):
+        for row in range(4, 288, 12):
+            seen = as_seen(column, row, wall)
+            if seen is None:
+                continue
+            x, y, z = seen
+            if not (1 <= x < 1279 and 1 <= y < 719):
+                continue
+            # The wall is tilted against colour by less than 2 mm from pixel to pixel.
+            found = millimetres[round(y), round(x)]
+            assert abs(found - z) < 2.5, (column, row, found, z)
+            compared += 1
+assert compared > 1_000, compared
+for folder in same:
+    names, others = sorted(folder.glob("*.png")), sorted((out / "depth").glob("*.png"))
+    assert len(names) == len(others) > 100
+    for a, b in list(zip(names, others))[:: len(names) // 4]:
+        off = np.abs(np.array(Image.open(a)).astype(int) * 5 - np.array(Image.open(b)).astype(int))
+        # The edges of the wall may round to another pixel.
+        assert (off > 5).mean() < 1e-3, a
+print("ok")

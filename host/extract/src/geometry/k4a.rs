@@ -1,0 +1,323 @@
+//! The depth camera's own calibration, `calibration.json` of its recording.
+//!
+//! Intrinsics are those of the whole sensor, in parts of its size with (0, 0) at the
+//! corner; each mode bins and crops it (`src/transformation/mode_specific_calibration.c`
+//! of the maker's SDK). Parameters are cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1
+//! (`k4atypes.h`). Translations are in metres, from depth to the camera.
+
+use recording::profile::{DistortionModel, Intrinsics, Pose};
+use serde::Deserialize;
+
+use super::lens::{Lens, Model};
+
+/// Tangent up to which a calibration holds that does not say it
+/// (`src/calibration/calibration.c`).
+const DEFAULT_RADIUS: f64 = 1.7;
+
+/// Size of the binned sensor, what is cut off before the image, and the image's size.
+type Crop = ([f64; 2], [f64; 2], (u32, u32));
+
+#[derive(Deserialize)]
+#[serde(rename_all = "PascalCase")]
+struct File {
+    calibration_information: Information,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "PascalCase")]
+struct Information {
+    cameras: Vec<Raw>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "PascalCase")]
+struct Raw {
+    location: String,
+    intrinsics: RawIntrinsics,
+    rt: RawPose,
+    sensor_width: f64,
+    sensor_height: f64,
+    #[serde(default)]
+    metric_radius: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "PascalCase")]
+struct RawIntrinsics {
+    model_type: String,
+    model_parameters: Vec<f64>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "PascalCase")]
+struct RawPose {
+    rotation: [f64; 9],
+    translation: [f64; 3],
+}
+
+/// One of its cameras in the mode of a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Camera {
+    pub(crate) lens: Lens,
+    pub(crate) size: (u32, u32),
+    /// As other programs take them; not for the maker's older model.
+    pub(crate) intrinsics: Option<Intrinsics>,
+    /// From the device's origin, which is the depth camera.
+    pose: Pose,
+}
+
+/// Both cameras.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Calibration {
+    pub(crate) depth: Camera,
+    /// If colour was recorded.
+    pub(crate) color: Option<Camera>,
+    /// The pose of colour, whether it was recorded or not.
+    pub(crate) color_from_depth: Pose,
+}
+
+/// Reads it for the mode and the size of depth, and the size of colour. The error says
+/// what was found and what was expected.
+pub(crate) fn read(
+    json: &[u8],
+    mode: Option<&str>,
+    color: Option<(u32, u32)>,
+) -> Result<Calibration, String> {
+    let file: File = serde_json::from_slice(json)
+        .map_err(|error| format!("the camera's calibration.json cannot be read: {error}"))?;
+    let cameras = &file.calibration_information.cameras;
+    let find = |location: &str| {
+        cameras
+            .iter()
+            .find(|camera| camera.location == location)
+            .ok_or_else(|| {
+                format!(
+                    "the camera's calibration.json has {} cameras and none at {location}",
+                    cameras.len()
+                )
+            })
+    };
+    let raw_depth = find("CALIBRATION_CameraLocationD0")?;
+    let raw_color = find("CALIBRATION_CameraLocationPV0")?;
+    let mode = mode.unwrap_or("no mode");
+    let crop = depth_crop(mode)
+        .ok_or_else(|| format!("depth mode {mode} has no calibration that is known"))?;
+    let depth = camera(raw_depth, crop)?;
+    let color_camera = match color {
+        None => None,
+        Some(size) => {
+            let crop = color_crop(raw_color, size).ok_or_else(|| {
+                format!(
+                    "colour of {} × {} has no calibration that is known",
+                    size.0, size.1
+                )
+            })?;
+            Some(camera(raw_color, crop)?)
+        }
+    };
+    let color_from_depth = pose(&raw_color.rt)?.after(&depth.pose.inverse());
+    Ok(Calibration {
+        depth,
+        color: color_camera,
+        color_from_depth,
+    })
+}
+
+fn depth_crop(mode: &str) -> Option<Crop> {
+    match mode {
+        "NFOV_UNBINNED" => Some(([1024.0; 2], [192.0, 180.0], (640, 576))),
+        "NFOV_2X2BINNED" => Some(([512.0; 2], [96.0, 90.0], (320, 288))),
+        "WFOV_UNBINNED" | "PASSIVE_IR" => Some(([1024.0; 2], [0.0; 2], (1024, 1024))),
+        "WFOV_2X2BINNED" => Some(([512.0; 2], [0.0; 2], (512, 512))),
+        _ => None,
+    }
+}
+
+/// The sensor has 4:3; images of 16:9 are cut out of its middle. Calibrations of the
+/// first cameras are of such images.
+fn color_crop(raw: &Raw, (width, height): (u32, u32)) -> Option<Crop> {
+    let known = [
+        (1280, 720),
+        (1920, 1080),
+        (2560, 1440),
+        (3840, 2160),
+        (2048, 1536),
+        (4096, 3072),
+    ];
+    if !known.contains(&(width, height)) {
+        return None;
+    }
+    let whole = [f64::from(width), f64::from(width) * 0.75];
+    let cut = [0.0, 0.5 * (whole[1] - f64::from(height))];
+    // A calibration of 16:9 has the same width, and its rows begin an eighth later.
+    let wide = (raw.sensor_width * 9.0 - raw.sensor_height * 16.0).abs() < 1e-6;
+    let four_to_three = (raw.sensor_width * 3.0 - raw.sensor_height * 4.0).abs() < 1e-6;
+    if wide {
+        let own = [whole[0], whole[0] * 9.0 / 16.0];
+        let before = 0.5 * (whole[1] - own[1]);
+        return Some((own, [0.0, cut[1] - before], (width, height)));
+    }
+    four_to_three.then_some((whole, cut, (width, height)))
+}
+
+fn pose(raw: &RawPose) -> Result<Pose, String> {
+    let row = |row: usize| [0, 1, 2].map(|column| raw.rotation[3 * row + column]);
+    let rotation = [row(0), row(1), row(2)];
+    let values = raw.rotation.iter().chain(&raw.translation);
+    if values.into_iter().all(|value| value.abs() <= 10.0) {
+        Ok(Pose::new(rotation, raw.translation))
+    } else {
+        Err(String::from(
+            "the camera's calibration.json has a pose that is none",
+        ))
+    }
+}
+
+fn camera(raw: &Raw, (binned, crop, size): Crop) -> Result<Camera, String> {
+    let Some(&[cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, codx, cody, p2, p1]) =
+        raw.intrinsics.model_parameters.first_chunk::<14>()
+    else {
+        return Err(format!(
+            "the camera's calibration.json has {} parameters of a lens, expected 14",
+            raw.intrinsics.model_parameters.len()
+        ));
+    };
+    let brown = match raw.intrinsics.model_type.as_str() {
+        "CALIBRATION_LensDistortionModelBrownConrady" => true,
+        "CALIBRATION_LensDistortionModelRational6KT" => false,
+        other => {
+            let other: String = other.chars().take(64).collect();
+            return Err(format!(
+                "the camera's calibration.json has a lens of model {other:?}; expected \
+                 CALIBRATION_LensDistortionModelBrownConrady or …Rational6KT"
+            ));
+        }
+    };
+    // Pixels count from the centre of the first.
+    let focal = [fx * binned[0], fy * binned[1]];
+    let center = [
+        cx * binned[0] - crop[0] - 0.5,
+        cy * binned[1] - crop[1] - 0.5,
+    ];
+    if !(focal.iter().all(|&side| side > 0.0 && side < 1e6)) {
+        return Err(format!(
+            "the camera's calibration.json has focal lengths of {focal:?} pixels"
+        ));
+    }
+    let model = Model::Brown {
+        radial: [k1, k2, k3, k4, k5, k6],
+        tangential: [p1, p2],
+        center: if brown { [0.0; 2] } else { [codx, cody] },
+        mixed: if brown { 2.0 } else { 1.0 },
+    };
+    let radius = Some(raw.metric_radius)
+        .filter(|&radius| radius > 1e-4)
+        .unwrap_or(DEFAULT_RADIUS);
+    let intrinsics = brown.then(|| Intrinsics {
+        width: size.0,
+        height: size.1,
+        focal,
+        center,
+        distortion: DistortionModel::Rational,
+        coefficients: vec![k1, k2, p1, p2, k3, k4, k5, k6],
+    });
+    Ok(Camera {
+        lens: Lens::new(focal, center, model, Some(radius)),
+        size,
+        intrinsics,
+        pose: pose(&raw.rt)?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file() -> String {
+        let camera = |place: &str, lens: &str, side: &str| {
+            format!(
+                r#"{{"Location":"CALIBRATION_CameraLocation{place}","Intrinsics":{{"ModelType":
+                "CALIBRATION_LensDistortionModelBrownConrady","ModelParameters":[{lens}]}},
+                "Rt":{{"Rotation":[1,0,0,0,1,0,0,0,1],"Translation":[-0.032,0,0]}},{side}}}"#
+            )
+        };
+        let depth = camera(
+            "D0",
+            "0.5,0.5,0.49,0.49,0.6,0.04,-0.004,0.9,0.15,-0.02,0,0,-8e-5,1e-4",
+            r#""SensorWidth":1024,"SensorHeight":1024"#,
+        );
+        let color = camera(
+            "PV0",
+            "0.5,0.5,0.475,0.634,0,0,0,0,0,0,0,0,0,0",
+            r#""SensorWidth":4096,"SensorHeight":3072"#,
+        );
+        format!(r#"{{"CalibrationInformation":{{"Cameras":[{depth},{color}]}}}}"#)
+    }
+
+    #[test]
+    fn a_mode_is_a_part_of_the_sensor() {
+        let found = read(file().as_bytes(), Some("NFOV_UNBINNED"), Some((1920, 1080))).unwrap();
+        let depth = found.depth.intrinsics.unwrap();
+        // 512 less the 192 columns and 180 rows that are cut off, from the first pixel's centre.
+        assert_eq!(depth.center, [319.5, 331.5]);
+        assert_eq!(found.depth.size, (640, 576));
+        let color = found.color.unwrap().intrinsics.unwrap();
+        assert_eq!(color.center, [959.5, 539.5]);
+        assert!((color.focal[1] - 0.634 * 1440.0).abs() < 1e-9);
+        // The calibrations of the first cameras are of 16:9.
+        let old = file().replace(":3072", ":2304");
+        let old = read(old.as_bytes(), Some("NFOV_UNBINNED"), Some((2048, 1536))).unwrap();
+        let color = old.color.unwrap().intrinsics.unwrap();
+        assert_eq!(color.center, [1023.5, 767.5]);
+        assert!((color.focal[1] - 0.634 * 1152.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_and_nothing_panics() {
+        let good = file();
+        for (from, to, told) in [
+            (
+                "LocationD0",
+                "LocationX",
+                "none at CALIBRATION_CameraLocationD0",
+            ),
+            ("0.5,0.5,0.49", "0.49", "12 parameters"),
+            ("BrownConrady", "Theta", "of model"),
+            ("0.49,0.49", "0.49,-1", "focal lengths"),
+            ("CalibrationInformation", "Other", "cannot be read"),
+        ] {
+            let error = read(
+                good.replacen(from, to, 1).as_bytes(),
+                Some("NFOV_UNBINNED"),
+                None,
+            );
+            assert!(error.unwrap_err().contains(told), "{from}");
+        }
+        assert!(
+            read(good.as_bytes(), Some("OFF"), None)
+                .unwrap_err()
+                .contains("OFF")
+        );
+        assert!(read(good.as_bytes(), Some("NFOV_UNBINNED"), Some((7, 7))).is_err());
+        let mut state = 1_u64;
+        let mut dice = |end: usize| {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 33) as usize % end
+        };
+        for _ in 0..3_000 {
+            let mut bad = good.clone().into_bytes();
+            for _ in 0..=dice(4) {
+                let at = dice(bad.len());
+                bad[at] = b"0123456789e-.,[]{}\"x"[dice(20)];
+            }
+            if let Ok(found) = read(&bad, Some("NFOV_UNBINNED"), Some((1280, 720))) {
+                for pixel in [[0.0, 0.0], [639.0, 575.0]] {
+                    let ray = found.depth.lens.unproject(pixel);
+                    let _ = ray.and_then(|ray| found.depth.lens.project(ray));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! What `kalibr_bagcreater --folder` takes: images in `cam0`, `cam1` and the samples in
+//! `imu0.csv`, `imu1.csv` beside them, all named and stamped by nanoseconds.
+//!
+//! | in `kalibr/` | what |
+//! |---|---|
+//! | `cam0` | the phone's camera |
+//! | `cam1` | the depth camera's colour images, as the camera's JPEG files |
+//! | `imu0.csv`, `imu1.csv` | the IMUs of board and phone: `timestamp,omega_x,…,alpha_z` |
+//! | `imu0.yaml`, `imu1.yaml` | noise, topic and rate, as `--imu` takes them |
+//! | `depth0`, `ir0` | depth (mm) and infrared, which Kalibr leaves alone |
+//! | `times.yaml` | what was added to board time |
+//!
+//! The bag creator splits a stamp's text in seconds and its last nine digits, and ROS
+//! takes a time of zero for none. So every time is board time plus [`OFFSET_NS`] exactly.
+
+use std::fmt::Write;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::noise::{self, Noise};
+use super::{Facts, ImuTable, Layout, SequenceTables, number, push_sample};
+use crate::board_data::ImuRow;
+use crate::image::write_whole;
+use crate::time::{BoardNanos, SECOND, in_name};
+
+pub(super) struct Kalibr;
+
+/// Added to board time, ns: 1,000 s.
+const OFFSET_NS: i64 = 1_000 * SECOND;
+
+const FOLDER: &str = "kalibr";
+
+const IMU_HEADER: &str = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n";
+
+fn moved(at: BoardNanos) -> BoardNanos {
+    BoardNanos(at.0.saturating_add(OFFSET_NS))
+}
+
+fn imu_row(row: &mut String, sample: &ImuRow) {
+    let sample = ImuRow {
+        at: moved(sample.at),
+        ..*sample
+    };
+    push_sample(row, &sample);
+    row.push('\n');
+}
+
+fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
+    PathBuf::from(format!("{FOLDER}/{folder}/{}.{ending}", in_name(moved(at))))
+}
+
+const fn imu(path: &'static str) -> ImuTable {
+    ImuTable {
+        path,
+        header: IMU_HEADER,
+        subtract_delay: true,
+        row: imu_row,
+    }
+}
+
+impl Layout for Kalibr {
+    fn color_path(&self, at: BoardNanos) -> PathBuf {
+        image("cam0", at, "png")
+    }
+
+    fn depth_path(&self, at: BoardNanos) -> PathBuf {
+        image("depth0", at, "png")
+    }
+
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(image("cam1", at, "jpg"))
+    }
+
+    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(image("ir0", at, "png"))
+    }
+
+    fn board_imu(&self) -> ImuTable {
+        imu("kalibr/imu0.csv")
+    }
+
+    fn phone_imu(&self) -> Option<ImuTable> {
+        Some(imu("kalibr/imu1.csv"))
+    }
+
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
+        let base = folder.join(FOLDER);
+        super::further::write(folder, tables)?;
+        let imus = [
+            ("imu0", facts.board_imu_rate, &noise::MPU_9150),
+            ("imu1", facts.phone_imu_rate, &noise::PHONE),
+        ];
+        for (name, rate, noise) in imus {
+            if let Some(rate) = rate {
+                let text = imu_yaml(name, rate, noise);
+                write_whole(&base.join(format!("{name}.yaml")), text.as_bytes())?;
+            }
+        }
+        let text = format!(
+            "# every time below this folder is board time plus this, exactly\noffset_ns: {OFFSET_NS}\n"
+        );
+        write_whole(&base.join("times.yaml"), text.as_bytes())
+    }
+}
+
+fn imu_yaml(topic: &str, rate: f64, noise: &Noise) -> String {
+    let mut text = noise.yaml();
+    // Writing into a String cannot fail.
+    let _ = write!(text, "rostopic: /{topic}\nupdate_rate: {}\n", number(rate));
+    text
+}

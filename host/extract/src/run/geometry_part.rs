@@ -1,0 +1,151 @@
+//! What is known of the cameras, and the way of depth images into another camera's view.
+
+use recording::profile::{Intrinsics, Pose};
+
+use super::Extraction;
+use super::depth_part::Depth;
+use crate::geometry::k4a::{self, Calibration};
+use crate::geometry::lens::Lens;
+use crate::geometry::register::Registration;
+use crate::geometry::{CameraFacts, Cameras, View};
+use crate::inputs::PhoneInput;
+
+/// Where depth images are seen from.
+pub(super) enum DepthView {
+    /// As the depth camera has them.
+    Own,
+    /// From another camera.
+    Other(Box<Registration>),
+    /// From another camera, and that is not possible.
+    None,
+}
+
+impl Extraction<'_> {
+    /// The cameras, and the view of depth images that was asked for. `video` is the size of
+    /// the phone's images.
+    pub(super) fn geometry(
+        &mut self,
+        phone: &PhoneInput,
+        video: Option<(u32, u32)>,
+        depth: Option<&Depth>,
+    ) -> (Cameras, DepthView) {
+        let calibration = depth.map_or_else(
+            || Err(String::from("there is no depth recording")),
+            read_calibration,
+        );
+        let color_from_imu = self.inputs.color_from_imu;
+        let depth_from_imu = calibration
+            .as_ref()
+            .ok()
+            .zip(color_from_imu)
+            .map(|(calibration, color)| calibration.color_from_depth.inverse().after(&color));
+        let readout = self.job.options.readout_ns;
+        let mut cameras = Cameras {
+            phone: phone.camera.facts(video, readout),
+            ..Cameras::default()
+        };
+        if let Ok(calibration) = &calibration {
+            cameras.depth.intrinsics = calibration.depth.intrinsics.clone();
+            let color = calibration.color.as_ref();
+            cameras.color.intrinsics = color.and_then(|color| color.intrinsics.clone());
+        }
+        cameras.color.from_imu = color_from_imu;
+        cameras.depth.from_imu = depth_from_imu;
+        let Some(view) = self.job.options.view else {
+            return (cameras, DepthView::Own);
+        };
+        let found = calibration.and_then(|calibration| match view {
+            View::Color => into_color(&calibration),
+            View::Phone => {
+                let facts = (&cameras.phone, video);
+                into_phone(&calibration, facts, depth_from_imu)
+            }
+        });
+        match found {
+            Ok(registration) => {
+                cameras.depth = match view {
+                    View::Phone => cameras.phone.clone(),
+                    View::Color => cameras.color.clone(),
+                };
+                cameras.depth.shutter = None;
+                (cameras, DepthView::Other(Box::new(registration)))
+            }
+            Err(why) => {
+                self.lose(
+                    "depth",
+                    format!(
+                        "depth images are not written, for they cannot be registered as --register asks: {why}"
+                    ),
+                );
+                (cameras, DepthView::None)
+            }
+        }
+    }
+
+    /// Writes `cameras.json`, if anything is known of a camera.
+    pub(super) fn write_cameras(&self, cameras: &Cameras) -> Result<(), super::ExtractError> {
+        if *cameras == Cameras::default() {
+            return Ok(());
+        }
+        let json = serde_json::to_vec_pretty(cameras).map_err(|error| self.failed(error.into()))?;
+        self.write("cameras.json", &json)
+    }
+}
+
+fn read_calibration(depth: &Depth) -> Result<Calibration, String> {
+    let index = &depth.index;
+    let json = index
+        .calibration
+        .as_ref()
+        .ok_or("the depth recording has no calibration.json")?;
+    let color = index.color.as_ref().map(|color| color.size);
+    let calibration = k4a::read(json, index.mode.as_deref(), color)?;
+    if calibration.depth.size == index.size {
+        return Ok(calibration);
+    }
+    Err(format!(
+        "depth images are {} × {}, and those of the mode {} × {}",
+        index.size.0, index.size.1, calibration.depth.size.0, calibration.depth.size.1
+    ))
+}
+
+fn into_color(calibration: &Calibration) -> Result<Registration, String> {
+    let color = calibration
+        .color
+        .as_ref()
+        .ok_or("the depth camera recorded no colour; give --register phone")?;
+    let depth = &calibration.depth;
+    Ok(Registration::new(
+        (&depth.lens, depth.size),
+        calibration.color_from_depth,
+        (&color.lens, color.size),
+    ))
+}
+
+fn into_phone(
+    calibration: &Calibration,
+    (phone, video): (&CameraFacts, Option<(u32, u32)>),
+    depth_from_imu: Option<Pose>,
+) -> Result<Registration, String> {
+    let (width, height) = video.ok_or("there are no images of the phone")?;
+    let intrinsics: &Intrinsics = phone.intrinsics.as_ref().ok_or_else(|| {
+        format!(
+            "the profile has no intrinsics of the phone (phone.cameras) for images of {width} × {height}; \
+             `profile import-kalibr` writes them"
+        )
+    })?;
+    let from_imu = phone.from_imu.ok_or(
+        "the profile does not say where the phone's camera is (phone.from_imu); `profile import-kalibr` \
+         writes it",
+    )?;
+    let depth_from_imu = depth_from_imu.ok_or(
+        "the profile does not say where the depth camera is (depth.color_from_imu); `profile \
+         import-kalibr` writes it",
+    )?;
+    let depth = &calibration.depth;
+    Ok(Registration::new(
+        (&depth.lens, depth.size),
+        from_imu.after(&depth_from_imu.inverse()),
+        (&Lens::of(intrinsics), (width, height)),
+    ))
+}

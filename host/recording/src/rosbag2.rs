@@ -1,0 +1,94 @@
+//! `metadata.yaml`: what makes the folder of a recording a rosbag2, for `ros2 bag` and
+//! the libraries that open bags by their folder.
+//!
+//! The form is version 5 of `rosbag2_bagfile_information` (ROS 2 Humble), which later
+//! versions read too. Times are board time, as in the file.
+
+use std::fmt::Write;
+use std::io;
+use std::path::Path;
+
+use mcap::Summary;
+
+use super::MCAP_FILE;
+
+/// Name of the file in the folder.
+pub const METADATA_FILE: &str = "metadata.yaml";
+
+/// Key of the quality of service in a channel's metadata.
+pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
+
+/// The quality of service of every topic, in the form of rosbag2: keep the last 1,000,
+/// reliable, volatile, no deadline and no lifespan. The file and `metadata.yaml` must
+/// agree in it.
+pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
+    deadline:\n    sec: 9223372036\n    nsec: 854775807\n  \
+    lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
+    liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
+    avoid_ros_namespace_conventions: false\n";
+
+/// Writes `metadata.yaml` beside the finished `recording.mcap` in `folder`.
+///
+/// # Errors
+///
+/// It cannot be written.
+pub fn save(folder: &Path, summary: &Summary) -> io::Result<()> {
+    files::replace(
+        &folder.join(METADATA_FILE),
+        text(MCAP_FILE, summary).as_bytes(),
+    )
+}
+
+/// The content of `metadata.yaml` for a bag of one MCAP file.
+#[must_use]
+pub fn text(file: &str, summary: &Summary) -> String {
+    let stats = summary.stats.as_ref();
+    let (start, end, count) = stats.map_or((0, 0, 0), |stats| {
+        (
+            stats.message_start_time,
+            stats.message_end_time,
+            stats.message_count,
+        )
+    });
+    let duration = end.saturating_sub(start);
+    let mut text = format!(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  \
+         duration:\n    nanoseconds: {duration}\n  \
+         starting_time:\n    nanoseconds_since_epoch: {start}\n  \
+         message_count: {count}\n  topics_with_message_count:\n"
+    );
+    let mut channels: Vec<_> = summary.channels.values().collect();
+    channels.sort_by_key(|channel| channel.id);
+    for channel in channels {
+        let messages = stats
+            .and_then(|stats| stats.channel_message_counts.get(&channel.id))
+            .copied()
+            .unwrap_or(0);
+        let kind = channel.schema.as_ref().map_or("", |schema| &schema.name);
+        let qos = channel.metadata.get(QOS_KEY).map_or("", String::as_str);
+        // Writing into a String cannot fail.
+        let _ = write!(
+            text,
+            "    - topic_metadata:\n        name: {}\n        type: {}\n        \
+             serialization_format: {}\n        offered_qos_profiles: {}\n      \
+             message_count: {messages}\n",
+            quoted(&channel.topic),
+            quoted(kind),
+            quoted(&channel.message_encoding),
+            quoted(qos)
+        );
+    }
+    let _ = write!(
+        text,
+        "  compression_format: \"\"\n  compression_mode: \"\"\n  \
+         relative_file_paths:\n    - {file}\n  files:\n    - path: {file}\n      \
+         starting_time:\n        nanoseconds_since_epoch: {start}\n      \
+         duration:\n        nanoseconds: {duration}\n      message_count: {count}\n"
+    );
+    text
+}
+
+/// A string of JSON is one of YAML, whatever is in it.
+fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
