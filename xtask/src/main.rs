@@ -111,6 +111,10 @@ enum Command {
         /// With --frame-sync: number of rigs.
         #[arg(long, default_value_t = 20, requires = "frame_sync")]
         launches: u32,
+        /// With --frame-sync: over what may be true instead of what is believed, on the
+        /// models alone.
+        #[arg(long, requires = "frame_sync")]
+        beliefs: bool,
         /// The extraction: speed and memory, beside a plain Python reader.
         #[arg(long, conflicts_with = "sync")]
         extract: bool,
@@ -184,8 +188,9 @@ fn run(command: Command) -> Result<()> {
         Command::Bench {
             frame_sync: true,
             launches,
+            beliefs,
             ..
-        } => frame_sync(launches),
+        } => frame_sync(launches, beliefs),
         Command::Bench { sync: false, .. } => bench(),
         Command::Study { trials } => sync_bench::study(trials),
         Command::Hour => hour(),
@@ -311,16 +316,19 @@ fn campaign(name: &str, Seeds { seed, count }: &Seeds) -> Result<()> {
     process::run_hil_sim(&args, &elf)
 }
 
-fn frame_sync(launches: u32) -> Result<()> {
+fn frame_sync(launches: u32, beliefs: bool) -> Result<()> {
     let elf = firmware::build_rig()?;
     let out = process::target_dir().join("frame-sync");
-    let args = [
+    let mut args = vec![
         "frame-sync".to_owned(),
         "--launches".to_owned(),
         launches.to_string(),
         "--out".to_owned(),
         out.display().to_string(),
     ];
+    if beliefs {
+        args.push("--beliefs".to_owned());
+    }
     process::run_hil_sim(&args, &elf)
 }
 

@@ -26,10 +26,11 @@
 //!   own. How a real camera behaves there is not known.
 //! - Frames can get lost on their way to the computer
 //!   ([`DepthCameraConfig::drop_probability`]): exposed and stamped, but not
-//!   delivered.
+//!   delivered; or spoilt at random ([`DepthCameraConfig::spoil_probability`]).
+//! - The photodiode's output follows the light late, by another time when it comes than
+//!   when it goes ([`DepthCameraConfig::photodiode_delay`]).
 //!
-//! Limits: light reaches the photodiode at once and its edges are sharp;
-//! images are not made here.
+//! Limits: an edge of the photodiode is one edge; images are not made here.
 
 use std::collections::VecDeque;
 
@@ -82,14 +83,24 @@ pub struct DepthCameraConfig {
     pub first_frame: u32,
     /// From a pulse's rising edge to the first flash, in the camera's time.
     pub flash_delay: SimDuration,
+    /// Jitter of that, 1-sigma. At most three of it, and no flash before the camera knows
+    /// that no pulse comes.
+    pub flash_jitter: SimDuration,
     /// How far from its expected place a pulse may come without a disturbance.
     pub tolerance: SimDuration,
     /// Frames that are bad after a disturbance, the one disturbed included.
     pub bad_frames: u32,
     /// The camera's clock. Its offset is what the device timestamp starts from.
     pub clock: OscillatorConfig,
+    /// The device timestamp counts from the first pulse, not from the clock's offset.
+    pub zeroed_at_first_pulse: bool,
     /// Probability that a frame is lost on its way to the computer.
     pub drop_probability: f64,
+    /// Probability that a frame's image is spoilt for no reason that is known.
+    pub spoil_probability: f64,
+    /// From the begin of a flash to the photodiode's rising edge, and from its end to the
+    /// falling one: rise times against the threshold of the input.
+    pub photodiode_delay: (SimDuration, SimDuration),
     /// Whether the photodiode is wired to the strobe input.
     pub photodiode: bool,
 }
@@ -103,14 +114,19 @@ impl Default for DepthCameraConfig {
             mode: DepthMode::NfovUnbinned,
             first_frame: 2,
             flash_delay: SimDuration::from_micros(500),
+            flash_jitter: SimDuration::ZERO,
             tolerance: SimDuration::from_micros(200),
             bad_frames: 3,
             clock: OscillatorConfig {
                 offset_ns: 2_500_000_000,
                 rate_ppm: 300.0,
                 wander: 1e-9,
+                ..OscillatorConfig::default()
             },
+            zeroed_at_first_pulse: false,
             drop_probability: 0.0,
+            spoil_probability: 0.0,
+            photodiode_delay: (SimDuration::ZERO, SimDuration::ZERO),
             photodiode: true,
         }
     }
@@ -122,6 +138,11 @@ impl Default for DepthCameraConfig {
 pub struct DepthCameraError(String);
 
 impl DepthCameraConfig {
+    /// From a pulse, or where one was expected, to where it is known whether one came.
+    fn earliest_flash(&self) -> SimDuration {
+        self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1)
+    }
+
     fn check(&self) -> Result<(), DepthCameraError> {
         let fail = |text: String| Err(DepthCameraError(text));
         match (self.fps, self.mode) {
@@ -143,7 +164,7 @@ impl DepthCameraConfig {
                 self.tolerance.as_nanos()
             ));
         }
-        let known_after = self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1);
+        let known_after = self.earliest_flash();
         if self.flash_delay < known_after {
             return fail(format!(
                 "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
@@ -231,6 +252,8 @@ pub struct DepthCamera {
     candidate: Option<Candidate>,
     /// When it gives up waiting for the next pulse.
     deadline: Option<SimTime>,
+    /// Its clock's count at the first pulse.
+    first_pulse: Option<u64>,
     flash_log: Option<FlashLog>,
     /// Changes of the light still to come.
     light: VecDeque<(SimTime, Level)>,
@@ -261,6 +284,7 @@ impl DepthCamera {
             state: State::Waiting(0),
             candidate: None,
             deadline: None,
+            first_pulse: None,
             flash_log: None,
             light: VecDeque::new(),
             pulses: 0,
@@ -292,6 +316,7 @@ impl DepthCamera {
     pub fn wait_for_pulses(&mut self) {
         self.stop();
         self.bad_left = 0;
+        self.first_pulse = None;
         self.state = State::Waiting(0);
     }
 
@@ -361,6 +386,7 @@ impl DepthCamera {
     fn accept(&mut self, edge: SimTime) {
         self.pulses += 1;
         let own = self.own_at(edge);
+        self.first_pulse.get_or_insert(own);
         let source = Source::Pulse {
             number: self.pulses,
             edge,
@@ -428,8 +454,9 @@ impl DepthCamera {
     /// Plans the flashes of a frame whose pulse is (or would be) at `base`.
     fn expose(&mut self, base: u64, source: Source) {
         let train = self.config.mode.flashes();
-        let first = base + self.config.flash_delay.units();
+        let first = base + self.flash_delay();
         let units = |ns: i64| ns.unsigned_abs() * UNITS_PER_NANO;
+        let (rise, fall) = self.config.photodiode_delay;
         for flash in train.starting_at(0) {
             let on = first + units(flash.start_ns);
             let off = on + units(flash.duration_ns);
@@ -439,12 +466,19 @@ impl DepthCamera {
                     end: self.clock.when_elapsed(off),
                 });
             }
-            self.light.push_back((self.board_at(on), Level::High));
-            self.light.push_back((self.board_at(off), Level::Low));
+            let at = |local| self.board_at(local);
+            let edges = [
+                (at(on + rise.units()), Level::High),
+                (at(off + fall.units()), Level::Low),
+            ];
+            self.light.extend(edges);
         }
         let center = first + units(train.center_offset_ns());
         let center_true = self.clock.when_elapsed(center);
-        let bad = self.bad_left > 0;
+        // Nothing is drawn where nothing is random: a seed keeps its frames.
+        let spoilt = self.config.spoil_probability;
+        let spoilt = spoilt > 0.0 && self.random.chance(spoilt);
+        let bad = self.bad_left > 0 || spoilt;
         self.bad_left = self.bad_left.saturating_sub(1);
         self.frames.push_back(FrameRecord {
             number: self.frame_count,
@@ -459,8 +493,28 @@ impl DepthCamera {
         self.frame_count += 1;
     }
 
+    /// From a pulse to the first flash of its frame, in units of the camera's time.
+    fn flash_delay(&mut self) -> u64 {
+        let (delay, jitter) = (self.config.flash_delay, self.config.flash_jitter);
+        if jitter == SimDuration::ZERO {
+            return delay.units();
+        }
+        let sigmas = self.random.normal().clamp(-3.0, 3.0);
+        let late = (sigmas * jitter.units() as f64) as i64;
+        let earliest = self.config.earliest_flash().units();
+        delay.units().saturating_add_signed(late).max(earliest)
+    }
+
     /// The camera's timestamp counter at a true time.
     fn device_ticks(&self, at: TrueTime) -> u64 {
+        if let Some(first) = self
+            .first_pulse
+            .filter(|_| self.config.zeroed_at_first_pulse)
+        {
+            let since = u128::from(self.clock.elapsed_at(at).saturating_sub(first));
+            let ticks = since * u128::from(TIMESTAMP_HZ) / u128::from(UNITS_PER_SECOND);
+            return u64::try_from(ticks).unwrap_or(u64::MAX);
+        }
         let offset = u128::from(self.config.clock.offset_ns.max(0).unsigned_abs());
         let offset = (offset * u128::from(TIMESTAMP_HZ) / 1_000_000_000) as u64;
         offset + self.clock.ticks_at(at, Rate::hz(TIMESTAMP_HZ))

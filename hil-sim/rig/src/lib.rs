@@ -5,6 +5,7 @@
 //! a part of the rig that is wired to it is a [`stm32f4_sim::model::PinModel`] or an
 //! [`stm32f4_sim::i2c::I2cTarget`].
 
+pub mod beliefs;
 pub mod depth_camera;
 pub mod flash_log;
 pub mod inertial_channel;

@@ -20,7 +20,10 @@
 //! was measured at about 1e-9 at 10 s and 2e-7 at 10,000 s (time-nuts list,
 //! November 2015), which is a wander of 0.5e-9 to 3.5e-9 per square root of a
 //! second. Limits: no white or flicker noise (its time error over a second
-//! is picoseconds for any quartz), no temperature model.
+//! is picoseconds for any quartz).
+//!
+//! The warming ([`Warming`]): from power-on on the frequency moves to another one, fast at
+//! first and then ever more slowly, as the temperature of a rig does.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -84,6 +87,40 @@ pub struct OscillatorConfig {
     /// Standard deviation of the fractional frequency's change in one second
     /// (not in ppm). 0 is a constant rate.
     pub wander: f64,
+    /// How the frequency moves as the rig warms up.
+    #[serde(default)]
+    pub warming: Warming,
+}
+
+/// How a frequency moves after power-on, as its crystal warms up: exponentially.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Warming {
+    /// Change of the fractional frequency in the first ten minutes, in parts per million.
+    pub ppm: f64,
+    /// Time constant, in seconds.
+    pub time_s: f64,
+}
+
+impl Warming {
+    /// The time in which the frequency changes by [`Warming::ppm`], in seconds.
+    pub const SPAN_S: f64 = 600.0;
+
+    /// Fractional frequency so many seconds after power-on, less that at power-on.
+    fn fraction(&self, since_s: f64) -> f64 {
+        let share = |time_s: f64| -libm::expm1(-time_s / self.time_s);
+        let fraction = self.ppm * 1e-6 * share(since_s) / share(Self::SPAN_S);
+        if fraction.is_finite() { fraction } else { 0.0 }
+    }
+}
+
+impl Default for Warming {
+    /// None.
+    fn default() -> Self {
+        Self {
+            ppm: 0.0,
+            time_s: Self::SPAN_S,
+        }
+    }
 }
 
 /// Largest fractional frequency error: ten percent.
@@ -101,9 +138,10 @@ pub struct Oscillator {
 struct Track {
     /// Elapsed local units at each whole second of true time; at least two entries.
     at_second: Vec<u64>,
-    /// Fractional frequency in the last second of `at_second`.
+    /// Fractional frequency in the last second of `at_second`, but for the warming.
     fraction: f64,
     wander: f64,
+    warming: Warming,
     random: Random,
 }
 
@@ -113,7 +151,10 @@ impl Track {
             self.fraction += self.wander * self.random.normal();
             self.fraction = self.fraction.clamp(-MAX_FRACTION, MAX_FRACTION);
         }
-        let excess = (self.fraction * UNITS_PER_SECOND as f64).round() as i64;
+        // In the middle of the second.
+        let warmed = self.warming.fraction(self.at_second.len() as f64 - 0.5);
+        let fraction = (self.fraction + warmed).clamp(-MAX_FRACTION, MAX_FRACTION);
+        let excess = (fraction * UNITS_PER_SECOND as f64).round() as i64;
         let length = UNITS_PER_SECOND.saturating_add_signed(excess);
         let last = self.at_second.last().copied().unwrap_or(0);
         self.at_second.push(last.saturating_add(length));
@@ -160,6 +201,7 @@ impl Oscillator {
                 at_second: vec![0],
                 fraction,
                 wander,
+                warming: config.warming,
                 random,
             })),
         }
@@ -302,6 +344,7 @@ mod tests {
                 offset_ns,
                 rate_ppm,
                 wander,
+                ..OscillatorConfig::default()
             },
             Seed(11).stream(Stream::PhoneClock),
         )
@@ -387,12 +430,44 @@ mod tests {
     }
 
     #[test]
+    fn a_warming_crystal_moves_as_stated_and_ever_more_slowly() {
+        for (ppm, time_s) in [(1.0, 120.0), (-5.0, 300.0), (0.3, 1e6)] {
+            let config = OscillatorConfig {
+                warming: Warming { ppm, time_s },
+                ..OscillatorConfig::default()
+            };
+            let o = Oscillator::new(config, Seed(1).stream(Stream::PhoneClock));
+            let at = |s: u64| o.fraction_at(TrueTime::from_nanos(s * 1_000_000_000)) * 1e6;
+            // A second of true time is its middle's rate.
+            let per_second = (ppm / time_s).abs().max(ppm.abs() / 600.0);
+            assert!((at(600) - at(0) - ppm).abs() < per_second, "{}", at(600));
+            let (early, late) = (at(300) - at(0), at(600) - at(300));
+            let ratio = (-300.0 / time_s).exp();
+            assert!(
+                (late / early - ratio).abs() < 0.02,
+                "{early} {late} {ratio}"
+            );
+            // The count is the frequency's integral: 1 ppm over a second is 1 µs.
+            let gained = o.elapsed_at(TrueTime::from_nanos(600_000_000_000)) as f64
+                - 600.0 * UNITS_PER_SECOND as f64;
+            let expected: f64 = (0..600).map(at).sum();
+            assert!((gained / UNITS_PER_NANO as f64 * 1e-3 - expected).abs() < 0.01);
+        }
+        // Without a time there is none.
+        let none = Warming {
+            ppm: 1.0,
+            time_s: 0.0,
+        };
+        assert!(none.fraction(0.0) == 0.0 && Warming::default().fraction(9.0) == 0.0);
+    }
+
+    #[test]
     fn the_board_counts_its_own_time() {
         let board = BoardTime::new(
             OscillatorConfig {
                 offset_ns: 99,
                 rate_ppm: -20.0,
-                wander: 0.0,
+                ..OscillatorConfig::default()
             },
             Seed(1).stream(Stream::BoardClock),
         );

@@ -43,6 +43,10 @@ pub enum Stream {
     PhoneConfig = 17,
     /// Noise of the phone's magnetometer.
     PhoneMagnetometer = 18,
+    /// Frames of the phone that are lost or doubled, and exposures.
+    PhoneFrames = 21,
+    /// What a rig may be like beyond what is believed.
+    Beliefs = 22,
 }
 
 impl From<Stream> for u64 {

@@ -55,11 +55,13 @@ impl RigConfig {
             offset_ns: 0,
             rate_ppm: random.uniform(-30.0, 30.0),
             wander: 1e-9,
+            ..OscillatorConfig::default()
         };
         let camera_clock = OscillatorConfig {
             offset_ns: random.uniform(1e9, 600e9) as i64,
             rate_ppm: random.uniform(-400.0, 400.0),
             wander: 1e-9,
+            ..OscillatorConfig::default()
         };
         Self {
             seed,

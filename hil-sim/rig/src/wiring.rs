@@ -22,7 +22,7 @@ pub const STROBE: Pin = Pin::PA2;
 /// The trigger's wire, read back (TIM2 CH4).
 pub(crate) const READBACK: Pin = Pin::PA3;
 /// Clock of the IMU (MCO1).
-pub(crate) const IMU_CLOCK: Pin = Pin::PA8;
+pub const IMU_CLOCK: Pin = Pin::PA8;
 /// Clock of the I2C bus (I2C1).
 pub(crate) const SCL: Pin = Pin::PB6;
 /// Data of the I2C bus (I2C1).

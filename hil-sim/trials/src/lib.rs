@@ -1,6 +1,7 @@
 //! Sessions on the simulated rig, judged by the truth: the demo, the fault campaign,
 //! the hostile campaign, boards and phones that lie, the long run and the whole chain. Test code, not a part of the simulator.
 
+pub mod beliefs;
 pub mod board_link;
 pub(crate) mod board_truth;
 pub mod demo;

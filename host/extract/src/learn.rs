@@ -10,7 +10,8 @@
 use std::path::{Path, PathBuf};
 
 use super::report::{ClockReport, ExtractReport};
-use frame_sync::learn::{into_profile as edited, learnt as taught};
+use frame_sync::learn::{Origin, into_profile as edited, learnt as taught};
+use jiff::Timestamp;
 use recording::profile::{Learnt, ProfileError};
 
 /// Windows of motion that a skew is learnt from: a minute of them.
@@ -50,11 +51,7 @@ pub enum LearnError {
 }
 
 /// What a clock relation teaches.
-fn learnt(
-    clock: Option<&ClockReport>,
-    board_id: Option<&str>,
-    date: jiff::civil::Date,
-) -> Result<Learnt, LearnError> {
+fn learnt(clock: Option<&ClockReport>, origin: &Origin<'_>) -> Result<Learnt, LearnError> {
     let clock = clock.ok_or(LearnError::NoFrames)?;
     if clock.source != "gyroscopes" || clock.used < MIN_WINDOWS {
         return Err(LearnError::TooLittle {
@@ -64,17 +61,22 @@ fn learnt(
     }
     let period = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
     let skew = (clock.skew_ppm * 1e-6, clock.skew_sigma_ppm * 1e-6);
-    Ok(taught(period, Some(skew), board_id, date))
+    Ok(taught(period, Some(skew), origin))
 }
 
 /// Writes what a report teaches into a rig profile; comments and order stay.
-/// Returns what was learnt in words, and of which phones nothing could be.
+/// Returns what was learnt in words, and of which phones nothing could be. `time` is when
+/// the recording was made.
 ///
 /// # Errors
 ///
 /// There is too little to learn from of any phone, or the profile cannot be read or
 /// written.
-pub fn into_profile(report: &ExtractReport, path: &Path) -> Result<String, LearnError> {
+pub fn into_profile(
+    report: &ExtractReport,
+    path: &Path,
+    time: Timestamp,
+) -> Result<String, LearnError> {
     let io = |error| LearnError::Io {
         path: path.to_owned(),
         error,
@@ -83,13 +85,17 @@ pub fn into_profile(report: &ExtractReport, path: &Path) -> Result<String, Learn
     let others = report.phones.iter();
     let phones = std::iter::once((report.reference.as_deref(), report.clock.as_ref()))
         .chain(others.map(|other| (Some(other.name.as_str()), other.clock.as_ref())));
-    let today = jiff::Zoned::now().date();
+    let origin = Origin {
+        board_id: report.board.id.as_deref(),
+        time,
+        board_temperature_c: None,
+    };
     let mut lines = Vec::new();
     let mut failures = Vec::new();
     for (name, clock) in phones {
         let shown = name.filter(|_| !report.phones.is_empty());
         let whose = shown.map_or(String::new(), |name| format!(", {name}"));
-        let learnt = match learnt(clock, report.board.id.as_deref(), today) {
+        let learnt = match learnt(clock, &origin) {
             Ok(learnt) => learnt,
             Err(error) => {
                 failures.push((whose, error));
@@ -176,7 +182,7 @@ mod tests {
         let before = "[phone]\nname = \"left\"\n\n[[phones]]\nname = \"right\"\naddress = \"x\"\n";
         let of = |report: &ExtractReport| {
             std::fs::write(&path, before).unwrap();
-            let said = into_profile(report, &path);
+            let said = into_profile(report, &path, Timestamp::now());
             let text = std::fs::read_to_string(&path).unwrap();
             (said, Profile::parse(&text, None).unwrap())
         };

@@ -5,7 +5,7 @@
 //! phone time of the middle   m = phase + exposure/2 + start of the row − start of the first row
 //! board time of it           b = clock⁻¹(m)
 //! trigger edge               e = b − center_offset − bias
-//! period on the board        p = frame period / (1 + skew) · (phone frames to a depth frame)
+//! period on the board        p = frame period / (1 + rate) · (phone frames to a depth frame)
 //! ```
 //!
 //! `phase` is the timestamp of one frame, the start of exposure of its first
@@ -14,16 +14,19 @@
 //! over, depth minus phone.
 //!
 //! The phase depends on the offset of the clocks at the time of that frame,
-//! the drift on frame period and skew. A single twist gives the skew to about
+//! the drift on frame period and rate. A single twist gives the skew to about
 //! 1 ppm, and `video_start` the frame period to about 1 ppm: each 60 µs/min. So
-//! both are taken from the profile once they have been learnt.
+//! both are taken from the profile once they have been learnt. A frame period in the
+//! phone's time stays; a skew ages, and moves with the temperature ([`aged`]): twists at a
+//! distance before the recording know today's ([`Course`]).
 
+use jiff::Timestamp;
 use protocol::TICK_HZ;
 
+use crate::rates::{Course, Rate};
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
-use timebase::ClockModel;
-use timebase::{BoardSeconds, PhoneSeconds};
+use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 
 /// How far a learnt value may be from the one measured now, in sigmas of both.
 const CONSISTENT_SIGMAS: f64 = 5.0;
@@ -32,9 +35,26 @@ const CONSISTENT_SIGMAS: f64 = 5.0;
 /// and the assumed value is rather too large than too small.
 const FRAME_JITTER_NS: f64 = 2_000.0;
 
+/// Intervals whose mean `video_start` reports.
+const INTERVALS: f64 = 59.0;
+
 /// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean
 /// of 59 intervals whose ends have that jitter.
-const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / 59.0;
+const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / INTERVALS;
+
+/// So many of the first frames may be lost or doubled.
+const MOST_ODD_FRAMES: f64 = 3.0;
+
+/// How far the span of the first frames may be from a whole number of periods, in periods:
+/// phones are off by less than half a percent.
+const WHOLE: f64 = 0.35;
+
+/// 1-sigma of what a skew moves for each °C of the board: a plain crystal is specified
+/// within ±30 ppm over some 100 °C, with a slope of about so much in the middle, 1/°C.
+const TEMPERATURE_PER_C: f64 = 0.3e-6;
+
+/// The most that the sigma of a skew grows with its age: rooms and seasons.
+const MOST_AGED: f64 = 2e-6;
 
 /// How far the trigger's period may be from that of the depth camera's mode, relative to
 /// it. Phones are off by some 0.1 %; a camera that is driven at another rate makes no
@@ -75,15 +95,56 @@ pub struct Planned {
     pub remarks: Vec<String>,
 }
 
-/// What the profile has learnt about this phone and this board, where it can be
-/// used.
+/// What the profile has learnt about the rate of this phone against this board, where it
+/// can be used, as far as it is still known now and at this temperature of the board in °C.
 #[must_use]
-pub fn skew_prior<'p>(phone: &'p Phone, board_id: &str) -> Option<(f64, f64, &'p Learnt)> {
+pub fn skew_prior(
+    phone: &Phone,
+    board_id: &str,
+    now: Timestamp,
+    temperature_c: Option<f64>,
+) -> Option<Rate> {
     let learnt = phone.learnt.as_ref()?;
     if learnt.board_id.as_deref().is_some_and(|id| id != board_id) {
         return None;
     }
-    Some((learnt.skew?, learnt.skew_sigma?, learnt))
+    Some(Rate {
+        skew: learnt.skew?,
+        sigma: aged(learnt, learnt.skew_sigma?, now, temperature_c),
+    })
+}
+
+/// 1-sigma of a learnt skew now: with its age it walks as clocks wander, up to a limit, and
+/// it moves with the temperature. Without a time of day it is a day older than its date;
+/// without temperatures the age stands for them too.
+fn aged(learnt: &Learnt, sigma: f64, now: Timestamp, temperature_c: Option<f64>) -> f64 {
+    const DAY_S: f64 = 86_400.0;
+    let age_s = match learnt.time {
+        Some(time) => now.duration_since(time).as_secs_f64(),
+        None => {
+            let today = now.to_zoned(jiff::tz::TimeZone::system()).date();
+            let days = today.since(learnt.learnt).map_or(0, |span| span.get_days());
+            f64::from(days + 1) * DAY_S
+        }
+    };
+    let walked = (Wander::default().diffusion() * age_s.abs()).sqrt();
+    let warmer = temperature_c.zip(learnt.board_temperature_c);
+    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
+    sigma.hypot(walked.min(MOST_AGED)).hypot(moved)
+}
+
+/// 1-sigma of the phase now, µs, as [`phase_sigma_us_at`] predicts it and with what the
+/// temperature of the board in °C has done since the last twist: as if evenly.
+#[must_use]
+pub fn phase_sigma_us_now(
+    alignment: &Alignment,
+    now: BoardSeconds,
+    temperature_c: Option<f64>,
+) -> f64 {
+    let warmer = temperature_c.zip(alignment.board_temperature_c);
+    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
+    let since = now.0 - alignment.clock.reference.0;
+    phase_sigma_us_at(alignment, now).hypot(moved * since / 2.0 * 1e6)
 }
 
 /// Takes a skew known from before into a relation of the clocks.
@@ -116,11 +177,8 @@ pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<Cloc
 /// # Errors
 ///
 /// The phone's figures lead nowhere.
-pub fn plan(
-    profile: &Profile,
-    clock: &ClockModel,
-    video: &Video,
-) -> Result<Planned, AlignmentError> {
+pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned, AlignmentError> {
+    let clock = &course.clock;
     let mut remarks = Vec::new();
     let (frame_period_ns, frame_period_sigma_ns, source) =
         frame_period(&profile.phone, video, &mut remarks);
@@ -141,7 +199,8 @@ pub fn plan(
         return Err(AlignmentError::OutOfRange { board_s: edge.0 });
     }
     let ratio = f64::from(profile.frame_ratio());
-    let period_s = frame_period_ns * 1e-9 * ratio / (1.0 + clock.skew);
+    let rate = course.rate_from(edge);
+    let period_s = frame_period_ns * 1e-9 * ratio / (1.0 + rate.skew);
     let expected_s = 1.0 / f64::from(profile.depth.fps);
     let is_near = (period_s / expected_s - 1.0).abs() <= NEAR_MODE;
     if !is_near {
@@ -163,12 +222,13 @@ pub fn plan(
             frame_period_sigma_ns,
             frame_period_source: source,
             clock: *clock,
+            change: course.change,
+            board_temperature_c: None,
             anchor: edge.ticks(),
             period_q32,
-            phase_sigma_us: phase_sigma_us(clock, edge),
+            phase_sigma_us: phase_sigma_us(course, edge),
             drift_sigma_us_per_min: drift_sigma_us_per_min(
-                clock,
-                edge,
+                rate,
                 frame_period_ns,
                 frame_period_sigma_ns,
             ),
@@ -193,8 +253,8 @@ fn middle(clock: &ClockModel, video: &Video, exposure_us: f64, middle_row_us: f6
 
 /// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and
 /// the jitter of the one timestamp that the phone gives.
-fn phase_sigma_us(clock: &ClockModel, at: BoardSeconds) -> f64 {
-    (clock.offset_at(at).sigma * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
+fn phase_sigma_us(course: &Course, at: BoardSeconds) -> f64 {
+    (course.offset_sigma_at(at) * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
 }
 
 /// 1-sigma of a frame period relative to it; without one it is that of the period
@@ -203,28 +263,49 @@ fn relative_period_sigma(frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
     sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns
 }
 
-/// 1-sigma of how frames move against pulses, µs/min: the skew and the frame period.
-fn drift_sigma_us_per_min(
-    clock: &ClockModel,
-    at: BoardSeconds,
-    frame_period_ns: f64,
-    sigma_ns: Option<f64>,
-) -> f64 {
+/// 1-sigma of how frames move against pulses, µs/min: the rate and the frame period.
+fn drift_sigma_us_per_min(rate: Rate, frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
     let period_sigma = relative_period_sigma(frame_period_ns, sigma_ns);
-    clock.skew_sigma_at(at).hypot(period_sigma) * 60e6
+    rate.sigma.hypot(period_sigma) * 60e6
 }
 
 /// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
 ///
 /// Where the grid is right on the phone's frames depends on the offset of the clocks
-/// *then*, whose uncertainty holds what the skew adds, and on how many frames of
+/// *then*, whose uncertainty holds what skew and warming add, and on how many frames of
 /// an uncertain period lie between.
 #[must_use]
 pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
     let since = at.0 - alignment.anchor.as_secs_f64();
     let period_sigma =
         relative_period_sigma(alignment.frame_period_ns, alignment.frame_period_sigma_ns);
-    phase_sigma_us(&alignment.clock, at).hypot(since * period_sigma * 1e6)
+    let course = Course {
+        clock: alignment.clock,
+        change: alignment.change,
+    };
+    phase_sigma_us(&course, at).hypot(since * period_sigma * 1e6)
+}
+
+/// The mean frame duration that the phone reports, where frames of the first 60 were lost
+/// or doubled made right: their span is a whole number of periods all the same.
+fn reported_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> f64 {
+    let reported = video.frame_duration_ns;
+    let about = phone
+        .learnt
+        .as_ref()
+        .map_or(1e9 / 30.0, |learnt| learnt.frame_period_ns);
+    let periods = reported * INTERVALS / about;
+    let whole = periods.round();
+    let odd = (whole - INTERVALS).abs();
+    if odd == 0.0 || odd > MOST_ODD_FRAMES || (periods - whole).abs() > WHOLE {
+        return reported;
+    }
+    let what = if whole > INTERVALS { "lost" } else { "doubled" };
+    remarks.push(format!(
+        "{odd} of the phone's first 60 frames were {what}: the {reported} ns that it reports \
+         are the mean of {whole} periods over {INTERVALS}"
+    ));
+    reported * INTERVALS / whole
 }
 
 /// The learnt frame period where there is one that fits what the phone reports
@@ -234,7 +315,7 @@ fn frame_period(
     video: &Video,
     remarks: &mut Vec<String>,
 ) -> (f64, Option<f64>, FramePeriodSource) {
-    let reported = video.frame_duration_ns;
+    let reported = reported_period(phone, video, remarks);
     let Some(learnt) = &phone.learnt else {
         remarks.push(String::from(
             "no frame period learnt yet: the phase may drift by tens of µs a minute \
@@ -261,20 +342,21 @@ fn frame_period(
 /// Where the frames of another phone lie against the depth images, whose grid
 /// follows the reference phone.
 ///
-/// `phone` is one of the profile's, `clock` its relation to the board, `video` what
+/// `phone` is one of the profile's, `course` its relation to the board, `video` what
 /// it answered. The offset is counted from the depth image that is nearest, as if
 /// there were one to each frame of the reference phone.
 #[must_use]
 pub fn placement(
     profile: &Profile,
     phone: &Phone,
-    clock: &ClockModel,
+    course: &Course,
     video: &Video,
     alignment: &Alignment,
 ) -> Placement {
     let (period_ns, sigma_ns, _) = frame_period(phone, video, &mut Vec::new());
     let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
-    let middle = middle(clock, video, exposure_us, phone.middle_row_us());
+    let middle = middle(&course.clock, video, exposure_us, phone.middle_row_us());
+    let rate = course.rate_from(middle);
     let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;
     let depth = BoardSeconds(alignment.anchor.as_secs_f64() + to_depth);
     let grid_s = alignment.period_q32 as f64
@@ -282,219 +364,14 @@ pub fn placement(
         / f64::from(TICK_HZ)
         / f64::from(profile.frame_ratio());
     let apart = middle.0 - depth.0;
-    let own_s = period_ns * 1e-9 / (1.0 + clock.skew);
+    let own_s = period_ns * 1e-9 / (1.0 + rate.skew);
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
-        offset_sigma_us: phase_sigma_us(clock, middle),
+        offset_sigma_us: phase_sigma_us(course, middle),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
-        drift_sigma_us_per_min: drift_sigma_us_per_min(clock, middle, period_ns, sigma_ns),
+        drift_sigma_us_per_min: drift_sigma_us_per_min(rate, period_ns, sigma_ns),
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use jiff::civil::date;
-
-    use super::*;
-    use timebase::PhoneNanos;
-    use timebase::Wander;
-
-    fn clock() -> ClockModel {
-        ClockModel {
-            reference: BoardSeconds(100.0),
-            offset: 36_000.000_25,
-            skew: 2e-5,
-            covariance: [[9e-12, 0.0], [0.0, 1e-12]],
-            wander: Wander(1e-8),
-        }
-    }
-
-    fn video() -> Video {
-        Video {
-            phase: PhoneNanos(36_110_000_000_000),
-            frame_duration_ns: 33_330_652.542,
-            exposure_ns: Some(4_000_000),
-        }
-    }
-
-    fn learnt() -> Learnt {
-        Learnt {
-            frame_period_ns: 33_330_650.0,
-            frame_period_sigma_ns: 0.02,
-            skew: Some(2.05e-5),
-            skew_sigma: Some(2e-8),
-            learnt: date(2026, 1, 31),
-            board_id: Some(String::from("AB")),
-        }
-    }
-
-    #[test]
-    fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
-        let mut profile = Profile::published().unwrap();
-        profile.frame_sync.bias_us = -120.0;
-        let planned = plan(&profile, &clock(), &video()).unwrap();
-        let alignment = planned.alignment;
-        // Back from the edge to the phone's time: the same instant.
-        let middle_board = BoardSeconds(alignment.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
-        let middle_phone = clock().to_phone(middle_board).0;
-        let wanted = 36_110.0 + (2_000.0 + 5_503.0) * 1e-6;
-        assert!(
-            (middle_phone - wanted).abs() < 12e-9,
-            "{middle_phone} {wanted}"
-        );
-
-        // The period in board ticks: the phone's seconds are shorter than the board's.
-        let ticks = alignment.period_q32 as f64 / 4_294_967_296.0;
-        let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
-        assert!((ticks - expected).abs() < 1e-8);
-        assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
-        // 1 ppm of skew, 1.4 ppm of frame period.
-        assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
-        assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 4.0).sqrt()).abs() < 0.05);
-        assert!(planned.remarks[0].contains("no frame period learnt"));
-    }
-
-    #[test]
-    fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
-        let profile = Profile::published().unwrap();
-        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
-        let anchor = alignment.anchor.as_secs_f64();
-        let at_anchor = phase_sigma_us_at(&alignment, BoardSeconds(anchor));
-        // A tick of the anchor is rounded.
-        assert!((at_anchor - alignment.phase_sigma_us).abs() < 1e-6);
-        // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
-        // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
-        let since = 160.0 - anchor;
-        let period_us = since * VIDEO_START_SIGMA_NS / 33_330_652.542 * 1e6;
-        let expected = (9.0 + 60.0_f64.powi(2) + 4.0 + period_us.powi(2)).sqrt();
-        let found = phase_sigma_us_at(&alignment, BoardSeconds(160.0));
-        // The clocks' wander adds a little.
-        assert!(
-            (0.0..0.1).contains(&(found - expected)),
-            "{found} {expected}"
-        );
-    }
-
-    #[test]
-    fn a_learnt_period_is_used_unless_it_does_not_fit() {
-        let mut profile = Profile::published().unwrap();
-        profile.phone.learnt = Some(learnt());
-        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
-        assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
-        assert_eq!(alignment.frame_period_ns, 33_330_650.0);
-
-        let mut other = video();
-        other.frame_duration_ns = 33_333_333.0;
-        let planned = plan(&profile, &clock(), &other).unwrap();
-        assert_eq!(
-            planned.alignment.frame_period_source,
-            FramePeriodSource::VideoStart
-        );
-        assert!(planned.remarks[0].contains("does not fit"));
-    }
-
-    #[test]
-    fn another_phone_is_placed_against_the_grid() {
-        let mut profile = Profile::published().unwrap();
-        profile.frame_sync.bias_us = 40.0;
-        let alignment = plan(&profile, &clock(), &video()).unwrap().alignment;
-        // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
-        let other = ClockModel {
-            offset: 71_000.5,
-            skew: -3e-5,
-            ..clock()
-        };
-        let board = clock().to_board(video().phase.seconds()).0 + 2.5e-3 + 7.0 * 33.33e-3;
-        let board = BoardSeconds(board - 7.0 * (33.33e-3 - 33_330_652.542e-9 / (1.0 + 2e-5)));
-        let moved = Video {
-            phase: PhoneNanos((other.to_phone(board).0 * 1e9).round() as i64),
-            frame_duration_ns: (33_330_652.542 / (1.0 + 2e-5) + 100.0) * (1.0 - 3e-5),
-            ..video()
-        };
-        for fps in [30, 5] {
-            profile.depth.fps = fps;
-            let alignment = Alignment {
-                period_q32: alignment.period_q32 * u64::from(profile.frame_ratio()),
-                ..alignment
-            };
-            let placed = placement(&profile, &profile.phone, &other, &moved, &alignment);
-            // To the middle it is 7,503 µs of each phone's own clock. A tick of the
-            // anchor and a few ns of seconds in floats may be off.
-            let offset = 2_500.0 + 7_503.0 * 5e-5;
-            assert!((placed.offset_us - offset).abs() < 0.05, "{placed:?}");
-            let drift = 100.0 / 33_329_986.0 * 60e6;
-            assert!((placed.drift_us_per_min - drift).abs() < 0.1, "{placed:?}");
-            assert!(placed.offset_sigma_us > 3.0 && placed.offset_sigma_us < 20.0);
-            assert!(placed.drift_sigma_us_per_min > 60.0);
-        }
-    }
-
-    #[test]
-    fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
-        let mut profile = Profile::published().unwrap();
-        let fast = plan(&profile, &clock(), &video()).unwrap().alignment;
-        profile.depth.fps = 5;
-        let slow = plan(&profile, &clock(), &video()).unwrap().alignment;
-        assert_eq!(slow.anchor, fast.anchor);
-        assert!(slow.period_q32.abs_diff(6 * fast.period_q32) <= 4);
-    }
-
-    #[test]
-    fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
-        let profile = Profile::published().unwrap();
-        for exposure_ns in [None, Some(0)] {
-            let video = Video {
-                exposure_ns,
-                ..video()
-            };
-            let planned = plan(&profile, &clock(), &video).unwrap();
-            assert_eq!(planned.alignment.exposure_us, 10_000.0);
-            assert!(planned.remarks.iter().any(|text| text.contains("exposure")));
-        }
-    }
-
-    #[test]
-    fn nonsense_from_the_phone_is_told() {
-        let profile = Profile::published().unwrap();
-        // A period of 1 ms would be within what the board can do.
-        for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9, 1e6, 2.9e7, 4e7] {
-            let video = Video {
-                frame_duration_ns,
-                ..video()
-            };
-            assert!(matches!(
-                plan(&profile, &clock(), &video),
-                Err(AlignmentError::FramePeriod { .. })
-            ));
-        }
-        let early = Video {
-            phase: PhoneNanos(0),
-            ..video()
-        };
-        assert!(matches!(
-            plan(&profile, &clock(), &early),
-            Err(AlignmentError::OutOfRange { .. })
-        ));
-    }
-
-    #[test]
-    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
-        let mut wide = clock();
-        wide.covariance = [[9e-12, 1e-12], [1e-12, 1e-12]];
-        let sharp = with_known_skew(&wide, 2.05e-5, 2e-8).unwrap();
-        assert!((sharp.skew - 2.05e-5).abs() < 1e-9);
-        assert!(sharp.covariance[1][1].sqrt() < 2.1e-8);
-        // Correlation 1/3: the offset moves by cov/var of the skew's change.
-        assert!((sharp.offset - wide.offset - 0.5e-6).abs() < 1e-8);
-        assert!(sharp.covariance[0][0] < wide.covariance[0][0]);
-        assert_eq!(with_known_skew(&wide, 3e-5, 2e-8), None);
-    }
-
-    #[test]
-    fn a_skew_against_another_board_is_not_taken() {
-        let mut profile = Profile::published().unwrap();
-        profile.phone.learnt = Some(learnt());
-        assert!(skew_prior(&profile.phone, "AB").is_some());
-        assert!(skew_prior(&profile.phone, "CD").is_none());
-    }
-}
+mod tests;

@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use jiff::civil::Date;
+use jiff::Timestamp;
+use jiff::tz::TimeZone;
 
 use recording::profile::{Learnt, Profile, ProfileError};
 use recording::session_file::Twist;
@@ -18,22 +19,34 @@ const REPEATABILITY: f64 = 2e-8;
 /// The least time between two twists, s.
 const MIN_BASELINE_S: f64 = 60.0;
 
+/// Where something was learnt.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Origin<'a> {
+    /// The board whose clock the skew is against.
+    pub board_id: Option<&'a str>,
+    /// When the recording was made.
+    pub time: Timestamp,
+    /// Temperature of the board's IMU then, °C.
+    pub board_temperature_c: Option<f64>,
+}
+
 /// What a recording teaches, with the floor for what changes between recordings:
 /// frame period in ns and skew, each with its 1-sigma within the recording.
 #[must_use]
 pub fn learnt(
     (period, period_sigma): (f64, f64),
     skew: Option<(f64, f64)>,
-    board_id: Option<&str>,
-    date: Date,
+    origin: &Origin<'_>,
 ) -> Learnt {
     Learnt {
         frame_period_ns: period,
         frame_period_sigma_ns: period_sigma.hypot(REPEATABILITY * period),
         skew: skew.map(|(skew, _)| skew),
         skew_sigma: skew.map(|(_, sigma)| sigma.hypot(REPEATABILITY)),
-        learnt: date,
-        board_id: board_id.map(str::to_owned),
+        learnt: origin.time.to_zoned(TimeZone::system()).date(),
+        time: Some(origin.time),
+        board_temperature_c: origin.board_temperature_c,
+        board_id: origin.board_id.map(str::to_owned),
     }
 }
 
@@ -80,6 +93,12 @@ pub fn into_profile(
         table.insert("skew_sigma", toml_edit::value(sigma));
     }
     table.insert("learnt", toml_edit::value(learnt.learnt.to_string()));
+    if let Some(time) = learnt.time {
+        table.insert("time", toml_edit::value(time.to_string()));
+    }
+    if let Some(celsius) = learnt.board_temperature_c {
+        table.insert("board_temperature_c", toml_edit::value(celsius));
+    }
     if let Some(id) = &learnt.board_id {
         table.insert("board_id", toml_edit::value(id.as_str()));
     }
@@ -138,8 +157,6 @@ pub(crate) fn phone_table<'a>(
 
 #[cfg(test)]
 mod tests {
-    use jiff::civil::date;
-
     use super::*;
     use crate::train::{FramePeriod, frame_period};
     use recording::profile::DEFAULT;
@@ -171,6 +188,7 @@ mod tests {
             clock: Some(clock(reference)),
             offset_sigma_us: None,
             skew_sigma_ppm: None,
+            board_temperature_c: None,
             report: serde_json::Value::Null,
         };
         let mut twists = vec![twist(10.0)];
@@ -179,7 +197,12 @@ mod tests {
         let learnt_over = |twists: &[Twist], resets| {
             let skew = skew_of_twists((twists, last), resets);
             let known = (period.period_ns, period.sigma_ns);
-            super::learnt(known, skew, None, date(2026, 1, 31))
+            let origin = Origin {
+                board_id: None,
+                time: "2026-01-31T12:00:00Z".parse().unwrap(),
+                board_temperature_c: Some(27.5),
+            };
+            super::learnt(known, skew, &origin)
         };
         let learnt = |twists: &[Twist]| learnt_over(twists, 0);
         let one_twist = learnt(&twists);

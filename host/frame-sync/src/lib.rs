@@ -3,6 +3,7 @@
 //! - [`train`]: the frames' period in the phone's clock, from their timestamps.
 //! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
 //! - [`kalibr`]: what Kalibr found, put into the rig profile.
+//! - [`rates`]: how the rate of its clock goes on, from twists before a recording.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
 //!   same instant.
 #![forbid(unsafe_code)]
@@ -10,4 +11,5 @@
 pub mod alignment;
 pub mod kalibr;
 pub mod learn;
+pub mod rates;
 pub mod train;

@@ -44,7 +44,8 @@ pub struct FramePeriod {
 }
 
 /// Fits a straight line through the timestamps of frames. Missing frames are
-/// recognised by their distance; single timestamps far off the line are left out.
+/// recognised by their distance; single timestamps far off the line are left out, and
+/// of a frame that came twice, the second.
 ///
 /// # Errors
 ///
@@ -53,6 +54,8 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
     let odd = |reason: &str| TrainError::NoTrain {
         reason: reason.to_owned(),
     };
+    let mut times = times.to_vec();
+    times.dedup();
     if times.len() < MIN_FRAMES {
         return Err(TrainError::TooFew { found: times.len() });
     }
@@ -211,6 +214,16 @@ mod tests {
             frame_period(&shifted),
             Err(TrainError::NoTrain { .. })
         ));
+    }
+
+    #[test]
+    fn a_frame_that_came_twice_counts_once() {
+        let mut times = frames(3_000);
+        let once = frame_period(&times).unwrap();
+        for place in [0, 700, 2_000] {
+            times.insert(place, times[place]);
+        }
+        assert_eq!(frame_period(&times), Ok(once));
     }
 
     #[test]

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
+use jiff::Timestamp;
 use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
 use serde::{Deserialize, Serialize};
@@ -180,8 +181,14 @@ pub struct Learnt {
     /// 1-sigma of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew_sigma: Option<f64>,
-    /// When.
+    /// The day.
     pub learnt: Date,
+    /// The time, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time: Option<Timestamp>,
+    /// Temperature of the board's IMU then, °C.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board_temperature_c: Option<f64>,
     /// The board whose clock the skew is against.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_id: Option<String>,

@@ -220,6 +220,9 @@ pub struct Twist {
     pub offset_sigma_us: Option<f64>,
     /// 1-sigma of the skew, ppm.
     pub skew_sigma_ppm: Option<f64>,
+    /// Mean temperature of the board's IMU during it, °C.
+    #[serde(default)]
+    pub board_temperature_c: Option<f64>,
     /// The full report of the estimate (gates, faults, residuals).
     pub report: serde_json::Value,
 }
@@ -263,6 +266,12 @@ pub struct Alignment {
     pub frame_period_source: FramePeriodSource,
     /// The relation of the clocks that was used.
     pub clock: ClockModel,
+    /// How its skew changes, from its reference on.
+    #[serde(default)]
+    pub change: RateChange,
+    /// Temperature of the board's IMU at the last twist, °C.
+    #[serde(default)]
+    pub board_temperature_c: Option<f64>,
     /// An edge of the grid.
     pub anchor: Ticks,
     /// Period of the grid in 2⁻³² ticks.
@@ -276,6 +285,19 @@ pub struct Alignment {
     pub arrival_pulse: Option<u64>,
     /// Its time.
     pub arrival: Option<Ticks>,
+}
+
+/// How the skew of two clocks changes while a rig warms up, as far as it is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RateChange {
+    /// Change of the skew at the relation's reference, 1/s; it dies away.
+    pub per_s: f64,
+    /// Variance of it, 1/s².
+    pub variance: f64,
+    /// Covariance with the offset.
+    pub with_offset: f64,
+    /// Covariance with the skew, 1/s.
+    pub with_skew: f64,
 }
 
 /// Where a frame period comes from.

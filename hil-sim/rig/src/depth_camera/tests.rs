@@ -25,6 +25,7 @@ fn steady() -> DepthCameraConfig {
             offset_ns: 2_500_000_000,
             rate_ppm: 300.0,
             wander: 0.0,
+            ..OscillatorConfig::default()
         },
         ..DepthCameraConfig::default()
     }

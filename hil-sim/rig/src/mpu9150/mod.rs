@@ -56,7 +56,7 @@ use stm32f4_sim::clock::Rate;
 use stm32f4_sim::i2c::Shared;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};
-use stm32f4_sim::time::{SimDuration, SimTime};
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 pub use faults::Fault;
 pub use log::{SampleLog, SampleRecord, Values};
@@ -83,6 +83,13 @@ pub struct Mpu9150Config {
     pub self_heating_c: f64,
     /// Time constant of warming up, in seconds.
     pub warm_up_s: f64,
+    /// Change of the gyroscope's bias with the die's temperature, rad/s per °C.
+    #[serde(default)]
+    pub gyro_drift: [f64; 3],
+    /// How data-ready goes wrong against a clock on CLKIN, of which it should be an exact
+    /// division.
+    #[serde(default)]
+    pub data_ready: DataReady,
     /// Noise of the thermometer, standard deviation of a sample in °C.
     pub temperature_noise_c: f64,
     /// The sensor's own oscillator, as its PLL on a gyroscope makes it (CLKSEL 1
@@ -103,6 +110,28 @@ pub struct Mpu9150Config {
     pub wake_up: SimDuration,
 }
 
+/// How the samples' times go wrong against the clock on CLKIN.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DataReady {
+    /// Rate of the samples against that clock, parts per million.
+    pub rate_ppm: f64,
+    /// They wander by up to so many nanoseconds, to and fro.
+    pub wander_ns: f64,
+}
+
+impl DataReady {
+    /// Time in which the wander goes to and fro, seconds.
+    const WANDER_S: f64 = 7.0;
+
+    /// How much later than the exact division a sample is that comes after `since_s`
+    /// seconds, in units of [`SimTime`].
+    fn late(self, since_s: f64) -> i64 {
+        let turn = 2.0 * core::f64::consts::PI * since_s / Self::WANDER_S;
+        let late_s = self.wander_ns * 1e-9 * turn.sin() - self.rate_ppm * 1e-6 * since_s;
+        (late_s * UNITS_PER_SECOND as f64) as i64
+    }
+}
+
 /// Degrees a second in one rad/s.
 const DEGREES: f64 = 180.0 / core::f64::consts::PI;
 
@@ -116,6 +145,8 @@ impl Mpu9150Config {
             temperature_c: 35.0,
             self_heating_c: 0.0,
             warm_up_s: 60.0,
+            gyro_drift: [0.0; 3],
+            data_ready: DataReady::default(),
             temperature_noise_c: 0.0,
             own_clock: OscillatorConfig::default(),
             internal_ppm: 0.0,
@@ -158,6 +189,7 @@ impl Mpu9150Config {
                 offset_ns: 0,
                 rate_ppm: random.uniform(-8000.0, 8000.0),
                 wander: 3e-7,
+                ..OscillatorConfig::default()
             },
             internal_ppm: random.uniform(-40_000.0, 40_000.0),
             ..Self::ideal()

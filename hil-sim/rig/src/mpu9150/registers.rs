@@ -31,7 +31,7 @@ pub mod address {
     /// FIFO, auxiliary bus, and their resets (register 106).
     pub(crate) const USER_CTRL: u8 = 0x6a;
     /// Reset, sleep, clock (register 107).
-    pub(crate) const PWR_MGMT_1: u8 = 0x6b;
+    pub const PWR_MGMT_1: u8 = 0x6b;
     /// Standby of single axes (register 108).
     pub(crate) const PWR_MGMT_2: u8 = 0x6c;
     /// FIFO data (register 116): the address does not move on.

@@ -204,7 +204,7 @@ impl Sampling {
     fn schedule(&mut self) {
         self.next = match &self.clock {
             None => None,
-            Some(SampleClock::External(clock)) => Some(clock.time_of(self.tick)),
+            Some(SampleClock::External(clock)) => Some(self.data_ready(clock)),
             Some(SampleClock::Own {
                 oscillator,
                 rate,
@@ -215,6 +215,14 @@ impl Sampling {
             }
         }
         .filter(|t| *t != SimTime::NEVER);
+    }
+
+    /// When the next sample of an external clock is registered.
+    fn data_ready(&self, clock: &Clock) -> SimTime {
+        let at = clock.time_of(self.tick);
+        let since = (at - clock.time_of(0)).as_secs_f64();
+        let late = self.settings.data_ready.late(since);
+        SimTime::from_units(at.units().saturating_add_signed(late))
     }
 
     /// True length of an internal sample of the gyroscope, in seconds.
@@ -238,7 +246,9 @@ impl Sampling {
         let rate = self
             .gyro
             .sample(now, self.tick, length, |t| self.motion.angular_rate(t));
+        let warmed = self.self_heating(at);
         for (axis, rate) in rate.into_iter().enumerate() {
+            let rate = rate + self.settings.gyro_drift[axis] * warmed;
             if standby >> (2 - axis) & 1 == 0 {
                 self.last.gyro[axis] = quantise(rate, per_rad);
             }
@@ -270,11 +280,16 @@ impl Sampling {
         self.last
     }
 
+    /// By how many °C the die is warmer than at power-on.
+    fn self_heating(&self, at: SimTime) -> f64 {
+        let on = (at - self.powered_since).as_secs_f64();
+        self.settings.self_heating_c * (1.0 - libm::exp(-on / self.settings.warm_up_s))
+    }
+
     /// Die temperature in °C: ambient, self-heating since power-on, noise.
     fn temperature(&mut self, at: SimTime) -> f64 {
+        let heating = self.self_heating(at);
         let s = &self.settings;
-        let on = (at - self.powered_since).as_secs_f64();
-        let heating = s.self_heating_c * (1.0 - libm::exp(-on / s.warm_up_s));
         s.temperature_c + heating + s.temperature_noise_c * self.temperature_noise.normal()
     }
 }

@@ -303,15 +303,15 @@ impl App {
             self.wait_until(self.in_ms(PHASE_POLL_MS as f64).min(deadline))?;
             phase = self.take_phase();
         }
-        let Some((phase, duration)) = phase else {
+        let Some(phase) = phase else {
             let text = "Failed to retrieve phase info, reached poll limit";
             return Ok(Reply::Error(text.to_owned()));
         };
         let camera = &self.config.camera;
-        let mut body = format!("{phase}\n{}\n", java::double(duration));
+        let mut body = format!("{}\n{}\n", phase.stamp_ns, java::double(phase.period_ns));
         if self.config.version != "v.0.1" {
             let known = if camera.reports_exposure {
-                camera.exposure_ns
+                phase.exposure_ns
             } else {
                 0
             };

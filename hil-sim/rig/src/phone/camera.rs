@@ -12,18 +12,23 @@ use crate::random::{Random, Stream};
 use crate::rolling_shutter::{Flash, GreyImage, RollingShutter};
 use crate::video_writer::{Mp4Writer, Quality, VideoError, VideoSettings};
 
-/// Number of the frame (from 0) whose timestamp is the phase.
-pub(super) const PHASE_FRAME: usize = 60;
+/// Number of the frame (from 0), of those that the app gets, whose timestamp is the phase.
+const PHASE_FRAME: usize = 60;
 
 /// Frames rendered in parallel before they go to the encoder, in order.
 const BATCH: usize = 64;
 
-/// The frames of one recording: when they truly were, and what the app was told.
+/// The frames of one recording: when they truly were, and what the app was told. The
+/// sensor's frames are a perfect grid, numbered from 0; the app may get some of them not
+/// at all and some twice.
 #[derive(Clone, Debug)]
 pub struct FrameTimes {
     first_ns: i64,
+    /// With the exposure and the frame period of this recording.
     camera: CameraConfig,
     jitter: Random,
+    /// Which frames are lost and doubled.
+    losses: Random,
 }
 
 impl FrameTimes {
@@ -35,11 +40,47 @@ impl FrameTimes {
         let mut random = substream(config.seed, Stream::PhoneCamera, number);
         let (least, most) = config.camera.first_frame_ms;
         let latency_ns = (random.uniform(least, most) * 1e6).max(0.0) as i64;
+        let mut losses = substream(config.seed, Stream::PhoneFrames, number);
+        let mut camera = config.camera.clone();
+        let shortest = camera.exposure_ns;
+        if camera.longest_exposure_ns > shortest {
+            let most = camera.longest_exposure_ns as f64 / shortest.max(1) as f64;
+            let longer = shortest as f64 * (losses.uniform(0.0, most.ln())).exp();
+            camera.exposure_ns = longer as u64;
+        }
+        let more = camera.exposure_ns - shortest;
+        camera.frame_period_ns += camera.period_of_exposure * more as f64;
         Self {
             first_ns: request_ns.saturating_add(latency_ns),
-            camera: config.camera.clone(),
+            camera,
             jitter: random,
+            losses,
         }
+    }
+
+    /// Exposure of each row in this recording, nanoseconds.
+    #[must_use]
+    pub fn exposure_ns(&self) -> u64 {
+        self.camera.exposure_ns
+    }
+
+    /// The frames that the app gets, in order, without an end.
+    fn delivered(&self) -> impl Iterator<Item = usize> + use<> {
+        let (lost, doubled) = (self.camera.lost, self.camera.doubled);
+        let mut random = self.losses.clone();
+        (0..).flat_map(move |n| {
+            let times = match (random.chance(lost), random.chance(doubled)) {
+                (true, _) => 0,
+                (false, true) => 2,
+                (false, false) => 1,
+            };
+            std::iter::repeat_n(n, times)
+        })
+    }
+
+    /// The frame whose timestamp is the phase.
+    pub(super) fn phase_frame(&self) -> usize {
+        self.delivered().nth(PHASE_FRAME).unwrap_or_default()
     }
 
     /// True start of exposure of the first row of frame `n`, in nanoseconds of
@@ -88,22 +129,24 @@ impl FrameTimes {
         count
     }
 
-    /// The timestamps of the first `count` frames as the app gets them.
+    /// The timestamps that the app gets of the first `count` frames.
     #[must_use]
     pub fn stamps(&self, count: usize) -> Vec<i64> {
         let mut random = self.jitter.clone();
-        (0..count)
+        let stamps: Vec<i64> = (0..count)
             .map(|n| {
                 let jitter = self.camera.timestamp_jitter_ns * random.normal();
                 self.start_ns(n).saturating_add(jitter.round() as i64)
             })
-            .collect()
+            .collect();
+        let delivered = self.delivered().take_while(|&n| n < count);
+        delivered.map(|n| stamps[n]).collect()
     }
 
     /// What `video_start` answers: phase, and mean of the durations before it.
     #[must_use]
     pub fn phase(&self) -> (i64, f64) {
-        let stamps = self.stamps(PHASE_FRAME + 1);
+        let stamps = self.stamps(self.phase_frame() + 1);
         let phase = stamps.get(PHASE_FRAME).copied().unwrap_or_default();
         let first = stamps.first().copied().unwrap_or_default();
         let last = stamps.get(PHASE_FRAME - 1).copied().unwrap_or_default();
@@ -129,7 +172,7 @@ pub(super) fn write_video(
         columns: camera.columns,
         rows: camera.rows,
         row_time_ns: camera.row_time_ns,
-        exposure_ns: camera.exposure_ns as f64,
+        exposure_ns: frames.exposure_ns() as f64,
         ambient: camera.ambient,
         amplitude: camera.flash_amplitude,
         read_noise: camera.read_noise,
@@ -140,12 +183,12 @@ pub(super) fn write_video(
     let settings = VideoSettings {
         width,
         height,
-        frame_rate: 1e9 / camera.frame_period_ns,
+        frame_rate: 1e9 / frames.period_ns(),
         quality: Quality::RateFactor(camera.rate_factor),
     };
     let mut writer = Mp4Writer::create(path, settings)?;
     let at = |ns| oscillator.when_nanos(ns).unwrap_or(TrueTime::ZERO);
-    let numbers: Vec<usize> = (0..count).collect();
+    let numbers: Vec<usize> = frames.delivered().take_while(|&n| n < count).collect();
     for batch in numbers.chunks(BATCH) {
         let images: Vec<GreyImage> = batch
             .par_iter()
@@ -206,6 +249,43 @@ mod tests {
         let errors = (0..2000).map(|n| (stamps[n] - frames.start_ns(n)) as f64);
         let rms = (errors.map(|e| e * e).sum::<f64>() / 2000.0).sqrt();
         assert!((900.0..1100.0).contains(&rms), "{rms}");
+    }
+
+    #[test]
+    fn the_app_gets_some_frames_not_at_all_and_some_twice() {
+        let mut config = PhoneConfig::draw(Seed(5));
+        config.camera.timestamp_jitter_ns = 0.0;
+        (config.camera.lost, config.camera.doubled) = (0.02, 0.05);
+        let frames = FrameTimes::new(&config, 0, 4_000_000_000_000);
+        let stamps = frames.stamps(10_000);
+        let numbers: Vec<usize> = frames.delivered().take_while(|&n| n < 10_000).collect();
+        let of_grid: Vec<i64> = numbers.iter().map(|&n| frames.start_ns(n)).collect();
+        assert_eq!(stamps, of_grid);
+        let steps = |wanted| numbers.windows(2).filter(|p| p[1] - p[0] == wanted).count();
+        assert!((400..600).contains(&steps(0)), "{}", steps(0));
+        assert!((150..250).contains(&steps(2)), "{}", steps(2));
+        assert_eq!(frames.phase().0, stamps[60]);
+        assert_eq!(frames.phase().0, frames.start_ns(frames.phase_frame()));
+    }
+
+    #[test]
+    fn exposures_differ_between_recordings_and_frames_may_follow_them() {
+        let mut config = PhoneConfig::draw(Seed(5));
+        config.camera.longest_exposure_ns = 10_000_000;
+        config.camera.period_of_exposure = 1e-4;
+        let of = |recording| FrameTimes::new(&config, recording, 0);
+        let exposures: Vec<u64> = (0..200).map(|n| of(n).exposure_ns()).collect();
+        assert!(exposures.iter().all(|e| (500_000..=10_000_000).contains(e)));
+        let long = exposures.iter().filter(|&&e| e > 2_236_068).count();
+        assert!(
+            (70..130).contains(&long),
+            "{long} above the middle of the logarithm"
+        );
+        for n in 0..3 {
+            let more = (of(n).exposure_ns() - 500_000) as f64 * 1e-4;
+            let found = of(n).period_ns() - config.camera.frame_period_ns;
+            assert!((found - more).abs() < 1e-6);
+        }
     }
 
     #[test]

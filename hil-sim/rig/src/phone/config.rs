@@ -132,6 +132,19 @@ pub struct CameraConfig {
     /// Pixels in a rendered row. Few are enough where light falls evenly, and
     /// they are cheap.
     pub columns: usize,
+    /// Longest exposure, nanoseconds: each recording has one between
+    /// [`CameraConfig::exposure_ns`] and this, even in its logarithm, as the light is.
+    #[serde(default)]
+    pub longest_exposure_ns: u64,
+    /// By how much a frame is longer for a longer exposure, as a part of it.
+    #[serde(default)]
+    pub period_of_exposure: f64,
+    /// Share of the frames that get lost before the app, 0 to 1.
+    #[serde(default)]
+    pub lost: f64,
+    /// Share of the frames that the app gets twice, with one timestamp.
+    #[serde(default)]
+    pub doubled: f64,
     /// White noise on the frame timestamps, standard deviation in nanoseconds.
     pub timestamp_jitter_ns: f64,
     /// Shortest and longest time from the start of a recording to its first
@@ -166,6 +179,7 @@ impl PhoneConfig {
             offset_ns: r.uniform(3_600e9, 108_000e9) as i64,
             rate_ppm: r.uniform(-50.0, 50.0),
             wander: 1e-9,
+            ..OscillatorConfig::default()
         };
         let rotation = rotation(r);
         let gyroscope = SensorConfig {
@@ -246,6 +260,10 @@ impl CameraConfig {
             // The published rig's phone: 33,330,652.54 ns.
             frame_period_ns: 33_330_652.54 + r.uniform(-2_000.0, 2_000.0),
             exposure_ns: 500_000,
+            longest_exposure_ns: 0,
+            period_of_exposure: 0.0,
+            lost: 0.0,
+            doubled: 0.0,
             row_time_ns: 10_200.0,
             rows: 1080,
             columns: 64,

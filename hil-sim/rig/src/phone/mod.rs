@@ -40,7 +40,7 @@ use crate::random::{Random, Seed, Stream};
 use crate::true_clock::TrueClock;
 
 use app::App;
-use sensors::Sensors;
+use sensors::{Kind, Sensors};
 use server::Link;
 
 pub use app::VideoTruth;
@@ -263,6 +263,21 @@ impl Drop for SimPhone {
         // before it goes.
         let _ = self.app.wait_saved();
     }
+}
+
+/// The samples of a phone's gyroscope in a span of its boot clock, as `imu?` would answer
+/// them: timestamps in nanoseconds, angular rates in rad/s. For studies without the app.
+#[must_use]
+pub fn gyroscope_samples(
+    config: &PhoneConfig,
+    oscillator: &Oscillator,
+    motion: Arc<Motion>,
+    span: std::ops::Range<i64>,
+) -> Vec<(i64, [f32; 3])> {
+    let sensors = Sensors::new(config, oscillator.clone(), motion);
+    let samples = sensors.samples(Kind::Gyroscope, span.start, span.end);
+    let pair = |sample: sensors::Sample| (sample.time_ns, sample.values);
+    samples.into_iter().map(pair).collect()
 }
 
 /// A stream of random numbers for part `k` of one use.

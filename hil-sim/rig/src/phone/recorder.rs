@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError};
 
 use super::app::{App, Recorder, Recording, State, VideoTruth};
-use super::camera::{FrameTimes, PHASE_FRAME, write_video};
+use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
 use crate::oscillator::TrueTime;
@@ -15,26 +15,39 @@ use stm32f4_sim::time::UNITS_PER_SECOND;
 /// (`Preview.java`:5020).
 const PRESS_IGNORED_MS: u64 = 500;
 
+/// What the app tells of its frames when a recording has begun.
+pub(super) struct Phase {
+    /// Timestamp of frame 60.
+    pub(super) stamp_ns: i64,
+    /// Mean duration of the frames before it.
+    pub(super) period_ns: f64,
+    /// Exposure of a row.
+    pub(super) exposure_ns: u64,
+}
+
 impl App {
     /// The phase in the app's queue. Frame 60 puts it there while the recorder runs; the
     /// begin and the end of a recording empty it (`VideoFrameInfo.java`:87, 145, 222).
-    pub(super) fn take_phase(&self) -> Option<(i64, f64)> {
+    pub(super) fn take_phase(&self) -> Option<Phase> {
         let camera = &self.config.camera;
         let pipeline = (camera.pipeline_ms * 1e6).max(0.0) as i64;
         let now = self.now_ns();
         let mut state = self.state();
         let recording = state.current().filter(|r| !r.phase_taken)?;
-        let queued = recording
-            .truth
-            .frames
-            .end_ns(PHASE_FRAME)
-            .saturating_add(pipeline);
+        let frames = &recording.truth.frames;
+        let queued = frames.end_ns(frames.phase_frame()).saturating_add(pipeline);
         let until = recording.truth.stop_ns.unwrap_or(now);
         if !camera.reports_frames || queued > until.min(now) {
             return None;
         }
+        let (stamp_ns, period_ns) = frames.phase();
+        let exposure_ns = frames.exposure_ns();
         recording.phase_taken = true;
-        Some(recording.truth.frames.phase())
+        Some(Phase {
+            stamp_ns,
+            period_ns,
+            exposure_ns,
+        })
     }
 
     /// The record button: starts a recording, or stops the one that runs. Too soon after

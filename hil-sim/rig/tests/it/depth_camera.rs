@@ -29,6 +29,7 @@ fn camera(first_frame: u32) -> Shared<DepthCamera> {
         offset_ns: 2_500_000_000,
         rate_ppm,
         wander: 0.0,
+        ..OscillatorConfig::default()
     };
     let seed = Seed(3);
     let board = BoardTime::new(clock(BOARD_PPM), seed.stream(Stream::BoardClock));

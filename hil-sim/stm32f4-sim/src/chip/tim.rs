@@ -383,13 +383,18 @@ impl Tim {
                 continue;
             }
             self.prescaled[ch] = 0;
-            if self.sr & (2 << ch) != 0 {
-                self.sr |= 0x200 << ch;
-            }
-            self.ccr[ch] = self.base_count;
-            self.ccr_next[ch] = self.base_count;
-            self.flag(ch);
+            self.latch(ch);
         }
+    }
+
+    /// A channel captures the counter, by an edge or by software (RM0090 18.4.6).
+    fn latch(&mut self, ch: usize) {
+        if self.sr & (2 << ch) != 0 {
+            self.sr |= 0x200 << ch;
+        }
+        self.ccr[ch] = self.base_count;
+        self.ccr_next[ch] = self.base_count;
+        self.flag(ch);
     }
 
     /// Interrupt requests: all of a general-purpose timer's on the first; an
@@ -494,6 +499,10 @@ impl Tim {
                     self.base_edge = self.clock.edge_at(now);
                 }
                 self.cr1 = value & 0x3ff;
+                // Without preload the shadow register is the same (RM0090 18.3.1).
+                if self.cr1 & CR1_ARPE == 0 {
+                    self.arr = self.arr_next;
+                }
             }
             0x04 => self.cr2 = value,
             0x08 => self.smcr = value,
@@ -507,13 +516,19 @@ impl Tim {
                     return false;
                 }
                 for ch in 0..self.channels {
+                    if self.channel(ch) == Channel::Output && !self.preloaded(ch) {
+                        self.ccr[ch] = self.ccr_next[ch];
+                    }
                     self.pwm_level(ch);
                 }
             }
             0x20 => self.ccer = value & 0xffff,
+            // The prescaler goes on: only an update event begins it anew.
             0x24 => {
                 self.base_count = value & self.mask;
-                self.base_edge = self.clock.edge_at(now);
+                for ch in 0..self.channels {
+                    self.pwm_level(ch);
+                }
             }
             0x28 => self.psc_next = value & 0xffff,
             0x2c => {
@@ -544,10 +559,11 @@ impl Tim {
     fn generate(&mut self, value: u32, now: SimTime) {
         for ch in 0..self.channels {
             if value & (2 << ch) != 0 {
-                if self.channel(ch) != Channel::Output {
-                    self.ccr[ch] = self.base_count;
+                if self.channel(ch) == Channel::Output {
+                    self.flag(ch);
+                } else {
+                    self.latch(ch);
                 }
-                self.flag(ch);
             }
         }
         if value & 1 != 0 {
@@ -578,5 +594,7 @@ impl Tim {
     }
 }
 
+#[cfg(test)]
+mod against_rsemu;
 #[cfg(test)]
 mod tests;

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
+use trials::beliefs::{self, BeliefOptions};
 use trials::demo::frame_sync::{self, FrameSyncOptions};
 
 /// Options of `frame-sync`.
@@ -15,6 +16,17 @@ pub(crate) struct Args {
     /// there is nothing to learn from.
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(60..=3600))]
     seconds: u32,
+    /// Instead, on the models alone: rigs as believed, rigs drawn from what may be true,
+    /// and rigs with one belief at an end of its range. `--launches` is how many of the
+    /// first two
+    #[arg(long)]
+    beliefs: bool,
+    /// With --beliefs: rigs with each belief at each end of its range
+    #[arg(long, value_name = "RIGS", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=1_000))]
+    rigs_an_end: u32,
+    /// With --beliefs: no drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
+    #[arg(long, value_name = "PPM", value_parser = warming)]
+    most_warming: Option<f64>,
     /// The first rig's seed; the others follow it.
     #[arg(long, default_value_t = 1)]
     first_seed: u64,
@@ -41,7 +53,47 @@ pub(crate) struct Args {
     speed: f64,
 }
 
+/// ppm in ten minutes, within the range that is drawn from.
+fn warming(text: &str) -> Result<f64, String> {
+    let ppm = text.parse().ok().filter(|ppm| (0.1..=5.0).contains(ppm));
+    ppm.ok_or_else(|| "expected 0.1 to 5 (ppm in ten minutes)".to_owned())
+}
+
+fn over_beliefs(args: &Args) -> Result<()> {
+    let options = BeliefOptions {
+        first_seed: args.first_seed,
+        rigs: args.launches,
+        rigs_an_end: args.rigs_an_end,
+        most_warming_ppm: args.most_warming,
+        jobs: args.jobs,
+    };
+    let study = beliefs::run(&options, |rig| {
+        if let Err(reason) = &rig.sessions {
+            println!("seed {} ({:?}): {reason}", rig.seed, rig.kind);
+        }
+    });
+    println!("\n{}", study.table());
+    write_json(args, &study)?;
+    let failed = study.failed().count();
+    println!(
+        "{failed} of {} rigs had no session: they are in none of the figures",
+        study.rigs.len()
+    );
+    Ok(())
+}
+
+fn write_json(args: &Args, what: &impl serde::Serialize) -> Result<()> {
+    let Some(path) = &args.json else {
+        return Ok(());
+    };
+    let json = serde_json::to_string_pretty(what)?;
+    std::fs::write(path, json + "\n").with_context(|| format!("cannot write {}", path.display()))
+}
+
 pub(crate) fn run(args: &Args) -> Result<()> {
+    if args.beliefs {
+        return over_beliefs(args);
+    }
     let options = FrameSyncOptions {
         first_seed: args.first_seed,
         launches: args.launches,
@@ -64,11 +116,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         );
     });
     println!("\n{}", result.table());
-    if let Some(path) = &args.json {
-        let json = serde_json::to_string_pretty(&result)?;
-        std::fs::write(path, json + "\n")
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
+    write_json(args, &result)?;
     if !result.failed.is_empty() {
         bail!(
             "{} of {} rigs failed; the figures are those of the others",

@@ -467,6 +467,7 @@ mod tests {
             offset_ns,
             rate_ppm,
             wander: 0.0,
+            ..OscillatorConfig::default()
         };
         let random = || rig::random::Seed(1).stream(rig::random::Stream::Test);
         let truth = Truth {

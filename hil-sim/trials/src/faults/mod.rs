@@ -262,6 +262,8 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         plain: true,
         yes: true,
         markers: Vec::new(),
+        twists: 1,
+        twist_gap: 0,
         second_twist: false,
         fetch_video: false,
         foxglove: FoxgloveArg::default(),

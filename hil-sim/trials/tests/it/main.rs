@@ -45,5 +45,6 @@ mod strobes;
 mod support;
 mod synthetic;
 mod turn;
+mod vendor_k4a;
 mod whole_chain;
 mod whole_rig;

@@ -59,6 +59,7 @@ fn twist(seed: u64) -> (f64, f64) {
         offset_ns: 0,
         rate_ppm: random.uniform(-30.0, 30.0),
         wander: 1e-9,
+        ..OscillatorConfig::default()
     };
     let board = BoardTime::new(crystal, seed.stream(Stream::BoardClock));
     let pass = LowPass {

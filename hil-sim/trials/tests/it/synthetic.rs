@@ -169,6 +169,7 @@ impl Rig {
                 offset_ns,
                 rate_ppm: dice.uniform(-most_ppm, most_ppm),
                 wander: 1e-9,
+                ..OscillatorConfig::default()
             };
             Oscillator::new(config, seed.stream(stream))
         };
@@ -177,11 +178,13 @@ impl Rig {
             offset_ns: 0,
             rate_ppm: dice.uniform(-30.0, 30.0),
             wander: 1e-9,
+            ..OscillatorConfig::default()
         };
         let camera = OscillatorConfig {
             offset_ns: 2_500_000_000,
             rate_ppm: 300.0,
             wander: 1e-9,
+            ..OscillatorConfig::default()
         };
         let spec: MotionSpec = "rest:3,twist:9,rest:2,walk".parse().unwrap();
         Self {

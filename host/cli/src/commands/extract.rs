@@ -15,6 +15,7 @@ use extract::progress::Progress;
 use extract::run::{ExtractError, Job, run as extract};
 use extract::workplace::WorkplaceError;
 use phone::video_files::FilesError;
+use recording::session_file::SessionFile;
 
 /// Turn a recording into a data set whose timestamps are all in board time.
 ///
@@ -173,7 +174,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Err(error) => return Err(error.into()),
     };
     if let Some(profile) = &args.learn {
-        let text = learn::into_profile(&report, profile)?;
+        let session = SessionFile::load(&args.recording).ok();
+        let time = session.and_then(|session| session.started.parse().ok());
+        let time = time.unwrap_or_else(jiff::Timestamp::now);
+        let text = learn::into_profile(&report, profile, time)?;
         context.say(text);
     }
     context.print(&report, || {

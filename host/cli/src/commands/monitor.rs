@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     gauge.state = String::from(STATE);
     gauge.board.clone_from(&id);
     if let Some(profile) = &profile {
-        gauge.name_sensors(profile);
+        gauge.know_rig(profile);
     }
     let wants_screen = !args.plain && !context.global.json;
     let mut screen = wants_screen

@@ -197,9 +197,20 @@ fn teach(
     let clocks = session.clocks_of(phone).ok_or_else(|| known(phone))?;
     let resets = session.runs.len();
     let board_id = session.board.as_ref().map(|board| board.id.as_str());
-    let today = jiff::Zoned::now().date();
     let skew = learn::skew_of_twists(clocks, resets);
-    let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, board_id, today);
+    let twists = clocks.0.iter().filter(|twist| twist.accepted);
+    let origin = learn::Origin {
+        board_id,
+        // A session file tells its begin; one that does not is taken for today's.
+        time: session
+            .started
+            .parse()
+            .unwrap_or_else(|_| jiff::Timestamp::now()),
+        board_temperature_c: twists
+            .filter_map(|twist| twist.board_temperature_c)
+            .next_back(),
+    };
+    let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, &origin);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;

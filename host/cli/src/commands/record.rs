@@ -53,6 +53,13 @@ pub(crate) struct Args {
     /// Set a mark this long after the start; may be given more than once
     #[arg(long, value_name = "AFTER", value_parser = parse_duration)]
     marker: Vec<u64>,
+    /// Twists before the recording: two know the rate of the clocks today, three and more
+    /// how it changes while the rig warms up
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=5))]
+    twists: u32,
+    /// Between two of these twists, in board time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
+    twist_gap: u64,
     /// Twist again at the end: a far better skew, and `profile learn` needs it
     #[arg(long)]
     second_twist: bool,
@@ -116,6 +123,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         plain: args.plain,
         yes: args.yes,
         markers: args.marker.clone(),
+        twists: args.twists,
+        twist_gap: args.twist_gap,
         second_twist: args.second_twist,
         fetch_video: args.fetch_video,
         foxglove: args.foxglove.clone(),

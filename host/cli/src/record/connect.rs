@@ -133,7 +133,7 @@ fn new_journal<'a>(
     let mut file = SessionFile::new(name, profile.clone());
     let hello = sides.board.hello();
     let id = protocol::usb::serial_number(&hello.board_id).to_string();
-    live.gauge.name_sensors(profile);
+    live.gauge.know_rig(profile);
     live.gauge.board.clone_from(&id);
     file.board = Some(BoardInfo {
         id,

@@ -68,6 +68,10 @@ pub struct Options {
     pub yes: bool,
     /// Marks to be set by themselves: ticks after the begin of the recording.
     pub markers: Vec<u64>,
+    /// Twists before the recording.
+    pub twists: u32,
+    /// Between two of them, ticks of board time.
+    pub twist_gap: u64,
     /// Twist once more at the end.
     pub second_twist: bool,
     /// Download the phone's video at the end.

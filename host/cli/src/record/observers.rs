@@ -22,6 +22,8 @@ pub struct Observers {
     pub(super) look: Option<ImuLook>,
     /// Gyroscope samples, while a twist is taken.
     pub(super) gyro: Option<Vec<(Ticks, [f64; 3])>>,
+    /// Temperature of the IMU, °C, from its last sample.
+    pub(super) temperature: Option<f64>,
     /// The last arrival that was reported.
     pub(super) arrived: Option<Arrived>,
 }
@@ -59,6 +61,7 @@ impl Observers {
     }
 
     fn sample(&mut self, raw: &ImuSample, sample: &Sample) {
+        self.temperature = Some(sample.temperature);
         if let Some(look) = &mut self.look {
             look.add(sample);
         }

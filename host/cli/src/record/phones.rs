@@ -16,10 +16,12 @@ use super::video_watch::VideoCheck;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
+use frame_sync::rates::Course;
 use phone::task::{Answer, PhoneTask, Request};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
-use recording::session_file::{OtherPhone, PhoneInfo, Video};
+use recording::session_file::{OtherPhone, PhoneInfo, RateChange, Video};
+use timebase::ClockModel;
 use verify::watch::Finding;
 
 /// The phones, each on its own thread.
@@ -30,6 +32,7 @@ pub struct Phones<'a> {
 
 struct Seat {
     task: PhoneTask,
+    change: RateChange,
     video_may_run: bool,
     check: VideoCheck,
 }
@@ -100,6 +103,7 @@ impl<'a> Phones<'a> {
     pub fn new(profile: &'a Profile, tasks: Vec<PhoneTask>) -> Self {
         let seat = |task| Seat {
             task,
+            change: RateChange::default(),
             video_may_run: false,
             check: VideoCheck::default(),
         };
@@ -113,6 +117,22 @@ impl<'a> Phones<'a> {
     pub(super) fn profile(&self, place: usize) -> &'a Phone {
         let phone = self.profile.all_phones().nth(place);
         phone.unwrap_or(&self.profile.phone)
+    }
+
+    /// Keeps how the rate of the clock at a place changes.
+    pub(super) fn set_change(&mut self, place: usize, change: RateChange) {
+        if let Some(seat) = self.seats.get_mut(place) {
+            seat.change = change;
+        }
+    }
+
+    /// A relation of the clock at a place, with how its rate changes.
+    pub(super) fn course(&self, place: usize, clock: ClockModel) -> Course {
+        let change = self.seats.get(place).map(|seat| seat.change);
+        Course {
+            clock,
+            change: change.unwrap_or_default(),
+        }
     }
 
     /// The places of all phones.
@@ -363,7 +383,8 @@ fn place_other(phones: &Phones<'_>, journal: &mut Journal<'_>, place: usize) -> 
         return Ok(false);
     };
     let phone = phones.profile(place);
-    let placed = placement(phones.profile, phone, &clock, &video, &alignment);
+    let course = phones.course(place, clock);
+    let placed = placement(phones.profile, phone, &course, &video, &alignment);
     if let Some(kept) = journal.other_phone(place) {
         kept.placement = Some(placed);
     }

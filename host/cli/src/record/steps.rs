@@ -11,15 +11,15 @@ use super::operator::Choice;
 use super::phones;
 use super::preflight::Checks;
 use super::rig::Rig;
-use super::twist::first_twist;
+use super::twist::first_twists;
 use super::{Options, Stop, seconds};
 use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
-use frame_sync::alignment::phase_sigma_us_at;
-use frame_sync::alignment::plan;
-use recording::session_file::{Alignment, Marker, Span, Video};
+use frame_sync::alignment::{phase_sigma_us_at, phase_sigma_us_now, plan};
+use recording::session_file::{Alignment, Marker, Span, Twist, Video};
+use recording::writer::Severity;
 use timebase::ClockModel;
 use verify::watch::{Finding, Grid, Watch};
 
@@ -29,7 +29,7 @@ pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> 
     step(rig, "the checks", |rig| {
         preflight(rig, options, checked.take())
     })?;
-    first_twist(rig)?;
+    first_twists(rig, options)?;
     step(rig, "the depth recorder", |rig| {
         rig.rounds.start_recorder(&mut rig.journal)
     })?;
@@ -100,7 +100,8 @@ fn phone_video(rig: &mut Rig<'_>) -> Result<Video, Stop> {
 
 /// Sends the train onto the phone's frames.
 fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignment, Stop> {
-    let planned = plan(rig.profile, clock, video).map_err(|error| {
+    let course = rig.phones.course(0, *clock);
+    let planned = plan(rig.profile, &course, video).map_err(|error| {
         Failure::new(ExitStatus::Refused, error.to_string())
             .next_step("set the profile's values to the camera's mode, or twist longer")
     })?;
@@ -119,6 +120,7 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
         arrival_pulse: Some(plan.arrival_pulse),
         arrival: Some(plan.arrival),
         phase_sigma_us: phase_sigma_us_at(&alignment, plan.arrival.into()),
+        board_temperature_c: twist_temperature(&rig.journal.file.twists),
         ..alignment
     };
     rig.journal.file.alignment = Some(alignment);
@@ -204,6 +206,7 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     rig.journal.info("recording", &text)?;
     rig.operator.forget_typed();
     let bar = recording_bar(rig.context, options.duration);
+    let mut due_twist_told = false;
     let mut due: Vec<u64> = options.markers.clone();
     due.sort_unstable_by(|a, b| b.cmp(a));
     let result = rig.pump_until(|rig| {
@@ -218,6 +221,12 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
         }
         if let Err(stop) = rig.watch_videos() {
             return Some(Err(stop));
+        }
+        if !due_twist_told && is_twist_due(rig) {
+            due_twist_told = true;
+            if let Err(stop) = tell_due_twist(rig) {
+                return Some(Err(stop));
+            }
         }
         match rig.operator.mark() {
             Some(Some(label)) => {
@@ -235,6 +244,30 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     });
     bar.finish_and_clear();
     result?
+}
+
+/// Temperature of the board at the last twist that was accepted.
+fn twist_temperature(twists: &[Twist]) -> Option<f64> {
+    let last = twists.iter().rfind(|twist| twist.accepted)?;
+    last.board_temperature_c
+}
+
+/// Whether the phase is known less well by now than a twist must know it.
+fn is_twist_due(rig: &Rig<'_>) -> bool {
+    let limit = rig.profile.align.max_offset_sigma_us;
+    let alignment = rig.journal.file.alignment.as_ref();
+    let temperature = rig.observers.temperature;
+    alignment.is_some_and(|known| phase_sigma_us_now(known, rig.now().into(), temperature) > limit)
+}
+
+fn tell_due_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    let text = format!(
+        "time for another twist: clocks wander and rigs warm up, and the phase is known to \
+         {:.0} µs (1-sigma) no more; stop, and record again when it matters",
+        rig.profile.align.max_offset_sigma_us
+    );
+    rig.journal.live.gauge.warning("twist_due", &text);
+    rig.journal.tell(Severity::Warning, "twist_due", &text)
 }
 
 pub(super) fn mark(

@@ -6,16 +6,17 @@ use std::time::{Duration, Instant};
 use phone::task::{Answer, Request};
 use protocol::{TICK_HZ, Ticks};
 
-use super::Stop;
 use super::journal::Journal;
 use super::operator::Choice;
 use super::phones::Phones;
 use super::rig::Rig;
 use super::steps::{ask, is_repeatable, odd_answer};
+use super::{Options as SessionOptions, Stop};
 use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::SyncReport;
 use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
+use frame_sync::rates::{Course, Rate};
 use phone::PhoneSample;
 use phone::samples::sample_line;
 use recording::RecordingError;
@@ -31,8 +32,26 @@ const TWIST_TRIES: usize = 3;
 /// How much longer than the phone's recording the board's is taken, ticks.
 const TWIST_MARGIN: u64 = TICK_HZ as u64 / 4;
 
-/// Twists until one passes the gates, of every phone.
-pub(super) fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
+/// The twists before a recording: each until it passes the gates, of every phone. Two at a
+/// distance know the rate of today; more of them, how it changes.
+pub(super) fn first_twists(rig: &mut Rig<'_>, options: &SessionOptions) -> Result<(), Stop> {
+    let mut courses = vec![None; rig.phones.places().len()];
+    for round in 0..options.twists {
+        if round > 0 {
+            let wait_s = options.twist_gap as f64 / f64::from(TICK_HZ);
+            let text = format!("the next twist begins in {wait_s:.0} s");
+            rig.journal.info("twist", &text)?;
+            rig.pump_for(options.twist_gap)?;
+        }
+        courses = good_twist(rig, &courses)?;
+    }
+    Ok(())
+}
+
+/// Twists until one passes the gates, of every phone. `before` is what the earlier ones
+/// say; gives it with this one.
+fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option<Course>>, Stop> {
+    let mut courses = vec![None; before.len()];
     for attempt in 1.. {
         let clocks = match twist(rig) {
             Ok(clocks) => clocks,
@@ -44,25 +63,23 @@ pub(super) fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
         };
         for (place, clock) in clocks.iter().enumerate() {
             if let Some(clock) = clock {
-                rig.journal
-                    .set_clock(place, *clock, &format!("twist {attempt}"))?;
-            }
-        }
-        // With nobody there, phones may have got theirs from different twists.
-        let mut places = rig.phones.places();
-        let related = places.all(|place| rig.journal.clock(place).is_some());
-        if related && !rig.operator.is_present() {
-            return rig.journal.save();
-        }
-        if clocks.iter().all(Option::is_some) {
-            rig.journal.save()?;
-            match ask(rig, "[Enter] go on, [r] twist again, [q] quit")? {
-                Choice::Repeat => continue,
-                Choice::Quit => return Err(Stop::Interrupted),
-                Choice::Continue | Choice::Skip => return Ok(()),
+                let course = joined(rig, place, before[place].as_ref(), clock)?;
+                courses[place] = Some(course);
+                know(rig, place, &course)?;
             }
         }
         rig.journal.save()?;
+        // With nobody there, phones may have got theirs from different twists.
+        if courses.iter().all(Option::is_some) && !rig.operator.is_present() {
+            return Ok(courses);
+        }
+        if clocks.iter().all(Option::is_some) {
+            match ask(rig, "[Enter] go on, [r] twist again, [q] quit")? {
+                Choice::Repeat => continue,
+                Choice::Quit => return Err(Stop::Interrupted),
+                Choice::Continue | Choice::Skip => return Ok(courses),
+            }
+        }
         if rig.operator.is_present() {
             match ask(rig, "[Enter] or [r] twist again, [q] quit")? {
                 Choice::Quit | Choice::Skip => return Err(Stop::Interrupted),
@@ -79,7 +96,54 @@ pub(super) fn first_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
             .into());
         }
     }
-    Ok(())
+    Ok(courses)
+}
+
+/// What the earlier twists say of the phone at a place, with one more.
+fn joined(
+    rig: &mut Rig<'_>,
+    place: usize,
+    before: Option<&Course>,
+    clock: &ClockModel,
+) -> Result<Course, Stop> {
+    let alone = Course::of_twist(*clock);
+    let Some(before) = before else {
+        return Ok(alone);
+    };
+    let Some(course) = before.with_twist(clock) else {
+        let text = format!(
+            "this twist contradicts the earlier ones{}: it alone is used",
+            rig.phones.whose(place)
+        );
+        rig.journal
+            .tell(Severity::Warning, "twists_contradict", &text)?;
+        return Ok(alone);
+    };
+    let text = format!(
+        "twists so far{}: skew {:+.4} ± {:.4} ppm, changing by {:+.3} ± {:.3} ppm/min",
+        rig.phones.whose(place),
+        course.clock.skew * 1e6,
+        course.clock.covariance[1][1].max(0.0).sqrt() * 1e6,
+        course.change.per_s * 60e6,
+        course.change.variance.max(0.0).sqrt() * 60e6
+    );
+    rig.journal.info("twist", &text)?;
+    Ok(course)
+}
+
+/// Keeps what is known of the phone at a place: its twists, and what was learnt before.
+fn know(rig: &mut Rig<'_>, place: usize, course: &Course) -> Result<(), Stop> {
+    let phone = rig.phones.profile(place);
+    let temperature = rig.observers.temperature;
+    let learnt = skew_prior(phone, &rig.link.id, jiff::Timestamp::now(), temperature);
+    let known = match learnt {
+        Some(learnt) => sharpen(&mut rig.journal, course, learnt)?,
+        None => *course,
+    };
+    rig.phones.set_change(place, known.change);
+    let number = rig.journal.file.twists.len();
+    rig.journal
+        .set_clock(place, known.clock, &format!("twist {number}"))
 }
 
 /// One twist, of all phones. Gives the relation of each phone's clock if it passes
@@ -109,17 +173,25 @@ fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
         to: times.last().copied().unwrap_or_default(),
     };
     let mcu = board_track(&times, rates);
-    let mut clocks = Vec::new();
-    for (place, samples) in samples.iter().enumerate() {
-        let (phones, journal) = (&rig.phones, &mut rig.journal);
-        let clock = relate(phones, journal, place, number, (&mcu, span), samples)?;
-        let learnt = skew_prior(phones.profile(place), &rig.link.id);
-        clocks.push(match (clock, learnt) {
-            (Some(clock), Some((skew, sigma, _))) => Some(sharpen(journal, clock, skew, sigma)?),
-            _ => clock,
-        });
-    }
-    Ok(clocks)
+    let board = Seen {
+        number,
+        track: &mcu,
+        span,
+        temperature_c: rig.observers.temperature,
+    };
+    let (phones, journal) = (&rig.phones, &mut rig.journal);
+    let places = samples.iter().enumerate();
+    places
+        .map(|(place, samples)| relate(phones, journal, place, &board, samples))
+        .collect()
+}
+
+/// What the board has seen of a twist.
+struct Seen<'a> {
+    number: usize,
+    track: &'a GyroTrack,
+    span: Span,
+    temperature_c: Option<f64>,
 }
 
 /// Relates the clock of one phone to the board's by a twist.
@@ -127,10 +199,10 @@ fn relate(
     phones: &Phones<'_>,
     journal: &mut Journal<'_>,
     place: usize,
-    number: usize,
-    (mcu, span): (&GyroTrack, Span),
+    board: &Seen<'_>,
     samples: &[PhoneSample],
 ) -> Result<Option<ClockModel>, Stop> {
+    let number = board.number;
     let phone = phones.profile(place);
     let folder = journal.file.phone_folder(&phone.name);
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
@@ -148,7 +220,7 @@ fn relate(
         sigma_limit_s: journal.file.profile.align.max_offset_sigma_us * 1e-6,
         ..Options::default()
     };
-    let result = estimate_offset(mcu, &phone_track, &options);
+    let result = estimate_offset(board.track, &phone_track, &options);
     let report = match &result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
@@ -157,11 +229,12 @@ fn relate(
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),
-        span,
+        span: board.span,
         accepted: estimate.is_some(),
         clock: estimate.map(|estimate| estimate.clock.into()),
         offset_sigma_us: estimate.map(|estimate| estimate.offset_sigma_s() * 1e6),
         skew_sigma_ppm: estimate.map(|estimate| estimate.skew_sigma() * 1e6),
+        board_temperature_c: board.temperature_c,
         report: serde_json::to_value(&report).unwrap_or(serde_json::Value::Null),
     };
     journal.keep_twist(place, twist);
@@ -238,23 +311,20 @@ fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
     format!("x {x:.1}  y {y:.1}  z {z:.1} rad/s rms: {hint}")
 }
 
-/// Takes the skew that was learnt before into a twist's result.
-fn sharpen(
-    journal: &mut Journal<'_>,
-    clock: ClockModel,
-    skew: f64,
-    sigma: f64,
-) -> Result<ClockModel, Stop> {
-    let sharper = with_known_skew(&clock, skew, sigma);
+/// Takes the skew that was learnt before into what the twists say.
+fn sharpen(journal: &mut Journal<'_>, course: &Course, learnt: Rate) -> Result<Course, Stop> {
+    let sharper = course.with_known_skew(learnt.skew, learnt.sigma);
     if sharper.is_none() {
         let text = format!(
-            "the learnt skew of {:+.3} ppm does not fit this twist's {:+.3} ppm; it is not used",
-            skew * 1e6,
-            clock.skew * 1e6
+            "the learnt skew of {:+.3} ± {:.3} ppm does not fit this twist's {:+.3} ppm; it is \
+             not used",
+            learnt.skew * 1e6,
+            learnt.sigma * 1e6,
+            course.clock.skew * 1e6
         );
         journal.tell(Severity::Warning, "learnt_skew", &text)?;
     }
-    Ok(sharper.unwrap_or(clock))
+    Ok(sharper.unwrap_or(*course))
 }
 
 fn save_samples(recording: &Path, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {

@@ -325,6 +325,7 @@ mod tests {
                 pulse: Some(3_456),
                 phase_us: Some(0.0),
                 phase_sigma_us: Some(3.4),
+                twist_due: false,
                 readback_ns: Some(83.0),
                 readback_missing: 0,
                 late: 0,

@@ -55,6 +55,9 @@ pub(super) fn trigger_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
     let trigger = &snapshot.trigger;
     let dash = || String::from("-");
     let phase = match (trigger.phase_us, trigger.phase_sigma_us) {
+        (Some(_), Some(sigma)) if trigger.twist_due => {
+            (format!("+-{sigma:.0} us: time for a TWIST"), WARN)
+        }
         (Some(phase), Some(sigma)) => (
             format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
             if phase == 0.0 { GOOD } else { BAD },

@@ -1,6 +1,6 @@
 //! Messages in, the latest state out.
 
-use frame_sync::alignment::phase_sigma_us_at;
+use frame_sync::alignment::phase_sigma_us_now;
 use std::collections::VecDeque;
 
 use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainState};
@@ -84,6 +84,8 @@ pub(crate) struct Gauge {
     /// Outputs 2 to 4, then the lidar.
     sensors: [Connected; 4],
     phones: Vec<OtherPhone>,
+    /// 1-sigma of a phase above which a twist is due, µs.
+    enough_us: Option<f64>,
 }
 
 /// Place of the lidar among the sensors.
@@ -134,8 +136,9 @@ const fn state_word(state: TrainState) -> &'static str {
 }
 
 impl Gauge {
-    /// What the sensors of a rig are called.
-    pub(crate) fn name_sensors(&mut self, profile: &Profile) {
+    /// What the sensors of a rig are called, and how well clocks must be known.
+    pub(crate) fn know_rig(&mut self, profile: &Profile) {
+        self.enough_us = Some(profile.align.max_offset_sigma_us);
         for output in Output::FURTHER {
             let number = output.number();
             let sensor = profile
@@ -324,7 +327,9 @@ impl Gauge {
                 .phase_error(alignment.anchor, at)
                 .0;
             trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
-            trigger.phase_sigma_us = Some(phase_sigma_us_at(alignment, board_now));
+            let sigma = phase_sigma_us_now(alignment, board_now, self.temperature);
+            trigger.phase_sigma_us = Some(sigma);
+            trigger.twist_due = self.enough_us.is_some_and(|enough| sigma > enough);
         }
         let mut losses = self.losses;
         losses.reconnects = self.reconnects;
@@ -425,7 +430,7 @@ mod tests {
 
         let text = "[[outputs]]\noutput = 3\nname = \"side\"\nevery = 6\n\
                     [lidar]\nname = \"VLP-16\"\n";
-        gauge.name_sensors(&Profile::parse(text, None).unwrap());
+        gauge.know_rig(&Profile::parse(text, None).unwrap());
         gauge.take(
             &DeviceToHost::Pps(protocol::Pps {
                 seq: 0,

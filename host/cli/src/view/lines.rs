@@ -37,7 +37,12 @@ pub(crate) fn line(snapshot: &Snapshot) -> String {
         let _ = write!(line, " pulse {pulse}");
     }
     if let (Some(phase), Some(sigma)) = (trigger.phase_us, trigger.phase_sigma_us) {
-        let _ = write!(line, " phase {phase:+.2} ± {sigma:.1} µs");
+        let due = if trigger.twist_due {
+            ", time for another twist"
+        } else {
+            ""
+        };
+        let _ = write!(line, " phase {phase:+.2} ± {sigma:.1} µs{due}");
     }
     if let Some(clock) = &snapshot.clock {
         let _ = write!(line, "  clocks ± {:.1} µs", clock.sigma_us);

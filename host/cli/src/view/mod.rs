@@ -81,6 +81,8 @@ pub(crate) struct Trigger {
     pub(crate) phase_us: Option<f64>,
     /// 1-sigma of where that grid lies against the phone's frames now, µs.
     pub(crate) phase_sigma_us: Option<f64>,
+    /// That is more than a twist may have: it is time for another.
+    pub(crate) twist_due: bool,
     /// From the edge to the wire, ns; nothing if it was not seen.
     pub(crate) readback_ns: Option<f64>,
     /// Pulses that the wire did not show.
@@ -275,6 +277,7 @@ pub(crate) fn todo_for(kind: &str) -> &'static str {
         "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
         "phone_lost" => "check the phone: app in the foreground, same network",
         "disk_nearly_full" => "free some space",
+        "twist_due" => "stop, and record again when the phase matters",
         "twist_refused" => "twist again, faster, about all axes",
         _ => "see the recording's report",
     }

@@ -155,6 +155,8 @@ const CASES: &[Case] = &[
         "no_such_key",
         "profile init",
     ),
+    ("record --twists 9", 2, "1..=5", "help record"),
+    ("record --twist-gap soon", 2, "90s, 5m or 1h", "help record"),
     // Files of two gyroscopes.
     (
         "offset --mcu nothing.csv --phone gyro.csv",

@@ -26,6 +26,7 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         clock: Some(clock),
         offset_sigma_us: Some(2.4),
         skew_sigma_ppm: Some(0.98),
+        board_temperature_c: Some(27.5),
         report: serde_json::Value::Null,
     });
     session.counts = StreamCounts {

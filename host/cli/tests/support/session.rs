@@ -2,7 +2,9 @@
 
 use protocol::{Period, TICK_HZ, Ticks};
 use recording::profile::Profile;
-use recording::session_file::{Alignment, FramePeriodSource, SessionFile, SessionOutcome, Span};
+use recording::session_file::{
+    Alignment, FramePeriodSource, RateChange, SessionFile, SessionOutcome, Span,
+};
 use timebase::{BoardSeconds, ClockModel, Wander};
 
 /// A clock of a phone whose offset at a board time is known to `sigma_s`, and its rate to
@@ -35,6 +37,8 @@ pub(crate) fn session(
         frame_period_sigma_ns: None,
         frame_period_source: FramePeriodSource::VideoStart,
         clock,
+        change: RateChange::default(),
+        board_temperature_c: None,
         anchor,
         period_q32: period.0,
         phase_sigma_us: 3.0,

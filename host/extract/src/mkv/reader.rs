@@ -126,11 +126,13 @@ impl<R: Read + Seek> Mkv<R> {
             }
         };
         let length = source.length();
+        // The camera's recorder writes the size when it closes the file, and 0 until then.
+        let end = segment.end().filter(|&end| end > segment.data);
         let mut mkv = Self {
-            end: segment.end().unwrap_or(length).min(length),
+            end: end.unwrap_or(length).min(length),
             source,
             header: Header {
-                has_size: segment.end().is_some_and(|end| end <= length),
+                has_size: end.is_some_and(|end| end <= length),
                 ..Header::default()
             },
             damage: Vec::new(),

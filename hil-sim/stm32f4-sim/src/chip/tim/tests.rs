@@ -168,6 +168,18 @@ fn prescaler_and_reload_take_effect_with_the_update_event() {
     assert_eq!(t.read(0x24, at(48 * 10)).unwrap(), 10);
 }
 
+/// RM0090 18.4.6, CC1G: the counter is captured, and CC1OF tells that a flag stood.
+#[test]
+fn software_captures_too_and_flags_a_lost_one() {
+    let mut t = running();
+    t.write(0x18, 1, at(0)); // CC1S = TI1
+    t.write(0x14, 2, at(300));
+    assert_eq!(t.read(0x10, at(300)).unwrap() & 0x202, 0x002);
+    t.write(0x14, 2, at(450));
+    assert_eq!(t.read(0x10, at(450)).unwrap() & 0x202, 0x202);
+    assert_eq!(t.read(0x34, at(460)).unwrap(), 450);
+}
+
 #[test]
 fn a_slave_starts_with_its_master() {
     let mut slave = Tim::new(false, 4, true, SYNC);

@@ -1,0 +1,541 @@
+//! What a simulated rig may be like beyond what is believed of it: numbers of the models
+//! that nothing from outside holds, each with its nominal value and the range in which the
+//! truth may lie. The book's page of beliefs has a row for each, with its source; a test
+//! compares them.
+//!
+//! A seed draws a rig from the ranges ([`Beliefs::drawn`]); a study moves one at a time to
+//! the ends of its range ([`Beliefs::with`]). What a rig's owner measures once (filter
+//! delays, readout, the delay of the flash) is not drawn: it is in the owner's profile.
+
+use crate::oscillator::{OscillatorConfig, Warming};
+use crate::phone::PhoneConfig;
+use crate::random::{Random, Seed, Stream};
+use crate::rig_config::RigConfig;
+use stm32f4_sim::time::SimDuration;
+
+/// How a number is drawn from its range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Draw {
+    /// Even.
+    Even,
+    /// Even in its logarithm.
+    Log,
+    /// The same, with either sign.
+    EitherSign,
+    /// A whole number.
+    Whole,
+}
+
+/// A number of the models that may be another.
+#[derive(Clone, Copy, Debug)]
+pub struct Belief {
+    /// What it is, as its row of the page is called.
+    pub name: &'static str,
+    /// Its unit; empty if it has none.
+    pub unit: &'static str,
+    /// What the models have.
+    pub nominal: f64,
+    /// The least and the most that it may truly be.
+    pub range: (f64, f64),
+    /// How it is drawn.
+    pub draw: Draw,
+    apply: fn(f64, &mut RigConfig, &mut PhoneConfig),
+}
+
+/// All of them.
+pub const BELIEFS: [Belief; 25] = [
+    either_sign(
+        "warming of the board's crystal",
+        (0.1, 5.0),
+        |ppm, rig, _| {
+            rig.board_clock.warming.ppm = ppm;
+        },
+    ),
+    either_sign(
+        "warming of the phone's clock",
+        (0.1, 5.0),
+        |ppm, _, phone| {
+            phone.clock.warming.ppm = ppm;
+        },
+    ),
+    either_sign(
+        "warming of the camera's clock",
+        (0.1, 5.0),
+        |ppm, rig, _| {
+            camera(rig, |camera| camera.clock.warming.ppm = ppm);
+        },
+    ),
+    log(
+        "time in which a rig warms up",
+        "s",
+        Warming::SPAN_S,
+        (120.0, 1_200.0),
+        |time_s, rig, phone| {
+            each_clock(rig, phone, |clock| clock.warming.time_s = time_s);
+        },
+    ),
+    log(
+        "wander of a clock",
+        "ppm per √s",
+        0.001,
+        (0.0005, 0.01),
+        |ppm, rig, phone| {
+            each_clock(rig, phone, |clock| clock.wander = ppm * 1e-6);
+        },
+    ),
+    even(
+        "frames of the phone that are lost",
+        "%",
+        0.0,
+        (0.0, 1.0),
+        |percent, _, phone| {
+            phone.camera.lost = percent / 100.0;
+        },
+    ),
+    even(
+        "frames of the phone that are doubled",
+        "%",
+        0.0,
+        (0.0, 1.0),
+        |percent, _, phone| {
+            phone.camera.doubled = percent / 100.0;
+        },
+    ),
+    log(
+        "longest exposure",
+        "ms",
+        0.5,
+        (0.5, 10.0),
+        |ms, _, phone| {
+            phone.camera.longest_exposure_ns = (ms * 1e6) as u64;
+        },
+    ),
+    even(
+        "frame period that follows the exposure",
+        "ns/ms",
+        0.0,
+        (0.0, 200.0),
+        |ns, _, phone| {
+            phone.camera.period_of_exposure = ns * 1e-6;
+        },
+    ),
+    log(
+        "jitter of frame timestamps",
+        "µs",
+        1.0,
+        (0.1, 20.0),
+        |us, _, phone| {
+            phone.camera.timestamp_jitter_ns = us * 1e3;
+        },
+    ),
+    even(
+        "rate of the phone's gyroscope",
+        "Hz",
+        500.0,
+        (100.0, 500.0),
+        |hz, _, phone| {
+            // Relative to what this phone has for its nominal 500 Hz.
+            phone.gyroscope.rate_hz *= hz / 500.0;
+        },
+    ),
+    log(
+        "jitter of sensor timestamps",
+        "µs",
+        1.0,
+        (1.0, 500.0),
+        |us, _, phone| {
+            phone.gyroscope.timestamp_jitter_ns = us * 1e3;
+        },
+    ),
+    even(
+        "bias of the board's gyroscope",
+        "°/s",
+        2.0,
+        (2.0, 20.0),
+        |dps, rig, _| {
+            imu(rig, |imu| {
+                // The specimen has one within the nominal limit.
+                imu.gyro.bias = imu.gyro.bias.map(|bias| bias * dps / 2.0);
+            });
+        },
+    ),
+    even(
+        "bias against temperature",
+        "°/s per °C",
+        0.0,
+        (0.0, 0.32),
+        |dps, rig, _| {
+            imu(rig, |imu| {
+                imu.gyro_drift = [1.0, -1.0, 0.5].map(|axis: f64| (axis * dps).to_radians())
+            });
+        },
+    ),
+    even(
+        "rate of data-ready",
+        "ppm",
+        0.0,
+        (-1.0, 0.0),
+        |ppm, rig, _| {
+            imu(rig, |imu| imu.data_ready.rate_ppm = ppm);
+        },
+    ),
+    even(
+        "wander of data-ready",
+        "µs",
+        0.0,
+        (0.0, 0.4),
+        |us, rig, _| {
+            imu(rig, |imu| imu.data_ready.wander_ns = us * 1e3);
+        },
+    ),
+    even(
+        "temperature of the running IMU above the room",
+        "°C",
+        4.0,
+        (1.0, 10.0),
+        |celsius, rig, _| {
+            imu(rig, |imu| imu.self_heating_c = celsius);
+        },
+    ),
+    log(
+        "time in which the IMU warms up",
+        "s",
+        60.0,
+        (30.0, 600.0),
+        |time_s, rig, _| {
+            imu(rig, |imu| imu.warm_up_s = time_s);
+        },
+    ),
+    even(
+        "jitter from pulse to flash",
+        "µs",
+        0.0,
+        (0.0, 100.0),
+        |us, rig, _| {
+            camera(rig, |camera| camera.flash_jitter = micros(us));
+        },
+    ),
+    Belief {
+        draw: Draw::Whole,
+        ..even(
+            "first depth frame on pulse",
+            "",
+            2.0,
+            (2.0, 8.0),
+            |pulse, rig, _| {
+                camera(rig, |camera| camera.first_frame = pulse as u32);
+            },
+        )
+    },
+    Belief {
+        draw: Draw::Whole,
+        ..even(
+            "camera's clock zeroed at the first pulse",
+            "",
+            0.0,
+            (0.0, 1.0),
+            |yes, rig, _| {
+                camera(rig, |camera| camera.zeroed_at_first_pulse = yes > 0.5);
+            },
+        )
+    },
+    even(
+        "depth frames spoilt under an external train",
+        "%",
+        0.0,
+        (0.0, 5.0),
+        |percent, rig, _| {
+            camera(rig, |camera| camera.spoil_probability = percent / 100.0);
+        },
+    ),
+    even(
+        "depth frames lost",
+        "%",
+        0.0,
+        (0.0, 2.0),
+        |percent, rig, _| {
+            camera(rig, |camera| camera.drop_probability = percent / 100.0);
+        },
+    ),
+    even(
+        "photodiode: delay when light comes",
+        "µs",
+        0.0,
+        (0.0, 20.0),
+        |us, rig, _| {
+            camera(rig, |camera| camera.photodiode_delay.0 = micros(us));
+        },
+    ),
+    even(
+        "photodiode: delay when light goes",
+        "µs",
+        0.0,
+        (0.0, 20.0),
+        |us, rig, _| {
+            camera(rig, |camera| camera.photodiode_delay.1 = micros(us));
+        },
+    ),
+];
+
+type Apply = fn(f64, &mut RigConfig, &mut PhoneConfig);
+
+const fn even(
+    name: &'static str,
+    unit: &'static str,
+    nominal: f64,
+    range: (f64, f64),
+    apply: Apply,
+) -> Belief {
+    Belief {
+        name,
+        unit,
+        nominal,
+        range,
+        draw: Draw::Even,
+        apply,
+    }
+}
+
+const fn log(
+    name: &'static str,
+    unit: &'static str,
+    nominal: f64,
+    range: (f64, f64),
+    apply: Apply,
+) -> Belief {
+    Belief {
+        draw: Draw::Log,
+        ..even(name, unit, nominal, range, apply)
+    }
+}
+
+/// A change of a frequency in the first ten minutes, that the models do not have.
+const fn either_sign(name: &'static str, range: (f64, f64), apply: Apply) -> Belief {
+    Belief {
+        draw: Draw::EitherSign,
+        ..even(name, "ppm in 10 min", 0.0, range, apply)
+    }
+}
+
+fn micros(us: f64) -> SimDuration {
+    SimDuration::from_nanos((us * 1e3).round() as u64)
+}
+
+fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::DepthCameraConfig)) {
+    if let Some(camera) = &mut rig.depth_camera {
+        change(camera);
+    }
+}
+
+fn imu(rig: &mut RigConfig, change: impl FnOnce(&mut crate::mpu9150::Mpu9150Config)) {
+    if let Some(imu) = &mut rig.imu {
+        change(imu);
+    }
+}
+
+fn each_clock(
+    rig: &mut RigConfig,
+    phone: &mut PhoneConfig,
+    mut change: impl FnMut(&mut OscillatorConfig),
+) {
+    change(&mut rig.board_clock);
+    change(&mut phone.clock);
+    camera(rig, |camera| change(&mut camera.clock));
+}
+
+impl Belief {
+    fn drawn(&self, random: &mut Random) -> f64 {
+        let (least, most) = self.range;
+        match self.draw {
+            Draw::Even => random.uniform(least, most),
+            Draw::Log => random.uniform(least.ln(), most.ln()).exp(),
+            Draw::EitherSign => {
+                let size = random.uniform(least.ln(), most.ln()).exp();
+                if random.chance(0.5) { size } else { -size }
+            }
+            Draw::Whole => random.uniform(least, most + 1.0).floor().min(most),
+        }
+    }
+
+    /// The ends of its range that are not the nominal value; of one with either sign, both
+    /// signs of the most.
+    #[must_use]
+    pub fn extremes(&self) -> Vec<f64> {
+        let (least, most) = self.range;
+        let ends = match self.draw {
+            Draw::EitherSign => [-most, most],
+            _ => [least, most],
+        };
+        ends.into_iter()
+            .filter(|&end| end != self.nominal)
+            .collect()
+    }
+
+    /// Its range with its unit, as the page has it.
+    #[must_use]
+    pub fn range_text(&self) -> String {
+        let (least, most) = self.range;
+        let sign = if self.draw == Draw::EitherSign {
+            "±"
+        } else {
+            ""
+        };
+        format!("{sign}{least} to {most} {}", self.unit)
+            .trim_end()
+            .to_owned()
+    }
+}
+
+/// A value for each belief.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beliefs([f64; BELIEFS.len()]);
+
+impl Default for Beliefs {
+    /// The nominal values.
+    fn default() -> Self {
+        Self(BELIEFS.map(|belief| belief.nominal))
+    }
+}
+
+impl Beliefs {
+    /// Those that a seed draws.
+    #[must_use]
+    pub fn drawn(seed: Seed) -> Self {
+        let mut random = seed.stream(Stream::Beliefs);
+        Self(BELIEFS.map(|belief| belief.drawn(&mut random)))
+    }
+
+    /// The same with another value of the belief at a place of [`BELIEFS`].
+    #[must_use]
+    pub fn with(mut self, place: usize, value: f64) -> Self {
+        if let Some(old) = self.0.get_mut(place) {
+            *old = value;
+        }
+        self
+    }
+
+    /// The same where no clock warms up by more than `most_ppm` in ten minutes: the
+    /// logarithm of each warming is pressed into the smaller range.
+    #[must_use]
+    pub fn with_warming_at_most(mut self, most_ppm: f64) -> Self {
+        for (belief, value) in BELIEFS.iter().zip(&mut self.0) {
+            if belief.draw == Draw::EitherSign && *value != 0.0 {
+                let (least, most) = belief.range;
+                let share = (value.abs() / least).ln() / (most / least).ln();
+                *value = value.signum() * least * (most_ppm / least).powf(share);
+            }
+        }
+        self
+    }
+
+    /// The value of the belief at a place of [`BELIEFS`].
+    #[must_use]
+    pub fn value(&self, place: usize) -> Option<f64> {
+        self.0.get(place).copied()
+    }
+
+    /// Makes a rig and its phone be so. What is as believed is left as it is.
+    pub fn apply(&self, rig: &mut RigConfig, phone: &mut PhoneConfig) {
+        for (belief, value) in BELIEFS.iter().zip(self.0) {
+            if value != belief.nominal {
+                (belief.apply)(value, rig, phone);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn made(beliefs: &Beliefs) -> (RigConfig, PhoneConfig) {
+        let mut made = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
+        beliefs.apply(&mut made.0, &mut made.1);
+        made
+    }
+
+    #[test]
+    fn each_belief_changes_the_rig_and_the_nominal_ones_do_not() {
+        let nominal = Beliefs::default();
+        let usual = (RigConfig::published(Seed(3)), PhoneConfig::draw(Seed(3)));
+        assert_eq!(made(&nominal), usual);
+        for (place, belief) in BELIEFS.iter().enumerate() {
+            let mut seen = vec![usual.clone()];
+            for end in belief.extremes() {
+                let other = made(&nominal.with(place, end));
+                assert!(!seen.contains(&other), "{} of {end}", belief.name);
+                assert!(other.0.clone().build().is_ok(), "{} of {end}", belief.name);
+                seen.push(other);
+            }
+            assert!(seen.len() > 1, "{} has no range", belief.name);
+        }
+    }
+
+    #[test]
+    fn a_seed_draws_from_the_whole_of_every_range() {
+        let draws: Vec<Beliefs> = (0..400).map(|seed| Beliefs::drawn(Seed(seed))).collect();
+        assert_eq!(draws[7], Beliefs::drawn(Seed(7)));
+        for (place, belief) in BELIEFS.iter().enumerate() {
+            let (least, most) = belief.range;
+            let values: Vec<f64> = draws.iter().filter_map(|d| d.value(place)).collect();
+            let size = |value: &f64| match belief.draw {
+                Draw::EitherSign => value.abs(),
+                _ => *value,
+            };
+            let (low, high) = values
+                .iter()
+                .map(size)
+                .fold((most, least), |(low, high), v| {
+                    assert!((least..=most).contains(&v), "{}: {v}", belief.name);
+                    (low.min(v), high.max(v))
+                });
+            // A twentieth of the range at both ends is reached.
+            let share = |v: f64| match belief.draw {
+                Draw::Log | Draw::EitherSign => (v / least).ln() / (most / least).ln(),
+                _ => (v - least) / (most - least),
+            };
+            assert!(share(low) < 0.05 && share(high) > 0.95, "{}", belief.name);
+        }
+    }
+
+    #[test]
+    fn warming_can_be_limited() {
+        let mut most = 0.0_f64;
+        for seed in 0..200 {
+            let drawn = Beliefs::drawn(Seed(seed));
+            let limited = drawn.with_warming_at_most(1.0);
+            for (place, belief) in BELIEFS.iter().enumerate() {
+                let (was, is) = (drawn.value(place).unwrap(), limited.value(place).unwrap());
+                if belief.draw == Draw::EitherSign {
+                    assert!((0.1..=1.0 + 1e-9).contains(&is.abs()) && is.signum() == was.signum());
+                    most = most.max(is.abs());
+                } else {
+                    assert_eq!(is, was);
+                }
+            }
+        }
+        assert!(most > 0.95);
+        assert_eq!(
+            Beliefs::default().with_warming_at_most(1.0),
+            Beliefs::default()
+        );
+    }
+
+    /// The rows of the page that a seed draws are marked with a star, and are these.
+    #[test]
+    fn the_page_has_the_same_names_values_and_ranges() {
+        let page = include_str!("../../../docs/beliefs.md");
+        let mut rows = 0;
+        for line in page.lines().filter(|line| line.starts_with("| * ")) {
+            rows += 1;
+            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
+            let name = cells[1].trim_start_matches("* ");
+            let belief = BELIEFS.iter().find(|belief| belief.name == name);
+            let belief = belief.unwrap_or_else(|| panic!("nothing draws {name:?}"));
+            assert_eq!(cells[5], belief.range_text(), "{name}: the range");
+            let nominal = format!("{} {}", belief.nominal, belief.unit);
+            assert_eq!(cells[3], nominal.trim_end(), "{name}: the value");
+        }
+        assert_eq!(rows, BELIEFS.len(), "rows of the page with a star");
+    }
+}

@@ -1,0 +1,355 @@
+//! A session on the models alone: no board, no link, no app. Twists, estimator, learning
+//! and alignment are the product's; a pulse is where the alignment puts it, to the tick, as
+//! tests of the board show that it is. Jitter of single flashes is left out: the phase is
+//! that of the grid.
+
+use anyhow::{Context, Result, bail};
+use frame_sync::alignment::{phase_sigma_us_at, plan, skew_prior};
+use frame_sync::learn::{Origin, learnt};
+use frame_sync::rates::Course;
+use frame_sync::train::frame_period;
+use jiff::Timestamp;
+use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
+use recording::profile::Profile;
+use recording::session_file::{Alignment, Video};
+use rig::beliefs::Beliefs;
+use rig::motion::MotionSpec;
+use rig::motion::gesture::Gesture;
+use rig::mpu9150::Mpu9150;
+use rig::mpu9150::registers::address;
+use rig::oscillator::{BoardTime, Oscillator, TrueTime};
+use rig::phone::{FrameTimes, PhoneConfig, gyroscope_samples};
+use rig::random::{Seed, Stream};
+use rig::rig_config::{RigConfig, RigParts};
+use rig::wiring;
+use serde::Serialize;
+use stm32f4_sim::clock::Rate;
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::sim::INPUT_SYNCHRONISER;
+use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
+use timebase::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
+use twist_sync::{Options, estimate_offset};
+
+/// Length of a twist, and how much longer the board listens, seconds.
+const TWIST_S: f64 = 9.0;
+const MARGIN_S: f64 = 0.25;
+
+/// From the end of a twist to the next of a session, and to the request of the video.
+pub const GAP_S: f64 = 60.0;
+const TO_VIDEO_S: f64 = 1.0;
+
+/// From the request of a video to a train that has arrived.
+const TO_ARRIVAL_S: f64 = 6.0;
+
+/// How long is recorded.
+const RECORDED_S: f64 = 300.0;
+
+/// How often a twist is tried.
+const TRIES: u32 = 3;
+
+/// The address of the IMU.
+const IMU: u8 = 0x68;
+
+/// How a session came out.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Judged {
+    /// Error of the phase when the train has arrived, µs.
+    pub phase_us: f64,
+    /// What the session says of it, 1-sigma.
+    pub phase_sigma_us: f64,
+    /// Drift over the first minute, µs/min.
+    pub drift_1_us_per_min: f64,
+    /// Drift over the first five minutes, µs/min.
+    pub drift_5_us_per_min: f64,
+    /// What the session says of that, 1-sigma.
+    pub drift_sigma_us_per_min: f64,
+    /// Error of the clocks' offset then, µs.
+    pub offset_us: f64,
+    /// What the session says of it, 1-sigma.
+    pub offset_sigma_us: f64,
+}
+
+/// The sessions of one rig, each since it was switched on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Sessions {
+    /// One twist, nothing learnt.
+    pub fresh: Judged,
+    /// One twist, by what the session before it has taught, minutes ago.
+    pub learnt: Judged,
+    /// Two twists, and a frame period that was learnt on another day.
+    pub two_twists: Judged,
+    /// Three twists.
+    pub three_twists: Judged,
+}
+
+/// A rig that is switched on, as its models.
+struct Rig {
+    parts: RigParts,
+    phone: PhoneConfig,
+    oscillator: Oscillator,
+    imu: Bench<Mpu9150>,
+    profile: Profile,
+}
+
+/// The sessions on the rig of a seed with these beliefs.
+///
+/// # Errors
+///
+/// Twists are refused, nothing can be learnt, or nothing can be aligned.
+pub fn sessions(seed: u64, beliefs: &Beliefs) -> Result<Sessions> {
+    let mut rig = Rig::new(Seed(seed), beliefs)?;
+    // Of the cold rig: three twists, from which one, two and three are used.
+    let mut at = 15.0;
+    let mut twists: Vec<ClockModel> = Vec::new();
+    let mut ends = Vec::new();
+    for _ in 0..3 {
+        let (clock, end) = rig.twist(at)?;
+        twists.push(clock);
+        ends.push(end);
+        at = end + GAP_S;
+    }
+    let fresh_profile = rig.profile.clone();
+    let one = Course::of_twist(twists[0]);
+    let begun = ends[0] + TO_VIDEO_S;
+    let fresh = rig.record(&fresh_profile, &one, 0, begun)?;
+
+    // A recording teaches: its frames, and its twists at both ends.
+    let stop = begun + TO_ARRIVAL_S + RECORDED_S;
+    let (last, end) = rig.twist(stop + 2.0)?;
+    let joined = twists[0].joined(&last);
+    let sigma = joined.covariance[1][1].max(0.0).sqrt();
+    let now = Timestamp::UNIX_EPOCH;
+    let period = rig.learnt_period(begun)?;
+    let origin = Origin {
+        board_id: None,
+        time: now,
+        board_temperature_c: None,
+    };
+    let taught = learnt(period, Some((joined.skew, sigma)), &origin);
+    let mut profile = fresh_profile;
+    profile.phone.learnt = Some(taught.clone());
+
+    let (clock, end) = rig.twist(end + 20.0)?;
+    let later = now + jiff::SignedDuration::from_secs(360);
+    let known = skew_prior(&profile.phone, "", later, None).context("no skew was learnt")?;
+    let alone = Course::of_twist(clock);
+    let course = alone
+        .with_known_skew(known.skew, known.sigma)
+        .unwrap_or(alone);
+    let learnt = rig.record(&profile, &course, 1, end + TO_VIDEO_S)?;
+
+    // On a cold rig the frame period of another day, and no skew.
+    let joined = |count: usize| {
+        let others = &twists[1..count];
+        others.iter().fold(one, |course, twist| {
+            course.with_twist(twist).unwrap_or(Course::of_twist(*twist))
+        })
+    };
+    let two_twists = rig.record(&profile, &joined(2), 2, ends[1] + TO_VIDEO_S)?;
+    let three_twists = rig.record(&profile, &joined(3), 3, ends[2] + TO_VIDEO_S)?;
+    Ok(Sessions {
+        fresh,
+        learnt,
+        two_twists,
+        three_twists,
+    })
+}
+
+fn true_time(seconds: f64) -> TrueTime {
+    TrueTime::from_nanos((seconds * 1e9) as u64)
+}
+
+impl Rig {
+    fn new(seed: Seed, beliefs: &Beliefs) -> Result<Self> {
+        let mut config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
+        let mut phone = PhoneConfig::draw(seed);
+        beliefs.apply(&mut config, &mut phone);
+        let parts = config.build()?;
+        let settings = parts.config.imu.context("the rig has no IMU")?;
+        let motion = std::sync::Arc::clone(&parts.motion);
+        let mut imu = Bench::new(Mpu9150::new(settings, motion, parts.board.clone(), seed));
+        imu.set_clock(wiring::IMU_CLOCK, Some(Rate::hz(19_200_000)));
+        imu.run_until(SimTime::from_nanos(100_000_000));
+        // 500 Hz, 188 Hz, 500 °/s, and asleep: samples are only made of twists.
+        for (register, value) in [
+            (address::SMPLRT_DIV, 1),
+            (address::CONFIG, 1),
+            (address::GYRO_CONFIG, 1 << 3),
+        ] {
+            write(&mut imu, register, value)?;
+        }
+        let mut profile = Profile::published()?;
+        profile.phone.rows = u32::try_from(phone.camera.rows)?;
+        profile.phone.readout_us = phone.camera.readout_ns() * 1e-3;
+        profile.phone.gyro_delay_us = phone.gyroscope.low_pass.delay_s * 1e6;
+        let depth = parts
+            .config
+            .depth_camera
+            .context("the rig has no depth camera")?;
+        let center = depth.flash_delay.as_nanos() as f64;
+        let center = center + depth.mode.flashes().center_offset_ns() as f64;
+        profile.depth.center_offset_us = center * 1e-3;
+        Ok(Self {
+            oscillator: Oscillator::new(phone.clock, seed.stream(Stream::PhoneClock)),
+            parts,
+            phone,
+            imu,
+            profile,
+        })
+    }
+
+    fn board(&self) -> &BoardTime {
+        &self.parts.board
+    }
+
+    /// Twists at a true time until a twist passes the gates: the relation from it alone,
+    /// and the true time of its end.
+    fn twist(&mut self, at: f64) -> Result<(ClockModel, f64)> {
+        let mut at = at;
+        let mut refusal = String::new();
+        for _ in 0..TRIES {
+            let (board, phone) = (self.board_samples(at)?, self.phone_samples(at));
+            let end = at + TWIST_S + MARGIN_S;
+            let (times, rates): (Vec<Ticks>, Vec<[f64; 3]>) = board.into_iter().unzip();
+            let track = board_track(&times, rates);
+            let (times, rates): (Vec<PhoneNanos>, Vec<[f64; 3]>) = phone.into_iter().unzip();
+            let options = Options {
+                a_delay_s: f64::from(LowPass::Hz188.gyro_delay_us()) * 1e-6,
+                b_delay_s: self.profile.phone.gyro_delay_us * 1e-6,
+                sigma_limit_s: self.profile.align.max_offset_sigma_us * 1e-6,
+                ..Options::default()
+            };
+            match estimate_offset(&track, &phone_track(&times, rates), &options) {
+                Ok(estimate) => return Ok((estimate.clock.into(), end)),
+                Err(refused) => refusal = refused.to_string(),
+            }
+            at = end + 2.0;
+        }
+        bail!("{TRIES} twists were refused, the last one: {refusal}");
+    }
+
+    /// The board's gyroscope in a twist that begins at a true time.
+    fn board_samples(&mut self, at: f64) -> Result<Vec<(Ticks, [f64; 3])>> {
+        let board = self.board().clone();
+        let of = |seconds| board.board_at(true_time(seconds));
+        // It wakes up for 30 ms.
+        self.imu.run_until(of(at - 0.05));
+        write(&mut self.imu, address::PWR_MGMT_1, CLOCKED)?;
+        self.imu.run_until(of(at));
+        self.imu.model.log_mut().take();
+        self.imu.run_until(of(at + TWIST_S + MARGIN_S));
+        let records = self.imu.model.log_mut().take();
+        write(&mut self.imu, address::PWR_MGMT_1, CLOCKED | ASLEEP)?;
+        let per_tick = UNITS_PER_SECOND / u64::from(TICK_HZ);
+        let lsb = f64::from(GyroRange::Dps500.lsb_per_dps_times_10()) / 10.0;
+        let sample = |record: &rig::mpu9150::SampleRecord| {
+            let tick = record.at.units() / per_tick + INPUT_SYNCHRONISER;
+            let rate = record
+                .values
+                .gyro
+                .map(|raw| (f64::from(raw) / lsb).to_radians());
+            (Ticks(tick), rate)
+        };
+        Ok(records.iter().map(sample).collect())
+    }
+
+    /// The phone's in the same twist, as the app answers.
+    fn phone_samples(&self, at: f64) -> Vec<(PhoneNanos, [f64; 3])> {
+        let from = self.oscillator.nanos_at(true_time(at));
+        let to = from.saturating_add((TWIST_S * 1e9) as i64);
+        let motion = std::sync::Arc::clone(&self.parts.motion);
+        let samples = gyroscope_samples(&self.phone, &self.oscillator, motion, from..to);
+        let sample = |(time, rate): (i64, [f32; 3])| (PhoneNanos(time), rate.map(f64::from));
+        samples.into_iter().map(sample).collect()
+    }
+
+    /// The frames of a recording that is asked for at a true time.
+    fn frames(&self, recording: u32, begun: f64) -> FrameTimes {
+        let request = self.oscillator.nanos_at(true_time(begun));
+        FrameTimes::new(&self.phone, recording, request)
+    }
+
+    /// What the timestamps of the first recording teach.
+    fn learnt_period(&self, begun: f64) -> Result<(f64, f64)> {
+        let frames = self.frames(0, begun);
+        let count = (RECORDED_S * 1e9 / frames.period_ns()) as usize;
+        let stamps: Vec<PhoneNanos> = frames.stamps(count).into_iter().map(PhoneNanos).collect();
+        let period = frame_period(&stamps)?;
+        Ok((period.period_ns, period.sigma_ns))
+    }
+
+    /// Aligns and records, from the request of the video at a true time on.
+    fn record(
+        &self,
+        profile: &Profile,
+        course: &Course,
+        recording: u32,
+        begun: f64,
+    ) -> Result<Judged> {
+        let frames = self.frames(recording, begun);
+        let (phase, frame_duration_ns) = frames.phase();
+        let video = Video {
+            phase: PhoneNanos(phase),
+            frame_duration_ns,
+            exposure_ns: Some(frames.exposure_ns()),
+        };
+        let alignment = plan(profile, course, &video)?.alignment;
+        let first = (TO_ARRIVAL_S * 1e9 / frames.period_ns()) as usize;
+        let after = |minutes: f64| first + (minutes * 60e9 / frames.period_ns()) as usize;
+        let error = |frame| self.phase_us(&alignment, &frames, frame);
+        let (start, one, five) = (error(first)?, error(after(1.0))?, error(after(5.0))?);
+        let arrived = self.middle(&frames, first)?;
+        let at = self.board().board_at(arrived);
+        let at = BoardSeconds(at.as_secs_f64());
+        let stated = alignment.clock.offset_at(at);
+        let truth = self.oscillator.nanos_at(arrived) as f64 * 1e-9 - at.0;
+        Ok(Judged {
+            phase_us: start,
+            phase_sigma_us: phase_sigma_us_at(&alignment, at),
+            drift_1_us_per_min: one - start,
+            drift_5_us_per_min: (five - start) / 5.0,
+            drift_sigma_us_per_min: alignment.drift_sigma_us_per_min,
+            offset_us: (stated.value - truth) * 1e6,
+            offset_sigma_us: stated.sigma * 1e6,
+        })
+    }
+
+    /// True time of the middle of one of the phone's frames.
+    fn middle(&self, frames: &FrameTimes, frame: usize) -> Result<TrueTime> {
+        let middle = self.oscillator.when_nanos(frames.middle_ns(frame));
+        middle.context("a frame before the phone was on")
+    }
+
+    /// Middle of the depth image nearest to one of the phone's frames less its own, µs.
+    fn phase_us(&self, alignment: &Alignment, frames: &FrameTimes, frame: usize) -> Result<f64> {
+        let middle = self.middle(frames, frame)?;
+        let per_tick = UNITS_PER_SECOND / u64::from(TICK_HZ);
+        let tick = self.board().board_at(middle).units() / per_tick;
+        let period = u128::from(alignment.period_q32);
+        let delay_ns = alignment.center_offset_us * 1e3;
+        let lead = (delay_ns * 1e-9 * f64::from(TICK_HZ)) as u64;
+        let since = u128::from(tick.saturating_sub(alignment.anchor.0 + lead)) << 32;
+        let nearest = (since + period / 2) / period;
+        let edge = alignment.anchor.0 + u64::try_from((nearest * period) >> 32)?;
+        let edge = self.board().true_at(SimTime::from_units(edge * per_tick));
+        // The camera counts the delay by its own clock.
+        let camera = self.parts.depth_camera.as_ref();
+        let camera = camera.map(|camera| lock(camera).clock().clone());
+        let rate = camera.map_or(0.0, |clock| clock.fraction_at(edge));
+        let apart = i128::from(edge.units()) - i128::from(middle.units());
+        let apart_us = apart as f64 / UNITS_PER_SECOND as f64 * 1e6;
+        Ok(apart_us + delay_ns * 1e-3 / (1.0 + rate))
+    }
+}
+
+/// PWR_MGMT_1: the clock is that on CLKIN; and asleep.
+const CLOCKED: u8 = 5;
+const ASLEEP: u8 = 1 << 6;
+
+fn write(imu: &mut Bench<Mpu9150>, register: u8, value: u8) -> Result<()> {
+    match imu.write(IMU, register, &[value]) {
+        Ok(()) => Ok(()),
+        Err(byte) => bail!("the IMU does not acknowledge byte {byte} of register {register:#x}"),
+    }
+}

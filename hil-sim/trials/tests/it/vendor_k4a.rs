@@ -1,0 +1,199 @@
+//! The camera maker's own recording library writes, and we read; we write, and it reads.
+//!
+//! The library comes inside of the Python package pyk4a-bundle; the script
+//! `tests/python/vendor_k4a.py` drives it. No camera: the images are made up.
+
+use std::fs::File;
+use std::path::Path;
+
+use crate::python::run_script;
+use crate::turn;
+use extract::mkv::k4a::{Content, K4aError, RawImage, Recording, StartOffset};
+use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
+use serde_json::Value;
+
+/// Device time of the first capture in the library's recordings.
+const START_US: i64 = 7_654_321;
+
+fn script() -> &'static Path {
+    Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/python/vendor_k4a.py"
+    ))
+}
+
+fn run(what: &str, path: &Path) -> Value {
+    serde_json::from_str(&run_script(script(), &[Path::new(what), path])).unwrap()
+}
+
+/// Times in µs and checksums of big-endian images.
+fn stamps(images: &[RawImage]) -> Vec<(i64, u32)> {
+    let stamp = |image: &RawImage| {
+        assert_eq!(image.at.0 % 1000, 0);
+        (image.at.0 / 1000, crc32fast::hash(&image.bytes))
+    };
+    images.iter().map(stamp).collect()
+}
+
+/// The same, as the script tells them.
+fn told_stamps(told: &Value) -> Vec<(i64, u32)> {
+    let stamp = |pair: &Value| {
+        let crc = u32::try_from(pair[1].as_u64().unwrap()).unwrap();
+        (pair[0].as_i64().unwrap(), crc)
+    };
+    told.as_array().unwrap().iter().map(stamp).collect()
+}
+
+/// An IMU sample: times in µs, and axes.
+type Sample = (i64, [f32; 3], i64, [f32; 3]);
+
+fn told_imu(told: &Value) -> Vec<Sample> {
+    let axes = |axes: &Value| [0, 1, 2].map(|n| axes[n].as_f64().unwrap() as f32);
+    let time = |time: &Value| time.as_i64().unwrap();
+    let sample = |s: &Value| (time(&s[0]), axes(&s[1]), time(&s[2]), axes(&s[3]));
+    told.as_array().unwrap().iter().map(sample).collect()
+}
+
+/// Everything in a recording of the library, against what the script told of it; of one
+/// that was not closed, what had come to the disk.
+fn holds(folder: &Path, told: &Value, closed: bool) {
+    let name = told["file"].as_str().unwrap();
+    let mut recording = Recording::open(&folder.join(name)).unwrap();
+    assert_eq!(recording.was_closed(), closed, "{name}");
+    assert_eq!(
+        recording.calibration(),
+        Some(&br#"{"made": "up"}"#[..]),
+        "{name}"
+    );
+    let size = match told["mode"].as_u64() {
+        Some(2) => (640, 576),
+        _ => (320, 288),
+    };
+    assert_eq!(recording.size(), size, "{name}");
+    if closed {
+        assert_eq!(recording.tag("K4A_WIRED_SYNC_MODE"), Some("SUBORDINATE"));
+        assert_eq!(recording.tag("K4A_SUBORDINATE_DELAY_NS"), Some("160000"));
+        let offset = StartOffset::Tag(START_US * 1000);
+        assert_eq!(recording.start_offset(), offset, "{name}");
+    } else {
+        let offset = StartOffset::Imu(START_US * 1000);
+        assert_eq!(recording.start_offset(), offset, "{name}");
+    }
+    let (mut depth, mut ir, mut imu) = (Vec::new(), Vec::new(), Vec::new());
+    while let Some(batch) = recording.next_batch(Content::Pixels).unwrap() {
+        assert!(batch.intact, "{name}: a checksum");
+        depth.extend(batch.depth);
+        ir.extend(batch.ir);
+        imu.extend(batch.imu);
+    }
+    let damage: Vec<_> = recording.damage().iter().map(|d| &d.what).collect();
+    assert!(damage.is_empty(), "{name}: {damage:?}");
+    let (mut told_depth, mut told_ir) = (told_stamps(&told["depth"]), told_stamps(&told["ir"]));
+    let mut told_samples = told_imu(&told["imu"]);
+    if !closed {
+        assert!(
+            depth.len() >= 3 && imu.len() > 1000,
+            "{name}: {} images",
+            depth.len()
+        );
+        told_depth.truncate(depth.len());
+        told_ir.truncate(ir.len());
+        told_samples.truncate(imu.len());
+    }
+    assert_eq!(stamps(&depth), told_depth, "{name}: depth");
+    assert_eq!(stamps(&ir), told_ir, "{name}: infrared");
+    let imu: Vec<Sample> = imu
+        .iter()
+        .map(|s| (s.accel_at.0 / 1000, s.accel, s.gyro_at.0 / 1000, s.gyro))
+        .collect();
+    assert!(imu == told_samples, "{name}: IMU");
+}
+
+#[test]
+fn recordings_of_the_makers_library_are_read_exactly() {
+    let _turn = turn::beside_others();
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let told = run("write", folder);
+    let of = |name: &str| {
+        let files = told.as_array().unwrap();
+        files.iter().find(|file| file["file"] == name).unwrap()
+    };
+    for name in ["mjpg.mkv", "nv12.mkv", "yuy2.mkv", "bgra.mkv"] {
+        assert!(of(name)["imu"].as_array().unwrap().len() > 300);
+        holds(folder, of(name), true);
+    }
+    holds(folder, of("depth_alone.mkv"), true);
+    // What is flushed is complete, whether it is closed or not.
+    holds(folder, of("flushed.mkv"), true);
+    holds(folder, of("unclosed.mkv"), false);
+    match Recording::open(&folder.join("passive_ir.mkv")) {
+        Err(K4aError::NoDepth { found }) => assert!(found.contains("IR"), "{found}"),
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("passive infrared has no depth"),
+    }
+}
+
+#[test]
+fn the_makers_library_reads_what_the_simulated_camera_records() {
+    let _turn = turn::beside_others();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ours.mkv");
+    let settings = K4aSettings {
+        serial: "000123456789".into(),
+        ..K4aSettings::default()
+    };
+    let (width, height) = (settings.width, settings.height);
+    let pixels = |seed: u32| -> Vec<u16> {
+        let pixel = |n: u32| (seed.wrapping_mul(7919).wrapping_add(n * 31)) as u16;
+        (0..width * height).map(pixel).collect()
+    };
+    let little_endian = |pixels: &[u16]| -> u32 {
+        let bytes: Vec<u8> = pixels.iter().flat_map(|p| p.to_le_bytes()).collect();
+        crc32fast::hash(&bytes)
+    };
+    let start = 3_210_987_u64;
+    let (mut depth, mut ir, mut imu) = (Vec::new(), Vec::new(), Vec::<Sample>::new());
+    let mut writer = K4aMkvWriter::new(File::create(&path).unwrap(), settings).unwrap();
+    for frame in 0..40 {
+        let at = start + u64::from(frame) * 33_333;
+        for n in 0..53 {
+            let sample = K4aImu {
+                accel_us: at + n * 625,
+                accel: [0.5, -9.75, n as f32],
+                gyro_us: at + n * 625 + 37,
+                gyro: [frame as f32, 0.25, -1.0],
+            };
+            writer.write_imu(&sample).unwrap();
+            let times = [sample.accel_us, sample.gyro_us].map(|us| us as i64);
+            imu.push((times[0], sample.accel, times[1], sample.gyro));
+        }
+        let images = [pixels(frame), pixels(frame + 1000)];
+        writer
+            .write_capture(at, &images[0], Some(&images[1]))
+            .unwrap();
+        depth.push((at as i64, little_endian(&images[0])));
+        ir.push((at as i64, little_endian(&images[1])));
+    }
+    writer.finish().unwrap();
+
+    let read = run("read", &path);
+    for (key, value) in [
+        ("depth_mode", 2),
+        ("camera_fps", 2),
+        ("wired_sync_mode", 2),
+        ("start_timestamp_offset_usec", start),
+        // The end of the file, not a failure.
+        ("end", 2),
+        ("imu_end", 2),
+    ] {
+        assert_eq!(read[key], value, "{key}");
+    }
+    let tracks = ["color", "depth", "ir", "imu"].map(|t| &read[format!("{t}_track_enabled")]);
+    assert_eq!(tracks, [false, true, true, true]);
+    assert_eq!(read["K4A_DEVICE_SERIAL_NUMBER"], "000123456789");
+    assert_eq!(read["K4A_DEPTH_MODE"], "NFOV_UNBINNED");
+    assert_eq!(told_stamps(&read["depth"]), depth);
+    assert_eq!(told_stamps(&read["ir"]), ir);
+    assert_eq!(told_imu(&read["imu"]), imu);
+}

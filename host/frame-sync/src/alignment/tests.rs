@@ -1,0 +1,303 @@
+use jiff::civil::date;
+
+use super::*;
+use recording::session_file::RateChange;
+use timebase::PhoneNanos;
+
+fn clock() -> ClockModel {
+    ClockModel {
+        reference: BoardSeconds(100.0),
+        offset: 36_000.000_25,
+        skew: 2e-5,
+        covariance: [[9e-12, 0.0], [0.0, 1e-12]],
+        wander: Wander(1e-8),
+    }
+}
+
+/// Of a rig that does not warm up.
+fn course() -> Course {
+    Course {
+        clock: clock(),
+        change: RateChange::default(),
+    }
+}
+
+fn video() -> Video {
+    Video {
+        phase: PhoneNanos(36_110_000_000_000),
+        frame_duration_ns: 33_330_652.542,
+        exposure_ns: Some(4_000_000),
+    }
+}
+
+fn learnt() -> Learnt {
+    Learnt {
+        frame_period_ns: 33_330_650.0,
+        frame_period_sigma_ns: 0.02,
+        skew: Some(2.05e-5),
+        skew_sigma: Some(2e-8),
+        learnt: date(2026, 1, 31),
+        time: None,
+        board_temperature_c: None,
+        board_id: Some(String::from("AB")),
+    }
+}
+
+#[test]
+fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
+    let mut profile = Profile::published().unwrap();
+    profile.frame_sync.bias_us = -120.0;
+    let planned = plan(&profile, &course(), &video()).unwrap();
+    let alignment = planned.alignment;
+    // Back from the edge to the phone's time: the same instant.
+    let middle_board = BoardSeconds(alignment.anchor.as_secs_f64() + (6_362.5 - 120.0) * 1e-6);
+    let middle_phone = clock().to_phone(middle_board).0;
+    let wanted = 36_110.0 + (2_000.0 + 5_503.0) * 1e-6;
+    assert!(
+        (middle_phone - wanted).abs() < 12e-9,
+        "{middle_phone} {wanted}"
+    );
+
+    // The period in board ticks: the phone's seconds are shorter than the board's.
+    let ticks = alignment.period_q32 as f64 / 4_294_967_296.0;
+    let expected = 33_330_652.542e-9 / (1.0 + 2e-5) * 48e6;
+    assert!((ticks - expected).abs() < 1e-8);
+    assert_eq!(alignment.frame_period_source, FramePeriodSource::VideoStart);
+    // 1 ppm of skew, 1.4 ppm of frame period.
+    assert!((alignment.drift_sigma_us_per_min - 105.3).abs() < 1.0);
+    assert!((alignment.phase_sigma_us - (9.0_f64 + 100.0 + 4.0).sqrt()).abs() < 0.05);
+    assert!(planned.remarks[0].contains("no frame period learnt"));
+}
+
+#[test]
+fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
+    let profile = Profile::published().unwrap();
+    let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
+    let anchor = alignment.anchor.as_secs_f64();
+    let at_anchor = phase_sigma_us_at(&alignment, BoardSeconds(anchor));
+    // A tick of the anchor is rounded.
+    assert!((at_anchor - alignment.phase_sigma_us).abs() < 1e-6);
+    // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
+    // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
+    let since = 160.0 - anchor;
+    let period_us = since * VIDEO_START_SIGMA_NS / 33_330_652.542 * 1e6;
+    let expected = (9.0 + 60.0_f64.powi(2) + 4.0 + period_us.powi(2)).sqrt();
+    let found = phase_sigma_us_at(&alignment, BoardSeconds(160.0));
+    // The clocks' wander adds a little.
+    assert!(
+        (0.0..0.1).contains(&(found - expected)),
+        "{found} {expected}"
+    );
+}
+
+#[test]
+fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
+    let profile = Profile::published().unwrap();
+    let steady = plan(&profile, &course(), &video()).unwrap().alignment;
+    let warming = plan(&profile, &Course::of_twist(clock()), &video()).unwrap();
+    let mut warming = warming.alignment;
+    assert!(warming.drift_sigma_us_per_min > 1.02 * steady.drift_sigma_us_per_min);
+    // Where the train arrives, seconds after the twist, it is nothing.
+    assert!((warming.phase_sigma_us / steady.phase_sigma_us - 1.0).abs() < 0.01);
+    let late = BoardSeconds(400.0);
+    let of = |alignment: &Alignment| phase_sigma_us_at(alignment, late);
+    assert!(of(&warming) > 1.02 * of(&steady));
+    // 0.3 ppm a degree, on the average of 300 s.
+    warming.board_temperature_c = Some(25.0);
+    let at = |celsius| phase_sigma_us_now(&warming, late, celsius);
+    assert_eq!((at(None), at(Some(25.0))), (of(&warming), of(&warming)));
+    let expected = of(&warming).hypot(0.3 * 4.0 * 300.0 / 2.0);
+    assert!((at(Some(29.0)) - expected).abs() < 1e-6);
+}
+
+#[test]
+fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
+    let mut profile = Profile::published().unwrap();
+    let true_ns = video().frame_duration_ns;
+    for known in [None, Some(learnt())] {
+        profile.phone.learnt = known;
+        for (odd, word) in [(1.0, "lost"), (3.0, "lost"), (-2.0, "doubled")] {
+            let video = Video {
+                frame_duration_ns: true_ns * (59.0 + odd) / 59.0,
+                ..video()
+            };
+            let planned = plan(&profile, &course(), &video).unwrap();
+            let found = planned.alignment.frame_period_ns;
+            assert!((found - true_ns).abs() < 3.0, "{odd}: {found}");
+            let said = planned.remarks.iter().any(|text| text.contains(word));
+            assert!(said, "{:?}", planned.remarks);
+        }
+    }
+    // A phone that is half a percent off has lost none.
+    profile.phone.learnt = None;
+    let video = Video {
+        frame_duration_ns: 33_500_000.0,
+        ..video()
+    };
+    let planned = plan(&profile, &course(), &video).unwrap();
+    assert_eq!(planned.alignment.frame_period_ns, 33_500_000.0);
+}
+
+#[test]
+fn a_learnt_skew_ages_and_moves_with_the_temperature() {
+    let time: Timestamp = "2026-01-31T12:00:00Z".parse().unwrap();
+    let mut phone = Profile::published().unwrap().phone;
+    let known = Learnt {
+        time: Some(time),
+        board_temperature_c: Some(25.0),
+        ..learnt()
+    };
+    let sigma = |known: &Learnt, seconds: i64, celsius| {
+        phone.learnt = Some(known.clone());
+        let now = time + jiff::SignedDuration::from_secs(seconds);
+        let rate = skew_prior(&phone, "AB", now, celsius).unwrap();
+        assert_eq!(rate.skew, 2.05e-5);
+        rate.sigma
+    };
+    let mut sigma = sigma;
+    assert_eq!(sigma(&known, 0, None), 2e-8);
+    // 0.05 ppm a minute, in the root of the time.
+    let ten = sigma(&known, 600, Some(25.0));
+    assert!((ten - 2e-8_f64.hypot(5e-8 * 10_f64.sqrt())).abs() < 1e-12);
+    let warmer = sigma(&known, 600, Some(21.0));
+    assert!((warmer - ten.hypot(1.2e-6)).abs() < 1e-12);
+    let season = sigma(&known, 90 * 86_400, None);
+    assert!((season - 2e-8_f64.hypot(2e-6)).abs() < 1e-12);
+    // Of a day whose hour is not known.
+    let dated = Learnt {
+        time: None,
+        ..known
+    };
+    let day = sigma(&dated, 0, None);
+    assert!((1.8e-6..=2.01e-6).contains(&day), "{day}");
+}
+
+#[test]
+fn a_learnt_period_is_used_unless_it_does_not_fit() {
+    let mut profile = Profile::published().unwrap();
+    profile.phone.learnt = Some(learnt());
+    let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
+    assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
+    assert_eq!(alignment.frame_period_ns, 33_330_650.0);
+
+    let mut other = video();
+    other.frame_duration_ns = 33_333_333.0;
+    let planned = plan(&profile, &course(), &other).unwrap();
+    assert_eq!(
+        planned.alignment.frame_period_source,
+        FramePeriodSource::VideoStart
+    );
+    assert!(planned.remarks[0].contains("does not fit"));
+}
+
+#[test]
+fn another_phone_is_placed_against_the_grid() {
+    let mut profile = Profile::published().unwrap();
+    profile.frame_sync.bias_us = 40.0;
+    let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
+    // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
+    let other = ClockModel {
+        offset: 71_000.5,
+        skew: -3e-5,
+        ..clock()
+    };
+    let board = clock().to_board(video().phase.seconds()).0 + 2.5e-3 + 7.0 * 33.33e-3;
+    let board = BoardSeconds(board - 7.0 * (33.33e-3 - 33_330_652.542e-9 / (1.0 + 2e-5)));
+    let moved = Video {
+        phase: PhoneNanos((other.to_phone(board).0 * 1e9).round() as i64),
+        frame_duration_ns: (33_330_652.542 / (1.0 + 2e-5) + 100.0) * (1.0 - 3e-5),
+        ..video()
+    };
+    for fps in [30, 5] {
+        profile.depth.fps = fps;
+        let alignment = Alignment {
+            period_q32: alignment.period_q32 * u64::from(profile.frame_ratio()),
+            ..alignment
+        };
+        let placed = placement(
+            &profile,
+            &profile.phone,
+            &Course::of_twist(other),
+            &moved,
+            &alignment,
+        );
+        // To the middle it is 7,503 µs of each phone's own clock. A tick of the
+        // anchor and a few ns of seconds in floats may be off.
+        let offset = 2_500.0 + 7_503.0 * 5e-5;
+        assert!((placed.offset_us - offset).abs() < 0.05, "{placed:?}");
+        let drift = 100.0 / 33_329_986.0 * 60e6;
+        assert!((placed.drift_us_per_min - drift).abs() < 0.1, "{placed:?}");
+        assert!(placed.offset_sigma_us > 3.0 && placed.offset_sigma_us < 20.0);
+        assert!(placed.drift_sigma_us_per_min > 60.0);
+    }
+}
+
+#[test]
+fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
+    let mut profile = Profile::published().unwrap();
+    let fast = plan(&profile, &course(), &video()).unwrap().alignment;
+    profile.depth.fps = 5;
+    let slow = plan(&profile, &course(), &video()).unwrap().alignment;
+    assert_eq!(slow.anchor, fast.anchor);
+    assert!(slow.period_q32.abs_diff(6 * fast.period_q32) <= 4);
+}
+
+#[test]
+fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
+    let profile = Profile::published().unwrap();
+    for exposure_ns in [None, Some(0)] {
+        let video = Video {
+            exposure_ns,
+            ..video()
+        };
+        let planned = plan(&profile, &course(), &video).unwrap();
+        assert_eq!(planned.alignment.exposure_us, 10_000.0);
+        assert!(planned.remarks.iter().any(|text| text.contains("exposure")));
+    }
+}
+
+#[test]
+fn nonsense_from_the_phone_is_told() {
+    let profile = Profile::published().unwrap();
+    // A period of 1 ms would be within what the board can do.
+    for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9, 1e6, 2.9e7, 4e7] {
+        let video = Video {
+            frame_duration_ns,
+            ..video()
+        };
+        assert!(matches!(
+            plan(&profile, &course(), &video),
+            Err(AlignmentError::FramePeriod { .. })
+        ));
+    }
+    let early = Video {
+        phase: PhoneNanos(0),
+        ..video()
+    };
+    assert!(matches!(
+        plan(&profile, &course(), &early),
+        Err(AlignmentError::OutOfRange { .. })
+    ));
+}
+
+#[test]
+fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
+    let mut wide = clock();
+    wide.covariance = [[9e-12, 1e-12], [1e-12, 1e-12]];
+    let sharp = with_known_skew(&wide, 2.05e-5, 2e-8).unwrap();
+    assert!((sharp.skew - 2.05e-5).abs() < 1e-9);
+    assert!(sharp.covariance[1][1].sqrt() < 2.1e-8);
+    // Correlation 1/3: the offset moves by cov/var of the skew's change.
+    assert!((sharp.offset - wide.offset - 0.5e-6).abs() < 1e-8);
+    assert!(sharp.covariance[0][0] < wide.covariance[0][0]);
+    assert_eq!(with_known_skew(&wide, 3e-5, 2e-8), None);
+}
+
+#[test]
+fn a_skew_against_another_board_is_not_taken() {
+    let mut profile = Profile::published().unwrap();
+    profile.phone.learnt = Some(learnt());
+    let prior = |board| skew_prior(&profile.phone, board, Timestamp::now(), None);
+    assert!(prior("AB").is_some());
+    assert!(prior("CD").is_none());
+}
