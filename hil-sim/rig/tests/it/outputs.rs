@@ -200,7 +200,7 @@ impl Bench {
             report(Pin::PA5, pulse.number, pulse.at);
         }
         for pulse in board.output_pulses.drain(..) {
-            let pin = PINS[usize::from(output.number()) - 1];
+            let pin = PINS[usize::from(pulse.output.number()) - 1];
             report(pin, pulse.number, pulse.at);
             assert!(pulse.aligned);
         }
@@ -378,7 +378,7 @@ fn a_multiple_stays_on_every_sixth_pulse() {
     for _ in 0..60 {
         bench.board.run(1_000);
         camera.extend(bench.board.pulses.iter().map(|pulse| pulse.at));
-        slow.extend(bench.board.output_pulses.iter().map(|out| out.pulse.at));
+        slow.extend(bench.board.output_pulses.iter().map(|out| out.at));
         bench.check();
     }
     assert!(slow.len() > 290, "{}", slow.len());
