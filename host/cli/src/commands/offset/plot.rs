@@ -163,5 +163,9 @@ fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         chart = chart.add(name, Data::Line(points(true, axis)), COLOURS[axis]);
     }
-    chart.add("left out, as far as on this scale", Data::Points(out), COLOURS[3])
+    chart.add(
+        "left out, as far as on this scale",
+        Data::Points(out),
+        COLOURS[3],
+    )
 }
