@@ -3,9 +3,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use crate::estimate::{Estimate, Options};
-use crate::faults::{Action, Fault, Stream};
+use crate::faults::{Action, Fault, FaultKind, Stream};
 use crate::interpolant::{Uneven, Vec3};
 use crate::track::GyroTrack;
+
+/// The rate of a is not interpolated over longer times without a sample, seconds.
+const LONGEST_GAP_S: f64 = 0.05;
 
 /// A sample of b beside the rate of a at the same instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,12 +43,16 @@ pub fn left_out(faults: &[Fault], stream: Stream, samples: usize) -> Vec<bool> {
 
 /// All samples of b for which the rate of a is known.
 ///
-/// The rate of a is interpolated between the samples that were used; the samples of
-/// b are as recorded.
+/// The rate of a is interpolated between samples without faults, those of stretches among
+/// them in which the two were not one body; the samples of b are as recorded.
 #[must_use]
 pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Options) -> Vec<Pair> {
     let faults = &estimate.report.faults;
-    let a_out = left_out(faults, Stream::A, a.len());
+    let is_of_a_stretch =
+        |fault: &Fault| matches!(fault.kind, FaultKind::NotOneBody | FaultKind::Slipped);
+    let of_samples = faults.iter().filter(|fault| !is_of_a_stretch(fault));
+    let of_samples: Vec<Fault> = of_samples.cloned().collect();
+    let a_out = left_out(&of_samples, Stream::A, a.len());
     let b_out = left_out(faults, Stream::B, b.len());
     let mut t: Vec<f64> = Vec::new();
     let mut w: Vec<Vec3> = Vec::new();
@@ -69,7 +76,9 @@ pub fn pairs(a: &GyroTrack, b: &GyroTrack, estimate: &Estimate, options: &Option
     (0..b.len().min(b.w.len()))
         .filter_map(|k| {
             let at = reference + (b.t[k] + shift - reference) / (1.0 + clock.skew);
-            if !(first..=last).contains(&at) {
+            let next = t.partition_point(|&x| x <= at).min(t.len() - 1);
+            let is_near = t[next] - t[next.saturating_sub(1)] <= LONGEST_GAP_S;
+            if !(first..=last).contains(&at) || !is_near {
                 return None;
             }
             let rate = matrix * Vector3::from(rates.value(at)) + Vector3::from(estimate.bias);

@@ -154,10 +154,18 @@ fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
         "Residual phone − board, samples as recorded; in band {:.2} mrad/s rms",
         estimate.report.residual_rms.unwrap_or(f64::NAN) * 1e3
     );
-    let out = (0..3).flat_map(|axis| points(false, axis)).collect();
+    let used = (0..3).flat_map(|axis| points(true, axis));
+    let most = used.map(|(_, y)| y.abs()).fold(0.0, f64::max);
+    // What was left out must not press the rest flat.
+    let out = (0..3).flat_map(|axis| points(false, axis));
+    let out = out.filter(|(_, y)| y.abs() <= 1.5 * most).collect();
     let mut chart = panel(&caption, "mrad/s");
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         chart = chart.add(name, Data::Line(points(true, axis)), COLOURS[axis]);
     }
-    chart.add("left out", Data::Points(out), COLOURS[3])
+    chart.add(
+        "left out, as far as on this scale",
+        Data::Points(out),
+        COLOURS[3],
+    )
 }
