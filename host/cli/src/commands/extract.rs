@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use crate::recordings::RecordingArg;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
 use extract::learn;
@@ -44,9 +45,8 @@ impl From<FormatArg> for Format {
 /// Options of `extract`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The recording: its folder, a recording.mcap, or a ROS 1 bag of the published system
-    #[arg(value_name = "RECORDING")]
-    recording: PathBuf,
+    #[command(flatten)]
+    recording: RecordingArg,
     /// The phone's files: a folder, or the video itself; the recording's folder unless
     /// given. Of several phones with its name; may be given for each
     #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
@@ -60,6 +60,9 @@ pub(crate) struct Args {
     /// The output folder; RECORDING-FORMAT beside the recording unless given
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Replace a former extraction in the output folder
+    #[arg(long)]
+    overwrite: bool,
     /// Write infrared images too
     #[arg(long)]
     infrared: bool,
@@ -93,9 +96,10 @@ pub(crate) struct Args {
 /// There is no recording, the output folder cannot be used, or a file cannot be
 /// written. Missing and damaged parts end in [`Outcome::Loss`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let recording = args.recording.find(context)?;
     let out = match &args.out {
         Some(out) => out.clone(),
-        None => default_out(&args.recording, args.format.into())?,
+        None => default_out(&recording, args.format.into())?,
     };
     let mut phone = None;
     let mut phones = Vec::new();
@@ -113,7 +117,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         }
     }
     let job = Job {
-        recording: args.recording.clone(),
+        recording,
         phone,
         depth: args.depth.clone(),
         format: args.format.into(),
@@ -128,6 +132,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             infrared: args.infrared,
             phones,
         },
+        overwrite: args.overwrite,
     };
     let bar = Bar::new(context);
     let report = match extract(&job, &bar) {
@@ -247,6 +252,10 @@ impl From<ExtractError> for Failure {
                 "give --phone NAME=PATH as the phone is called in the profile",
             ),
             ExtractError::Inputs(_) => (ExitStatus::Usage, "name the depth recording with --depth"),
+            ExtractError::Workplace(WorkplaceError::Other { .. }) => (
+                ExitStatus::Usage,
+                "replace it with --overwrite, or give another folder with --out",
+            ),
             ExtractError::Workplace(_) => (
                 ExitStatus::Usage,
                 "give another folder with --out, or remove this one",
