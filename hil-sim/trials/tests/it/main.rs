@@ -16,6 +16,7 @@ mod extract_mkv;
 mod extract_published;
 mod extract_truth;
 mod faults;
+mod first_recording;
 mod foxglove;
 mod hostile;
 mod imu_csv;
