@@ -33,6 +33,7 @@
 //! Limits: an edge of the photodiode is one edge; images are not made here.
 
 use std::collections::VecDeque;
+use std::sync::mpsc::Sender;
 
 use serde::{Deserialize, Serialize};
 
@@ -264,6 +265,7 @@ pub struct DepthCamera {
     frames: VecDeque<FrameRecord>,
     frame_count: u64,
     random: Random,
+    recorder: Option<Sender<FrameRecord>>,
 }
 
 impl DepthCamera {
@@ -294,7 +296,13 @@ impl DepthCamera {
             frames: VecDeque::new(),
             frame_count: 0,
             random: seed.stream(Stream::DepthCamera),
+            recorder: None,
         })
+    }
+
+    /// Gives each frame that reaches the computer to whoever records them too.
+    pub(crate) fn record_into(&mut self, recorder: Sender<FrameRecord>) {
+        self.recorder = Some(recorder);
     }
 
     /// Writes every flash into `log` too, as it is planned (at least 9 µs before
@@ -480,7 +488,7 @@ impl DepthCamera {
         let spoilt = spoilt > 0.0 && self.random.chance(spoilt);
         let bad = self.bad_left > 0 || spoilt;
         self.bad_left = self.bad_left.saturating_sub(1);
-        self.frames.push_back(FrameRecord {
+        let record = FrameRecord {
             number: self.frame_count,
             source,
             first_flash: self.board_at(first),
@@ -489,7 +497,12 @@ impl DepthCamera {
             device_ticks: self.device_ticks(center_true),
             bad,
             delivered: !self.random.chance(self.config.drop_probability),
-        });
+        };
+        self.frames.push_back(record);
+        if let Some(recorder) = &self.recorder {
+            // Without anybody at the other end there is nothing to record.
+            let _ = recorder.send(record);
+        }
         self.frame_count += 1;
     }
 

@@ -5,8 +5,10 @@
 //! a part of the rig that is wired to it is a [`stm32f4_sim::model::PinModel`] or an
 //! [`stm32f4_sim::i2c::I2cTarget`].
 
+pub mod ball;
 pub mod beliefs;
 pub mod depth_camera;
+pub mod depth_link;
 pub mod flash_log;
 pub mod inertial_channel;
 pub mod jumpers;
@@ -24,6 +26,7 @@ pub mod rig_config;
 pub mod rolling_shutter;
 pub mod running_rig;
 pub mod serve;
+pub mod table;
 pub mod true_clock;
 pub mod truth;
 pub(crate) mod truth_recorder;

@@ -13,10 +13,11 @@ use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
 use crate::mpu9150::{Fault, Mpu9150};
 use crate::owner_profile::owner_profile;
-use crate::phone::{PhoneConfig, SimPhone, Surroundings};
+use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::pty::Pty;
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
+use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
 use crate::wiring;
@@ -73,8 +74,9 @@ pub struct Args {
     /// not given.
     #[arg(long, value_name = "DIR", requires = "phone")]
     phone_files: Option<PathBuf>,
-    /// Write the rig profile of this rig's owner to this file, for
-    /// `smartdepthsync record --profile`.
+    /// Write the rig profile of this rig's owner to this file, offer the depth camera to the
+    /// recorder that it names and the phone's files to a stand-in for `adb`, and print the
+    /// commands of a session.
     #[arg(long, value_name = "FILE", requires = "phone")]
     profile: Option<PathBuf>,
     /// Wire the board for `smartdepthsync bring-up` instead of a camera. Lines on standard
@@ -175,6 +177,18 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(phone) = &phone {
         println!("phone: {}", phone.address());
     }
+    let table = match (&args.profile, &phone) {
+        (Some(path), Some(phone)) => {
+            let own = std::env::current_exe().context("where is this program?")?;
+            let table = Table::new(&parts, phone.storage(), &own)?;
+            let text = owner_profile(&parts.config, phone)? + &table.recorder();
+            std::fs::write(path, text)
+                .with_context(|| format!("cannot write {}", path.display()))?;
+            print!("{}", table.commands(pty.path(), path));
+            Some(table)
+        }
+        _ => None,
+    };
     std::io::stdout().flush()?;
 
     let stopped = Arc::new(AtomicBool::new(false));
@@ -206,6 +220,7 @@ pub fn run(args: &Args) -> Result<()> {
     // Whoever waits for true time waits in vain now.
     clock.stop();
     drop(phone);
+    drop(table);
     if let Some(trace) = trace {
         lock(&trace)
             .flush()
@@ -238,21 +253,21 @@ fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<Mpu9150>>) {
     }
 }
 
-/// Switches the phone on, and writes the profile that goes with it.
+/// Switches the phone on.
 fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> Result<SimPhone> {
     let mut config = PhoneConfig::draw(parts.config.seed);
     config.storage.clone_from(&args.phone_files);
+    if args.profile.is_some() {
+        config.camera.show_ball();
+        // The app has its file when the recording is stopped.
+        config.video = VideoMode::OnStop;
+    }
     let surroundings = Surroundings {
         clock: clock.clone(),
         motion: Arc::clone(&parts.motion),
         light: Arc::new(parts.flashes.clone()),
     };
-    let phone = SimPhone::start(config, surroundings, port)?;
-    if let Some(path) = &args.profile {
-        std::fs::write(path, owner_profile(&parts.config, &phone)?)
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(phone)
+    Ok(SimPhone::start(config, surroundings, port)?)
 }
 
 /// Runs the board and moves bytes; calls `note` every now and then.

@@ -18,6 +18,8 @@ struct Cli {
 enum Command {
     /// Run the board and offer its USB serial port as a pseudo-terminal.
     Serve(rig::serve::Args),
+    /// Record the depth camera of a running `serve`: the recorder that its profile names.
+    RecordDepth(rig::depth_link::Args),
     /// Run a whole session on the simulated rig and judge it by the truth.
     Demo(commands::demo::Args),
     /// Phase and drift of the frames from launch to launch, against the truth.
@@ -41,6 +43,7 @@ enum Command {
 fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => rig::serve::run(&args),
+        Command::RecordDepth(args) => rig::depth_link::record(&args),
         Command::Demo(args) => commands::demo::run(&args),
         Command::FrameSync(args) => commands::frame_sync::run(&args),
         Command::Chain(args) => commands::chain::run(&args),

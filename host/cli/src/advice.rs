@@ -10,9 +10,11 @@ use bring_up::BringUpError;
 use extract::learn::LearnError;
 use phone::PhoneError;
 use phone::adb::AdbError;
-use protocol::ImuSetup;
+use protocol::{ImuSetup, Refusal};
 use recording::RecordingError;
 use recording::profile::ProfileError;
+
+use std::path::Path;
 
 use crate::outcome::{ExitStatus, Failure, file_step};
 
@@ -51,12 +53,32 @@ impl From<BoardError> for Failure {
                 ExitStatus::NoAnswer,
                 "press the board's reset button and try again",
             ),
-            BoardError::Refused { .. } => (
-                ExitStatus::Refused,
-                "nothing was changed; choose a value within the bounds",
-            ),
+            BoardError::Refused { refusal, .. } => (ExitStatus::Refused, refusal_step(&refusal)),
         };
         Self::new(status, message).next_step(next)
+    }
+}
+
+/// What to do about what the board refuses.
+const fn refusal_step(refusal: &Refusal) -> &'static str {
+    match refusal {
+        Refusal::TriggerRunning => "stop it first: `smartdepthsync trigger stop`",
+        Refusal::TriggerStopped => "start it first: `smartdepthsync trigger start`",
+        Refusal::AlignInProgress => {
+            "wait until it has arrived; `smartdepthsync trigger status` shows when"
+        }
+        Refusal::GnssRunning => "stop it first: `smartdepthsync gnss stop`",
+        Refusal::GnssStopping => "repeat it in a second",
+        Refusal::WrongKey => "nothing was changed; repeat it",
+        Refusal::PeriodOutOfRange
+        | Refusal::WidthOutOfRange { .. }
+        | Refusal::TimeOutOfRange { .. }
+        | Refusal::SlewOutOfRange { .. }
+        | Refusal::ImuSettingOutOfRange
+        | Refusal::GnssDateOutOfRange
+        | Refusal::GnssWindowExceeded { .. } => {
+            "nothing was changed; choose a value within the bounds"
+        }
     }
 }
 
@@ -111,6 +133,20 @@ impl From<PhoneError> for Failure {
     }
 }
 
+/// A failure of the phone at an address, which is named whatever the failure is.
+pub(crate) fn phone_failure(error: PhoneError, address: &str) -> Failure {
+    at_phone(error.into(), address)
+}
+
+/// The same of a failure that may be the phone's.
+pub(crate) fn at_phone(failure: Failure, address: &str) -> Failure {
+    let text = failure.to_string();
+    match text.contains(address) || failure.status() != ExitStatus::Phone {
+        true => failure,
+        false => failure.about(&format!("the phone at {address}")),
+    }
+}
+
 /// The exit code that a command ends with after an error of the phone.
 pub(crate) fn phone_status(error: &PhoneError) -> ExitStatus {
     match error.cause() {
@@ -148,7 +184,7 @@ fn phone_step(error: &PhoneError) -> Option<&'static str> {
             "force the app to stop in the phone's settings (Apps, OpenCamera Sensors), and open it again. Its video is whole: it lies on the phone. Storage without the storage access framework avoids this"
         }
         PhoneError::Timeout { .. } | PhoneError::SendTimeout { .. } => {
-            "bring the app to the foreground and close other clients: it serves one at a time. A slow network needs a longer --timeout"
+            "bring the app to the foreground and close other clients: it serves one at a time. On a slow network, see whether it answers at all: `smartdepthsync phone imu --timeout 60 --phone HOST`"
         }
         PhoneError::TooSlow { .. } => "move the phone closer to the access point, or use a cable",
         PhoneError::Closed { request, .. } if *request == "get_video" => {
@@ -227,9 +263,19 @@ impl From<ProfileError> for Failure {
             ProfileError::Read { .. } => ExitStatus::Storage,
             ProfileError::Syntax { .. } | ProfileError::Value { .. } => ExitStatus::Usage,
         };
-        Self::new(status, error.to_string()).next_step(
-            "`smartdepthsync profile init rig.toml` writes a commented profile to start from",
-        )
+        let step = match &error {
+            ProfileError::Read { .. } => String::from(
+                "`smartdepthsync setup` asks for what a profile needs; `smartdepthsync profile \
+                 init rig.toml` writes a commented one to start from",
+            ),
+            ProfileError::Syntax { path, .. } | ProfileError::Value { path, .. } => {
+                let file = path
+                    .as_deref()
+                    .map_or("rig.toml".into(), Path::to_string_lossy);
+                format!("correct that line; `smartdepthsync profile check {file}` checks it again")
+            }
+        };
+        Self::new(status, error.to_string()).next_step(step)
     }
 }
 
@@ -271,7 +317,7 @@ impl From<LearnError> for Failure {
                  phone's gyroscope file"
             }
             LearnError::Profile(_) => {
-                "`smartdepthsync profile init rig.toml` writes a profile to start from"
+                "correct the profile; `smartdepthsync profile check` says what is wrong in it"
             }
             LearnError::Io { error, .. } => file_step(error.kind()),
         };

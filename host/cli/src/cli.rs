@@ -41,17 +41,20 @@ pub struct Cli {
     command: Command,
 }
 
+/// Where the options of every subcommand stand in a help: below its own.
+const GLOBAL: &str = "Options of every command";
+
 /// Options of every subcommand.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Global {
     /// Print the result as JSON
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = GLOBAL)]
     pub json: bool,
     /// Log more on standard error: -v info, -vv debug, -vvv trace
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    #[arg(short, long, global = true, help_heading = GLOBAL, action = clap::ArgAction::Count)]
     pub verbose: u8,
     /// Form of the log
-    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text)]
+    #[arg(long, global = true, help_heading = GLOBAL, value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
 }
 
@@ -64,43 +67,45 @@ pub enum LogFormat {
     Json,
 }
 
-/// The subcommands.
+/// The subcommands, in the order of their use.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Show who the board is: ID, firmware, uptime, last reset
-    Info(commands::info::Args),
-    /// The clock relation of two gyroscope recordings, with its uncertainty
-    Offset(commands::offset::Args),
-    /// Measure frame sync from the depth camera's strobes on the phone's video
-    Evaluate(commands::evaluate::Args),
     /// List the serial ports, and which look like the board
     Ports(commands::ports::Args),
-    /// Talk to the phone's app
-    Phone(commands::phone::Args),
-    /// Record: twist, align the trigger to the phone's frames, record, stop
-    Record(commands::record::Args),
-    /// Look at the board live: trigger, gyroscope, rates, losses
-    Monitor(commands::monitor::Args),
-    /// Check that the rig is ready for a recording; each problem is listed with its fix
-    Doctor(commands::doctor::Args),
+    /// Show who the board is: ID, firmware, uptime, last reset
+    Info(commands::info::Args),
     /// Measure whether a new board does what it must, with a report to send
     BringUp(commands::bring_up::Args),
-    /// Make, check and teach a rig profile
+    /// Make the profile of a rig by questions, check the rig, and name the next command
+    Setup(commands::setup::Args),
+    /// Check that the rig is ready for a recording; each problem is listed with its fix
+    Doctor(commands::doctor::Args),
+    /// Record: twist, align the trigger to the phone's frames, record, stop
+    Record(commands::record::Args),
+    /// Check a recording: checksums, losses, the pulses' grid, times
+    Verify(commands::verify::Args),
+    /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, topics
+    Extract(commands::extract::Args),
+    /// Measure frame sync from the depth camera's strobes on the phone's video
+    Evaluate(commands::evaluate::Args),
+    /// Write the HTML report of a recording again
+    Report(commands::report::Args),
+    /// Repair a damaged recording: write what can be read as a new one
+    Repair(commands::repair::Args),
+    /// Make, check and teach a rig profile by hand
     Profile(commands::profile::Args),
+    /// Look at the board live: trigger, gyroscope, rates, losses
+    Monitor(commands::monitor::Args),
+    /// Talk to the phone's app
+    Phone(commands::phone::Args),
     /// The camera trigger by hand: start, align, period, stop, status
     Trigger(commands::trigger::Args),
     /// Pulse per second and NMEA sentences for a lidar: start, stop, status
     Gnss(commands::gnss::Args),
     /// Stream the board's IMU: rate, jitter, noise; to a CSV file
     Imu(commands::imu::Args),
-    /// Turn a recording into a data set in board time: EuRoC, TUM RGB-D, topics
-    Extract(commands::extract::Args),
-    /// Check a recording: checksums, losses, the pulses' grid, times
-    Verify(commands::verify::Args),
-    /// Write the HTML report of a recording again
-    Report(commands::report::Args),
-    /// Repair a damaged recording: write what can be read as a new one
-    Repair(commands::repair::Args),
+    /// The clock relation of two gyroscope recordings, with its uncertainty
+    Offset(commands::offset::Args),
     /// Print the completions for a shell
     Completions(commands::completions::Args),
     /// Write the manual pages into a folder
@@ -125,6 +130,7 @@ impl Command {
             Self::Imu(args) => commands::imu::run(args, context),
             Self::Extract(args) => commands::extract::run(args, context),
             Self::Verify(args) => commands::verify::run(args, context),
+            Self::Setup(args) => commands::setup::run(args, context),
             Self::Report(args) => commands::report::run(args, context),
             Self::Repair(args) => commands::repair::run(args, context),
             Self::Completions(args) => commands::completions::run(args, context),
@@ -187,6 +193,20 @@ impl Said {
 }
 
 impl Context {
+    /// One that says nothing but results.
+    #[cfg(test)]
+    pub(crate) fn quiet(interrupt: Interrupt) -> Self {
+        Self {
+            global: Global {
+                json: true,
+                verbose: 0,
+                log_format: LogFormat::Text,
+            },
+            interrupt,
+            said: Said::default(),
+        }
+    }
+
     /// Prints a result: `json` as one document with `--json`, else `text`.
     /// A reader that has gone away (`| head`) is no error, nor is a terminal that
     /// was closed.
@@ -205,6 +225,24 @@ impl Context {
             write_stdout(&text(), Shown::ForPeople)?;
         }
         Ok(())
+    }
+
+    /// As [`Context::print`], for a text with lines of checks: their marks are coloured on
+    /// a terminal.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_checks<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
+        let is_plain = self.global.json || !is_coloured();
+        if is_plain {
+            return self.print(value, text);
+        }
+        Ok(write_stdout(&text(), Shown::WithMarks)?)
     }
 
     /// Says something to the person who waits, on standard error; silent with
@@ -352,6 +390,11 @@ fn start_log(global: &Global) {
         LogFormat::Text => builder.without_time().with_target(false).init(),
         LogFormat::Json => builder.json().init(),
     }
+}
+
+/// Whether standard output shows colours, and its user wants them (no-color.org).
+fn is_coloured() -> bool {
+    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
 /// Whether the terminal was closed: there is nobody to tell it to.

@@ -9,11 +9,14 @@
 //! - `terminal`: what is printed does nothing to a terminal but to be read.
 //! - `log`: where log lines go.
 //! - `arrival`: of a train on its grid, which a session and `trigger` wait for.
+//! - `checks`: the checks of a rig and the verdict over a recording, in words.
+//! - `rig_profile`, `recordings`: which profile and which recording a command is about.
 //! - `decimal`: numbers of the command line as exact times.
 #![forbid(unsafe_code)]
 
 mod advice;
 mod arrival;
+mod checks;
 pub mod cli;
 mod commands;
 mod decimal;
@@ -21,6 +24,8 @@ pub mod live_data;
 mod log;
 pub mod outcome;
 pub mod record;
+mod recordings;
+pub mod rig_profile;
 mod sync_report;
 mod terminal;
 mod view;

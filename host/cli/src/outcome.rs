@@ -229,6 +229,20 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
+/// Refuses to write over a file that is there.
+///
+/// # Errors
+///
+/// It is there, and is not to be overwritten.
+pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Failure> {
+    if overwrite || path.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let message = format!("{} is there already and is not overwritten", path.display());
+    Err(Failure::new(ExitStatus::Storage, message)
+        .next_step("choose another name, or give --overwrite"))
+}
+
 /// What to do about a file that cannot be used, for the system's reason.
 #[must_use]
 pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {

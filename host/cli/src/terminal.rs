@@ -11,17 +11,24 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
+use crate::checks::MARKS;
+
 /// How a character is shown that a terminal would obey.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Shown {
     /// As `\u{1b}`.
     ForPeople,
+    /// As that, and the marks at the beginnings of checks' lines in colour.
+    WithMarks,
     /// As `\u001b`, which it also is in a JSON string.
     Json,
 }
 
 /// A text that does nothing to a terminal but to be read. Line ends and tabs stay.
 pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
+    if shown == Shown::WithMarks {
+        return Cow::Owned(with_marks(&harmless(text, Shown::ForPeople)));
+    }
     if !text.contains(is_obeyed) {
         return Cow::Borrowed(text);
     }
@@ -31,11 +38,30 @@ pub(crate) fn harmless(text: &str, shown: Shown) -> Cow<'_, str> {
         // Writing into a String cannot fail.
         let _ = match shown {
             _ if !is_obeyed(c) => out.write_char(c),
-            Shown::ForPeople => write!(out, "\\u{{{code:x}}}"),
+            Shown::ForPeople | Shown::WithMarks => write!(out, "\\u{{{code:x}}}"),
             Shown::Json => write!(out, "\\u{code:04x}"),
         };
     }
     Cow::Owned(out)
+}
+
+/// The marks of checks at the beginnings of lines in green, yellow and bold red.
+fn with_marks(text: &str) -> String {
+    const COLOURS: [&str; 3] = ["32", "33", "1;31"];
+    let mut out = String::with_capacity(text.len() + 64);
+    for line in text.split_inclusive('\n') {
+        let mut known = MARKS.iter().zip(COLOURS);
+        let marked =
+            known.find_map(|(mark, colour)| Some((mark, colour, line.strip_prefix(mark)?)));
+        match marked {
+            // Writing into a String cannot fail.
+            Some((mark, colour, rest)) => {
+                let _ = write!(out, "\u{1b}[{colour}m{mark}\u{1b}[0m{rest}");
+            }
+            None => out.push_str(line),
+        }
+    }
+    out
 }
 
 /// Control characters but line end and tab, and those that turn the direction of writing
@@ -48,6 +74,15 @@ fn is_obeyed(c: char) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn marks_alone_are_coloured() {
+        let text = "ok    disk  40 GB\nBAD   board  \u{1b}[31mok  \n      -> ok  \n";
+        assert_eq!(
+            harmless(text, Shown::WithMarks),
+            "\u{1b}[32mok  \u{1b}[0m  disk  40 GB\n\u{1b}[1;31mBAD \u{1b}[0m  board  \\u{1b}[31mok  \n      -> ok  \n"
+        );
+    }
 
     #[test]
     fn what_a_terminal_obeys_is_shown() {

@@ -320,8 +320,8 @@ impl PhoneClock {
             skew_ppm: middle.map_or(0.0, |model| model.skew * 1e6),
             skew_sigma_ppm: middle
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
-            sigma_us: range.unwrap_or([0.0, 0.0]),
-            residual_us: residual_rms(&course) * 1e6,
+            sigma_us: range,
+            residual_us: (!course.is_empty()).then(|| residual_rms(&course) * 1e6),
             frame_period_ns: frame_period(&phone)
                 .ok()
                 .map(|found| (found.period_ns, found.sigma_ns)),

@@ -174,10 +174,11 @@ pub struct ClockReport {
     pub skew_ppm: f64,
     /// 1-sigma of the rate, ppm.
     pub skew_sigma_ppm: f64,
-    /// Smallest and largest 1-sigma of the offset over the frames, µs.
-    pub sigma_us: [f64; 2],
-    /// Root mean square of the windows against the course, µs.
-    pub residual_us: f64,
+    /// Smallest and largest 1-sigma of the offset over the frames, µs; nothing where it is
+    /// not known, or without frames.
+    pub sigma_us: Option<[f64; 2]>,
+    /// Root mean square of the windows against the course, µs; nothing without windows.
+    pub residual_us: Option<f64>,
     /// Distance of frames in the phone's own time, ns, with 1-sigma.
     pub frame_period_ns: Option<(f64, f64)>,
     /// The windows.
@@ -205,6 +206,8 @@ pub struct DepthReport {
     pub doubled: Vec<usize>,
     /// Frames off any recorded pulse.
     pub off_pulse: Vec<usize>,
+    /// Frames before the first pulse.
+    pub before_first_pulse: usize,
     /// Frames behind the last pulse.
     pub after_last_pulse: usize,
     /// Frames without a whole image.
@@ -308,10 +311,7 @@ impl ExtractReport {
             lines.push(("behind a reset", grid.line()));
         }
         if let Some(depth) = &self.depth {
-            lines.push((
-                "depth frames",
-                format!("{}, {} on a pulse", depth.frames, depth.matched),
-            ));
+            lines.push(("depth frames", depth.line()));
             lines.push(("depth images", depth.images.to_string()));
             if depth.color > 0 {
                 lines.push(("depth camera's colour", depth.color.to_string()));
@@ -482,17 +482,65 @@ impl ExtractReport {
 
 impl ClockReport {
     fn line(&self) -> String {
-        format!(
-            "from {}: {:.3} ppm ± {:.3}, 1-sigma {:.1} to {:.1} µs, residual {:.1} µs, {} of {} windows",
-            self.source,
-            self.skew_ppm,
-            self.skew_sigma_ppm,
-            self.sigma_us[0],
-            self.sigma_us[1],
-            self.residual_us,
-            self.used,
-            self.windows
-        )
+        let from = match self.source {
+            "session" => "the session's twists alone",
+            "bag" => "the one offset in the bag",
+            other => other,
+        };
+        let mut line = format!("from {from}");
+        // An offset alone has no rate.
+        if self.source != "bag" {
+            let _ = write!(
+                line,
+                ": {:.3} ppm ± {:.3}",
+                self.skew_ppm, self.skew_sigma_ppm
+            );
+        }
+        match self.sigma_us {
+            Some([least, most]) => {
+                let _ = write!(line, ", 1-sigma {least:.1} to {most:.1} µs");
+            }
+            None => line.push_str(", 1-sigma not known"),
+        }
+        if let Some(residual) = self.residual_us {
+            let (used, windows) = (self.used, self.windows);
+            let _ = write!(
+                line,
+                ", residual {residual:.1} µs, {used} of {windows} windows"
+            );
+        }
+        line
+    }
+}
+
+impl DepthReport {
+    /// All frames of the file: those on a pulse, and what the others are.
+    fn line(&self) -> String {
+        let mut line = format!("{}: {} on a pulse", self.frames, self.matched);
+        let others = [
+            (self.before_first_pulse, "before the first pulse"),
+            (
+                self.after_last_pulse,
+                "after the last pulse, by the camera's own clock",
+            ),
+            (self.doubled.len(), "doubled"),
+            (self.off_pulse.len(), "off any pulse"),
+            (self.unassigned(), "not matched"),
+        ];
+        for (count, what) in others.into_iter().filter(|&(count, _)| count > 0) {
+            let _ = write!(line, ", {count} {what}");
+        }
+        line
+    }
+
+    /// Frames that nothing is known of.
+    fn unassigned(&self) -> usize {
+        let known = self.matched
+            + self.before_first_pulse
+            + self.after_last_pulse
+            + self.doubled.len()
+            + self.off_pulse.len();
+        self.frames.saturating_sub(known)
     }
 }
 

@@ -41,7 +41,7 @@ pub enum WorkplaceError {
     /// It holds another extraction.
     #[error(
         "the output folder {path} holds an extraction of other inputs or with other options; \
-         remove it or give another with --out"
+         replace it with --overwrite, or give another with --out"
     )]
     Other {
         /// Which.
@@ -101,7 +101,8 @@ struct Job<'a, T> {
 }
 
 impl Workplace {
-    /// Takes the folder for an extraction of these files with these options.
+    /// Takes the folder for an extraction of these files with these options. With
+    /// `overwrite`, an extraction of others in it is removed first; nothing else ever is.
     ///
     /// # Errors
     ///
@@ -110,6 +111,7 @@ impl Workplace {
         out: &Path,
         files: &[FileMark],
         options: T,
+        overwrite: bool,
     ) -> Result<Self, WorkplaceError> {
         let fail = |error| WorkplaceError::Io {
             path: out.to_owned(),
@@ -125,6 +127,24 @@ impl Workplace {
         fs::create_dir_all(out).map_err(fail)?;
         match fs::read(&mark) {
             Ok(old) if old == job => {}
+            Ok(_) if overwrite => {
+                // What is in it goes, and the folder stays: it may be a link's target.
+                for entry in fs::read_dir(out).map_err(fail)? {
+                    let path = entry.map_err(fail)?.path();
+                    let is_folder = path.symlink_metadata().map_err(fail)?.is_dir();
+                    // The mark goes last: a stop on the way leaves an extraction to be replaced.
+                    if path.file_name().is_some_and(|name| name == FOLDER) {
+                        continue;
+                    }
+                    match is_folder {
+                        true => fs::remove_dir_all(&path),
+                        false => fs::remove_file(&path),
+                    }
+                    .map_err(fail)?;
+                }
+                fs::remove_dir_all(out.join(FOLDER)).map_err(fail)?;
+                write_whole(&mark, &job).map_err(fail)?;
+            }
             Ok(_) => {
                 return Err(WorkplaceError::Other {
                     path: out.to_owned(),
@@ -202,25 +222,32 @@ mod tests {
         let input = folder.path().join("input");
         fs::write(&input, "x").unwrap();
         let files = [FileMark::of(&input).unwrap()];
-        let place = Workplace::open(&out, &files, 1).unwrap();
+        let place = Workplace::open(&out, &files, 1, false).unwrap();
         assert_eq!(place.done::<u32>("depth"), None);
         place.keep("depth", &7).unwrap();
         assert_eq!(
-            Workplace::open(&out, &files, 1)
+            Workplace::open(&out, &files, 1, true)
                 .unwrap()
                 .done::<u32>("depth"),
             Some(7)
         );
         assert!(matches!(
-            Workplace::open(&out, &files, 2),
+            Workplace::open(&out, &files, 2, false),
             Err(WorkplaceError::Other { .. })
         ));
         assert!(matches!(
-            Workplace::open(&out, &[], 1),
+            Workplace::open(&out, &[], 1, false),
             Err(WorkplaceError::Other { .. })
         ));
-        let taken = Workplace::open(folder.path(), &files, 1);
+        // Only a former extraction is replaced, and all of it.
+        let taken = Workplace::open(folder.path(), &files, 1, true);
         assert!(matches!(taken, Err(WorkplaceError::NotEmpty { .. })));
+        fs::create_dir(out.join("mav0")).unwrap();
+        fs::write(out.join("mav0/data.csv"), "old").unwrap();
+        let place = Workplace::open(&out, &files, 2, true).unwrap();
+        assert_eq!(place.done::<u32>("depth"), None);
+        assert!(!out.join("mav0").exists());
+        assert!(Workplace::open(&out, &files, 2, false).is_ok());
     }
 
     #[test]

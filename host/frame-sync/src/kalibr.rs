@@ -260,7 +260,10 @@ cam1:
     fn a_chain_becomes_part_of_the_profile() {
         let (text, imported) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
         let profile = Profile::parse(&text, None).unwrap();
-        assert_eq!(profile.phone.cameras, [imported.camera.clone()]);
+        assert_eq!(
+            profile.phone.cameras,
+            std::slice::from_ref(&imported.camera)
+        );
         assert_eq!(profile.phone.from_imu, Some(imported.from_imu));
         assert_eq!(imported.from_imu.translation(), [0.0212, -0.031, 1.5e-3]);
         assert_eq!(imported.camera.coefficients, [-0.28, 0.07, 0.0002, 1.7e-05]);

@@ -8,8 +8,8 @@
 //!
 //! - Text from outside (file names, what a phone says) is escaped here, in one
 //!   place; only [`Page::figure`] and [`Page::picture`] take markup, from our own drawings.
-//! - Wide tables and drawings scroll by themselves on a narrow screen, so the page
-//!   never does.
+//! - On a narrow screen drawings shrink, and the cells of a table stand below each other
+//!   with their headings, so nothing is cut off.
 //! - Nothing in a page depends on when it was made: the same input gives the same
 //!   bytes.
 //!
@@ -59,8 +59,8 @@ h1{font-size:1.5rem;line-height:1.25;margin:.5rem 0}\
 h2{font-size:1.15rem;margin:2rem 0 .5rem;padding-top:.5rem;border-top:1px solid #ccc}\
 .verdict{border-left:.5rem solid;padding:.75rem 1rem;margin:1rem 0;background:#f4f4f4}\
 .verdict b{display:block;font-size:1.15rem}\
-.good{border-color:#1a7f37}.warning{border-color:#b26a00}.bad{border-color:#b3261e}\
 .note{border-left:.25rem solid;padding:.4rem .8rem;margin:.4rem 0;background:#f7f7f7}\
+.good{border-color:#1a7f37}.warning{border-color:#b26a00}.bad{border-color:#b3261e}\
 .wide{overflow-x:auto}\
 table{border-collapse:collapse;margin:.5rem 0;min-width:50%}\
 td,th{padding:.3rem .8rem .3rem 0;text-align:left;vertical-align:top;border-bottom:1px solid #ddd;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
@@ -71,7 +71,9 @@ figure.picture svg{max-width:100%;height:auto;max-height:40rem}\
 figcaption{color:#555;font-size:.9rem;margin-top:.3rem}\
 details summary{cursor:pointer}\
 footer{margin-top:2rem;color:#555;font-size:.85rem}\
-@media(max-width:40rem){body{padding:.75rem}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
+@media(max-width:40rem){body{padding:.75rem}figure .wide>svg{min-width:0}\
+.list,.list tbody,.list tr{display:block;width:auto}.list tr:first-child{display:none}.list tr{border-bottom:1px solid #ddd;padding:.3rem 0}\
+.list td{display:grid;grid-template-columns:9rem 1fr;border:0;padding:.1rem 0;text-align:left;overflow-wrap:anywhere}.list td::before{content:attr(data-h);color:#555}.facts,.facts tbody,.facts tr,.facts th,.facts td{display:block;width:auto}.facts th{border:0;padding-bottom:0}}\
 @page{size:A4;margin:15mm}\
 @media print{body{font-size:10pt;max-width:none;padding:0}figure,table,.verdict,.note,h2{break-inside:avoid}h2{break-after:avoid}\
 figure .wide>svg{min-width:0}.wide{overflow:visible}}";
@@ -151,7 +153,8 @@ impl Page {
                 ""
             }
         };
-        self.body.push_str("<div class=\"wide\"><table>\n<tr>");
+        self.body
+            .push_str("<div class=\"wide\"><table class=\"list\">\n<tr>");
         for (column, cell) in head.iter().enumerate() {
             let _ = write!(
                 self.body,
@@ -164,7 +167,14 @@ impl Page {
         for row in rows {
             self.body.push_str("<tr>");
             for (column, cell) in row.iter().enumerate() {
-                let _ = write!(self.body, "<td{}>{}</td>", class(column), escape(cell));
+                // On a narrow screen each cell stands in a line behind its heading.
+                let heading = escape(head.get(column).copied().unwrap_or_default());
+                let _ = write!(
+                    self.body,
+                    "<td{} data-h=\"{heading}\">{}</td>",
+                    class(column),
+                    escape(cell)
+                );
             }
             self.body.push_str("</tr>\n");
         }
@@ -332,7 +342,10 @@ mod tests {
         );
         let html = page.html();
         assert!(
-            html.contains("<td>a</td><td class=\"n\">+1.5</td><td>2 left</td>"),
+            html.contains(
+                "<td data-h=\"name\">a</td><td class=\"n\" data-h=\"value\">+1.5</td>\
+                 <td data-h=\"text\">2 left</td>"
+            ),
             "{html}"
         );
     }

@@ -140,6 +140,34 @@ pub fn fetch(
     Err(AdbError::NotFound { devices, phase })
 }
 
+/// The address of the one phone that is connected, in its Wi-Fi; nothing if it has none, or
+/// if several phones are connected.
+///
+/// # Errors
+///
+/// There is no program or no phone, or it does not answer.
+pub fn wifi_address(stop: &StopSignal) -> Result<Option<String>, AdbError> {
+    let adb = Adb {
+        program: program().ok_or(AdbError::NoProgram)?,
+        stop,
+    };
+    let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
+    let [device] = devices.as_slice() else {
+        return Ok(None);
+    };
+    let ask = "ip -4 -o addr show wlan0 2>/dev/null || true";
+    let list = adb.run(&["-s", device, "shell", ask], Some(PATIENCE))?;
+    Ok(address_in(&list))
+}
+
+/// The address in a line of `ip -o addr`: `7: wlan0    inet 192.168.1.23/24 brd ...`.
+fn address_in(list: &str) -> Option<String> {
+    let mut words = list.split_whitespace().skip_while(|word| *word != "inet");
+    let address = words.nth(1)?.split('/').next()?;
+    let address: std::net::Ipv4Addr = address.parse().ok()?;
+    Some(address.to_string())
+}
+
 fn program() -> Option<PathBuf> {
     let name = format!("adb{}", std::env::consts::EXE_SUFFIX);
     let path = std::env::var_os("PATH")?;
@@ -321,6 +349,15 @@ mod tests {
         assert_eq!(ready(list).unwrap(), ["A1", "192.168.1.5:5555"]);
         let error = ready("List of devices attached\nB2\tunauthorized\n").unwrap_err();
         assert!(error.to_string().contains("B2: unauthorized"), "{error}");
+    }
+
+    #[test]
+    fn an_address_is_read_or_there_is_none() {
+        let line = "31: wlan0    inet 192.168.1.23/24 brd 192.168.1.255 scope global wlan0\n";
+        assert_eq!(address_in(line).as_deref(), Some("192.168.1.23"));
+        for other in ["", "inet", "inet x/24", "31: wlan0 inet6 fe80::1/64"] {
+            assert_eq!(address_in(other), None, "{other}");
+        }
     }
 
     #[test]

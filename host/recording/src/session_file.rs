@@ -96,6 +96,15 @@ pub enum SessionOutcome {
     Failed,
 }
 
+/// Name of the check of the constant bias.
+pub const CHECK_BIAS: &str = "constant bias";
+
+/// Name of the check of the phone's learnt clocks.
+pub const CHECK_LEARNT: &str = "learnt clocks";
+
+/// Name of the check of the trigger's read-back.
+pub const CHECK_READBACK: &str = "trigger read-back";
+
 /// How a check ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -6,6 +6,7 @@
 
 mod curves;
 mod sections;
+mod verdict;
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -17,8 +18,9 @@ use self::curves::Curves;
 use board::StreamCount;
 use page::{Level, Page};
 use recording::RecordingError;
-use recording::session_file::{SessionFile, SessionOutcome, Span};
+use recording::session_file::{SessionFile, Span};
 use timebase::ClockModel;
+pub use verdict::{Judgement, files_to_fetch, findings, has_recorded, shell_word};
 
 /// Name of the report in a recording's folder.
 pub const REPORT_FILE: &str = "report.html";
@@ -40,7 +42,7 @@ pub fn write(
 ) -> Result<PathBuf, RecordingError> {
     let curves = Curves::read(folder, session, stop)?;
     let path = folder.join(REPORT_FILE);
-    let html = page(session, &curves).html();
+    let html = page(folder, session, &curves).html();
     // The folder may come from anywhere: a link of this name is replaced, not followed.
     let written = files::new_file_in(folder).and_then(|mut file| {
         file.write_all(html.as_bytes())?;
@@ -54,64 +56,18 @@ pub fn write(
     Ok(path)
 }
 
-/// The verdict over a session in words.
-#[must_use]
-pub fn verdict(session: &SessionFile) -> (Level, String) {
-    let lost = session.counts.lost();
-    let expected = session.alignment.map_or(String::new(), |alignment| {
-        format!(
-            " The middle of the depth exposure is predicted to be on the middle of the phone's \
-             frame within {:.1} µs at the start, moving by at most {:.1} µs a minute (1-sigma, \
-             without the constants of the profile).",
-            alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
-        )
-    });
-    let problems = || match session.problems.as_slice() {
-        [] => String::from("nothing more is noted"),
-        [only] => only.text.clone(),
-        [first, more @ ..] => format!("{}, and {} more (below)", first.text, more.len()),
-    };
-    let last = session.problems.last();
-    match session.outcome {
-        Some(SessionOutcome::Good) => (
-            Level::Good,
-            format!(
-                "Everything is there: {} pulses on the phone's frames, no message lost.{expected}",
-                session.counts.pulses.received
-            ),
-        ),
-        Some(SessionOutcome::Loss) => (
-            Level::Warning,
-            format!(
-                "Recorded, but not everything is there: {}. {lost} messages were lost on the \
-                 link.{expected}",
-                problems()
-            ),
-        ),
-        Some(SessionOutcome::Interrupted) => (
-            Level::Warning,
-            format!(
-                "The session was stopped by its user; what was recorded until then is here.{expected}"
-            ),
-        ),
-        Some(SessionOutcome::Failed) => {
-            let reason = last.map_or("no reason is noted", |problem| &problem.text);
-            (Level::Bad, format!("The session failed: {reason}"))
-        }
-        None => (
-            Level::Bad,
-            String::from(
-                "The program was ended before it could close the session. The command repair \
-                 makes a whole recording of what is there.",
-            ),
-        ),
-    }
-}
-
 /// The report as a page.
-fn page(session: &SessionFile, curves: &Curves) -> Page {
-    let (level, verdict) = verdict(session);
-    let mut page = Page::new(&format!("Recording {}", session.name), level, &verdict);
+fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
+    let judged = Judgement::of(folder, session);
+    // A name such as "recording" says it already.
+    let title = match session.name.to_lowercase().starts_with("recording") {
+        true => session.name.clone(),
+        false => format!("Recording {}", session.name),
+    };
+    let mut page = Page::new(&title, judged.level(), &judged.text);
+    for part in &judged.parts {
+        page.note(verdict::level(part.verdict), &part.line());
+    }
     page.facts(&facts(session));
     if curves.broken_off {
         page.note(
@@ -121,6 +77,7 @@ fn page(session: &SessionFile, curves: &Curves) -> Page {
         );
     }
     warnings(&mut page, session);
+    checks(&mut page, session);
     streams(&mut page, session);
     sections::clocks(&mut page, session);
     sections::alignment(&mut page, session);
@@ -199,6 +156,17 @@ fn warnings(page: &mut Page, session: &SessionFile) {
             "And {} more, in session.json.",
             session.problems.len() - MAX_LISTED
         ));
+    }
+}
+
+/// What the checks before the recording found, in their own words.
+fn checks(page: &mut Page, session: &SessionFile) {
+    if findings(session).next().is_none() {
+        return;
+    }
+    page.section("What the checks before the recording found");
+    for check in findings(session) {
+        page.note(verdict::level(check.verdict), &check.line());
     }
 }
 

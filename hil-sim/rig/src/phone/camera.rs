@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::config::{CameraConfig, PhoneConfig};
 use super::substream;
+use crate::ball;
 use crate::flash_log::FlashSource;
 use crate::oscillator::{Oscillator, TrueTime};
 use crate::random::{Random, Stream};
@@ -204,7 +205,16 @@ pub(super) fn write_video(
                         }
                     })
                     .collect();
-                shutter.render(frames.start_ns(n), n as u64, &flashes)
+                let mut image = shutter.render(frames.start_ns(n), n as u64, &flashes);
+                if camera.ball {
+                    let half = 0.5 * camera.exposure_ns as f64;
+                    let middle = |row: usize| {
+                        let into = row as f64 * camera.row_time_ns + half;
+                        at(frames.start_ns(n).saturating_add(into.round() as i64))
+                    };
+                    ball::into_phone(&mut image.pixels, width, height, middle);
+                }
+                image
             })
             .collect();
         for image in &images {

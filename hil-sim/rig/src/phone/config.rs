@@ -165,6 +165,9 @@ pub struct CameraConfig {
     pub read_noise: f64,
     /// Constant rate factor of the encoder (x264; 23 is its default).
     pub rate_factor: u8,
+    /// Whether a [`ball`](crate::ball) swings before the camera.
+    #[serde(default)]
+    pub ball: bool,
 }
 
 impl PhoneConfig {
@@ -276,7 +279,17 @@ impl CameraConfig {
             flash_amplitude: 60.0,
             read_noise: 1.0,
             rate_factor: 18,
+            ball: false,
         }
+    }
+
+    /// The same camera at a size that is looked at, with something to look at: fewer rows,
+    /// which take as long as all.
+    pub fn show_ball(&mut self) {
+        let readout = self.readout_ns();
+        (self.columns, self.rows) = crate::ball::PHONE_SIZE;
+        self.row_time_ns = readout / (self.rows as f64 - 1.0);
+        self.ball = true;
     }
 
     /// From the timestamp of a frame (start of exposure of its first row) to the

@@ -63,18 +63,24 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             program: super::session_program(args.program.as_deref())?,
             speed: args.speed,
             quiet: false,
+            recorder: Some(std::env::current_exe().context("where is this program?")?),
         },
         seconds: args.seconds,
         fresh: args.fresh,
     })?;
     println!("\n{}", done.figures.table());
+    println!("{}", done.data.figures.table());
     println!("recording  {}", done.recording.display());
+    println!("data set   {}", done.data.folder.display());
     println!("report     {}", done.report.display());
     if let Some(path) = &args.json {
         let json = serde_json::to_string_pretty(&done.figures)?;
         std::fs::write(path, json + "\n")
             .with_context(|| format!("cannot write {}", path.display()))?;
         println!("figures    {}", path.display());
+    }
+    if !done.data.figures.good() {
+        anyhow::bail!("a time in the data set is outside its limit");
     }
     Ok(())
 }

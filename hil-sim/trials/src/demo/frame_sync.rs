@@ -268,10 +268,11 @@ fn launch(options: &FrameSyncOptions, seed: u64) -> Result<(Launch, Launch)> {
         program: options.program.clone(),
         speed: options.speed,
         quiet: true,
+        recorder: None,
     })?;
-    let fresh = stage.session("fresh", options.seconds, &[])?;
+    let fresh = stage.session("fresh", options.seconds, &["--second-twist"])?;
     stage.learn(&fresh)?;
-    let learnt = stage.session("learnt", options.seconds, &[])?;
+    let learnt = stage.session("learnt", options.seconds, &["--second-twist"])?;
     let truth = stage.end()?;
     let judge = |folder: &Path| -> Result<Launch> {
         let verdict = truth.judge(folder)?;

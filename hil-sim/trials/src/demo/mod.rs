@@ -5,6 +5,7 @@
 //! nothing learnt, as on a new rig, from which the profile learns the rates of
 //! the phone's clock and frames; then the one that is shown. Both are judged.
 
+pub mod data_set;
 pub mod frame_sync;
 pub mod judge;
 pub mod report;
@@ -51,6 +52,8 @@ pub struct Demo {
     pub figures: Figures,
     /// The recording's folder.
     pub recording: PathBuf,
+    /// The data set.
+    pub data: data_set::DataSet,
     /// The report.
     pub report: PathBuf,
     /// The whole verdict.
@@ -67,20 +70,21 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
     let begun = Instant::now();
     let stage = Stage::start(options.stage.clone())?;
     let profile = stage.profile().to_owned();
-    let taught = if options.fresh {
-        None
-    } else {
-        let recording = stage.session("teaching", TEACHING_SECONDS, &[])?;
-        stage.learn(&recording)?;
-        Some(recording)
+    let taught = match options.fresh {
+        true => None,
+        false => Some(stage.session("teaching", TEACHING_SECONDS, &["--calibrate"])?),
     };
-    let recording = stage.session("recording", options.seconds, &["--fetch-video"])?;
+    let arguments = ["--second-twist", "--fetch-video"];
+    let recording = stage.session("recording", options.seconds, &arguments)?;
     let virtual_s = stage.now().as_secs_f64();
+    let phone = stage.phone_files();
     let truth = stage.end()?;
     let verdict = truth.judge(&recording)?;
     let before = taught
         .map(|recording| truth.judge(&recording))
         .transpose()?;
+    let program = &options.stage.program;
+    let data = data_set::make(truth, &recording, &phone, program).context("the data set")?;
     let twist = twist_plot(options, &profile, &recording)?;
     let figures = Figures::new(
         &verdict,
@@ -90,11 +94,15 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
         options.stage.seed,
     );
     let report = options.stage.out.join("report.html");
-    std::fs::write(&report, report::page(&figures, &verdict, twist.as_deref()))
-        .with_context(|| format!("cannot write {}", report.display()))?;
+    std::fs::write(
+        &report,
+        report::page(&figures, &verdict, &data, twist.as_deref()),
+    )
+    .with_context(|| format!("cannot write {}", report.display()))?;
     Ok(Demo {
         figures,
         recording,
+        data,
         report,
         verdict,
     })

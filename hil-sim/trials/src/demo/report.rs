@@ -9,6 +9,7 @@ use page::chart::{self, Data, Series};
 use page::{Level, Page};
 use serde::Serialize;
 
+use super::data_set::DataSet;
 use super::judge::Verdict;
 
 /// The figures of one run, as `--json` writes them. All are of the simulated rig.
@@ -188,7 +189,12 @@ impl Figures {
 
 /// The page. `twist_svg` is the plot of both gyroscopes, if there is one.
 #[must_use]
-pub fn page(figures: &Figures, verdict: &Verdict, twist_svg: Option<&str>) -> String {
+pub fn page(
+    figures: &Figures,
+    verdict: &Verdict,
+    data: &DataSet,
+    twist_svg: Option<&str>,
+) -> String {
     let level = if figures.lost == 0 {
         Level::Good
     } else {
@@ -220,6 +226,25 @@ pub fn page(figures: &Figures, verdict: &Verdict, twist_svg: Option<&str>) -> St
         );
         page.facts(&before.lines());
     }
+    page.section("The data set");
+    page.text(&format!(
+        "The recording was extracted as EuRoC into {}; every time in it was compared with the \
+         truth.",
+        data.folder.display()
+    ));
+    page.facts(&[
+        (
+            "phone, middle of exposure",
+            data.figures.phone_middle.line(),
+        ),
+        ("depth, centre of exposure", data.figures.depth.line()),
+        ("pairs, all the true ones", data.figures.pairs.to_string()),
+    ]);
+    page.figure(
+        &data.strip,
+        "Pairs of the data set, a picture of the phone above the depth picture of the same \
+         instant: a ball that swings before a wall. Depth: near is light.",
+    );
     page.section("Phase of the frames");
     page.figure(
         &phase_plot(verdict),
@@ -272,6 +297,7 @@ mod tests {
     use super::super::judge::{OffsetError, TwistVerdict};
     use super::*;
     use crate::frame_phase::{PhaseError, summarise};
+    use crate::whole_chain::extraction::{Errors, ExtractionFigures};
 
     fn verdict() -> Verdict {
         let phases: Vec<PhaseError> = (0..9000)
@@ -328,7 +354,22 @@ mod tests {
     fn the_page_holds_all_it_needs() {
         let verdict = verdict();
         let figures = Figures::new(&verdict, Some(&verdict), 320.0, 20.0, 7);
-        let page = page(&figures, &verdict, Some("<svg id=\"twist\"></svg>"));
+        let data = DataSet {
+            folder: "demo/recording-euroc".into(),
+            figures: ExtractionFigures {
+                recorded_s: 60.0,
+                phone_start: Errors::default(),
+                phone_middle: Errors::default(),
+                phone_sigma_us: 3.0,
+                depth: Errors::default(),
+                pairs: 1_800,
+                dropped: 0,
+                free_running: 0,
+            },
+            strip: String::from("<svg id=\"strip\"></svg>"),
+        };
+        let page = page(&figures, &verdict, &data, Some("<svg id=\"twist\"></svg>"));
+        assert!(page.contains("recording-euroc") && page.contains("id=\"strip\""));
         assert!(page.contains("on an uncalibrated rig"));
         assert!(page.matches("<svg").count() == 2 && page.contains("id=\"twist\""));
         assert!(page.contains("4.00 µs apart") && page.contains("Nothing was lost"));

@@ -21,6 +21,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
+use rig::table::Table;
 use rig::wiring;
 use stm32f4_sim::time::SimTime;
 
@@ -39,12 +40,16 @@ pub struct StageOptions {
     pub speed: f64,
     /// Sessions say nothing unless they fail.
     pub quiet: bool,
+    /// The program `hil-sim`, whose depth recorder is used in front of a scene with
+    /// something to look at; without it nothing records the depth camera.
+    pub recorder: Option<PathBuf>,
 }
 
 /// A rig that runs, and where its sessions leave their files.
 pub struct Stage {
     options: StageOptions,
     rig: RunningRig,
+    table: Option<Table>,
     profile: PathBuf,
 }
 
@@ -61,6 +66,9 @@ impl Stage {
         let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
         phone.storage = Some(out.join("phone"));
+        if options.recorder.is_some() {
+            phone.camera.show_ball();
+        }
         let mut board = wiring::board();
         if let Some(elf) = &options.elf {
             board = board.elf(elf);
@@ -71,11 +79,19 @@ impl Stage {
         };
         let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
         let profile = out.join("rig.toml");
-        std::fs::write(&profile, rig.profile()?)
+        let mut text = rig.profile()?;
+        let mut table = None;
+        if let (Some(recorder), Some(phone)) = (&options.recorder, rig.phone()) {
+            let laid = Table::new(rig.parts(), phone.storage(), recorder)?;
+            text += &laid.recorder();
+            table = Some(laid);
+        }
+        std::fs::write(&profile, text)
             .with_context(|| format!("cannot write {}", profile.display()))?;
         Ok(Self {
             options,
             rig,
+            table,
             profile,
         })
     }
@@ -86,14 +102,20 @@ impl Stage {
         &self.profile
     }
 
+    /// Folder of the phone's files.
+    #[must_use]
+    pub fn phone_files(&self) -> PathBuf {
+        self.options.out.join("phone")
+    }
+
     /// Board time now.
     #[must_use]
     pub fn now(&self) -> SimTime {
         self.rig.now()
     }
 
-    /// Runs `smartdepthsync record` for `seconds` of board time with a second
-    /// twist at the end, and gives the recording's folder.
+    /// Runs `smartdepthsync record` for `seconds` of board time, and gives the recording's
+    /// folder.
     ///
     /// # Errors
     ///
@@ -110,8 +132,11 @@ impl Stage {
             .arg("--out")
             .arg(&self.options.out)
             .args(["--name", &name, "--yes"])
-            .args(["--duration", &format!("{seconds}s"), "--second-twist"])
+            .args(["--duration", &format!("{seconds}s")])
             .args(arguments);
+        if let Some(table) = &self.table {
+            command.env("PATH", table.search_path());
+        }
         let ended = self.run(&mut command);
         if !self.rig.is_running() {
             bail!("the simulated board has failed during a session");

@@ -56,6 +56,7 @@ use smartdepthsync::record::operator::Operator;
 use smartdepthsync::record::phones::Phones;
 use smartdepthsync::record::rig::Rig as HostRig;
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
+use smartdepthsync::rig_profile::{Place, Source};
 use verify::watch::{Grid, Watch};
 
 use crate::board_truth::Train;
@@ -257,7 +258,10 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
         out: folder.to_path_buf(),
         name: None,
         duration: None,
-        own_profile: true,
+        profile: Place {
+            path: None,
+            source: Source::Published,
+        },
         link_patience: LINK_PATIENCE,
         plain: true,
         yes: true,

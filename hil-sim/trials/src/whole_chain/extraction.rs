@@ -30,6 +30,13 @@ pub struct Errors {
 }
 
 impl Errors {
+    /// In a line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let (count, rms, most) = (self.count, self.rms_us, self.largest_us);
+        format!("{count} frames, rms {rms:.2} µs, at most {most:.2} µs from the truth")
+    }
+
     pub(super) fn of(pairs: impl Iterator<Item = (i64, i64)>) -> Self {
         let mut out = Self::default();
         let mut squares = 0.0;
@@ -126,11 +133,11 @@ pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionF
         &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
-    compare(&recorded, &data, &report)
+    judge(&recorded, &data, &report)
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.
-pub(super) fn table(path: &Path, columns: &[usize]) -> Result<Vec<Vec<Option<i64>>>> {
+pub(crate) fn table(path: &Path, columns: &[usize]) -> Result<Vec<Vec<Option<i64>>>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     Ok(text
@@ -148,7 +155,13 @@ pub(super) fn whole(cell: Option<i64>) -> Result<i64> {
     cell.context("an empty cell where a time was expected")
 }
 
-fn compare(
+/// Compares a data set with the truth of its recording; `report` is what the extraction
+/// printed.
+///
+/// # Errors
+///
+/// As [`check`], but for what makes the recording.
+pub(crate) fn judge(
     recorded: &Recorded,
     data: &Path,
     report: &serde_json::Value,

@@ -252,7 +252,8 @@ fn moved(path: &Path, new: &str) -> Result<String> {
     Ok(text)
 }
 
-fn pulses(folder: &Path) -> Result<Vec<Ticks>> {
+/// All pulses of a recording, in order.
+pub(crate) fn pulses(folder: &Path) -> Result<Vec<Ticks>> {
     let mut pulses = Vec::new();
     for entry in Reader::open(folder)? {
         if let Item::Pulse(pulse) = entry?.item {
@@ -265,7 +266,7 @@ fn pulses(folder: &Path) -> Result<Vec<Ticks>> {
 
 /// Runs `smartdepthsync` with `--json` and gives what it prints. Exit code 4,
 /// finished with loss, is an answer too.
-fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
+pub(crate) fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
     let output = Command::new(&programs.smartdepthsync)
         .arg("--json")
         .args(arguments)

@@ -45,6 +45,7 @@ fn job(folder: &Path, format: Format) -> Job {
             }),
             ..Options::default()
         },
+        overwrite: false,
     }
 }
 

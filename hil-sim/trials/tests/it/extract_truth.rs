@@ -39,6 +39,7 @@ impl Case {
             format: Format::Euroc,
             out: self.out(),
             options,
+            overwrite: false,
         };
         run(&job, &Silent).unwrap()
     }
@@ -199,7 +200,7 @@ fn ten_minutes_are_within_ten_microseconds_of_the_truth() {
         (period - truth.frame_period_ns).abs() < 5.0 * sigma.max(0.001),
         "{period} {sigma}"
     );
-    assert!(clock.sigma_us[1] < 10.0, "{:?}", clock.sigma_us);
+    assert!(clock.sigma_us.unwrap()[1] < 10.0, "{:?}", clock.sigma_us);
 
     // And as people see it.
     let pairs = format!("{} pairs of frames", expected.len());
@@ -346,6 +347,7 @@ fn damaged_and_missing_parts_leave_the_rest() {
         format: Format::Tum,
         out: case.out(),
         options: Options::default(),
+        overwrite: false,
     };
     let error = run(&job, &Silent).unwrap_err().to_string();
     assert!(

@@ -59,6 +59,7 @@ impl Case {
             format,
             out: self.path(out),
             options,
+            overwrite: false,
         };
         run(&job, &Silent).unwrap()
     }

@@ -85,6 +85,15 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let address = rig.phone().address().to_string();
     let doctor = board(&["doctor", "--phone", &address]);
     check(&["doctor"], &[&doctor]);
+    let setup = [
+        "setup",
+        "--yes",
+        "--phone",
+        &address,
+        "--profile",
+        "setup.toml",
+    ];
+    check(&["setup"], &[&board(&setup)]);
 
     // A session, and what is made of its recording.
     let options = [

@@ -17,6 +17,7 @@ mod extract_published;
 mod extract_truth;
 mod extract_vendor;
 mod faults;
+mod first_recording;
 mod foxglove;
 mod hostile;
 mod imu_csv;

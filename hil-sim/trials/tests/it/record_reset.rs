@@ -148,6 +148,7 @@ fn over_a_reset(seed: u64) {
         format: Format::Euroc,
         out: out.clone(),
         options: Options::default(),
+        overwrite: false,
     };
     let report = run(&job, &Silent).unwrap();
     let [run] = report.board.runs.as_slice() else {
@@ -291,6 +292,7 @@ fn a_further_phone_is_related_anew_and_extracted_over_the_reset() {
             phones: vec![place("left", "phone"), place("right", "phone_1")],
             ..Options::default()
         },
+        overwrite: false,
     };
     let report = run(&job, &Silent).unwrap();
     let [run] = report.board.runs.as_slice() else {

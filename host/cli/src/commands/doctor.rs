@@ -1,7 +1,6 @@
 //! `smartdepthsync doctor`: is the rig ready for a recording? Each problem is listed
 //! with its fix. The checks are those of a session ([`crate::record::preflight`]).
 
-use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -9,36 +8,38 @@ use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
 
 use super::PortArg;
 use super::listen::{Heard, Listened, listen};
+use crate::advice::phone_failure;
+use crate::checks;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
+use crate::rig_profile::ProfileArg;
 use board::Event;
 use board::imu::{ImuLook, Scale};
 use board::{Board, BoardError};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
-use recording::session_file::Verdict;
 
 /// Options of `doctor`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     #[command(flatten)]
-    port: PortArg,
-    /// The rig profile; without it, the published rig's
-    #[arg(long, value_name = "FILE")]
-    profile: Option<PathBuf>,
+    pub(crate) port: PortArg,
+    #[command(flatten)]
+    pub(crate) profile: ProfileArg,
     /// The phone's address, instead of the profile's
     #[arg(long, value_name = "HOST[:PORT]")]
-    phone: Option<String>,
+    pub(crate) phone: Option<String>,
     /// Folder for recordings
     #[arg(long, value_name = "FOLDER", default_value = "recordings")]
-    out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Do not try the trigger (no pulses on the wire)
     #[arg(long)]
-    no_trigger: bool,
+    pub(crate) no_trigger: bool,
     /// Do not look for the phone
     #[arg(long)]
-    no_phone: bool,
+    pub(crate) no_phone: bool,
 }
 
 /// Checks the rig.
@@ -47,17 +48,26 @@ pub(crate) struct Args {
 ///
 /// None but those of printing; what is wrong is in the result.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let checks = look(args, context);
+    context.print_checks(&checks, || checks::text(&checks.checks))?;
+    if context.interrupt.requested() {
+        return Ok(Outcome::Interrupted);
+    }
+    Ok(match checks.status() {
+        ExitStatus::Good => Outcome::Good,
+        status => Outcome::Told(status),
+    })
+}
+
+/// Makes the checks.
+pub(crate) fn look(args: &Args, context: &Context) -> Checks {
     let mut checks = Checks::default();
-    let profile = match &args.profile {
-        Some(path) => Profile::load(path),
-        None => Profile::published(),
-    };
-    let profile = match profile {
-        Ok(mut profile) => {
+    let profile = match args.profile.load() {
+        Ok((mut profile, place)) => {
             if let Some(phone) = &args.phone {
                 profile.phone.address.clone_from(phone);
             }
-            checks.host(&profile, args.profile.is_some(), &args.out);
+            checks.host(&profile, &place, &args.out);
             Some(profile)
         }
         Err(error) => {
@@ -79,14 +89,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     if let Some(profile) = profile.filter(|_| !args.no_phone) {
         check_phone(&profile, &mut checks, context);
     }
-    context.print(&checks, || text(&checks))?;
-    if context.interrupt.requested() {
-        return Ok(Outcome::Interrupted);
-    }
-    Ok(match checks.status() {
-        ExitStatus::Good => Outcome::Good,
-        status => Outcome::Told(status),
-    })
+    checks
 }
 
 /// Takes events for so long in board time. Ends early on Ctrl-C.
@@ -157,6 +160,9 @@ fn check_trigger(
 }
 
 fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
+    if let Err(failure) = has_address(profile) {
+        return checks.bad("phone", failure);
+    }
     let interrupt = context.interrupt.clone();
     let settings = Settings {
         margin: Duration::from_secs(5),
@@ -167,22 +173,6 @@ fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
         PhoneClient::connect(&profile.phone.address, settings).and_then(|mut phone| phone.probe());
     match version {
         Ok(version) => checks.phone(&version.to_string(), &profile.phone.address),
-        Err(error) => checks.bad("phone", error),
+        Err(error) => checks.bad("phone", phone_failure(error, &profile.phone.address)),
     }
-}
-
-fn text(checks: &Checks) -> String {
-    let mut text = String::new();
-    for check in &checks.checks {
-        let mark = match check.verdict {
-            Verdict::Good => "ok  ",
-            Verdict::Warning => "warn",
-            Verdict::Bad => "BAD ",
-        };
-        let _ = writeln!(text, "{mark}  {:<18} {}", check.name, check.found);
-        if let Some(step) = &check.next_step {
-            let _ = writeln!(text, "      {:<18} -> {step}", "");
-        }
-    }
-    text
 }

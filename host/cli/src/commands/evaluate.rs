@@ -9,7 +9,7 @@ use jiff::civil::Date;
 use serde::Serialize;
 
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step, refuse_to_overwrite};
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift, EvaluatedDrift};
 use evaluate::footage::Footage;
@@ -93,6 +93,9 @@ struct CommonArgs {
     /// Write a report with all pictures to this HTML file
     #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
+    /// Replace the files of --plot and --report if they are there
+    #[arg(long)]
+    overwrite: bool,
 }
 
 #[derive(Debug, clap::Args)]
@@ -132,6 +135,13 @@ struct DriftArgs {
 }
 
 impl CommonArgs {
+    /// Refuses what cannot be written, before hours of work.
+    fn check_targets(&self) -> Result<(), Failure> {
+        let targets = [&self.plot, &self.report];
+        let mut targets = targets.into_iter().flatten();
+        targets.try_for_each(|path| refuse_to_overwrite(path, self.overwrite))
+    }
+
     fn settings(&self, timestamps: Option<PathBuf>) -> Result<Settings, EvaluateError> {
         let settings = Settings {
             train: self.train,
@@ -201,6 +211,11 @@ struct DriftOutput<'a> {
 /// Nothing could be measured, or a file cannot be read or written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     match &args.what {
+        What::Precision(PrecisionArgs { common, .. }) | What::Drift(DriftArgs { common, .. }) => {
+            common.check_targets()?;
+        }
+    }
+    match &args.what {
         What::Precision(args) => run_precision(args, context),
         What::Drift(args) => run_drift(args, context),
     }
@@ -214,10 +229,13 @@ impl From<EvaluateError> for Failure {
             | E::Rotation(_)
             | E::RegionSyntax(_)
             | E::RegionOutside { .. }
-            | E::Setting(_) => ExitStatus::Usage,
-            E::Io { .. } | E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
-                ExitStatus::Storage
-            }
+            | E::Setting(_)
+            | E::NotAVideo { .. }
+            | E::NotAnImage { .. }
+            | E::NoImages(_)
+            | E::Timestamps { .. }
+            | E::Profile { .. } => ExitStatus::Usage,
+            E::Io { .. } => ExitStatus::Storage,
             E::NoFlashes { .. }
             | E::Chance { .. }
             | E::OnlyFlicker { .. }
@@ -260,7 +278,7 @@ fn next_step(error: &EvaluateError) -> &'static str {
              alone; or give --row-time and --exposure if they are known"
         }
         E::Profile { .. } => {
-            "`smartdepthsync profile init rig.toml` writes a profile to start from"
+            "check the path; `smartdepthsync profile check` says what is wrong in a profile"
         }
         E::Picture(_) => "leave --report out, and report this",
     }

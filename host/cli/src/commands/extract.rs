@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use crate::recordings::RecordingArg;
 use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
@@ -67,9 +68,8 @@ impl From<ViewArg> for View {
 /// Options of `extract`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The recording: its folder, a recording.mcap, or a ROS 1 bag of the published system
-    #[arg(value_name = "RECORDING")]
-    recording: PathBuf,
+    #[command(flatten)]
+    recording: RecordingArg,
     /// The phone's files: a folder, or the video itself; the recording's folder unless
     /// given. Of several phones with its name; may be given for each
     #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
@@ -86,6 +86,9 @@ pub(crate) struct Args {
     /// Give depth images from the place of another camera, in the size of its images
     #[arg(long, value_enum)]
     register: Option<ViewArg>,
+    /// Replace a former extraction in the output folder
+    #[arg(long)]
+    overwrite: bool,
     /// Write infrared images too
     #[arg(long)]
     infrared: bool,
@@ -125,9 +128,10 @@ pub(crate) struct Args {
 /// There is no recording, the output folder cannot be used, or a file cannot be
 /// written. Missing and damaged parts end in [`Outcome::Loss`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let recording = args.recording.find(context)?;
     let out = match &args.out {
         Some(out) => out.clone(),
-        None => default_out(&args.recording, args.format.into())?,
+        None => default_out(&recording, args.format.into())?,
     };
     let mut phone = None;
     let mut phones = Vec::new();
@@ -145,7 +149,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         }
     }
     let job = Job {
-        recording: args.recording.clone(),
+        recording,
         phone,
         depth: args.depth.clone(),
         format: args.format.into(),
@@ -163,6 +167,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             free_running: args.free_running,
             phones,
         },
+        overwrite: args.overwrite,
     };
     let bar = Bar::new(context);
     let report = match extract(&job, &bar) {
@@ -174,7 +179,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Err(error) => return Err(error.into()),
     };
     if let Some(profile) = &args.learn {
-        let session = SessionFile::load(&args.recording).ok();
+        let session = SessionFile::load(&job.recording).ok();
         let time = session.and_then(|session| session.started.parse().ok());
         let time = time.unwrap_or_else(jiff::Timestamp::now);
         let text = learn::into_profile(&report, profile, time)?;
@@ -285,6 +290,10 @@ impl From<ExtractError> for Failure {
                 "give --phone NAME=PATH as the phone is called in the profile",
             ),
             ExtractError::Inputs(_) => (ExitStatus::Usage, "name the depth recording with --depth"),
+            ExtractError::Workplace(WorkplaceError::Other { .. }) => (
+                ExitStatus::Usage,
+                "replace it with --overwrite, or give another folder with --out",
+            ),
             ExtractError::Workplace(_) => (
                 ExitStatus::Usage,
                 "give another folder with --out, or remove this one",

@@ -15,7 +15,7 @@ use super::PortArg;
 use super::listen::{Heard, Listened, listen};
 use crate::advice::imu_scale;
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
 use board::imu::{Sample, Scale, Summary, SummaryReport};
 use board::{Board, BoardError};
 use board::{Event, Stream};
@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// Write the samples to this file, in SI units with board time
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Replace the file if it is there
+    #[arg(long, requires = "csv")]
+    overwrite: bool,
     #[command(flatten)]
     settings: Settings,
 }
@@ -129,8 +132,12 @@ struct PrintedImu {
 /// The board cannot be reached, its IMU gives nothing, or the file cannot be
 /// written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let mut csv = args.csv.as_deref().map(Csv::create).transpose()?;
+    // What is in the way is told before the board is asked for anything.
+    if let Some(path) = &args.csv {
+        refuse_to_overwrite(path, args.overwrite)?;
+    }
     let mut board = args.port.open()?;
+    let mut csv = args.csv.as_deref().map(Csv::create).transpose()?;
     let mut setup = board.imu()?;
     let wanted = args.settings.over(setup.config);
     if wanted != setup.config {
@@ -298,7 +305,7 @@ impl PrintedImu {
         ] {
             let _ = writeln!(
                 text,
-                "{name:<13}mean {} {unit}, deviation {} {unit}",
+                "{name:<14}mean {} {unit}, deviation {} {unit}",
                 axes(mean).join(" "),
                 axes(noise).join(" ")
             );

@@ -11,6 +11,7 @@ use super::listen::{Heard, Listened, listen};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use crate::record::preflight::firmware_version;
+use crate::rig_profile::{Place, ProfileArg};
 use board::Event;
 use board::{Board, BoardError, reset_cause};
 
@@ -19,6 +20,8 @@ use board::{Board, BoardError, reset_cause};
 pub(crate) struct Args {
     #[command(flatten)]
     port: PortArg,
+    #[command(flatten)]
+    profile: ProfileArg,
     /// Then print the board's status messages for this many seconds of board time
     #[arg(long, value_name = "SECONDS", default_value_t = 0)]
     watch: u32,
@@ -39,6 +42,8 @@ struct PrintedInfo {
     reset_cause: ResetCause,
     last_panic: Option<String>,
     round_trip_us: f64,
+    /// The rig profile that `record` and `doctor` would use.
+    profile: Place,
     status: Vec<PrintedStatus>,
 }
 
@@ -67,7 +72,7 @@ struct PrintedStatus {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut board = args.port.open()?;
     let (_, round_trip) = board.ping()?;
-    let mut info = PrintedInfo::new(board.hello(), round_trip);
+    let mut info = PrintedInfo::new(board.hello(), round_trip, args.profile.place());
     if !context.global.json {
         context.print(&info, || info.text())?;
     }
@@ -119,7 +124,7 @@ fn watch(
 }
 
 impl PrintedInfo {
-    fn new(hello: &Hello, round_trip: Duration) -> Self {
+    fn new(hello: &Hello, round_trip: Duration, profile: Place) -> Self {
         Self {
             board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
             firmware_version: firmware_version(hello),
@@ -133,6 +138,7 @@ impl PrintedInfo {
             reset_cause: hello.reset_cause,
             last_panic: hello.last_panic.as_ref().map(ToString::to_string),
             round_trip_us: round_trip.as_secs_f64() * 1e6,
+            profile,
             status: Vec::new(),
         }
     }
@@ -162,6 +168,7 @@ impl PrintedInfo {
             let _ = writeln!(text, "last panic  {panic}");
         }
         let _ = writeln!(text, "round trip  {:.0} µs", self.round_trip_us);
+        let _ = writeln!(text, "profile     {}", self.profile);
         text
     }
 }

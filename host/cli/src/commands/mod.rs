@@ -18,6 +18,7 @@ pub(crate) mod profile;
 pub(crate) mod record;
 pub(crate) mod repair;
 pub(crate) mod report;
+pub(crate) mod setup;
 pub(crate) mod trigger;
 pub(crate) mod verify;
 

@@ -247,7 +247,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
 fn read(path: &Path) -> Result<GyroFile, Failure> {
     gyro_csv::read_file(path).map_err(|error| match error {
         gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),
-        other => Failure::new(ExitStatus::Error, format!("{}: {other}", path.display())).next_step(
+        other => Failure::new(ExitStatus::Usage, format!("{}: {other}", path.display())).next_step(
             "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \
                      app's x,y,z,nanoseconds",
         ),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use clap::Subcommand;
 use serde::Serialize;
 
-use crate::advice::TICK_SENSORS;
+use crate::advice::{TICK_SENSORS, at_phone};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use phone::adb;
@@ -147,8 +147,17 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     if let Request::Imu(imu) = &args.request {
         check_imu(imu)?;
     }
+    ask(address, settings, &args.request, context).map_err(|failure| at_phone(failure, address))
+}
+
+fn ask(
+    address: &str,
+    settings: Settings,
+    request: &Request,
+    context: &Context,
+) -> Result<Outcome, Failure> {
     let mut client = PhoneClient::connect(address, settings)?;
-    match &args.request {
+    match request {
         Request::Imu(imu) => return record_imu(&mut client, imu, context),
         Request::Start => start(&mut client, context)?,
         Request::Stop => stop(&mut client, context)?,
@@ -249,13 +258,11 @@ fn check_imu(args: &ImuArgs) -> Result<(), PhoneError> {
     let Some(folder) = &args.out else {
         return Ok(());
     };
-    if !folder.is_dir() {
-        return Err(PhoneError::File {
-            action: "save in",
-            path: folder.clone(),
-            source: std::io::Error::from(std::io::ErrorKind::NotADirectory),
-        });
-    }
+    std::fs::create_dir_all(folder).map_err(|source| PhoneError::File {
+        action: "save in",
+        path: folder.clone(),
+        source,
+    })?;
     for sensor in Sensor::ALL {
         let path = folder.join(sensor.file_suffix());
         if request.wants(sensor) && !args.overwrite && path.symlink_metadata().is_ok() {

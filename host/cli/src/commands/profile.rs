@@ -11,7 +11,7 @@ use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use frame_sync::kalibr::{self, KalibrError};
 use frame_sync::learn;
-use frame_sync::train::{FramePeriod, frame_period};
+use frame_sync::train::frame_period;
 use phone::frame_timestamps;
 use phone::rows::RowError;
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
@@ -102,7 +102,15 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             recording,
             phone,
             timestamps,
-        } => teach(file, recording, phone.as_deref(), timestamps, context),
+        } => {
+            // A profile that cannot be read is told first.
+            read(file)?;
+            let session = SessionFile::load(recording)?;
+            let phone = phone.as_deref().unwrap_or(&session.profile.phone.name);
+            let taught = teach(file, &session, phone, timestamps)?;
+            context.print(&taught.lesson, || taught.lesson.text(file))?;
+            Ok(Outcome::Good)
+        }
         Action::ImportKalibr { file, chain, phone } => {
             import(file, chain, phone.as_deref(), context)
         }
@@ -164,19 +172,41 @@ fn init(file: &Path, context: &Context) -> Result<Outcome, Failure> {
     Ok(Outcome::Good)
 }
 
-fn teach(
+/// What a profile was taught of a phone.
+#[derive(Debug, Serialize)]
+pub(crate) struct Lesson {
+    /// The phone's name.
+    phone: String,
+    /// Where it was written to.
+    profile: PathBuf,
+    #[serde(flatten)]
+    lesson: PrintedLesson,
+}
+
+impl Lesson {
+    pub(crate) fn text(&self) -> String {
+        let text = self.lesson.text(&self.profile);
+        format!("phone         {}\n{text}\n", self.phone)
+    }
+}
+
+/// Writes what a recording teaches about the clocks of a phone into a profile.
+///
+/// # Errors
+///
+/// The session knows no such phone, its timestamps teach nothing, or the profile cannot be
+/// read or written.
+pub(crate) fn teach(
     file: &Path,
-    recording: &Path,
-    phone: Option<&str>,
+    session: &SessionFile,
+    phone: &str,
     timestamps: &Path,
-    context: &Context,
-) -> Result<Outcome, Failure> {
+) -> Result<Lesson, Failure> {
     let text = read(file)?;
-    let session = SessionFile::load(recording)?;
     let shown = timestamps.display();
     let times = frame_timestamps::read(timestamps).map_err(|error| match error {
         RowError::Io(error) => Failure::file("read", timestamps, &error),
-        RowError::Bad(row) => Failure::new(ExitStatus::Error, format!("{shown}: {row}")).next_step(
+        RowError::Bad(row) => Failure::new(ExitStatus::Usage, format!("{shown}: {row}")).next_step(
             "give the app's `..._timestamps.csv` of that recording: one integer of nanoseconds a \
              line",
         ),
@@ -185,16 +215,13 @@ fn teach(
         Failure::new(ExitStatus::Refused, format!("{shown}: {error}"))
             .next_step("give the timestamps of a longer recording, whole as the app wrote them")
     })?;
-    let own = session.profile.phone.name.clone();
-    let phone = phone.unwrap_or(&own);
-    let known = |name: &str| {
+    let clocks = session.clocks_of(phone).ok_or_else(|| {
         Failure::new(
             ExitStatus::Usage,
-            format!("the recording has no phone called {name:?}"),
+            format!("the recording has no phone called {phone:?}"),
         )
         .next_step("give --phone as the phone is called in the recording's session.json")
-    };
-    let clocks = session.clocks_of(phone).ok_or_else(|| known(phone))?;
+    })?;
     let resets = session.runs.len();
     let board_id = session.board.as_ref().map(|board| board.id.as_str());
     let skew = learn::skew_of_twists(clocks, resets);
@@ -214,18 +241,20 @@ fn teach(
     let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;
-    let report = PrintedLesson {
-        frames: period.frames,
-        missing_frames: period.missing,
-        timestamp_jitter_ns: period.jitter_ns,
-        learnt,
-    };
-    context.print(&report, || report.text(&period, file))?;
-    Ok(Outcome::Good)
+    Ok(Lesson {
+        phone: phone.to_owned(),
+        profile: file.to_owned(),
+        lesson: PrintedLesson {
+            frames: period.frames,
+            missing_frames: period.missing,
+            timestamp_jitter_ns: period.jitter_ns,
+            learnt,
+        },
+    })
 }
 
 impl PrintedLesson {
-    fn text(&self, period: &FramePeriod, file: &Path) -> String {
+    fn text(&self, file: &Path) -> String {
         let learnt = &self.learnt;
         let skew = match (learnt.skew, learnt.skew_sigma) {
             (Some(skew), Some(sigma)) => {
@@ -233,16 +262,16 @@ impl PrintedLesson {
             }
             _ => String::from(
                 "skew          not learnt: it takes two twists at least a minute apart \
-                 (`record --second-twist`)",
+                 (`record --calibrate`)",
             ),
         };
         format!(
             "frame period  {:.4} ± {:.4} ns, from {} frames ({} missing), jitter {:.0} ns\n{skew}\nwritten to    {}",
             learnt.frame_period_ns,
             learnt.frame_period_sigma_ns,
-            period.frames,
-            period.missing,
-            period.jitter_ns,
+            self.frames,
+            self.missing_frames,
+            self.timestamp_jitter_ns,
             file.display()
         )
     }

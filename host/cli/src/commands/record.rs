@@ -1,21 +1,28 @@
 //! `smartdepthsync record`: from the twist to an aligned recording.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use protocol::TICK_HZ;
 use serde::Serialize;
 
+use super::profile::{Lesson, teach};
+use crate::checks::{self, text_of_judgement};
 use crate::cli::Context;
 use crate::decimal::Decimal;
 use crate::live_data::FoxgloveArg;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::record::{self, Ended, Options, SerialConnector};
+use crate::rig_profile::{Place, ProfileArg};
+use phone::video_files;
 use recording::folder::check_name;
-use recording::profile::Profile;
 use recording::session_file::{OtherPhone, SessionFile};
-use session_report::sigmas;
+use session_report::{Judgement, files_to_fetch, findings, has_recorded, shell_word, sigmas};
+
+/// How long a calibration records between its twists: a minute is the least that a rate is
+/// learnt from.
+const CALIBRATION_TICKS: u64 = record::seconds(90);
 
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
@@ -23,9 +30,8 @@ pub(crate) struct Args {
     /// The board's serial port; may be left out if exactly one board is plugged in
     #[arg(long, value_name = "PATH")]
     port: Option<String>,
-    /// The rig profile; without it, the published rig's
-    #[arg(long, value_name = "FILE")]
-    profile: Option<PathBuf>,
+    #[command(flatten)]
+    profile: ProfileArg,
     /// A phone's address, instead of the profile's; of several phones with its name
     #[arg(long, value_name = "[NAME=]HOST[:PORT]")]
     phone: Vec<String>,
@@ -63,6 +69,10 @@ pub(crate) struct Args {
     /// Twist again at the end: a far better skew, and `profile learn` needs it
     #[arg(long)]
     second_twist: bool,
+    /// Record for 90 s between two twists, and write what that teaches about the phone's
+    /// clocks into the rig profile
+    #[arg(long)]
+    calibrate: bool,
     /// Download the phone's video at the end
     #[arg(long)]
     fetch_video: bool,
@@ -94,6 +104,12 @@ pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
 struct PrintedSession<'a> {
     folder: PathBuf,
     report: Option<PathBuf>,
+    verdict: Judgement,
+    /// What to type next.
+    next: Vec<String>,
+    /// With `--calibrate`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    learnt: Vec<Lesson>,
     #[serde(flatten)]
     session: &'a SessionFile,
 }
@@ -104,28 +120,30 @@ struct PrintedSession<'a> {
 ///
 /// A step failed; what was recorded before is kept.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let mut profile = match &args.profile {
-        Some(path) => Profile::load(path),
-        None => Profile::published(),
-    }?;
+    let (mut profile, place) = args.profile.load()?;
     for phone in &args.phone {
         profile.set_address(phone)?;
     }
     if let Some(name) = &args.reference {
         profile.set_reference(name)?;
     }
+    let to_teach = match args.calibrate {
+        true => Some(calibrates(args, &place)?),
+        false => None,
+    };
+    let length = args.calibrate.then_some(CALIBRATION_TICKS);
     let options = Options {
         out: args.out.clone(),
         name: args.name.clone(),
-        duration: args.duration,
-        own_profile: args.profile.is_some(),
+        duration: args.duration.or(length),
+        profile: place.clone(),
         link_patience: Duration::from_secs_f64(args.link_patience as f64 / f64::from(TICK_HZ)),
         plain: args.plain,
         yes: args.yes,
         markers: args.marker.clone(),
         twists: args.twists,
         twist_gap: args.twist_gap,
-        second_twist: args.second_twist,
+        second_twist: args.second_twist || args.calibrate,
         fetch_video: args.fetch_video,
         foxglove: args.foxglove.clone(),
     };
@@ -145,26 +163,125 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             None
         }
     };
-    match result {
-        Ok(outcome) => {
-            let report = PrintedSession {
-                folder,
-                report: html,
-                session: &file,
-            };
-            context.print(&report, || summary(&report))?;
-            Ok(outcome)
-        }
+    let outcome = match result {
+        Ok(outcome) => outcome,
         Err(failure) => {
             context.say(format!("what was recorded is in {}", folder.display()));
-            Err(failure)
+            return Err(failure);
         }
+    };
+    let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
+        Some(profile) => match learn(profile, &folder, &file) {
+            Ok(learnt) => (learnt, None),
+            Err(failure) => (Vec::new(), Some(failure)),
+        },
+        None => (Vec::new(), None),
+    };
+    let report = PrintedSession {
+        verdict: Judgement::of(&folder, &file),
+        next: next_commands(&folder, &file, to_teach.filter(|_| not_learnt.is_some())),
+        folder,
+        report: html,
+        learnt,
+        session: &file,
+    };
+    context.print_checks(&report, || summary(&report))?;
+    match not_learnt {
+        Some(failure) => {
+            Err(failure.about("the recording is there, but nothing was learnt from it"))
+        }
+        None => Ok(outcome),
     }
+}
+
+/// The profile that a calibration teaches.
+fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
+    let file = place.file()?;
+    match args.duration {
+        Some(ticks) if ticks < record::seconds(60) => Err(Failure::new(
+            ExitStatus::Usage,
+            "a calibration needs a minute or more between its two twists",
+        )
+        .next_step("give a --duration of 60s or more, or leave it out")),
+        _ => Ok(file),
+    }
+}
+
+/// Teaches the profile what a recording says of each phone whose timestamps are there.
+fn learn(profile: &Path, folder: &Path, session: &SessionFile) -> Result<Vec<Lesson>, Failure> {
+    let phones = session.profile.all_phones();
+    phones
+        .map(|phone| {
+            let place = folder.join(session.phone_folder(&phone.name));
+            let files = video_files::find(&place, None).ok().flatten();
+            let timestamps = files.and_then(|files| files.frames).ok_or_else(|| {
+                let message = format!(
+                    "no frame timestamps of {} in {}",
+                    phone.name,
+                    place.display()
+                );
+                Failure::new(ExitStatus::Phone, message)
+                    .next_step("run the commands that `next` names")
+            })?;
+            teach(profile, session, &phone.name, &timestamps)
+        })
+        .collect()
+}
+
+/// What to type next, ready to be pasted. `to_teach` is a profile that could not be taught
+/// yet.
+fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) -> Vec<String> {
+    if !has_recorded(session) {
+        return Vec::new();
+    }
+    let missing = files_to_fetch(folder, session);
+    let mut commands: Vec<String> = missing
+        .iter()
+        .map(|(phase, place)| {
+            let place = shell_word(place);
+            format!("smartdepthsync phone get-files --phase {phase} --video --out {place}")
+        })
+        .collect();
+    let mut extract = format!("smartdepthsync extract {}", shell_word(folder));
+    if let Some(profile) = to_teach {
+        extract += &format!(" --learn {}", shell_word(profile));
+    }
+    commands.push(extract);
+    commands
 }
 
 fn summary(report: &PrintedSession<'_>) -> String {
     let session = report.session;
-    let mut text = format!("recording    {}\n", report.folder.display());
+    let mut text = text_of_judgement(&report.verdict);
+    let found: Vec<_> = findings(session).collect();
+    if !found.is_empty() {
+        let _ = write!(
+            text,
+            "\nbefore the recording the checks found\n{}",
+            checks::text(found)
+        );
+    }
+    text.push('\n');
+    if has_recorded(session) {
+        what_was_recorded(&mut text, report);
+    } else {
+        let _ = writeln!(text, "folder       {}", report.folder.display());
+    }
+    for lesson in &report.learnt {
+        let _ = write!(text, "\nlearnt, for the next recording\n{}", lesson.text());
+    }
+    if !report.next.is_empty() {
+        text.push_str("\nnext\n");
+    }
+    for command in &report.next {
+        let _ = writeln!(text, "  {command}");
+    }
+    text
+}
+
+fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
+    let session = report.session;
+    let _ = writeln!(text, "recording    {}", report.folder.display());
     if let Some(html) = &report.report {
         let _ = writeln!(text, "report       {}", html.display());
     }
@@ -230,7 +347,6 @@ fn summary(report: &PrintedSession<'_>) -> String {
             session.problems.len() - 10
         );
     }
-    text
 }
 
 fn phone_line(phone: &OtherPhone) -> String {

@@ -4,9 +4,12 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use crate::checks::text_of_judgement;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
+use crate::recordings::{self, RecordingArg};
 use recording::session_file::SessionFile;
+use session_report::Judgement;
 
 /// Write the HTML report of a recording (again), into its folder.
 ///
@@ -14,15 +17,14 @@ use recording::session_file::SessionFile;
 /// recording, this does.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The folder of the recording
-    #[arg(value_name = "RECORDING")]
-    recording: PathBuf,
+    #[command(flatten)]
+    recording: RecordingArg,
 }
 
 #[derive(Debug, Serialize)]
 struct Written {
     report: PathBuf,
-    verdict: String,
+    verdict: Judgement,
 }
 
 /// Runs the command.
@@ -31,17 +33,16 @@ struct Written {
 ///
 /// There is no such recording, or its folder cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let file = SessionFile::load(&args.recording)?;
+    let recording = args.recording.find(context)?;
+    let folder = recordings::folder_of(&recording);
+    let file = SessionFile::load(folder)?;
     let stop = || context.interrupt.requested();
-    let report = session_report::write(&args.recording, &file, &stop)?;
-    let (_, verdict) = session_report::verdict(&file);
+    let report = session_report::write(folder, &file, &stop)?;
+    let verdict = Judgement::of(folder, &file);
     let written = Written { report, verdict };
-    context.print(&written, || {
-        format!(
-            "{}\nreport       {}",
-            written.verdict,
-            written.report.display()
-        )
+    context.print_checks(&written, || {
+        let verdict = text_of_judgement(&written.verdict);
+        format!("{verdict}report       {}", written.report.display())
     })?;
     Ok(Outcome::Good)
 }

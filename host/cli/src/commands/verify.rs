@@ -1,9 +1,8 @@
 //! `smartdepthsync verify`: is a recording whole.
 
-use std::path::PathBuf;
-
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
+use crate::recordings::RecordingArg;
 use verify::{Verdict, verify};
 
 /// Check a recording: checksums, the board's numbers and counters, the pulses'
@@ -13,9 +12,8 @@ use verify::{Verdict, verify};
 /// damaged, 13 if it cannot be read at all.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The recording: its folder, or a recording.mcap
-    #[arg(value_name = "RECORDING")]
-    recording: PathBuf,
+    #[command(flatten)]
+    recording: RecordingArg,
 }
 
 /// Runs the command.
@@ -24,7 +22,9 @@ pub(crate) struct Args {
 ///
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    let report = verify(&args.recording, &|| context.interrupt.requested())?;
+    let report = verify(&args.recording.find(context)?, &|| {
+        context.interrupt.requested()
+    })?;
     context.print(&report, || report.text())?;
     Ok(match report.verdict {
         Verdict::Whole => Outcome::Good,

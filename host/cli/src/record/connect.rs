@@ -153,7 +153,7 @@ fn new_journal<'a>(
 
 fn check_host(profile: &Profile, options: &Options) -> Checks {
     let mut checks = Checks::default();
-    checks.host(profile, options.own_profile, &options.out);
+    checks.host(profile, &options.profile, &options.out);
     checks
 }
 

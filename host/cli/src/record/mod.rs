@@ -43,6 +43,7 @@ use protocol::TICK_HZ;
 use crate::cli::Context;
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::rig_profile::Place;
 use board::BoardError;
 use board::transport::serial::SerialLink;
 use board::transport::{Link, ports};
@@ -58,8 +59,8 @@ pub struct Options {
     pub name: Option<String>,
     /// How long to record in ticks of board time; until stopped if not given.
     pub duration: Option<u64>,
-    /// The profile is the user's own, not the published rig's.
-    pub own_profile: bool,
+    /// Where the profile is from.
+    pub profile: Place,
     /// How long a lost link to the board is waited for, in real time.
     pub link_patience: Duration,
     /// Plain lines even on a terminal.

@@ -13,6 +13,7 @@ use super::Stop;
 use super::journal::Journal;
 use super::rig::Rig;
 use super::video_watch::VideoCheck;
+use crate::advice::phone_failure;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
@@ -69,6 +70,7 @@ pub(super) fn connect<'a>(
     profile: &'a Profile,
     context: &Context,
 ) -> Result<(Phones<'a>, PhoneInfo, Vec<OtherPhone>), Stop> {
+    has_address(profile)?;
     let (task, first) = connect_one(profile, &profile.phone, context)?;
     let mut tasks = vec![task];
     let mut others = Vec::new();
@@ -87,9 +89,22 @@ pub(super) fn connect<'a>(
     Ok((Phones::new(profile, tasks), first, others))
 }
 
+/// Whether the profile says where its phones are.
+pub(crate) fn has_address(profile: &Profile) -> Result<(), Failure> {
+    let mut phones = profile.all_phones();
+    let Some(phone) = phones.find(|phone| phone.address.trim().is_empty()) else {
+        return Ok(());
+    };
+    let message = format!("the profile has no address of {:?}", phone.name);
+    Err(Failure::new(ExitStatus::Usage, message).next_step(
+        "set `address` in `[phone]` of the rig profile (`smartdepthsync setup` asks for it), or \
+         give --phone HOST, as the app's dialog shows it",
+    ))
+}
+
 /// A failure of a phone, with its name where there are several.
 fn named(profile: &Profile, phone: &Phone, error: PhoneError) -> Failure {
-    let failure = Failure::from(error);
+    let failure = phone_failure(error, &phone.address);
     if profile.phones.is_empty() {
         failure
     } else {

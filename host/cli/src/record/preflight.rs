@@ -16,10 +16,11 @@ use serde::Serialize;
 use super::depth_recorder::left_over;
 use super::rounds::free_space;
 use crate::outcome::{ExitStatus, Failure};
+use crate::rig_profile::Place;
 use board::Board;
 use board::imu::ImuLook;
 use recording::profile::Profile;
-use recording::session_file::{Check, Verdict};
+use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, Verdict};
 
 /// How long the IMU is looked at, ticks.
 pub(crate) const IMU_TIME: u64 = TICK_HZ as u64;
@@ -47,6 +48,16 @@ const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clo
 pub(crate) fn firmware_version(hello: &Hello) -> String {
     let (major, minor, patch) = hello.firmware_version;
     format!("{major}.{minor}.{patch}")
+}
+
+/// Whether a program is there: at its path, or by its name on the search path.
+pub(crate) fn on_search_path(program: &str) -> bool {
+    if program.contains('/') {
+        return Path::new(program).is_file();
+    }
+    std::env::var_os("PATH").is_some_and(|path| {
+        std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+    })
 }
 
 /// Checks, in the order in which they were made.
@@ -102,40 +113,39 @@ impl Checks {
     }
 
     /// What does not need the board: profile, disk, ffmpeg, depth recorder.
-    /// `given` says whether the profile is the user's own, `out` where recordings
-    /// are to go.
-    pub(crate) fn host(&mut self, profile: &Profile, given: bool, out: &Path) {
-        self.profile(profile, given);
+    /// `place` says where the profile is from, `out` where recordings are to go.
+    pub(crate) fn host(&mut self, profile: &Profile, place: &Place, out: &Path) {
+        self.profile(profile, place);
         self.disk(out);
         self.ffmpeg();
         self.recorder(profile);
     }
 
-    fn profile(&mut self, profile: &Profile, given: bool) {
+    fn profile(&mut self, profile: &Profile, place: &Place) {
         let today = jiff::Zoned::now().date();
         let age = |date: jiff::civil::Date| today.since(date).map_or(0, |span| span.get_days());
-        if given {
-            self.good("profile", profile.name.clone());
+        if place.path.is_some() {
+            self.good("profile", format!("{} ({place})", profile.name));
         } else {
             self.warn(
                 "profile",
-                "none given: using the published rig's",
-                "`smartdepthsync profile init rig.toml`, and give it with --profile",
+                place.to_string(),
+                "make your own: `smartdepthsync setup`",
             );
         }
         match &profile.phone.learnt {
             None => self.warn(
-                "learnt clocks",
+                CHECK_LEARNT,
                 "none: the phase may drift by tens of µs a minute",
-                "record with --second-twist, then `smartdepthsync profile learn`",
+                "`smartdepthsync record --calibrate` learns them in 2 minutes",
             ),
             Some(learnt) if age(learnt.learnt) > OLD_DAYS => self.warn(
-                "learnt clocks",
+                CHECK_LEARNT,
                 format!("from {}", learnt.learnt),
                 "crystals age: learn again",
             ),
             Some(learnt) => self.good(
-                "learnt clocks",
+                CHECK_LEARNT,
                 format!(
                     "frame period {:.3} ns, skew {}, from {}",
                     learnt.frame_period_ns,
@@ -151,17 +161,17 @@ impl Checks {
         }
         match profile.frame_sync.bias_measured {
             None => self.warn(
-                "constant bias",
+                CHECK_BIAS,
                 "not measured: there may be ms between the cameras",
                 "measure it: `smartdepthsync evaluate precision ... --calibrate`",
             ),
             Some(date) if age(date) > OLD_DAYS => self.warn(
-                "constant bias",
+                CHECK_BIAS,
                 format!("measured on {date}"),
                 "measure it again after changes of the rig",
             ),
             Some(date) => self.good(
-                "constant bias",
+                CHECK_BIAS,
                 format!("{:+.1} µs, measured on {date}", profile.frame_sync.bias_us),
             ),
         }
@@ -221,14 +231,7 @@ impl Checks {
             self.good("depth recorder", "none in the profile: start it yourself");
             return;
         };
-        let found = if program.contains('/') {
-            Path::new(program).is_file()
-        } else {
-            std::env::var_os("PATH").is_some_and(|path| {
-                std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
-            })
-        };
-        if found {
+        if on_search_path(program) {
             self.good("depth recorder", program.clone());
             for group in left_over() {
                 self.warn(
@@ -377,19 +380,19 @@ impl Checks {
         let readback = &status.readback;
         match (readback.seen, readback.missing, readback.delay) {
             (0, 0, _) => self.warn(
-                "trigger read-back",
+                CHECK_READBACK,
                 format!("not wired ({} pulses made)", status.pulses),
                 "wire the buffered trigger to PA3, so that every pulse is verified",
             ),
             (seen, 0, delay) => self.good(
-                "trigger read-back",
+                CHECK_READBACK,
                 format!(
                     "{seen} pulses seen, delay {} ticks",
                     delay.unwrap_or_default()
                 ),
             ),
             (seen, missing, _) => self.bad(
-                "trigger read-back",
+                CHECK_READBACK,
                 Failure::new(
                     ExitStatus::Refused,
                     format!(

@@ -182,7 +182,9 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
         let wait = u64::from(period.ticks()) * SETTLING_PERIODS;
         Ticks(arrival.0.saturating_add(wait))
     });
-    let from = rig.now().max(settled.unwrap_or_default());
+    // What is counted lies in the span.
+    rig.pump_until(|rig| (rig.now() >= settled.unwrap_or_default()).then_some(()))?;
+    let from = rig.now();
     rig.link.board.start_counting();
     rig.observers.watch = Some(Watch::new(
         Grid {

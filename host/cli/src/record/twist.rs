@@ -53,8 +53,8 @@ pub(super) fn first_twists(rig: &mut Rig<'_>, options: &SessionOptions) -> Resul
 fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option<Course>>, Stop> {
     let mut courses = vec![None; before.len()];
     for attempt in 1.. {
-        let clocks = match twist(rig) {
-            Ok(clocks) => clocks,
+        let clocks = match twist(rig, Leave::Refused) {
+            Ok(clocks) => clocks.unwrap_or_default(),
             Err(Stop::Failed(failure)) if is_repeatable(&failure) && rig.operator.is_present() => {
                 rig.context.say(format!("error: {failure}"));
                 vec![None]
@@ -81,9 +81,10 @@ fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option
             }
         }
         if rig.operator.is_present() {
-            match ask(rig, "[Enter] or [r] twist again, [q] quit")? {
-                Choice::Quit | Choice::Skip => return Err(Stop::Interrupted),
-                Choice::Continue | Choice::Repeat => {}
+            if ask_for_twist(rig, "[Enter] or [r] twist again, [q] quit", Leave::Refused)?
+                == Choice::Quit
+            {
+                return Err(Stop::Interrupted);
             }
         } else if attempt >= TWIST_TRIES {
             return Err(Failure::new(
@@ -146,16 +147,44 @@ fn know(rig: &mut Rig<'_>, place: usize, course: &Course) -> Result<(), Stop> {
         .set_clock(place, known.clock, &format!("twist {number}"))
 }
 
+/// Whether a twist can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Leave {
+    /// Nothing can be aligned without it.
+    Refused,
+    Allowed,
+}
+
+/// Asks; where the twist cannot be left out, says so and asks again.
+fn ask_for_twist(rig: &mut Rig<'_>, prompt: &str, leave: Leave) -> Result<Choice, Stop> {
+    loop {
+        match ask(rig, prompt)? {
+            Choice::Skip if leave == Leave::Refused => {
+                let text = "this twist cannot be left out: without it nothing relates the clocks";
+                rig.context.say(text);
+            }
+            choice => return Ok(choice),
+        }
+    }
+}
+
 /// One twist, of all phones. Gives the relation of each phone's clock if it passes
-/// the gates, by the phone's place.
-fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
+/// the gates, by the phone's place; nothing if it was left out.
+fn twist(rig: &mut Rig<'_>, leave: Leave) -> Result<Option<Vec<Option<ClockModel>>>, Stop> {
     let length = rig.profile.phone.twist_s;
     rig.operator.forget_typed();
     if rig.operator.is_present() {
-        let prompt =
-            format!("Twist the rig for {length} s about all axes. [Enter] to begin, [q] to quit");
-        if ask(rig, &prompt)? == Choice::Quit {
-            return Err(Stop::Interrupted);
+        let skip = match leave {
+            Leave::Refused => "",
+            Leave::Allowed => ", [s] to leave it out",
+        };
+        let prompt = format!(
+            "Twist the rig for {length} s about all axes. [Enter] to begin{skip}, [q] to quit"
+        );
+        match ask_for_twist(rig, &prompt, leave)? {
+            Choice::Quit => return Err(Stop::Interrupted),
+            Choice::Skip => return Ok(None),
+            Choice::Continue | Choice::Repeat => {}
         }
     }
     let number = rig.journal.file.twists.len() + 1;
@@ -183,7 +212,8 @@ fn twist(rig: &mut Rig<'_>) -> Result<Vec<Option<ClockModel>>, Stop> {
     let places = samples.iter().enumerate();
     places
         .map(|(place, samples)| relate(phones, journal, place, &board, samples))
-        .collect()
+        .collect::<Result<_, _>>()
+        .map(Some)
 }
 
 /// What the board has seen of a twist.
@@ -349,7 +379,9 @@ pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> R
     let places = rig.phones.places();
     let requests = places.map(|place| (place, Request::AwaitClosed)).collect();
     rig.ask_phones(requests, |_| {})?;
-    let second = twist(rig)?;
+    let Some(second) = twist(rig, Leave::Allowed)? else {
+        return rig.journal.info("twist", "the second twist was left out");
+    };
     let mut refused = false;
     for (place, clocks) in first.iter().zip(&second).enumerate() {
         let (Some(first), Some(second)) = clocks else {

@@ -26,6 +26,12 @@ const SENSORS_MIN: u16 = 16;
 /// The same with a twist, whose part must not give any room.
 const TWIST_MIN: u16 = 24;
 
+/// Rows of the twist's part.
+const TWIST_ROWS: u16 = 8;
+
+/// Rows of the smallest chart.
+const CHART_ROWS: u16 = 5;
+
 pub(super) const GOOD: Style = Style::new().fg(Color::Green);
 pub(super) const BAD: Style = Style::new().fg(Color::Red).add_modifier(Modifier::BOLD);
 pub(super) const WARN: Style = Style::new().fg(Color::Yellow);
@@ -42,9 +48,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
         );
         return;
     }
-    let warnings =
-        (snapshot.warnings.len() as u16 * 2).clamp(1, if area.height >= 30 { 6 } else { 2 });
-    let said = if area.height >= 30 { 4 } else { 2 };
+    let (warning_lines, said_lines) = (warnings(snapshot, area.width), said(snapshot, area.width));
     let mut sensors = sensor_lines(snapshot);
     // They take room from the chart, and in a small terminal have none.
     let needed = if snapshot.twist.is_some() {
@@ -54,13 +58,26 @@ pub(crate) fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
     };
     let room = area.height.saturating_sub(needed);
     sensors.truncate(usize::from(room));
+    let panels_height = if area.width >= WIDE { 8 } else { 14 };
+    let middle_min = match (&snapshot.twist, area.height >= CHART_MIN) {
+        (Some(_), _) => TWIST_ROWS,
+        (None, true) => CHART_ROWS,
+        (None, false) => 0,
+    };
+    let others = 2 + panels_height + sensors.len() as u16 + middle_min;
+    let (warning_height, said_height) = heights(
+        area.height.saturating_sub(others),
+        area.height,
+        &warning_lines,
+        &said_lines,
+    );
     let [title, panels, rows, middle, warning, talk, keys] = Layout::vertical([
         Constraint::Length(1),
-        Constraint::Length(if area.width >= WIDE { 8 } else { 14 }),
+        Constraint::Length(panels_height),
         Constraint::Length(sensors.len() as u16),
         Constraint::Min(0),
-        Constraint::Length(warnings + 1),
-        Constraint::Length(said),
+        Constraint::Length(warning_height),
+        Constraint::Length(said_height),
         Constraint::Length(1),
     ])
     .areas(area);
@@ -72,8 +89,8 @@ pub(crate) fn draw(frame: &mut Frame<'_>, snapshot: &Snapshot, help: bool) {
     } else if area.height >= CHART_MIN {
         draw_chart(frame, snapshot, middle);
     }
-    draw_warnings(frame, snapshot, warning);
-    draw_said(frame, snapshot, talk);
+    draw_warnings(frame, warning_lines, warning);
+    draw_said(frame, said_lines, talk);
     frame.render_widget(keys_line(snapshot.keys), keys);
     if help {
         draw_help(frame, area);
@@ -224,34 +241,91 @@ fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<
         .label(label)
 }
 
-fn draw_warnings(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
-    if snapshot.warnings.is_empty() {
+/// Lines of a text as wide as the screen; those after the first stand further to the right.
+fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
+    let width = usize::from(width);
+    let further = " ".repeat(first.chars().count().min(width / 2));
+    let mut lines = vec![first.to_owned()];
+    for word in text.split_whitespace() {
+        let line = lines.last_mut().map_or(0, |line| line.chars().count());
+        let is_first = lines
+            .last()
+            .is_some_and(|line| line.trim().is_empty() || line == first);
+        if !is_first && line + 1 + word.chars().count() > width {
+            lines.push(further.clone());
+        }
+        if let Some(line) = lines.last_mut() {
+            if !line.is_empty() && !line.ends_with(' ') {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+    }
+    lines
+}
+
+/// The warnings with what to do about them, the newest first, each in its lines.
+fn warnings(snapshot: &Snapshot, width: u16) -> Vec<Vec<Line<'static>>> {
+    let newest = snapshot.warnings.iter().rev();
+    newest
+        .map(|warning| {
+            let at = format!(" ! {:.1} s: ", warning.at.as_secs_f64());
+            let text = wrapped(&at, &warning.text, width).into_iter();
+            let todo = wrapped("   -> ", warning.todo, width).into_iter();
+            let text = text.map(|line| Line::styled(line, BAD));
+            text.chain(todo.map(|line| Line::styled(line, WARN)))
+                .collect()
+        })
+        .collect()
+}
+
+/// What was said, the newest last, each in its lines.
+fn said(snapshot: &Snapshot, width: u16) -> Vec<Vec<Line<'static>>> {
+    let lines = |text: &String| {
+        wrapped(" ", text, width)
+            .into_iter()
+            .map(Line::raw)
+            .collect()
+    };
+    snapshot.said.iter().map(lines).collect()
+}
+
+/// Rows of warnings and of what was said: at least the newest of each as a whole, where
+/// there is room for it.
+fn heights(
+    room: u16,
+    screen: u16,
+    warnings: &[Vec<Line<'_>>],
+    said: &[Vec<Line<'_>>],
+) -> (u16, u16) {
+    let (most_warnings, least_said) = if screen >= 30 { (6, 4) } else { (2, 2) };
+    let newest = |lines: Option<&Vec<Line<'_>>>| lines.map_or(0, |lines| lines.len() as u16);
+    let all: u16 = warnings.iter().map(|lines| lines.len() as u16).sum();
+    let wanted = all.clamp(1, most_warnings).max(newest(warnings.first()));
+    let talk = newest(said.last())
+        .max(least_said)
+        .min(room.max(least_said));
+    let warning = (wanted + 1).min(room.saturating_sub(talk).max(most_warnings.min(wanted) + 1));
+    (warning, talk)
+}
+
+fn draw_warnings(frame: &mut Frame<'_>, warnings: Vec<Vec<Line<'static>>>, area: Rect) {
+    if warnings.is_empty() {
         frame.render_widget(Paragraph::new(" no warnings").style(GOOD), area);
         return;
     }
-    let room = usize::from(area.height) / 2;
-    let mut lines = Vec::new();
-    for warning in snapshot.warnings.iter().rev().take(room.max(1)) {
-        lines.push(Line::styled(
-            format!(" ! {:.1} s: {}", warning.at.as_secs_f64(), warning.text),
-            BAD,
-        ));
-        lines.push(Line::styled(format!("   -> {}", warning.todo), WARN));
-    }
+    let lines: Vec<Line<'_>> = warnings.into_iter().flatten().collect();
     frame.render_widget(Paragraph::new(lines), area);
 }
 
-fn draw_said(frame: &mut Frame<'_>, snapshot: &Snapshot, area: Rect) {
+fn draw_said(frame: &mut Frame<'_>, said: Vec<Vec<Line<'static>>>, area: Rect) {
     let room = usize::from(area.height);
-    let from = snapshot.said.len().saturating_sub(room);
-    let lines: Vec<Line<'_>> = snapshot
-        .said
-        .get(from..)
-        .unwrap_or_default()
-        .iter()
-        .map(|text| Line::raw(format!(" {text}")))
-        .collect();
-    frame.render_widget(Paragraph::new(lines), area);
+    let newest = said.last().map_or(0, Vec::len);
+    let lines: Vec<Line<'_>> = said.into_iter().flatten().collect();
+    // Of one that is longer than the room, its beginning.
+    let from = lines.len().saturating_sub(room.max(newest));
+    let shown = lines.into_iter().skip(from).collect::<Vec<_>>();
+    frame.render_widget(Paragraph::new(shown), area);
 }
 
 fn keys_line<'a>(keys: Keys) -> Paragraph<'a> {
@@ -418,6 +492,40 @@ mod tests {
             "now",
         ] {
             assert!(text.contains(word), "{word}:\n{text}");
+        }
+    }
+
+    #[test]
+    fn a_long_fix_is_all_there_in_80_by_24() {
+        let mut snapshot = busy();
+        snapshot.warnings.push(Warning {
+            at: Ticks(48_000_000 * 100),
+            text: String::from("the depth recorder `k4arecorder` ended by itself (exit status: 1); its output is in depth_recorder.log"),
+            todo: "read the recorder's log, start it again by hand in the folder of the recording, and look whether it goes on to the END",
+        });
+        snapshot.said.push(format!(
+            "error: {}WHOLE",
+            "a long sentence that goes on ".repeat(4)
+        ));
+        for twist in [
+            None,
+            Some(Twist {
+                elapsed_s: 1.0,
+                length_s: 9.0,
+                sigma_us: None,
+                enough_us: 10.0,
+                rms: [0.0; 3],
+            }),
+        ] {
+            let twists = twist.is_some();
+            snapshot.twist = twist;
+            snapshot.sensors.clear();
+            snapshot.phones.clear();
+            let text = screen(80, 24, &snapshot, false);
+            for word in ["depth_recorder.log", "END", "WHOLE", "m mark"] {
+                assert!(text.contains(word), "{word}:\n{text}");
+            }
+            assert_eq!(twists, text.contains("rad/s rms"), "{text}");
         }
     }
 

@@ -148,12 +148,12 @@ const CASES: &[Case] = &[
         "nothing.toml",
         "profile init",
     ),
-    ("record --profile text.txt", 2, "text.txt", "profile init"),
+    ("record --profile text.txt", 2, "text.txt", "profile check"),
     (
         "record --profile wrong.toml",
         2,
-        "no_such_key",
-        "profile init",
+        "line 2: unknown field `no_such_key`",
+        "profile check wrong.toml",
     ),
     ("record --twists 9", 2, "1..=5", "help record"),
     ("record --twist-gap soon", 2, "90s, 5m or 1h", "help record"),
@@ -172,19 +172,19 @@ const CASES: &[Case] = &[
     ),
     (
         "offset --mcu gyro.csv --phone text.txt",
-        1,
+        2,
         "text.txt",
         "x,y,z,nanoseconds",
     ),
     (
         "offset --mcu gyro.csv --phone binary.bin",
-        1,
+        2,
         "no text",
         "x,y,z,nanoseconds",
     ),
     (
         "offset --mcu empty.csv --phone gyro.csv",
-        1,
+        2,
         "empty.csv",
         "CSV",
     ),
@@ -195,12 +195,7 @@ const CASES: &[Case] = &[
         "nothing.mp4",
         "check the path",
     ),
-    (
-        "evaluate precision text.txt",
-        13,
-        "text.txt",
-        "give a video",
-    ),
+    ("evaluate precision text.txt", 2, "text.txt", "give a video"),
     (
         "evaluate precision folder --region 1,2",
         2,
@@ -209,9 +204,9 @@ const CASES: &[Case] = &[
     ),
     (
         "evaluate precision text.txt --calibrate nothing.toml",
-        1,
+        2,
         "nothing.toml",
-        "profile init",
+        "profile check",
     ),
     (
         "evaluate drift nothing.mp4",
@@ -219,8 +214,8 @@ const CASES: &[Case] = &[
         "nothing.mp4",
         "check the path",
     ),
-    ("evaluate drift text.txt", 13, "text.txt", "give a video"),
-    ("evaluate drift folder", 13, "no images", "png"),
+    ("evaluate drift text.txt", 2, "text.txt", "give a video"),
+    ("evaluate drift folder", 2, "no images", "png"),
     // Profiles.
     ("profile init text.txt", 13, "text.txt", "not taken"),
     (
@@ -235,7 +230,12 @@ const CASES: &[Case] = &[
         "nothing.toml",
         "profile init",
     ),
-    ("profile check wrong.toml", 2, "no_such_key", "profile init"),
+    (
+        "profile check wrong.toml",
+        2,
+        "no_such_key",
+        "profile check",
+    ),
     (
         "profile learn nothing.toml --recording folder --timestamps gyro.csv",
         13,
@@ -265,13 +265,75 @@ const CASES: &[Case] = &[
         "--out",
     ),
     ("verify nothing", 13, "nothing", "check the"),
-    ("verify folder", 13, "folder", "check the"),
+    ("verify folder", 2, "recording.mcap", "`record` made"),
     ("verify broken.mcap", 13, "broken.mcap", "repair"),
     ("report nothing", 13, "nothing", "check the"),
-    ("report folder", 13, "session.json", "check the"),
+    ("report folder", 2, "recording.mcap", "`record` made"),
     ("repair nothing new", 13, "nothing", "check the"),
     ("repair broken.mcap text.txt", 13, "text.txt", "not taken"),
     ("repair broken.mcap new.mcap", 13, "broken.mcap", "verify"),
+    // Which recording.
+    ("verify", 2, "which recording", "smartdepthsync record"),
+    ("verify many", 2, "2 recordings", "many/"),
+    ("extract many", 2, "2 recordings", "many/"),
+    (
+        "verify wrong.toml",
+        2,
+        "another kind of file",
+        "`record` made",
+    ),
+    (
+        "extract wrong.toml",
+        2,
+        "another kind of file",
+        "`record` made",
+    ),
+    (
+        "report wrong.toml",
+        2,
+        "another kind of file",
+        "`record` made",
+    ),
+    // What is there is not overwritten.
+    ("imu --csv text.txt", 13, "not overwritten", "--overwrite"),
+    (
+        "evaluate precision folder --report text.txt",
+        13,
+        "not overwritten",
+        "--overwrite",
+    ),
+    (
+        "evaluate drift folder --plot text.txt",
+        13,
+        "not overwritten",
+        "--overwrite",
+    ),
+    // Profiles that are made and taught.
+    ("setup --yes", 2, "address", "help setup"),
+    (
+        "setup --yes --phone x --profile text.txt",
+        13,
+        "text.txt",
+        "--overwrite",
+    ),
+    (
+        "setup --yes --phone x --depth-mode WFOV_UNBINNED --fps 30",
+        2,
+        "15, 5",
+        "--depth-mode",
+    ),
+    (
+        "record --calibrate",
+        2,
+        "no rig profile",
+        "smartdepthsync setup",
+    ),
+    (
+        "record --calibrate --profile plain.toml --duration 30s",
+        2,
+        "a minute",
+        "60s or more",
+    ),
     // The rest.
     ("man text.txt/man1", 13, "text.txt", "write to"),
 ];
@@ -286,6 +348,11 @@ fn files(folder: &Path) {
     write("empty.csv", b"");
     write("broken.mcap", b"this is no recording at all");
     write("wrong.toml", b"[phone]\nno_such_key = 1\n");
+    write("plain.toml", b"[phone]\naddress = \"127.0.0.1:1\"\n");
+    for name in ["many/one", "many/two"] {
+        fs::create_dir_all(folder.join(name)).unwrap();
+        write(&format!("{name}/recording.mcap"), b"");
+    }
     let mut gyro = String::from("t,x,y,z\n");
     for k in 0..400 {
         gyro.push_str(&format!("{},0.1,0.2,0.3\n", f64::from(k) * 0.002));
@@ -299,6 +366,10 @@ fn run(folder: &Path, arguments: &[&str]) -> Output {
     let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
         .args(arguments)
         .current_dir(folder)
+        // No profile of whoever runs the tests.
+        .env("HOME", folder)
+        .env_remove("XDG_CONFIG_HOME")
+        .env_remove("SMARTDEPTHSYNC_PROFILE")
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&output.stderr);

@@ -232,7 +232,7 @@ fn wrong_command_lines_and_inputs_are_explained() {
             2,
             "row time",
         ),
-        (vec!["evaluate", "precision", empty], 13, "no images"),
+        (vec!["evaluate", "precision", empty], 2, "no images"),
         (
             vec!["evaluate", "precision", "no such file"],
             13,

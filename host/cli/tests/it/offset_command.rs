@@ -141,7 +141,7 @@ fn damaged_files_are_named_with_their_line() {
     lines[41] = "12.5,0.1,oops,0.3";
     std::fs::write(&files.mcu, lines.join("\n")).unwrap();
     let output = offset(&files.mcu, &files.phone, &[]);
-    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(output.status.code(), Some(2));
     let message = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(
         message.contains("line 42") && message.contains("oops"),

@@ -59,7 +59,13 @@ fn a_recordings_report_is_readable_on_phone_desk_and_paper() {
         .unwrap();
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let written: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert!(written["verdict"].as_str().unwrap().contains("2 messages"));
+    assert_eq!(written["verdict"]["verdict"], "warning");
+    let part = &written["verdict"]["parts"][0];
+    assert_eq!(part["name"], "board and phone");
+    assert!(
+        part["found"].as_str().unwrap().contains("2 messages lost"),
+        "{part}"
+    );
     browser::check(
         &folder.join("report.html"),
         "record",

@@ -345,12 +345,12 @@ fn what_is_no_recording_is_refused() {
     let parent = tempfile::tempdir().unwrap();
     let place = parent.path().join("notes.txt");
     fs::write(&place, "this is no recording at all").unwrap();
-    for args in [
-        ["verify", place.to_str().unwrap(), "--json"],
-        ["verify", "/no/such/recording", "--json"],
+    for (args, code) in [
+        (["verify", place.to_str().unwrap(), "--json"], 2),
+        (["verify", "/no/such/recording", "--json"], 13),
     ] {
         let output = run(&args);
-        assert_eq!(output.status.code(), Some(13), "{output:?}");
+        assert_eq!(output.status.code(), Some(code), "{output:?}");
         assert!(json(&output)["error"]["next_step"].is_string());
     }
     // An attachment that is too short for its own checksum.

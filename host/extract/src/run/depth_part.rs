@@ -369,7 +369,8 @@ impl Extraction<'_> {
 /// Half of the train of infrared pulses, ns: 12.725 ms of 9 pulses each 1,575 µs
 /// (narrow modes and binned wide), 20.245 ms of 9 pulses each 2,515 µs (wide
 /// unbinned); each pulse is 125 µs. From the vendor's table of multi-camera delays.
-fn nominal_center(mode: &str) -> Option<i64> {
+#[must_use]
+pub fn nominal_center(mode: &str) -> Option<i64> {
     match mode {
         "NFOV_UNBINNED" | "NFOV_2X2BINNED" | "WFOV_2X2BINNED" => Some(6_362_500),
         "WFOV_UNBINNED" => Some(10_122_500),
@@ -410,6 +411,7 @@ impl Depth {
             }),
             doubled: of(FrameState::Doubled),
             off_pulse: of(FrameState::OffPulse),
+            before_first_pulse: of(FrameState::BeforeFirstPulse).len(),
             after_last_pulse: of(FrameState::AfterLastPulse).len(),
             broken: those(&|frame| !frame.whole),
             damaged: images.map_or_else(Vec::new, |images| images.damaged.clone()),

@@ -22,6 +22,7 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub use depth_part::nominal_center;
 use geometry_part::DepthView;
 use index_files::Written;
 use phone_part::Phone;
@@ -71,6 +72,8 @@ pub struct Job {
     pub out: PathBuf,
     /// Values that the user gives.
     pub options: Options,
+    /// Replace an extraction of other inputs or with other options in `out`.
+    pub overwrite: bool,
 }
 
 /// Why there is no data set.
@@ -144,7 +147,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     )?;
     check_outside(&job.out, &job.recording)?;
     let marks = file_marks(&inputs);
-    let place = Workplace::open(&job.out, &marks, (job.format, &job.options))?;
+    let place = Workplace::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
     let remarks = inputs.remarks.clone();
     let mut run = Extraction {
         job,

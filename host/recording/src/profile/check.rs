@@ -280,6 +280,8 @@ pub(super) fn within(rows: &[Row]) -> Result<(), ProfileError> {
 
 pub(super) fn wrong(key: &'static str, found: String, expected: impl Into<String>) -> ProfileError {
     ProfileError::Value {
+        path: None,
+        line: None,
         key,
         found,
         expected: expected.into(),

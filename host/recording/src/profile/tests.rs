@@ -47,6 +47,23 @@ fn what_is_left_out_has_its_default_and_what_is_unknown_is_an_error() {
 
     let error = Profile::parse("[phone]\nadress = \"x\"\n", None).unwrap_err();
     assert!(error.to_string().contains("adress"), "{error}");
+    let typo = "name = \"x\"\n\n[depth]\n# fps\nfps = 30\n[phone]\nfps = 5\n";
+    let error = Profile::parse(typo, Some(Path::new("rig.toml"))).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("rig.toml") && error.contains("unknown field `fps`"),
+        "{error}"
+    );
+    assert!(error.contains("line 7"), "{error}");
+    let kind = "[depth]\nmode = \"x\"\nfps = \"thirty\"\n";
+    let error = Profile::parse(kind, None).unwrap_err().to_string();
+    assert!(error.contains("line 3"), "{error}");
+    let value = "[depth]\nmode = \"x\"\n\nfps = 25\n";
+    let error = Profile::parse(value, Some(Path::new("my.toml"))).unwrap_err();
+    assert!(
+        error.to_string().contains("my.toml, line 4, `depth.fps`"),
+        "{error}"
+    );
     let error = Profile::parse("[phone\n", None).unwrap_err();
     assert!(error.to_string().contains("line 1"), "{error}");
 }
@@ -124,7 +141,9 @@ fn what_is_expected_is_told_with_its_unit() {
         ),
     ] {
         let error = Profile::parse(text, None).unwrap_err().to_string();
-        assert_eq!(error, format!("in the rig profile, {told}"));
+        let (place, error) = error.split_once(", `").unwrap();
+        assert_eq!(format!("`{error}"), told);
+        assert!(place.starts_with("in the rig profile, line "), "{place}");
     }
 }
 

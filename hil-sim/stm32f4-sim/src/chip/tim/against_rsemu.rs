@@ -234,7 +234,10 @@ fn channels(random: &mut Random) -> ([u32; 2], u32) {
             // Direct or from the neighbour; prescaler; rising, falling or both.
             let crosses = bits >> 4 & 1 == 1 && !is_output(ch ^ 1);
             let polarity = [0, 1, 5][(bits >> 8) as usize % 3];
-            ((bits >> 12 & 3) << 2 | 1 + u32::from(crosses), polarity)
+            (
+                (((bits >> 12) & 3) << 2) | (1 + u32::from(crosses)),
+                polarity,
+            )
         };
         ccmr[ch / 2] |= setting << (ch % 2 * 8);
         ccer |= (1 | polarity << 1) << (ch * 4);

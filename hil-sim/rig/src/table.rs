@@ -1,0 +1,126 @@
+//! What lies beside a simulated rig so that a session finds what it finds beside a real one:
+//! a recorder of the depth camera, and `adb` with the phone's files.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+
+use crate::depth_link::Cable;
+use crate::rig_config::RigParts;
+
+/// What lies on the table beside the rig: the depth camera's cable, and programs that reach
+/// the phone's files.
+#[derive(Debug)]
+pub struct Table {
+    recorder: String,
+    programs: PathBuf,
+    _cable: Cable,
+    _folder: tempfile::TempDir,
+}
+
+impl Table {
+    /// Lays it out: `storage` is the folder of the phone's files, `hil_sim` the program with
+    /// the depth recorder.
+    ///
+    /// # Errors
+    ///
+    /// The rig has no depth camera, or a file cannot be made.
+    pub fn new(parts: &RigParts, storage: &Path, hil_sim: &Path) -> Result<Self> {
+        let folder = tempfile::Builder::new()
+            .prefix("simulated-rig-")
+            .tempdir()
+            .context("no folder for the rig's programs")?;
+        let camera = parts
+            .depth_camera
+            .as_ref()
+            .context("the rig has no depth camera")?;
+        let socket = folder.path().join("depth-camera");
+        let cable = Cable::new(camera, &socket)?;
+        let recorder = [
+            &hil_sim.to_string_lossy(),
+            "record-depth",
+            "--camera",
+            &socket.to_string_lossy(),
+            "--fps",
+            "{fps}",
+            "{folder}/depth.mkv",
+        ];
+        // JSON's strings are TOML's too.
+        let recorder = serde_json::to_string(&recorder)?;
+        let programs = folder.path().join("bin");
+        std::fs::create_dir(&programs).context("no folder for the rig's programs")?;
+        // Shells and TOML take it from wherever they are.
+        let storage = std::path::absolute(storage).context("where is the phone's storage?")?;
+        write_adb(&programs.join("adb"), &storage)?;
+        let tool = hil_sim.with_file_name("smartdepthsync");
+        if tool.is_file() {
+            std::os::unix::fs::symlink(tool, programs.join("smartdepthsync"))
+                .context("cannot link the host tool")?;
+        }
+        Ok(Self {
+            recorder,
+            programs,
+            _cable: cable,
+            _folder: folder,
+        })
+    }
+
+    /// The table of a rig profile that names the depth recorder.
+    #[must_use]
+    pub fn recorder(&self) -> String {
+        format!("\n[depth.recorder]\ncommand = {}\n", self.recorder)
+    }
+
+    /// The search path with the programs that lie here before all others.
+    #[must_use]
+    pub fn search_path(&self) -> OsString {
+        let mut path = OsString::from(&self.programs);
+        if let Some(others) = std::env::var_os("PATH") {
+            path.push(":");
+            path.push(others);
+        }
+        path
+    }
+
+    /// The commands of two sessions and a data set, to be pasted.
+    pub(crate) fn commands(&self, port: &Path, profile: &Path) -> String {
+        let profile = match profile.as_os_str() == "rig.toml" {
+            true => String::new(),
+            false => format!(" --profile {}", profile.display()),
+        };
+        let port = port.display();
+        format!(
+            "\nIn a second terminal, in this folder:\n\n\
+             export PATH={}:$PATH\n\
+             smartdepthsync doctor --port {port}{profile}\n\
+             smartdepthsync record --port {port}{profile} --yes --calibrate\n\
+             smartdepthsync record --port {port}{profile} --yes --duration 30s --fetch-video\n\
+             smartdepthsync extract\n\n",
+            self.programs.display()
+        )
+    }
+}
+
+/// Writes a program that does of `adb` what the host tool asks of it, with the simulated
+/// phone's storage as the phone's.
+fn write_adb(path: &Path, storage: &Path) -> Result<()> {
+    use std::os::unix::fs::PermissionsExt as _;
+    let script = format!(
+        r#"#!/bin/sh
+# The simulated phone's storage, as adb shows a phone's.
+here() {{ printf %s "$1" | sed 's#/sdcard/DCIM/OpenCamera#{storage}#g'; }}
+case "$1" in
+devices) printf 'List of devices attached\nSIMULATED\tdevice\n' ;;
+-s) case "$3" in
+    shell) sh -c "$(here "$4")" | sed 's#{storage}#/sdcard/DCIM/OpenCamera#g' ;;
+    pull) cp "$(here "$4")" "$5" ;;
+    esac ;;
+esac
+"#,
+        storage = storage.display()
+    );
+    std::fs::write(path, script)
+        .and_then(|()| std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)))
+        .with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,202 @@
+//! `docs/first-recording.md`, followed command by command on `hil-sim serve`: from its first
+//! to a data set with pictures.
+
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use crate::documents::{self, Code};
+use crate::support;
+use crate::turn;
+use recording::profile::Profile;
+use recording::session_file::{SessionFile, Verdict};
+
+/// A rig that waits for commands, and what it said at first.
+struct Served {
+    child: Child,
+    port: String,
+    phone: String,
+    search_path: String,
+    commands: Vec<String>,
+}
+
+impl Served {
+    fn start(folder: &Path) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
+            .args([
+                "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
+            ])
+            .args(["--wait-for-host", "--tolerate-failures"])
+            .args(["--phone", "0", "--profile", "owner.toml"])
+            .current_dir(folder)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let mut value = |name: &str| {
+            let line = lines.next().unwrap().unwrap();
+            line.strip_prefix(name)
+                .unwrap_or_else(|| panic!("{line}"))
+                .to_owned()
+        };
+        let (port, phone) = (value("port: "), value("phone: "));
+        let mut commands: Vec<String> = Vec::new();
+        for line in lines.map_while(Result::ok) {
+            let is_last = line == "smartdepthsync extract";
+            commands.push(line);
+            if is_last {
+                break;
+            }
+        }
+        let path = commands
+            .iter()
+            .find_map(|line| line.strip_prefix("export PATH="));
+        let path = path.unwrap().strip_suffix(":$PATH").unwrap();
+        let search_path = format!("{path}:{}", std::env::var("PATH").unwrap());
+        Self {
+            child,
+            port,
+            phone,
+            search_path,
+            commands,
+        }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// What the documented commands cannot know of this rig, and a shorter recording.
+fn on_this_rig(command: &str, rig: &Served, recorder: &str) -> Vec<String> {
+    let mut words: Vec<String> = command.split_whitespace().map(str::to_owned).collect();
+    let mut add = |more: &[&str]| words.extend(more.iter().map(|word| (*word).to_owned()));
+    match command.split_whitespace().nth(1).unwrap() {
+        "setup" => {
+            // What is found by itself on hardware, and the answers.
+            add(&[
+                "--port",
+                &rig.port,
+                "--phone",
+                &rig.phone,
+                "--recorder",
+                recorder,
+            ]);
+            add(&["--name", "simulated", "--yes"]);
+        }
+        "record" if command.contains("--calibrate") => {
+            add(&["--port", &rig.port, "--yes", "--duration", "60s"]);
+        }
+        "record" => add(&["--port", &rig.port, "--yes"]),
+        _ => {}
+    }
+    words
+        .iter()
+        .map(|word| {
+            if word == "5m" {
+                "8s".to_owned()
+            } else {
+                word.clone()
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn the_page_is_followed_to_a_data_set() {
+    let _turn = turn::alone();
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path();
+    // Built if need be.
+    support::smartdepthsync();
+    let rig = Served::start(place);
+    let owner = Profile::load(&place.join("owner.toml")).unwrap();
+    let recorder = owner.depth.recorder.command.join(" ");
+
+    let page = documents::root().join("docs/first-recording.md");
+    let page = std::fs::read_to_string(page).unwrap();
+    let code = Code::of(&page);
+    let commands: Vec<&str> = code.lines.iter().map(String::as_str).collect();
+    assert_eq!(commands.len(), 5, "{commands:?}");
+    let mut said = String::new();
+    for command in commands {
+        let words = on_this_rig(command, &rig, &recorder);
+        let output = Command::new(&words[0])
+            .args(&words[1..])
+            .current_dir(place)
+            .env("PATH", &rig.search_path)
+            .env("HOME", place)
+            .env_remove("XDG_CONFIG_HOME")
+            .env_remove("SMARTDEPTHSYNC_PROFILE")
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
+        let text = String::from_utf8_lossy(&[output.stdout, output.stderr].concat()).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{words:?}: {text}");
+        said += &text;
+    }
+    // `setup` names the next command, `record` what it learnt and the next one.
+    assert!(said.contains("smartdepthsync record --calibrate"), "{said}");
+    assert!(said.contains("learnt, for the next recording"), "{said}");
+    let profile = Profile::load(&place.join("rig.toml")).unwrap();
+    assert!(profile.phone.learnt.unwrap().skew.is_some());
+
+    let recordings = place.join("recordings");
+    let mut found: Vec<PathBuf> = std::fs::read_dir(&recordings)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    found.sort();
+    let [_, recording, data] = found.as_slice() else {
+        panic!("{found:?}");
+    };
+    assert!(
+        said.contains(&format!(
+            "smartdepthsync extract recordings/{}",
+            name(recording)
+        )),
+        "{said}"
+    );
+    assert_eq!(name(data), format!("{}-euroc", name(recording)));
+    for camera in ["cam0", "depth0"] {
+        let images = std::fs::read_dir(data.join("mav0").join(camera).join("data")).unwrap();
+        let count = images.count();
+        assert!(count > 200, "{count} pictures of {camera}");
+    }
+
+    // The verdict: all is there; what nobody has measured is said, in the same words
+    // everywhere.
+    let session = SessionFile::load(recording).unwrap();
+    let judged = session_report::Judgement::of(recording, &session);
+    let verdicts: Vec<Verdict> = judged.parts.iter().map(|part| part.verdict).collect();
+    assert_eq!(verdicts[0], Verdict::Good, "{judged:?}");
+    assert_eq!(verdicts[1], Verdict::Warning, "{judged:?}");
+    let bias = &judged.parts[1];
+    assert!(
+        bias.found.contains("constant bias: not measured"),
+        "{bias:?}"
+    );
+    let html = std::fs::read_to_string(recording.join("report.html")).unwrap();
+    assert!(
+        said.contains(&bias.found) && html.contains(&bias.found),
+        "{said}"
+    );
+
+    // What the rig prints to be pasted are the same steps.
+    let printed = rig.commands.join("\n");
+    for word in [
+        "doctor --port",
+        "--calibrate",
+        "--fetch-video",
+        "smartdepthsync extract",
+    ] {
+        assert!(printed.contains(word), "{printed}");
+    }
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap().to_string_lossy().into_owned()
+}

@@ -1,0 +1,153 @@
+//! The recording that a command is about: the one that is given, else the newest.
+
+use std::path::{Path, PathBuf};
+
+use crate::cli::Context;
+use crate::outcome::{ExitStatus, Failure};
+use recording::{MCAP_FILE, SESSION_FILE};
+
+/// The folder that recordings are made in unless another is given.
+pub(crate) const FOLDER: &str = "recordings";
+
+/// What a recording is.
+const EXPECTED: &str = "expected a folder with recording.mcap, or a ROS 1 bag (.bag)";
+
+/// The option of every command that reads a recording.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RecordingArg {
+    /// The recording: its folder, its recording.mcap, or (for `extract`) a ROS 1 bag; the
+    /// newest in `recordings` unless given
+    #[arg(value_name = "RECORDING")]
+    recording: Option<PathBuf>,
+}
+
+impl RecordingArg {
+    /// The recording; says which if it was not given.
+    ///
+    /// # Errors
+    ///
+    /// There is none, or what is given is none.
+    pub(crate) fn find(&self, context: &Context) -> Result<PathBuf, Failure> {
+        let Some(given) = &self.recording else {
+            let newest = newest(Path::new(FOLDER))?;
+            context.say(format!("the newest recording: {}", newest.display()));
+            return Ok(newest);
+        };
+        check(given)?;
+        Ok(given.clone())
+    }
+}
+
+/// Refuses what is there and is no recording of any form; what is not there or damaged is
+/// told where it is read.
+fn check(path: &Path) -> Result<(), Failure> {
+    let Ok(kind) = path.metadata() else {
+        return Ok(());
+    };
+    let shown = path.display();
+    if kind.is_dir() {
+        let has = |name| path.join(name).exists();
+        let below = inside(path);
+        if has(MCAP_FILE) || has(SESSION_FILE) || has_bag(path) {
+            return Ok(());
+        }
+        let (found, next) = match below.first() {
+            Some(one) => (
+                format!("it holds {} recordings", below.len()),
+                format!("give one of them, such as {}", one.display()),
+            ),
+            None => (
+                format!("{EXPECTED}, found none of them in it"),
+                String::from("give the folder that `record` made, its recording.mcap, or a bag"),
+            ),
+        };
+        let message = format!("{shown} is no recording: {found}");
+        return Err(Failure::new(ExitStatus::Usage, message).next_step(next));
+    }
+    let is_one = [".mcap", ".bag", ".bag.active"]
+        .iter()
+        .any(|ending| path.to_string_lossy().ends_with(ending));
+    if kind.is_file() && !is_one {
+        let message = format!("{shown} is no recording: {EXPECTED}, found another kind of file");
+        return Err(Failure::new(ExitStatus::Usage, message)
+            .next_step("give the folder that `record` made, its recording.mcap, or a bag"));
+    }
+    Ok(())
+}
+
+/// The folder of a recording; a file in it stands for it.
+pub(crate) fn folder_of(recording: &Path) -> &Path {
+    match recording.file_name() {
+        Some(name) if name == MCAP_FILE => files::folder_of(recording),
+        _ => recording,
+    }
+}
+
+fn has_bag(folder: &Path) -> bool {
+    entries(folder).any(|path| {
+        let name = path.to_string_lossy();
+        name.ends_with(".bag") || name.ends_with(".bag.active")
+    })
+}
+
+fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten();
+    entries.filter_map(|entry| Some(entry.ok()?.path()))
+}
+
+/// The recordings in a folder, the one that was written to last first.
+fn inside(folder: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<_> = entries(folder)
+        .filter_map(|path| {
+            let written = path.join(MCAP_FILE).metadata().ok()?.modified().ok()?;
+            Some((written, path))
+        })
+        .collect();
+    found.sort();
+    found.into_iter().rev().map(|(_, path)| path).collect()
+}
+
+fn newest(folder: &Path) -> Result<PathBuf, Failure> {
+    inside(folder).into_iter().next().ok_or_else(|| {
+        let message = format!("which recording? There is none in `{}`", folder.display());
+        Failure::new(ExitStatus::Usage, message)
+            .next_step("give the folder that `record` made, or make one: `smartdepthsync record`")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_is_the_one_written_last() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path();
+        assert_eq!(newest(place).unwrap_err().status(), ExitStatus::Usage);
+        for (name, hours) in [("b", 2), ("a", 3), ("c", 1)] {
+            std::fs::create_dir(place.join(name)).unwrap();
+            let file = std::fs::File::create(place.join(name).join(MCAP_FILE)).unwrap();
+            let time = std::time::SystemTime::UNIX_EPOCH;
+            let hours = std::time::Duration::from_secs(3600 * hours);
+            file.set_modified(time + hours).unwrap();
+        }
+        std::fs::create_dir(place.join("c-euroc")).unwrap();
+        assert_eq!(newest(place).unwrap(), place.join("a"));
+        assert!(check(&place.join("b")).is_ok());
+        let parent = check(place).unwrap_err();
+        assert!(parent.to_string().contains("3 recordings"), "{parent}");
+        assert!(
+            parent.what_to_do().contains("/a"),
+            "{}",
+            parent.what_to_do()
+        );
+        let other = place.join("rig.toml");
+        std::fs::write(&other, "").unwrap();
+        let other = check(&other).unwrap_err();
+        assert_eq!(other.status(), ExitStatus::Usage);
+        // Damaged, or not there: told by those who read it.
+        std::fs::write(place.join("x.mcap"), "").unwrap();
+        assert!(check(&place.join("x.mcap")).is_ok());
+        assert!(check(&place.join("nothing")).is_ok());
+    }
+}

@@ -1,0 +1,456 @@
+//! How good a recording is, in the three parts that a data set is made of: what board
+//! and phone left, how the exposures lie to each other, and the depth recording.
+//!
+//! A part is good only when everything of it is known. What is known stands in the
+//! session, and what there is of files in its folder: files that were put there later
+//! count when the report is written again.
+
+use std::path::{Path, PathBuf};
+
+use page::Level;
+use phone::video_files;
+use protocol::Ticks;
+use recording::session_file::{
+    CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
+};
+use serde::Serialize;
+
+/// How good a recording is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Judgement {
+    /// The worst of the parts.
+    pub verdict: Verdict,
+    /// What that means, in a sentence or two.
+    pub text: String,
+    /// `board and phone`, `alignment` and `depth`.
+    pub parts: Vec<Check>,
+}
+
+impl Judgement {
+    /// Judges the recording in `folder`.
+    #[must_use]
+    pub fn of(folder: &Path, session: &SessionFile) -> Self {
+        let nothing = !has_recorded(session);
+        let parts = match nothing {
+            true => vec![nothing_recorded(session)],
+            false => vec![
+                board_and_phone(folder, session),
+                alignment(session),
+                depth(folder, session),
+            ],
+        };
+        let verdict =
+            parts
+                .iter()
+                .map(|part| part.verdict)
+                .fold(Verdict::Good, |worst, verdict| match (worst, verdict) {
+                    (Verdict::Bad, _) | (_, Verdict::Bad) => Verdict::Bad,
+                    (Verdict::Warning, _) | (_, Verdict::Warning) => Verdict::Warning,
+                    _ => Verdict::Good,
+                });
+        let open: Vec<&str> = parts
+            .iter()
+            .filter(|part| part.verdict != Verdict::Good)
+            .map(|part| part.name.as_str())
+            .collect();
+        let text = match (verdict, parts.as_slice()) {
+            (_, [only]) if nothing => only.found.clone(),
+            (Verdict::Good, _) => {
+                String::from("Everything is there, and nothing of it is unknown.")
+            }
+            (Verdict::Warning, _) => {
+                format!(
+                    "Recorded, but not all is there or known: {}.",
+                    open.join(", ")
+                )
+            }
+            (Verdict::Bad, _) => format!("Not usable as it is: {}.", open.join(", ")),
+        };
+        Self {
+            verdict,
+            text,
+            parts,
+        }
+    }
+
+    /// The colour of the page.
+    pub(crate) const fn level(&self) -> Level {
+        level(self.verdict)
+    }
+}
+
+pub(crate) const fn level(verdict: Verdict) -> Level {
+    match verdict {
+        Verdict::Good => Level::Good,
+        Verdict::Warning => Level::Warning,
+        Verdict::Bad => Level::Bad,
+    }
+}
+
+/// The checks before the recording that were not good.
+pub fn findings(session: &SessionFile) -> impl Iterator<Item = &Check> {
+    let checks = session.preflight.iter();
+    checks.filter(|check| check.verdict != Verdict::Good)
+}
+
+/// Whether there is anything between begin and end of the recording.
+#[must_use]
+pub fn has_recorded(session: &SessionFile) -> bool {
+    let span = session.recorded;
+    span.is_some_and(|span| span.to > span.from || session.outcome.is_none())
+}
+
+fn part(name: &str, verdict: Verdict, found: String, next: Vec<String>) -> Check {
+    Check {
+        name: name.to_owned(),
+        verdict,
+        found,
+        next_step: (!next.is_empty()).then(|| next.join("; ")),
+    }
+}
+
+fn nothing_recorded(session: &SessionFile) -> Check {
+    let found = match session.outcome {
+        Some(SessionOutcome::Interrupted) => {
+            "Interrupted before the recording began: nothing was recorded."
+        }
+        Some(SessionOutcome::Failed) => {
+            return part(
+                "board and phone",
+                Verdict::Bad,
+                format!(
+                    "The session failed before the recording began: {}.",
+                    reason(session)
+                ),
+                vec![String::from("record again")],
+            );
+        }
+        _ => "The session ended before the recording began: nothing was recorded.",
+    };
+    let next = vec![String::from("record again; this folder can be deleted")];
+    part("board and phone", Verdict::Bad, found.to_owned(), next)
+}
+
+fn reason(session: &SessionFile) -> &str {
+    let last = session.problems.last();
+    last.map_or("no reason is noted", |problem| &problem.text)
+}
+
+/// What the board sent, and the files of the phones.
+fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
+    let counts = &session.counts;
+    let length = session
+        .recorded
+        .map_or(0.0, |span| seconds(span.from, span.to));
+    let came = format!(
+        "{length:.1} s with {} pulses and {} IMU samples",
+        counts.pulses.received, counts.imu.received
+    );
+    let lost = match counts.lost() {
+        0 => String::from("no message lost"),
+        1 => String::from("1 message lost on the link"),
+        lost => format!("{lost} messages lost on the link"),
+    };
+    let mut next = Vec::new();
+    let (mut verdict, mut found) = match session.outcome {
+        Some(SessionOutcome::Good) => (Verdict::Good, format!("{came}, {lost}")),
+        Some(SessionOutcome::Loss) => {
+            let problems = match session.problems.as_slice() {
+                [] => String::new(),
+                [only] => format!("; {}", only.text),
+                [first, more @ ..] => format!("; {}, and {} more (below)", first.text, more.len()),
+            };
+            (Verdict::Warning, format!("{came}, {lost}{problems}"))
+        }
+        Some(SessionOutcome::Interrupted) => {
+            next.push(String::from("record again if that is too short"));
+            (
+                Verdict::Warning,
+                format!("interrupted: {came} until then, {lost}"),
+            )
+        }
+        Some(SessionOutcome::Failed) => {
+            next.push(String::from("`smartdepthsync verify` says what there is"));
+            let found = format!("the session failed: {}; {came} until then", reason(session));
+            (Verdict::Bad, found)
+        }
+        None => {
+            next.push(String::from(
+                "`smartdepthsync repair` makes a whole recording of what is there",
+            ));
+            let found = "the program was ended before it could close the session";
+            (Verdict::Bad, found.to_owned())
+        }
+    };
+    for (name, video) in videos(session) {
+        let place = place_of(folder, session, name);
+        let missing = missing_files(&place);
+        if missing.is_empty() {
+            continue;
+        }
+        verdict = match verdict {
+            Verdict::Good => Verdict::Warning,
+            worse => worse,
+        };
+        found += &format!(
+            "; not in the folder yet: the {} of {name}",
+            missing.join(", ")
+        );
+        next.push(format!(
+            "`smartdepthsync phone get-files --phase {video} --video --out {}` copies them by USB",
+            shell_word(&place)
+        ));
+    }
+    part("board and phone", verdict, found, next)
+}
+
+/// Name and phase, ns, of each phone that made a video.
+fn videos(session: &SessionFile) -> impl Iterator<Item = (&str, i64)> {
+    let own = (session.profile.phone.name.as_str(), session.video);
+    let others = session
+        .phones
+        .iter()
+        .map(|phone| (phone.name.as_str(), phone.video));
+    let all = std::iter::once(own).chain(others);
+    all.filter_map(|(name, video)| Some((name, video?.phase.0)))
+}
+
+/// The folder of a phone's files.
+fn place_of(folder: &Path, session: &SessionFile, name: &str) -> PathBuf {
+    let own = session.phone_folder(name);
+    match own.as_os_str().is_empty() {
+        true => folder.to_owned(),
+        false => folder.join(own),
+    }
+}
+
+/// The kinds of a phone's files that a folder lacks.
+fn missing_files(place: &Path) -> Vec<&'static str> {
+    match video_files::find(place, None) {
+        Ok(Some(files)) => files.missing_kinds(),
+        Ok(None) | Err(video_files::FilesError::Io { .. }) => {
+            video_files::VideoFiles::default().missing_kinds()
+        }
+        // Several videos lie there: whoever put them there names the right one.
+        Err(video_files::FilesError::Several { .. }) => Vec::new(),
+    }
+}
+
+/// The phones whose files are not all in the folder, each with the phase of its video, ns,
+/// and the folder that they belong into.
+#[must_use]
+pub fn files_to_fetch(folder: &Path, session: &SessionFile) -> Vec<(i64, PathBuf)> {
+    videos(session)
+        .map(|(name, phase)| (phase, place_of(folder, session, name)))
+        .filter(|(_, place)| !missing_files(place).is_empty())
+        .collect()
+}
+
+/// How the two exposures lie to each other, and what of it is not known.
+fn alignment(session: &SessionFile) -> Check {
+    const NAME: &str = "alignment";
+    let Some(alignment) = session.alignment else {
+        let found = String::from("the trigger was not aligned to the phone's frames");
+        return part(
+            NAME,
+            Verdict::Bad,
+            found,
+            vec![String::from("record again")],
+        );
+    };
+    let mut found = format!(
+        "phase ± {:.1} µs at the start, drift ± {:.1} µs/min (1-sigma, predicted)",
+        alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
+    );
+    let mut next = Vec::new();
+    for name in [CHECK_BIAS, CHECK_LEARNT] {
+        let check = session.preflight.iter().find(|check| check.name == name);
+        match check {
+            Some(check) if check.verdict == Verdict::Good => {}
+            Some(check) => {
+                found += &format!("; {name}: {}", check.found);
+                next.extend(check.next_step.clone());
+            }
+            None => found += &format!("; {name}: not known, this was not checked"),
+        }
+    }
+    let unknown = !next.is_empty() || found.contains("not known");
+    let verdict = if unknown {
+        Verdict::Warning
+    } else {
+        Verdict::Good
+    };
+    part(NAME, verdict, found, next)
+}
+
+/// The depth recording, and whether the pulses came out of the board.
+fn depth(folder: &Path, session: &SessionFile) -> Check {
+    let recorder = session.profile.depth.recorder.command.first();
+    let mut next = Vec::new();
+    let (mut verdict, mut found) = match (depth_file(folder), recorder) {
+        (Some((name, bytes)), _) => (
+            Verdict::Good,
+            format!("{name}, {:.1} MB", bytes as f64 / 1e6),
+        ),
+        (None, Some(program)) => {
+            next.push(String::from(
+                "`depth_recorder.log` in the folder has what it said",
+            ));
+            let found = format!("`{program}` left no recording (.mkv) in the folder");
+            (Verdict::Warning, found)
+        }
+        (None, None) => {
+            next.push(String::from(
+                "put the recording that you made yourself (.mkv) into the folder, or set \
+                 `[depth.recorder]` in the profile",
+            ));
+            let found = "no recording (.mkv) in the folder, and no recorder in the profile";
+            (Verdict::Warning, found.to_owned())
+        }
+    };
+    let mut problems = session.problems.iter();
+    if let Some(problem) = problems.find(|problem| problem.kind == "depth_recorder_gone") {
+        verdict = Verdict::Warning;
+        found += &format!("; {}", problem.text);
+    }
+    let mut checks = session.preflight.iter();
+    if let Some(check) = checks.find(|check| check.name == CHECK_READBACK)
+        && check.verdict != Verdict::Good
+    {
+        verdict = Verdict::Warning;
+        found += &format!("; {CHECK_READBACK}: {}", check.found);
+        next.extend(check.next_step.clone());
+    }
+    part("depth", verdict, found, next)
+}
+
+/// Name and size of the depth recording in a folder, the largest if there are several.
+fn depth_file(folder: &Path) -> Option<(String, u64)> {
+    let entries = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
+    entries
+        .filter_map(|entry| {
+            let name = entry.file_name().into_string().ok()?;
+            let bytes = entry.metadata().ok()?.len();
+            (name.ends_with(".mkv") && bytes > 0).then_some((name, bytes))
+        })
+        .max_by_key(|&(_, bytes)| bytes)
+}
+
+fn seconds(from: Ticks, to: Ticks) -> f64 {
+    to.as_secs_f64() - from.as_secs_f64()
+}
+
+/// A path as one word of a shell's line.
+#[must_use]
+pub fn shell_word(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%,=".contains(c);
+    match !text.is_empty() && text.chars().all(plain) {
+        true => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use recording::profile::Profile;
+    use recording::session_file::Span;
+
+    fn session() -> SessionFile {
+        let profile = Profile::published().unwrap();
+        let mut session = SessionFile::new(String::from("walk"), profile);
+        session.outcome = Some(SessionOutcome::Good);
+        session.recorded = Some(Span {
+            from: Ticks(48_000_000),
+            to: Ticks(48_000_000 * 11),
+        });
+        session
+    }
+
+    fn check(name: &str, verdict: Verdict) -> Check {
+        part(
+            name,
+            verdict,
+            String::from("as found"),
+            vec![String::from("as told")],
+        )
+    }
+
+    #[test]
+    fn nothing_recorded_is_never_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = session();
+        for span in [
+            None,
+            session.recorded.map(|span| Span {
+                to: span.from,
+                ..span
+            }),
+        ] {
+            session.recorded = span;
+            for outcome in [
+                SessionOutcome::Interrupted,
+                SessionOutcome::Good,
+                SessionOutcome::Failed,
+            ] {
+                session.outcome = Some(outcome);
+                let judged = Judgement::of(folder.path(), &session);
+                assert_eq!(judged.verdict, Verdict::Bad, "{judged:?}");
+                assert!(
+                    judged.text.contains("before the recording began"),
+                    "{judged:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn depth_is_known_by_its_file_and_the_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = session();
+        let verdict = |session: &SessionFile| depth(folder.path(), session);
+        let without = verdict(&session);
+        assert_eq!(without.verdict, Verdict::Warning);
+        assert!(without.next_step.unwrap().contains("[depth.recorder]"));
+        std::fs::write(folder.path().join("depth.mkv"), [0; 1000]).unwrap();
+        assert_eq!(verdict(&session).verdict, Verdict::Good);
+        session
+            .preflight
+            .push(check(CHECK_READBACK, Verdict::Warning));
+        let unproved = verdict(&session);
+        assert_eq!(unproved.verdict, Verdict::Warning);
+        assert!(unproved.found.contains("trigger read-back: as found"));
+        assert_eq!(unproved.next_step.as_deref(), Some("as told"));
+    }
+
+    #[test]
+    fn files_of_the_phone_are_asked_for_where_they_are_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut session = session();
+        session.video = Some(recording::session_file::Video {
+            phase: timebase::PhoneNanos(42),
+            frame_duration_ns: 33e6,
+            exposure_ns: None,
+        });
+        let judged = board_and_phone(folder.path(), &session);
+        assert_eq!(judged.verdict, Verdict::Warning);
+        assert!(judged.next_step.unwrap().contains("--phase 42"));
+        assert_eq!(files_to_fetch(folder.path(), &session).len(), 1);
+        for name in ["V.mp4", "Vgyro.csv", "Vaccel.csv", "V_timestamps.csv"] {
+            std::fs::write(folder.path().join(name), "1").unwrap();
+        }
+        assert_eq!(
+            board_and_phone(folder.path(), &session).verdict,
+            Verdict::Good
+        );
+        assert!(files_to_fetch(folder.path(), &session).is_empty());
+    }
+
+    #[test]
+    fn a_path_is_one_word_of_a_shell() {
+        assert_eq!(shell_word(Path::new("recordings/a-1")), "recordings/a-1");
+        assert_eq!(shell_word(Path::new("a b's")), "'a b'\\''s'");
+        assert_eq!(shell_word(Path::new("$(x)")), "'$(x)'");
+    }
+}
