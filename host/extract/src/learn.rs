@@ -138,8 +138,8 @@ mod tests {
             offset_s: 36_000.0,
             skew_ppm: 20.0,
             skew_sigma_ppm: 0.01,
-            sigma_us: [1.0, 2.0],
-            residual_us: 1.0,
+            sigma_us: Some([1.0, 2.0]),
+            residual_us: Some(1.0),
             frame_period_ns: Some((33_330_650.0, 0.02)),
             course: Vec::new(),
         }
