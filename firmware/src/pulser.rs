@@ -11,10 +11,11 @@
 //!
 //! A channel reaches only so far ahead. For an edge that is farther, the handler is
 //! called on the way to it, [`WAKE_LEAD`] before the edge, and arms it then. So how late
-//! a handler comes does not matter to a rising edge, up to that lead. If an edge is armed too late all the same (a debugger stopped the
-//! core, say), the compare would only match 89 s later. That is seen at once: a pulse
-//! that should be over is ended by force, a rising edge is made some µs later and
-//! reported at the time at which it really came, and both are counted.
+//! a handler comes does not matter to a rising edge, up to that lead. If an edge is armed
+//! too late all the same (a debugger stopped the core, say), the compare would only match
+//! 89 s later. That is seen at once: a pulse that should be over is ended by force, a
+//! rising edge is made some µs later and reported at the time at which it really came, and
+//! both are counted.
 //!
 //! The logic runs against [`CompareOutput`], on the board and in tests.
 

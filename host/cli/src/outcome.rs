@@ -229,12 +229,15 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Refuses to write over a file that is there.
+/// Refuses to write over a file that is there, or where there is no folder.
 ///
 /// # Errors
 ///
-/// It is there, and is not to be overwritten.
+/// It is there and not to be overwritten, or its folder is not.
 pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Failure> {
+    if let Err(error) = files::folder_of(path).metadata() {
+        return Err(Failure::file("create", path, &error));
+    }
     if overwrite || path.symlink_metadata().is_err() {
         return Ok(());
     }

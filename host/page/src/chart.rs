@@ -18,11 +18,11 @@ pub use crate::envelope::{Column, Envelope};
 pub const SIZE: (u32, u32) = (800, 340);
 
 /// Size of all type, pixels.
-const LABEL: i32 = 19;
+const LABEL: i32 = 27;
 /// Height of a line of title or legend, pixels.
-const LINE: i32 = 26;
+const LINE: i32 = 35;
 /// Width of a letter on average, pixels.
-const LETTER: i32 = 10;
+const LETTER: i32 = 13;
 /// Left end of title and legend, pixels.
 const LEFT: i32 = 70;
 
@@ -373,8 +373,8 @@ fn draw(chart: &Chart, area: &Area<'_>) -> Drawn<()> {
     let mut axes = ChartBuilder::on(&rest)
         .margin(10)
         .margin_right(24)
-        .x_label_area_size(52)
-        .y_label_area_size(84)
+        .x_label_area_size(70)
+        .y_label_area_size(114)
         .build_cartesian_2d(xs.clone(), ys.clone())?;
     axes.configure_mesh()
         .x_labels(8)

@@ -371,7 +371,7 @@ mod tests {
         let page = page(&figures, &verdict, &data, Some("<svg id=\"twist\"></svg>"));
         assert!(page.contains("recording-euroc") && page.contains("id=\"strip\""));
         assert!(page.contains("on an uncalibrated rig"));
-        assert!(page.matches("<svg").count() == 2 && page.contains("id=\"twist\""));
+        assert!(page.matches("<svg").count() == 3 && page.contains("id=\"twist\""));
         assert!(page.contains("4.00 µs apart") && page.contains("Nothing was lost"));
         // Thinned: far fewer marks than frames.
         assert!(page.matches("<circle").count() <= 3001);

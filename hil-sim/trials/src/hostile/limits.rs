@@ -65,6 +65,8 @@ pub fn run(program: &Path, arguments: &[OsString], folder: &Path, root: &Path) -
         .arg(program)
         .args(arguments)
         .current_dir(folder)
+        // Under cargo it leads the loader through the compiler's own folders.
+        .env_remove("LD_LIBRARY_PATH")
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())

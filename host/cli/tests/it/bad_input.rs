@@ -28,7 +28,12 @@ const CASES: &[Case] = &[
         "/no/such/port",
         "smartdepthsync ports",
     ),
-    ("bring-up --clock-time soon", 2, "soon", "90s"),
+    (
+        "bring-up --clock-time soon",
+        2,
+        "90s, 5m or 1h",
+        "help COMMAND",
+    ),
     (
         "imu --port /no/such/port",
         5,
@@ -155,8 +160,13 @@ const CASES: &[Case] = &[
         "line 2: unknown field `no_such_key`",
         "profile check wrong.toml",
     ),
-    ("record --twists 9", 2, "1..=5", "help record"),
-    ("record --twist-gap soon", 2, "90s, 5m or 1h", "help record"),
+    ("record --twists 9", 2, "1..=5", "help COMMAND"),
+    (
+        "record --twist-gap soon",
+        2,
+        "90s, 5m or 1h",
+        "help COMMAND",
+    ),
     // Files of two gyroscopes.
     (
         "offset --mcu nothing.csv --phone gyro.csv",
