@@ -42,6 +42,8 @@ pub struct Belief {
     apply: fn(f64, &mut RigConfig, &mut PhoneConfig),
 }
 
+const LONGEST_EXPOSURE: &str = "longest exposure";
+
 /// All of them.
 pub const BELIEFS: [Belief; 25] = [
     either_sign(
@@ -101,15 +103,9 @@ pub const BELIEFS: [Belief; 25] = [
             phone.camera.doubled = percent / 100.0;
         },
     ),
-    log(
-        "longest exposure",
-        "ms",
-        0.5,
-        (0.5, 10.0),
-        |ms, _, phone| {
-            phone.camera.longest_exposure_ns = (ms * 1e6) as u64;
-        },
-    ),
+    log(LONGEST_EXPOSURE, "ms", 0.5, (0.5, 10.0), |ms, _, phone| {
+        phone.camera.longest_exposure_ns = (ms * 1e6) as u64;
+    }),
     even(
         "frame period that follows the exposure",
         "ns/ms",
@@ -428,6 +424,15 @@ impl Beliefs {
         self
     }
 
+    /// The same where each recording has the shortest exposure.
+    #[must_use]
+    pub fn with_exposure_locked(self) -> Self {
+        match BELIEFS.iter().position(|b| b.name == LONGEST_EXPOSURE) {
+            Some(place) => self.with(place, BELIEFS[place].nominal),
+            None => self,
+        }
+    }
+
     /// The value of the belief at a place of [`BELIEFS`].
     #[must_use]
     pub fn value(&self, place: usize) -> Option<f64> {
@@ -519,6 +524,18 @@ mod tests {
             Beliefs::default().with_warming_at_most(1.0),
             Beliefs::default()
         );
+    }
+
+    #[test]
+    fn the_exposure_can_be_locked() {
+        let drawn = Beliefs::drawn(Seed(3));
+        let locked = drawn.with_exposure_locked();
+        let moved = |place: &usize| locked.value(*place) != drawn.value(*place);
+        let moved: Vec<usize> = (0..BELIEFS.len()).filter(moved).collect();
+        assert_eq!(moved.len(), 1);
+        assert_eq!(BELIEFS[moved[0]].name, "longest exposure");
+        let longest = |beliefs| made(&beliefs).1.camera.longest_exposure_ns;
+        assert!(longest(drawn) > 500_000 && longest(locked) <= 500_000);
     }
 
     /// The rows of the page that a seed draws are marked with a star, and are these.

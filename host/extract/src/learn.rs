@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 
 use super::report::{ClockReport, ExtractReport};
-use frame_sync::learn::{Origin, into_profile as edited, learnt as taught};
+use frame_sync::learn::{Frames, Origin, into_profile as edited, learnt as taught};
 use jiff::Timestamp;
 use recording::profile::{Learnt, ProfileError};
 
@@ -59,9 +59,16 @@ fn learnt(clock: Option<&ClockReport>, origin: &Origin<'_>) -> Result<Learnt, Le
             source_of_it: clock.source,
         });
     }
-    let period = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
+    let (period_ns, sigma_ns) = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
+    // The report has neither jitter nor exposure.
+    let frames = Frames {
+        period_ns,
+        sigma_ns,
+        jitter_ns: None,
+        exposure_us: None,
+    };
     let skew = (clock.skew_ppm * 1e-6, clock.skew_sigma_ppm * 1e-6);
-    Ok(taught(period, Some(skew), origin))
+    Ok(taught(&frames, Some(skew), origin))
 }
 
 /// Writes what a report teaches into a rig profile; comments and order stay.

@@ -17,13 +17,15 @@
 //! the drift on frame period and rate. A single twist gives the skew to about
 //! 1 ppm, and `video_start` the frame period to about 1 ppm: each 60 µs/min. So
 //! both are taken from the profile once they have been learnt. A frame period in the
-//! phone's time stays; a skew ages, and moves with the temperature ([`aged`]): twists at a
-//! distance before the recording know today's ([`Course`]).
+//! phone's time stays, unless it follows the exposure; a skew ages, and moves with the
+//! temperature ([`aged`]) and while the rig warms up: twists at a distance before the
+//! recording know today's ([`crate::twists`]).
 
 use jiff::Timestamp;
 use protocol::TICK_HZ;
 
-use crate::rates::{Course, Rate};
+use crate::rates::{Course, Rate, warming_share};
+use crate::twists::KnownSkew;
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
 use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
@@ -31,16 +33,19 @@ use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
 /// How far a learnt value may be from the one measured now, in sigmas of both.
 const CONSISTENT_SIGMAS: f64 = 5.0;
 
-/// 1-sigma of the timestamp of one of the phone's frames, ns: nobody documents it,
-/// and the assumed value is rather too large than too small.
+/// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught
+/// it. Nobody documents it.
 const FRAME_JITTER_NS: f64 = 2_000.0;
 
 /// Intervals whose mean `video_start` reports.
 const INTERVALS: f64 = 59.0;
 
-/// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean
-/// of 59 intervals whose ends have that jitter.
-const VIDEO_START_SIGMA_NS: f64 = std::f64::consts::SQRT_2 * FRAME_JITTER_NS / INTERVALS;
+/// 1-sigma of how much longer a frame is for each ms of exposure, ns: some phones lengthen
+/// their frames. A guess.
+const PERIOD_OF_EXPOSURE_NS_PER_MS: f64 = 100.0;
+
+/// Where exposures that differ make the frame period this uncertain, it is said, µs/min.
+const TELLING_DRIFT_US_PER_MIN: f64 = 5.0;
 
 /// So many of the first frames may be lost or doubled.
 const MOST_ODD_FRAMES: f64 = 3.0;
@@ -103,21 +108,26 @@ pub fn skew_prior(
     board_id: &str,
     now: Timestamp,
     temperature_c: Option<f64>,
-) -> Option<Rate> {
+) -> Option<KnownSkew> {
     let learnt = phone.learnt.as_ref()?;
     if learnt.board_id.as_deref().is_some_and(|id| id != board_id) {
         return None;
     }
-    Some(Rate {
-        skew: learnt.skew?,
-        sigma: aged(learnt, learnt.skew_sigma?, now, temperature_c),
+    let age_s = age_s(learnt, now);
+    let warmer = temperature_c.zip(learnt.board_temperature_c);
+    // Where the board's temperatures tell of its crystal, the phone's is left of the two.
+    let unknown = warmer.map_or(1.0, |_| std::f64::consts::FRAC_1_SQRT_2);
+    Some(KnownSkew {
+        rate: Rate {
+            skew: learnt.skew?,
+            sigma: aged(learnt.skew_sigma?, age_s, warmer),
+        },
+        warmed: unknown * warming_share(age_s),
     })
 }
 
-/// 1-sigma of a learnt skew now: with its age it walks as clocks wander, up to a limit, and
-/// it moves with the temperature. Without a time of day it is a day older than its date;
-/// without temperatures the age stands for them too.
-fn aged(learnt: &Learnt, sigma: f64, now: Timestamp, temperature_c: Option<f64>) -> f64 {
+/// How long ago it was learnt, s. Without a time of day it is a day older than its date.
+fn age_s(learnt: &Learnt, now: Timestamp) -> f64 {
     const DAY_S: f64 = 86_400.0;
     let age_s = match learnt.time {
         Some(time) => now.duration_since(time).as_secs_f64(),
@@ -127,8 +137,14 @@ fn aged(learnt: &Learnt, sigma: f64, now: Timestamp, temperature_c: Option<f64>)
             f64::from(days + 1) * DAY_S
         }
     };
-    let walked = (Wander::default().diffusion() * age_s.abs()).sqrt();
-    let warmer = temperature_c.zip(learnt.board_temperature_c);
+    age_s.abs()
+}
+
+/// 1-sigma of a learnt skew now, but for the warming: with its age it walks as clocks
+/// wander, up to a limit, and it moves with the temperature of the board, which is now and
+/// was then so many °C; without temperatures the age stands for them too.
+fn aged(sigma: f64, age_s: f64, warmer: Option<(f64, f64)>) -> f64 {
+    let walked = (Wander::default().diffusion() * age_s).sqrt();
     let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
     sigma.hypot(walked.min(MOST_AGED)).hypot(moved)
 }
@@ -180,8 +196,8 @@ pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<Cloc
 pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned, AlignmentError> {
     let clock = &course.clock;
     let mut remarks = Vec::new();
-    let (frame_period_ns, frame_period_sigma_ns, source) =
-        frame_period(&profile.phone, video, &mut remarks);
+    let frames = frame_period(&profile.phone, video, &mut remarks);
+    let (frame_period_ns, frame_period_sigma_ns) = (frames.period_ns, frames.sigma_ns);
     let exposure_us = reported_exposure_us(video).unwrap_or_else(|| {
         remarks.push(format!(
             "the app does not report the exposure; the profile's {} µs is used",
@@ -219,19 +235,16 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             center_offset_us,
             bias_us,
             frame_period_ns,
-            frame_period_sigma_ns,
-            frame_period_source: source,
+            frame_period_sigma_ns: Some(frame_period_sigma_ns),
+            frame_period_source: frames.source,
+            frame_jitter_ns: Some(frames.jitter_ns),
             clock: *clock,
             change: course.change,
             board_temperature_c: None,
             anchor: edge.ticks(),
             period_q32,
-            phase_sigma_us: phase_sigma_us(course, edge),
-            drift_sigma_us_per_min: drift_sigma_us_per_min(
-                rate,
-                frame_period_ns,
-                frame_period_sigma_ns,
-            ),
+            phase_sigma_us: phase_sigma_us(course, edge, frames.jitter_ns),
+            drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
             arrival_pulse: None,
             arrival: None,
         },
@@ -253,20 +266,19 @@ fn middle(clock: &ClockModel, video: &Video, exposure_us: f64, middle_row_us: f6
 
 /// 1-sigma of where a frame lies in board time, µs: the relation of the clocks and
 /// the jitter of the one timestamp that the phone gives.
-fn phase_sigma_us(course: &Course, at: BoardSeconds) -> f64 {
-    (course.offset_sigma_at(at) * 1e6).hypot(FRAME_JITTER_NS * 1e-3)
+fn phase_sigma_us(course: &Course, at: BoardSeconds, jitter_ns: f64) -> f64 {
+    (course.offset_sigma_at(at) * 1e6).hypot(jitter_ns * 1e-3)
 }
 
-/// 1-sigma of a frame period relative to it; without one it is that of the period
-/// that `video_start` reports.
-fn relative_period_sigma(frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
-    sigma_ns.unwrap_or(VIDEO_START_SIGMA_NS) / frame_period_ns
+/// 1-sigma of the mean frame duration that `video_start` reports, ns: the mean of 59
+/// intervals whose ends have that jitter.
+fn video_start_sigma_ns(jitter_ns: f64) -> f64 {
+    std::f64::consts::SQRT_2 * jitter_ns / INTERVALS
 }
 
 /// 1-sigma of how frames move against pulses, µs/min: the rate and the frame period.
-fn drift_sigma_us_per_min(rate: Rate, frame_period_ns: f64, sigma_ns: Option<f64>) -> f64 {
-    let period_sigma = relative_period_sigma(frame_period_ns, sigma_ns);
-    rate.sigma.hypot(period_sigma) * 60e6
+fn drift_sigma_us_per_min(rate: Rate, frames: &Frames) -> f64 {
+    rate.sigma.hypot(frames.sigma_ns / frames.period_ns) * 60e6
 }
 
 /// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
@@ -277,13 +289,16 @@ fn drift_sigma_us_per_min(rate: Rate, frame_period_ns: f64, sigma_ns: Option<f64
 #[must_use]
 pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
     let since = at.0 - alignment.anchor.as_secs_f64();
-    let period_sigma =
-        relative_period_sigma(alignment.frame_period_ns, alignment.frame_period_sigma_ns);
+    // Sessions of before have neither.
+    let jitter_ns = alignment.frame_jitter_ns.unwrap_or(FRAME_JITTER_NS);
+    let reported_ns = || video_start_sigma_ns(jitter_ns);
+    let sigma_ns = alignment.frame_period_sigma_ns.unwrap_or_else(reported_ns);
+    let period_sigma = sigma_ns / alignment.frame_period_ns;
     let course = Course {
         clock: alignment.clock,
         change: alignment.change,
     };
-    phase_sigma_us(&course, at).hypot(since * period_sigma * 1e6)
+    phase_sigma_us(&course, at, jitter_ns).hypot(since * period_sigma * 1e6)
 }
 
 /// The mean frame duration that the phone reports, where frames of the first 60 were lost
@@ -308,35 +323,69 @@ fn reported_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> f
     reported * INTERVALS / whole
 }
 
-/// The learnt frame period where there is one that fits what the phone reports
-/// now; else the reported one.
-fn frame_period(
-    phone: &Phone,
-    video: &Video,
-    remarks: &mut Vec<String>,
-) -> (f64, Option<f64>, FramePeriodSource) {
+/// The phone's frames, as far as they are known.
+struct Frames {
+    period_ns: f64,
+    sigma_ns: f64,
+    source: FramePeriodSource,
+    jitter_ns: f64,
+}
+
+/// The learnt frame period where there is one that fits what the phone reports now, and both
+/// together by their variances; else the reported one.
+fn frame_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Frames {
     let reported = reported_period(phone, video, remarks);
-    let Some(learnt) = &phone.learnt else {
+    let learnt = phone.learnt.as_ref();
+    let jitter_ns = learnt.and_then(|learnt| learnt.frame_jitter_ns);
+    let jitter_ns = jitter_ns.unwrap_or(FRAME_JITTER_NS);
+    let reported_sigma = video_start_sigma_ns(jitter_ns);
+    let as_reported = Frames {
+        period_ns: reported,
+        sigma_ns: reported_sigma,
+        source: FramePeriodSource::VideoStart,
+        jitter_ns,
+    };
+    let Some(learnt) = learnt else {
         remarks.push(String::from(
             "no frame period learnt yet: the phase may drift by tens of µs a minute \
              (`smartdepthsync profile learn`)",
         ));
-        return (reported, None, FramePeriodSource::VideoStart);
+        return as_reported;
     };
-    let sigma = learnt.frame_period_sigma_ns.hypot(VIDEO_START_SIGMA_NS);
+    let exposures = learnt.exposure_us.zip(reported_exposure_us(video));
+    let by_exposure = exposures.map_or(0.0, |(then, now)| {
+        PERIOD_OF_EXPOSURE_NS_PER_MS * 1e-3 * (now - then)
+    });
+    let learnt_sigma = learnt.frame_period_sigma_ns.hypot(by_exposure);
+    let sigma = learnt_sigma.hypot(reported_sigma);
     if (learnt.frame_period_ns - reported).abs() > CONSISTENT_SIGMAS * sigma {
         remarks.push(format!(
             "the learnt frame period of {} ns does not fit the {reported} ns that the phone \
              reports now (another mode?); the reported one is used",
             learnt.frame_period_ns
         ));
-        return (reported, None, FramePeriodSource::VideoStart);
+        return as_reported;
     }
-    (
-        learnt.frame_period_ns,
-        Some(learnt.frame_period_sigma_ns),
-        FramePeriodSource::Learnt,
-    )
+    let of_reported = (learnt_sigma / sigma).powi(2);
+    let sigma_ns = learnt_sigma * reported_sigma / sigma;
+    let drift = sigma_ns / learnt.frame_period_ns * 60e6;
+    if let Some((then, now)) = exposures
+        && drift > TELLING_DRIFT_US_PER_MIN
+        && by_exposure.abs() > learnt.frame_period_sigma_ns
+    {
+        remarks.push(format!(
+            "the exposure is {:.1} ms, the frame period was learnt with {:.1} ms and may follow it: \
+             the phase may drift by {drift:.0} µs a minute; lock the exposure in the app's settings",
+            now * 1e-3,
+            then * 1e-3,
+        ));
+    }
+    Frames {
+        period_ns: learnt.frame_period_ns + of_reported * (reported - learnt.frame_period_ns),
+        sigma_ns,
+        source: FramePeriodSource::Learnt,
+        jitter_ns,
+    }
 }
 
 /// Where the frames of another phone lie against the depth images, whose grid
@@ -353,7 +402,7 @@ pub fn placement(
     video: &Video,
     alignment: &Alignment,
 ) -> Placement {
-    let (period_ns, sigma_ns, _) = frame_period(phone, video, &mut Vec::new());
+    let frames = frame_period(phone, video, &mut Vec::new());
     let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
     let middle = middle(&course.clock, video, exposure_us, phone.middle_row_us());
     let rate = course.rate_from(middle);
@@ -364,12 +413,12 @@ pub fn placement(
         / f64::from(TICK_HZ)
         / f64::from(profile.frame_ratio());
     let apart = middle.0 - depth.0;
-    let own_s = period_ns * 1e-9 / (1.0 + rate.skew);
+    let own_s = frames.period_ns * 1e-9 / (1.0 + rate.skew);
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
-        offset_sigma_us: phase_sigma_us(course, middle),
+        offset_sigma_us: phase_sigma_us(course, middle, frames.jitter_ns),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
-        drift_sigma_us_per_min: drift_sigma_us_per_min(rate, period_ns, sigma_ns),
+        drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
     }
 }
 

@@ -30,17 +30,28 @@ pub struct Origin<'a> {
     pub board_temperature_c: Option<f64>,
 }
 
+/// What the frames of a recording teach.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frames {
+    /// Their distance in the phone's time, ns.
+    pub period_ns: f64,
+    /// 1-sigma of it within the recording, ns.
+    pub sigma_ns: f64,
+    /// 1-sigma of the timestamps of single frames, ns, where it is known.
+    pub jitter_ns: Option<f64>,
+    /// Their exposure, µs, where it is known.
+    pub exposure_us: Option<f64>,
+}
+
 /// What a recording teaches, with the floor for what changes between recordings:
-/// frame period in ns and skew, each with its 1-sigma within the recording.
+/// its frames, and the skew with its 1-sigma within the recording.
 #[must_use]
-pub fn learnt(
-    (period, period_sigma): (f64, f64),
-    skew: Option<(f64, f64)>,
-    origin: &Origin<'_>,
-) -> Learnt {
+pub fn learnt(frames: &Frames, skew: Option<(f64, f64)>, origin: &Origin<'_>) -> Learnt {
     Learnt {
-        frame_period_ns: period,
-        frame_period_sigma_ns: period_sigma.hypot(REPEATABILITY * period),
+        frame_period_ns: frames.period_ns,
+        frame_period_sigma_ns: frames.sigma_ns.hypot(REPEATABILITY * frames.period_ns),
+        frame_jitter_ns: frames.jitter_ns,
+        exposure_us: frames.exposure_us,
         skew: skew.map(|(skew, _)| skew),
         skew_sigma: skew.map(|(_, sigma)| sigma.hypot(REPEATABILITY)),
         learnt: origin.time.to_zoned(TimeZone::system()).date(),
@@ -88,6 +99,12 @@ pub fn into_profile(
         "frame_period_sigma_ns",
         toml_edit::value(learnt.frame_period_sigma_ns),
     );
+    if let Some(jitter) = learnt.frame_jitter_ns {
+        table.insert("frame_jitter_ns", toml_edit::value(jitter));
+    }
+    if let Some(exposure) = learnt.exposure_us {
+        table.insert("exposure_us", toml_edit::value(exposure));
+    }
     if let (Some(skew), Some(sigma)) = (learnt.skew, learnt.skew_sigma) {
         table.insert("skew", toml_edit::value(skew));
         table.insert("skew_sigma", toml_edit::value(sigma));
@@ -196,13 +213,18 @@ mod tests {
         let last = Some(clock(300.0));
         let learnt_over = |twists: &[Twist], resets| {
             let skew = skew_of_twists((twists, last), resets);
-            let known = (period.period_ns, period.sigma_ns);
+            let known = Frames {
+                period_ns: period.period_ns,
+                sigma_ns: period.sigma_ns,
+                jitter_ns: Some(period.jitter_ns),
+                exposure_us: Some(2_000.0),
+            };
             let origin = Origin {
                 board_id: None,
                 time: "2026-01-31T12:00:00Z".parse().unwrap(),
                 board_temperature_c: Some(27.5),
             };
-            super::learnt(known, skew, &origin)
+            super::learnt(&known, skew, &origin)
         };
         let learnt = |twists: &[Twist]| learnt_over(twists, 0);
         let one_twist = learnt(&twists);

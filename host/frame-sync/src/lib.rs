@@ -3,7 +3,8 @@
 //! - [`train`]: the frames' period in the phone's clock, from their timestamps.
 //! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
 //! - [`kalibr`]: what Kalibr found, put into the rig profile.
-//! - [`rates`]: how the rate of its clock goes on, from twists before a recording.
+//! - [`rates`]: how the rate of its clock goes on, at one supposed warming.
+//! - [`twists`]: what the twists before a recording say of it together.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
 //!   same instant.
 #![forbid(unsafe_code)]
@@ -13,3 +14,4 @@ pub mod kalibr;
 pub mod learn;
 pub mod rates;
 pub mod train;
+pub mod twists;

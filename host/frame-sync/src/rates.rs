@@ -10,28 +10,27 @@
 //! offset(t) = offset + skew · t + c · (T t − T² (1 − e^(−t/T)))
 //! ```
 //!
-//! A Kalman filter over the twists before a recording estimates the three. One twist knows
-//! nothing of the change: it is 0 ± [`WARMING_PER_S`]. Two know the skew between them to
-//! 0.06 ppm, three and more the change too.
+//! A Kalman filter over the twists before a recording estimates the three ([`crate::twists`]).
+//! One twist knows nothing of the change. Two know the skew between them to 0.06 ppm, three
+//! and more the change too. `T` is another one in each rig: it is known to a factor
+//! ([`WARMING_FACTOR_LN`]), and what it may make of an estimated change is stated too.
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use recording::session_file::RateChange;
 use timebase::{BoardSeconds, ClockModel, Wander};
 
-/// 1-sigma of the change of the skew while a rig warms up, before any of it is known, 1/s:
-/// two clocks that each move by 0.1 to 5 ppm in ten minutes, even in the logarithm, have
-/// an rms of 2.5 ppm in ten minutes.
-const WARMING_PER_S: f64 = 2.5e-6 / 600.0;
-
-/// Time in which a rig warms up, s.
+/// Time in which a rig warms up, s. A guess.
 const WARMING_S: f64 = 300.0;
+
+/// 1-sigma of its logarithm: a factor of two.
+const WARMING_FACTOR_LN: f64 = std::f64::consts::LN_2;
+
+/// The time that a warming is stated of, s.
+const TEN_MINUTES_S: f64 = 600.0;
 
 /// The drift is planned for, and stated of, so much of a recording, s.
 pub const PLANNED_S: f64 = 300.0;
-
-/// How far twists, or a skew known from before, may be from each other, in sigmas of both.
-const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// `T (1 − e^(−t/T))`: what a change makes of the skew in `t` seconds.
 fn of_skew(t: f64) -> f64 {
@@ -43,6 +42,23 @@ fn of_offset(t: f64) -> f64 {
     WARMING_S * (t - of_skew(t))
 }
 
+/// By how much those two, and the change itself, would be others for a longer time `T`: their
+/// derivatives by its logarithm.
+fn of_longer_warming(t: f64) -> Vector3<f64> {
+    let x = t / WARMING_S;
+    let (gone, fading) = (-(-x).exp_m1(), x * (-x).exp());
+    Vector3::new(
+        WARMING_S * WARMING_S * (x - 2.0 * gone + fading),
+        WARMING_S * (gone - fading),
+        fading,
+    )
+}
+
+/// What `since_s` seconds of warming are of that in the first ten minutes.
+pub(crate) fn warming_share(since_s: f64) -> f64 {
+    of_skew(since_s) / of_skew(TEN_MINUTES_S)
+}
+
 /// A rate with its 1-sigma.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
@@ -50,6 +66,25 @@ pub struct Rate {
     pub skew: f64,
     /// 1-sigma of it.
     pub sigma: f64,
+}
+
+/// How well something fits what was known before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Fit {
+    /// Square of how far it is off, in sigmas of both.
+    pub(crate) distance: f64,
+    /// Logarithm of its likelihood, less a constant.
+    pub(crate) likelihood_ln: f64,
+}
+
+impl Fit {
+    fn of(distance: f64, variance: f64) -> Option<Self> {
+        let is_one = variance.is_normal() && variance > 0.0 && distance.is_finite();
+        is_one.then(|| Self {
+            distance,
+            likelihood_ln: -0.5 * (distance + variance.ln()),
+        })
+    }
 }
 
 /// The relation of the clocks at the last twist, and how its skew changes.
@@ -62,60 +97,76 @@ pub struct Course {
 }
 
 impl Course {
-    /// What one twist says.
-    #[must_use]
-    pub const fn of_twist(clock: ClockModel) -> Self {
+    /// What one twist says of clocks whose skew changes by so much (1-sigma) in the first
+    /// ten minutes.
+    pub(crate) fn of_twist(clock: ClockModel, warming: f64) -> Self {
         let change = RateChange {
             per_s: 0.0,
-            variance: WARMING_PER_S * WARMING_PER_S,
+            variance: (warming / of_skew(TEN_MINUTES_S)).powi(2),
             with_offset: 0.0,
             with_skew: 0.0,
         };
         Self { clock, change }
     }
 
-    /// The same with a later twist; `None` if the two contradict each other.
-    #[must_use]
-    pub fn with_twist(&self, twist: &ClockModel) -> Option<Self> {
+    /// The same with a later twist, and how well it fits.
+    pub(crate) fn with_twist(&self, twist: &ClockModel) -> Option<(Self, Fit)> {
         let base = twist.offset;
         let (mean, covariance) = self.predicted(twist.reference, base);
         let observe = Matrix2x3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
         let seen = Matrix2::from(twist.covariance).transpose();
-        let inverse = (observe * covariance * observe.transpose() + seen).try_inverse()?;
+        let expected = observe * covariance * observe.transpose() + seen;
+        let inverse = expected.try_inverse()?;
         let gain = covariance * observe.transpose() * inverse;
         let innovation = Vector2::new(0.0, twist.skew) - observe * mean;
-        if innovation.dot(&(inverse * innovation)) > CONSISTENT_SIGMAS * CONSISTENT_SIGMAS {
-            return None;
-        }
+        let fit = Fit::of(
+            innovation.dot(&(inverse * innovation)),
+            expected.determinant(),
+        )?;
         let keep = Matrix3::identity() - gain * observe;
         // Joseph form: stays positive.
         let covariance = keep * covariance * keep.transpose() + gain * seen * gain.transpose();
         let mean = mean + gain * innovation;
-        Some(Self::of(
-            twist.reference,
-            base,
-            mean,
-            covariance,
-            twist.wander,
-        ))
+        let course = Self::of(twist.reference, base, mean, covariance, twist.wander);
+        Some((course, fit))
     }
 
-    /// The same with a skew that is known from before; `None` if the two contradict each
-    /// other.
-    #[must_use]
-    pub fn with_known_skew(&self, skew: f64, sigma: f64) -> Option<Self> {
+    /// The same with a skew that is known from before, and how well it fits.
+    pub(crate) fn with_known_skew(&self, known: Rate) -> Option<(Self, Fit)> {
         let base = self.clock.offset;
         let (mean, covariance) = self.predicted(self.clock.reference, base);
-        let variance = covariance[(1, 1)] + sigma * sigma;
-        let innovation = skew - mean[1];
-        if !variance.is_normal() || innovation.abs() > CONSISTENT_SIGMAS * variance.sqrt() {
-            return None;
-        }
+        let variance = covariance[(1, 1)] + known.sigma * known.sigma;
+        let innovation = known.skew - mean[1];
+        let fit = Fit::of(innovation * innovation / variance, variance)?;
         let gain = covariance.column(1) / variance;
         let mean = mean + gain * innovation;
         let covariance = covariance - gain * covariance.row(1);
         let (reference, wander) = (self.clock.reference, self.clock.wander);
-        Some(Self::of(reference, base, mean, covariance, wander))
+        let course = Self::of(reference, base, mean, covariance, wander);
+        Some((course, fit))
+    }
+
+    /// Several of the same reference as one: mean and covariance of all, by their weights,
+    /// whose sum is 1.
+    pub(crate) fn mixed<const N: usize>(parts: &[(Self, f64); N]) -> Self {
+        const { assert!(N > 0) };
+        let ClockModel {
+            reference,
+            offset: base,
+            wander,
+            ..
+        } = parts[0].0.clock;
+        let of = |course: &Self| course.predicted(reference, base);
+        let mean: Vector3<f64> = parts.iter().map(|(course, w)| of(course).0 * *w).sum();
+        let covariance: Matrix3<f64> = parts
+            .iter()
+            .map(|(course, weight)| {
+                let (own, covariance) = of(course);
+                let apart = own - mean;
+                (covariance + apart * apart.transpose()) * *weight
+            })
+            .sum();
+        Self::of(reference, base, mean, covariance, wander)
     }
 
     /// The mean rate over [`PLANNED_S`] from a board time on, with all that may change
@@ -129,11 +180,14 @@ impl Course {
         // The rate's error is that of skew and change, and the wander over the span.
         let since = from.0 - self.clock.reference.0;
         let of_change = (of_offset(since + PLANNED_S) - of_offset(since)) / PLANNED_S;
+        let longer = of_longer_warming(since + PLANNED_S) - of_longer_warming(since);
+        let of_time = WARMING_FACTOR_LN * longer[0] / PLANNED_S;
         let [_, [_, skew_variance]] = self.clock.covariance;
         let wander = self.clock.wander.diffusion() * (since.abs() + PLANNED_S / 3.0);
         let variance = skew_variance
             + 2.0 * of_change * self.change.with_skew
             + of_change * of_change * self.change.variance
+            + self.change_squared() * of_time * of_time
             + wander;
         Rate {
             skew: (end[0] - start[0]) / PLANNED_S,
@@ -162,7 +216,17 @@ impl Course {
         let (span, cross) = (t.abs(), q * t.abs() * t / 2.0);
         let grown = q * span.powi(3) / 3.0;
         let wander = Matrix3::new(grown, cross, 0.0, cross, q * span, 0.0, 0.0, 0.0, 0.0);
-        (step * mean, step * covariance * step.transpose() + wander)
+        let longer = of_longer_warming(t) * WARMING_FACTOR_LN;
+        let time = longer * longer.transpose() * self.change_squared();
+        (
+            step * mean,
+            step * covariance * step.transpose() + time + wander,
+        )
+    }
+
+    /// Mean of the square of the change, 1/s².
+    fn change_squared(&self) -> f64 {
+        self.change.per_s.powi(2) + self.change.variance.max(0.0)
     }
 
     fn of(
@@ -188,113 +252,5 @@ impl Course {
                 with_skew: p[(1, 2)],
             },
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
-    /// dying away within `fades` seconds.
-    fn twist(t: f64, c: f64, fades: f64) -> ClockModel {
-        let gone = 1.0 - (-t / fades).exp();
-        ClockModel {
-            reference: BoardSeconds(t),
-            offset: 36_000.0 + 20e-6 * t + c * (fades * t - fades * fades * gone),
-            skew: 20e-6 + c * fades * gone,
-            covariance: [[4e-12, 0.0], [0.0, 4e-13]],
-            wander: Wander::from_ppm(0.01),
-        }
-    }
-
-    fn course(c: f64, times: &[f64]) -> Course {
-        let mut twists = times.iter().map(|&t| twist(t, c, WARMING_S));
-        let first = Course::of_twist(twists.next().unwrap());
-        twists.fold(first, |course, twist| course.with_twist(&twist).unwrap())
-    }
-
-    /// The mean skew of those clocks over five minutes from `from` on.
-    fn true_rate(c: f64, from: f64) -> f64 {
-        let offset = |t| twist(t, c, WARMING_S).offset - 36_000.0;
-        (offset(from + PLANNED_S) - offset(from)) / PLANNED_S
-    }
-
-    #[test]
-    fn one_twist_knows_nothing_of_the_change() {
-        let one = course(0.0, &[100.0]);
-        let rate = one.rate_from(BoardSeconds(110.0));
-        assert!((rate.skew - 20e-6).abs() < 1e-15);
-        // 0.63 ppm of the twist; 2.5 ppm in ten minutes until the middle of five minutes.
-        assert!((0.7e-6..0.95e-6).contains(&rate.sigma), "{}", rate.sigma);
-        let at = |t| one.offset_sigma_at(BoardSeconds(t));
-        assert!((at(100.0) - 2e-6).abs() < 1e-9);
-        assert!(at(160.0) > at(100.0) && at(40.0) > at(100.0));
-    }
-
-    #[test]
-    fn two_twists_know_the_rate_between_them() {
-        let two = course(0.0, &[100.0, 160.0]);
-        assert!((two.clock.skew - 20e-6).abs() < 1e-12);
-        let alone = course(0.0, &[160.0]);
-        let sigma = |course: &Course| course.clock.covariance[1][1].sqrt();
-        assert!(
-            sigma(&alone) > 6e-7 && sigma(&two) < 1.6e-7,
-            "{}",
-            sigma(&two)
-        );
-        // Less the change, it is 2 µs · √2 over 60 s.
-        let known = Course {
-            change: RateChange {
-                variance: 0.0,
-                ..Course::of_twist(twist(0.0, 0.0, 1.0)).change
-            },
-            ..course(0.0, &[100.0])
-        };
-        let known = known.with_twist(&twist(160.0, 0.0, 1.0)).unwrap();
-        assert!(
-            (0.04e-6..0.06e-6).contains(&sigma(&known)),
-            "{}",
-            sigma(&known)
-        );
-    }
-
-    #[test]
-    fn three_twists_foresee_a_warming_rig() {
-        // 1 ppm in ten minutes.
-        let c = 1e-6 / of_skew(600.0);
-        let errors = [
-            &[20.0, 80.0][..],
-            &[20.0, 80.0, 140.0],
-            &[20.0, 140.0, 260.0],
-        ]
-        .map(|times| {
-            let course = course(c, times);
-            let from = times[times.len() - 1] + 10.0;
-            let rate = course.rate_from(BoardSeconds(from));
-            let error = (rate.skew - true_rate(c, from)).abs();
-            assert!(error < 2.0 * rate.sigma, "{error} {rate:?}");
-            (error, rate.sigma)
-        });
-        assert!(
-            errors[1].0 < errors[0].0 && errors[2].0 < errors[1].0,
-            "{errors:?}"
-        );
-        assert!(errors[2].1 < 0.5 * errors[0].1, "{errors:?}");
-    }
-
-    #[test]
-    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
-        let one = course(0.0, &[100.0]);
-        let sharp = one.with_known_skew(20.5e-6, 2e-8).unwrap();
-        assert!((sharp.clock.skew - 20.5e-6).abs() < 1e-9);
-        assert!(sharp.clock.covariance[1][1].sqrt() < 2.1e-8);
-        // It says nothing of how the skew goes on.
-        assert_eq!(sharp.change.variance, one.change.variance);
-        assert_eq!(one.with_known_skew(30e-6, 2e-8), None);
-        // So is a twist that cannot be of the same clocks.
-        let mut slipped = twist(160.0, 0.0, WARMING_S);
-        slipped.offset += 2e-3;
-        assert_eq!(one.with_twist(&slipped), None);
     }
 }

@@ -175,6 +175,12 @@ pub struct Learnt {
     pub frame_period_ns: f64,
     /// 1-sigma of it, ns.
     pub frame_period_sigma_ns: f64,
+    /// 1-sigma of the timestamps of single frames, ns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame_jitter_ns: Option<f64>,
+    /// Exposure of the recording that taught it, µs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure_us: Option<f64>,
     /// Rate of the phone's clock against the board's, minus one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub skew: Option<f64>,

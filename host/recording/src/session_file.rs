@@ -271,6 +271,9 @@ pub struct Alignment {
     pub frame_period_ns: f64,
     /// 1-sigma of it, ns, where it is known.
     pub frame_period_sigma_ns: Option<f64>,
+    /// 1-sigma of the timestamps of frames that was assumed, ns.
+    #[serde(default)]
+    pub frame_jitter_ns: Option<f64>,
     /// Where the frame period comes from: `learnt` or `video_start`.
     pub frame_period_source: FramePeriodSource,
     /// The relation of the clocks that was used.
@@ -412,6 +415,20 @@ impl SessionFile {
         }
         let other = self.phones.iter().find(|other| other.name == phone)?;
         Some((&other.twists, other.clock))
+    }
+
+    /// The exposure that a phone reported when its video began, µs, by its name in the
+    /// profile.
+    #[must_use]
+    pub fn exposure_us_of(&self, phone: &str) -> Option<f64> {
+        let video = if self.profile.phone.name == phone {
+            self.video
+        } else {
+            let other = self.phones.iter().find(|other| other.name == phone);
+            other.and_then(|other| other.video)
+        };
+        let exposure = video?.exposure_ns.filter(|&exposure| exposure > 0)?;
+        Some(exposure as f64 * 1e-3)
     }
 
     /// Writes it into the recording's folder; replaces an older one only when

@@ -30,6 +30,8 @@ pub struct BeliefOptions {
     pub rigs_an_end: u32,
     /// No clock that is drawn warms up by more, ppm in ten minutes.
     pub most_warming_ppm: Option<f64>,
+    /// The exposure of those that are drawn is the same in each recording.
+    pub exposure_locked: bool,
     /// How many run at the same time.
     pub jobs: u32,
 }
@@ -72,6 +74,11 @@ pub fn run(options: &BeliefOptions, done: impl Fn(&RigResult) + Sync) -> BeliefS
         let drawn = match options.most_warming_ppm {
             Some(most) => drawn.with_warming_at_most(most),
             None => drawn,
+        };
+        let drawn = if options.exposure_locked {
+            drawn.with_exposure_locked()
+        } else {
+            drawn
         };
         plans.push((seed, Kind::Nominal, Beliefs::default()));
         plans.push((seed, Kind::Drawn, drawn));
@@ -124,11 +131,12 @@ type Which = (&'static str, fn(&Sessions) -> &Judged);
 /// A figure, and its stated 1-sigma where there is one.
 type Figure = (&'static str, fn(&Judged) -> (f64, Option<f64>));
 
-const SESSIONS: [Which; 4] = [
+const SESSIONS: [Which; 5] = [
     ("one twist, nothing learnt", |s| &s.fresh),
     ("one twist, learnt minutes ago", |s| &s.learnt),
     ("two twists, cold rig", |s| &s.two_twists),
     ("three twists, cold rig", |s| &s.three_twists),
+    ("three twists, 2 min apart, cold rig", |s| &s.wide_twists),
 ];
 
 const FIGURES: [Figure; 4] = [

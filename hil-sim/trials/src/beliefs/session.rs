@@ -5,9 +5,10 @@
 
 use anyhow::{Context, Result, bail};
 use frame_sync::alignment::{phase_sigma_us_at, plan, skew_prior};
-use frame_sync::learn::{Origin, learnt};
+use frame_sync::learn::{Frames, Origin, learnt};
 use frame_sync::rates::Course;
 use frame_sync::train::frame_period;
+use frame_sync::twists::Twists;
 use jiff::Timestamp;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
 use recording::profile::Profile;
@@ -81,6 +82,8 @@ pub struct Sessions {
     pub two_twists: Judged,
     /// Three twists.
     pub three_twists: Judged,
+    /// Three twists, with twice the time between them.
+    pub wide_twists: Judged,
 }
 
 /// A rig that is switched on, as its models.
@@ -99,60 +102,62 @@ struct Rig {
 /// Twists are refused, nothing can be learnt, or nothing can be aligned.
 pub fn sessions(seed: u64, beliefs: &Beliefs) -> Result<Sessions> {
     let mut rig = Rig::new(Seed(seed), beliefs)?;
-    // Of the cold rig: three twists, from which one, two and three are used.
+    // Of the cold rig: five twists, of which sessions use one, two or three.
     let mut at = 15.0;
     let mut twists: Vec<ClockModel> = Vec::new();
     let mut ends = Vec::new();
-    for _ in 0..3 {
+    for _ in 0..5 {
         let (clock, end) = rig.twist(at)?;
         twists.push(clock);
         ends.push(end);
         at = end + GAP_S;
     }
     let fresh_profile = rig.profile.clone();
-    let one = Course::of_twist(twists[0]);
+    let one = Twists::of(twists[0]).course();
     let begun = ends[0] + TO_VIDEO_S;
     let fresh = rig.record(&fresh_profile, &one, 0, begun)?;
 
     // A recording teaches: its frames, and its twists at both ends.
     let stop = begun + TO_ARRIVAL_S + RECORDED_S;
-    let (last, end) = rig.twist(stop + 2.0)?;
+    let (last, end) = rig.twist(stop.max(ends[4]) + 2.0)?;
     let joined = twists[0].joined(&last);
     let sigma = joined.covariance[1][1].max(0.0).sqrt();
     let now = Timestamp::UNIX_EPOCH;
-    let period = rig.learnt_period(begun)?;
+    let frames = rig.learnt_frames(begun)?;
     let origin = Origin {
         board_id: None,
         time: now,
         board_temperature_c: None,
     };
-    let taught = learnt(period, Some((joined.skew, sigma)), &origin);
+    let taught = learnt(&frames, Some((joined.skew, sigma)), &origin);
     let mut profile = fresh_profile;
     profile.phone.learnt = Some(taught.clone());
 
     let (clock, end) = rig.twist(end + 20.0)?;
     let later = now + jiff::SignedDuration::from_secs(360);
     let known = skew_prior(&profile.phone, "", later, None).context("no skew was learnt")?;
-    let alone = Course::of_twist(clock);
-    let course = alone
-        .with_known_skew(known.skew, known.sigma)
-        .unwrap_or(alone);
+    let alone = Twists::of(clock);
+    let course = alone.with_known(&known).unwrap_or(alone).course();
     let learnt = rig.record(&profile, &course, 1, end + TO_VIDEO_S)?;
 
     // On a cold rig the frame period of another day, and no skew.
-    let joined = |count: usize| {
-        let others = &twists[1..count];
-        others.iter().fold(one, |course, twist| {
-            course.with_twist(twist).unwrap_or(Course::of_twist(*twist))
-        })
+    let joined = |places: &[usize]| {
+        let others = places.iter().map(|&place| &twists[place]);
+        let first = Twists::of(twists[0]);
+        let joined = others.fold(first, |known, twist| {
+            known.with(twist).unwrap_or(Twists::of(*twist))
+        });
+        joined.course()
     };
-    let two_twists = rig.record(&profile, &joined(2), 2, ends[1] + TO_VIDEO_S)?;
-    let three_twists = rig.record(&profile, &joined(3), 3, ends[2] + TO_VIDEO_S)?;
+    let two_twists = rig.record(&profile, &joined(&[1]), 2, ends[1] + TO_VIDEO_S)?;
+    let three_twists = rig.record(&profile, &joined(&[1, 2]), 3, ends[2] + TO_VIDEO_S)?;
+    let wide_twists = rig.record(&profile, &joined(&[2, 4]), 4, ends[4] + TO_VIDEO_S)?;
     Ok(Sessions {
         fresh,
         learnt,
         two_twists,
         three_twists,
+        wide_twists,
     })
 }
 
@@ -271,12 +276,17 @@ impl Rig {
     }
 
     /// What the timestamps of the first recording teach.
-    fn learnt_period(&self, begun: f64) -> Result<(f64, f64)> {
+    fn learnt_frames(&self, begun: f64) -> Result<Frames> {
         let frames = self.frames(0, begun);
         let count = (RECORDED_S * 1e9 / frames.period_ns()) as usize;
         let stamps: Vec<PhoneNanos> = frames.stamps(count).into_iter().map(PhoneNanos).collect();
         let period = frame_period(&stamps)?;
-        Ok((period.period_ns, period.sigma_ns))
+        Ok(Frames {
+            period_ns: period.period_ns,
+            sigma_ns: period.sigma_ns,
+            jitter_ns: Some(period.jitter_ns),
+            exposure_us: Some(frames.exposure_ns() as f64 * 1e-3),
+        })
     }
 
     /// Aligns and records, from the request of the video at a true time on.

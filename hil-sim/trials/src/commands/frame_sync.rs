@@ -27,6 +27,10 @@ pub(crate) struct Args {
     /// With --beliefs: no drawn clock warms up by more, ppm in ten minutes; 5 by the ranges
     #[arg(long, value_name = "PPM", value_parser = warming)]
     most_warming: Option<f64>,
+    /// With --beliefs: the exposure of drawn rigs is the same in each recording, as with the
+    /// app's exposure locked
+    #[arg(long)]
+    exposure_locked: bool,
     /// The first rig's seed; the others follow it.
     #[arg(long, default_value_t = 1)]
     first_seed: u64,
@@ -65,6 +69,7 @@ fn over_beliefs(args: &Args) -> Result<()> {
         rigs: args.launches,
         rigs_an_end: args.rigs_an_end,
         most_warming_ppm: args.most_warming,
+        exposure_locked: args.exposure_locked,
         jobs: args.jobs,
     };
     let study = beliefs::run(&options, |rig| {

@@ -237,7 +237,13 @@ pub(crate) fn teach(
             .filter_map(|twist| twist.board_temperature_c)
             .next_back(),
     };
-    let learnt = learn::learnt((period.period_ns, period.sigma_ns), skew, &origin);
+    let frames = learn::Frames {
+        period_ns: period.period_ns,
+        sigma_ns: period.sigma_ns,
+        jitter_ns: Some(period.jitter_ns),
+        exposure_us: session.exposure_us_of(phone),
+    };
+    let learnt = learn::learnt(&frames, skew, &origin);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
     files::replace(file, taught.as_bytes())
         .map_err(|error| Failure::file("write", file, &error))?;

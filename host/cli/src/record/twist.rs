@@ -16,7 +16,8 @@ use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::SyncReport;
 use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
-use frame_sync::rates::{Course, Rate};
+use frame_sync::rates::Course;
+use frame_sync::twists::{KnownSkew, Twists};
 use phone::PhoneSample;
 use phone::samples::sample_line;
 use recording::RecordingError;
@@ -50,7 +51,7 @@ pub(super) fn first_twists(rig: &mut Rig<'_>, options: &SessionOptions) -> Resul
 
 /// Twists until one passes the gates, of every phone. `before` is what the earlier ones
 /// say; gives it with this one.
-fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option<Course>>, Stop> {
+fn good_twist(rig: &mut Rig<'_>, before: &[Option<Twists>]) -> Result<Vec<Option<Twists>>, Stop> {
     let mut courses = vec![None; before.len()];
     for attempt in 1.. {
         let clocks = match twist(rig, Leave::Refused) {
@@ -63,9 +64,9 @@ fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option
         };
         for (place, clock) in clocks.iter().enumerate() {
             if let Some(clock) = clock {
-                let course = joined(rig, place, before[place].as_ref(), clock)?;
-                courses[place] = Some(course);
-                know(rig, place, &course)?;
+                let known = joined(rig, place, before[place].as_ref(), clock)?;
+                courses[place] = Some(known);
+                know(rig, place, &known)?;
             }
         }
         rig.journal.save()?;
@@ -104,14 +105,14 @@ fn good_twist(rig: &mut Rig<'_>, before: &[Option<Course>]) -> Result<Vec<Option
 fn joined(
     rig: &mut Rig<'_>,
     place: usize,
-    before: Option<&Course>,
+    before: Option<&Twists>,
     clock: &ClockModel,
-) -> Result<Course, Stop> {
-    let alone = Course::of_twist(*clock);
+) -> Result<Twists, Stop> {
+    let alone = Twists::of(*clock);
     let Some(before) = before else {
         return Ok(alone);
     };
-    let Some(course) = before.with_twist(clock) else {
+    let Some(joined) = before.with(clock) else {
         let text = format!(
             "this twist contradicts the earlier ones{}: it alone is used",
             rig.phones.whose(place)
@@ -120,6 +121,7 @@ fn joined(
             .tell(Severity::Warning, "twists_contradict", &text)?;
         return Ok(alone);
     };
+    let course = joined.course();
     let text = format!(
         "twists so far{}: skew {:+.4} ± {:.4} ppm, changing by {:+.3} ± {:.3} ppm/min",
         rig.phones.whose(place),
@@ -129,17 +131,17 @@ fn joined(
         course.change.variance.max(0.0).sqrt() * 60e6
     );
     rig.journal.info("twist", &text)?;
-    Ok(course)
+    Ok(joined)
 }
 
 /// Keeps what is known of the phone at a place: its twists, and what was learnt before.
-fn know(rig: &mut Rig<'_>, place: usize, course: &Course) -> Result<(), Stop> {
+fn know(rig: &mut Rig<'_>, place: usize, twists: &Twists) -> Result<(), Stop> {
     let phone = rig.phones.profile(place);
     let temperature = rig.observers.temperature;
     let learnt = skew_prior(phone, &rig.link.id, jiff::Timestamp::now(), temperature);
     let known = match learnt {
-        Some(learnt) => sharpen(&mut rig.journal, course, learnt)?,
-        None => *course,
+        Some(learnt) => sharpen(&mut rig.journal, twists, &learnt)?,
+        None => twists.course(),
     };
     rig.phones.set_change(place, known.change);
     let number = rig.journal.file.twists.len();
@@ -342,19 +344,19 @@ fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
 }
 
 /// Takes the skew that was learnt before into what the twists say.
-fn sharpen(journal: &mut Journal<'_>, course: &Course, learnt: Rate) -> Result<Course, Stop> {
-    let sharper = course.with_known_skew(learnt.skew, learnt.sigma);
+fn sharpen(journal: &mut Journal<'_>, twists: &Twists, learnt: &KnownSkew) -> Result<Course, Stop> {
+    let sharper = twists.with_known(learnt);
     if sharper.is_none() {
         let text = format!(
             "the learnt skew of {:+.3} ± {:.3} ppm does not fit this twist's {:+.3} ppm; it is \
              not used",
-            learnt.skew * 1e6,
-            learnt.sigma * 1e6,
-            course.clock.skew * 1e6
+            learnt.rate.skew * 1e6,
+            learnt.rate.sigma * 1e6,
+            twists.course().clock.skew * 1e6
         );
         journal.tell(Severity::Warning, "learnt_skew", &text)?;
     }
-    Ok(sharper.unwrap_or(*course))
+    Ok(sharper.unwrap_or(*twists).course())
 }
 
 fn save_samples(recording: &Path, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {

@@ -35,6 +35,7 @@ pub(crate) fn session(
         bias_us: 0.0,
         frame_period_ns,
         frame_period_sigma_ns: None,
+        frame_jitter_ns: None,
         frame_period_source: FramePeriodSource::VideoStart,
         clock,
         change: RateChange::default(),

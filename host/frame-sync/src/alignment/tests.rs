@@ -1,6 +1,7 @@
 use jiff::civil::date;
 
 use super::*;
+use crate::twists::Twists;
 use recording::session_file::RateChange;
 use timebase::PhoneNanos;
 
@@ -34,6 +35,8 @@ fn learnt() -> Learnt {
     Learnt {
         frame_period_ns: 33_330_650.0,
         frame_period_sigma_ns: 0.02,
+        frame_jitter_ns: None,
+        exposure_us: None,
         skew: Some(2.05e-5),
         skew_sigma: Some(2e-8),
         learnt: date(2026, 1, 31),
@@ -80,7 +83,7 @@ fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
     // 50 s later it is a minute from the twist, in which 1 ppm of skew makes 60 µs; that
     // is more than what the anchor's uncertainty and 50 s of 1 ppm add up to.
     let since = 160.0 - anchor;
-    let period_us = since * VIDEO_START_SIGMA_NS / 33_330_652.542 * 1e6;
+    let period_us = since * video_start_sigma_ns(FRAME_JITTER_NS) / 33_330_652.542 * 1e6;
     let expected = (9.0 + 60.0_f64.powi(2) + 4.0 + period_us.powi(2)).sqrt();
     let found = phase_sigma_us_at(&alignment, BoardSeconds(160.0));
     // The clocks' wander adds a little.
@@ -94,7 +97,7 @@ fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
 fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
     let profile = Profile::published().unwrap();
     let steady = plan(&profile, &course(), &video()).unwrap().alignment;
-    let warming = plan(&profile, &Course::of_twist(clock()), &video()).unwrap();
+    let warming = plan(&profile, &Twists::of(clock()).course(), &video()).unwrap();
     let mut warming = warming.alignment;
     assert!(warming.drift_sigma_us_per_min > 1.02 * steady.drift_sigma_us_per_min);
     // Where the train arrives, seconds after the twist, it is nothing.
@@ -147,14 +150,15 @@ fn a_learnt_skew_ages_and_moves_with_the_temperature() {
         board_temperature_c: Some(25.0),
         ..learnt()
     };
-    let sigma = |known: &Learnt, seconds: i64, celsius| {
+    let since = std::cell::Cell::new(0.0);
+    let mut sigma = |known: &Learnt, seconds: i64, celsius| {
         phone.learnt = Some(known.clone());
         let now = time + jiff::SignedDuration::from_secs(seconds);
-        let rate = skew_prior(&phone, "AB", now, celsius).unwrap();
-        assert_eq!(rate.skew, 2.05e-5);
-        rate.sigma
+        let prior = skew_prior(&phone, "AB", now, celsius).unwrap();
+        assert_eq!(prior.rate.skew, 2.05e-5);
+        since.set(prior.warmed);
+        prior.rate.sigma
     };
-    let mut sigma = sigma;
     assert_eq!(sigma(&known, 0, None), 2e-8);
     // 0.05 ppm a minute, in the root of the time.
     let ten = sigma(&known, 600, Some(25.0));
@@ -166,10 +170,20 @@ fn a_learnt_skew_ages_and_moves_with_the_temperature() {
     // Of a day whose hour is not known.
     let dated = Learnt {
         time: None,
-        ..known
+        ..known.clone()
     };
     let day = sigma(&dated, 0, None);
     assert!((1.8e-6..=2.01e-6).contains(&day), "{day}");
+    // A day after, a rig may have warmed up altogether: more than in ten minutes.
+    let warmed = || since.get();
+    assert!((1.0..1.3).contains(&warmed()), "{}", warmed());
+    sigma(&known, 600, None);
+    assert!((warmed() - 1.0).abs() < 1e-12);
+    sigma(&known, 60, None);
+    assert!((0.15..0.25).contains(&warmed()), "{}", warmed());
+    // With the board's temperatures it is the phone's share of the two.
+    sigma(&known, 600, Some(25.0));
+    assert!((warmed() - 0.5_f64.sqrt()).abs() < 1e-12);
 }
 
 #[test]
@@ -178,7 +192,9 @@ fn a_learnt_period_is_used_unless_it_does_not_fit() {
     profile.phone.learnt = Some(learnt());
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
     assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
-    assert_eq!(alignment.frame_period_ns, 33_330_650.0);
+    // What the phone reports, known to 48 ns, counts for nothing beside it.
+    assert!((alignment.frame_period_ns - 33_330_650.0).abs() < 1e-5);
+    assert!((alignment.frame_period_sigma_ns.unwrap() - 0.02).abs() < 1e-6);
 
     let mut other = video();
     other.frame_duration_ns = 33_333_333.0;
@@ -188,6 +204,77 @@ fn a_learnt_period_is_used_unless_it_does_not_fit() {
         FramePeriodSource::VideoStart
     );
     assert!(planned.remarks[0].contains("does not fit"));
+}
+
+#[test]
+fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase() {
+    let mut profile = Profile::published().unwrap();
+    let mut known = learnt();
+    profile.phone.learnt = Some(known.clone());
+    let steady = plan(&profile, &course(), &video()).unwrap().alignment;
+    let far = Video {
+        frame_duration_ns: known.frame_period_ns + 900.0,
+        ..video()
+    };
+    let source = |profile: &Profile| {
+        let alignment = plan(profile, &course(), &far).unwrap().alignment;
+        alignment.frame_period_source
+    };
+    // 900 ns are 19 sigmas of 2 µs, and 2 of 20 µs.
+    assert_eq!(source(&profile), FramePeriodSource::VideoStart);
+    known.frame_jitter_ns = Some(20_000.0);
+    profile.phone.learnt = Some(known);
+    assert_eq!(source(&profile), FramePeriodSource::Learnt);
+    let shaken = plan(&profile, &course(), &video()).unwrap().alignment;
+    let expected = (steady.phase_sigma_us.powi(2) - 4.0 + 400.0).sqrt();
+    assert!((shaken.phase_sigma_us - expected).abs() < 1e-6);
+    let again = phase_sigma_us_at(&shaken, BoardSeconds(shaken.anchor.as_secs_f64()));
+    assert!((again - expected).abs() < 1e-6);
+    // What `video_start` reports is known as badly.
+    let mut file = shaken;
+    file.frame_period_sigma_ns = None;
+    let at = BoardSeconds(shaken.anchor.as_secs_f64() + 60.0);
+    let more = phase_sigma_us_at(&file, at).powi(2) - phase_sigma_us_at(&shaken, at).powi(2);
+    let drift = 60e6 * std::f64::consts::SQRT_2 * 20_000.0 / 59.0 / 33_330_650.0;
+    assert!((more.sqrt() / drift - 1.0).abs() < 1e-3, "{more} {drift}");
+}
+
+#[test]
+fn a_period_learnt_with_another_exposure_is_weighed_with_the_reported_one() {
+    let mut profile = Profile::published().unwrap();
+    let reported = learnt().frame_period_ns + 300.0;
+    let of = |profile: &mut Profile, exposure_us| {
+        profile.phone.learnt = Some(Learnt {
+            exposure_us: Some(exposure_us),
+            frame_jitter_ns: Some(10_000.0),
+            ..learnt()
+        });
+        let video = Video {
+            frame_duration_ns: reported,
+            ..video()
+        };
+        let planned = plan(profile, &course(), &video).unwrap();
+        let more = planned.alignment.frame_period_ns - learnt().frame_period_ns;
+        let sigma = planned.alignment.frame_period_sigma_ns.unwrap();
+        let said = planned
+            .remarks
+            .iter()
+            .any(|text| text.contains("lock the exposure"));
+        (more, sigma, said)
+    };
+    // The video's exposure is 4 ms.
+    let (more, sigma, said) = of(&mut profile, 4_000.0);
+    assert!(more.abs() < 1e-3 && (sigma - 0.02).abs() < 1e-6 && !said);
+    // 2 ms apart: 200 ns against the 240 ns of 10 µs of jitter.
+    let (more, sigma, said) = of(&mut profile, 2_000.0);
+    let (by_exposure, by_report) = (200.0_f64.powi(2), 2.0 * (10_000.0_f64 / 59.0).powi(2));
+    let sum = by_exposure + by_report;
+    assert!((more - 300.0 * by_exposure / sum).abs() < 0.01, "{more}");
+    assert!(
+        (sigma - (by_exposure * by_report / sum).sqrt()).abs() < 0.01,
+        "{sigma}"
+    );
+    assert!(said);
 }
 
 #[test]
@@ -217,7 +304,7 @@ fn another_phone_is_placed_against_the_grid() {
         let placed = placement(
             &profile,
             &profile.phone,
-            &Course::of_twist(other),
+            &Twists::of(other).course(),
             &moved,
             &alignment,
         );

@@ -170,6 +170,18 @@ fn check_learnt(learnt: &Learnt) -> Result<(), ProfileError> {
             0.0..=1e6,
             "ns",
         ),
+        (
+            "phone.learnt.frame_jitter_ns",
+            learnt.frame_jitter_ns.unwrap_or(0.0),
+            0.0..=1e7,
+            "ns",
+        ),
+        (
+            "phone.learnt.exposure_us",
+            learnt.exposure_us.unwrap_or(0.0),
+            SPAN,
+            "µs",
+        ),
         ("phone.learnt.skew", skew, -1e-3..=1e-3, ""),
         ("phone.learnt.skew_sigma", sigma, 0.0..=1e-3, ""),
     ])

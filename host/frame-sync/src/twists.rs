@@ -1,0 +1,242 @@
+//! What the twists before a recording, and a skew that was learnt before, say together.
+//!
+//! How much a rig warms up is not known: it stands still, or moves by ppm. One Gaussian that
+//! is wide enough for the one takes the noise of a twist's own skew (0.6 ppm) for warming in
+//! the other: 0.1 of the difference of two such skews, a minute apart, carried five minutes
+//! on, is 12 µs/min. So there are three suppositions of how much it is ([`WARMINGS`]), each
+//! with its own Kalman filter ([`Course`]) and weighed by how well it foretold what came.
+//! Together they are one [`Course`] of their mean and covariance.
+
+use timebase::ClockModel;
+
+use crate::rates::{Course, Fit, Rate};
+
+/// What the skew changes by in the first ten minutes, 1-sigma: still, some, much; equally
+/// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
+/// (docs/beliefs.md), have the rms of the three, 2.5 ppm.
+const WARMINGS: [f64; 3] = [0.15e-6, 0.8e-6, 4.3e-6];
+
+/// How far twists, or a skew known from before, may be from each other, in sigmas of both.
+const CONSISTENT_SIGMAS: f64 = 5.0;
+
+/// A skew that was learnt before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KnownSkew {
+    /// What it was, with its 1-sigma now but for the warming.
+    pub rate: Rate,
+    /// How much it may have warmed up since, in the warming of the first ten minutes.
+    pub warmed: f64,
+}
+
+/// What twists say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Twists([Supposition; WARMINGS.len()]);
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Supposition {
+    warming: f64,
+    course: Course,
+    likelihood_ln: f64,
+}
+
+impl Twists {
+    /// Of the first.
+    #[must_use]
+    pub fn of(clock: ClockModel) -> Self {
+        Self(WARMINGS.map(|warming| Supposition {
+            warming,
+            course: Course::of_twist(clock, warming),
+            likelihood_ln: 0.0,
+        }))
+    }
+
+    /// The same with a later twist; `None` if the two contradict each other.
+    #[must_use]
+    pub fn with(&self, twist: &ClockModel) -> Option<Self> {
+        self.updated(|supposed| supposed.course.with_twist(twist))
+    }
+
+    /// The same with a skew that was learnt before; `None` if they contradict each other.
+    #[must_use]
+    pub fn with_known(&self, known: &KnownSkew) -> Option<Self> {
+        self.updated(|supposed| {
+            let sigma = known.rate.sigma.hypot(known.warmed * supposed.warming);
+            let skew = known.rate.skew;
+            supposed.course.with_known_skew(Rate { skew, sigma })
+        })
+    }
+
+    fn updated(&self, of: impl Fn(&Supposition) -> Option<(Course, Fit)>) -> Option<Self> {
+        let mut each = self.0;
+        let mut nearest = f64::INFINITY;
+        for supposed in &mut each {
+            let (course, fit) = of(supposed)?;
+            supposed.course = course;
+            supposed.likelihood_ln += fit.likelihood_ln;
+            nearest = nearest.min(fit.distance);
+        }
+        (nearest <= CONSISTENT_SIGMAS * CONSISTENT_SIGMAS).then_some(Self(each))
+    }
+
+    /// All suppositions together.
+    #[must_use]
+    pub fn course(&self) -> Course {
+        let best = self.0.iter().map(|supposed| supposed.likelihood_ln);
+        let best = best.fold(f64::NEG_INFINITY, f64::max);
+        let weights = self.0.map(|supposed| (supposed.likelihood_ln - best).exp());
+        let sum: f64 = weights.iter().sum();
+        let mut parts = self.0.map(|supposed| (supposed.course, 0.0));
+        for (part, weight) in parts.iter_mut().zip(weights) {
+            part.1 = weight / sum;
+        }
+        Course::mixed(&parts)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rates::PLANNED_S;
+    use timebase::{BoardSeconds, Wander};
+
+    /// As the models of this module have it.
+    const WARMING_S: f64 = 300.0;
+
+    /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
+    /// dying away within `fades` seconds.
+    fn twist(t: f64, c: f64, fades: f64) -> ClockModel {
+        let gone = 1.0 - (-t / fades).exp();
+        ClockModel {
+            reference: BoardSeconds(t),
+            offset: 36_000.0 + 20e-6 * t + c * (fades * t - fades * fades * gone),
+            skew: 20e-6 + c * fades * gone,
+            covariance: [[4e-12, 0.0], [0.0, 4e-13]],
+            wander: Wander::from_ppm(0.01),
+        }
+    }
+
+    fn twists(c: f64, times: &[f64]) -> Twists {
+        let mut each = times.iter().map(|&t| twist(t, c, WARMING_S));
+        let first = Twists::of(each.next().unwrap());
+        each.fold(first, |known, twist| known.with(&twist).unwrap())
+    }
+
+    fn course(c: f64, times: &[f64]) -> Course {
+        twists(c, times).course()
+    }
+
+    /// The mean skew of those clocks over five minutes from `from` on.
+    fn true_rate(c: f64, from: f64) -> f64 {
+        let offset = |t| twist(t, c, WARMING_S).offset - 36_000.0;
+        (offset(from + PLANNED_S) - offset(from)) / PLANNED_S
+    }
+
+    #[test]
+    fn one_twist_knows_nothing_of_the_change() {
+        let one = course(0.0, &[100.0]);
+        let rate = one.rate_from(BoardSeconds(110.0));
+        assert!((rate.skew - 20e-6).abs() < 1e-15);
+        // 0.63 ppm of the twist; 2.5 ppm in ten minutes are 1.1 on the average of the next
+        // five, and more or less where it dies away more slowly or faster.
+        assert!((1.2e-6..1.5e-6).contains(&rate.sigma), "{}", rate.sigma);
+        let at = |t| one.offset_sigma_at(BoardSeconds(t));
+        assert!((at(100.0) - 2e-6).abs() < 1e-9);
+        assert!(at(160.0) > at(100.0) && at(40.0) > at(100.0));
+    }
+
+    #[test]
+    fn two_twists_know_the_rate_between_them() {
+        let two = course(0.0, &[100.0, 160.0]);
+        assert!((two.clock.skew - 20e-6).abs() < 1e-12);
+        let sigma = |course: &Course| course.clock.covariance[1][1].sqrt();
+        let alone = course(0.0, &[160.0]);
+        assert!(
+            sigma(&alone) > 6e-7 && sigma(&two) < 3e-7,
+            "{}",
+            sigma(&two)
+        );
+        // Less the change, it is 2 µs · √2 over 60 s.
+        let still = Course::of_twist(twist(100.0, 0.0, 1.0), 0.0);
+        let (still, _) = still.with_twist(&twist(160.0, 0.0, 1.0)).unwrap();
+        assert!(
+            (0.04e-6..0.06e-6).contains(&sigma(&still)),
+            "{}",
+            sigma(&still)
+        );
+    }
+
+    /// Two twists whose own skews differ by their noise: the less it is taken for warming,
+    /// the less a steady rig drifts.
+    #[test]
+    fn the_noise_of_two_twists_is_hardly_taken_for_warming() {
+        let mut second = twist(170.0, 0.0, WARMING_S);
+        second.skew += 0.6e-6;
+        let one = Twists::of(twist(100.0, 0.0, WARMING_S));
+        let mixed = one.with(&second).unwrap().course();
+        let strong = Course::of_twist(twist(100.0, 0.0, WARMING_S), 2.5e-6);
+        let (strong, _) = strong.with_twist(&second).unwrap();
+        assert!(mixed.change.per_s > 0.0 && mixed.change.per_s < 0.8 * strong.change.per_s);
+        // A change that is plain is taken as it is.
+        let plain = course(4e-8, &[100.0, 220.0, 340.0]);
+        let expected = 4e-8 * (-340.0_f64 / WARMING_S).exp();
+        assert!(
+            (plain.change.per_s / expected - 1.0).abs() < 0.15,
+            "{plain:?}"
+        );
+    }
+
+    #[test]
+    fn three_twists_foresee_a_warming_rig() {
+        // 1 ppm in ten minutes.
+        let c = 1e-6 / (WARMING_S * (1.0 - (-600.0 / WARMING_S).exp()));
+        let errors = [
+            &[20.0, 80.0][..],
+            &[20.0, 80.0, 140.0],
+            &[20.0, 140.0, 260.0],
+        ]
+        .map(|times| {
+            let course = course(c, times);
+            let from = times[times.len() - 1] + 10.0;
+            let rate = course.rate_from(BoardSeconds(from));
+            let error = (rate.skew - true_rate(c, from)).abs();
+            assert!(error < 2.0 * rate.sigma, "{error} {rate:?}");
+            (error, rate.sigma)
+        });
+        assert!(
+            errors[1].0 < errors[0].0 && errors[2].0 < errors[1].0,
+            "{errors:?}"
+        );
+        assert!(errors[2].1 < 0.5 * errors[0].1, "{errors:?}");
+    }
+
+    #[test]
+    fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
+        let one = twists(0.0, &[100.0]);
+        let known = |skew, warmed| KnownSkew {
+            rate: Rate { skew, sigma: 2e-8 },
+            warmed,
+        };
+        let sharp = one.with_known(&known(20.5e-6, 0.0)).unwrap().course();
+        assert!((sharp.clock.skew - 20.5e-6).abs() < 1e-9);
+        assert!(sharp.clock.covariance[1][1].sqrt() < 2.1e-8);
+        // It says nothing of how the skew goes on.
+        let (then, now) = (one.course().change.variance, sharp.change.variance);
+        assert!((now / then - 1.0).abs() < 1e-6, "{now} {then}");
+        assert_eq!(one.with_known(&known(30e-6, 0.0)), None);
+        // It counts for less once the rig may have warmed up, and even less where it says
+        // itself that it has.
+        let aged = |skew| one.with_known(&known(skew, 0.8)).unwrap().course();
+        let sigma = |course: &Course| course.clock.covariance[1][1].sqrt();
+        let (near, far) = (aged(20.2e-6), aged(23e-6));
+        assert!((1e-7..6e-7).contains(&sigma(&near)), "{}", sigma(&near));
+        assert!(
+            sigma(&far) > sigma(&near) && far.clock.skew < 21e-6,
+            "{far:?}"
+        );
+        assert!(far.change.variance > near.change.variance);
+        // So is a twist that cannot be of the same clocks.
+        let mut slipped = twist(160.0, 0.0, WARMING_S);
+        slipped.offset += 2e-3;
+        assert_eq!(one.with(&slipped), None);
+    }
+}
