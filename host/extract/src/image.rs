@@ -5,7 +5,7 @@
 //! extraction that is repeated gives the same files.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 /// An image as it is written.
@@ -44,6 +44,40 @@ pub(crate) fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Res
     writer.write_image_data(bytes).map_err(io::Error::other)?;
     writer.finish().map_err(io::Error::other)?;
     Ok(out)
+}
+
+/// Width, height, and pixels of a PNG file as [`encode_png`] makes them, 16-bit ones with
+/// the low byte first.
+pub(crate) struct Decoded {
+    pub(crate) size: (u32, u32),
+    pub(crate) is_rgb: bool,
+    pub(crate) pixels: Vec<u8>,
+}
+
+/// Reads such a file.
+///
+/// # Errors
+///
+/// It cannot be read, or is none.
+pub(crate) fn read_png(path: &Path) -> io::Result<Decoded> {
+    let file = io::BufReader::new(File::open(path)?);
+    let mut reader = png::Decoder::new(file)
+        .read_info()
+        .map_err(io::Error::other)?;
+    let length = reader.output_buffer_size();
+    let mut pixels = vec![0; length.ok_or_else(|| io::Error::other("the image is too large"))?];
+    let info = reader.next_frame(&mut pixels).map_err(io::Error::other)?;
+    let is_rgb = info.color_type == png::ColorType::Rgb;
+    if !is_rgb {
+        for pixel in pixels.chunks_exact_mut(2) {
+            pixel.swap(0, 1);
+        }
+    }
+    Ok(Decoded {
+        size: (info.width, info.height),
+        is_rgb,
+        pixels,
+    })
 }
 
 /// Depth for TUM RGB-D: millimetres times five, 5,000 a metre. What does not fit
@@ -130,6 +164,15 @@ impl Write for WholeFile {
 
     fn flush(&mut self) -> io::Result<()> {
         self.writer.as_mut().map_or(Ok(()), Write::flush)
+    }
+}
+
+impl Seek for WholeFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match &mut self.writer {
+            Some(writer) => writer.seek(to),
+            None => Err(io::Error::other("the file is finished")),
+        }
     }
 }
 

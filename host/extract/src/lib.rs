@@ -9,7 +9,7 @@
 //!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
 //!   and images), `pairs`, `grid` (frames against the trigger).
 //! - Space: [`geometry`] (lenses, the depth camera's calibration, registration).
-//! - Outputs: [`layout`] (EuRoC, TUM, topics), sequences, `tables`, `imu_tables`,
+//! - Outputs: [`layout`] (EuRoC, TUM, topics, bags), sequences, `tables`, `imu_tables`,
 //!   `image_tables`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
 //!   recording teaches into a rig profile.
 //!

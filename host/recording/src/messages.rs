@@ -7,11 +7,13 @@
 //! take definitions from there (Foxglove, `rosbags`, `mcap-ros2-support`) need
 //! nothing else.
 
+pub mod camera;
+
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// A ROS 2 message.
-pub(crate) trait RosMessage: Serialize + DeserializeOwned {
+pub trait RosMessage: Serialize + DeserializeOwned {
     /// Full name of the type.
     const TYPE: &'static str;
     /// Definition in the ROS 2 message language, without the types it uses.
@@ -126,11 +128,11 @@ pub struct Imu {
     pub orientation_covariance: [f64; 9],
     /// rad/s.
     pub angular_velocity: Vector3,
-    /// Zeros: not known.
+    /// rad²/s²; zeros: not known.
     pub angular_velocity_covariance: [f64; 9],
     /// m/s².
     pub linear_acceleration: Vector3,
-    /// Zeros: not known.
+    /// m²/s⁴; zeros: not known.
     pub linear_acceleration_covariance: [f64; 9],
 }
 
@@ -390,7 +392,7 @@ pub enum CdrError {
 /// # Errors
 ///
 /// A text or list is longer than 32 bits.
-pub(crate) fn to_cdr<M: Serialize>(message: &M) -> Result<Vec<u8>, CdrError> {
+pub fn to_cdr<M: Serialize>(message: &M) -> Result<Vec<u8>, CdrError> {
     let mut bytes = CDR_LE.to_vec();
     bytes.extend(cdr_encoding::to_vec::<M, byteorder::LittleEndian>(message)?);
     Ok(bytes)

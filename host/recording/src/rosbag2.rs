@@ -1,31 +1,126 @@
 //! `metadata.yaml`: what makes the folder of a recording a rosbag2, for `ros2 bag` and
 //! the libraries that open bags by their folder.
 //!
+//! And a bag of any messages, for data sets.
+//!
 //! The form is version 5 of `rosbag2_bagfile_information` (ROS 2 Humble), which later
 //! versions read too. Times are board time, as in the file.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use mcap::Summary;
+use mcap::records::MessageHeader;
+use mcap::write::NoSeek;
+use mcap::{McapError, Summary};
 
-use super::MCAP_FILE;
+use super::messages::RosMessage;
+use super::{MCAP_FILE, writer};
+
+/// Bytes of a chunk of a bag of images.
+const CHUNK_BYTES: u64 = 4 << 20;
 
 /// Name of the file in the folder.
 pub const METADATA_FILE: &str = "metadata.yaml";
 
 /// Key of the quality of service in a channel's metadata.
-pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
+const QOS_KEY: &str = "offered_qos_profiles";
 
 /// The quality of service of every topic, in the form of rosbag2: keep the last 1,000,
 /// reliable, volatile, no deadline and no lifespan. The file and `metadata.yaml` must
 /// agree in it.
-pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
+const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
     deadline:\n    sec: 9223372036\n    nsec: 854775807\n  \
     lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
     liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
     avoid_ros_namespace_conventions: false\n";
+
+/// Where a message goes in a file: its channel and its running number.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Channel {
+    pub(crate) id: u16,
+    sequence: u32,
+}
+
+impl Channel {
+    /// Head of the next message, at board time in ns.
+    pub(crate) const fn next(&mut self, nanos: u64) -> MessageHeader {
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        MessageHeader {
+            channel_id: self.id,
+            sequence,
+            log_time: nanos,
+            publish_time: nanos,
+        }
+    }
+}
+
+/// Adds a topic, with type and schema of its messages.
+pub(crate) fn add_topic<W: io::Write + io::Seek>(
+    mcap: &mut mcap::Writer<W>,
+    name: &str,
+    (kind, schema): (&str, String),
+) -> Result<u16, McapError> {
+    let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
+    let schema = mcap.add_schema(kind, "ros2msg", schema.as_bytes())?;
+    mcap.add_channel(schema, name, "cdr", &metadata)
+}
+
+/// A bag of any messages that is being written, packed by LZ4.
+pub struct Bag<W: io::Write> {
+    mcap: mcap::Writer<NoSeek<W>>,
+    channels: Vec<Channel>,
+}
+
+impl<W: io::Write> Bag<W> {
+    /// Begins the MCAP file of a bag.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn create(to: W) -> Result<Self, McapError> {
+        let options = writer::options().chunk_size(Some(CHUNK_BYTES));
+        Ok(Self {
+            mcap: options.create(NoSeek::new(to))?,
+            channels: Vec::new(),
+        })
+    }
+
+    /// Adds a topic of messages `M`. Topics are numbered from 0.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn add_topic<M: RosMessage>(&mut self, name: &str) -> Result<(), McapError> {
+        let id = add_topic(&mut self.mcap, name, (M::TYPE, M::schema()))?;
+        self.channels.push(Channel { id, sequence: 0 });
+        Ok(())
+    }
+
+    /// Adds a message in its CDR form, at a time in ns. One of a topic that was not added
+    /// is left out.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn put(&mut self, topic: usize, nanos: u64, cdr: &[u8]) -> Result<(), McapError> {
+        let Some(channel) = self.channels.get_mut(topic) else {
+            return Ok(());
+        };
+        self.mcap.write_to_known_channel(&channel.next(nanos), cdr)
+    }
+
+    /// Finishes it, and gives the text of `metadata.yaml` for the name of its file.
+    ///
+    /// # Errors
+    ///
+    /// Writing fails.
+    pub fn finish(mut self, file: &str) -> Result<String, McapError> {
+        Ok(text(file, &self.mcap.finish()?))
+    }
+}
 
 /// Writes `metadata.yaml` beside the finished `recording.mcap` in `folder`.
 ///

@@ -13,19 +13,17 @@
 //! exactly.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufWriter, Cursor, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
 pub use super::publish::{Output, Publisher, Severity};
-use super::rosbag2::{self, METADATA_FILE, QOS, QOS_KEY};
+use super::rosbag2::{self, Channel, METADATA_FILE};
 use super::session_file::SessionFile;
 use super::topic::Topic;
 use super::{MCAP_FILE, PROFILE_FILE, RecordingError, SESSION_FILE};
@@ -39,13 +37,6 @@ const CHUNK_TIME: Duration = Duration::from_millis(500);
 
 /// How often the file is pushed to the disk.
 const SYNC_TIME: Duration = Duration::from_secs(1);
-
-/// Where a message goes in the file: its channel and its running number.
-#[derive(Clone, Copy, Debug, Default)]
-struct Channel {
-    id: u16,
-    sequence: u32,
-}
 
 /// Writes a recording's file.
 pub type Writer = Publisher<McapFile>;
@@ -244,15 +235,8 @@ impl Output for McapFile {
     fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
         let nanos = at.as_nanos();
         if let Some(channel) = self.channels.get_mut(topic as usize) {
-            let header = MessageHeader {
-                channel_id: channel.id,
-                sequence: channel.sequence,
-                log_time: nanos,
-                publish_time: nanos,
-            };
-            channel.sequence = channel.sequence.wrapping_add(1);
             self.mcap
-                .write_to_known_channel(&header, data)
+                .write_to_known_channel(&channel.next(nanos), data)
                 .map_err(|source| mcap_error(&self.path, source))?;
         }
         self.dirty = true;
@@ -302,10 +286,9 @@ fn make_channels<W: Write + Seek>(
     mcap: &mut mcap::Writer<W>,
 ) -> Result<[Channel; Topic::ALL.len()], mcap::McapError> {
     let mut channels = [Channel::default(); Topic::ALL.len()];
-    let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
     for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
-        let schema = mcap.add_schema(topic.message_type(), "ros2msg", topic.schema().as_bytes())?;
-        channel.id = mcap.add_channel(schema, topic.name(), "cdr", &metadata)?;
+        let kind = (topic.message_type(), topic.schema());
+        channel.id = rosbag2::add_topic(mcap, topic.name(), kind)?;
     }
     Ok(channels)
 }

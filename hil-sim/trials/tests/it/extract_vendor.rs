@@ -14,7 +14,7 @@ use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
-use extract::run::{Job, run};
+use extract::run::{ExtractError, Job, run};
 use recording::profile::Pose;
 use recording::session_file::SessionFile;
 
@@ -24,12 +24,12 @@ const WFOV_UNBINNED: u8 = 4;
 const STANDALONE: u8 = 0;
 const SUBORDINATE: u8 = 2;
 
-struct Case {
+pub(crate) struct Case {
     folder: tempfile::TempDir,
 }
 
 impl Case {
-    fn new(config: &Synthetic) -> Self {
+    pub(crate) fn new(config: &Synthetic) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let recording = folder.path().join("recording");
         std::fs::create_dir(&recording).unwrap();
@@ -37,21 +37,36 @@ impl Case {
         Self { folder }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    fn extract(&self, depth: Option<&Path>, out: &str, options: Options) -> ExtractReport {
+    pub(crate) fn extract(
+        &self,
+        depth: Option<&Path>,
+        out: &str,
+        options: Options,
+    ) -> ExtractReport {
         self.extract_as(Format::Euroc, depth, out, options)
     }
 
-    fn extract_as(
+    pub(crate) fn extract_as(
         &self,
         format: Format,
         depth: Option<&Path>,
         out: &str,
         options: Options,
     ) -> ExtractReport {
+        self.try_extract(format, depth, out, options).unwrap()
+    }
+
+    pub(crate) fn try_extract(
+        &self,
+        format: Format,
+        depth: Option<&Path>,
+        out: &str,
+        options: Options,
+    ) -> Result<ExtractReport, ExtractError> {
         let job = Job {
             recording: self.path("recording"),
             phone: None,
@@ -61,11 +76,11 @@ impl Case {
             options,
             overwrite: false,
         };
-        run(&job, &Silent).unwrap()
+        run(&job, &Silent)
     }
 
     /// A recording of the maker's library with these device times.
-    fn vendor(&self, name: &str, frames: &[i64], more: serde_json::Value) -> PathBuf {
+    pub(crate) fn vendor(&self, name: &str, frames: &[i64], more: serde_json::Value) -> PathBuf {
         let mut spec = json!({
             "frames": frames, "depth_mode": NFOV_2X2BINNED, "sync": SUBORDINATE,
             "subordinate_us": 0, "depth_delay_us": 0, "color": null, "color_us": 0,
@@ -82,11 +97,12 @@ impl Case {
         out
     }
 
-    /// Frames of 1280 × 720 by ffmpeg.
-    fn test_picture(&self, name: &str, frames: usize) -> PathBuf {
+    /// Frames by ffmpeg.
+    pub(crate) fn test_picture(&self, name: &str, size: &str, frames: usize) -> PathBuf {
         let path = self.path(name);
         let made = Command::new("ffmpeg")
-            .args(["-v", "error", "-f", "lavfi", "-i", "testsrc=size=1280x720"])
+            .args(["-v", "error", "-f", "lavfi", "-i"])
+            .arg(format!("testsrc=size={size}"))
             .args(["-frames:v", &frames.to_string()])
             .arg(&path)
             .status();
@@ -95,7 +111,7 @@ impl Case {
     }
 
     /// Columns of a table of an output as integers.
-    fn table(&self, file: &str, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
+    pub(crate) fn table(&self, file: &str, columns: &[usize]) -> Vec<Vec<Option<i64>>> {
         let text = std::fs::read_to_string(self.path(file)).unwrap();
         let row = |line: &str| {
             let cells: Vec<&str> = line.split(',').collect();
@@ -157,7 +173,7 @@ fn the_files_own_tags_decide_the_times() {
     assert!((nominal - base[0]).abs() < 1_000_000, "{nominal}");
 
     // Delays, and colour 160 µs behind depth.
-    let jpeg = case.test_picture("color.jpg", 1);
+    let jpeg = case.test_picture("color.jpg", "1280x720", 1);
     let delays = json!({
         "subordinate_us": 500, "depth_delay_us": -160, "color": jpeg, "color_us": 160,
         "size": [320, 288],
@@ -287,7 +303,7 @@ fn a_camera_on_its_own_is_timed_by_its_own_clock() {
 
 /// A calibration as the camera has it, with made-up numbers of the usual size: depth, and
 /// colour 32 mm beside it and tilted by 6°.
-fn calibration() -> serde_json::Value {
+pub(crate) fn calibration() -> serde_json::Value {
     // cx, cy, fx, fy, k1 to k6, codx, cody, p2, p1.
     let depth = [
         0.502, 0.498, 0.4926, 0.4927, 0.65, 0.04, -0.004, 0.99, 0.15, -0.02, 0.0, 0.0, -8e-5, 1e-4,
@@ -350,7 +366,7 @@ fn depth_is_registered_as_the_makers_library_has_it() {
     let device: Vec<i64> = device.map(|row| row[0].unwrap() / 1000).collect();
     let first = case.table("plain/depth_frames.csv", &[3])[0][0].map(|pulse| pulse as usize);
     let calibration = calibration().to_string();
-    let jpeg = case.test_picture("color.jpg", 1);
+    let jpeg = case.test_picture("color.jpg", "1280x720", 1);
     let depth = case.vendor(
         "depth",
         &device,
@@ -372,7 +388,11 @@ fn depth_is_registered_as_the_makers_library_has_it() {
 
     // To the phone it takes the profile.
     let stamps = case.table("plain/phone_frames.csv", &[0]).len();
-    case.test_picture("recording/phone/VID_20260131_140327.mp4", stamps);
+    case.test_picture(
+        "recording/phone/VID_20260131_140327.mp4",
+        "1280x720",
+        stamps,
+    );
     let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to(View::Phone));
     said(&refused, "phone.cameras");
     assert_eq!(refused.depth.unwrap().images, 0);

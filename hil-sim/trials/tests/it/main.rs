@@ -14,6 +14,7 @@ mod evaluate_rendered;
 mod evaluate_video;
 mod extract_mkv;
 mod extract_published;
+mod extract_ros;
 mod extract_truth;
 mod extract_vendor;
 mod faults;

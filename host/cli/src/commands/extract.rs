@@ -34,6 +34,10 @@ enum FormatArg {
     Topics,
     /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
     Kalibr,
+    /// A ROS 2 bag (MCAP) of images and samples: `ros2/data.mcap`
+    Ros2,
+    /// A ROS 1 bag of images and samples: `data.bag`
+    Ros1,
 }
 
 impl From<FormatArg> for Format {
@@ -43,6 +47,8 @@ impl From<FormatArg> for Format {
             FormatArg::Tum => Self::Tum,
             FormatArg::Topics => Self::Topics,
             FormatArg::Kalibr => Self::Kalibr,
+            FormatArg::Ros2 => Self::Ros2,
+            FormatArg::Ros1 => Self::Ros1,
         }
     }
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use recording::chunks::Budget;
 
 /// The first line of a bag.
-const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Most bytes of a record's header.
 const MAX_HEADER: u32 = 1 << 20;
 /// Most bytes of a record, and of a chunk when unpacked: above an uncompressed colour
@@ -28,12 +28,12 @@ const SHOWN_NAME: usize = 16;
 /// Most entries in the list of damage.
 const MAX_DAMAGE: usize = 1000;
 
-const OP_MESSAGE: u8 = 0x02;
-const OP_BAG: u8 = 0x03;
-const OP_INDEX: u8 = 0x04;
-const OP_CHUNK: u8 = 0x05;
-const OP_CHUNK_INFO: u8 = 0x06;
-const OP_CONNECTION: u8 = 0x07;
+pub(super) const OP_MESSAGE: u8 = 0x02;
+pub(super) const OP_BAG: u8 = 0x03;
+pub(super) const OP_INDEX: u8 = 0x04;
+pub(super) const OP_CHUNK: u8 = 0x05;
+pub(super) const OP_CHUNK_INFO: u8 = 0x06;
+pub(super) const OP_CONNECTION: u8 = 0x07;
 
 /// Why a bag cannot be read at all.
 #[derive(Debug, thiserror::Error)]
@@ -434,40 +434,21 @@ fn time(bytes: &[u8]) -> Option<i64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::writer::{fields, record};
     use super::*;
-
-    fn header(fields: &[(&str, &[u8])]) -> Vec<u8> {
-        let mut out = Vec::new();
-        for (name, value) in fields {
-            out.extend_from_slice(&((name.len() + 1 + value.len()) as u32).to_le_bytes());
-            out.extend_from_slice(name.as_bytes());
-            out.push(b'=');
-            out.extend_from_slice(value);
-        }
-        out
-    }
-
-    fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
-        let header = header(fields);
-        let mut out = (header.len() as u32).to_le_bytes().to_vec();
-        out.extend(header);
-        out.extend_from_slice(&(data.len() as u32).to_le_bytes());
-        out.extend_from_slice(data);
-        out
-    }
 
     fn small_bag() -> Vec<u8> {
         let mut chunk = record(
             &[("op", &[7]), ("conn", &[0, 0, 0, 0]), ("topic", b"/a")],
-            &header(&[("type", b"std_msgs/String"), ("topic", b"/a")]),
+            &fields(&[("type", b"std_msgs/String"), ("topic", b"/a")]),
         );
-        let fields: &[(&str, &[u8])] = &[
+        let message: &[(&str, &[u8])] = &[
             ("op", &[2]),
             ("conn", &[0, 0, 0, 0]),
             ("time", &[5, 0, 0, 0, 7, 0, 0, 0]),
         ];
-        chunk.extend(record(fields, b"one"));
-        chunk.extend(record(fields, b"two"));
+        chunk.extend(record(message, b"one"));
+        chunk.extend(record(message, b"two"));
         let mut bag = MAGIC.to_vec();
         bag.extend(record(
             &[

@@ -10,31 +10,25 @@
 //! | `depth0`, `ir0` | depth (mm) and infrared, which Kalibr leaves alone |
 //! | `times.yaml` | what was added to board time |
 //!
-//! The bag creator splits a stamp's text in seconds and its last nine digits, and ROS
-//! takes a time of zero for none. So every time is board time plus [`OFFSET_NS`] exactly.
+//! The bag creator splits a stamp's text in seconds and its last nine digits: every time
+//! has the offset of [`super::offset`].
 
 use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use super::noise::{self, Noise};
+use super::offset::{moved, write_offset};
 use super::{Facts, ImuTable, Layout, SequenceTables, number, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
-use crate::time::{BoardNanos, SECOND, in_name};
+use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Kalibr;
-
-/// Added to board time, ns: 1,000 s.
-const OFFSET_NS: i64 = 1_000 * SECOND;
 
 const FOLDER: &str = "kalibr";
 
 const IMU_HEADER: &str = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n";
-
-fn moved(at: BoardNanos) -> BoardNanos {
-    BoardNanos(at.0.saturating_add(OFFSET_NS))
-}
 
 fn imu_row(row: &mut String, sample: &ImuRow) {
     let sample = ImuRow {
@@ -96,10 +90,7 @@ impl Layout for Kalibr {
                 write_whole(&base.join(format!("{name}.yaml")), text.as_bytes())?;
             }
         }
-        let text = format!(
-            "# every time below this folder is board time plus this, exactly\noffset_ns: {OFFSET_NS}\n"
-        );
-        write_whole(&base.join("times.yaml"), text.as_bytes())
+        write_offset(&base)
     }
 }
 

@@ -8,6 +8,8 @@ mod euroc;
 mod further;
 mod kalibr;
 mod noise;
+mod offset;
+mod ros;
 mod topics;
 mod tum;
 
@@ -32,6 +34,10 @@ pub enum Format {
     Topics,
     /// What Kalibr's bag creator takes: `kalibr/cam0`, `kalibr/imu0.csv`.
     Kalibr,
+    /// A ROS 2 bag (MCAP) of images and samples.
+    Ros2,
+    /// The same as a ROS 1 bag.
+    Ros1,
 }
 
 impl Format {
@@ -42,6 +48,8 @@ impl Format {
             Self::Tum => "tum",
             Self::Topics => "topics",
             Self::Kalibr => "kalibr",
+            Self::Ros2 => "ros2",
+            Self::Ros1 => "ros1",
         }
     }
 
@@ -53,6 +61,8 @@ impl Format {
             Self::Tum => &tum::OF_PHONE,
             Self::Topics => &topics::Topics,
             Self::Kalibr => &kalibr::Kalibr,
+            Self::Ros2 => &ros::Ros::TWO,
+            Self::Ros1 => &ros::Ros::ONE,
         }
     }
 }
@@ -133,6 +143,8 @@ pub(crate) struct SequenceTables<'a> {
     pub(crate) times: Vec<&'a TimePair>,
     /// Names for the files of the topics that have a place of their own.
     pub(crate) names: BTreeMap<&'a str, String>,
+    /// Whether the next run writes images that this one could not.
+    pub(crate) unfinished: bool,
 }
 
 /// A format.
@@ -188,6 +200,7 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
         Format::Kalibr => "kalibr/depth0/calibration.json",
+        Format::Ros2 | Format::Ros1 => "calibration.json",
     }
 }
 

@@ -36,6 +36,13 @@ pub(super) const PHONE: Noise = Noise {
 };
 
 impl Noise {
+    /// Variances of a sample of gyroscope (rad²/s²) and accelerometer (m²/s⁴): white noise
+    /// at this many samples a second, as Kalibr has it. Zeros: the rate is not known.
+    pub(super) fn variances(&self, rate: Option<f64>) -> [f64; 2] {
+        let rate = rate.unwrap_or(0.0);
+        [self.gyro, self.accel].map(|density| density * density * rate)
+    }
+
     /// As lines of YAML.
     pub(super) fn yaml(&self) -> String {
         format!(

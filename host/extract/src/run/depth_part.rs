@@ -317,6 +317,7 @@ impl Extraction<'_> {
                     }
                     Err(ImagesError::Depth(error)) => {
                         self.lose("depth", error.to_string());
+                        self.unfinished = true;
                         return Ok(None);
                     }
                     Err(error) => return Err(error.into()),

@@ -74,7 +74,10 @@ impl Extraction<'_> {
         let layout = self.layout();
         let decoded = written.video.map_or(0, |video| video.decoded);
         let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
-        let mut tables = SequenceTables::default();
+        let mut tables = SequenceTables {
+            unfinished: self.unfinished,
+            ..SequenceTables::default()
+        };
         // Places in this sequence's lists, by place in the whole tables.
         let mut color_places = vec![None; written.color.len()];
         let mut depth_places = vec![None; written.depth.len()];

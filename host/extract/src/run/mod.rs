@@ -130,6 +130,8 @@ struct Extraction<'a> {
     progress: &'a dyn Progress,
     losses: Vec<Loss>,
     remarks: Vec<String>,
+    /// Images are missing that the next run may write.
+    unfinished: bool,
 }
 
 /// Extracts.
@@ -156,6 +158,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         progress,
         losses: Vec::new(),
         remarks,
+        unfinished: false,
     };
     let mut survey = survey(&run.inputs.board, progress)?;
     run.judge_board(&survey);

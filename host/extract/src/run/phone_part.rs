@@ -205,6 +205,7 @@ impl Extraction<'_> {
                 Err(error @ VideoError::Missing(_)) => {
                     let again = "run the extraction again: it goes on where it stopped";
                     self.lose("video", input.about(&format!("{error}, and {again}")));
+                    self.unfinished = true;
                     return Ok(None);
                 }
                 Err(error) => VideoOutcome {
@@ -214,6 +215,7 @@ impl Extraction<'_> {
             },
         };
         if let Some(error) = &outcome.error {
+            self.unfinished = true;
             self.lose("video", input.about(error));
         }
         let expected = phone.stamps as u64;

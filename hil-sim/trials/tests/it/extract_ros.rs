@@ -1,0 +1,77 @@
+//! Bags of images and samples, read by the field's own libraries.
+
+use std::path::Path;
+
+use serde_json::json;
+
+use crate::extract_vendor::{Case, calibration};
+use crate::python;
+use crate::synthetic::Synthetic;
+use crate::turn;
+use extract::inputs::Options;
+use extract::layout::Format;
+use recording::profile::{DistortionModel, Intrinsics};
+use recording::session_file::SessionFile;
+
+#[test]
+fn bags_hold_what_the_folders_of_files_hold() {
+    let _turn = turn::beside_others();
+    let case = Case::new(&Synthetic {
+        seed: 12,
+        seconds: 25,
+        ..Synthetic::default()
+    });
+    case.extract(None, "times", Options::default());
+    let device = case.table("times/depth_frames.csv", &[1]);
+    let device: Vec<i64> = device.iter().map(|row| row[0].unwrap() / 1000).collect();
+    let jpeg = case.test_picture("color.jpg", "1280x720", 1);
+    let more = json!({
+        "color": jpeg, "size": [320, 288], "calibration": calibration().to_string(),
+    });
+    let depth = case.vendor("depth", &device, more);
+    let stamps = case.table("times/phone_frames.csv", &[0]).len();
+    case.test_picture("recording/phone/VID_20260131_140327.mp4", "64x48", stamps);
+    let mut session = SessionFile::load(&case.path("recording")).unwrap();
+    session.profile.phone.cameras = vec![Intrinsics {
+        width: 64,
+        height: 48,
+        focal: [50.0, 51.0],
+        center: [31.5, 23.5],
+        distortion: DistortionModel::Radtan,
+        coefficients: vec![0.1, -0.2, 0.001, 0.002],
+    }];
+    session.save(&case.path("recording")).unwrap();
+
+    let formats = [
+        (Format::Euroc, "euroc"),
+        (Format::Ros2, "two"),
+        (Format::Ros1, "one"),
+    ];
+    for (format, out) in formats {
+        let report = case.extract_as(format, Some(&depth), out, Options::default());
+        let phone = report.phone.unwrap();
+        assert_eq!(phone.images, stamps as u64, "{:#?}", report.losses);
+        assert_eq!(report.depth.unwrap().color, device.len() as u64);
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_ros.py");
+    let outs = ["euroc", "two", "one"].map(|out| case.path(out));
+    let [euroc, two, one] = &outs;
+    let printed = python::run_script(&script, &[euroc, two, one]);
+    assert_eq!(printed.trim(), "ok");
+
+    // A second run changes nothing, and a bag that is gone cannot come back by itself.
+    let bag = case.path("one/data.bag");
+    let written = || bag.metadata().unwrap().modified().unwrap();
+    let before = written();
+    case.extract_as(Format::Ros1, Some(&depth), "one", Options::default());
+    assert_eq!(written(), before);
+    for out in [one, two] {
+        assert!(!out.join(".parts").exists());
+    }
+    std::fs::remove_file(&bag).unwrap();
+    let error = case
+        .try_extract(Format::Ros1, Some(&depth), "one", Options::default())
+        .unwrap_err()
+        .to_string();
+    assert!(error.contains("--overwrite"), "{error}");
+}

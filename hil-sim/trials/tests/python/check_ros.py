@@ -1,0 +1,113 @@
+"""Reads the bags of one extraction (ROS 2 by `rosbags` and by `mcap` with
+`mcap-ros2-support`, ROS 1 by `rosbags`) and compares every message with the same
+extraction as EuRoC.
+
+usage: check_ros.py EUROC ROS2 ROS1
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from PIL import Image
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+euroc, ros2, ros1 = map(Path, sys.argv[1:])
+OFFSET = 1_000_000_000_000
+
+
+def with_rosbags(path):
+    with AnyReader([path]) as reader:
+        for connection, time, data in reader.messages():
+            yield connection.topic, time, reader.deserialize(data, connection.msgtype)
+
+
+def with_mcap(path):
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            yield channel.topic, message.log_time, decoded
+
+
+def either(message, name):
+    """A matrix of CameraInfo has a small letter in ROS 2 and a capital one in ROS 1."""
+    return np.array(getattr(message, name if hasattr(message, name) else name.upper()))
+
+
+def check(messages, what):
+    images = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["cam0", "cam1", "depth0"]}
+    samples = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["imu0", "imu1"]}
+    counts, last = {}, 0
+    for topic, time, message in messages:
+        number = counts[topic] = counts.get(topic, -1) + 1
+        name = topic.split("/")[1]
+        stamp = message.header.stamp
+        nanos = stamp.sec * 1_000_000_000 + (stamp.nanosec if hasattr(stamp, "nanosec") else stamp.nsec)
+        assert nanos == time >= last, (what, topic, nanos, time, last)
+        last = time
+        assert message.header.frame_id == name
+        if name in samples:
+            row = samples[name].iloc[number]
+            assert time - OFFSET == int(samples[name].iloc[number, 0]), (what, topic, number)
+            rate, force = message.angular_velocity, message.linear_acceleration
+            found = [rate.x, rate.y, rate.z, force.x, force.y, force.z]
+            assert found == list(row.iloc[1:]), (what, topic, number)
+            assert message.orientation_covariance[0] == -1
+            if name == "imu0":
+                # 0.005 °/s/√Hz and 400 µg/√Hz (data sheet), at 340 samples a second.
+                pairs = [(message.angular_velocity_covariance, np.radians(0.005)),
+                         (message.linear_acceleration_covariance, 400e-6 * 9.81)]
+                for covariance, density in pairs:
+                    matrix = np.array(covariance).reshape(3, 3)
+                    assert np.allclose(matrix, np.eye(3) * matrix[0, 0], rtol=0, atol=0)
+                    rate_hz = 1e9 * (len(samples[name]) - 1) / np.ptp(samples[name].iloc[:, 0])
+                    assert abs(matrix[0, 0] / (density**2 * rate_hz) - 1) < 0.02, (matrix, rate_hz)
+            continue
+        at, file = images[name].iloc[number]
+        assert time - OFFSET == int(at), (what, topic, number)
+        path = euroc / "mav0" / name / "data" / file
+        if topic.endswith("camera_info"):
+            with Image.open(path) as image:
+                assert (message.width, message.height) == image.size, (what, topic)
+            if name == "cam0":
+                assert list(either(message, "k")) == [50, 0, 31.5, 0, 51, 23.5, 0, 0, 1]
+                assert list(either(message, "p")) == [50, 0, 31.5, 0, 0, 51, 23.5, 0, 0, 0, 1, 0]
+                assert message.distortion_model == "plumb_bob"
+                assert list(either(message, "d")) == [0.1, -0.2, 0.001, 0.002, 0]
+            elif name == "depth0":
+                assert message.distortion_model == "rational_polynomial"
+                assert len(either(message, "d")) == 8 and either(message, "k")[0] > 100
+        elif topic.endswith("compressed"):
+            assert message.format == "jpeg" and bytes(message.data) == path.read_bytes()
+        elif number % 20 == 0:
+            kind, shape = {"rgb8": (np.uint8, (-1, 3)), "16UC1": ("<u2", (-1,))}[message.encoding]
+            pixels = np.frombuffer(bytes(message.data), kind).reshape(message.height, message.width, *shape[1:])
+            assert (pixels == np.array(Image.open(path))).all(), (what, topic, number)
+            assert message.step * message.height == len(message.data) and not message.is_bigendian
+    expected = {f"/{name}": len(table) - 1 for name, table in samples.items()}
+    for name, table in images.items():
+        compressed = "/compressed" if name == "cam1" else ""
+        expected[f"/{name}/image_raw{compressed}"] = expected[f"/{name}/camera_info"] = len(table) - 1
+    assert counts == expected, (what, counts, expected)
+    assert min(counts.values()) > 100, counts
+
+
+check(with_rosbags(ros2 / "ros2"), "rosbag2 by rosbags")
+check(with_mcap(ros2 / "ros2/data.mcap"), "MCAP by mcap-ros2-support")
+check(with_rosbags(ros1 / "data.bag"), "ROS 1 by rosbags")
+# ROS 1 tells types apart by the MD5 of their definitions.
+noetic = get_typestore(Stores.ROS1_NOETIC)
+with Reader1(ros1 / "data.bag") as bag:
+    kinds = {connection.msgtype: connection for connection in bag.connections}
+    assert len(kinds) == 4, kinds
+    for name, connection in kinds.items():
+        assert connection.digest == noetic.generate_msgdef(name, ros_version=1)[1], name
+        own = get_typestore(Stores.EMPTY)
+        own.register(get_types_from_msg(connection.msgdef.data, name))
+        assert own.generate_msgdef(name, ros_version=1)[1] == connection.digest, name
+print("ok")

@@ -1,0 +1,477 @@
+//! Bags of images and samples, for ROS 2 (`ros2/data.mcap` with `metadata.yaml`) and ROS 1
+//! (`data.bag`). All messages of a bag stand in order of time.
+//!
+//! | topic | what |
+//! |---|---|
+//! | `/cam0/image_raw` | the phone's camera, `rgb8` |
+//! | `/cam1/image_raw/compressed` | the depth camera's colour images, as the camera's JPEG files |
+//! | `/depth0/image_raw` | depth in mm, `16UC1` |
+//! | `/ir0/image_raw` | infrared, `mono16` |
+//! | `/cam0/camera_info`, … | with each image |
+//! | `/imu0`, `/imu1` | the IMUs of board and phone |
+//!
+//! Images are files below [`PARTS`] first, so that an extraction that was stopped goes on.
+//! When the bag is whole they are removed, unless the next run can add to them. A bag
+//! whose images are gone is finished.
+
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader};
+use std::iter::Peekable;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use recording::messages::camera::{CameraInfo, CompressedImage, Image};
+use recording::messages::{Header, Imu, Time, to_cdr};
+use recording::profile::DistortionModel;
+use recording::rosbag2;
+
+use super::noise::{self, Noise};
+use super::offset::{moved, write_offset};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
+use crate::bag::writer::{BagWriter, Ros1Message};
+use crate::board_data::ImuRow;
+use crate::geometry::CameraFacts;
+use crate::image::{Decoded, WholeFile, read_png, write_whole};
+use crate::time::{BoardNanos, in_name};
+
+const PARTS: &str = ".parts";
+const BOARD_IMU: &str = ".parts/imu0.csv";
+const PHONE_IMU: &str = ".parts/imu1.csv";
+const MCAP_FILE: &str = "data.mcap";
+/// Images that are unpacked at a time.
+const IMAGES_AT_A_TIME: usize = 4;
+/// Messages that are made at a time.
+const MESSAGES_AT_A_TIME: usize = 512;
+
+/// A bag of one of the two versions.
+pub(super) struct Ros {
+    is_two: bool,
+}
+
+impl Ros {
+    pub(super) const ONE: Self = Self { is_two: false };
+    pub(super) const TWO: Self = Self { is_two: true };
+}
+
+fn imu_row(row: &mut String, sample: &ImuRow) {
+    push_sample(row, sample);
+    row.push('\n');
+}
+
+const fn imu_table(path: &'static str) -> ImuTable {
+    ImuTable {
+        path,
+        header: "",
+        subtract_delay: true,
+        row: imu_row,
+    }
+}
+
+fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
+    PathBuf::from(format!("{PARTS}/{folder}/{}.{ending}", in_name(at)))
+}
+
+impl Layout for Ros {
+    fn color_path(&self, at: BoardNanos) -> PathBuf {
+        image("cam0", at, "png")
+    }
+
+    fn depth_path(&self, at: BoardNanos) -> PathBuf {
+        image("depth0", at, "png")
+    }
+
+    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(image("cam1", at, "jpg"))
+    }
+
+    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
+        Some(image("ir0", at, "png"))
+    }
+
+    fn board_imu(&self) -> ImuTable {
+        imu_table(BOARD_IMU)
+    }
+
+    fn phone_imu(&self) -> Option<ImuTable> {
+        Some(imu_table(PHONE_IMU))
+    }
+
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
+        super::further::write(folder, tables)?;
+        write_offset(folder)?;
+        let path = if self.is_two {
+            folder.join("ros2").join(MCAP_FILE)
+        } else {
+            folder.join("data.bag")
+        };
+        let images = [
+            &tables.color,
+            &tables.camera,
+            &tables.depth,
+            &tables.infrared,
+        ];
+        let mut images = images.into_iter().flatten();
+        let gone = images.find(|row| !folder.join(&row.path).exists());
+        match gone {
+            Some(_) if path.exists() => {}
+            Some(_) => {
+                return Err(io::Error::other(format!(
+                    "{} is gone, and so are the images that it was made of; extract again with --overwrite",
+                    path.display()
+                )));
+            }
+            None => self.write_bag(&path, folder, tables, facts)?,
+        }
+        let parts = folder.join(PARTS);
+        if parts.exists() && !tables.unfinished {
+            fs::remove_dir_all(parts)?;
+        }
+        Ok(())
+    }
+}
+
+impl Ros {
+    fn write_bag(
+        &self,
+        path: &Path,
+        folder: &Path,
+        tables: &SequenceTables<'_>,
+        facts: &Facts,
+    ) -> io::Result<()> {
+        let mut file = WholeFile::create(path)?;
+        if !self.is_two {
+            let mut bag = BagWriter::create(&mut file)?;
+            fill(&mut bag, folder, tables, facts)?;
+            bag.finish()?;
+            return file.finish();
+        }
+        let mut bag = rosbag2::Bag::create(&mut file).map_err(io::Error::other)?;
+        fill(&mut bag, folder, tables, facts)?;
+        let metadata = bag.finish(MCAP_FILE).map_err(io::Error::other)?;
+        file.finish()?;
+        write_whole(
+            &path.with_file_name(rosbag2::METADATA_FILE),
+            metadata.as_bytes(),
+        )
+    }
+}
+
+/// A bag of either version.
+trait Bag {
+    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()>;
+    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>>;
+    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()>;
+}
+
+impl<W: io::Write> Bag for rosbag2::Bag<W> {
+    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()> {
+        self.add_topic::<M>(name).map_err(io::Error::other)
+    }
+
+    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>> {
+        to_cdr(message).map_err(io::Error::other)
+    }
+
+    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()> {
+        self.put(topic, nanos, bytes).map_err(io::Error::other)
+    }
+}
+
+impl<W: io::Write + io::Seek> Bag for BagWriter<W> {
+    fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()> {
+        self.add_topic::<M>(name);
+        Ok(())
+    }
+
+    fn encode<M: Ros1Message>(message: &M) -> io::Result<Vec<u8>> {
+        let mut out = Vec::new();
+        message.write_ros1(&mut out);
+        Ok(out)
+    }
+
+    fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()> {
+        self.put(topic, nanos, bytes)
+    }
+}
+
+/// A camera of the bag.
+struct Camera<'a> {
+    name: &'static str,
+    /// Of its 16-bit images; nothing for JPEG files, whose size nobody reads.
+    gray: &'static str,
+    rows: &'a [ImageRow],
+    size: Option<(u32, u32)>,
+    facts: &'a CameraFacts,
+    /// Number of its first topic; the one behind it has its `CameraInfo`.
+    topic: usize,
+}
+
+/// An IMU of the bag.
+struct Samples {
+    name: &'static str,
+    variances: [f64; 2],
+    topic: usize,
+}
+
+enum Event<'a> {
+    Image(&'a Camera<'a>, &'a ImageRow),
+    Sample(&'a Samples, ImuRow),
+}
+
+impl Event<'_> {
+    fn at(&self) -> BoardNanos {
+        match self {
+            Self::Image(_, row) => row.at,
+            Self::Sample(_, row) => row.at,
+        }
+    }
+}
+
+type Events<'a> = Box<dyn Iterator<Item = io::Result<Event<'a>>> + 'a>;
+
+/// Adds all topics and messages.
+fn fill<B: Bag>(
+    bag: &mut B,
+    folder: &Path,
+    tables: &SequenceTables<'_>,
+    facts: &Facts,
+) -> io::Result<()> {
+    let mut topic = 0;
+    let none = CameraFacts::default();
+    let mut cameras = Vec::new();
+    let known = &facts.cameras;
+    for (name, gray, rows, size, facts) in [
+        (
+            "cam0",
+            "mono16",
+            &tables.color,
+            facts.color_size,
+            &known.phone,
+        ),
+        ("cam1", "", &tables.camera, facts.camera_size, &known.color),
+        (
+            "depth0",
+            "16UC1",
+            &tables.depth,
+            facts.depth_size,
+            &known.depth,
+        ),
+        (
+            "ir0",
+            "mono16",
+            &tables.infrared,
+            facts.infrared_size,
+            &none,
+        ),
+    ] {
+        if rows.is_empty() {
+            continue;
+        }
+        if gray.is_empty() {
+            bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?;
+        } else {
+            bag.add::<Image>(&format!("/{name}/image_raw"))?;
+        }
+        bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+        cameras.push(Camera {
+            name,
+            gray,
+            rows,
+            size,
+            facts,
+            topic,
+        });
+        topic += 2;
+    }
+    let mut imus = Vec::new();
+    let both: [(_, _, _, &Noise); 2] = [
+        ("imu0", BOARD_IMU, facts.board_imu_rate, &noise::MPU_9150),
+        ("imu1", PHONE_IMU, facts.phone_imu_rate, &noise::PHONE),
+    ];
+    for (name, path, rate, noise) in both {
+        let path = folder.join(path);
+        if path.exists() {
+            bag.add::<Imu>(&format!("/{name}"))?;
+            let variances = noise.variances(rate);
+            imus.push((
+                path,
+                Samples {
+                    name,
+                    variances,
+                    topic,
+                },
+            ));
+            topic += 1;
+        }
+    }
+    let mut streams: Vec<Peekable<Events<'_>>> = Vec::new();
+    for camera in &cameras {
+        let events = camera
+            .rows
+            .iter()
+            .map(move |row| Ok(Event::Image(camera, row)));
+        streams.push((Box::new(events) as Events<'_>).peekable());
+    }
+    for (path, imu) in &imus {
+        let lines = BufReader::new(File::open(path)?).lines();
+        let events = lines.map(move |line| Ok(Event::Sample(imu, sample(&line?)?)));
+        streams.push((Box::new(events) as Events<'_>).peekable());
+    }
+    loop {
+        let batch = next_batch(&mut streams)?;
+        if batch.is_empty() {
+            return Ok(());
+        }
+        let made: Vec<io::Result<_>> = batch
+            .par_iter()
+            .map(|event| messages::<B>(event, folder))
+            .collect();
+        for (event, messages) in batch.iter().zip(made) {
+            let nanos = moved(event.at()).0.max(0).unsigned_abs();
+            for (topic, bytes) in messages? {
+                bag.put(topic, nanos, &bytes)?;
+            }
+        }
+    }
+}
+
+/// The next events of all streams in order of time.
+fn next_batch<'a>(streams: &mut [Peekable<Events<'a>>]) -> io::Result<Vec<Event<'a>>> {
+    let (mut batch, mut images) = (Vec::new(), 0);
+    while batch.len() < MESSAGES_AT_A_TIME && images < IMAGES_AT_A_TIME {
+        let first = streams.iter_mut().filter_map(|stream| {
+            // An error comes at once.
+            let at = match stream.peek()? {
+                Ok(event) => event.at().0,
+                Err(_) => i64::MIN,
+            };
+            Some((at, stream))
+        });
+        let Some((_, stream)) = first.min_by_key(|(at, _)| *at) else {
+            break;
+        };
+        let Some(event) = stream.next().transpose()? else {
+            break;
+        };
+        images += usize::from(matches!(event, Event::Image(..)));
+        batch.push(event);
+    }
+    Ok(batch)
+}
+
+/// A line of the tables of samples.
+fn sample(line: &str) -> io::Result<ImuRow> {
+    let read = || {
+        let (at, rest) = line.split_once(',')?;
+        let numbers: Vec<f64> = rest
+            .split(',')
+            .map(|cell| cell.parse().ok())
+            .collect::<Option<_>>()?;
+        let [gx, gy, gz, ax, ay, az] = numbers[..] else {
+            return None;
+        };
+        Some(ImuRow {
+            at: BoardNanos(at.parse().ok()?),
+            gyro: [gx, gy, gz],
+            accel: [ax, ay, az],
+            temperature: None,
+        })
+    };
+    read().ok_or_else(|| io::Error::other(format!("a row of samples cannot be read: {line}")))
+}
+
+fn header(at: BoardNanos, name: &str) -> Header {
+    Header {
+        stamp: Time::from_nanos(moved(at).0.max(0)),
+        frame_id: name.to_owned(),
+    }
+}
+
+/// The messages of an event with their topics.
+fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, Vec<u8>)>> {
+    let (camera, row) = match event {
+        Event::Image(camera, row) => (camera, row),
+        Event::Sample(imu, row) => return Ok(vec![(imu.topic, B::encode(&imu_of(imu, row))?)]),
+    };
+    let path = folder.join(&row.path);
+    let header = header(row.at, camera.name);
+    let (bytes, size) = if camera.gray.is_empty() {
+        let image = CompressedImage {
+            header: header.clone(),
+            format: String::from("jpeg"),
+            data: fs::read(path)?,
+        };
+        (B::encode(&image)?, camera.size.unwrap_or_default())
+    } else {
+        let Decoded {
+            size,
+            is_rgb,
+            pixels,
+        } = read_png(&path)?;
+        let image = Image {
+            header: header.clone(),
+            height: size.1,
+            width: size.0,
+            encoding: String::from(if is_rgb { "rgb8" } else { camera.gray }),
+            is_bigendian: 0,
+            step: size.0 * if is_rgb { 3 } else { 2 },
+            data: pixels,
+        };
+        (B::encode(&image)?, size)
+    };
+    let info = camera_info(header, size, camera.facts);
+    Ok(vec![
+        (camera.topic, bytes),
+        (camera.topic + 1, B::encode(&info)?),
+    ])
+}
+
+fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
+    let covariance = |variance: f64| {
+        let mut matrix = [0.0; 9];
+        for place in [0, 4, 8] {
+            matrix[place] = variance;
+        }
+        matrix
+    };
+    let [rate, force] = imu.variances;
+    let mut unknown = [0.0; 9];
+    unknown[0] = -1.0;
+    Imu {
+        header: header(row.at, imu.name),
+        orientation: [0.0, 0.0, 0.0, 1.0],
+        orientation_covariance: unknown,
+        angular_velocity: row.gyro.into(),
+        angular_velocity_covariance: covariance(rate),
+        linear_acceleration: row.accel.into(),
+        linear_acceleration_covariance: covariance(force),
+    }
+}
+
+fn camera_info(header: Header, (width, height): (u32, u32), facts: &CameraFacts) -> CameraInfo {
+    let mut info = CameraInfo {
+        header,
+        height,
+        width,
+        ..CameraInfo::default()
+    };
+    let Some(known) = &facts.intrinsics else {
+        return info;
+    };
+    let ([fx, fy], [cx, cy]) = (known.focal, known.center);
+    info.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+    info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    info.p = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    info.d.clone_from(&known.coefficients);
+    info.distortion_model = String::from(match known.distortion {
+        DistortionModel::None | DistortionModel::Radtan => "plumb_bob",
+        DistortionModel::Rational => "rational_polynomial",
+        DistortionModel::Equidistant => "equidistant",
+    });
+    match known.distortion {
+        // plumb_bob has five: k1, k2, p1, p2, k3.
+        DistortionModel::None | DistortionModel::Radtan => info.d.resize(5, 0.0),
+        DistortionModel::Rational | DistortionModel::Equidistant => {}
+    }
+    info
+}
