@@ -25,12 +25,12 @@ const CHUNK_BYTES: u64 = 4 << 20;
 pub const METADATA_FILE: &str = "metadata.yaml";
 
 /// Key of the quality of service in a channel's metadata.
-const QOS_KEY: &str = "offered_qos_profiles";
+pub(crate) const QOS_KEY: &str = "offered_qos_profiles";
 
 /// The quality of service of every topic, in the form of rosbag2: keep the last 1,000,
 /// reliable, volatile, no deadline and no lifespan. The file and `metadata.yaml` must
 /// agree in it.
-const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
+pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  durability: 2\n  \
     deadline:\n    sec: 9223372036\n    nsec: 854775807\n  \
     lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  \
     liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
