@@ -7,6 +7,9 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
 
+/// How many tests of a program run at once.
+const TEST_THREADS: &str = "RUST_TEST_THREADS";
+
 /// Tells tests and tools which firmware to run.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
@@ -80,9 +83,15 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
     run(command(cargo_program()).args(args))
 }
 
-/// Runs cargo with the firmware's ELF named in the environment.
+/// Runs cargo with the firmware's ELF named in the environment. Of tests, two run on a
+/// core unless the environment says otherwise: most sessions wait for the clock.
 pub(crate) fn cargo_with_elf(args: &[String], elf: &Path) -> Result<()> {
-    run(command(cargo_program()).args(args).env(ELF_VARIABLE, elf))
+    let mut cargo = command(cargo_program());
+    if env::var_os(TEST_THREADS).is_none() {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        cargo.env(TEST_THREADS, (2 * cores).to_string());
+    }
+    run(cargo.args(args).env(ELF_VARIABLE, elf))
 }
 
 /// Runs the simulator that cargo has built in the release profile.
