@@ -109,7 +109,7 @@ fn strip(data: &Path) -> Result<String> {
             continue;
         };
         let picture = |camera: &str, at: &i64| {
-            let path = data.join(format!("mav0/{camera}/data/{at}.png"));
+            let path = data.join(format!("mav0/{camera}/data/{at:019}.png"));
             image::open(&path).with_context(|| format!("cannot read {}", path.display()))
         };
         let phone = resize(
