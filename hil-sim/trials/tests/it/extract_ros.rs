@@ -23,7 +23,13 @@ fn bags_hold_what_the_folders_of_files_hold() {
     });
     case.extract(None, "times", Options::default());
     let device = case.table("times/depth_frames.csv", &[1]);
-    let device: Vec<i64> = device.iter().map(|row| row[0].unwrap() / 1000).collect();
+    // Seven seconds are enough to read. They may not have the pattern of the pulses.
+    let device = device.iter().take(200);
+    let device: Vec<i64> = device.map(|row| row[0].unwrap() / 1000).collect();
+    let options = Options {
+        first_pulse: case.table("times/depth_frames.csv", &[3])[0][0].map(|pulse| pulse as usize),
+        ..Options::default()
+    };
     let jpeg = case.test_picture("color.jpg", "1280x720", 1);
     let more = json!({
         "color": jpeg, "size": [320, 288], "calibration": calibration().to_string(),
@@ -48,7 +54,7 @@ fn bags_hold_what_the_folders_of_files_hold() {
         (Format::Ros1, "one"),
     ];
     for (format, out) in formats {
-        let report = case.extract_as(format, Some(&depth), out, Options::default());
+        let report = case.extract_as(format, Some(&depth), out, options.clone());
         let phone = report.phone.unwrap();
         assert_eq!(phone.images, stamps as u64, "{:#?}", report.losses);
         assert_eq!(report.depth.unwrap().color, device.len() as u64);
@@ -63,14 +69,14 @@ fn bags_hold_what_the_folders_of_files_hold() {
     let bag = case.path("one/data.bag");
     let written = || bag.metadata().unwrap().modified().unwrap();
     let before = written();
-    case.extract_as(Format::Ros1, Some(&depth), "one", Options::default());
+    case.extract_as(Format::Ros1, Some(&depth), "one", options.clone());
     assert_eq!(written(), before);
     for out in [one, two] {
         assert!(!out.join(".parts").exists());
     }
     std::fs::remove_file(&bag).unwrap();
     let error = case
-        .try_extract(Format::Ros1, Some(&depth), "one", Options::default())
+        .try_extract(Format::Ros1, Some(&depth), "one", options)
         .unwrap_err()
         .to_string();
     assert!(error.contains("--overwrite"), "{error}");

@@ -41,7 +41,11 @@ def either(message, name):
 
 def check(messages, what):
     images = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["cam0", "cam1", "depth0"]}
-    samples = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["imu0", "imu1"]}
+    images = {name: list(table.itertuples(index=False)) for name, table in images.items()}
+    tables = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["imu0", "imu1"]}
+    samples = {name: list(zip(table.iloc[:, 0].tolist(), table.iloc[:, 1:].to_numpy().tolist()))
+               for name, table in tables.items()}
+    rates = {name: 1e9 * (len(rows) - 1) / (rows[-1][0] - rows[0][0]) for name, rows in samples.items()}
     counts, last = {}, 0
     for topic, time, message in messages:
         number = counts[topic] = counts.get(topic, -1) + 1
@@ -52,23 +56,22 @@ def check(messages, what):
         last = time
         assert message.header.frame_id == name
         if name in samples:
-            row = samples[name].iloc[number]
-            assert time - OFFSET == int(samples[name].iloc[number, 0]), (what, topic, number)
+            at, values = samples[name][number]
+            assert time - OFFSET == at, (what, topic, number)
             rate, force = message.angular_velocity, message.linear_acceleration
             found = [rate.x, rate.y, rate.z, force.x, force.y, force.z]
-            assert found == list(row.iloc[1:]), (what, topic, number)
+            assert found == values, (what, topic, number)
             assert message.orientation_covariance[0] == -1
-            if name == "imu0":
-                # 0.005 °/s/√Hz and 400 µg/√Hz (data sheet), at 340 samples a second.
+            if name == "imu0" and number % 100 == 0:
+                # 0.005 °/s/√Hz and 400 µg/√Hz (data sheet), at the rate of the samples.
                 pairs = [(message.angular_velocity_covariance, np.radians(0.005)),
                          (message.linear_acceleration_covariance, 400e-6 * 9.81)]
                 for covariance, density in pairs:
                     matrix = np.array(covariance).reshape(3, 3)
                     assert np.allclose(matrix, np.eye(3) * matrix[0, 0], rtol=0, atol=0)
-                    rate_hz = 1e9 * (len(samples[name]) - 1) / np.ptp(samples[name].iloc[:, 0])
-                    assert abs(matrix[0, 0] / (density**2 * rate_hz) - 1) < 0.02, (matrix, rate_hz)
+                    assert abs(matrix[0, 0] / (density**2 * rates[name]) - 1) < 0.02, (matrix, rates)
             continue
-        at, file = images[name].iloc[number]
+        at, file = images[name][number]
         assert time - OFFSET == int(at), (what, topic, number)
         path = euroc / "mav0" / name / "data" / file
         if topic.endswith("camera_info"):
