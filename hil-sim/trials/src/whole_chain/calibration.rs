@@ -4,14 +4,17 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use frame_sync::alignment::phase_sigma_us_at;
+use recording::session_file::SessionFile;
 use serde::Serialize;
+use timebase::BoardSeconds;
 
 use super::{Plan, Programs, ask, number, record};
 use crate::whole_chain::evaluation::{Measured, bias};
 use stm32f4_sim::time::SimDuration;
 
-/// What may be left of the bias, µs.
-pub const LIMIT_US: f64 = 5.0;
+/// What may be left of the bias, in sigmas of what the two sessions state of their phase.
+const LIMIT_SIGMAS: f64 = 3.0;
 
 /// Seconds of the recording from which skew and frame period are learnt.
 const LEARNT_S: u32 = 60;
@@ -27,13 +30,15 @@ pub struct CalibrationFigures {
     pub written_us: (f64, f64),
     /// Bias of the next recording, µs.
     pub after: Measured,
+    /// What the two sessions state of their phase at the end together, 1-sigma, µs.
+    pub sigma_us: f64,
 }
 
 impl CalibrationFigures {
     /// Whether the bias of the next recording is gone, by the truth.
     #[must_use]
     pub fn good(&self) -> bool {
-        self.after.truth.abs() <= LIMIT_US
+        self.after.truth.abs() <= LIMIT_SIGMAS * self.sigma_us
     }
 
     /// As text.
@@ -122,7 +127,17 @@ pub fn check(
             number(written, "bias_sigma_us")?,
         ),
         after: bias(&second, programs)?,
+        sigma_us: phase_sigma_us(&first.folder)?.hypot(phase_sigma_us(&second.folder)?),
     })
+}
+
+/// 1-sigma of the phase at the end of a recording, as its session states it, µs.
+fn phase_sigma_us(recording: &Path) -> Result<f64> {
+    let session = SessionFile::load(recording)?;
+    let alignment = session.alignment.context("it was not aligned")?;
+    let span = session.recorded.context("nothing was recorded")?;
+    let end = BoardSeconds(span.to.as_secs_f64());
+    Ok(phase_sigma_us_at(&alignment, end))
 }
 
 /// Removes the recordings of a check.
