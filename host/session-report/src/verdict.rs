@@ -9,11 +9,12 @@ use std::path::{Path, PathBuf};
 
 use page::Level;
 use phone::video_files;
-use protocol::Ticks;
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
 };
 use serde::Serialize;
+
+use crate::seconds;
 
 /// How good a recording is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -263,23 +264,19 @@ fn alignment(session: &SessionFile) -> Check {
         alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
     );
     let mut next = Vec::new();
+    let mut verdict = Verdict::Good;
     for name in [CHECK_BIAS, CHECK_LEARNT] {
         let check = session.preflight.iter().find(|check| check.name == name);
         match check {
-            Some(check) if check.verdict == Verdict::Good => {}
+            Some(check) if check.verdict == Verdict::Good => continue,
             Some(check) => {
                 found += &format!("; {name}: {}", check.found);
                 next.extend(check.next_step.clone());
             }
             None => found += &format!("; {name}: not known, this was not checked"),
         }
+        verdict = Verdict::Warning;
     }
-    let unknown = !next.is_empty() || found.contains("not known");
-    let verdict = if unknown {
-        Verdict::Warning
-    } else {
-        Verdict::Good
-    };
     part(NAME, verdict, found, next)
 }
 
@@ -336,10 +333,6 @@ fn depth_file(folder: &Path) -> Option<(String, u64)> {
         .max_by_key(|&(_, bytes)| bytes)
 }
 
-fn seconds(from: Ticks, to: Ticks) -> f64 {
-    to.as_secs_f64() - from.as_secs_f64()
-}
-
 /// A path as one word of a shell's line.
 #[must_use]
 pub fn shell_word(path: &Path) -> String {
@@ -353,6 +346,8 @@ pub fn shell_word(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use protocol::Ticks;
+
     use super::*;
     use recording::profile::Profile;
     use recording::session_file::Span;
