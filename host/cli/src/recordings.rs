@@ -47,10 +47,10 @@ fn check(path: &Path) -> Result<(), Failure> {
     let shown = path.display();
     if kind.is_dir() {
         let has = |name| path.join(name).exists();
-        let below = inside(path);
         if has(MCAP_FILE) || has(SESSION_FILE) || has_bag(path) {
             return Ok(());
         }
+        let below = inside(path);
         let (found, next) = match below.first() {
             Some(one) => (
                 format!("it holds {} recordings", below.len()),

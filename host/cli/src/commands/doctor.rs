@@ -11,7 +11,7 @@ use super::listen::{Heard, Listened, listen};
 use crate::advice::phone_failure;
 use crate::checks;
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{Failure, Outcome};
 use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::rig_profile::ProfileArg;
@@ -53,10 +53,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     if context.interrupt.requested() {
         return Ok(Outcome::Interrupted);
     }
-    Ok(match checks.status() {
-        ExitStatus::Good => Outcome::Good,
-        status => Outcome::Told(status),
-    })
+    Ok(checks.outcome())
 }
 
 /// Makes the checks.

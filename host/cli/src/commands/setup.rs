@@ -163,10 +163,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         let checks = crate::checks::text(&printed.checks.checks);
         format!("{checks}\n{what}\n  {}", printed.next)
     })?;
-    Ok(match printed.checks.status() {
-        ExitStatus::Good => Outcome::Good,
-        status => Outcome::Told(status),
-    })
+    Ok(printed.checks.outcome())
 }
 
 /// The address of the phone that is connected by USB, if `adb` knows one.
@@ -333,36 +330,23 @@ fn profile_text(answers: &Answers) -> Result<String, Failure> {
     let mut document: DocumentMut = DEFAULT
         .parse()
         .map_err(|error: toml_edit::TomlError| broken(error.to_string()))?;
-    let mut set = |table: Option<&str>, key: &str, new: Item| {
-        let item = match table {
-            Some(table) => document.get_mut(table).and_then(|table| table.get_mut(key)),
-            None => document.get_mut(key),
-        };
+    let mut set = |path: &[&str], new: Item| {
+        let mut item = Some(document.as_item_mut());
+        for key in path {
+            item = item.and_then(|item| item.get_mut(key));
+        }
         if let Some(item) = item {
             *item = new;
         }
     };
-    set(None, "name", value(answers.name.as_str()));
-    set(Some("phone"), "address", value(answers.phone.as_str()));
-    set(Some("depth"), "mode", value(answers.mode));
-    set(Some("depth"), "fps", value(i64::from(answers.fps)));
-    let recorder = document
-        .get_mut("depth")
-        .and_then(|depth| depth.get_mut("recorder"));
-    if let Some(command) = recorder.and_then(|recorder| recorder.get_mut("command")) {
-        *command = value(
-            answers
-                .recorder
-                .iter()
-                .map(String::as_str)
-                .collect::<Array>(),
-        );
-    }
-    let center = document
-        .get_mut("depth")
-        .and_then(|depth| depth.get_mut("center_offset_us"));
-    if let (Some(center), Some(nominal)) = (center, nominal_center(answers.mode)) {
-        *center = value(nominal as f64 * 1e-3);
+    let recorder: Array = answers.recorder.iter().map(String::as_str).collect();
+    set(&["name"], value(answers.name.as_str()));
+    set(&["phone", "address"], value(answers.phone.as_str()));
+    set(&["depth", "mode"], value(answers.mode));
+    set(&["depth", "fps"], value(i64::from(answers.fps)));
+    set(&["depth", "recorder", "command"], value(recorder));
+    if let Some(nominal) = nominal_center(answers.mode) {
+        set(&["depth", "center_offset_us"], value(nominal as f64 * 1e-3));
     }
     let text = document.to_string();
     let profile = Profile::parse(&text, None)?;

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::depth_recorder::left_over;
 use super::rounds::free_space;
-use crate::outcome::{ExitStatus, Failure};
+use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::rig_profile::Place;
 use board::Board;
 use board::imu::ImuLook;
@@ -70,15 +70,16 @@ pub(crate) struct Checks {
 }
 
 impl Checks {
-    /// The exit code of the first bad one.
-    pub(crate) fn status(&self) -> ExitStatus {
-        self.failed.unwrap_or(ExitStatus::Good)
+    /// How a command ends that prints them: as the first bad one says.
+    pub(crate) fn outcome(&self) -> Outcome {
+        self.failed.map_or(Outcome::Good, Outcome::Told)
     }
 
     /// The first bad one as an error.
     pub(crate) fn failure(&self) -> Option<Failure> {
         let bad = self.checks.iter().find(|c| c.verdict == Verdict::Bad)?;
-        let failure = Failure::new(self.status(), format!("{}: {}", bad.name, bad.found));
+        let status = self.failed.unwrap_or(ExitStatus::Error);
+        let failure = Failure::new(status, format!("{}: {}", bad.name, bad.found));
         Some(match &bad.next_step {
             Some(next) => failure.next_step(next),
             None => failure,
