@@ -8,6 +8,7 @@ use std::path::Path;
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
 
+use recording::profile::edit::{open, phone_table};
 use recording::profile::{Learnt, Profile, ProfileError};
 use recording::session_file::Twist;
 use timebase::ClockModel;
@@ -123,53 +124,6 @@ pub fn into_profile(
     let text = document.to_string();
     Profile::parse(&text, Some(path))?;
     Ok(text)
-}
-
-fn syntax(path: &Path, reason: String) -> ProfileError {
-    ProfileError::Syntax {
-        path: Some(path.to_owned()),
-        reason,
-    }
-}
-
-/// A profile, and its text to be written into.
-pub(crate) fn open(
-    text: &str,
-    path: &Path,
-) -> Result<(Profile, toml_edit::DocumentMut), ProfileError> {
-    let profile = Profile::parse(text, Some(path))?;
-    let document = text
-        .parse()
-        .map_err(|error: toml_edit::TomlError| syntax(path, error.to_string()))?;
-    Ok((profile, document))
-}
-
-/// The table of a phone.
-pub(crate) fn phone_table<'a>(
-    document: &'a mut toml_edit::DocumentMut,
-    profile: &Profile,
-    name: Option<&str>,
-    path: &Path,
-) -> Result<&'a mut toml_edit::Table, ProfileError> {
-    // One phone is meant whatever it was called at the time.
-    let name = name.filter(|_| !profile.phones.is_empty());
-    let is_it = |table: &toml_edit::Table| table.get("name").and_then(|name| name.as_str()) == name;
-    let place = document
-        .get("phones")
-        .and_then(|phones| phones.as_array_of_tables())
-        .filter(|_| name.is_some())
-        .and_then(|phones| phones.iter().position(is_it));
-    let table = match place {
-        Some(place) => document
-            .get_mut("phones")
-            .and_then(|phones| phones.as_array_of_tables_mut())
-            .and_then(|phones| phones.get_mut(place)),
-        None => document
-            .entry("phone")
-            .or_insert(toml_edit::table())
-            .as_table_mut(),
-    };
-    table.ok_or_else(|| syntax(path, String::from("`phone` is no table")))
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 //!
 //! - [`train`]: the frames' period in the phone's clock, from their timestamps.
 //! - [`learn`]: what a recording teaches about the phone, put into the rig profile.
-//! - [`kalibr`]: what Kalibr found, put into the rig profile.
 //! - [`rates`]: how the rate of its clock goes on, at one supposed warming.
 //! - [`twists`]: what the twists before a recording say of it together.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
@@ -10,7 +9,6 @@
 #![forbid(unsafe_code)]
 
 pub mod alignment;
-pub mod kalibr;
 pub mod learn;
 pub mod rates;
 pub mod train;

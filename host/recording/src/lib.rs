@@ -24,6 +24,7 @@
 pub mod chunks;
 mod diagnostics;
 pub mod folder;
+pub mod kalibr;
 pub mod messages;
 pub mod profile;
 mod publish;

@@ -5,6 +5,7 @@
 //! a misspelt constant must not silently be its default.
 
 mod check;
+pub mod edit;
 mod geometry;
 
 use std::path::{Path, PathBuf};

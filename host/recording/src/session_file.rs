@@ -396,6 +396,12 @@ impl SessionFile {
         }
     }
 
+    /// When the session began, if [`Self::started`] is a time.
+    #[must_use]
+    pub fn began(&self) -> Option<jiff::Timestamp> {
+        self.started.parse().ok()
+    }
+
     /// The folder of a phone's files, relative to the recording's: its own if
     /// there are several phones.
     #[must_use]

@@ -9,11 +9,11 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use frame_sync::kalibr::{self, KalibrError};
 use frame_sync::learn;
 use frame_sync::train::frame_period;
 use phone::frame_timestamps;
 use phone::rows::RowError;
+use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
 
@@ -229,10 +229,7 @@ pub(crate) fn teach(
     let origin = learn::Origin {
         board_id,
         // A session file tells its begin; one that does not is taken for today's.
-        time: session
-            .started
-            .parse()
-            .unwrap_or_else(|_| jiff::Timestamp::now()),
+        time: session.began().unwrap_or_else(jiff::Timestamp::now),
         board_temperature_c: twists
             .filter_map(|twist| twist.board_temperature_c)
             .next_back(),

@@ -3,17 +3,14 @@
 //! Of the file, `cam0` is the phone and `cam1`, if it is there, the colour camera of the
 //! depth camera, as `extract --format kalibr` names them; `T_cam_imu` leads from the frame
 //! of the board's IMU to that of the camera.
-//!
-//! Limits: of YAML this reads what Kalibr writes: names of cameras, below them keys with
-//! words or numbers, in brackets or as lists, over as many lines as it takes.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use recording::profile::{DistortionModel, Intrinsics, Pose, Profile, ProfileError};
+use serde::Deserialize;
 use toml_edit::{Array, InlineTable, Item, Value};
 
-use crate::learn::{open, phone_table};
+use crate::profile::edit::{open, phone_table};
+use crate::profile::{DistortionModel, Intrinsics, Pose, Profile, ProfileError};
 
 /// Name of the phone in the file.
 const PHONE: &str = "cam0";
@@ -56,12 +53,13 @@ pub fn into_profile(
 ) -> Result<(String, Imported), KalibrError> {
     let chain = read(chain)?;
     let phone = chain
-        .get(PHONE)
+        .cam0
         .ok_or_else(|| KalibrError::Chain(format!("it has no {PHONE}")))?;
+    let color = chain.cam1.map(|color| pose(COLOR, &color.pose));
     let imported = Imported {
-        camera: intrinsics(phone)?,
-        from_imu: pose(PHONE, phone)?,
-        color_from_imu: chain.get(COLOR).map(|keys| pose(COLOR, keys)).transpose()?,
+        camera: intrinsics(&phone)?,
+        from_imu: pose(PHONE, &phone.pose)?,
+        color_from_imu: color.transpose()?,
     };
     let (profile, mut document) = open(text, path)?;
     let known = profile
@@ -87,102 +85,81 @@ pub fn into_profile(
     Ok((text, imported))
 }
 
-type Keys = BTreeMap<String, Vec<String>>;
-
-/// Cameras, their keys, and the words of each.
-fn read(text: &str) -> Result<BTreeMap<String, Keys>, KalibrError> {
-    let mut cameras: BTreeMap<String, Keys> = BTreeMap::new();
-    let (mut camera, mut key) = (None, None);
-    for line in text.lines() {
-        let line = line.split(" #").next().unwrap_or_default().trim_end();
-        if line.starts_with('#') || line.is_empty() || line == "---" {
-            continue;
-        }
-        let (name, rest) = match line.split_once(':') {
-            Some((name, rest)) => (Some(name), rest),
-            None => (None, line),
-        };
-        match name {
-            Some(name) if !name.starts_with(' ') => {
-                camera = Some(name.to_owned());
-                key = None;
-                cameras.entry(name.to_owned()).or_default();
-                continue;
-            }
-            Some(name) => key = Some(name.trim().to_owned()),
-            None => {}
-        }
-        let (Some(camera), Some(key)) = (&camera, &key) else {
-            let line: String = line.chars().take(40).collect();
-            return Err(KalibrError::Chain(format!("{line:?} belongs to no camera")));
-        };
-        let words = rest
-            .split([' ', ',', '[', ']'])
-            .filter(|word| !word.is_empty() && *word != "-");
-        if let Some(keys) = cameras.get_mut(camera) {
-            let slot = keys.entry(key.clone()).or_default();
-            slot.extend(words.map(str::to_owned));
-        }
-    }
-    Ok(cameras)
+/// What is read of the file.
+#[derive(Deserialize)]
+struct Chain {
+    cam0: Option<Camera>,
+    cam1: Option<Placed>,
 }
 
-fn numbers<const N: usize>(name: &str, keys: &Keys, key: &str) -> Result<[f64; N], KalibrError> {
-    let words = keys.get(key).map_or(&[][..], Vec::as_slice);
-    let values: Vec<f64> = words.iter().filter_map(|word| word.parse().ok()).collect();
-    if values.len() == words.len()
-        && let Ok(values) = values.try_into()
-    {
-        return Ok(values);
-    }
-    let count = words.len();
-    Err(KalibrError::Chain(format!(
-        "{key} of {name} has {count} values, and not {N} numbers"
-    )))
+/// A camera of which all is taken over.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Camera {
+    #[serde(rename = "T_cam_imu")]
+    pose: Vec<Vec<f64>>,
+    camera_model: String,
+    intrinsics: Vec<f64>,
+    distortion_model: String,
+    distortion_coeffs: Vec<f64>,
+    resolution: Vec<f64>,
 }
 
-fn word<'a>(keys: &'a Keys, key: &str) -> &'a str {
-    keys.get(key)
-        .and_then(|words| words.first())
-        .map_or("", String::as_str)
+/// A camera of which only the place is.
+#[derive(Deserialize)]
+struct Placed {
+    #[serde(rename = "T_cam_imu", default)]
+    pose: Vec<Vec<f64>>,
 }
 
-fn pose(name: &str, keys: &Keys) -> Result<Pose, KalibrError> {
-    let cells = numbers::<16>(name, keys, "T_cam_imu")?;
+fn read(text: &str) -> Result<Chain, KalibrError> {
+    // One line says what is wrong, and where.
+    let options = serde_saphyr::options! { with_snippet: false };
+    serde_saphyr::from_str_with_options(text, options)
+        .map_err(|error| KalibrError::Chain(error.to_string()))
+}
+
+fn numbers<const N: usize>(name: &str, key: &str, values: &[f64]) -> Result<[f64; N], KalibrError> {
+    values.try_into().map_err(|_| {
+        let count = values.len();
+        KalibrError::Chain(format!(
+            "{key} of {name} has {count} values, and not {N} numbers"
+        ))
+    })
+}
+
+fn pose(name: &str, rows: &[Vec<f64>]) -> Result<Pose, KalibrError> {
+    let cells = numbers::<16>(name, "T_cam_imu", &rows.concat())?;
     Ok(Pose([0, 1, 2, 3].map(|row| {
         [0, 1, 2, 3].map(|column| cells[4 * row + column])
     })))
 }
 
-fn intrinsics(keys: &Keys) -> Result<Intrinsics, KalibrError> {
-    let model = word(keys, "camera_model");
+fn intrinsics(camera: &Camera) -> Result<Intrinsics, KalibrError> {
+    let model = &camera.camera_model;
     if model != "pinhole" {
         return Err(KalibrError::Chain(format!(
             "{PHONE} has camera_model {model:?}, and only pinhole can be taken over"
         )));
     }
-    let (distortion, coefficients) = match word(keys, "distortion_model") {
+    let coefficients =
+        || numbers::<4>(PHONE, "distortion_coeffs", &camera.distortion_coeffs).map(Vec::from);
+    let (distortion, coefficients) = match camera.distortion_model.as_str() {
         "none" => (DistortionModel::None, Vec::new()),
-        "radtan" => (
-            DistortionModel::Radtan,
-            numbers::<4>(PHONE, keys, "distortion_coeffs")?.to_vec(),
-        ),
-        "equidistant" => (
-            DistortionModel::Equidistant,
-            numbers::<4>(PHONE, keys, "distortion_coeffs")?.to_vec(),
-        ),
+        "radtan" => (DistortionModel::Radtan, coefficients()?),
+        "equidistant" => (DistortionModel::Equidistant, coefficients()?),
         other => {
             return Err(KalibrError::Chain(format!(
                 "{PHONE} has distortion_model {other:?}, and radtan, equidistant or none can be taken over"
             )));
         }
     };
-    let [fx, fy, cx, cy] = numbers(PHONE, keys, "intrinsics")?;
+    let [fx, fy, cx, cy] = numbers(PHONE, "intrinsics", &camera.intrinsics)?;
     let side = |value: f64| {
         let whole = value.fract() == 0.0 && (1.0..=16_384.0).contains(&value);
         whole.then_some(value as u32)
     };
-    let [width, height] = numbers(PHONE, keys, "resolution")?;
+    let [width, height] = numbers(PHONE, "resolution", &camera.resolution)?;
     let (Some(width), Some(height)) = (side(width), side(height)) else {
         return Err(KalibrError::Chain(format!(
             "the resolution of {PHONE} is {width} × {height}"
@@ -221,9 +198,8 @@ fn camera_value(camera: &Intrinsics) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use recording::profile::DEFAULT;
-
     use super::*;
+    use crate::profile::DEFAULT;
 
     /// As PyYAML writes it in both of its styles, long lines broken.
     const CHAIN: &str = "cam0:
@@ -284,7 +260,8 @@ cam1:
             ("pinhole", "omni", "\"omni\""),
             ("radtan", "fov", "\"fov\""),
             ("1412.5, ", "", "3 values, and not 4"),
-            ("0.0212", "x", "16 values, and not 16 numbers"),
+            ("0.0212", "x", "line 3"),
+            ("0.0212", "", "15 values, and not 16 numbers"),
             ("1920, 1080", "0, 1080", "0 × 1080"),
             (
                 "[0.0, -1.0, 0.0, 0.0212]",
@@ -297,5 +274,24 @@ cam1:
             assert!(error.to_string().contains(told), "{from}: {error}");
         }
         assert!(into_profile(DEFAULT, Path::new("x"), None, "- 1\n").is_err());
+    }
+
+    #[test]
+    fn hostile_yaml_is_refused_without_using_the_machine_up() {
+        // Names for ever larger lists, ten times the one before.
+        let mut bomb = String::from("a0: &a0 [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n");
+        for level in 1..20 {
+            let last = format!("*a{}", level - 1);
+            bomb += &format!("a{level}: &a{level} [{}]\n", [last.as_str(); 10].join(", "));
+        }
+        let bomb = format!(
+            "{bomb}{}",
+            CHAIN.replace("[1412.5, 1410.25, 958.0, 541.5]", "*a19")
+        );
+        let deep = format!("cam0:\n  intrinsics: {}", "[".repeat(1 << 20));
+        for chain in [bomb, deep] {
+            let error = into_profile(DEFAULT, Path::new("rig.toml"), None, &chain).unwrap_err();
+            assert!(matches!(error, KalibrError::Chain(_)), "{error}");
+        }
     }
 }

@@ -1,0 +1,59 @@
+//! A profile as the text that its user wrote, to put something into it.
+
+use std::path::Path;
+
+use toml_edit::{DocumentMut, Table, TomlError};
+
+use super::{Profile, ProfileError};
+
+fn syntax(path: &Path, reason: String) -> ProfileError {
+    ProfileError::Syntax {
+        path: Some(path.to_owned()),
+        reason,
+    }
+}
+
+/// A profile, and its text to be written into: comments and order stay.
+///
+/// # Errors
+///
+/// The text is no valid profile.
+pub fn open(text: &str, path: &Path) -> Result<(Profile, DocumentMut), ProfileError> {
+    let profile = Profile::parse(text, Some(path))?;
+    let document = text
+        .parse()
+        .map_err(|error: TomlError| syntax(path, error.to_string()))?;
+    Ok((profile, document))
+}
+
+/// The table of the phone of this name; without one, it is `[phone]`.
+///
+/// # Errors
+///
+/// It is no table.
+pub fn phone_table<'a>(
+    document: &'a mut DocumentMut,
+    profile: &Profile,
+    name: Option<&str>,
+    path: &Path,
+) -> Result<&'a mut Table, ProfileError> {
+    // One phone is meant whatever it was called at the time.
+    let name = name.filter(|_| !profile.phones.is_empty());
+    let is_it = |table: &Table| table.get("name").and_then(|name| name.as_str()) == name;
+    let place = document
+        .get("phones")
+        .and_then(|phones| phones.as_array_of_tables())
+        .filter(|_| name.is_some())
+        .and_then(|phones| phones.iter().position(is_it));
+    let table = match place {
+        Some(place) => document
+            .get_mut("phones")
+            .and_then(|phones| phones.as_array_of_tables_mut())
+            .and_then(|phones| phones.get_mut(place)),
+        None => document
+            .entry("phone")
+            .or_insert(toml_edit::table())
+            .as_table_mut(),
+    };
+    table.ok_or_else(|| syntax(path, String::from("`phone` is no table")))
+}
