@@ -12,6 +12,10 @@ pub mod camera;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+/// Stands in a schema before each type that a message uses.
+pub const SEPARATOR: &str =
+    "================================================================================\n";
+
 /// A ROS 2 message.
 pub trait RosMessage: Serialize + DeserializeOwned {
     /// Full name of the type.
@@ -26,9 +30,7 @@ pub trait RosMessage: Serialize + DeserializeOwned {
     fn schema() -> String {
         let mut text = String::from(Self::DEFINITION);
         for (name, definition) in Self::USES {
-            text.push_str(
-                "================================================================================\n",
-            );
+            text.push_str(SEPARATOR);
             text.push_str(&format!("MSG: {name}\n{definition}"));
         }
         text
@@ -269,7 +271,7 @@ pub struct Pulse {
     pub train: u32,
     /// Number of the pulse in its train, from 0.
     pub number: u64,
-    /// On the grid of the last align or start.
+    /// Of a recording, on the phone's frames; live, on the grid of the last align or start.
     pub aligned: bool,
     /// The pulse was seen on the wire.
     pub readback: bool,

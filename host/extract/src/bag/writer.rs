@@ -4,7 +4,7 @@
 use std::io::{self, Seek, SeekFrom, Write};
 
 use recording::messages::camera::{CameraInfo, CompressedImage, Image};
-use recording::messages::{Header, Imu, RosMessage, Vector3};
+use recording::messages::{Header, Imu, RosMessage, SEPARATOR, Vector3};
 
 use super::reader::{MAGIC, OP_BAG, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION, OP_INDEX, OP_MESSAGE};
 
@@ -32,13 +32,9 @@ fn type_name<M: Ros1Message>() -> String {
 /// a type of its own, and the matrices of a camera have capital letters.
 fn definition<M: Ros1Message>() -> String {
     let schema = M::schema();
-    let parts = schema.split(
-        "================================================================================\n",
-    );
+    let parts = schema.split(SEPARATOR);
     let parts = parts.filter(|part| !part.starts_with("MSG: builtin_interfaces/Time\n"));
-    let joined = parts
-        .collect::<Vec<_>>()
-        .join("================================================================================\n");
+    let joined = parts.collect::<Vec<_>>().join(SEPARATOR);
     let mut text = joined.replace("builtin_interfaces/Time stamp", "uint32 seq\ntime stamp");
     for (two, one) in [
         ("float64[] d\n", "float64[] D\n"),

@@ -16,8 +16,7 @@ use std::path::{Path, PathBuf};
 use recording::profile::{DistortionModel, Pose};
 
 use super::noise::{self, Noise};
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, number, push_sample};
-use crate::board_data::ImuRow;
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
 use crate::image::write_whole;
 use crate::time::{BoardNanos, in_name};
@@ -26,11 +25,6 @@ pub(super) struct Euroc;
 
 const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
     a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
-
-fn imu_row(row: &mut String, sample: &ImuRow) {
-    push_sample(row, sample);
-    row.push('\n');
-}
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {
     PathBuf::from(format!("mav0/{folder}/data/{}.png", in_name(at)))
@@ -54,21 +48,11 @@ impl Layout for Euroc {
     }
 
     fn board_imu(&self) -> ImuTable {
-        ImuTable {
-            path: "mav0/imu0/data.csv",
-            header: IMU_HEADER,
-            subtract_delay: true,
-            row: imu_row,
-        }
+        ImuTable::plain("mav0/imu0/data.csv", IMU_HEADER)
     }
 
     fn phone_imu(&self) -> Option<ImuTable> {
-        Some(ImuTable {
-            path: "mav0/imu1/data.csv",
-            header: IMU_HEADER,
-            subtract_delay: true,
-            row: imu_row,
-        })
+        Some(ImuTable::plain("mav0/imu1/data.csv", IMU_HEADER))
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
@@ -161,7 +145,7 @@ fn images(
     let yaml = format!(
         "sensor_type: camera\ncomment: {comment}\n{}rate_hz: {}\nresolution: [{width}, {height}]\n{}",
         pose(camera.from_imu),
-        number(rate.unwrap_or(0.0)),
+        number(rate.unwrap_or(0.0), 6),
         seeing(camera)
     );
     write_whole(&folder.join("sensor.yaml"), yaml.as_bytes())
@@ -224,7 +208,7 @@ fn imu_yaml(comment: &str, rate: f64, noise: &Noise) -> String {
     format!(
         "sensor_type: imu\ncomment: {comment}\n{IDENTITY}rate_hz: {}\n\
          {}",
-        number(rate),
+        number(rate, 6),
         noise.yaml()
     )
 }

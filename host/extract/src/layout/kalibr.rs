@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
-use super::{Facts, ImuTable, Layout, SequenceTables, number, push_sample};
+use super::{Facts, ImuTable, Layout, SequenceTables, number};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::{BoardNanos, in_name};
@@ -30,13 +30,12 @@ const FOLDER: &str = "kalibr";
 
 const IMU_HEADER: &str = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n";
 
-fn imu_row(row: &mut String, sample: &ImuRow) {
+fn moved_row(row: &mut String, sample: &ImuRow) {
     let sample = ImuRow {
         at: moved(sample.at),
         ..*sample
     };
-    push_sample(row, &sample);
-    row.push('\n');
+    super::imu_row(row, &sample);
 }
 
 fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
@@ -45,10 +44,8 @@ fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
 
 const fn imu(path: &'static str) -> ImuTable {
     ImuTable {
-        path,
-        header: IMU_HEADER,
-        subtract_delay: true,
-        row: imu_row,
+        row: moved_row,
+        ..ImuTable::plain(path, IMU_HEADER)
     }
 }
 
@@ -97,6 +94,10 @@ impl Layout for Kalibr {
 fn imu_yaml(topic: &str, rate: f64, noise: &Noise) -> String {
     let mut text = noise.yaml();
     // Writing into a String cannot fail.
-    let _ = write!(text, "rostopic: /{topic}\nupdate_rate: {}\n", number(rate));
+    let _ = write!(
+        text,
+        "rostopic: /{topic}\nupdate_rate: {}\n",
+        number(rate, 6)
+    );
     text
 }

@@ -80,6 +80,18 @@ pub(crate) struct ImuTable {
     pub(crate) row: fn(&mut String, &ImuRow),
 }
 
+impl ImuTable {
+    /// Times less the low-pass delay, rates and accelerations.
+    const fn plain(path: &'static str, header: &'static str) -> Self {
+        Self {
+            path,
+            header,
+            subtract_delay: true,
+            row: imu_row,
+        }
+    }
+}
+
 /// A written image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ImageRow {
@@ -215,6 +227,11 @@ fn push_sample(row: &mut String, sample: &ImuRow) {
     }
 }
 
+fn imu_row(row: &mut String, sample: &ImuRow) {
+    push_sample(row, sample);
+    row.push('\n');
+}
+
 /// A name for the file of each of these topics: harmless, and no two the same. Also the
 /// topics whose names had to be made longer for that, with what they became.
 pub(crate) fn file_names<'a>(
@@ -247,9 +264,9 @@ fn harmless(name: &str) -> String {
     name.chars().take(120).map(harmless).collect()
 }
 
-/// A rate with six digits and no trailing zeros.
-fn number(value: f64) -> String {
-    let text = format!("{value:.6}");
+/// A number with at most so many digits behind the point, and no trailing zeros.
+pub(crate) fn number(value: f64, digits: usize) -> String {
+    let text = format!("{value:.digits$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 

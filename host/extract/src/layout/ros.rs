@@ -27,7 +27,7 @@ use recording::rosbag2;
 
 use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables};
 use crate::bag::writer::{BagWriter, Ros1Message};
 use crate::board_data::ImuRow;
 use crate::geometry::CameraFacts;
@@ -53,20 +53,6 @@ impl Ros {
     pub(super) const TWO: Self = Self { is_two: true };
 }
 
-fn imu_row(row: &mut String, sample: &ImuRow) {
-    push_sample(row, sample);
-    row.push('\n');
-}
-
-const fn imu_table(path: &'static str) -> ImuTable {
-    ImuTable {
-        path,
-        header: "",
-        subtract_delay: true,
-        row: imu_row,
-    }
-}
-
 fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
     PathBuf::from(format!("{PARTS}/{folder}/{}.{ending}", in_name(at)))
 }
@@ -89,11 +75,11 @@ impl Layout for Ros {
     }
 
     fn board_imu(&self) -> ImuTable {
-        imu_table(BOARD_IMU)
+        ImuTable::plain(BOARD_IMU, "")
     }
 
     fn phone_imu(&self) -> Option<ImuTable> {
-        Some(imu_table(PHONE_IMU))
+        Some(ImuTable::plain(PHONE_IMU, ""))
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
@@ -197,8 +183,8 @@ impl<W: io::Write + io::Seek> Bag for BagWriter<W> {
 /// A camera of the bag.
 struct Camera<'a> {
     name: &'static str,
-    /// Of its 16-bit images; nothing for JPEG files, whose size nobody reads.
-    gray: &'static str,
+    /// Encoding of its 16-bit images; nothing for JPEG files, whose size nobody reads.
+    gray: Option<&'static str>,
     rows: &'a [ImageRow],
     size: Option<(u32, u32)>,
     facts: &'a CameraFacts,
@@ -209,6 +195,7 @@ struct Camera<'a> {
 /// An IMU of the bag.
 struct Samples {
     name: &'static str,
+    path: PathBuf,
     variances: [f64; 2],
     topic: usize,
 }
@@ -236,74 +223,9 @@ fn fill<B: Bag>(
     tables: &SequenceTables<'_>,
     facts: &Facts,
 ) -> io::Result<()> {
-    let mut topic = 0;
-    let none = CameraFacts::default();
-    let mut cameras = Vec::new();
-    let known = &facts.cameras;
-    for (name, gray, rows, size, facts) in [
-        (
-            "cam0",
-            "mono16",
-            &tables.color,
-            facts.color_size,
-            &known.phone,
-        ),
-        ("cam1", "", &tables.camera, facts.camera_size, &known.color),
-        (
-            "depth0",
-            "16UC1",
-            &tables.depth,
-            facts.depth_size,
-            &known.depth,
-        ),
-        (
-            "ir0",
-            "mono16",
-            &tables.infrared,
-            facts.infrared_size,
-            &none,
-        ),
-    ] {
-        if rows.is_empty() {
-            continue;
-        }
-        if gray.is_empty() {
-            bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?;
-        } else {
-            bag.add::<Image>(&format!("/{name}/image_raw"))?;
-        }
-        bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
-        cameras.push(Camera {
-            name,
-            gray,
-            rows,
-            size,
-            facts,
-            topic,
-        });
-        topic += 2;
-    }
-    let mut imus = Vec::new();
-    let both: [(_, _, _, &Noise); 2] = [
-        ("imu0", BOARD_IMU, facts.board_imu_rate, &noise::MPU_9150),
-        ("imu1", PHONE_IMU, facts.phone_imu_rate, &noise::PHONE),
-    ];
-    for (name, path, rate, noise) in both {
-        let path = folder.join(path);
-        if path.exists() {
-            bag.add::<Imu>(&format!("/{name}"))?;
-            let variances = noise.variances(rate);
-            imus.push((
-                path,
-                Samples {
-                    name,
-                    variances,
-                    topic,
-                },
-            ));
-            topic += 1;
-        }
-    }
+    let infrared = CameraFacts::default();
+    let cameras = add_cameras(bag, tables, facts, &infrared)?;
+    let imus = add_imus(bag, 2 * cameras.len(), folder, facts)?;
     let mut streams: Vec<Peekable<Events<'_>>> = Vec::new();
     for camera in &cameras {
         let events = camera
@@ -312,8 +234,8 @@ fn fill<B: Bag>(
             .map(move |row| Ok(Event::Image(camera, row)));
         streams.push((Box::new(events) as Events<'_>).peekable());
     }
-    for (path, imu) in &imus {
-        let lines = BufReader::new(File::open(path)?).lines();
+    for imu in &imus {
+        let lines = BufReader::new(File::open(&imu.path)?).lines();
         let events = lines.map(move |line| Ok(Event::Sample(imu, sample(&line?)?)));
         streams.push((Box::new(events) as Events<'_>).peekable());
     }
@@ -333,6 +255,81 @@ fn fill<B: Bag>(
             }
         }
     }
+}
+
+/// Adds two topics for each camera that has images.
+fn add_cameras<'a, B: Bag>(
+    bag: &mut B,
+    tables: &'a SequenceTables<'_>,
+    facts: &'a Facts,
+    infrared: &'a CameraFacts,
+) -> io::Result<Vec<Camera<'a>>> {
+    let known = &facts.cameras;
+    let camera = |name, gray, rows, size, facts| Camera {
+        name,
+        gray,
+        rows,
+        size,
+        facts,
+        topic: 0,
+    };
+    let gray = Some("mono16");
+    let mut cameras = vec![
+        camera("cam0", gray, &tables.color, facts.color_size, &known.phone),
+        camera(
+            "cam1",
+            None,
+            &tables.camera,
+            facts.camera_size,
+            &known.color,
+        ),
+        camera(
+            "depth0",
+            Some("16UC1"),
+            &tables.depth,
+            facts.depth_size,
+            &known.depth,
+        ),
+        camera("ir0", gray, &tables.infrared, facts.infrared_size, infrared),
+    ];
+    cameras.retain(|camera| !camera.rows.is_empty());
+    for (index, camera) in cameras.iter_mut().enumerate() {
+        camera.topic = 2 * index;
+        let name = camera.name;
+        match camera.gray {
+            Some(_) => bag.add::<Image>(&format!("/{name}/image_raw"))?,
+            None => bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?,
+        }
+        bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+    }
+    Ok(cameras)
+}
+
+/// Adds a topic for each IMU that has samples; `first` is the number of the first.
+fn add_imus<B: Bag>(
+    bag: &mut B,
+    first: usize,
+    folder: &Path,
+    facts: &Facts,
+) -> io::Result<Vec<Samples>> {
+    let both: [(_, _, _, &Noise); 2] = [
+        ("imu0", BOARD_IMU, facts.board_imu_rate, &noise::MPU_9150),
+        ("imu1", PHONE_IMU, facts.phone_imu_rate, &noise::PHONE),
+    ];
+    let mut imus = Vec::new();
+    for (name, path, rate, noise) in both {
+        let path = folder.join(path);
+        if path.exists() {
+            bag.add::<Imu>(&format!("/{name}"))?;
+            imus.push(Samples {
+                name,
+                path,
+                variances: noise.variances(rate),
+                topic: first + imus.len(),
+            });
+        }
+    }
+    Ok(imus)
 }
 
 /// The next events of all streams in order of time.
@@ -395,14 +392,7 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
     };
     let path = folder.join(&row.path);
     let header = header(row.at, camera.name);
-    let (bytes, size) = if camera.gray.is_empty() {
-        let image = CompressedImage {
-            header: header.clone(),
-            format: String::from("jpeg"),
-            data: fs::read(path)?,
-        };
-        (B::encode(&image)?, camera.size.unwrap_or_default())
-    } else {
+    let (bytes, size) = if let Some(gray) = camera.gray {
         let Decoded {
             size,
             is_rgb,
@@ -412,12 +402,19 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
             header: header.clone(),
             height: size.1,
             width: size.0,
-            encoding: String::from(if is_rgb { "rgb8" } else { camera.gray }),
+            encoding: String::from(if is_rgb { "rgb8" } else { gray }),
             is_bigendian: 0,
             step: size.0 * if is_rgb { 3 } else { 2 },
             data: pixels,
         };
         (B::encode(&image)?, size)
+    } else {
+        let image = CompressedImage {
+            header: header.clone(),
+            format: String::from("jpeg"),
+            data: fs::read(path)?,
+        };
+        (B::encode(&image)?, camera.size.unwrap_or_default())
     };
     let info = camera_info(header, size, camera.facts);
     Ok(vec![

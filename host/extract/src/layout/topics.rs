@@ -29,17 +29,12 @@ const DEPTH: &str = "_azure_depth_image_raw";
 const CAMERA: &str = "_azure_rgb_image_raw";
 const INFRARED: &str = "_azure_ir_image_raw";
 
-fn imu_row(row: &mut String, sample: &ImuRow) {
+fn board_row(row: &mut String, sample: &ImuRow) {
     push_sample(row, sample);
     row.push(',');
     if let Some(temperature) = sample.temperature {
         let _ = write!(row, "{temperature}");
     }
-    row.push('\n');
-}
-
-fn phone_imu_row(row: &mut String, sample: &ImuRow) {
-    push_sample(row, sample);
     row.push('\n');
 }
 
@@ -69,16 +64,14 @@ impl Layout for Topics {
             path: "_mcu_imu/imu.csv",
             header: "",
             subtract_delay: false,
-            row: imu_row,
+            row: board_row,
         }
     }
 
     fn phone_imu(&self) -> Option<ImuTable> {
         Some(ImuTable {
-            path: "_smartphone_imu/imu.csv",
-            header: "",
             subtract_delay: false,
-            row: phone_imu_row,
+            ..ImuTable::plain("_smartphone_imu/imu.csv", "")
         })
     }
 
@@ -133,7 +126,7 @@ mod tests {
             accel: [9.81, 0.0, -1.0],
             temperature: Some(36.5),
         };
-        imu_row(&mut row, &sample);
+        board_row(&mut row, &sample);
         assert_eq!(
             row,
             "1264250902773,0.002203644719694,-0.5,0.0000001,9.81,0,-1,36.5\n"

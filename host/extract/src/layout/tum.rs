@@ -3,7 +3,8 @@
 //! bits with 5,000 a metre, 0 for none.
 //!
 //! The format rounds times to microseconds; `pairs.csv` in the output folder has
-//! nanoseconds. `associations.txt` is written for registered depth only. It has no place for angular rates and infrared.
+//! nanoseconds. `associations.txt` is written for registered depth only. The format has no
+//! place for angular rates and infrared.
 
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -68,7 +69,8 @@ impl Layout for Tum {
     fn board_imu(&self) -> ImuTable {
         ImuTable {
             path: "accelerometer.txt",
-            header: "# accelerometer data of the board\n# times in seconds of board time\n# timestamp ax ay az\n",
+            header: "# accelerometer data of the board\n# times in seconds of board time\n\
+                     # timestamp ax ay az\n",
             subtract_delay: true,
             row: accel_row,
         }
