@@ -1,13 +1,13 @@
 //! The depth camera's part of an extraction: times, pulses, images.
 
 use super::geometry_part::DepthView;
-use super::{ExtractError, Extraction};
+use super::{ExtractError, Extraction, rate_of};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{self, Matched};
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
-use crate::layout::calibration_path;
+use crate::layout::{Facts, calibration_path, number};
 use crate::mkv::k4a::ColorTrack;
 use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
@@ -381,11 +381,27 @@ pub fn nominal_center(mode: &str) -> Option<i64> {
 
 /// Nanoseconds as people write microseconds.
 fn micros(nanos: i64) -> String {
-    let text = format!("{:.3}", nanos as f64 / 1000.0);
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    number(nanos as f64 / 1000.0, 3)
 }
 
 impl Depth {
+    /// What is known about its data, seen like this.
+    pub(super) fn facts(&self, view: &DepthView) -> Facts {
+        let size = match view {
+            DepthView::Other(registration) => registration.out,
+            _ => self.index.size,
+        };
+        Facts {
+            depth_rate: rate_of(self.frames.iter().filter_map(|frame| frame.at)),
+            depth_size: Some(size),
+            infrared_size: Some(self.index.size),
+            registered: matches!(view, DepthView::Other(_)),
+            camera_rate: rate_of(self.color.iter().filter_map(|frame| frame.at)),
+            camera_size: self.index.color.as_ref().map(|color| color.size),
+            ..Facts::default()
+        }
+    }
+
     pub(super) fn report(&self, survey: &Survey, images: Option<&DepthOutcome>) -> DepthReport {
         let those = |is_so: &dyn Fn(&DepthFrame) -> bool| -> Vec<usize> {
             let frames = self.frames.iter().enumerate();

@@ -23,7 +23,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use depth_part::nominal_center;
-use geometry_part::DepthView;
 use index_files::Written;
 use phone_part::Phone;
 
@@ -141,25 +140,7 @@ struct Extraction<'a> {
 /// See [`ExtractError`]. Missing and damaged parts are no errors: they are in the
 /// report.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractError> {
-    let inputs = super::inputs::find(
-        &job.recording,
-        job.phone.as_deref(),
-        job.depth.as_deref(),
-        &job.options.phones,
-    )?;
-    check_outside(&job.out, &job.recording)?;
-    let marks = file_marks(&inputs);
-    let place = Workplace::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
-    let remarks = inputs.remarks.clone();
-    let mut run = Extraction {
-        job,
-        inputs,
-        place,
-        progress,
-        losses: Vec::new(),
-        remarks,
-        unfinished: false,
-    };
+    let mut run = Extraction::open(job, progress)?;
     let mut survey = survey(&run.inputs.board, progress)?;
     run.judge_board(&survey);
     let input = run.inputs.phone.clone();
@@ -169,12 +150,11 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     let joints = run.join_runs(&mut survey, phone.as_ref())?;
     let sequences = Sequences::new(survey.marks.clone());
     let depth = run.read_depth(&survey, &mut constants)?;
-    let readout = job.options.readout_ns;
-    let shutter = input.camera.facts(None, readout).shutter;
 
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
     let pairs = find_pairs(color, depth_frames, &survey);
+    let shutter = input.camera.facts(None, job.options.readout_ns).shutter;
     run.write_tables(&survey, (color, shutter), depth_frames, &pairs)?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;
@@ -183,36 +163,23 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     run.write_cameras(&cameras)?;
     let images = run.write_depth_images(depth.as_ref(), &view, &sequences, depth_frames)?;
     let camera = depth.as_ref().map_or(&[][..], |depth| &depth.color);
-    let board_delay = constants.board_imu_delay_ns;
+    let (board_delay, phone_delay) = (constants.board_imu_delay_ns, constants.phone_imu_delay_ns);
     run.write_board_imu(&sequences, board_delay)?;
-    let phone_imu = run.write_phone_imu(
-        &input,
-        phone.as_ref(),
-        &sequences,
-        constants.phone_imu_delay_ns,
-    )?;
+    let phone_imu = run.write_phone_imu(&input, phone.as_ref(), &sequences, phone_delay)?;
 
     let facts = Facts {
         color_rate: rate_of(color.iter().map(|frame| frame.at)),
-        depth_rate: rate_of(depth_frames.iter().filter_map(|frame| frame.at)),
         board_imu_rate: survey.imu.rate(),
         phone_imu_rate: phone_imu.rate,
         color_size: size,
-        camera_rate: rate_of(camera.iter().filter_map(|frame| frame.at)),
-        camera_size: depth
-            .as_ref()
-            .and_then(|depth| Some(depth.index.color.as_ref()?.size)),
-        infrared_size: depth.as_ref().map(|depth| depth.index.size),
-        depth_size: match &view {
-            DepthView::Other(registration) => Some(registration.out),
-            _ => depth.as_ref().map(|depth| depth.index.size),
-        },
-        registered: matches!(view, DepthView::Other(_)),
         cameras,
-        board_imu_delay: constants.board_imu_delay_ns,
-        phone_imu_delay: constants.phone_imu_delay_ns,
+        board_imu_delay: board_delay,
+        phone_imu_delay: phone_delay,
         depth_center: constants.depth_center_ns,
         color_middle: constants.color_middle_ns,
+        ..depth
+            .as_ref()
+            .map_or_else(Facts::default, |depth| depth.facts(&view))
     };
     let written = Written {
         times: &survey.times,
@@ -223,14 +190,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         video: video.as_ref(),
         images: images.as_ref(),
     };
-    if job.format == Format::Tum && job.options.view.is_none() && !pairs.is_empty() {
-        run.lose(
-            "pairs",
-            "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
-             the same place, and depth is not registered; give --register phone or --register color \
-             (the pairs are in pairs.csv)",
-        );
-    }
+    run.miss_registration(&pairs);
     let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
@@ -245,15 +205,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         version: REPORT_VERSION,
         recording: run.inputs.name.clone(),
         format: job.format,
-        board: BoardReport {
-            id: run.inputs.board_id.clone(),
-            pulses: survey.pulses.len(),
-            pulse_period_ns: survey.pulse_period(),
-            missing_pulses: survey.missing_pulses().take(LISTED_GAPS).collect(),
-            imu: survey.imu,
-            runs: joints,
-            marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
-        },
+        board: run.board_report(&survey, joints, &sequences),
         reference: input.name.clone(),
         phone: phone
             .as_ref()
@@ -272,9 +224,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         losses: run.losses.clone(),
         remarks: run.remarks.clone(),
     };
-    let json = serde_json::to_vec_pretty(&report).map_err(|error| run.failed(error.into()))?;
-    run.write("report.json", &json)?;
-    run.write("report.html", report.html().as_bytes())?;
+    run.write_report(&report)?;
     Ok(report)
 }
 
@@ -293,6 +243,30 @@ fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
         .into_iter()
         .filter_map(|path| FileMark::of(path).ok())
         .collect()
+}
+
+impl<'a> Extraction<'a> {
+    /// Finds the inputs, and opens the output folder.
+    fn open(job: &'a Job, progress: &'a dyn Progress) -> Result<Self, ExtractError> {
+        let inputs = super::inputs::find(
+            &job.recording,
+            job.phone.as_deref(),
+            job.depth.as_deref(),
+            &job.options.phones,
+        )?;
+        check_outside(&job.out, &job.recording)?;
+        let marks = file_marks(&inputs);
+        let place = Workplace::open(&job.out, &marks, (job.format, &job.options), job.overwrite)?;
+        Ok(Self {
+            job,
+            remarks: inputs.remarks.clone(),
+            inputs,
+            place,
+            progress,
+            losses: Vec::new(),
+            unfinished: false,
+        })
+    }
 }
 
 impl Extraction<'_> {
@@ -316,6 +290,42 @@ impl Extraction<'_> {
 
     fn write(&self, name: &str, bytes: &[u8]) -> Result<(), ExtractError> {
         write_whole(&self.place.out.join(name), bytes).map_err(|error| self.failed(error))
+    }
+
+    fn write_report(&self, report: &ExtractReport) -> Result<(), ExtractError> {
+        let json = serde_json::to_vec_pretty(report).map_err(|error| self.failed(error.into()))?;
+        self.write("report.json", &json)?;
+        self.write("report.html", report.html().as_bytes())
+    }
+
+    fn board_report(
+        &self,
+        survey: &Survey,
+        runs: Vec<BoardRunReport>,
+        sequences: &Sequences,
+    ) -> BoardReport {
+        BoardReport {
+            id: self.inputs.board_id.clone(),
+            pulses: survey.pulses.len(),
+            pulse_period_ns: survey.pulse_period(),
+            missing_pulses: survey.missing_pulses().take(LISTED_GAPS).collect(),
+            imu: survey.imu,
+            runs,
+            marks_ns: sequences.marks().iter().map(|mark| mark.0).collect(),
+        }
+    }
+
+    /// Says that a format which wants registered depth does not get it.
+    fn miss_registration(&mut self, pairs: &[Pair]) {
+        let is_wanted = self.job.format == Format::Tum && self.job.options.view.is_none();
+        if is_wanted && !pairs.is_empty() {
+            self.lose(
+                "pairs",
+                "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
+                 the same place, and depth is not registered; give --register phone or --register color \
+                 (the pairs are in pairs.csv)",
+            );
+        }
     }
 
     fn judge_board(&mut self, survey: &Survey) {
