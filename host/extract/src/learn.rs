@@ -13,6 +13,7 @@ use super::report::{ClockReport, ExtractReport};
 use frame_sync::learn::{Frames, Origin, into_profile as edited, learnt as taught};
 use jiff::Timestamp;
 use recording::profile::{Learnt, ProfileError};
+use recording::session_file::SessionFile;
 
 /// Windows of motion that a skew is learnt from: a minute of them.
 const MIN_WINDOWS: usize = 6;
@@ -50,8 +51,12 @@ pub enum LearnError {
     },
 }
 
-/// What a clock relation teaches.
-fn learnt(clock: Option<&ClockReport>, origin: &Origin<'_>) -> Result<Learnt, LearnError> {
+/// What a clock relation teaches; `exposure_us` is that of the phone's frames.
+fn learnt(
+    clock: Option<&ClockReport>,
+    exposure_us: Option<f64>,
+    origin: &Origin<'_>,
+) -> Result<Learnt, LearnError> {
     let clock = clock.ok_or(LearnError::NoFrames)?;
     if clock.source != "gyroscopes" || clock.used < MIN_WINDOWS {
         return Err(LearnError::TooLittle {
@@ -60,20 +65,19 @@ fn learnt(clock: Option<&ClockReport>, origin: &Origin<'_>) -> Result<Learnt, Le
         });
     }
     let (period_ns, sigma_ns) = clock.frame_period_ns.ok_or(LearnError::NoFrames)?;
-    // The report has neither jitter nor exposure.
     let frames = Frames {
         period_ns,
         sigma_ns,
-        jitter_ns: None,
-        exposure_us: None,
+        jitter_ns: clock.frame_jitter_ns,
+        exposure_us,
     };
     let skew = (clock.skew_ppm * 1e-6, clock.skew_sigma_ppm * 1e-6);
     Ok(taught(&frames, Some(skew), origin))
 }
 
 /// Writes what a report teaches into a rig profile; comments and order stay.
-/// Returns what was learnt in words, and of which phones nothing could be. `time` is when
-/// the recording was made.
+/// Returns what was learnt in words, and of which phones nothing could be. `session` is
+/// that of the recording: without it, the recording is taken for today's.
 ///
 /// # Errors
 ///
@@ -82,7 +86,7 @@ fn learnt(clock: Option<&ClockReport>, origin: &Origin<'_>) -> Result<Learnt, Le
 pub fn into_profile(
     report: &ExtractReport,
     path: &Path,
-    time: Timestamp,
+    session: Option<&SessionFile>,
 ) -> Result<String, LearnError> {
     let io = |error| LearnError::Io {
         path: path.to_owned(),
@@ -94,7 +98,9 @@ pub fn into_profile(
         .chain(others.map(|other| (Some(other.name.as_str()), other.clock.as_ref())));
     let origin = Origin {
         board_id: report.board.id.as_deref(),
-        time,
+        time: session
+            .and_then(SessionFile::began)
+            .unwrap_or_else(Timestamp::now),
         board_temperature_c: None,
     };
     let mut lines = Vec::new();
@@ -102,7 +108,10 @@ pub fn into_profile(
     for (name, clock) in phones {
         let shown = name.filter(|_| !report.phones.is_empty());
         let whose = shown.map_or(String::new(), |name| format!(", {name}"));
-        let learnt = match learnt(clock, &origin) {
+        let exposure_us = session.and_then(|session| {
+            session.exposure_us_of(name.unwrap_or(&session.profile.phone.name))
+        });
+        let learnt = match learnt(clock, exposure_us, &origin) {
             Ok(learnt) => learnt,
             Err(error) => {
                 failures.push((whose, error));
@@ -135,6 +144,7 @@ mod tests {
     use crate::layout::Format;
     use crate::report::{BoardReport, Constants, OtherReport};
     use recording::profile::Profile;
+    use recording::session_file::Video;
 
     fn clock(used: usize) -> ClockReport {
         ClockReport {
@@ -148,6 +158,7 @@ mod tests {
             sigma_us: Some([1.0, 2.0]),
             residual_us: Some(1.0),
             frame_period_ns: Some((33_330_650.0, 0.02)),
+            frame_jitter_ns: Some(900.0),
             course: Vec::new(),
         }
     }
@@ -187,9 +198,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rig.toml");
         let before = "[phone]\nname = \"left\"\n\n[[phones]]\nname = \"right\"\naddress = \"x\"\n";
+        let mut session =
+            SessionFile::new(String::from("walk"), Profile::parse(before, None).unwrap());
+        session.started = String::from("2026-01-31T12:00:00Z");
+        session.video = Some(Video {
+            phase: timebase::PhoneNanos(0),
+            frame_duration_ns: 33e6,
+            exposure_ns: Some(2_500_000),
+        });
         let of = |report: &ExtractReport| {
             std::fs::write(&path, before).unwrap();
-            let said = into_profile(report, &path, Timestamp::now());
+            let said = into_profile(report, &path, Some(&session));
             let text = std::fs::read_to_string(&path).unwrap();
             (said, Profile::parse(&text, None).unwrap())
         };
@@ -201,7 +220,10 @@ mod tests {
             "{said}"
         );
         assert!(said.contains("nothing learnt, right:"), "{said}");
-        assert!(profile.phone.learnt.is_some());
+        let learnt = profile.phone.learnt.unwrap();
+        assert_eq!(learnt.frame_jitter_ns, Some(900.0));
+        assert_eq!(learnt.exposure_us, Some(2_500.0));
+        assert_eq!(learnt.time, session.began());
         assert_eq!(profile.phones[0].learnt, None);
 
         let (said, profile) = of(&report(Some(clock(2)), Some(clock(60))));

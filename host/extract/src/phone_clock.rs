@@ -308,6 +308,7 @@ impl PhoneClock {
             Some([low.min(sigma), high.max(sigma)])
         });
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
+        let frame_period = frame_period(&phone).ok();
         let gyros = || self.runs.iter().filter_map(|run| run.gyros.as_ref());
         let sum = |of: fn(&RecordingClock) -> usize| gyros().map(of).sum();
         let course: Vec<_> = gyros().flat_map(window_results).collect();
@@ -322,9 +323,8 @@ impl PhoneClock {
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
             sigma_us: range,
             residual_us: (!course.is_empty()).then(|| residual_rms(&course) * 1e6),
-            frame_period_ns: frame_period(&phone)
-                .ok()
-                .map(|found| (found.period_ns, found.sigma_ns)),
+            frame_period_ns: frame_period.map(|found| (found.period_ns, found.sigma_ns)),
+            frame_jitter_ns: frame_period.map(|found| found.jitter_ns),
             course,
         }
     }

@@ -7,7 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
-use crate::recordings::RecordingArg;
+use crate::recordings::{self, RecordingArg};
 use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
@@ -185,10 +185,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Err(error) => return Err(error.into()),
     };
     if let Some(profile) = &args.learn {
-        let session = SessionFile::load(&job.recording).ok();
-        let time = session.and_then(|session| session.started.parse().ok());
-        let time = time.unwrap_or_else(jiff::Timestamp::now);
-        let text = learn::into_profile(&report, profile, time)?;
+        let session = SessionFile::load(recordings::folder_of(&job.recording)).ok();
+        let text = learn::into_profile(&report, profile, session.as_ref())?;
         context.say(text);
     }
     context.print(&report, || {
@@ -207,13 +205,7 @@ fn default_out(recording: &Path, format: Format) -> Result<PathBuf, Failure> {
         .next_step("give the folder of a recording, or a bag")
     })?;
     // A file in a recording's folder stands for the folder.
-    let is_own = full
-        .file_name()
-        .is_some_and(|name| name == recording::MCAP_FILE);
-    let base = match full.parent() {
-        Some(folder) if is_own => folder.to_owned(),
-        _ => full,
-    };
+    let base = recordings::folder_of(&full);
     let name = base
         .file_name()
         .ok_or_else(|| {
