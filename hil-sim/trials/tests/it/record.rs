@@ -92,6 +92,7 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
     let mut rows = Vec::new();
     let mut link = 0;
     let mut pulses = 0;
+    let arrival = session.alignment.unwrap().arrival_pulse.unwrap();
     let mut reader = Reader::open(folder).unwrap();
     for entry in reader.by_ref() {
         let entry = entry.unwrap();
@@ -101,7 +102,11 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
                 let force: [f64; 3] = sample.linear_acceleration.into();
                 rows.push((entry.at.as_nanos(), [rate, force].concat()));
             }
-            Item::Pulse(_) => pulses += 1,
+            Item::Pulse(pulse) => {
+                pulses += 1;
+                // On a grid of its own before, and on none on its way.
+                assert_eq!(pulse.aligned, pulse.number >= arrival, "{pulse:?}");
+            }
             Item::Link(_) => link += 1,
             _ => {}
         }

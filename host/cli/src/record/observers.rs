@@ -8,6 +8,7 @@ use super::journal::Journal;
 use super::link::BoardLink;
 use board::Stream;
 use board::imu::{ImuLook, Sample};
+use recording::session_file::SessionFile;
 use recording::writer::Severity;
 use verify::watch::{Finding, Watch};
 
@@ -89,6 +90,16 @@ impl Observers {
     }
 }
 
+/// Whether the trigger had arrived on the phone's frames, or was started on them after a
+/// reset. The board says of any grid that a pulse is on it.
+fn is_on_phone(session: &SessionFile, at: Ticks) -> bool {
+    let since = match session.runs.last() {
+        Some(run) => run.anchor,
+        None => session.alignment.and_then(|alignment| alignment.arrival),
+    };
+    since.is_some_and(|since| at >= since)
+}
+
 /// A message of the board, with its times on the recording's axis.
 pub(super) fn take_message(
     link: &mut BoardLink<'_>,
@@ -110,7 +121,8 @@ pub(super) fn take_message(
             observers.sample(&raw, &sample);
             (raw.at, writer.imu(&sample))
         }
-        DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {
+        DeviceToHost::Pulse(mut pulse) if pulse.output.is_camera() => {
+            pulse.aligned &= is_on_phone(&journal.file, pulse.at);
             (pulse.at, writer.pulse(&pulse, phone_time(pulse.at)))
         }
         DeviceToHost::Pulse(pulse) => {
