@@ -580,6 +580,35 @@ mod tests {
     }
 
     #[test]
+    fn a_legend_stands_above_all_that_is_drawn() {
+        // An error bar over the whole height, where a legend inside the axes would be.
+        let bars = Data::Bars(vec![(0.02, 0.5, 0.5), (0.98, 0.5, 0.5)]);
+        let windows = Series {
+            name: String::from("windows"),
+            data: bars,
+        };
+        let svg = series("x", "y", 0.0..1.0, &[windows]);
+        let numbers = |from: &str| -> Vec<f64> {
+            let parts = svg.split(from).skip(1);
+            let texts = parts.map(|part| part.split('"').next().unwrap_or_default());
+            texts
+                .flat_map(|text| text.split_whitespace())
+                .filter_map(|pair| pair.rsplit(',').next()?.parse().ok())
+                .collect()
+        };
+        let drawn = [numbers(" points=\""), numbers(" y1=\"")].concat();
+        let top = drawn.iter().copied().fold(f64::MAX, f64::min);
+        let (before, _) = svg.split_once("\nwindows\n").unwrap();
+        let tag = &before[before.rfind("<text").unwrap()..];
+        let (_, y) = tag.split_once(" y=\"").unwrap();
+        let legend: f64 = y.split('"').next().unwrap().parse().unwrap();
+        assert!(
+            drawn.len() > 4 && legend + f64::from(LABEL) <= top,
+            "{legend} {top}"
+        );
+    }
+
+    #[test]
     fn ticks_have_the_digits_they_need() {
         assert_eq!(tick(540.0, &(0.0..1080.0)), "540");
         assert_eq!(tick(0.1, &(0.0..0.5)), "0.10");

@@ -59,12 +59,7 @@ pub fn write(
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let judged = Judgement::of(folder, session);
-    // A name such as "recording" says it already.
-    let title = match session.name.to_lowercase().starts_with("recording") {
-        true => session.name.clone(),
-        false => format!("Recording {}", session.name),
-    };
-    let mut page = Page::new(&title, judged.level(), &judged.text);
+    let mut page = Page::new(&title(&session.name), judged.level(), &judged.text);
     for part in &judged.parts {
         page.note(verdict::level(part.verdict), &part.line());
     }
@@ -91,6 +86,14 @@ fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
         page.settings("Settings: the IMU", &json!(imu));
     }
     page
+}
+
+fn title(name: &str) -> String {
+    // A name such as "recording" says it already.
+    match name.to_lowercase().starts_with("recording") {
+        true => name.to_owned(),
+        false => format!("Recording {name}"),
+    }
 }
 
 fn facts(session: &SessionFile) -> Vec<(&'static str, String)> {
@@ -206,4 +209,16 @@ pub fn sigmas(clock: &ClockModel) -> (f64, f64) {
 
 fn seconds(from: Ticks, to: Ticks) -> f64 {
     to.as_secs_f64() - from.as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::title;
+
+    #[test]
+    fn a_title_says_recording_once() {
+        assert_eq!(title("walk"), "Recording walk");
+        assert_eq!(title("Recording-3"), "Recording-3");
+        assert_eq!(title("recording"), "recording");
+    }
 }

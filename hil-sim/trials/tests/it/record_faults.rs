@@ -309,15 +309,7 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     // left by them.
     rig.rig.plug();
     rig.phone().leave_network();
-    let mut command = rig.record("asked", &[]);
-    let arguments: Vec<_> = command
-        .get_args()
-        .filter(|a| *a != "--yes")
-        .map(ToOwned::to_owned)
-        .collect();
-    command = Command::new(command.get_program());
-    command.args(arguments);
-    let (mut session, mut keys) = Session::at_keys(&mut command);
+    let (mut session, mut keys) = Session::at_keys(&mut asking(&rig.record("asked", &[])));
     session.wait_for("[Enter] or [r] try again");
     rig.phone().join_network().unwrap();
     keys.write_all(b"\n").unwrap();
@@ -326,6 +318,34 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     keys.write_all(b"q\n").unwrap();
     session.ends_with(INTERRUPTED);
     readable(&rig, "asked", SessionOutcome::Interrupted);
+}
+
+/// The same command with somebody there who answers.
+fn asking(command: &Command) -> Command {
+    let mut asking = Command::new(command.get_program());
+    asking.args(command.get_args().filter(|argument| *argument != "--yes"));
+    asking
+}
+
+#[test]
+fn a_twist_that_is_needed_cannot_be_left_out() {
+    let _turn = turn::beside_others();
+    // At rest no twist relates the clocks.
+    let rig = WholeRig::with(15, SPEED, |config, _| {
+        config.motion = "rest".parse().unwrap();
+    });
+    let (mut session, mut keys) = Session::at_keys(&mut asking(&rig.record("kept", &[])));
+    session.wait_for("[Enter] to begin");
+    keys.write_all(b"s\n").unwrap();
+    session.wait_for("this twist cannot be left out");
+    assert!(!session.said().contains("twist now"), "{}", session.said());
+    keys.write_all(b"\n").unwrap();
+    session.wait_for("[Enter] or [r] twist again");
+    keys.write_all(b"s\n").unwrap();
+    keys.write_all(b"q\n").unwrap();
+    let said = session.ends_with(INTERRUPTED);
+    assert_eq!(said.matches("cannot be left out").count(), 2, "{said}");
+    readable(&rig, "kept", SessionOutcome::Interrupted);
 }
 
 /// Bytes come, but nothing that is understood: no sign of life.

@@ -399,6 +399,10 @@ fn bad_input_of_every_command_has_a_next_step_that_fits() {
         let error = serde_json::from_slice::<Value>(&output.stdout).unwrap_or_default();
         let error = &error["error"];
         let text = |key: &str| error[key].as_str().unwrap_or_default().to_owned();
+        let unknown = unknown_options(&text("next_step"), line);
+        if !unknown.is_empty() {
+            wrong.push(format!("{line} has no {unknown:?}, which it advises"));
+        }
         if output.status.code() != Some(code)
             || !text("message").contains(message)
             || !text("next_step").contains(step)
@@ -411,6 +415,31 @@ fn bad_input_of_every_command_has_a_next_step_that_fits() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Options in an advice, outside of commands that are quoted, which the command of this
+/// line does not have.
+fn unknown_options(advice: &str, line: &str) -> Vec<String> {
+    let mut command = Cli::command();
+    command.build();
+    for word in line.split(' ') {
+        match command.find_subcommand(word) {
+            Some(below) => command = below.clone(),
+            None => break,
+        }
+    }
+    let known: Vec<&str> = command
+        .get_arguments()
+        .filter_map(|a| a.get_long())
+        .collect();
+    let outside = advice.split('`').step_by(2);
+    let is_part = |c: char| c.is_ascii_lowercase() || c == '-';
+    outside
+        .flat_map(|text| text.split(|c| !is_part(c)))
+        .filter_map(|word| word.strip_prefix("--"))
+        .filter(|option| !option.is_empty() && !known.contains(option))
+        .map(str::to_owned)
+        .collect()
 }
 
 #[test]
@@ -483,5 +512,6 @@ fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
     for check in bad {
         let step = check["next_step"].as_str().unwrap_or_default();
         assert!(step.len() > 10, "{check}");
+        assert!(unknown_options(step, "doctor").is_empty(), "{check}");
     }
 }

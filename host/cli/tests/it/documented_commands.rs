@@ -131,16 +131,29 @@ fn every_command_has_help_and_a_manual_page() {
         args.push("--help");
         let help = run(&args);
         assert_eq!(help.status.code(), Some(0), "{args:?}");
-        assert!(
-            String::from_utf8_lossy(&help.stdout).contains("Usage:"),
-            "{args:?}"
-        );
+        let help = String::from_utf8_lossy(&help.stdout).into_owned();
+        assert!(help.contains("Usage:"), "{args:?}");
+        let headings = help
+            .lines()
+            .filter(|line| line.ends_with(':') && !line.starts_with(' '));
+        assert_eq!(headings.last(), Some("Options of every command:"), "{help}");
         let page = place.join(format!("smartdepthsync-{}.1", path.join("-")));
         let text =
             fs::read_to_string(&page).unwrap_or_else(|error| panic!("{}: {error}", page.display()));
         assert!(text.contains(".SH SYNOPSIS"), "{}", page.display());
     }
     assert!(place.join("smartdepthsync.1").exists());
+}
+
+#[test]
+fn help_lists_the_commands_in_the_order_of_use() {
+    let help = run(&["--help"]);
+    let help = String::from_utf8_lossy(&help.stdout);
+    let places = [
+        "setup", "doctor", "record", "verify", "extract", "profile", "trigger",
+    ]
+    .map(|name| help.find(&format!("\n  {name} ")).unwrap());
+    assert!(places.is_sorted(), "{help}");
 }
 
 /// What the objects hold is compared by the tests of the commands.

@@ -272,7 +272,9 @@ fn cut_in_the_middle() {
 
 #[test]
 fn silent_or_slow() {
-    fails_within(Fake::answers(""), &["stop"], &["within 1s"], "1");
+    let silent = Fake::answers("");
+    let address = silent.address.clone();
+    fails_within(silent, &["stop"], &["within 1s", &address], "1");
     // A byte now and then does not prolong the deadline.
     let trickle = Fake::new(|stream| {
         for _ in 0..100 {
@@ -448,10 +450,19 @@ fn imu_recordings_are_saved_as_they_came() {
     let answer = format!(
         "{HEAD}aaccel.csv\n0.1,9.81,-1.0E-4,5\nsensor_end\nagyro.csv\n1,2,3,4\n1,2,3,2000004\nsensor_end\nend\n"
     );
-    let arguments = ["imu", "--seconds", "0.1", "--accel", "--out", ".", "--json"];
+    // The folder is not there yet.
+    let arguments = [
+        "imu",
+        "--seconds",
+        "0.1",
+        "--accel",
+        "--out",
+        "twist/",
+        "--json",
+    ];
     let run = run(Fake::answers(answer), &arguments, folder.path());
     assert_eq!(run.code, Some(0), "{}", run.stderr);
-    let read = |name| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let read = |name| std::fs::read_to_string(folder.path().join("twist").join(name)).unwrap();
     assert_eq!(read("gyro.csv"), "1,2,3,4\n1,2,3,2000004\n");
     assert_eq!(read("accel.csv"), "0.1,9.81,-0.0001,5\n");
     let json: serde_json::Value = serde_json::from_str(&run.stdout).unwrap();

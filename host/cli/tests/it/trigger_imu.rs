@@ -172,6 +172,41 @@ fn a_refusal_has_its_code_and_names_the_bounds() {
 }
 
 #[test]
+fn what_the_state_forbids_names_the_command_that_changes_it() {
+    for (refusal, arguments, step) in [
+        (
+            Refusal::TriggerRunning,
+            &["trigger", "start", "--fps", "30"][..],
+            "`smartdepthsync trigger stop`",
+        ),
+        (
+            Refusal::TriggerStopped,
+            &["trigger", "align", "--anchor", "4416000000", "--fps", "30"],
+            "`smartdepthsync trigger start`",
+        ),
+        (
+            Refusal::GnssRunning,
+            &["gnss", "start"],
+            "`smartdepthsync gnss stop`",
+        ),
+    ] {
+        let result = match refusal {
+            Refusal::TriggerRunning => |_: &Command| Err(Refusal::TriggerRunning),
+            Refusal::TriggerStopped => |_: &Command| Err(Refusal::TriggerStopped),
+            _ => |_: &Command| Err(Refusal::GnssRunning),
+        };
+        let (board, _received) = trigger(result);
+        let mut line = arguments.to_vec();
+        line.extend(["--port", &board.path]);
+        let output = run(&line);
+        assert_eq!(code(&output), 3, "{line:?}: {output:?}");
+        let told = text(&output.stderr);
+        assert!(told.contains(step), "{line:?}: {told}");
+        assert!(!told.contains("within the bounds"), "{line:?}: {told}");
+    }
+}
+
+#[test]
 fn wrong_units_are_usage_errors_before_any_port_is_opened() {
     for args in [
         &["trigger", "start", "--period-us", "999"][..],
@@ -284,6 +319,10 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
     assert_eq!(&rows[0][7], "9.8066500");
     let seconds: f64 = rows[0][1].parse().unwrap();
     assert!((seconds - ticks[0] as f64 / 48e6).abs() < 1e-6);
+
+    let output = run(&["imu", "--port", &board.path, "--seconds", "1"]);
+    let told = text(&output.stdout);
+    assert!(told.contains("\naccelerometer mean "), "{told}");
 
     let board = StandIn::new(ImuStandIn {
         next: 0,
