@@ -22,6 +22,7 @@ mod commands;
 mod decimal;
 pub mod live_data;
 mod log;
+mod new_profile;
 pub mod outcome;
 pub mod record;
 mod recordings;

@@ -1,4 +1,5 @@
-//! Depth recordings: the camera's own files (MKV) and the images in a bag.
+//! Depth recordings: the camera's own files (MKV), the images in the board's bag, and bags
+//! of the camera's ROS 2 driver.
 //!
 //! A recording is gone over twice: once for the times of its frames
 //! ([`DepthInput::index`], no pixels are read), and once for the images
@@ -9,8 +10,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, BoardStream, Images};
 use super::mkv::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
+use super::ros2_depth::{Ros2Bag, Ros2Error, Ros2Images};
 use super::time::{DeviceNanos, SECOND};
 use twist_sync::GyroSample;
 
@@ -24,6 +26,8 @@ pub(crate) enum DepthInput {
     Mkv(PathBuf),
     /// `/azure/depth/image_raw` of the board's bag.
     Bag(PathBuf),
+    /// A bag of the camera's ROS 2 driver.
+    Ros2(Ros2Bag),
 }
 
 /// Why depth cannot be read.
@@ -48,6 +52,9 @@ pub enum DepthError {
     /// The bag.
     #[error(transparent)]
     Board(#[from] BoardError),
+    /// The bag of the camera's driver.
+    #[error(transparent)]
+    Ros2(#[from] Ros2Error),
 }
 
 /// A frame's time and size.
@@ -119,6 +126,17 @@ impl DepthInput {
     pub(crate) fn path(&self) -> &Path {
         match self {
             Self::Mkv(path) | Self::Bag(path) => path,
+            Self::Ros2(bag) => &bag.path,
+        }
+    }
+
+    /// Bytes of it.
+    pub(crate) fn length(&self) -> u64 {
+        match self {
+            Self::Mkv(path) | Self::Bag(path) => {
+                std::fs::metadata(path).map_or(0, |meta| meta.len())
+            }
+            Self::Ros2(bag) => bag.length(),
         }
     }
 
@@ -138,6 +156,7 @@ impl DepthInput {
         match self {
             Self::Mkv(path) => index_mkv(path, progress),
             Self::Bag(path) => index_bag(path, progress),
+            Self::Ros2(bag) => index_ros2(bag, progress),
         }
     }
 
@@ -150,6 +169,7 @@ impl DepthInput {
         let source = match self {
             Self::Mkv(path) => Source::Mkv(Box::new(Self::recording(path)?)),
             Self::Bag(path) => Source::Bag(BoardInput::Bag(path.clone()).open(Images::Pixels)?),
+            Self::Ros2(bag) => Source::Ros2(Box::new(bag.open(Images::Pixels)?)),
         };
         Ok(DepthImages {
             source,
@@ -170,7 +190,7 @@ impl DepthInput {
     ) -> Result<impl Iterator<Item = Result<GyroSample, DepthError>> + use<>, DepthError> {
         let mut recording = match self {
             Self::Mkv(path) => Some(Self::recording(path)?),
-            Self::Bag(_) => None,
+            Self::Bag(_) | Self::Ros2(_) => None,
         };
         let path = self.path().to_owned();
         let batches = std::iter::from_fn(move || {
@@ -281,22 +301,41 @@ fn index_bag(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     let mut index = DepthIndex::default();
     while let Some(event) = stream.next_event()? {
         if let BoardEvent::Image(image) = event {
-            if index.frames.is_empty() {
-                index.size = (image.width, image.height);
-            }
-            index.frames.push(DepthStamp {
-                at: DeviceNanos(image.stamp),
-                whole: (image.width, image.height) == index.size,
-            });
+            index.add(&image);
             progress(stream.position());
         }
     }
     Ok(index)
 }
 
+fn index_ros2(bag: &Ros2Bag, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, DepthError> {
+    let mut images = bag.open(Images::Stamps)?;
+    let mut index = DepthIndex::default();
+    while let Some(image) = images.next_image()? {
+        index.add(&image);
+        progress(images.position());
+    }
+    index.faults = images.damage();
+    Ok(index)
+}
+
+impl DepthIndex {
+    /// A frame of a bag; the first says how large they are.
+    fn add(&mut self, image: &BagImage) {
+        if self.frames.is_empty() {
+            self.size = (image.width, image.height);
+        }
+        self.frames.push(DepthStamp {
+            at: DeviceNanos(image.stamp),
+            whole: (image.width, image.height) == self.size,
+        });
+    }
+}
+
 enum Source {
     Mkv(Box<Recording<BufReader<File>>>),
     Bag(Box<dyn BoardStream>),
+    Ros2(Box<Ros2Images>),
 }
 
 /// Images one after the other.
@@ -333,16 +372,24 @@ impl DepthImages {
                 let BoardEvent::Image(image) = event else {
                     return Ok(Some(Vec::new()));
                 };
-                let index = self.next;
-                self.next += 1;
-                Ok(Some(vec![CameraImage::Depth(DepthImage {
-                    index,
-                    depth: image.pixels,
-                    infrared: None,
-                    damaged: false,
-                })]))
+                Ok(Some(vec![self.of_bag(image)]))
+            }
+            Source::Ros2(images) => {
+                let image = images.next_image()?;
+                Ok(image.map(|image| vec![self.of_bag(image)]))
             }
         }
+    }
+
+    fn of_bag(&mut self, image: BagImage) -> CameraImage {
+        let index = self.next;
+        self.next += 1;
+        CameraImage::Depth(DepthImage {
+            index,
+            depth: image.pixels,
+            infrared: None,
+            damaged: false,
+        })
     }
 }
 

@@ -9,8 +9,10 @@ use super::depth::DepthInput;
 use super::geometry::{CameraFacts, View};
 use super::gyro_clock::prior;
 use super::later_runs::Moves;
+use super::ros2_depth::{Ros2Bag, is_bag};
 use phone::video_files::{self, FilesError, VideoFiles};
 use recording::MCAP_FILE;
+use recording::camera::{MODELS, Model};
 use recording::profile::{Direction, Intrinsics, Phone, Pose};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
@@ -30,6 +32,8 @@ pub struct Options {
     pub phone_imu_delay_ns: Option<i64>,
     /// Index of the first depth frame's pulse.
     pub first_pulse: Option<usize>,
+    /// The topic of depth in a bag of the camera's driver, if there are several.
+    pub depth_topic: Option<String>,
     /// Whether infrared images are written too.
     pub infrared: bool,
     /// Exposure of the depth camera's colour images, ns.
@@ -151,6 +155,8 @@ pub(crate) struct Inputs {
     pub(crate) board_id: Option<String>,
     /// What the lidar is called, if there is a session.
     pub(crate) lidar: Option<String>,
+    /// Model of the depth camera; the published rig's where no session names it.
+    pub(crate) camera: &'static Model,
     /// The depth camera's mode in the rig profile, if there is a session.
     pub(crate) depth_mode: Option<String>,
     /// Where the profile has the depth camera's colour camera.
@@ -202,7 +208,9 @@ pub enum InputsError {
         names: Vec<String>,
     },
     /// The file given as depth recording is of another kind.
-    #[error("{path} is no depth recording: expected a file that ends in .mkv")]
+    #[error(
+        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or an .mcap file)"
+    )]
     NotDepth {
         /// Which.
         path: PathBuf,
@@ -221,7 +229,7 @@ const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 pub(crate) fn find(
     recording: &Path,
     phone: Option<&Path>,
-    depth: Option<&Path>,
+    (depth, topic): (Option<&Path>, Option<&str>),
     phones: &[(String, PathBuf)],
 ) -> Result<Inputs, InputsError> {
     let meta = fs::metadata(recording).map_err(|error| InputsError::Io {
@@ -281,8 +289,8 @@ pub(crate) fn find(
         }
     };
     let depth = match depth {
-        Some(path) => Some(depth_file(path)?),
-        None if folder => find_depth(recording)?,
+        Some(path) => Some(depth_file(path, topic)?),
+        None if folder => find_depth(recording, topic)?,
         None => None,
     };
     let name = match recording.canonicalize() {
@@ -303,6 +311,10 @@ pub(crate) fn find(
         lidar: session
             .as_ref()
             .map(|session| session.profile.lidar_name().to_owned()),
+        camera: session
+            .as_ref()
+            .and_then(|session| session.profile.depth.model())
+            .unwrap_or(MODELS[0]),
         depth_mode: session
             .as_ref()
             .map(|session| session.profile.depth.mode.clone()),
@@ -505,13 +517,15 @@ fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
     }
 }
 
-fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
+fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsError> {
     fs::metadata(path).map_err(|error| InputsError::Io {
         path: path.to_owned(),
         error,
     })?;
     if ends_with(path, &MKV) {
         Ok(DepthInput::Mkv(path.to_owned()))
+    } else if is_bag(path) {
+        Ok(ros2(path.to_owned(), topic))
     } else {
         Err(InputsError::NotDepth {
             path: path.to_owned(),
@@ -519,10 +533,31 @@ fn depth_file(path: &Path) -> Result<DepthInput, InputsError> {
     }
 }
 
-fn find_depth(folder: &Path) -> Result<Option<DepthInput>, InputsError> {
-    match files_in(folder, &MKV)?.as_slice() {
+fn ros2(path: PathBuf, topic: Option<&str>) -> DepthInput {
+    DepthInput::Ros2(Ros2Bag {
+        path,
+        topic: topic.map(str::to_owned),
+    })
+}
+
+/// The depth recording in a recording's folder: an MKV file, or the folder of a bag.
+fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, InputsError> {
+    let mut found = files_in(folder, &MKV)?;
+    let files = found.len();
+    let fail = |error| InputsError::Io {
+        path: folder.to_owned(),
+        error,
+    };
+    for entry in fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        if path.is_dir() && is_bag(&path) {
+            found.push(path);
+        }
+    }
+    match found.as_slice() {
         [] => Ok(None),
-        [file] => Ok(Some(DepthInput::Mkv(file.clone()))),
+        [file] if files == 1 => Ok(Some(DepthInput::Mkv(file.clone()))),
+        [bag] => Ok(Some(ros2(bag.clone(), topic))),
         several => Err(InputsError::SeveralDepth {
             path: folder.to_owned(),
             names: names(several),

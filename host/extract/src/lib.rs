@@ -3,7 +3,7 @@
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
 //! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, [`bag`]s of the published
-//!   system), `phone_rows` (the phone's CSV files), `depth` ([`mkv`]).
+//!   system), `phone_rows` (the phone's CSV files), `depth` ([`mkv`], ROS 2 bags).
 //! - Time: `time` (integers only), `gyro_clock` and `phone_clock` (the phone's clock
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
 //!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
@@ -40,6 +40,7 @@ mod phone_clock;
 mod phone_rows;
 pub mod progress;
 pub mod report;
+mod ros2_depth;
 pub mod run;
 mod sequence;
 mod streams;

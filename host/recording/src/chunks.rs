@@ -20,8 +20,8 @@
 //! unpacked, time by the file's length ([`Budget`]), whatever the file claims. For files that are damaged in the
 //! middle there is [`super::scan`].
 //!
-//! Limits: chunks are stored as they are or with LZ4, which is all that this program
-//! writes.
+//! Limits: chunks are stored as they are, with LZ4, which is all that this program writes,
+//! or with Zstandard, as other programs do.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -73,8 +73,8 @@ pub enum BadChunk {
     /// It is longer than any real one.
     #[error("it claims {0} bytes, more than any real one holds")]
     TooLarge(u64),
-    /// A compression that this program does not write.
-    #[error("it is packed with {0:?}; expected lz4 or nothing")]
+    /// A compression that this program does not know.
+    #[error("it is packed with {0:?}; expected lz4, zstd or nothing")]
     Compression(String),
     /// Its bytes are not packed as it says.
     #[error("it cannot be unpacked: {0}")]
@@ -403,6 +403,16 @@ pub(crate) fn unpack(
         "lz4" => {
             memory.clear();
             lz4_flex::frame::FrameDecoder::new(packed.as_ref())
+                .take(expected + 1)
+                .read_to_end(&mut memory)
+                .map_err(BadChunk::Packing)?;
+            memory
+        }
+        "zstd" => {
+            memory.clear();
+            let broken = |error| BadChunk::Packing(io::Error::other(error));
+            ruzstd::decoding::StreamingDecoder::new(packed.as_ref())
+                .map_err(broken)?
                 .take(expected + 1)
                 .read_to_end(&mut memory)
                 .map_err(BadChunk::Packing)?;

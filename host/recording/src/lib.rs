@@ -10,6 +10,7 @@
 //!
 //! - [`folder`]: a readable name that never overwrites.
 //! - [`profile`]: what is fixed about one rig.
+//! - [`camera`]: models of depth cameras.
 //! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
@@ -21,6 +22,7 @@
 //!
 //! The format is described in `docs/formats.md`.
 
+pub mod camera;
 pub mod chunks;
 mod diagnostics;
 pub mod folder;

@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
+use crate::camera::{DEFAULT_CAMERA, Model};
 use jiff::Timestamp;
 use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
@@ -205,9 +206,12 @@ pub struct Learnt {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Depth {
+    /// Model of the camera, by its word ([`crate::camera::MODELS`]).
+    #[serde(default = "Depth::default_camera")]
+    pub camera: String,
     /// Depth mode, for the record.
     pub mode: String,
-    /// Frames a second: 30, 15 or 5.
+    /// Frames a second, which divide the phone's 30 and which the camera has.
     pub fps: u32,
     /// From the trigger's edge to the middle of exposure, µs.
     pub center_offset_us: f64,
@@ -220,6 +224,18 @@ pub struct Depth {
     pub color_from_imu: Option<Pose>,
     /// The program that records it.
     pub recorder: Recorder,
+}
+
+impl Depth {
+    fn default_camera() -> String {
+        DEFAULT_CAMERA.to_owned()
+    }
+
+    /// The camera's model; a profile that was checked has one.
+    #[must_use]
+    pub fn model(&self) -> Option<&'static Model> {
+        Model::find(&self.camera)
+    }
 }
 
 /// The program that records the depth camera.
@@ -514,7 +530,7 @@ impl Profile {
         micros_to_ticks(self.align.slew_us)
     }
 
-    /// The phone's frames to one frame of the depth camera: 1, 2 or 6.
+    /// The phone's frames to one frame of the depth camera.
     #[must_use]
     pub const fn frame_ratio(&self) -> u32 {
         30 / self.depth.fps

@@ -81,3 +81,64 @@ fn bags_hold_what_the_folders_of_files_hold() {
         .to_string();
     assert!(error.contains("--overwrite"), "{error}");
 }
+
+/// A bag of a driver's, written by `rosbags`, gives what the camera's own file gives.
+#[test]
+fn depth_of_a_driver_s_bag_finds_its_pulses() {
+    let _turn = turn::beside_others();
+    let case = Case::new(&Synthetic {
+        seed: 13,
+        seconds: 20,
+        slew: true,
+        ..Synthetic::default()
+    });
+    case.extract(None, "own", Options::default());
+    let own = case.table("own/depth_frames.csv", &[0, 1, 3]);
+    let stamps: String = own
+        .iter()
+        .map(|row| format!("{}\n", row[1].unwrap()))
+        .collect();
+    std::fs::write(case.path("stamps.txt"), stamps).unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/make_depth_bag.py");
+    let bag = case.path("driver");
+    python::run_script(&script, &[&case.path("stamps.txt"), &bag]);
+
+    // The same pulses for the same frames; only the start of the file may be undecided.
+    let report = case.extract(Some(&bag), "bag", Options::default());
+    let of_bag = case.table("bag/depth_frames.csv", &[0, 1, 3]);
+    assert_eq!(of_bag, own, "{:#?}", report.losses);
+    let depth = report.depth.unwrap();
+    assert_eq!(
+        depth.images,
+        own.iter().filter(|row| row[2].is_some()).count() as u64
+    );
+
+    // Each picture is the one of its frame.
+    let folder = case.path("bag/mav0/depth0/data");
+    let mut pictures: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|f| f.unwrap().path())
+        .collect();
+    pictures.sort();
+    let frames: Vec<usize> = (0..own.len())
+        .filter(|&frame| own[frame][2].is_some())
+        .collect();
+    assert_eq!(pictures.len(), frames.len());
+    for (frame, picture) in frames.iter().zip(&pictures).step_by(37) {
+        let pixels = image::open(picture).unwrap().into_luma16().into_raw();
+        let expected: Vec<u16> = (0..24).map(|n| (1000 + 7 * frame + n) as u16).collect();
+        assert_eq!(pixels, expected, "{}", picture.display());
+    }
+
+    let topic = Options {
+        depth_topic: Some(String::from("/camera/color/depth")),
+        ..Options::default()
+    };
+    let losses = case.extract(Some(&bag), "none", topic).losses;
+    assert!(
+        losses
+            .iter()
+            .any(|loss| format!("{loss:?}").contains("--depth-topic")),
+        "{losses:?}"
+    );
+}

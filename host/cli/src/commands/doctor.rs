@@ -75,8 +75,9 @@ pub(crate) fn look(args: &Args, context: &Context) -> Checks {
     match args.port.open() {
         Ok(mut board) => {
             checks.firmware(&board);
-            let looked = check_imu(&mut board, &mut checks, context)
-                .and_then(|()| check_trigger(args, &mut board, &mut checks, context));
+            let looked = check_imu(&mut board, &mut checks, context).and_then(|()| {
+                check_trigger(args, profile.as_ref(), &mut board, &mut checks, context)
+            });
             if let Err(error) = looked {
                 checks.bad("board", error);
             }
@@ -130,17 +131,21 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
     Ok(())
 }
 
+/// Tries the trigger as the profile's camera has it.
 fn check_trigger(
     args: &Args,
+    profile: Option<&Profile>,
     board: &mut Board,
     checks: &mut Checks,
     context: &Context,
 ) -> Result<(), Failure> {
     let before = board.trigger()?;
     let after = if before.state == TrainState::Stopped && !args.no_trigger {
+        let fps = profile.map_or(30, |profile| profile.depth.fps);
+        let usual = 12 * TICK_HZ / 1_000_000;
         let start = TriggerStart {
-            period: Period::from_ticks(TICK_HZ / 30),
-            width: 12 * TICK_HZ / 1_000_000,
+            period: Period::from_ticks(TICK_HZ / fps),
+            width: profile.map_or(usual, Profile::pulse_width),
             first_edge: None,
             first_fraction: 0,
         };

@@ -80,9 +80,13 @@ pub(crate) struct Args {
     /// given. Of several phones with its name; may be given for each
     #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
     phone: Vec<PhonePlace>,
-    /// The depth camera's recording (.mkv); the one in the recording's folder unless given
-    #[arg(long, value_name = "FILE")]
+    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver in MCAP files
+    /// (the bag's folder or one of them); the one in the recording's folder unless given
+    #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
+    /// The topic of the depth images in a bag, if it has several
+    #[arg(long, value_name = "TOPIC")]
+    depth_topic: Option<String>,
     /// The format
     #[arg(long, value_enum, default_value_t = FormatArg::Euroc)]
     format: FormatArg,
@@ -167,6 +171,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             board_imu_delay_ns: args.imu_delay_us,
             phone_imu_delay_ns: args.phone_imu_delay_us,
             first_pulse: args.depth_first_pulse,
+            depth_topic: args.depth_topic.clone(),
             infrared: args.infrared,
             camera_exposure_ns: args.camera_exposure_us,
             view: args.register.map(View::from),

@@ -7,12 +7,15 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde::Serialize;
 
+use super::setup::CameraArg;
 use crate::cli::Context;
+use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use frame_sync::learn;
 use frame_sync::train::frame_period;
 use phone::frame_timestamps;
 use phone::rows::RowError;
+use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
@@ -30,6 +33,8 @@ enum Action {
     Init {
         /// The file to write
         file: PathBuf,
+        #[command(flatten)]
+        camera: CameraArg,
     },
     /// Check a profile and print it with all defaults filled in
     Check {
@@ -87,7 +92,7 @@ struct PrintedLesson {
 /// A file cannot be read or written, or nothing can be learnt.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     match &args.action {
-        Action::Init { file } => init(file, context),
+        Action::Init { file, camera } => init(file, camera, context),
         Action::Check { file } => {
             let profile = Profile::load(file)?;
             let text = toml::to_string_pretty(&profile).map_err(|error| {
@@ -162,9 +167,18 @@ fn import(
     Ok(Outcome::Good)
 }
 
-fn init(file: &Path, context: &Context) -> Result<Outcome, Failure> {
+fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<Outcome, Failure> {
+    let model = given.camera.or_else(|| Model::find(DEFAULT_CAMERA));
+    let text = match model {
+        Some(model) if *given != CameraArg::default() => {
+            let mut camera = Camera::new(model, given.mode(model)?);
+            camera.exposure_us = given.depth_exposure_us;
+            new_profile::text(&camera, &[])?
+        }
+        _ => DEFAULT.to_owned(),
+    };
     File::create_new(file)
-        .and_then(|mut created| created.write_all(DEFAULT.as_bytes()))
+        .and_then(|mut created| created.write_all(text.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
     context.print(&PrintedProfile { profile: file }, || {
         format!("wrote {}; set the phone's address in it", file.display())

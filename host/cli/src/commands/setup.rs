@@ -8,29 +8,17 @@ use std::io::{BufRead, IsTerminal as _};
 use std::path::PathBuf;
 
 use serde::Serialize;
-use toml_edit::{Array, DocumentMut, Item, value};
+use toml_edit::{Array, value};
 
 use super::{PortArg, doctor};
 use crate::cli::Context;
+use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
 use crate::record::preflight::{Checks, on_search_path};
 use crate::rig_profile::{FILE, ProfileArg};
-use extract::run::nominal_center;
 use phone::adb;
-use recording::profile::{DEFAULT, Profile};
+use recording::camera::{DEFAULT_CAMERA, MODELS, Mode, Model};
 use session_report::shell_word;
-
-/// Modes of the depth camera with the frames a second that a rig can use, and its
-/// recorder's name of the mode.
-const MODES: [(&str, &[u32]); 4] = [
-    ("NFOV_UNBINNED", &[30, 15, 5]),
-    ("NFOV_2X2BINNED", &[30, 15, 5]),
-    ("WFOV_2X2BINNED", &[30, 15, 5]),
-    ("WFOV_UNBINNED", &[15, 5]),
-];
-
-/// The depth camera maker's own recorder.
-const RECORDER: &str = "k4arecorder";
 
 /// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
 /// `doctor` does, and names the next command.
@@ -50,14 +38,13 @@ pub(crate) struct Args {
     /// The phone's address, as the app's dialog shows it
     #[arg(long, value_name = "HOST[:PORT]")]
     phone: Option<String>,
-    /// Mode of the depth camera: NFOV_UNBINNED, NFOV_2X2BINNED, WFOV_2X2BINNED, WFOV_UNBINNED
-    #[arg(long, value_name = "MODE", value_parser = parse_mode)]
-    depth_mode: Option<&'static str>,
-    /// Frames a second of the depth camera: 30, 15 or 5
-    #[arg(long, value_name = "FPS", value_parser = parse_fps)]
+    #[command(flatten)]
+    camera: CameraArg,
+    /// Pulses a second for the depth camera
+    #[arg(long, value_name = "FPS")]
     fps: Option<u32>,
     /// The program that records the depth camera, with its arguments; {folder} and {fps} are
-    /// filled in. `none` for none; k4arecorder if it is installed
+    /// filled in. `none` for none; the camera's own if it is installed
     #[arg(long, value_name = "COMMAND")]
     recorder: Option<String>,
     /// Ask nothing: what is not given has its default
@@ -68,19 +55,58 @@ pub(crate) struct Args {
     no_trigger: bool,
 }
 
-fn parse_mode(text: &str) -> Result<&'static str, String> {
-    let mut modes = MODES.iter().map(|(name, _)| *name);
-    let found = modes.find(|name| name.eq_ignore_ascii_case(text));
-    found.ok_or_else(|| {
-        let names: Vec<&str> = MODES.iter().map(|(name, _)| *name).collect();
-        format!("expected {}", names.join(", "))
+/// The options that name a depth camera.
+#[derive(Clone, Debug, Default, PartialEq, clap::Args)]
+pub(crate) struct CameraArg {
+    /// Model of the depth camera
+    #[arg(long, value_name = "MODEL", value_parser = parse_model)]
+    pub(crate) camera: Option<&'static Model>,
+    /// Mode of the depth camera, as its programs call it
+    #[arg(long, value_name = "MODE")]
+    pub(crate) depth_mode: Option<String>,
+    /// Exposure of the depth camera, µs, if it is one whose exposure is set
+    #[arg(long, value_name = "MICROSECONDS", value_parser = parse_exposure)]
+    pub(crate) depth_exposure_us: Option<f64>,
+}
+
+impl CameraArg {
+    /// The mode that is given, of this model.
+    ///
+    /// # Errors
+    ///
+    /// It has no such mode.
+    pub(crate) fn mode(&self, model: &'static Model) -> Result<Option<&'static Mode>, Failure> {
+        let given = self.depth_mode.as_deref();
+        given
+            .map(|given| {
+                parse_mode(model, given).map_err(|expected| {
+                    Failure::new(
+                        ExitStatus::Usage,
+                        format!("--depth-mode {given}: {expected}"),
+                    )
+                    .next_step("give one of these, or another --camera")
+                })
+            })
+            .transpose()
+    }
+}
+
+fn parse_model(text: &str) -> Result<&'static Model, String> {
+    Model::find(text).ok_or_else(|| format!("expected {}", Model::ids()))
+}
+
+fn parse_mode(model: &'static Model, text: &str) -> Result<&'static Mode, String> {
+    model.mode(text.trim()).ok_or_else(|| {
+        let names: Vec<&str> = model.modes.iter().map(|mode| mode.name).collect();
+        format!("{} has {}", model.name, names.join(", "))
     })
 }
 
-fn parse_fps(text: &str) -> Result<u32, &'static str> {
-    let fps = text.parse().ok();
-    fps.filter(|fps| [30, 15, 5].contains(fps))
-        .ok_or("expected 30, 15 or 5")
+fn parse_exposure(text: &str) -> Result<f64, &'static str> {
+    let exposure = text.parse().ok();
+    exposure
+        .filter(|exposure| (1.0..=200_000.0).contains(exposure))
+        .ok_or("expected 1 to 200000 (µs)")
 }
 
 /// What `--json` prints.
@@ -94,13 +120,12 @@ struct PrintedSetup {
 }
 
 /// The answers.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 struct Answers {
     name: String,
     phone: String,
-    mode: &'static str,
-    fps: u32,
-    recorder: Vec<String>,
+    camera: Camera,
+    recorder: Array,
 }
 
 /// Runs the command.
@@ -123,7 +148,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         context,
     };
     let answers = answers(args, known, &mut asker)?;
-    let text = profile_text(&answers)?;
+    let text = answers.profile()?;
     files::replace(&args.profile, text.as_bytes())
         .map_err(|error| Failure::file("write", &args.profile, &error))?;
     context.say(format!("wrote {}\n", args.profile.display()));
@@ -248,36 +273,13 @@ fn answers<R: BufRead>(
             })?
         }
     };
-    let names: Vec<&str> = MODES.iter().map(|(name, _)| *name).collect();
-    let mode = match args.depth_mode {
-        Some(mode) => mode,
-        None => {
-            let question = format!("Mode of the depth camera ({})?", names.join(", "));
-            asker.ask(&question, "NFOV_UNBINNED", parse_mode)?
-        }
-    };
-    let rates = MODES.iter().find(|(name, _)| *name == mode);
-    let rates = rates.map_or(&[30][..], |(_, rates)| rates);
-    let fits = |fps: u32| match rates.contains(&fps) {
-        true => Ok(fps),
-        false => Err(format!("{mode} has {} frames a second", list(rates))),
-    };
-    let fps = match args.fps {
-        Some(fps) => fits(fps).map_err(|expected| {
-            Failure::new(ExitStatus::Usage, format!("--fps {fps}: {expected}"))
-                .next_step("give one of these, or another --depth-mode")
-        })?,
-        None => {
-            let question = format!("Frames a second of the depth camera ({})?", list(rates));
-            let most = rates.first().copied().unwrap_or(30).to_string();
-            asker.ask(&question, &most, |text| fits(parse_fps(text)?))?
-        }
-    };
+    let camera = ask_camera(args, asker)?;
     let recorder = match &args.recorder {
         Some(recorder) => recorder.clone(),
         None => {
-            let default = match on_search_path(RECORDER) {
-                true => RECORDER,
+            let usual = usual_recorder(camera.model);
+            let default = match on_search_path(usual) {
+                true => usual,
                 false => "none",
             };
             let question =
@@ -288,10 +290,59 @@ fn answers<R: BufRead>(
     Ok(Answers {
         name,
         phone,
-        mode,
-        fps,
-        recorder: recorder_command(&recorder, mode),
+        recorder: recorder_command(&recorder, camera.model, camera.mode),
+        camera,
     })
+}
+
+fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camera, Failure> {
+    let given = &args.camera;
+    let model = match given.camera {
+        Some(model) => model,
+        None => {
+            let known = MODELS.map(|model| model.id).join(", ");
+            let question = format!("Which depth camera ({known})?");
+            asker.ask(&question, DEFAULT_CAMERA, |text| parse_model(text.trim()))?
+        }
+    };
+    let mode = match given.mode(model)? {
+        Some(mode) => mode,
+        None => {
+            let names: Vec<&str> = model.modes.iter().map(|mode| mode.name).collect();
+            let question = format!("Mode of the depth camera ({})?", names.join(", "));
+            let default = model.default_mode().name;
+            asker.ask(&question, default, |text| parse_mode(model, text))?
+        }
+    };
+    let mut camera = Camera::new(model, Some(mode));
+    camera.exposure_us = given.depth_exposure_us;
+    let fits = |fps: u32| match mode.rates.contains(&fps) {
+        true => Ok(fps),
+        false => Err(format!(
+            "{} has {} frames a second",
+            mode.name,
+            list(mode.rates)
+        )),
+    };
+    camera.fps = match args.fps {
+        Some(fps) => fits(fps).map_err(|expected| {
+            Failure::new(ExitStatus::Usage, format!("--fps {fps}: {expected}"))
+                .next_step("give one of these, or another --depth-mode")
+        })?,
+        None => {
+            let question = format!(
+                "Frames a second of the depth camera ({})?",
+                list(mode.rates)
+            );
+            asker.ask(&question, &camera.fps.to_string(), |text| {
+                let fps = text
+                    .parse()
+                    .map_err(|_| format!("expected {}", list(mode.rates)))?;
+                fits(fps)
+            })?
+        }
+    };
+    Ok(camera)
 }
 
 fn list(rates: &[u32]) -> String {
@@ -299,63 +350,19 @@ fn list(rates: &[u32]) -> String {
     rates.join(", ")
 }
 
-/// Program and arguments; the maker's own recorder by itself gets those that it needs.
-fn recorder_command(text: &str, mode: &str) -> Vec<String> {
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let whole = match words.as_slice() {
-        [] | ["none"] => Vec::new(),
-        [program] if program.rsplit('/').next() == Some(RECORDER) => vec![
-            program,
-            "--external-sync",
-            "sub",
-            "-c",
-            "OFF",
-            "-d",
-            mode,
-            "-r",
-            "{fps}",
-            "{folder}/depth.mkv",
-        ],
-        words => words.to_vec(),
-    };
-    whole.into_iter().map(str::to_owned).collect()
-}
-
-/// The commented default profile with the answers in it.
-fn profile_text(answers: &Answers) -> Result<String, Failure> {
-    let broken = |error: String| {
-        Failure::new(ExitStatus::Error, format!("the default profile: {error}"))
-            .next_step("report this: it is an error of the program")
-    };
-    let mut document: DocumentMut = DEFAULT
-        .parse()
-        .map_err(|error: toml_edit::TomlError| broken(error.to_string()))?;
-    let mut set = |path: &[&str], new: Item| {
-        let mut item = Some(document.as_item_mut());
-        for key in path {
-            item = item.and_then(|item| item.get_mut(key));
-        }
-        if let Some(item) = item {
-            *item = new;
-        }
-    };
-    let recorder: Array = answers.recorder.iter().map(String::as_str).collect();
-    set(&["name"], value(answers.name.as_str()));
-    set(&["phone", "address"], value(answers.phone.as_str()));
-    set(&["depth", "mode"], value(answers.mode));
-    set(&["depth", "fps"], value(i64::from(answers.fps)));
-    set(&["depth", "recorder", "command"], value(recorder));
-    if let Some(nominal) = nominal_center(answers.mode) {
-        set(&["depth", "center_offset_us"], value(nominal as f64 * 1e-3));
-    }
-    let text = document.to_string();
-    let profile = Profile::parse(&text, None)?;
-    let is_as_asked = profile.phone.address == answers.phone
-        && profile.depth.recorder.command == answers.recorder
-        && profile.depth.fps == answers.fps;
-    match is_as_asked {
-        true => Ok(text),
-        false => Err(broken(String::from("a key of it is gone"))),
+impl Answers {
+    fn profile(&self) -> Result<String, Failure> {
+        text(
+            &self.camera,
+            &[
+                (&["name"], value(self.name.as_str())),
+                (&["phone", "address"], value(self.phone.as_str())),
+                (
+                    &["depth", "recorder", "command"],
+                    value(self.recorder.clone()),
+                ),
+            ],
+        )
     }
 }
 
@@ -365,6 +372,7 @@ mod tests {
 
     use super::*;
     use crate::cli::Interrupt;
+    use recording::profile::Profile;
 
     #[derive(clap::Parser)]
     struct Line {
@@ -386,8 +394,8 @@ mod tests {
 
     #[test]
     fn what_is_typed_and_what_is_given_come_to_the_same() {
-        let typed = "desk\n10.0.0.7\nwfov_unbinned\n5\nk4arecorder\n";
-        let typed = asked(&[], typed, None).unwrap();
+        let typed = "desk\n10.0.0.7\n\nwfov_unbinned\n5\nk4arecorder\n";
+        let typed = asked(&[], typed, None).unwrap().profile().unwrap();
         let given = [
             "--name",
             "desk",
@@ -401,48 +409,86 @@ mod tests {
             "k4arecorder",
             "--yes",
         ];
-        assert_eq!(asked(&given, "", None).unwrap(), typed);
-        assert_eq!(typed.recorder.last().unwrap(), "{folder}/depth.mkv");
-        let text = profile_text(&typed).unwrap();
-        let profile = Profile::parse(&text, None).unwrap();
+        assert_eq!(asked(&given, "", None).unwrap().profile().unwrap(), typed);
+        let profile = Profile::parse(&typed, None).unwrap();
         assert_eq!(profile.name, "desk");
         assert_eq!(profile.depth.mode, "WFOV_UNBINNED");
+        assert_eq!(
+            profile.depth.recorder.command.last().unwrap(),
+            "{folder}/depth.mkv"
+        );
         assert!((profile.depth.center_offset_us - 10_122.5).abs() < 1e-9);
         assert!(
-            text.contains("# Where the app (OpenCamera Sensors) listens"),
-            "{text}"
+            typed.contains("# Where the app (OpenCamera Sensors) listens"),
+            "{typed}"
         );
     }
 
     #[test]
-    fn defaults_are_taken_and_an_address_never_invented() {
-        let default = asked(&["--recorder", "none"], "", Some("10.1.1.1")).unwrap();
-        assert_eq!((default.phone.as_str(), default.fps), ("10.1.1.1", 30));
-        assert!(default.recorder.is_empty());
-        let nobody = asked(&["--yes"], "", None).unwrap_err();
-        assert_eq!(nobody.status(), ExitStatus::Usage);
-        assert!(nobody.to_string().contains("address"), "{nobody}");
-        let wrong = asked(&["--phone", "x"], "\nNFOV\n", None).unwrap_err();
-        assert!(wrong.to_string().contains("NFOV_UNBINNED"), "{wrong}");
-        let rate = asked(
+    fn another_camera_brings_its_modes() {
+        let typed = "desk\n10.0.0.7\nrealsense-d400\n1280x720\n\nnone\n";
+        let typed = asked(&["--depth-exposure-us", "6000"], typed, None).unwrap();
+        let profile = Profile::parse(&typed.profile().unwrap(), None).unwrap();
+        assert_eq!(
+            (profile.depth.camera.as_str(), profile.depth.fps),
+            ("realsense-d400", 15)
+        );
+        assert_eq!(profile.depth.center_offset_us, 880.0 + 3_000.0);
+        assert_eq!(profile.depth.pulse_width_us, 110.0);
+        let mode = asked(
             &[
                 "--phone",
                 "x",
+                "--camera",
+                "oak",
                 "--depth-mode",
-                "WFOV_UNBINNED",
-                "--fps",
-                "30",
+                "NFOV",
                 "--yes",
             ],
             "",
             None,
         );
-        assert!(rate.unwrap_err().to_string().contains("15, 5"));
+        assert!(mode.unwrap_err().to_string().contains("800P"));
+    }
+
+    #[test]
+    fn defaults_are_taken_and_an_address_never_invented() {
+        let default = asked(&["--recorder", "none"], "", Some("10.1.1.1")).unwrap();
+        assert_eq!(
+            (default.phone.as_str(), default.camera.fps),
+            ("10.1.1.1", 30)
+        );
+        assert!(default.recorder.is_empty());
+        let nobody = asked(&["--yes"], "", None).unwrap_err();
+        assert_eq!(nobody.status(), ExitStatus::Usage);
+        assert!(nobody.to_string().contains("address"), "{nobody}");
+        let wrong = asked(&["--phone", "x"], "\n\nNFOV\n", None).unwrap_err();
+        assert!(wrong.to_string().contains("NFOV_UNBINNED"), "{wrong}");
+        let rate = [
+            "--phone",
+            "x",
+            "--depth-mode",
+            "WFOV_UNBINNED",
+            "--fps",
+            "30",
+            "--yes",
+        ];
+        assert!(
+            asked(&rate, "", None)
+                .unwrap_err()
+                .to_string()
+                .contains("15, 5")
+        );
     }
 
     #[test]
     fn another_recorder_keeps_its_arguments() {
-        let command = recorder_command("my-recorder {folder}/d.mkv {fps}", "NFOV_UNBINNED");
-        assert_eq!(command, ["my-recorder", "{folder}/d.mkv", "{fps}"]);
+        let recorder = "my-recorder {folder}/d.mkv {fps}";
+        let answers = asked(&["--phone", "x", "--yes", "--recorder", recorder], "", None).unwrap();
+        let profile = Profile::parse(&answers.profile().unwrap(), None).unwrap();
+        assert_eq!(
+            profile.depth.recorder.command,
+            ["my-recorder", "{folder}/d.mkv", "{fps}"]
+        );
     }
 }

@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use super::depth_recorder::left_over;
 use super::rounds::free_space;
+use crate::new_profile::summary;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::rig_profile::Place;
 use board::Board;
@@ -41,6 +42,9 @@ const DISK_LOW: u64 = 2_000_000_000;
 
 /// A learnt skew or a measured bias older than this should be measured again, days.
 const OLD_DAYS: i32 = 90;
+
+/// Name of the check of the depth camera's settings.
+const CHECK_CAMERA: &str = "depth camera";
 
 const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V";
 
@@ -117,6 +121,7 @@ impl Checks {
     /// `place` says where the profile is from, `out` where recordings are to go.
     pub(crate) fn host(&mut self, profile: &Profile, place: &Place, out: &Path) {
         self.profile(profile, place);
+        self.camera(profile);
         self.disk(out);
         self.ffmpeg();
         self.recorder(profile);
@@ -163,7 +168,11 @@ impl Checks {
         match profile.frame_sync.bias_measured {
             None => self.warn(
                 CHECK_BIAS,
-                "not measured: there may be ms between the cameras",
+                format!(
+                    "not measured: there may be ms between the cameras (of it, the depth camera's middle \
+                     of exposure: ± {} µs)",
+                    profile.depth.center_offset_sigma_us
+                ),
                 "measure it: `smartdepthsync evaluate precision ... --calibrate`",
             ),
             Some(date) if age(date) > OLD_DAYS => self.warn(
@@ -175,6 +184,19 @@ impl Checks {
                 CHECK_BIAS,
                 format!("{:+.1} µs, measured on {date}", profile.frame_sync.bias_us),
             ),
+        }
+    }
+
+    fn camera(&mut self, profile: &Profile) {
+        let Some(model) = profile.depth.model() else {
+            return;
+        };
+        let objections = model.objections(profile);
+        for objection in &objections {
+            self.warn(CHECK_CAMERA, objection.found.clone(), &objection.next_step);
+        }
+        if objections.is_empty() {
+            self.good(CHECK_CAMERA, summary(model, profile));
         }
     }
 

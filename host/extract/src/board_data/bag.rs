@@ -242,7 +242,7 @@ fn expect(message: &Message<'_>, expected: &'static str) -> Result<(), BoardErro
 }
 
 /// An image's pixels as big-endian millimetres.
-fn millimetres(image: &Image<'_>) -> Result<Vec<u8>, &'static str> {
+pub(crate) fn millimetres(image: &Image<'_>) -> Result<Vec<u8>, &'static str> {
     let bytes = match image.encoding {
         "16UC1" | "mono16" => 2,
         "32FC1" => 4,

@@ -13,6 +13,7 @@ use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, CameraFrame, DepthFrame};
+use recording::camera::{Center, Model};
 
 /// The depth camera's part after reading.
 pub(super) struct Depth {
@@ -41,7 +42,7 @@ impl Extraction<'_> {
             }
         };
         self.inputs.depth = Some(input.clone());
-        let length = std::fs::metadata(input.path()).map_or(0, |meta| meta.len());
+        let length = input.length();
         self.progress
             .begin("reading the depth recording's times", length);
         let index = match input.index(&mut |position| self.progress.at(position)) {
@@ -185,7 +186,10 @@ impl Extraction<'_> {
     /// the longer exposure (issue 868 of the camera's SDK): a colour exposure longer than
     /// the train of infrared pulses makes depth later by half of the difference.
     fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        let half_train = index.mode.as_deref().and_then(nominal_center);
+        let half_train = index
+            .mode
+            .as_deref()
+            .and_then(|mode| nominal_center(self.inputs.camera, mode));
         let (Some(exposure), Some(half_train)) = (self.job.options.camera_exposure_ns, half_train)
         else {
             self.remarks.push(String::from(
@@ -214,8 +218,8 @@ impl Extraction<'_> {
         if file == profile {
             return;
         }
-        let change = nominal_center(file)
-            .zip(nominal_center(profile))
+        let change = nominal_center(self.inputs.camera, file)
+            .zip(nominal_center(self.inputs.camera, profile))
             .map(|(file, profile)| file - profile);
         let file: String = file.chars().take(32).collect();
         let what = match change {
@@ -240,7 +244,7 @@ impl Extraction<'_> {
     /// The edge-to-centre time of the camera's mode, where nothing better is known.
     fn nominal_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let mode = index.mode.as_deref();
-        match mode.and_then(nominal_center) {
+        match mode.and_then(|mode| nominal_center(self.inputs.camera, mode)) {
             Some(center) => {
                 constants.depth_center_ns = center;
                 let mode = mode.unwrap_or_default();
@@ -367,15 +371,12 @@ impl Extraction<'_> {
     }
 }
 
-/// Half of the train of infrared pulses, ns: 12.725 ms of 9 pulses each 1,575 µs
-/// (narrow modes and binned wide), 20.245 ms of 9 pulses each 2,515 µs (wide
-/// unbinned); each pulse is 125 µs. From the vendor's table of multi-camera delays.
-#[must_use]
-pub fn nominal_center(mode: &str) -> Option<i64> {
-    match mode {
-        "NFOV_UNBINNED" | "NFOV_2X2BINNED" | "WFOV_2X2BINNED" => Some(6_362_500),
-        "WFOV_UNBINNED" => Some(10_122_500),
-        _ => None,
+/// From the edge to the middle of exposure in a mode of the camera, ns, where that is always
+/// the same.
+fn nominal_center(model: &Model, mode: &str) -> Option<i64> {
+    match model.mode(mode)?.center {
+        Center::Fixed(center_us) => Some((center_us * 1e3).round() as i64),
+        Center::Begins(_) | Center::EndsAtNext => None,
     }
 }
 

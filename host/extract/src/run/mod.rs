@@ -22,7 +22,6 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
-pub use depth_part::nominal_center;
 use index_files::Written;
 use phone_part::Phone;
 
@@ -251,7 +250,7 @@ impl<'a> Extraction<'a> {
         let inputs = super::inputs::find(
             &job.recording,
             job.phone.as_deref(),
-            job.depth.as_deref(),
+            (job.depth.as_deref(), job.options.depth_topic.as_deref()),
             &job.options.phones,
         )?;
         check_outside(&job.out, &job.recording)?;

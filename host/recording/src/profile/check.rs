@@ -6,6 +6,8 @@ use std::ops::RangeInclusive;
 
 use protocol::{AccelRange, GyroRange, ImuConfig, LowPass};
 
+use crate::camera::Model;
+
 use super::{Depth, Learnt, Lidar, Phone, Profile, ProfileError, TriggerOutput};
 
 /// A key, its value, what it may be at least and at most, and the unit.
@@ -188,8 +190,17 @@ fn check_learnt(learnt: &Learnt) -> Result<(), ProfileError> {
 }
 
 fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
-    if ![30, 15, 5].contains(&depth.fps) {
-        return Err(wrong("depth.fps", depth.fps.to_string(), "30, 15 or 5"));
+    let Some(model) = depth.model() else {
+        return Err(wrong(
+            "depth.camera",
+            format!("{:?}", depth.camera),
+            format!("one of {}", Model::ids()),
+        ));
+    };
+    if !model.rates.contains(&depth.fps) {
+        let rates: Vec<String> = model.rates.iter().map(u32::to_string).collect();
+        let expected = format!("{} for {}", rates.join(", "), model.name);
+        return Err(wrong("depth.fps", depth.fps.to_string(), expected));
     }
     if let Some(pose) = &depth.color_from_imu {
         pose.check("depth.color_from_imu")?;

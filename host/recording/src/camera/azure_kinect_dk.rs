@@ -1,0 +1,77 @@
+//! Azure Kinect DK. End of life; its SDK's issue 1971 names Orbbec as the successor.
+
+use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
+
+/// Half of the train of nine infrared pulses of 125 µs, 1,575 µs from one to the next.
+const NARROW: Mode = Mode {
+    name: "NFOV_UNBINNED",
+    rates: &[30, 15, 5],
+    center: Center::Fixed(6_362.5),
+    sigma_us: 100.0,
+    basis: Basis::Maker,
+    source: "maker's table of multi-camera delays; the delay before the first pulse is not published",
+};
+
+pub(super) const NFOV_UNBINNED: Mode = NARROW;
+
+pub(super) const MODEL: Model = Model {
+    id: "azure-kinect-dk",
+    name: "Azure Kinect DK",
+    sync_mode: "SUBORDINATE",
+    pulse: Pulse {
+        width_us: 12.0,
+        shortest_us: 8.0,
+        input: Input::V5,
+        source: "maker's page on external synchronisation: active high, longer than 8 µs, 5 V; \
+                 its threshold is 3.5 V (SDK #1844); its own pulses are 12 µs long (#1404)",
+    },
+    rates: &[30, 15, 5],
+    own_rate: "the same",
+    first_frame: Some((2, 3)),
+    clock: "90 kHz, hundreds of ppm off (SDK #1384); zeroed at the first pulse by older firmware (#1240)",
+    recording: Recording::Mkv,
+    modes: &MODES,
+    traps: &[
+        Trap {
+            text: "a pin of 3 V is below the input's threshold of 3.5 V: use the 5 V buffer",
+            source: "SDK #1844",
+        },
+        Trap {
+            text: "start the camera before the trigger; it keeps streaming when the pulses stop, so \
+                   frames do not prove that it follows",
+            source: "SDK #1850",
+        },
+        Trap {
+            text: "pulses that jitter or jump give black or purple frames: let the phase move in small \
+                   steps (align.slew_us)",
+            source: "SDK #1404, #1227",
+        },
+        Trap {
+            text: "triggering may fail after the first run: unplug the camera's supply between runs if it does",
+            source: "SDK #987",
+        },
+        Trap {
+            text: "with colour on, depth is later by half of what the colour exposure is longer",
+            source: "SDK #868",
+        },
+    ],
+};
+
+const MODES: [Mode; 4] = [
+    NARROW,
+    Mode {
+        name: "NFOV_2X2BINNED",
+        ..NARROW
+    },
+    Mode {
+        name: "WFOV_2X2BINNED",
+        ..NARROW
+    },
+    // Nine pulses, 2,515 µs from one to the next.
+    Mode {
+        name: "WFOV_UNBINNED",
+        rates: &[15, 5],
+        center: Center::Fixed(10_122.5),
+        ..NARROW
+    },
+];
