@@ -235,6 +235,18 @@ const CASES: &[Case] = &[
         "check the path",
     ),
     (
+        "profile init new.toml --camera kinect",
+        2,
+        "expected azure-kinect-dk, femto-bolt",
+        "--camera",
+    ),
+    (
+        "profile init new.toml --camera oak --depth-mode NFOV_UNBINNED",
+        2,
+        "800P",
+        "another --camera",
+    ),
+    (
         "profile check nothing.toml",
         13,
         "nothing.toml",
