@@ -188,13 +188,8 @@ impl Rig {
         profile.phone.rows = u32::try_from(phone.camera.rows)?;
         profile.phone.readout_us = phone.camera.readout_ns() * 1e-3;
         profile.phone.gyro_delay_us = phone.gyroscope.low_pass.delay_s * 1e6;
-        let depth = parts
-            .config
-            .depth_camera
-            .context("the rig has no depth camera")?;
-        let center = depth.flash_delay.as_nanos() as f64;
-        let center = center + depth.mode.flashes().center_offset_ns() as f64;
-        profile.depth.center_offset_us = center * 1e-3;
+        let center = parts.config.center_offset_us();
+        profile.depth.center_offset_us = center.context("the rig has no depth camera")?;
         Ok(Self {
             oscillator: Oscillator::new(phone.clock, seed.stream(Stream::PhoneClock)),
             parts,
@@ -335,8 +330,7 @@ impl Rig {
         let middle = self.middle(frames, frame)?;
         let tick = self.board().board_at(middle).units() / UNITS_PER_TICK;
         let period = u128::from(alignment.period_q32);
-        let delay_ns = alignment.center_offset_us * 1e3;
-        let lead = (delay_ns * 1e-9 * f64::from(TICK_HZ)) as u64;
+        let lead = (alignment.center_offset_us * 1e-6 * f64::from(TICK_HZ)) as u64;
         let since = u128::from(tick.saturating_sub(alignment.anchor.0 + lead)) << 32;
         let nearest = (since + period / 2) / period;
         let edge = alignment.anchor.0 + u64::try_from((nearest * period) >> 32)?;
@@ -345,11 +339,13 @@ impl Rig {
             .true_at(SimTime::from_units(edge * UNITS_PER_TICK));
         // The camera counts the delay by its own clock.
         let camera = self.parts.depth_camera.as_ref();
-        let camera = camera.map(|camera| lock(camera).clock().clone());
-        let rate = camera.map_or(0.0, |clock| clock.fraction_at(edge));
+        let camera = camera.context("the rig has no depth camera")?;
+        let camera = lock(camera);
+        let delay_us = camera.config().center_delay_ns() * 1e-3;
+        let rate = camera.clock().fraction_at(edge);
         let apart = i128::from(edge.units()) - i128::from(middle.units());
         let apart_us = apart as f64 / UNITS_PER_SECOND as f64 * 1e6;
-        Ok(apart_us + delay_ns * 1e-3 / (1.0 + rate))
+        Ok(apart_us + delay_us / (1.0 + rate))
     }
 }
 
