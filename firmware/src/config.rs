@@ -31,7 +31,8 @@ pub const PCLK1_HZ: u32 = SYSCLK_HZ / 4;
 /// simulated board's; `docs/outputs.md` says how to measure a real one's.
 pub const OUTPUT_START_DELAY: u32 = 2;
 
-/// How far ahead an edge is armed on TIM1, in ticks: 0.6 ms. TIM1 comes round every 65,536 of its clocks, 0.68 ms.
+/// How far ahead an edge is armed on TIM1, in ticks: 0.6 ms. TIM1 comes round every
+/// 65,536 of its clocks, 0.68 ms.
 pub const OUTPUT_REACH: u32 = 600 * TICKS_PER_US;
 
 /// How long before an edge that is too far ahead to be armed its handler is called: 0.4
@@ -67,8 +68,9 @@ pub(crate) const STOP_MARGIN: TickDelta = TickDelta::from_micros(20);
 /// the least lead that a host may ask for.
 pub const START_LEAD: TickDelta = TickDelta::from_micros(1_000);
 
-/// A task masks TIM2's handler only while no edge is due for this long: 15 µs, three times the longest section (a copy of the train's state, 5 µs).
-/// So masking never delays an edge's handler.
+/// A task masks TIM2's handler only while no edge is due for this long: 15 µs, three
+/// times the longest section (a copy of the train's state, 5 µs). So masking never delays
+/// an edge's handler.
 pub const QUIET_MARGIN: TickDelta = TickDelta::from_micros(15);
 
 /// How long an edge of the trigger may be overdue before its handler is taken to

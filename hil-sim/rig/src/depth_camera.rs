@@ -14,7 +14,7 @@
 //! - The first frame comes on pulse 2 or 3 ([`DepthCameraConfig::first_frame`]).
 //! - A frame's first flash follows its pulse by
 //!   [`DepthCameraConfig::flash_delay`]: not documented, a setting.
-//! - Flashes are those of the depth mode ([`FlashTrain`]); the device timestamp is
+//! - Flashes are those of the depth mode ([`DepthMode::flashes`]); the device timestamp is
 //!   the middle of the middle flash, in whole ticks of 90 kHz of the camera's
 //!   clock, which is hundreds of ppm off.
 //! - When the pulses stop it goes on streaming, one frame a nominal period of
@@ -32,15 +32,18 @@
 //!
 //! Limits: an edge of the photodiode is one edge; images are not made here.
 
+mod config;
+
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 
 use serde::{Deserialize, Serialize};
 
+pub use config::{DepthCameraConfig, DepthCameraError, DepthMode};
+
 use crate::flash_log::{FlashLog, TrueFlash};
-use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
+use crate::oscillator::{BoardTime, Oscillator, TrueTime};
 use crate::random::{Random, Seed, Stream};
-use crate::rolling_shutter::FlashTrain;
 use crate::wiring;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model::{PinIo, PinModel};
@@ -52,142 +55,6 @@ pub(crate) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Device timestamps count at this rate, in the camera's time.
 pub const TIMESTAMP_HZ: u64 = 90_000;
-
-/// Depth modes with their flashes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum DepthMode {
-    /// Narrow field of view, unbinned: up to 30 fps.
-    NfovUnbinned,
-    /// Wide field of view, unbinned: up to 15 fps.
-    WfovUnbinned,
-}
-
-impl DepthMode {
-    /// The infrared flashes of one frame.
-    #[must_use]
-    pub fn flashes(self) -> FlashTrain {
-        match self {
-            Self::NfovUnbinned => FlashTrain::NFOV,
-            Self::WfovUnbinned => FlashTrain::WFOV,
-        }
-    }
-}
-
-/// What a depth camera is like.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct DepthCameraConfig {
-    /// Frames a second: 30, 15 or 5.
-    pub fps: u32,
-    /// Depth mode.
-    pub mode: DepthMode,
-    /// The pulse that makes the first frame: 2 or 3 on real cameras.
-    pub first_frame: u32,
-    /// From a pulse's rising edge to the first flash, in the camera's time.
-    pub flash_delay: SimDuration,
-    /// Jitter of that, 1-sigma. At most three of it, and no flash before the camera knows
-    /// that no pulse comes.
-    pub flash_jitter: SimDuration,
-    /// How far from its expected place a pulse may come without a disturbance.
-    pub tolerance: SimDuration,
-    /// Frames that are bad after a disturbance, the one disturbed included.
-    pub bad_frames: u32,
-    /// The camera's clock. Its offset is what the device timestamp starts from.
-    pub clock: OscillatorConfig,
-    /// The device timestamp counts from the first pulse, not from the clock's offset.
-    pub zeroed_at_first_pulse: bool,
-    /// Probability that a frame is lost on its way to the computer.
-    pub drop_probability: f64,
-    /// Probability that a frame's image is spoilt for no reason that is known.
-    pub spoil_probability: f64,
-    /// From the begin of a flash to the photodiode's rising edge, and from its end to the
-    /// falling one: rise times against the threshold of the input.
-    pub photodiode_delay: (SimDuration, SimDuration),
-    /// Whether the photodiode is wired to the strobe input.
-    pub photodiode: bool,
-}
-
-impl Default for DepthCameraConfig {
-    /// A camera in NFOV unbinned at 30 fps, 300 ppm fast, that takes its first
-    /// frame on pulse 2.
-    fn default() -> Self {
-        Self {
-            fps: 30,
-            mode: DepthMode::NfovUnbinned,
-            first_frame: 2,
-            flash_delay: SimDuration::from_micros(500),
-            flash_jitter: SimDuration::ZERO,
-            tolerance: SimDuration::from_micros(200),
-            bad_frames: 3,
-            clock: OscillatorConfig {
-                offset_ns: 2_500_000_000,
-                rate_ppm: 300.0,
-                wander: 1e-9,
-                ..OscillatorConfig::default()
-            },
-            zeroed_at_first_pulse: false,
-            drop_probability: 0.0,
-            spoil_probability: 0.0,
-            photodiode_delay: (SimDuration::ZERO, SimDuration::ZERO),
-            photodiode: true,
-        }
-    }
-}
-
-/// A setting that no such camera has.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct DepthCameraError(String);
-
-impl DepthCameraConfig {
-    /// From a pulse, or where one was expected, to where it is known whether one came.
-    fn earliest_flash(&self) -> SimDuration {
-        self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1)
-    }
-
-    fn check(&self) -> Result<(), DepthCameraError> {
-        let fail = |text: String| Err(DepthCameraError(text));
-        match (self.fps, self.mode) {
-            (5 | 15, _) | (30, DepthMode::NfovUnbinned) => {}
-            (30, DepthMode::WfovUnbinned) => {
-                return fail("WFOV unbinned runs at 15 or 5 fps, not at 30".to_owned());
-            }
-            (other, _) => {
-                return fail(format!("{other} fps: the camera has 30, 15 and 5"));
-            }
-        }
-        if self.first_frame == 0 {
-            return fail("the first frame cannot come on pulse 0: pulses count from 1".to_owned());
-        }
-        let period = UNITS_PER_SECOND / u64::from(self.fps);
-        if self.tolerance.units() >= period / 4 {
-            return fail(format!(
-                "a tolerance of {} ns is a quarter of a frame or more",
-                self.tolerance.as_nanos()
-            ));
-        }
-        let known_after = self.earliest_flash();
-        if self.flash_delay < known_after {
-            return fail(format!(
-                "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
-                 as the camera must know that no pulse comes before it flashes on its own",
-                self.flash_delay.as_nanos(),
-                self.tolerance.as_nanos(),
-                known_after.as_nanos()
-            ));
-        }
-        let train = self.mode.flashes();
-        let length = i64::from(train.count - 1) * train.pitch_ns + train.duration_ns;
-        if self.flash_delay.as_nanos() + length.unsigned_abs()
-            >= 1_000_000_000 / u64::from(self.fps)
-        {
-            return fail(format!(
-                "a flash delay of {} ns leaves no time for {length} ns of flashes within a frame",
-                self.flash_delay.as_nanos()
-            ));
-        }
-        Ok(())
-    }
-}
 
 /// What made a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -541,6 +408,10 @@ impl PinModel for DepthCamera {
 
     fn watched_pins(&self) -> Vec<Pin> {
         vec![wiring::TRIGGER]
+    }
+
+    fn inputs(&self) -> Vec<(Pin, f64)> {
+        vec![(wiring::TRIGGER, self.config.input_high)]
     }
 
     fn power_on(&mut self, io: &mut PinIo<'_>) {

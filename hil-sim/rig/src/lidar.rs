@@ -22,7 +22,7 @@ use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// How it is wired and set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LidarConfig {
     /// Rate of the serial line, Bd.
     pub baud: u32,
@@ -35,6 +35,9 @@ pub struct LidarConfig {
     pub rising: bool,
     /// By when after its pulse a sentence must have ended.
     pub window: SimDuration,
+    /// What is high for whatever the board's outputs drive, in V: the gates, or without them
+    /// the lidar itself.
+    pub input_high: f64,
 }
 
 impl Default for LidarConfig {
@@ -46,6 +49,7 @@ impl Default for LidarConfig {
             gate_inverts: true,
             rising: true,
             window: SimDuration::from_millis(500),
+            input_high: wiring::GATE_HIGH,
         }
     }
 }
@@ -231,6 +235,11 @@ impl PinModel for Lidar {
 
     fn watched_pins(&self) -> Vec<Pin> {
         vec![wiring::PPS, wiring::NMEA]
+    }
+
+    fn inputs(&self) -> Vec<(Pin, f64)> {
+        let high = self.config.input_high;
+        vec![(wiring::PPS, high), (wiring::NMEA, high)]
     }
 
     fn power_on(&mut self, io: &mut PinIo<'_>) {

@@ -13,20 +13,17 @@ use crate::rig_config::RigConfig;
 ///
 /// The rig has no depth camera.
 pub fn owner_profile(config: &RigConfig, phone: &SimPhone) -> Result<String> {
-    let depth = config
-        .depth_camera
-        .context("the rig has no depth camera, so it has no profile")?;
-    let center_ns =
-        depth.flash_delay.as_nanos() as f64 + depth.mode.flashes().center_offset_ns() as f64;
+    const NO_CAMERA: &str = "the rig has no depth camera, so it has no profile";
+    let depth = config.depth_camera.context(NO_CAMERA)?;
+    let center = config.center_offset_us().context(NO_CAMERA)?;
     Ok(format!(
         "# Constants of a simulated rig, as its owner would have measured them.\n\
          name = \"simulated rig, seed {seed}\"\n\n\
          [phone]\n{phone}\n\
-         [depth]\nfps = {fps}\ncenter_offset_us = {center}\ncenter_offset_sigma_us = 0.1\n",
+         [depth]\nfps = {fps}\ncenter_offset_us = {center:.4}\ncenter_offset_sigma_us = 0.1\n",
         seed = config.seed.0,
         phone = constants(phone),
         fps = depth.fps,
-        center = center_ns * 1e-3,
     ))
 }
 

@@ -82,6 +82,16 @@ impl RigConfig {
         self
     }
 
+    /// From the trigger's edge to the centre of the depth exposure as the rig's owner
+    /// measures it with the board, in the board's µs: the camera counts it on its own clock.
+    #[must_use]
+    pub fn center_offset_us(&self) -> Option<f64> {
+        let camera = self.depth_camera?;
+        let board = 1.0 + self.board_clock.rate_ppm * 1e-6;
+        let rate = board / (1.0 + camera.clock.rate_ppm * 1e-6);
+        Some(camera.center_delay_ns() * 1e-3 * rate)
+    }
+
     /// Draws and loads everything.
     ///
     /// # Errors

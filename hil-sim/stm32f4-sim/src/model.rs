@@ -62,6 +62,12 @@ pub trait PinModel: Send {
     /// Pins whose edges and clock changes the model is told of. Asked once.
     fn watched_pins(&self) -> Vec<Pin>;
 
+    /// Its inputs that a pin of the chip drives, and from which voltage on each takes its
+    /// input as high, in V.
+    fn inputs(&self) -> Vec<(Pin, f64)> {
+        Vec::new()
+    }
+
     /// Called once at the board's power-on (time zero), to drive the idle levels.
     fn power_on(&mut self, io: &mut PinIo<'_>) {
         let _ = io;

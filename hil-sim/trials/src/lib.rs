@@ -1,5 +1,6 @@
 //! Sessions on the simulated rig, judged by the truth: the demo, the fault campaign,
-//! the hostile campaign, boards and phones that lie, the long run and the whole chain. Test code, not a part of the simulator.
+//! the hostile campaign, boards and phones that lie, the long run and the whole chain.
+//! Test code, not a part of the simulator.
 
 pub mod beliefs;
 pub mod board_link;
@@ -12,3 +13,4 @@ pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
 pub mod whole_chain;
+mod workers;

@@ -9,7 +9,7 @@
 use std::path::Path;
 use std::str::FromStr as _;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
@@ -19,6 +19,8 @@ use rig::motion::MotionSpec;
 use rig::phone::{LinkFault, PhoneConfig, SimPhone, StorageAccess, Surroundings, VideoMode};
 use rig::random::{Random, Seed, Stream};
 use rig::true_clock::TrueClock;
+
+use crate::workers;
 
 /// True time against real time.
 const SPEED: f64 = 20.0;
@@ -91,27 +93,12 @@ pub struct Run {
 ///
 /// A simulated phone cannot be started.
 pub fn campaign(seeds: &[u64], told: &(dyn Fn(&Run) + Sync)) -> Result<Vec<Run>> {
-    let next = AtomicUsize::new(0);
-    let work = || {
-        let mut runs = Vec::new();
-        while let Some(&seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let run = run(seed)?;
-            told(&run);
-            runs.push(run);
-        }
-        Ok(runs)
-    };
-    let runs: Result<Vec<Vec<Run>>> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..BESIDE).map(|_| scope.spawn(work)).collect();
-        let joined = workers.into_iter().map(|worker| match worker.join() {
-            Ok(runs) => runs,
-            Err(panic) => std::panic::resume_unwind(panic),
-        });
-        joined.collect()
+    let runs = workers::each(seeds, BESIDE, |&seed| {
+        let run = run(seed)?;
+        told(&run);
+        Ok(run)
     });
-    let mut runs = runs?.concat();
-    runs.sort_by_key(|run| run.seed);
-    Ok(runs)
+    runs.into_iter().collect()
 }
 
 fn run(seed: u64) -> Result<Run> {

@@ -173,8 +173,8 @@ pub enum BringUpError {
     Stopped,
 }
 
-/// Measures the parts, [`Part::Clock`] for so long on the computer's clock. The trigger and output 2 are stopped at the end, also after an
-/// error.
+/// Measures the parts, [`Part::Clock`] for so long on the computer's clock. The trigger and
+/// output 2 are stopped at the end, also after an error.
 ///
 /// # Errors
 ///

@@ -284,11 +284,13 @@ fn drift_sigma_us_per_min(rate: Rate, frames: &Frames) -> f64 {
 /// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
 ///
 /// Where the grid is right on the phone's frames depends on the offset of the clocks
-/// *then*, whose uncertainty holds what skew and warming add, and on how many frames of
-/// an uncertain period lie between.
+/// *then*, whose uncertainty holds what skew and warming add, on how many frames of
+/// an uncertain period lie between, and on how far the grid's even pulses are from a rate that
+/// is known to change.
 #[must_use]
 pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
-    let since = at.0 - alignment.anchor.as_secs_f64();
+    let anchor = BoardSeconds(alignment.anchor.as_secs_f64());
+    let since = at.0 - anchor.0;
     // Sessions of before have neither.
     let jitter_ns = alignment.frame_jitter_ns.unwrap_or(FRAME_JITTER_NS);
     let reported_ns = || video_start_sigma_ns(jitter_ns);
@@ -298,7 +300,9 @@ pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
         clock: alignment.clock,
         change: alignment.change,
     };
-    phase_sigma_us(&course, at, jitter_ns).hypot(since * period_sigma * 1e6)
+    phase_sigma_us(&course, at, jitter_ns)
+        .hypot(since * period_sigma * 1e6)
+        .hypot(course.bend(anchor, at) * 1e6)
 }
 
 /// The mean frame duration that the phone reports, where frames of the first 60 were lost

@@ -195,6 +195,16 @@ impl Course {
         }
     }
 
+    /// How far the offset at a board time is from where the mean rate from another time on
+    /// would have it ([`Self::rate_from`]), s: a train of even pulses does not follow a rate
+    /// that changes.
+    pub(crate) fn bend(&self, from: BoardSeconds, at: BoardSeconds) -> f64 {
+        let base = self.clock.offset;
+        let (start, _) = self.predicted(from, base);
+        let (then, _) = self.predicted(at, base);
+        then[0] - start[0] - self.rate_from(from).skew * (at.0 - from.0)
+    }
+
     /// 1-sigma of the offset at a board time, s.
     #[must_use]
     pub fn offset_sigma_at(&self, at: BoardSeconds) -> f64 {
@@ -252,5 +262,39 @@ impl Course {
                 with_skew: p[(1, 2)],
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 1 ppm in ten minutes, and pulses at the mean rate of five: they meet the frames at
+    /// both ends, and are off in between.
+    #[test]
+    fn even_pulses_are_off_a_changing_rate_between_the_ends() {
+        let clock = ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 36_000.0,
+            skew: 20e-6,
+            covariance: [[4e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander::default(),
+        };
+        let per_s = 1e-6 / of_skew(TEN_MINUTES_S);
+        let course = |per_s| Course {
+            change: RateChange {
+                per_s,
+                ..Course::of_twist(clock, 1e-6).change
+            },
+            ..Course::of_twist(clock, 1e-6)
+        };
+        let warming = course(per_s);
+        let bend = |course: &Course, s| course.bend(BoardSeconds(100.0), BoardSeconds(100.0 + s));
+        assert!(bend(&warming, 0.0).abs() < 1e-12 && bend(&warming, PLANNED_S).abs() < 1e-12);
+        let expected = of_offset(150.0) - 0.5 * of_offset(PLANNED_S);
+        let middle = bend(&warming, 150.0);
+        assert!((middle - per_s * expected).abs() < 1e-9, "{middle}");
+        assert!((-60e-6..-15e-6).contains(&middle), "{middle}");
+        assert!(bend(&course(0.0), 150.0).abs() < 1e-12);
     }
 }

@@ -17,8 +17,8 @@
 //! ```
 //!
 //! Memory is bounded by the file's length and by 20 MiB of each chunk, packed and
-//! unpacked, time by the file's length ([`Budget`]), whatever the file claims. For files that are damaged in the
-//! middle there is [`super::scan`].
+//! unpacked, time by the file's length ([`Budget`]), whatever the file claims. For files
+//! that are damaged in the middle there is [`super::scan`].
 //!
 //! Limits: chunks are stored as they are, with LZ4, which is all that this program writes,
 //! or with Zstandard, as other programs do.

@@ -1,4 +1,5 @@
 use super::*;
+use crate::oscillator::OscillatorConfig;
 use stm32f4_sim::model_bench::Bench;
 
 const US: SimDuration = SimDuration::from_micros(1);

@@ -468,6 +468,11 @@ impl PinModel for Mpu9150 {
         vec![wiring::IMU_CLOCK]
     }
 
+    fn inputs(&self) -> Vec<(Pin, f64)> {
+        // Inputs: 0.7 · VLOGIC and more (product specification, 6.4), of a breakout at 3.3 V.
+        vec![(wiring::IMU_CLOCK, 0.7 * 3.3)]
+    }
+
     fn power_on(&mut self, io: &mut PinIo<'_>) {
         self.update_pin(io);
     }

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 use crate::board_host::{Board, UNITS_PER_TICK, camera_align, pulses_of};
 use protocol::*;
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
+use rig::lidar::{Lidar, LidarConfig};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
@@ -39,6 +40,38 @@ fn camera(first_frame: u32) -> Shared<DepthCamera> {
         ..DepthCameraConfig::default()
     };
     Arc::new(Mutex::new(DepthCamera::new(config, board, seed).unwrap()))
+}
+
+/// The board's outputs reach 2.5 V at a supply of 2.9 V: no camera without the gate, not even
+/// at 3.3 V.
+#[test]
+fn a_camera_without_a_gate_is_refused() {
+    let wired = |input_high, supply| {
+        let config = DepthCameraConfig {
+            input_high,
+            ..DepthCameraConfig::default()
+        };
+        let seed = Seed(3);
+        let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
+        let camera = DepthCamera::new(config, board, seed).unwrap();
+        let built = wiring::board().die(25.0, supply).model(camera).build();
+        built.map(drop).map_err(|error| error.to_string())
+    };
+    assert_eq!(wired(wiring::GATE_HIGH, 2.9), Ok(()));
+    for supply in [2.9, 3.3] {
+        let refused = wired(3.5, supply).unwrap_err();
+        assert!(refused.contains("depth camera takes 3.50 V"), "{refused}");
+    }
+    let lidar = Lidar::new(LidarConfig {
+        input_high: 3.0,
+        ..LidarConfig::default()
+    });
+    let refused = wiring::board()
+        .model(lidar)
+        .build()
+        .unwrap_err()
+        .to_string();
+    assert!(refused.contains("reach 2.50 V"), "{refused}");
 }
 
 /// A train and the time of tick 0 at the pin.

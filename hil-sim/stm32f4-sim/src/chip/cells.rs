@@ -76,7 +76,7 @@ const CELLS: &[Cell] = &[
         0x4002_3c00,
         "FLASH_ACR",
         0,
-        "an access to the flash takes one cycle; the rules look at it",
+        "its wait states count, and the rules look at it; there is no cache",
     ),
     // The manual does not tell of it; drivers of this core look at its PHY's width.
     Cell {
@@ -123,6 +123,12 @@ impl Cells {
         let kept = (value & cell.mask) | (cell.reset & !cell.mask);
         self.0.insert(address, kept);
         true
+    }
+
+    /// Names of those that were written since their reset.
+    pub(super) fn written(&self) -> impl Iterator<Item = &'static str> {
+        let cells = self.0.keys().filter_map(|address| Self::find(*address));
+        cells.map(|cell| cell.name)
     }
 
     /// All of them are reset.

@@ -36,6 +36,7 @@ impl Soc {
             });
         }
         self.update_mco();
+        self.update_waits();
         self.require_clocks();
     }
 

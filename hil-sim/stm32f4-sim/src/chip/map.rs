@@ -2,14 +2,14 @@
 
 use super::adc::{TS_CAL, VREFINT_CAL};
 use super::events::Source;
-use super::rules::{End, Rule};
+use super::memory::is_flash;
+use super::rules::{End, FLASH_ACR, Rule};
 use super::uart::UARTS;
 use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5, names};
 use crate::pin::Pin;
 use crate::time::SimTime;
 
 const RCC: u32 = 0x4002_3800;
-const FLASH_ACR: u32 = 0x4002_3c00;
 const DBGMCU_IDCODE: u32 = 0xe004_2000;
 const OTG_FS: u32 = 0x5000_0000;
 
@@ -85,7 +85,9 @@ impl Soc {
             0x44 => 1 + self.clocks.hclk.hz_rounded() / self.clocks.pclk2.hz_rounded().max(1),
             _ => 2,
         };
-        let early = self.rcc.since_opened(offset, bit, self.cycle);
+        // It is asked for before it waits for its bus.
+        let began = self.cycle.saturating_sub(self.waits.at(address));
+        let early = self.rcc.since_opened(offset, bit, began);
         if !enabled {
             self.forbid(Rule::Unclocked { address });
         } else if early.is_some_and(|cycles| cycles < needed) {
@@ -263,6 +265,7 @@ impl Soc {
             }
             Block::Other if addr == FLASH_ACR => {
                 self.cells.write(addr, value);
+                self.update_waits();
                 self.require_clocks();
                 self.require_prefetch(value);
                 true
@@ -372,6 +375,10 @@ impl Soc {
     pub(crate) fn bus_read(&mut self, addr: u32, dst: &mut [u8], debug: bool) -> bool {
         if let Some(bytes) = self.mem.bytes(addr, dst.len()) {
             dst.copy_from_slice(bytes);
+            // The instruction itself is counted by its line.
+            if is_flash(addr) && addr.wrapping_sub(self.instruction) >= 4 {
+                self.waited += self.waits.flash;
+            }
             return true;
         }
         if (0x1fff_0000..0x1fff_7a30).contains(&addr) {
@@ -385,6 +392,7 @@ impl Soc {
         if debug || dst.len() > 4 {
             return false;
         }
+        self.waited += self.waits.at(addr);
         let Some(word) = self.read_register(addr & !3) else {
             return false;
         };
@@ -418,7 +426,11 @@ impl Soc {
             1 => self.mem.write8(addr, value >> (from * 8)),
             _ => false,
         };
-        done || (!debug && self.write_register(addr & !3, value))
+        if done || debug {
+            return done;
+        }
+        self.waited += self.waits.at(addr);
+        self.write_register(addr & !3, value)
     }
 
     /// Factory-programmed words (RM0090 chapter 39; DS8626 tables 72 and 75).
@@ -436,9 +448,19 @@ impl Soc {
         }
     }
 
+    /// How many bus errors the I2C peripheral reported where there was none.
+    pub(crate) fn spurious_bus_errors(&self) -> u64 {
+        self.i2c.reported
+    }
+
     /// A register that is stored and not modelled.
     pub(crate) fn stored(&self, address: u32) -> Option<u32> {
         self.cells.read(address)
+    }
+
+    /// The stored registers that were written since their reset.
+    pub(crate) fn stored_writes(&self) -> impl Iterator<Item = &'static str> {
+        self.cells.written()
     }
 
     /// Reads RAM or flash, for a debugger's eye.

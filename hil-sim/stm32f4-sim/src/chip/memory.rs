@@ -13,6 +13,12 @@ pub(crate) const CCM_BASE: u32 = 0x1000_0000;
 /// Size of the core-coupled memory.
 pub(crate) const CCM_SIZE: usize = 64 * 1024;
 
+/// Whether an address is in the flash, at its own place or where it is mapped to zero.
+#[inline(always)]
+pub(crate) fn is_flash(addr: u32) -> bool {
+    addr < CCM_BASE
+}
+
 /// Flash and RAM. The contents of the RAM survive every reset but a power-on
 /// (then it is filled with noise, as a real SRAM is).
 #[derive(Debug)]

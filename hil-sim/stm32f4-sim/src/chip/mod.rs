@@ -27,12 +27,13 @@ mod serial;
 pub(crate) mod tim;
 mod tim_dma;
 pub(crate) mod uart;
+mod waits;
 
 use crate::clock::{Clock, Rate};
 use crate::cpu::access::Bus;
 use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
-use crate::random::{RNG_STREAM, Random, Seed};
+use crate::random::{BUS_ERROR_STREAM, RNG_STREAM, Random, Seed};
 use crate::time::SimTime;
 use crate::usb::UsbHost;
 
@@ -42,7 +43,7 @@ use dma::Dma;
 use events::{Events, Source};
 use exti::Exti;
 use gpio::Gpio;
-use i2c::I2c;
+use i2c::{BusErrors, I2c};
 use iwdg::Iwdg;
 use memory::Memory;
 use models::Model;
@@ -52,6 +53,7 @@ use rng::Rng;
 use rules::End;
 use tim::Tim;
 use uart::{UARTS, Uart};
+use waits::Waits;
 
 /// Timers of the model, by index.
 pub(crate) const TIM1: usize = 0;
@@ -78,6 +80,8 @@ pub(crate) struct ChipConfig {
     pub(crate) unique_id: [u32; 3],
     /// The wires of I2C1's bus.
     pub(crate) i2c: Option<I2cWires>,
+    /// How probable a bus error of the I2C is that is none, for each byte.
+    pub(crate) bus_errors: f64,
     /// Clocks that the synchroniser of a timer's input takes.
     pub(crate) synchroniser: u64,
     pub(crate) revision: Revision,
@@ -115,6 +119,10 @@ pub(crate) struct Soc {
     now: SimTime,
     core_clock: Clock,
     clocks: Clocks,
+    waits: Waits,
+    /// Where rsemu's present instruction is, and for how many clocks its accesses wait.
+    pub(crate) instruction: u32,
+    pub(crate) waited: u64,
     rcc: Rcc,
     pub(crate) gpio: Gpio,
     exti: Exti,
@@ -175,6 +183,9 @@ impl Soc {
             now: SimTime::ZERO,
             core_clock: Clock::new(clocks.hclk, SimTime::ZERO, 0),
             clocks,
+            waits: Waits::default(),
+            instruction: 0,
+            waited: 0,
             rcc,
             gpio: Gpio::new(),
             exti: Exti::default(),
@@ -186,7 +197,10 @@ impl Soc {
                 Tim::new(true, 4, false, config.synchroniser),
             ],
             dma: [Dma::default(), Dma::default()],
-            i2c: I2c::new(),
+            i2c: I2c::new(BusErrors {
+                random: seed.stream(BUS_ERROR_STREAM),
+                probability: config.bus_errors,
+            }),
             i2c_bus: I2cBus::new(),
             iwdg: Iwdg::new(config.low_speed),
             uart: std::array::from_fn(|_| Uart::new()),
@@ -497,6 +511,16 @@ impl Bus for Soc {
         self.at_cycle(cycle);
         let _ = bytes;
         self.write_register(addr & !3, value << ((addr & 3) * 8))
+    }
+
+    #[inline]
+    fn io_waits(&self, addr: u32) -> u64 {
+        self.waits.at(addr)
+    }
+
+    #[inline]
+    fn flash_waits(&self) -> u64 {
+        self.waits.flash
     }
 
     #[inline]

@@ -61,8 +61,8 @@ pub(crate) enum Rule {
 /// The highest HCLK for each wait state of the flash, at 2.7 V to 3.6 V (RM0090 table 10).
 const HZ_A_WAIT_STATE: u64 = 30_000_000;
 
-const FLASH_ACR: u32 = 0x4002_3c00;
-const ACR_LATENCY: u32 = 7;
+pub(super) const FLASH_ACR: u32 = 0x4002_3c00;
+pub(super) const ACR_LATENCY: u32 = 7;
 const ACR_PRFTEN: u32 = 1 << 8;
 
 impl fmt::Display for End {
@@ -213,4 +213,4 @@ impl Soc {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

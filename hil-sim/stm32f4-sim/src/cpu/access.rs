@@ -3,7 +3,10 @@
 use super::decode::extend_load;
 use super::op::Kind;
 use super::state::Fast;
-use crate::chip::memory::Memory;
+use crate::chip::memory::{Memory, is_flash};
+
+/// Cycles of a load or a store that waits for nothing.
+pub(super) const ACCESS: u64 = 2;
 
 /// What the core is connected to.
 pub(crate) trait Bus {
@@ -13,6 +16,10 @@ pub(crate) trait Bus {
     fn io_read(&mut self, addr: u32, bytes: u32, cycle: u64) -> Option<u32>;
     /// Writes a peripheral at the given core cycle; false if there is none.
     fn io_write(&mut self, addr: u32, bytes: u32, value: u32, cycle: u64) -> bool;
+    /// Cycles that an access to a peripheral takes beyond those of one to memory.
+    fn io_waits(&self, addr: u32) -> u64;
+    /// Cycles that a line of the flash takes.
+    fn flash_waits(&self) -> u64;
     /// Core cycle at which the interpreter has to stop; it may move with every access.
     fn limit(&self) -> u64;
 }
@@ -29,7 +36,7 @@ pub(super) fn load<B: Bus>(
     bus: &mut B,
     kind: Kind,
     addr: u32,
-    cycle: u64,
+    now: &mut u64,
     limit: &mut u64,
 ) -> Option<u32> {
     let mem = bus.memory();
@@ -39,18 +46,31 @@ pub(super) fn load<B: Bus>(
         Kind::Byte | Kind::SignedByte => mem.read8(addr),
     };
     match raw {
-        Some(raw) => Some(extend_load(kind, raw)),
-        None => load_io(bus, kind, addr, cycle, limit),
+        Some(raw) => {
+            if is_flash(addr) {
+                *now += bus.flash_waits();
+            }
+            Some(extend_load(kind, raw))
+        }
+        None => load_io(bus, kind, addr, now, limit),
     }
 }
 
 #[inline(never)]
-fn load_io<B: Bus>(bus: &mut B, kind: Kind, addr: u32, cycle: u64, limit: &mut u64) -> Option<u32> {
+fn load_io<B: Bus>(
+    bus: &mut B,
+    kind: Kind,
+    addr: u32,
+    now: &mut u64,
+    limit: &mut u64,
+) -> Option<u32> {
     let bytes = bytes_of(kind);
     if !is_io(addr) || !addr.is_multiple_of(bytes) {
         return None;
     }
-    let raw = bus.io_read(addr, bytes, cycle)?;
+    let waits = bus.io_waits(addr);
+    let raw = bus.io_read(addr, bytes, *now + ACCESS + waits)?;
+    *now += waits;
     *limit = bus.limit();
     Some(extend_load(kind, raw))
 }
@@ -61,7 +81,7 @@ pub(super) fn store<B: Bus>(
     kind: Kind,
     addr: u32,
     value: u32,
-    cycle: u64,
+    now: &mut u64,
     limit: &mut u64,
 ) -> bool {
     let mem = bus.memory();
@@ -70,7 +90,7 @@ pub(super) fn store<B: Bus>(
         Kind::Half | Kind::SignedHalf => mem.write16(addr, value),
         Kind::Byte | Kind::SignedByte => mem.write8(addr, value),
     };
-    done || store_io(bus, kind, addr, value, cycle, limit)
+    done || store_io(bus, kind, addr, value, now, limit)
 }
 
 #[inline(never)]
@@ -79,7 +99,7 @@ fn store_io<B: Bus>(
     kind: Kind,
     addr: u32,
     value: u32,
-    cycle: u64,
+    now: &mut u64,
     limit: &mut u64,
 ) -> bool {
     let bytes = bytes_of(kind);
@@ -91,7 +111,11 @@ fn store_io<B: Bus>(
         2 => value & 0xffff,
         _ => value,
     };
-    let done = bus.io_write(addr, bytes, value, cycle);
+    let waits = bus.io_waits(addr);
+    let done = bus.io_write(addr, bytes, value, *now + ACCESS + waits);
+    if done {
+        *now += waits;
+    }
     *limit = bus.limit();
     done
 }
@@ -113,6 +137,21 @@ fn span(base: u32, count: u32, before: bool) -> (u32, u32) {
     } else {
         (base, base.wrapping_add(count * 4))
     }
+}
+
+/// The first address of a transfer of the registers of `list`.
+#[inline]
+pub(super) fn multi_start(st: &Fast, rn: u8, list: u16, before: bool) -> u32 {
+    span(st.reg(rn), list.count_ones(), before).0
+}
+
+/// How many lines of the flash, of 16 bytes, a transfer of several registers reads.
+#[inline]
+pub(super) fn flash_lines(addr: u32, bytes: u32) -> u64 {
+    if !is_flash(addr) || bytes == 0 {
+        return 0;
+    }
+    u64::from((addr.wrapping_add(bytes - 1) >> 4).wrapping_sub(addr >> 4)) + 1
 }
 
 /// LDM: loads the registers of `list`. Returns the new program counter, if that is

@@ -32,6 +32,12 @@ impl Bus for PlainBus {
     fn io_write(&mut self, _: u32, _: u32, _: u32, _: u64) -> bool {
         false
     }
+    fn io_waits(&self, _: u32) -> u64 {
+        0
+    }
+    fn flash_waits(&self) -> u64 {
+        0
+    }
     fn limit(&self) -> u64 {
         self.limit
     }

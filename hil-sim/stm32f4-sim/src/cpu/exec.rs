@@ -5,9 +5,12 @@
 //! happened yet. Exceptions, the system block, floating point, the DSP
 //! extension, faults and sleep are all rsemu's. The cycle counts are those of
 //! rsemu's timing model (one a instruction, one a data access, two for a taken
-//! branch, two for a division), so both count the same.
+//! branch, two for a division), so both count the same; and the wait states of the
+//! flash and of the buses ([`Bus`]).
 
-use super::access::{Bus, bytes_of, load, load_multi, store, store_multi};
+use super::access::{
+    ACCESS, Bus, bytes_of, flash_lines, load, load_multi, multi_start, store, store_multi,
+};
 use super::alu::{bitfield, data_proc, extend, misc, mul_long, mul_top, shift};
 use super::code::Code;
 use super::op::Op;
@@ -30,6 +33,7 @@ pub(crate) enum Stop {
 #[allow(clippy::too_many_lines, reason = "one arm for each operation")]
 pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &mut u64) -> Stop {
     let mut limit = bus.limit();
+    let flash_waits = bus.flash_waits();
     let mut now = *cycle;
     let mut pc = st.r[15];
     // Leaves the loop with the instruction at `pc` not begun.
@@ -47,6 +51,10 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
         if now >= limit && it == 0 {
             stop!(Stop::Limit, it);
         }
+        if pc >> 4 != st.line {
+            st.line = pc >> 4;
+            now += flash_waits;
+        }
         let slot = code.get(pc, it != 0, bus.memory());
         if it != 0 {
             st.it = Fast::it_next(it);
@@ -63,7 +71,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
         }
         macro_rules! load {
             ($kind:expr, $addr:expr) => {
-                match load(bus, $kind, $addr, now + 2, &mut limit) {
+                match load(bus, $kind, $addr, &mut now, &mut limit) {
                     Some(value) => value,
                     None => slow!(),
                 }
@@ -71,7 +79,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
         }
         macro_rules! store {
             ($kind:expr, $addr:expr, $value:expr) => {
-                if !store(bus, $kind, $addr, $value, now + 2, &mut limit) {
+                if !store(bus, $kind, $addr, $value, &mut now, &mut limit) {
                     slow!()
                 }
             };
@@ -230,6 +238,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                     mem.read8(base.wrapping_add(st.reg(rm)))
                 };
                 let Some(entry) = entry else { slow!() };
+                now += flash_waits * flash_lines(base.wrapping_add(st.reg(rm)), 1);
                 next = pc.wrapping_add(4).wrapping_add(entry * 2);
                 now += 4;
             }
@@ -300,7 +309,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             }
             Op::LoadConst { rt, value } => {
                 st.set(rt, value);
-                now += 2;
+                now += ACCESS + flash_waits;
             }
             Op::LoadDual {
                 rt,
@@ -319,6 +328,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 }
                 let (a, b) = (mem.read32(addr), mem.read32(addr.wrapping_add(4)));
                 let (Some(a), Some(b)) = (a, b) else { slow!() };
+                now += flash_waits * flash_lines(addr, 8);
                 st.set(rt, a);
                 st.set(rt2, b);
                 if wback {
@@ -389,9 +399,11 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 wback,
                 before,
             } => {
+                let start = multi_start(st, rn, list, before);
                 let Some(target) = load_multi(st, bus.memory(), rn, list, wback, before) else {
                     slow!()
                 };
+                now += flash_waits * flash_lines(start, list.count_ones() * 4);
                 now += 1 + u64::from(list.count_ones());
                 if let Some(target) = target {
                     next = target;

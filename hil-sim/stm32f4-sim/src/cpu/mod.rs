@@ -357,11 +357,13 @@ impl Cpu {
         let executed = self.fast.executes();
         let word = self.instruction(pc);
         let float = {
-            let memory = &mut lock(&self.soc).mem;
+            let soc = &mut *lock(&self.soc);
+            soc.instruction = pc;
+            soc.waited = 0;
             let instruction = (pc, word, executed);
-            Float::before(&self.arm, memory, instruction, self.regs.control)
+            Float::before(&self.arm, &mut soc.mem, instruction, self.regs.control)
         };
-        self.cycles += self.arm.step();
+        self.cycles += self.arm.step() + self.waits(pc);
         self.stats.slow_steps += 1;
 
         self.regs = self.arm.regs();
@@ -423,6 +425,17 @@ impl Cpu {
             plain && privileged && self.regs.xpsr & xpsr::T != 0 && !self.locked_up && !self.asleep;
         self.slow_next = takeable || falls_through || !self.fast_ok;
         event
+    }
+
+    /// Cycles for which rsemu's step with the instruction at `pc` waited.
+    fn waits(&mut self, pc: u32) -> u64 {
+        let soc = lock(&self.soc);
+        let mut waits = soc.waited;
+        if pc >> 4 != self.fast.line {
+            self.fast.line = pc >> 4;
+            waits += soc.flash_waits();
+        }
+        waits
     }
 
     /// An exception inside of an IT block stacks the block's state with xPSR,

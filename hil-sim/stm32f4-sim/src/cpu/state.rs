@@ -25,6 +25,8 @@ pub(crate) struct Fast {
     pub(super) exclusive: Option<u32>,
     /// An enabled interrupt waits for PRIMASK or BASEPRI.
     pub(crate) pending_masked: bool,
+    /// The line of the flash that the last instruction came from: its address over 16.
+    pub(crate) line: u32,
 }
 
 /// NZCV of xPSR.
@@ -44,6 +46,7 @@ impl Fast {
             basepri: 0,
             exclusive: None,
             pending_masked: false,
+            line: u32::MAX,
         }
     }
 

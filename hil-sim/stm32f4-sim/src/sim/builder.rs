@@ -18,8 +18,15 @@ use crate::rtt::{LogLine, Rtt};
 /// The low-speed oscillator's typical rate (DS8626 table 42).
 const LSI_HZ: u64 = 32_000;
 /// Clocks that the synchroniser of a timer's input takes, unless the builder is told
-/// otherwise: RM0090 gives two to three (18.3.5).
-pub const INPUT_SYNCHRONISER: u64 = 2;
+/// otherwise: the more of the two to three of RM0090 (18.3.5).
+pub const INPUT_SYNCHRONISER: u64 = 3;
+/// How probable it is for each byte on the I2C bus that the chip reports a bus error where
+/// there is none (ES0182 2.10.1, which says no more than that it happens), unless the
+/// builder is told otherwise: some a second with a sensor that is read at 500 Hz.
+const BUS_ERRORS: f64 = 1e-3;
+/// How far below its supply an output of the chip may be that drives 8 mA high, in V
+/// (DS8626 table 48).
+const OUTPUT_DROP: f64 = 0.4;
 /// Pins of I2C1 (DS8626 table 9).
 const I2C1_SCL: [Pin; 2] = [Pin::PB6, Pin::PB8];
 const I2C1_SDA: [Pin; 2] = [Pin::PB7, Pin::PB9];
@@ -56,6 +63,7 @@ impl SimBuilder {
                 low_speed: Rate::hz(LSI_HZ),
                 unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
                 i2c: None,
+                bus_errors: BUS_ERRORS,
                 synchroniser: INPUT_SYNCHRONISER,
                 revision: Revision::Y,
                 broken_rng: false,
@@ -138,7 +146,8 @@ impl SimBuilder {
         self
     }
 
-    /// Temperature of the chip in °C and its analogue supply in V: what its ADC finds.
+    /// Temperature of the chip in °C and its supply in V (2.9 by default: a STM32F4DISCOVERY
+    /// feeds it 3.3 V through a diode): what its ADC finds, and what its outputs reach.
     #[must_use]
     pub fn die(mut self, celsius: f64, supply: f64) -> Self {
         self.chip.die = Die { celsius, supply };
@@ -149,6 +158,14 @@ impl SimBuilder {
     #[must_use]
     pub fn no_crystal(mut self) -> Self {
         self.chip.crystal = None;
+        self
+    }
+
+    /// How probable it is for each byte on the I2C bus that the chip reports a bus error
+    /// where there is none (ES0182 2.10.1).
+    #[must_use]
+    pub fn spurious_bus_errors(mut self, probability: f64) -> Self {
+        self.chip.bus_errors = probability;
         self
     }
 
@@ -192,7 +209,8 @@ impl SimBuilder {
     ///
     /// # Errors
     ///
-    /// If the ELF cannot be used, or the I2C bus is wired to pins that are not I2C1's.
+    /// If the ELF cannot be used, the I2C bus is wired to pins that are not I2C1's, or an
+    /// output of the chip does not reach what a model takes as high.
     pub fn build(self) -> Result<Sim, SimError> {
         let firmware = Firmware::load(&self.elf).map_err(|e| e.with_hint(self.missing_hint))?;
         if let Some(I2cWires { scl, sda }) = self.chip.i2c
@@ -202,6 +220,17 @@ impl SimBuilder {
                 "the I2C bus is wired to {scl} (SCL) and {sda} (SDA); those of I2C1 are \
                  {I2C1_SCL:?} and {I2C1_SDA:?}"
             )));
+        }
+        let output = self.chip.die.supply - OUTPUT_DROP;
+        for model in &self.models {
+            let weak = model.inputs().into_iter().find(|(_, high)| *high > output);
+            if let Some((pin, high)) = weak {
+                return Err(SimError::Setup(format!(
+                    "{} takes {high:.2} V and more at {pin} as high, and the board's output is \
+                     only sure to reach {output:.2} V: put a gate between them",
+                    model.name()
+                )));
+            }
         }
         let mut soc = Soc::new(self.seed, &self.chip);
         let mut random = self.seed.stream(RAM_STREAM);

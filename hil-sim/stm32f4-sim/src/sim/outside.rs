@@ -1,5 +1,7 @@
 //! What is done to the board from outside: the USB host, the I2C bus and the pins.
 
+use std::collections::BTreeSet;
+
 use super::{Sim, SimError};
 use crate::chip::Soc;
 use crate::clock::Rate;
@@ -146,6 +148,19 @@ impl Sim {
     #[must_use]
     pub fn stored_register(&self, address: u32) -> Option<u32> {
         self.with_chip(|s| s.stored(address))
+    }
+
+    /// Names of the stored registers that the firmware wrote since their reset.
+    #[must_use]
+    pub fn stored_writes(&self) -> BTreeSet<&'static str> {
+        self.with_chip(|s| s.stored_writes().collect())
+    }
+
+    /// How many bus errors the I2C peripheral reported where there was none
+    /// ([`SimBuilder::spurious_bus_errors`](super::SimBuilder::spurious_bus_errors)).
+    #[must_use]
+    pub fn spurious_bus_errors(&self) -> u64 {
+        self.with_chip(|s| s.spurious_bus_errors())
     }
 
     /// The number that the chip's random number generator gave last.

@@ -8,15 +8,13 @@
 pub mod session;
 
 use std::fmt::Write as _;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use evaluate::stats::{mean, quantile};
 use rig::beliefs::{BELIEFS, Beliefs};
 use rig::random::Seed;
 use serde::Serialize;
 
+use crate::workers;
 use session::{Judged, Sessions, sessions};
 
 /// What is to be studied.
@@ -91,37 +89,15 @@ pub fn run(options: &BeliefOptions, done: impl Fn(&RigResult) + Sync) -> BeliefS
             }
         }
     }
-    let next = AtomicUsize::new(0);
-    let results = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for _ in 0..options.jobs.max(1) {
-            scope.spawn(|| {
-                while let Some((seed, kind, beliefs)) =
-                    plans.get(next.fetch_add(1, Ordering::Relaxed))
-                {
-                    let sessions = sessions(*seed, beliefs).map_err(|error| format!("{error:#}"));
-                    let result = RigResult {
-                        seed: *seed,
-                        kind: kind.clone(),
-                        sessions,
-                    };
-                    done(&result);
-                    results
-                        .lock()
-                        .unwrap_or_else(PoisonError::into_inner)
-                        .push(result);
-                }
-            });
-        }
+    let rigs = workers::each(&plans, options.jobs as usize, |(seed, kind, beliefs)| {
+        let result = RigResult {
+            seed: *seed,
+            kind: kind.clone(),
+            sessions: sessions(*seed, beliefs).map_err(|error| format!("{error:#}")),
+        };
+        done(&result);
+        result
     });
-    let mut rigs = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let place = |rig: &RigResult| {
-        let place = plans
-            .iter()
-            .position(|(seed, kind, _)| *seed == rig.seed && *kind == rig.kind);
-        place.unwrap_or(usize::MAX)
-    };
-    rigs.sort_by_key(place);
     BeliefStudy { rigs }
 }
 

@@ -10,6 +10,7 @@ use frame_sync::rates::Course;
 use frame_sync::train::frame_period;
 use frame_sync::twists::Twists;
 use jiff::Timestamp;
+use protocol::mpu9150::ADDRESS;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, Video};
@@ -32,6 +33,8 @@ use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use twist_sync::{Options, estimate_offset};
 
+use crate::board_truth::UNITS_PER_TICK;
+
 /// Length of a twist, and how much longer the board listens, seconds.
 const TWIST_S: f64 = 9.0;
 const MARGIN_S: f64 = 0.25;
@@ -48,9 +51,6 @@ const RECORDED_S: f64 = 300.0;
 
 /// How often a twist is tried.
 const TRIES: u32 = 3;
-
-/// The address of the IMU.
-const IMU: u8 = 0x68;
 
 /// How a session came out.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -188,13 +188,8 @@ impl Rig {
         profile.phone.rows = u32::try_from(phone.camera.rows)?;
         profile.phone.readout_us = phone.camera.readout_ns() * 1e-3;
         profile.phone.gyro_delay_us = phone.gyroscope.low_pass.delay_s * 1e6;
-        let depth = parts
-            .config
-            .depth_camera
-            .context("the rig has no depth camera")?;
-        let center = depth.flash_delay.as_nanos() as f64;
-        let center = center + depth.mode.flashes().center_offset_ns() as f64;
-        profile.depth.center_offset_us = center * 1e-3;
+        let center = parts.config.center_offset_us();
+        profile.depth.center_offset_us = center.context("the rig has no depth camera")?;
         Ok(Self {
             oscillator: Oscillator::new(phone.clock, seed.stream(Stream::PhoneClock)),
             parts,
@@ -246,10 +241,9 @@ impl Rig {
         self.imu.run_until(of(at + TWIST_S + MARGIN_S));
         let records = self.imu.model.log_mut().take();
         write(&mut self.imu, address::PWR_MGMT_1, CLOCKED | ASLEEP)?;
-        let per_tick = UNITS_PER_SECOND / u64::from(TICK_HZ);
         let lsb = f64::from(GyroRange::Dps500.lsb_per_dps_times_10()) / 10.0;
         let sample = |record: &rig::mpu9150::SampleRecord| {
-            let tick = record.at.units() / per_tick + INPUT_SYNCHRONISER;
+            let tick = record.at.units() / UNITS_PER_TICK + INPUT_SYNCHRONISER;
             let rate = record
                 .values
                 .gyro
@@ -334,22 +328,24 @@ impl Rig {
     /// Middle of the depth image nearest to one of the phone's frames less its own, µs.
     fn phase_us(&self, alignment: &Alignment, frames: &FrameTimes, frame: usize) -> Result<f64> {
         let middle = self.middle(frames, frame)?;
-        let per_tick = UNITS_PER_SECOND / u64::from(TICK_HZ);
-        let tick = self.board().board_at(middle).units() / per_tick;
+        let tick = self.board().board_at(middle).units() / UNITS_PER_TICK;
         let period = u128::from(alignment.period_q32);
-        let delay_ns = alignment.center_offset_us * 1e3;
-        let lead = (delay_ns * 1e-9 * f64::from(TICK_HZ)) as u64;
+        let lead = (alignment.center_offset_us * 1e-6 * f64::from(TICK_HZ)) as u64;
         let since = u128::from(tick.saturating_sub(alignment.anchor.0 + lead)) << 32;
         let nearest = (since + period / 2) / period;
         let edge = alignment.anchor.0 + u64::try_from((nearest * period) >> 32)?;
-        let edge = self.board().true_at(SimTime::from_units(edge * per_tick));
+        let edge = self
+            .board()
+            .true_at(SimTime::from_units(edge * UNITS_PER_TICK));
         // The camera counts the delay by its own clock.
         let camera = self.parts.depth_camera.as_ref();
-        let camera = camera.map(|camera| lock(camera).clock().clone());
-        let rate = camera.map_or(0.0, |clock| clock.fraction_at(edge));
+        let camera = camera.context("the rig has no depth camera")?;
+        let camera = lock(camera);
+        let delay_us = camera.config().center_delay_ns() * 1e-3;
+        let rate = camera.clock().fraction_at(edge);
         let apart = i128::from(edge.units()) - i128::from(middle.units());
         let apart_us = apart as f64 / UNITS_PER_SECOND as f64 * 1e6;
-        Ok(apart_us + delay_ns * 1e-3 / (1.0 + rate))
+        Ok(apart_us + delay_us / (1.0 + rate))
     }
 }
 
@@ -358,7 +354,7 @@ const CLOCKED: u8 = 5;
 const ASLEEP: u8 = 1 << 6;
 
 fn write(imu: &mut Bench<Mpu9150>, register: u8, value: u8) -> Result<()> {
-    match imu.write(IMU, register, &[value]) {
+    match imu.write(ADDRESS, register, &[value]) {
         Ok(()) => Ok(()),
         Err(byte) => bail!("the IMU does not acknowledge byte {byte} of register {register:#x}"),
     }

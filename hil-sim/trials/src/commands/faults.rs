@@ -5,21 +5,13 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use trials::faults::plan::Fault;
-use trials::faults::{Finding, Programs, Verdict, campaign};
-
-/// Virtual time against real time in runs with the real program.
-const SPEED: f64 = 8.0;
+use trials::faults::{Finding, Verdict, campaign};
 
 /// Options of `faults`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE")]
-    elf: Option<PathBuf>,
     #[command(flatten)]
-    program: super::Program,
-    #[command(flatten)]
-    seeds: super::Seeds,
+    campaign: super::Campaign,
     /// Keep the recordings in this folder.
     #[arg(long, value_name = "FOLDER")]
     keep: Option<PathBuf>,
@@ -30,13 +22,10 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let temporary = tempfile::tempdir().context("no temporary folder")?;
-    let programs = Programs {
-        smartdepthsync: args.program.path()?,
-        elf: args.elf.clone(),
-        speed: SPEED,
-    };
+    let programs = args.campaign.programs()?;
+    let seeds = args.campaign.seeds.all();
     let folder = args.keep.as_deref().unwrap_or(temporary.path());
-    let results = campaign(&args.seeds.all(), &programs, folder, &|seed, result| {
+    let results = campaign(&seeds, &programs, folder, &|seed, result| {
         match result {
             Ok(verdict) => eprintln!(
                 "passed {} -> exit code {}, {:?}",
@@ -60,12 +49,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         table(&passed, &failed);
     }
     if !failed.is_empty() {
-        let seeds: Vec<String> = failed.iter().map(|f| f.plan.seed.to_string()).collect();
+        let failing: Vec<String> = failed.iter().map(|f| f.plan.seed.to_string()).collect();
         bail!(
             "{} of {} seeds failed: {}; `cargo xtask faults --seed N --count 1` repeats one exactly",
             failed.len(),
-            args.seeds.count,
-            seeds.join(", ")
+            seeds.len(),
+            failing.join(", ")
         );
     }
     Ok(())

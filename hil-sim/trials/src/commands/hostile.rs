@@ -3,8 +3,6 @@
 use anyhow::{Result, bail};
 use trials::hostile::campaign;
 
-use super::Seeds;
-
 /// Options of `hostile`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -16,8 +14,8 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let program = args.program.path()?;
-    let Seeds { seed, count } = args.seeds;
-    let outcome = campaign(&program, seed, count, &|seed, result| match result {
+    let seeds = args.seeds.all();
+    let outcome = campaign(&program, &seeds, &|seed, result| match result {
         Ok(verdict) => eprintln!(
             "passed {seed}: {:?} -> exit code {}, {} MB, {:.1} s",
             verdict.command,
@@ -50,12 +48,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         outcome.failed.len()
     );
     if !outcome.failed.is_empty() {
-        let seeds: Vec<String> = outcome.failed.iter().map(|f| f.seed.to_string()).collect();
+        let failing: Vec<String> = outcome.failed.iter().map(|f| f.seed.to_string()).collect();
         bail!(
             "{} of {} seeds failed: {}; `cargo xtask hostile --seed N --count 1` repeats one",
             outcome.failed.len(),
-            count,
-            seeds.join(", ")
+            seeds.len(),
+            failing.join(", ")
         );
     }
     Ok(())

@@ -1,48 +1,28 @@
 //! `hil-sim lies`: sessions with a board or a phone that lies.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
-use trials::faults::Programs;
 use trials::lies::campaign;
-
-/// Virtual time against real time.
-const SPEED: f64 = 8.0;
 
 /// Options of `lies`.
 #[derive(clap::Args)]
 pub(crate) struct Args {
-    /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE")]
-    elf: Option<PathBuf>,
     #[command(flatten)]
-    program: super::Program,
-    #[command(flatten)]
-    seeds: super::Seeds,
+    campaign: super::Campaign,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let folder = tempfile::tempdir().context("no temporary folder")?;
-    let programs = Programs {
-        smartdepthsync: args.program.path()?,
-        elf: args.elf.clone(),
-        speed: SPEED,
-    };
-    let super::Seeds { seed, count } = args.seeds;
-    let results = campaign(
-        seed,
-        count,
-        &programs,
-        folder.path(),
-        &|result| match result {
-            Ok(verdict) => eprintln!(
-                "passed {}: {} -> {} lies told, exit code {}, {} frames",
-                verdict.seed, verdict.lies, verdict.told, verdict.exit_code, verdict.frames
-            ),
-            Err(finding) => eprintln!("FAILED {finding}"),
-        },
-    );
+    let programs = args.campaign.programs()?;
+    let seeds = args.campaign.seeds.all();
+    let results = campaign(&seeds, &programs, folder.path(), &|result| match result {
+        Ok(verdict) => eprintln!(
+            "passed {}: {} -> {} lies told, exit code {}, {} frames",
+            verdict.seed, verdict.lies, verdict.told, verdict.exit_code, verdict.frames
+        ),
+        Err(finding) => eprintln!("FAILED {finding}"),
+    });
     let (mut told, mut frames) = (0, 0);
     let mut codes: BTreeMap<i32, u32> = BTreeMap::new();
     for verdict in results.iter().flatten() {

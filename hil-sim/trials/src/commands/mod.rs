@@ -14,6 +14,32 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 pub(crate) use rig::serve::speed;
+use trials::whole_chain::Programs;
+
+/// Virtual time against real time in a campaign with the real program.
+const SPEED: f64 = 8.0;
+
+/// A campaign of sessions with the real program.
+#[derive(clap::Args)]
+pub(crate) struct Campaign {
+    /// The firmware's ELF; without this, what `cargo xtask build` made.
+    #[arg(long, value_name = "FILE")]
+    elf: Option<PathBuf>,
+    #[command(flatten)]
+    program: Program,
+    #[command(flatten)]
+    pub(crate) seeds: Seeds,
+}
+
+impl Campaign {
+    pub(crate) fn programs(&self) -> anyhow::Result<Programs> {
+        Ok(Programs {
+            smartdepthsync: self.program.path()?,
+            elf: self.elf.clone(),
+            speed: SPEED,
+        })
+    }
+}
 
 /// Which runs of a campaign.
 #[derive(clap::Args)]

@@ -9,8 +9,6 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, Result};
 use evaluate::stats::{mean, quantile, standard_deviation};
@@ -19,6 +17,7 @@ use serde::Serialize;
 
 use super::judge::{TwistVerdict, Verdict};
 use super::stage::{Stage, StageOptions};
+use crate::workers;
 
 /// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
 /// from launch to launch, 16.34 µs/min of drift).
@@ -214,29 +213,16 @@ impl FrameSync {
 
 /// Runs all launches. `done` is called after each rig that went well.
 pub fn run(options: &FrameSyncOptions, done: impl Fn(&Launch, &Launch) + Sync) -> FrameSync {
-    let next = AtomicU32::new(0);
-    let results = Mutex::new(Vec::new());
-    std::thread::scope(|scope| {
-        for _ in 0..options.jobs.max(1) {
-            scope.spawn(|| {
-                loop {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    if number >= options.launches {
-                        return;
-                    }
-                    let seed = options.first_seed.wrapping_add(number.into());
-                    let result = launch(options, seed);
-                    if let Ok((fresh, learnt)) = &result {
-                        done(fresh, learnt);
-                    }
-                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    results.push((seed, result));
-                }
-            });
+    let seeds: Vec<u64> = (0..options.launches)
+        .map(|number| options.first_seed.wrapping_add(number.into()))
+        .collect();
+    let results = workers::each(&seeds, options.jobs as usize, |&seed| {
+        let result = launch(options, seed);
+        if let Ok((fresh, learnt)) = &result {
+            done(fresh, learnt);
         }
+        (seed, result)
     });
-    let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.sort_by_key(|(seed, _)| *seed);
     let mut all = FrameSync {
         seconds: options.seconds,
         fresh: Vec::new(),

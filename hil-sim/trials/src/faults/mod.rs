@@ -33,8 +33,8 @@ mod stage;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, SystemTime};
 
 use board::Board;
@@ -61,12 +61,12 @@ use verify::watch::{Grid, Watch};
 
 use crate::board_truth::Train;
 pub use crate::whole_chain::Programs;
+use crate::workers;
 use plan::Plan;
 use rig::random::Seed;
 use rig::wiring;
 use scene::Report;
 use stage::Stage;
-use stm32f4_sim::i2c::lock;
 
 /// How long the session waits for a lost link: its default.
 const LINK_PATIENCE: Duration = Duration::from_secs(60);
@@ -157,34 +157,18 @@ pub fn run_plan(plan: &Plan, programs: &Programs, folder: &Path) -> Result<Verdi
 
 /// Runs seeds, as many at a time as the machine has processors, each told when it is
 /// done; gives their results in order.
-///
-/// On threads of its own: the simulated phone works on the common pool of threads,
-/// and a run that waited there for its phone would wait for ever.
 pub fn campaign(
     seeds: &[u64],
     programs: &Programs,
     folder: &Path,
     done: &(dyn Fn(u64, &Result<Verdict, Finding>) + Sync),
 ) -> Vec<Result<Verdict, Finding>> {
-    let next = AtomicUsize::new(0);
-    let results = Arc::new(Mutex::new(BTreeMap::new()));
-    let workers = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..workers {
-            scope.spawn(|| {
-                loop {
-                    let Some(&seed) = seeds.get(next.fetch_add(1, Ordering::Relaxed)) else {
-                        return;
-                    };
-                    let result = run(Seed(seed), programs, folder);
-                    done(seed, &result);
-                    lock(&results).insert(seed, result);
-                }
-            });
-        }
-    });
-    let mut results = lock(&results);
-    std::mem::take(&mut *results).into_values().collect()
+    let jobs = std::thread::available_parallelism().map_or(1, usize::from);
+    workers::each(seeds, jobs, |&seed| {
+        let result = run(Seed(seed), programs, folder);
+        done(seed, &result);
+        result
+    })
 }
 
 /// A session that has ended.

@@ -22,17 +22,19 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, ensure};
 use smartdepthsync::outcome::ExitStatus;
 
+use crate::workers;
 use limits::Ended;
 use material::Material;
 use mutate::Draw;
 use rig::random::{Seed, Stream};
+
+/// Runs beside each other.
+const BESIDE: usize = 2;
 
 /// The commands that read files of others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -149,8 +151,7 @@ impl Outcome {
 /// The material cannot be made, or a run cannot be set up.
 pub fn campaign(
     program: &Path,
-    first: u64,
-    count: u64,
+    seeds: &[u64],
     each: &(dyn Fn(u64, &Result<Verdict, Finding>) + Sync),
 ) -> Result<Outcome> {
     let folder = tempfile::tempdir().context("no temporary folder")?;
@@ -161,38 +162,21 @@ pub fn campaign(
         .context("no temporary folder")?;
     let program = &program.canonicalize().context("finding the program")?;
     let material = Material::make(&place.join("material"))?;
-    let (next, outcome) = (AtomicU64::new(first), Mutex::new(Outcome::default()));
-    let work = || -> Result<()> {
-        loop {
-            let seed = next.fetch_add(1, Ordering::Relaxed);
-            if seed - first >= count {
-                return Ok(());
-            }
-            let root = place.join(format!("seed-{seed}"));
-            let result = run(seed, program, &material, &root)?;
-            each(seed, &result);
-            std::fs::remove_dir_all(&root).context("removing a run's folder")?;
-            let mut outcome = outcome
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner);
-            match result {
-                Ok(verdict) => outcome.passed.push(verdict),
-                Err(finding) => outcome.failed.push(finding),
-            }
+    let results: Vec<Result<_>> = workers::each(seeds, BESIDE, |&seed| {
+        let root = place.join(format!("seed-{seed}"));
+        let result = run(seed, program, &material, &root)?;
+        each(seed, &result);
+        std::fs::remove_dir_all(&root).context("removing a run's folder")?;
+        Ok(result)
+    });
+    let mut outcome = Outcome::default();
+    for result in results {
+        match result? {
+            Ok(verdict) => outcome.passed.push(verdict),
+            Err(finding) => outcome.failed.push(finding),
         }
-    };
-    std::thread::scope(|scope| {
-        let other = scope.spawn(work);
-        let own = work();
-        own.and(
-            other
-                .join()
-                .unwrap_or_else(|_| anyhow::bail!("a run's thread ended")),
-        )
-    })?;
-    Ok(outcome
-        .into_inner()
-        .unwrap_or_else(std::sync::PoisonError::into_inner))
+    }
+    Ok(outcome)
 }
 
 fn run(

@@ -42,7 +42,7 @@ enum What {
     Field(usize, usize),
     /// All fields.
     All(usize),
-    /// An answer becomes another one.
+    /// An answer becomes another one: that to another command, or a refusal.
     Answer(&'static str),
     /// The message so many times.
     Repeat(usize),
@@ -62,7 +62,7 @@ pub(super) fn draw(draw: &mut Draw) -> Vec<Lie> {
                 0..=4 => What::Field(draw.below(1_000), extreme),
                 5 => What::All(extreme),
                 6 => What::Repeat(draw.one_of(&[2, 50])),
-                _ => What::Answer(draw.one_of(&["WrongKey", "TriggerStopped", "Done"])),
+                _ => What::Answer(draw.one_of(&["WrongKey", "TriggerStopped", "SayHello"])),
             };
             let kind = if matches!(what, What::Answer(_)) {
                 "Answer"
@@ -134,7 +134,7 @@ impl What {
             }
             Self::Answer(instead) => {
                 let result = match *instead {
-                    "Done" => json!({"Ok": "Done"}),
+                    "SayHello" => json!({"Ok": {"SayHello": null}}),
                     refusal => json!({"Err": refusal}),
                 };
                 let mut value = serde_json::to_value(message).unwrap_or_default();

@@ -15,8 +15,6 @@ mod phone;
 
 use std::fmt;
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use ::board::Board;
@@ -28,6 +26,7 @@ use verify::verify;
 
 use crate::faults::process::{Record, Session, start_rig, stop_phone};
 use crate::whole_chain::Programs;
+use crate::workers;
 use rig::random::{Random, Seed, Stream};
 use rig::running_rig::RunningRig;
 
@@ -70,32 +69,18 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Runs seeds, two at a time, and tells of each as it ends.
+/// Runs seeds, two at a time, and tells of each as it ends; gives their results in order.
 pub fn campaign(
-    first: u64,
-    count: u64,
+    seeds: &[u64],
     programs: &Programs,
     folder: &Path,
     told: &(dyn Fn(&Result<Verdict, Finding>) + Sync),
 ) -> Vec<Result<Verdict, Finding>> {
-    let (next, results) = (AtomicU64::new(0), Mutex::new(Vec::new()));
-    std::thread::scope(|scope| {
-        for _ in 0..BESIDE {
-            scope.spawn(|| {
-                loop {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    if number >= count {
-                        return;
-                    }
-                    let result = run(first + number, programs, folder);
-                    told(&result);
-                    let mut all = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    all.push(result);
-                }
-            });
-        }
-    });
-    results.into_inner().unwrap_or_else(PoisonError::into_inner)
+    workers::each(seeds, BESIDE, |&seed| {
+        let result = run(seed, programs, folder);
+        told(&result);
+        result
+    })
 }
 
 /// Runs one seed in a folder of its own below `folder`, which is removed.

@@ -85,16 +85,13 @@ impl ExtractionFigures {
     #[must_use]
     pub fn table(&self) -> String {
         let row = |name: &str, e: &Errors, limit: f64| {
-            format!(
-                "{name:<34} {:>6} frames, rms {:.2} µs, at most {:.2} µs (limit {limit} µs)\n",
-                e.count, e.rms_us, e.largest_us
-            )
+            format!("{name:<34} {} (limit {limit} µs)\n", e.line())
         };
         format!(
             "Simulated, whole chain, {:.0} s recorded\n{}{}{}\
              {:<34} at most {:.2} µs (1 σ)\n\
-             {:<34} {:>6}, all right\n\
-             {:<34} {:>6}, all named\n",
+             {:<34} {}, all right\n\
+             {:<34} {}, all named\n",
             self.recorded_s,
             row(
                 "phone, start of exposure",
@@ -124,6 +121,15 @@ impl ExtractionFigures {
 /// A step fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
 /// is not named or one is named that was not dropped.
 pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionFigures> {
+    Ok(recorded(plan, programs, out)?.1)
+}
+
+/// The same, with the recording.
+pub(super) fn recorded(
+    plan: &Plan,
+    programs: &Programs,
+    out: &Path,
+) -> Result<(Recorded, ExtractionFigures)> {
     let recorded = record(plan, programs, out)?;
     let data = out.join(&plan.name).join("data");
     let phone = recorded.phone.to_string_lossy().into_owned();
@@ -133,7 +139,8 @@ pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionF
         &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
-    judge(&recorded, &data, &report)
+    let figures = judge(&recorded, &data, &report)?;
+    Ok((recorded, figures))
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.

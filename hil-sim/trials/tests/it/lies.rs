@@ -28,7 +28,7 @@ fn whatever_board_and_phone_say_the_session_ends_well() {
         speed: 8.0,
     };
     let folder = tempfile::tempdir().unwrap();
-    let results = campaign(1, 8, &programs, folder.path(), &|_| {});
+    let results = campaign(&[1, 2, 3, 4, 5, 6, 7, 8], &programs, folder.path(), &|_| {});
     let passed: Vec<_> = results
         .into_iter()
         .map(|result| result.unwrap_or_else(|finding| panic!("{finding}")))

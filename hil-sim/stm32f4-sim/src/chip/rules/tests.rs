@@ -28,7 +28,7 @@ const START: u32 = 1 << 8;
 const STOP: u32 = 1 << 9;
 const SWRST: u32 = 1 << 15;
 
-fn chip() -> Soc {
+pub(in crate::chip) fn chip() -> Soc {
     chip_of(Revision::Y)
 }
 
@@ -43,6 +43,7 @@ fn chip_of(revision: Revision) -> Soc {
                 scl: Pin::PB6,
                 sda: Pin::PB7,
             }),
+            bus_errors: 0.0,
             synchroniser: 2,
             revision,
             broken_rng: false,
@@ -52,7 +53,7 @@ fn chip_of(revision: Revision) -> Soc {
 }
 
 /// Writes registers one after the other, far enough apart for any clock to come up.
-fn write(soc: &mut Soc, writes: &[(u32, u32)]) {
+pub(in crate::chip) fn write(soc: &mut Soc, writes: &[(u32, u32)]) {
     for &(address, value) in writes {
         soc.write_register(address, value);
         pass(soc, 1);

@@ -1,0 +1,155 @@
+//! What a depth camera is like: plain data.
+
+use serde::{Deserialize, Serialize};
+
+use super::PULSE_TOO_SHORT;
+use crate::oscillator::OscillatorConfig;
+use crate::rolling_shutter::FlashTrain;
+use crate::wiring;
+use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
+
+/// Depth modes with their flashes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum DepthMode {
+    /// Narrow field of view, unbinned: up to 30 fps.
+    NfovUnbinned,
+    /// Wide field of view, unbinned: up to 15 fps.
+    WfovUnbinned,
+}
+
+impl DepthMode {
+    /// The infrared flashes of one frame.
+    #[must_use]
+    pub fn flashes(self) -> FlashTrain {
+        match self {
+            Self::NfovUnbinned => FlashTrain::NFOV,
+            Self::WfovUnbinned => FlashTrain::WFOV,
+        }
+    }
+}
+
+/// What a depth camera is like.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DepthCameraConfig {
+    /// Frames a second: 30, 15 or 5.
+    pub fps: u32,
+    /// Depth mode.
+    pub mode: DepthMode,
+    /// The pulse that makes the first frame: 2 or 3 on real cameras.
+    pub first_frame: u32,
+    /// From a pulse's rising edge to the first flash, in the camera's time.
+    pub flash_delay: SimDuration,
+    /// Jitter of that, 1-sigma. At most three of it, and no flash before the camera knows
+    /// that no pulse comes.
+    pub flash_jitter: SimDuration,
+    /// How far from its expected place a pulse may come without a disturbance.
+    pub tolerance: SimDuration,
+    /// Frames that are bad after a disturbance, the one disturbed included.
+    pub bad_frames: u32,
+    /// The camera's clock. Its offset is what the device timestamp starts from.
+    pub clock: OscillatorConfig,
+    /// The device timestamp counts from the first pulse, not from the clock's offset.
+    pub zeroed_at_first_pulse: bool,
+    /// Probability that a frame is lost on its way to the computer.
+    pub drop_probability: f64,
+    /// Probability that a frame's image is spoilt for no reason that is known.
+    pub spoil_probability: f64,
+    /// From the begin of a flash to the photodiode's rising edge, and from its end to the
+    /// falling one: rise times against the threshold of the input.
+    pub photodiode_delay: (SimDuration, SimDuration),
+    /// Whether the photodiode is wired to the strobe input.
+    pub photodiode: bool,
+    /// What is high for whatever the board's output drives, in V: the gate, or without one
+    /// the camera itself, which wants 3.5 (SDK #1844).
+    pub input_high: f64,
+}
+
+impl Default for DepthCameraConfig {
+    /// A camera in NFOV unbinned at 30 fps, 300 ppm fast, that takes its first
+    /// frame on pulse 2.
+    fn default() -> Self {
+        Self {
+            fps: 30,
+            mode: DepthMode::NfovUnbinned,
+            first_frame: 2,
+            flash_delay: SimDuration::from_micros(500),
+            flash_jitter: SimDuration::ZERO,
+            tolerance: SimDuration::from_micros(200),
+            bad_frames: 3,
+            clock: OscillatorConfig {
+                offset_ns: 2_500_000_000,
+                rate_ppm: 300.0,
+                wander: 1e-9,
+                ..OscillatorConfig::default()
+            },
+            zeroed_at_first_pulse: false,
+            drop_probability: 0.0,
+            spoil_probability: 0.0,
+            photodiode_delay: (SimDuration::ZERO, SimDuration::ZERO),
+            photodiode: true,
+            input_high: wiring::GATE_HIGH,
+        }
+    }
+}
+
+/// A setting that no such camera has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct DepthCameraError(String);
+
+impl DepthCameraConfig {
+    /// From a pulse's rising edge to the centre of exposure, in the camera's time, ns.
+    #[must_use]
+    pub fn center_delay_ns(&self) -> f64 {
+        self.flash_delay.as_nanos() as f64 + self.mode.flashes().center_offset_ns() as f64
+    }
+
+    /// From a pulse, or where one was expected, to where it is known whether one came.
+    pub(super) fn earliest_flash(&self) -> SimDuration {
+        self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1)
+    }
+
+    pub(super) fn check(&self) -> Result<(), DepthCameraError> {
+        let fail = |text: String| Err(DepthCameraError(text));
+        match (self.fps, self.mode) {
+            (5 | 15, _) | (30, DepthMode::NfovUnbinned) => {}
+            (30, DepthMode::WfovUnbinned) => {
+                return fail("WFOV unbinned runs at 15 or 5 fps, not at 30".to_owned());
+            }
+            (other, _) => {
+                return fail(format!("{other} fps: the camera has 30, 15 and 5"));
+            }
+        }
+        if self.first_frame == 0 {
+            return fail("the first frame cannot come on pulse 0: pulses count from 1".to_owned());
+        }
+        let period = UNITS_PER_SECOND / u64::from(self.fps);
+        if self.tolerance.units() >= period / 4 {
+            return fail(format!(
+                "a tolerance of {} ns is a quarter of a frame or more",
+                self.tolerance.as_nanos()
+            ));
+        }
+        let known_after = self.earliest_flash();
+        if self.flash_delay < known_after {
+            return fail(format!(
+                "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
+                 as the camera must know that no pulse comes before it flashes on its own",
+                self.flash_delay.as_nanos(),
+                self.tolerance.as_nanos(),
+                known_after.as_nanos()
+            ));
+        }
+        let train = self.mode.flashes();
+        let length = i64::from(train.count - 1) * train.pitch_ns + train.duration_ns;
+        if self.flash_delay.as_nanos() + length.unsigned_abs()
+            >= 1_000_000_000 / u64::from(self.fps)
+        {
+            return fail(format!(
+                "a flash delay of {} ns leaves no time for {length} ns of flashes within a frame",
+                self.flash_delay.as_nanos()
+            ));
+        }
+        Ok(())
+    }
+}
