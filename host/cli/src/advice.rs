@@ -8,6 +8,7 @@ use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
 use extract::learn::LearnError;
+use gyro_files::GyroFileError;
 use phone::PhoneError;
 use phone::adb::AdbError;
 use protocol::{ImuSetup, Refusal};
@@ -347,4 +348,32 @@ mod tests {
         assert!(phone_step(&error).unwrap().contains("<host>:<port>"));
         assert_eq!(Failure::from(error).status(), ExitStatus::Usage);
     }
+}
+
+/// A file that was given as a gyroscope's recording.
+pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
+    let (status, next) = match &error {
+        GyroFileError::Io(error) => return Failure::file("read", path, error),
+        GyroFileError::Csv(_) => (
+            ExitStatus::Usage,
+            "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \
+             app's x,y,z,nanoseconds",
+        ),
+        GyroFileError::Several(_) => (ExitStatus::Usage, "choose one with FILE@/TOPIC"),
+        GyroFileError::Bag(_) | GyroFileError::Kinect(_) | GyroFileError::Mcap(_) => (
+            ExitStatus::Usage,
+            "give a whole recording: of ROS 2 an MCAP whose chunks are not packed or with LZ4, of \
+             ROS 1 a bag of version 2.0, of an Azure Kinect an mkv with depth and IMU",
+        ),
+        GyroFileError::None { .. } => (
+            ExitStatus::Usage,
+            "give a recording of a gyroscope: a message or track of an IMU must be in it",
+        ),
+        GyroFileError::NotRead(_) => (
+            ExitStatus::Usage,
+            "convert it: of a bag `ros2 bag convert` makes MCAP; of a video another program must \
+             first write the gyroscope as CSV",
+        ),
+    };
+    Failure::new(status, format!("{}: {error}", path.display())).next_step(next)
 }

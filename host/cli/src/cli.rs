@@ -106,6 +106,8 @@ enum Command {
     Imu(commands::imu::Args),
     /// The clock relation of two gyroscope recordings, with its uncertainty
     Offset(commands::offset::Args),
+    /// The clocks of any two or more recordings with gyroscopes, over their whole length
+    Sync(commands::sync::Args),
     /// Print the completions for a shell
     Completions(commands::completions::Args),
     /// Write the manual pages into a folder
@@ -117,6 +119,7 @@ impl Command {
         match self {
             Self::Info(args) => commands::info::run(args, context),
             Self::Offset(args) => commands::offset::run(args, context),
+            Self::Sync(args) => commands::sync::run(args, context),
             Self::Evaluate(args) => commands::evaluate::run(args, context),
             Self::Ports(args) => commands::ports::run(args, context),
             Self::Phone(args) => commands::phone::run(args, context),

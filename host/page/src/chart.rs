@@ -281,7 +281,7 @@ impl Chart {
         let bins = self.has(|data| matches!(data, Data::Bins { .. }));
         let marks = self.has(|data| matches!(data, Data::Marks(_)));
         ys.start -= if bins { 0.0 } else { 0.06 * height };
-        ys.end += if marks { 0.16 } else { 0.06 } * height;
+        ys.end += if marks { 0.4 } else { 0.06 } * height;
         if let Some(shown) = &self.xs {
             xs = shown.clone();
         } else if xs.end - xs.start <= NARROWEST * xs.end.abs() {
@@ -326,18 +326,33 @@ pub fn histogram(x_label: &str, y_label: &str, first: f64, bin: f64, counts: &[u
     stack(SIZE, &[chart.least(0.0..1.0)])
 }
 
-/// Draws charts one below the other, each of `size` pixels.
+/// Draws charts one below the other, each of `size` pixels; one with axes and more than two
+/// lines of title and legend is so much higher.
 ///
 /// The backend writes into text and cannot fail; if it does, the drawing is empty.
 #[must_use]
 pub fn stack(size: (u32, u32), charts: &[Chart]) -> String {
     let mut svg = String::new();
-    let height = size.1 * charts.len() as u32;
+    let charts: Vec<Chart> = charts.iter().map(Chart::tamed).collect();
+    let mut below = 0;
+    let ends: Vec<i32> = charts
+        .iter()
+        .map(|chart| {
+            let more = if chart.ranges().is_some() {
+                (Head::of(chart, size.0 as i32).lines() - USUAL_LINES).max(0) * LINE
+            } else {
+                0
+            };
+            below += size.1 as i32 + more;
+            below
+        })
+        .collect();
     let draw = |svg: &mut String| -> Drawn<()> {
-        let root = SVGBackend::with_string(svg, (size.0, height)).into_drawing_area();
+        let root = SVGBackend::with_string(svg, (size.0, below as u32)).into_drawing_area();
         root.fill(&WHITE)?;
-        for (area, chart) in root.split_evenly((charts.len(), 1)).iter().zip(charts) {
-            draw(&chart.tamed(), area)?;
+        let areas = root.split_by_breakpoints([0; 0], &ends[..ends.len().saturating_sub(1)]);
+        for (area, chart) in areas.iter().zip(&charts) {
+            draw(chart, area)?;
         }
         root.present()?;
         Ok(())
@@ -407,24 +422,52 @@ fn tick(value: f64, shown: &Range<f64>) -> String {
     text
 }
 
+/// Lines of title and legend that the size of a drawing has room for.
+const USUAL_LINES: i32 = 2;
+
+/// Title and legend, laid out.
+struct Head<'chart> {
+    title: Vec<String>,
+    /// Each with its left end and its line of the legend.
+    legend: Vec<(i32, i32, &'chart (Series, Ink))>,
+}
+
+impl<'chart> Head<'chart> {
+    fn of(chart: &'chart Chart, width: i32) -> Self {
+        let (mut x, mut line) = (LEFT, 0);
+        let named = chart.series.iter().filter(|(s, _)| !s.name.is_empty());
+        let legend = named.map(|entry| {
+            let long = 48 + LETTER * entry.0.name.chars().count() as i32;
+            if x > LEFT && x + long > width {
+                (x, line) = (LEFT, line + 1);
+            }
+            x += long;
+            (x - long, line, entry)
+        });
+        Self {
+            legend: legend.collect(),
+            title: wrapped(&chart.title, (width - 2 * LEFT) / LETTER),
+        }
+    }
+
+    fn lines(&self) -> i32 {
+        let of_legend = self.legend.last().map_or(0, |(_, line, _)| line + 1);
+        self.title.len() as i32 + of_legend
+    }
+}
+
 /// Writes title and legend; returns what is left for the axes.
 fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> {
-    let width = area.dim_in_pixel().0 as i32;
+    let head = Head::of(chart, area.dim_in_pixel().0 as i32);
     let text =
         |words: &str, x, y| Text::new(words.to_owned(), (x, y), ("sans-serif", LABEL).into_font());
-    let mut y = 10;
-    for line in wrapped(&chart.title, (width - 2 * LEFT) / LETTER) {
-        area.draw(&text(&line, LEFT, y))?;
-        y += LINE;
+    let mut top = 10;
+    for line in &head.title {
+        area.draw(&text(line, LEFT, top))?;
+        top += LINE;
     }
-    let mut x = LEFT;
-    let named = chart.series.iter().filter(|(s, _)| !s.name.is_empty());
-    for (k, (series, ink)) in named.enumerate() {
-        let long = 48 + LETTER * series.name.chars().count() as i32;
-        if k == 0 || x + long > width {
-            x = LEFT;
-            y += if k == 0 { 0 } else { LINE };
-        }
+    for &(x, line, (series, ink)) in &head.legend {
+        let y = top + line * LINE;
         let middle = y + LABEL / 2;
         match series.data {
             Data::Line(_) | Data::Upright(_) | Data::Marks(_) => {
@@ -442,9 +485,8 @@ fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> {
             }
         }
         area.draw(&text(&series.name, x + 24, y))?;
-        x += long;
     }
-    let used = if x > LEFT { y + LINE } else { y };
+    let used = 10 + head.lines() * LINE;
     Ok(area.split_vertically(used.max(LINE / 2)).1)
 }
 

@@ -119,6 +119,8 @@ impl fmt::Display for Form {
 pub struct GyroFile {
     /// The recording.
     pub track: GyroTrack,
+    /// The times of its samples in nanoseconds; exact where the file has integers.
+    pub times: Vec<i64>,
     /// The form.
     pub form: Form,
 }
@@ -279,7 +281,9 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
         };
         let of_other = |name: &str| {
             let of_other = |w: &String| w.starts_with("acc") || w.starts_with("mag");
-            words(name).iter().any(of_other)
+            // EuRoC: a_RS_S_x [m s^-2].
+            let words = words(name);
+            words.iter().any(of_other) || words.first().is_some_and(|w| w == "a")
         };
         let mut found =
             (0..names.len()).filter(|&i| i != time && is_axis(&names[i]) && !of_other(&names[i]));
@@ -397,12 +401,19 @@ impl Rows {
         let scaled = |time: &i64| time.checked_mul(unit.nanos()).map(PhoneNanos);
         let nanos: Option<Vec<PhoneNanos>> = self.integers.iter().map(scaled).collect();
         let all_whole = self.integers.len() == self.times.len();
-        let mut track = match nanos.filter(|_| all_whole) {
-            Some(nanos) => phone_track(&nanos, self.rates),
+        let (mut track, times) = match nanos.filter(|_| all_whole) {
+            Some(nanos) => {
+                let times = nanos.iter().map(|time| time.0).collect();
+                (phone_track(&nanos, self.rates), times)
+            }
             None => {
                 let per_second = 1e9 / unit.nanos() as f64;
                 let times: Vec<f64> = self.times.iter().map(|t| t / per_second).collect();
-                GyroTrack::from_seconds(&times, self.rates)
+                let nanos = self
+                    .times
+                    .iter()
+                    .map(|t| (t * unit.nanos() as f64).round() as i64);
+                (GyroTrack::from_seconds(&times, self.rates), nanos.collect())
             }
         };
         if rates == RateUnit::DegPerSecond {
@@ -412,7 +423,7 @@ impl Rows {
                 .flatten()
                 .for_each(|rate| *rate = rate.to_radians());
         }
-        GyroFile { track, form }
+        GyroFile { track, times, form }
     }
 }
 

@@ -323,7 +323,7 @@ impl Chunk {
 }
 
 /// A record by its opcode; `None` if it is no such.
-pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     strings_fit(opcode, body)?;
     mcap::parse_record(opcode, body).ok()
 }

@@ -13,12 +13,12 @@
 //! warms up) are not a random walk; choose the wander to cover them.
 
 use nalgebra::{Matrix2, Vector2};
-use serde::{Deserialize, Serialize};
 
 /// How much the relative rate of two clocks wanders: the rms change of the skew
 /// within one minute (dimensionless; 10⁻⁸ is 0.01 ppm).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(transparent)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(transparent))]
 pub struct Wander(pub f64);
 
 impl Wander {
@@ -43,7 +43,8 @@ impl Default for Wander {
 }
 
 /// A time interval with its 1-sigma, both in seconds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct WithSigma {
     /// The value in seconds.
     pub value: f64,
@@ -52,7 +53,8 @@ pub struct WithSigma {
 }
 
 /// The relation of two clocks with its uncertainty.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct ClockRelation {
     /// The time of clock a at which `offset` holds, in seconds.
     pub reference: f64,
@@ -73,6 +75,16 @@ impl ClockRelation {
         Self {
             reference: self.reference + seconds,
             offset: self.offset - seconds,
+            ..self
+        }
+    }
+
+    /// The same relation where all times of clock a are later by `a_s` and offsets larger
+    /// by `between_s`.
+    pub(crate) fn moved(self, a_s: f64, between_s: f64) -> Self {
+        Self {
+            reference: self.reference + a_s,
+            offset: self.offset + between_s,
             ..self
         }
     }

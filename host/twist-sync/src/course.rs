@@ -90,6 +90,24 @@ impl ClockCourse {
         }
     }
 
+    /// The same course where all times of clock a are later by `a_s` and offsets larger by
+    /// `between_s`.
+    pub(crate) fn moved(mut self, a_s: f64, between_s: f64) -> Self {
+        for relation in self.filtered.iter_mut().chain(&mut self.smoothed) {
+            *relation = relation.moved(a_s, between_s);
+        }
+        self
+    }
+
+    /// The time of clock a at a time of clock b, both in seconds.
+    #[must_use]
+    pub fn b_to_a(&self, b: f64) -> f64 {
+        // Twice: the offset changes by the skew, at most 10⁻³, times the first one's error.
+        let near = self.smoothed[0].b_to_a(b);
+        let near = b - self.at(near).offset;
+        b - self.at(near).offset
+    }
+
     /// First and last time of clock a with data.
     #[must_use]
     pub fn span(&self) -> (f64, f64) {

@@ -214,10 +214,8 @@ pub fn estimate_offset(
     options: &Options,
 ) -> Result<Estimate, Refusal> {
     let mut report = Report::default();
-    let (a, b) = rayon::join(
-        || CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults),
-        || CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults),
-    );
+    let a = CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults);
+    let b = CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults);
     let usable = |s: &Option<CheckedStream>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {

@@ -2,8 +2,6 @@
 
 use std::fmt;
 
-use serde::Serialize;
-
 /// Fewest usable samples of a stream.
 const FEWEST_SAMPLES: f64 = 100.0;
 /// Least rate of the samples, Hz.
@@ -32,7 +30,8 @@ const LOCAL_SCATTER_S: f64 = 400e-6;
 const LARGEST_SKEW: f64 = 500e-6;
 
 /// One gate.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Gate {
     /// Short stable name.
     pub name: &'static str,

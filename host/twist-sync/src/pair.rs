@@ -158,11 +158,10 @@ impl Pair {
     }
 
     pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
-        let (model, data) = rayon::join(
-            || self.model.signal(smoothing),
-            || self.data.signal(smoothing),
-        );
-        Signals { model, data }
+        Signals {
+            model: self.model.signal(smoothing),
+            data: self.data.signal(smoothing),
+        }
     }
 
     /// Leaves out what does not fit the other stream and fits again, until nothing
@@ -203,23 +202,17 @@ impl Pair {
         });
         let (model, data, link) = (&self.model, &self.data, fit.link);
         let reverse: Vec<Node> = fit.nodes.iter().map(Node::swapped).collect();
-        let (of_data, of_model) = rayon::join(
-            || {
-                crosscheck::outliers(
-                    (&data.t, &data.w, &data.usable),
-                    &wide.model,
-                    |t| link.model_time(t),
-                    &fit.calibration,
-                )
-            },
-            || {
-                crosscheck::outliers(
-                    (&model.t, &model.w, &model.usable),
-                    &wide.data,
-                    |t| link.data_time(t),
-                    &fit::regress(&reverse, settings.fit.noise_variance),
-                )
-            },
+        let of_data = crosscheck::outliers(
+            (&data.t, &data.w, &data.usable),
+            &wide.model,
+            |t| link.model_time(t),
+            &fit.calibration,
+        );
+        let of_model = crosscheck::outliers(
+            (&model.t, &model.w, &model.usable),
+            &wide.data,
+            |t| link.data_time(t),
+            &fit::regress(&reverse, settings.fit.noise_variance),
         );
         // One fault may show in both: it belongs to the stream where it is larger.
         let near_s = 1.5 * (model.step_s + data.step_s);

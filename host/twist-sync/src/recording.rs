@@ -11,9 +11,10 @@
 //! [`crate::search`].
 
 use std::collections::VecDeque;
+use std::convert::Infallible;
 use std::error::Error;
-
-use rayon::prelude::*;
+use std::num::NonZero;
+use std::{panic, thread};
 
 use crate::clock::ClockRelation;
 use crate::course::ClockCourse;
@@ -129,8 +130,7 @@ pub fn estimate_course<E: Error + Send + 'static>(
         // result makes the search of all others narrow.
         let size = if estimates.is_empty() { 1 } else { BATCH };
         let (batch, ended) = windows.batch(size, every, &expected, progress)?;
-        let results: Vec<_> = batch.par_iter().map(|w| w.estimated(options)).collect();
-        for result in results {
+        for result in estimated(&batch, options) {
             match result {
                 Ok(estimate) => {
                     expected = Prior::Relation(estimate.clock);
@@ -154,6 +154,37 @@ pub fn estimate_course<E: Error + Send + 'static>(
         windows: windows.count,
         estimates,
     })
+}
+
+/// [`estimate_course`] of recordings in memory, each window taken. Times are taken to the
+/// nanosecond, samples whose time is no later than that of the one before are left out.
+///
+/// # Errors
+///
+/// No window can be related.
+pub fn course_of_tracks(
+    a: &GyroTrack,
+    b: &GyroTrack,
+    prior: Option<Prior>,
+    options: &Options,
+) -> Result<RecordingClock, RecordingError<Infallible>> {
+    // Relative to the epochs, so that no digits are lost.
+    let between = b.epoch_s - a.epoch_s;
+    let prior = prior.map(|prior| match prior {
+        Prior::Offset(offset, margin) => Prior::Offset(offset - between, margin),
+        Prior::Relation(relation) => Prior::Relation(ClockRelation {
+            reference: relation.reference - a.epoch_s,
+            offset: relation.offset - between,
+            ..relation
+        }),
+    });
+    let (a_opened, b_opened) = (|| Ok(a.stream()), || Ok(b.stream()));
+    let mut clock = estimate_course(&a_opened, &b_opened, prior, options, 1, &|_| {})?;
+    for estimate in &mut clock.estimates {
+        *estimate = estimate.moved(a.epoch_s, between);
+    }
+    clock.course = clock.course.moved(a.epoch_s, between);
+    Ok(clock)
 }
 
 impl Prior {
@@ -190,6 +221,28 @@ impl Window {
         };
         estimate_offset(&self.a, &self.b, &options)
     }
+}
+
+/// The estimates of a batch, on all cores. One estimate stays on one thread: it takes some
+/// milliseconds, and on a busy machine threads that wait for each other wait longer than
+/// that.
+fn estimated(batch: &[Window], options: &Options) -> Vec<Result<Estimate, Refusal>> {
+    let all =
+        |windows: &[Window]| -> Vec<_> { windows.iter().map(|w| w.estimated(options)).collect() };
+    let threads = thread::available_parallelism().map_or(1, NonZero::get);
+    let share = batch.len().div_ceil(threads).max(1);
+    if share >= batch.len() {
+        return all(batch);
+    }
+    thread::scope(|scope| {
+        let parts: Vec<_> = batch
+            .chunks(share)
+            .map(|part| scope.spawn(move || all(part)))
+            .collect();
+        let done = parts.into_iter().map(thread::ScopedJoinHandle::join);
+        done.flat_map(|part| part.unwrap_or_else(|reason| panic::resume_unwind(reason)))
+            .collect()
+    })
 }
 
 /// Cuts two streams into windows.

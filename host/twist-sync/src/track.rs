@@ -1,7 +1,7 @@
 //! A gyroscope's recording as the sync math takes it.
 
 use crate::interpolant::Vec3;
-use crate::recording::GyroSample;
+use crate::recording::{GyroSample, GyroStream};
 
 /// Angular rates over time.
 ///
@@ -73,6 +73,25 @@ impl GyroTrack {
     pub(crate) fn from_samples(samples: &[GyroSample]) -> Self {
         let times: Vec<i64> = samples.iter().map(|sample| sample.at).collect();
         Self::from_nanos(&times, samples.iter().map(|sample| sample.rate).collect())
+    }
+
+    /// The samples in order of time, in nanoseconds from the epoch.
+    pub(crate) fn stream<'a, E: 'a>(&'a self) -> GyroStream<'a, E> {
+        let mut last = i64::MIN;
+        let samples = self.t.iter().zip(&self.w).filter(|(t, _)| t.is_finite());
+        let samples = samples.map(|(t, &rate)| GyroSample {
+            at: (t * 1e9).round() as i64,
+            rate,
+        });
+        Box::new(
+            samples
+                .filter(move |sample| {
+                    let follows = sample.at > last;
+                    last = last.max(sample.at);
+                    follows
+                })
+                .map(Ok),
+        )
     }
 
     /// Number of samples.

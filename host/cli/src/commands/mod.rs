@@ -19,6 +19,7 @@ pub(crate) mod record;
 pub(crate) mod repair;
 pub(crate) mod report;
 pub(crate) mod setup;
+pub(crate) mod sync;
 pub(crate) mod trigger;
 pub(crate) mod verify;
 

@@ -1,16 +1,17 @@
 //! `smartdepthsync offset`: the clock relation of two gyroscope recordings.
 
 mod export;
-mod plot;
+pub(super) mod plot;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::advice;
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome};
-use crate::sync_report::{DeviceFault, SyncReport};
+use crate::outcome::{Failure, Outcome};
+use crate::sync_report::{Device, DeviceFault, SyncReport};
 use phone::gyro_csv::{self, GyroFile};
 use twist_sync::{Action, Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
@@ -59,7 +60,7 @@ fn finite(text: &str) -> Result<f64, String> {
     }
 }
 
-fn delay(text: &str) -> Result<f64, String> {
+pub(super) fn delay(text: &str) -> Result<f64, String> {
     match finite(text)? {
         x if x.abs() <= 1e6 => Ok(x),
         _ => Err("expected microseconds, at most 1000000".to_owned()),
@@ -175,18 +176,19 @@ impl Output {
 
 /// Brings both to rad/s where one is in degrees a second: gyroscopes on one body turn at
 /// the same rate, so a ratio near 57 is a unit. Says so.
-fn in_one_unit(mcu: &mut GyroTrack, phone: &mut GyroTrack) -> Option<String> {
+pub(super) fn in_one_unit(tracks: [&mut GyroTrack; 2], names: [&str; 2]) -> Option<String> {
     let degree = 180.0 / std::f64::consts::PI;
-    let (of_mcu, of_phone) = (typical_rate(mcu)?, typical_rate(phone)?);
-    let ratio = (of_mcu / of_phone).max(of_phone / of_mcu);
+    let [a, b] = tracks;
+    let (of_a, of_b) = (typical_rate(a)?, typical_rate(b)?);
+    let ratio = (of_a / of_b).max(of_b / of_a);
     // A factor of two for parts of the recordings that the other does not have.
     if !(0.5 * degree..2.0 * degree).contains(&ratio) {
         return None;
     }
-    let (track, name) = if of_mcu > of_phone {
-        (mcu, "board")
+    let (track, name) = if of_a > of_b {
+        (a, names[0])
     } else {
-        (phone, "phone")
+        (b, names[1])
     };
     track
         .w
@@ -194,7 +196,7 @@ fn in_one_unit(mcu: &mut GyroTrack, phone: &mut GyroTrack) -> Option<String> {
         .flatten()
         .for_each(|rate| *rate = rate.to_radians());
     Some(format!(
-        "the rates of the {name} are {ratio:.0} times those of the other: taken as degrees a \
+        "the rates of {name} are {ratio:.0} times those of the other: taken as degrees a \
          second and converted"
     ))
 }
@@ -221,10 +223,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let options = args.options();
     let mut mcu = read(&args.mcu)?;
     let mut phone = read(&args.phone)?;
-    let unit = in_one_unit(&mut mcu.track, &mut phone.track);
+    let unit = in_one_unit(
+        [&mut mcu.track, &mut phone.track],
+        ["the board", "the phone"],
+    );
     let result = estimate_offset(&mcu.track, &phone.track, &options);
     if let Some(path) = &args.plot {
-        let svg = plot::svg(&mcu.track, &phone.track, &result, &options);
+        let svg = plot::svg(NAMES, [&mcu.track, &phone.track], &result, &options);
         std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
         context.say(format!("plot: {}", path.display()));
     }
@@ -245,13 +250,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
 }
 
 fn read(path: &Path) -> Result<GyroFile, Failure> {
-    gyro_csv::read_file(path).map_err(|error| match error {
-        gyro_csv::CsvError::Io(error) => Failure::file("read", path, &error),
-        other => Failure::new(ExitStatus::Usage, format!("{}: {other}", path.display())).next_step(
-            "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \
-                     app's x,y,z,nanoseconds",
-        ),
-    })
+    gyro_csv::read_file(path).map_err(|error| advice::gyro_file(path, error.into()))
 }
 
 fn text(output: &Output) -> String {
@@ -264,7 +263,7 @@ fn text(output: &Output) -> String {
         );
     }
     for fault in &output.report.faults {
-        let _ = writeln!(out, "fault: {}", fault_text(fault));
+        let _ = writeln!(out, "fault: {}", fault_text(fault, NAMES));
     }
     if let Some(together) = output.report.together_text() {
         let _ = writeln!(out, "{together}");
@@ -314,7 +313,21 @@ fn text(output: &Output) -> String {
     out
 }
 
-fn fault_text(fault: &DeviceFault) -> String {
+/// The two recordings in words.
+const NAMES: [&str; 2] = ["board", "phone"];
+
+/// A fault of one of two recordings with these names.
+pub(super) fn fault_text(fault: &DeviceFault, names: [&str; 2]) -> String {
+    let done = match fault.action {
+        Action::LeftOut => "left out",
+        Action::Corrected => "corrected",
+        Action::Noted => "nothing done",
+    };
+    format!("{}; {done}", fault_found(fault, names))
+}
+
+/// A fault without what was done about it.
+fn fault_found(fault: &DeviceFault, names: [&str; 2]) -> String {
     let kind = match fault.kind {
         FaultKind::NotFinite => "values that are no numbers",
         FaultKind::TimestampOrder => "timestamps out of order",
@@ -330,18 +343,16 @@ fn fault_text(fault: &DeviceFault) -> String {
         FaultKind::NotOneBody => "samples while the two did not move as one body",
         FaultKind::Slipped => "samples while one was turned against the other",
     };
-    let done = match fault.action {
-        Action::LeftOut => "left out",
-        Action::Corrected => "corrected",
-        Action::Noted => "nothing done",
+    let name = match fault.stream {
+        Device::Mcu => names[0],
+        Device::Phone => names[1],
     };
-    let mut text = format!("{}: {} {kind}", fault.stream.name(), fault.count);
+    let mut text = format!("{name}: {} {kind}", fault.count);
     if let Some(period) = fault.period {
         let _ = write!(text, ", every {period} samples");
     }
     if let Some(displacement) = fault.displacement_s {
         let _ = write!(text, ", {:+.0} µs", displacement * 1e6);
     }
-    let _ = write!(text, "; {done}");
     text
 }

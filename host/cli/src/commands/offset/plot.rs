@@ -3,11 +3,16 @@
 
 use std::ops::Range;
 
-use super::fault_text;
-use crate::sync_report::{DeviceFault, SyncReport};
+use super::fault_found;
+use crate::sync_report::SyncReport;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
-use twist_sync::{Action, Estimate, GyroTrack, LeftOut, Options, Refusal, Stream, Why};
+use twist_sync::{
+    Action, Estimate, FaultKind, GyroTrack, LeftOut, Options, Refusal, Report, Stream, Why,
+};
+
+/// Samples this far apart are not joined by a line, seconds.
+const LONGEST_STEP_S: f64 = 0.05;
 
 type Points = Vec<(f64, f64)>;
 
@@ -15,20 +20,20 @@ fn panel(title: &str, unit: &str) -> Chart {
     Chart::new("s", unit).title(title)
 }
 
-/// Draws the panels as SVG text. All have one x-scale: seconds from the board's first
+/// Draws the panels as SVG text. All have one x-scale: seconds from the first one's first
 /// sample; before, those of each from its own.
-pub(super) fn svg(
-    mcu: &GyroTrack,
-    phone: &GyroTrack,
+pub(in crate::commands) fn svg(
+    names: [&str; 2],
+    [a, b]: [&GyroTrack; 2],
     result: &Result<Estimate, Refusal>,
     options: &Options,
 ) -> String {
-    let [board_ink, phone_ink, ..] = COLOURS;
+    let [a_ink, b_ink, ..] = COLOURS;
     let report = match result {
         Ok(estimate) => &estimate.report,
         Err(refusal) => &refusal.report,
     };
-    let outs = [(mcu, Stream::A), (phone, Stream::B)]
+    let outs = [(a, Stream::A), (b, Stream::B)]
         .map(|(track, stream)| compare::left_out(&report.faults, stream, track.len()));
     let axis = |track: &GyroTrack, axis: usize| {
         let points = track.t.iter().zip(&track.w);
@@ -38,34 +43,27 @@ pub(super) fn svg(
     let refused = refused.map(|refusal| format!("REFUSED: {}. ", refusal.report.failures()));
     let refused = refused.unwrap_or_default();
     let before = ["x", "y", "z"].into_iter().enumerate().map(|(k, name)| {
-        let title = format!("{refused}Before: {name} as recorded, each from its own first sample");
+        let title = format!("{refused}Before: as recorded, each from its own first sample. x");
         panel(if k == 0 { &title } else { name }, "rad/s")
-            .add("board", axis(mcu, k), board_ink)
-            .add("phone", axis(phone, k), phone_ink)
+            .add(names[0], axis(a, k), a_ink)
+            .add(names[1], axis(b, k), b_ink)
     });
-    let mut panels: Vec<Chart> = before.collect();
+    let before: Vec<Chart> = before.collect();
+    let mut panels = Vec::new();
     if let Ok(estimate) = result {
-        let pairs = compare::pairs(mcu, phone, estimate, options);
-        panels.extend(after(&pairs, estimate, mcu.epoch_s));
-        panels.push(residual(&pairs, estimate, mcu.epoch_s));
+        let pairs = compare::pairs(a, b, estimate, options);
+        panels.extend(after(names, &pairs, estimate, a.epoch_s));
+        panels.push(residual(names, &pairs, estimate, a.epoch_s));
     }
-    // The phone's, where a relation of the clocks is known, on the board's time.
+    // Those of b, where a relation of the clocks is known, on the time of a.
     let starts_s = result.as_ref().map_or(0.0, |estimate| {
-        let board_s = mcu.epoch_s - options.a_delay_s;
-        phone.epoch_s - options.b_delay_s - estimate.clock.offset - board_s
+        let a_s = a.epoch_s - options.a_delay_s;
+        b.epoch_s - options.b_delay_s - estimate.clock.offset - a_s
     });
     let left_out = |track: &GyroTrack, out: &[bool], starts_s: f64| {
         let points = out.iter().zip(magnitude(track));
         let points = points.filter_map(|(out, (t, rate))| out.then_some((t + starts_s, rate)));
         Data::Points(finite(points))
-    };
-    let device_faults = SyncReport::from(report).faults;
-    let left = |fault: &&DeviceFault| fault.action == Action::LeftOut;
-    let reasons: Vec<String> = device_faults.iter().filter(left).map(fault_text).collect();
-    let caption = if reasons.is_empty() {
-        String::from("Left out: nothing")
-    } else {
-        format!("Left out (magnitude as recorded): {}", reasons.join("; "))
     };
     let words = |left_out: &LeftOut| match left_out.why {
         Why::Apart => "not one body",
@@ -74,21 +72,45 @@ pub(super) fn svg(
     };
     let marks = report.left_out.iter();
     let marks = marks.map(|l| (0.5 * (l.from_s + l.to_s), words(l).to_owned()));
-    panels.push(
-        panel(&caption, "rad/s")
-            .add("board", left_out(mcu, &outs[0], 0.0), board_ink)
-            .add("phone", left_out(phone, &outs[1], starts_s), phone_ink)
-            .add("", Data::Marks(marks.collect()), COLOURS[3]),
-    );
+    let reasons = reasons(report, names);
+    if !reasons.is_empty() {
+        panels.push(
+            panel(&format!("{reasons}; magnitude as recorded"), "rad/s")
+                .add(names[0], left_out(a, &outs[0], 0.0), a_ink)
+                .add(names[1], left_out(b, &outs[1], starts_s), b_ink)
+                .add("", Data::Marks(marks.collect()), COLOURS[3]),
+        );
+    }
     let ends = report.left_out.iter().flat_map(|l| [l.from_s, l.to_s]);
     let ends: Vec<f64> = ends.collect();
-    let shown = shown([(mcu, &outs[0]), (phone, &outs[1])]);
-    let panels: Vec<Chart> = panels
+    let shown = shown([(a, &outs[0]), (b, &outs[1])]);
+    // On the first one's time only: before, each recording has its own.
+    let marked = |panel: Chart| panel.add("", Data::Upright(ends.clone()), COLOURS[3].pale(0.3));
+    let panels: Vec<Chart> = before
         .into_iter()
+        .chain(panels.into_iter().map(marked))
         .map(|panel| panel.xs(shown.clone()))
-        .map(|panel| panel.add("", Data::Upright(ends.clone()), COLOURS[3].pale(0.3)))
         .collect();
     stack(SIZE, &panels)
+}
+
+/// What was left out and why, in words; empty where nothing was.
+fn reasons(report: &Report, names: [&str; 2]) -> String {
+    let is_stretch = |kind| {
+        matches!(
+            kind,
+            FaultKind::NotOneBody | FaultKind::Slipped | FaultKind::TimestampStep
+        )
+    };
+    let faults = SyncReport::from(report).faults;
+    let of_samples = faults.iter().filter(|fault| {
+        fault.action == Action::LeftOut && (report.left_out.is_empty() || !is_stretch(fault.kind))
+    });
+    let of_samples = of_samples.map(|fault| format!("left out: {}", fault_found(fault, names)));
+    let stretches = report.left_out.iter().map(LeftOut::to_string);
+    let all: Vec<String> = stretches.chain(of_samples).collect();
+    let all = all.join("; ");
+    all.replacen("left", "Left", 1)
 }
 
 /// The time of both recordings, without timestamps that were left out.
@@ -119,13 +141,15 @@ fn finite(points: impl Iterator<Item = (f64, f64)>) -> Points {
         .collect()
 }
 
-fn after(pairs: &[Pair], estimate: &Estimate, start: f64) -> [Chart; 3] {
+fn after(names: [&str; 2], pairs: &[Pair], estimate: &Estimate, start: f64) -> [Chart; 3] {
     let found = format!(
-        "After: offset {:.6} s ± {:.2} µs, skew {:+.1} ± {:.1} ppm; board carried to the phone's axes",
+        "After: offset {:.6} s ± {:.2} µs, skew {:+.1} ± {:.1} ppm; {} carried to the axes of {}",
         estimate.clock.offset,
         estimate.offset_sigma_s() * 1e6,
         estimate.clock.skew * 1e6,
-        estimate.skew_sigma() * 1e6
+        estimate.skew_sigma() * 1e6,
+        names[0],
+        names[1]
     );
     let axes = [(0, format!("{found}. x")), (1, "y".into()), (2, "z".into())];
     axes.map(|(axis, title)| {
@@ -135,12 +159,12 @@ fn after(pairs: &[Pair], estimate: &Estimate, start: f64) -> [Chart; 3] {
         };
         panel(&title, "rad/s")
             // Wide and pale below: the two lie on each other.
-            .add("board", line(|pair| pair.a), COLOURS[0].wide(5).pale(0.5))
-            .add("phone", line(|pair| pair.b), COLOURS[1])
+            .add(names[0], line(|pair| pair.a), COLOURS[0].wide(5).pale(0.5))
+            .add(names[1], line(|pair| pair.b), COLOURS[1])
     })
 }
 
-fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
+fn residual(names: [&str; 2], pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
     let points = |used: bool, axis: usize| -> Points {
         let pairs = pairs.iter().filter(|pair| pair.used == used);
         pairs
@@ -151,7 +175,9 @@ fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
             .collect()
     };
     let caption = format!(
-        "Residual phone − board, samples as recorded; in band {:.2} mrad/s rms",
+        "Residual {} − {}, samples as recorded; in band {:.2} mrad/s rms",
+        names[1],
+        names[0],
         estimate.report.residual_rms.unwrap_or(f64::NAN) * 1e3
     );
     let used = (0..3).flat_map(|axis| points(true, axis));
@@ -161,7 +187,13 @@ fn residual(pairs: &[Pair], estimate: &Estimate, start: f64) -> Chart {
     let out = out.filter(|(_, y)| y.abs() <= 1.5 * most).collect();
     let mut chart = panel(&caption, "mrad/s");
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-        chart = chart.add(name, Data::Line(points(true, axis)), COLOURS[axis]);
+        let points = points(true, axis);
+        // No line over a stretch that was left out.
+        let runs = points.chunk_by(|(t, _), (next, _)| next - t <= LONGEST_STEP_S);
+        for (k, run) in runs.enumerate() {
+            let name = if k == 0 { name } else { "" };
+            chart = chart.add(name, Data::Line(run.to_vec()), COLOURS[axis]);
+        }
     }
     chart.add(
         "left out, as far as on this scale",

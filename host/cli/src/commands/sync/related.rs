@@ -1,0 +1,79 @@
+//! The relation of two recordings: of a twist as a whole, of longer ones window by window.
+
+use twist_sync::{
+    ClockCourse, ClockRelation, Estimate, GyroTrack, Options, Refusal, course_of_tracks,
+    estimate_offset,
+};
+
+use crate::commands::offset::fault_text;
+use crate::sync_report::SyncReport;
+
+/// Recordings up to this length are taken as a whole, seconds: a twist.
+const LONGEST_TWIST_S: f64 = 60.0;
+
+/// Two recordings.
+pub(super) struct Related {
+    /// The relation with times from each recording's first sample, or why there is none.
+    pub(super) course: Result<ClockCourse, String>,
+    pub(super) estimates: Vec<ClockRelation>,
+    pub(super) windows: usize,
+    pub(super) faults: Vec<String>,
+    pub(super) left_out: Vec<String>,
+    /// Of a twist.
+    pub(super) whole: Option<Box<Whole>>,
+}
+
+/// The estimate of a twist.
+pub(super) struct Whole {
+    pub(super) result: Result<Estimate, Refusal>,
+    pub(super) options: Options,
+}
+
+/// Relates two recordings whose low-pass filters have these delays in seconds.
+pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Related {
+    let length_s = |track: &GyroTrack| track.t.last().copied().unwrap_or(0.0);
+    let delayed = |options: Options| Options {
+        a_delay_s: delays.0,
+        b_delay_s: delays.1,
+        ..options
+    };
+    if length_s(a).max(length_s(b)) > LONGEST_TWIST_S {
+        return over_time(a, b, &delayed(Options::of_windows()));
+    }
+    let options = delayed(Options::default());
+    let result = estimate_offset(a, b, &options);
+    let (report, estimates) = match &result {
+        Ok(estimate) => (&estimate.report, vec![estimate.clock]),
+        Err(refusal) => (&refusal.report, Vec::new()),
+    };
+    let course = ClockCourse::from_estimates(&estimates, options.wander);
+    let names = ["the first", "the second"];
+    let faults = SyncReport::from(report).faults;
+    Related {
+        course: course.ok_or_else(|| report.failures()),
+        estimates,
+        windows: 1,
+        faults: faults
+            .iter()
+            .map(|fault| fault_text(fault, names))
+            .collect(),
+        left_out: report.left_out.iter().map(ToString::to_string).collect(),
+        whole: Some(Box::new(Whole { result, options })),
+    }
+}
+
+fn over_time(a: &GyroTrack, b: &GyroTrack, options: &Options) -> Related {
+    let found = course_of_tracks(a, b, None, options);
+    let (course, estimates, windows) = match found {
+        Ok(clock) => (Ok(clock.course), clock.estimates, clock.windows),
+        Err(error) => (Err(error.to_string()), Vec::new(), 0),
+    };
+    Related {
+        course,
+        estimates,
+        windows,
+        faults: Vec::new(),
+        left_out: Vec::new(),
+        whole: None,
+    }
+}
