@@ -24,14 +24,11 @@
 use jiff::Timestamp;
 use protocol::TICK_HZ;
 
-use crate::rates::{Course, Rate, warming_share};
+use crate::rates::{CONSISTENT_SIGMAS, Course, Rate, warming_share};
 use crate::twists::KnownSkew;
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
 use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
-
-/// How far a learnt value may be from the one measured now, in sigmas of both.
-const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught
 /// it. Nobody documents it.
@@ -165,27 +162,13 @@ pub fn phase_sigma_us_now(
 
 /// Takes a skew known from before into a relation of the clocks.
 ///
-/// The Kalman update with a measurement of the skew alone: the offset moves with
-/// it as their covariance says. `None` if the two contradict each other.
+/// The offset moves with it as their covariance says. `None` if the two contradict each
+/// other.
 #[must_use]
 pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<ClockModel> {
-    let p = clock.covariance;
-    let innovation = skew - clock.skew;
-    let variance = p[1][1] + sigma * sigma;
-    if !variance.is_normal() || innovation.abs() > CONSISTENT_SIGMAS * variance.sqrt() {
-        return None;
-    }
-    let gain = [p[0][1] / variance, p[1][1] / variance];
-    let cross = p[0][1] * (1.0 - gain[1]);
-    Some(ClockModel {
-        offset: clock.offset + gain[0] * innovation,
-        skew: clock.skew + gain[1] * innovation,
-        covariance: [
-            [p[0][0] - gain[0] * p[0][1], cross],
-            [cross, p[1][1] * (1.0 - gain[1])],
-        ],
-        ..*clock
-    })
+    let known = Rate { skew, sigma };
+    let (course, fit) = Course::of_twist(*clock, 0.0).with_known_skew(known)?;
+    fit.is_consistent().then_some(course.clock)
 }
 
 /// Plans the alignment.
