@@ -142,8 +142,13 @@ fn age_s(learnt: &Learnt, now: Timestamp) -> f64 {
 /// was then so many °C; without temperatures the age stands for them too.
 fn aged(sigma: f64, age_s: f64, warmer: Option<(f64, f64)>) -> f64 {
     let walked = (Wander::default().diffusion() * age_s).sqrt();
-    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
-    sigma.hypot(walked.min(MOST_AGED)).hypot(moved)
+    sigma.hypot(walked.min(MOST_AGED)).hypot(moved(warmer))
+}
+
+/// 1-sigma of what a skew has moved since the board was of another temperature: now and
+/// then, °C.
+fn moved(warmer: Option<(f64, f64)>) -> f64 {
+    warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then))
 }
 
 /// 1-sigma of the phase now, µs, as [`phase_sigma_us_at`] predicts it and with what the
@@ -155,9 +160,8 @@ pub fn phase_sigma_us_now(
     temperature_c: Option<f64>,
 ) -> f64 {
     let warmer = temperature_c.zip(alignment.board_temperature_c);
-    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
     let since = now.0 - alignment.clock.reference.0;
-    phase_sigma_us_at(alignment, now).hypot(moved * since / 2.0 * 1e6)
+    phase_sigma_us_at(alignment, now).hypot(moved(warmer) * since / 2.0 * 1e6)
 }
 
 /// Takes a skew known from before into a relation of the clocks.

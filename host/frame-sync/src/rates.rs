@@ -163,12 +163,11 @@ impl Course {
             wander,
             ..
         } = parts[0].0.clock;
-        let of = |course: &Self| course.predicted(reference, base);
-        let mean: Vector3<f64> = parts.iter().map(|(course, w)| of(course).0 * *w).sum();
+        let parts = parts.map(|(course, weight)| (course.predicted(reference, base), weight));
+        let mean: Vector3<f64> = parts.iter().map(|((own, _), weight)| own * *weight).sum();
         let covariance: Matrix3<f64> = parts
             .iter()
-            .map(|(course, weight)| {
-                let (own, covariance) = of(course);
+            .map(|((own, covariance), weight)| {
                 let apart = own - mean;
                 (covariance + apart * apart.transpose()) * *weight
             })
