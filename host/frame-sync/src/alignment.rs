@@ -185,7 +185,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
     let mut remarks = Vec::new();
     let frames = frame_period(&profile.phone, video, &mut remarks);
     let (frame_period_ns, frame_period_sigma_ns) = (frames.period_ns, frames.sigma_ns);
-    let exposure_us = reported_exposure_us(video).unwrap_or_else(|| {
+    let exposure_us = video.exposure_us().unwrap_or_else(|| {
         remarks.push(format!(
             "the app does not report the exposure; the profile's {} µs is used",
             profile.phone.exposure_us
@@ -237,12 +237,6 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
         },
         remarks,
     })
-}
-
-/// What the app reported of the exposure, µs.
-fn reported_exposure_us(video: &Video) -> Option<f64> {
-    let exposure = video.exposure_ns.filter(|&exposure| exposure > 0)?;
-    Some(exposure as f64 * 1e-3)
 }
 
 /// Board time of the middle of the frame that the phone gave the timestamp of.
@@ -339,7 +333,7 @@ fn frame_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Fram
         ));
         return as_reported;
     };
-    let exposures = learnt.exposure_us.zip(reported_exposure_us(video));
+    let exposures = learnt.exposure_us.zip(video.exposure_us());
     let by_exposure = exposures.map_or(0.0, |(then, now)| {
         PERIOD_OF_EXPOSURE_NS_PER_MS * 1e-3 * (now - then)
     });
@@ -390,7 +384,7 @@ pub fn placement(
     alignment: &Alignment,
 ) -> Placement {
     let frames = frame_period(phone, video, &mut Vec::new());
-    let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
+    let exposure_us = video.exposure_us().unwrap_or(phone.exposure_us);
     let middle = middle(&course.clock, video, exposure_us, phone.middle_row_us());
     let rate = course.rate_from(middle);
     let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;
