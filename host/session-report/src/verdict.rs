@@ -8,12 +8,14 @@
 use std::path::{Path, PathBuf};
 
 use page::Level;
+use phone::adb::get_files_command;
 use phone::video_files;
 use protocol::Ticks;
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
 };
 use serde::Serialize;
+use timebase::PhoneNanos;
 
 /// How good a recording is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -197,8 +199,8 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
             missing.join(", ")
         );
         next.push(format!(
-            "`smartdepthsync phone get-files --phase {video} --video --out {}` copies them by USB",
-            shell_word(&place)
+            "`{}` copies them by USB",
+            get_files_command(PhoneNanos(video), &place, true)
         ));
     }
     part("board and phone", verdict, found, next)
@@ -338,17 +340,6 @@ fn depth_file(folder: &Path) -> Option<(String, u64)> {
 
 fn seconds(from: Ticks, to: Ticks) -> f64 {
     to.as_secs_f64() - from.as_secs_f64()
-}
-
-/// A path as one word of a shell's line.
-#[must_use]
-pub fn shell_word(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%,=".contains(c);
-    match !text.is_empty() && text.chars().all(plain) {
-        true => text,
-        false => format!("'{}'", text.replace('\'', "'\\''")),
-    }
 }
 
 #[cfg(test)]

@@ -13,12 +13,11 @@ use toml_edit::{Array, DocumentMut, Item, value};
 use super::{PortArg, doctor};
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
-use crate::record::preflight::{Checks, on_search_path};
+use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use extract::run::nominal_center;
 use phone::adb;
 use recording::profile::{DEFAULT, Profile};
-use session_report::shell_word;
 
 /// Modes of the depth camera with the frames a second that a rig can use, and its
 /// recorder's name of the mode.
@@ -140,11 +139,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let checks = doctor::look(&doctor, context);
     let is_ready = checks.failure().is_none();
     let port = args.port.port.as_deref().map_or(String::new(), |port| {
-        format!(" --port {}", shell_word(port.as_ref()))
+        format!(" --port {}", files::shell_word(port.as_ref()))
     });
     let profile = match args.profile.as_os_str() == FILE {
         true => String::new(),
-        false => format!(" --profile {}", shell_word(&args.profile)),
+        false => format!(" --profile {}", files::shell_word(&args.profile)),
     };
     let next = match is_ready {
         true => format!("smartdepthsync record --calibrate{port}{profile}"),
@@ -279,7 +278,7 @@ fn answers<R: BufRead>(
     let recorder = match &args.recorder {
         Some(recorder) => recorder.clone(),
         None => {
-            let default = match on_search_path(RECORDER) {
+            let default = match files::program(RECORDER).is_some() {
                 true => RECORDER,
                 false => "none",
             };
