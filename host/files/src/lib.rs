@@ -17,10 +17,12 @@
 //!
 //! Inputs: [`open`] takes files only. A pipe may wait for ever and a device may never
 //! end. [`read_text`] also bounds the length, for files that are read as a whole.
+//!
+//! Programs: [`program`] finds one as a shell would, [`shell_word`] writes a path for one.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, ErrorKind, Read as _, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
 
@@ -50,6 +52,30 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// It cannot be made.
 pub fn new_file_in(folder: &Path) -> io::Result<NamedTempFile> {
     temporary(folder, None)
+}
+
+/// The file of a program: at its path, or by its name on the search path.
+#[must_use]
+pub fn program(name: &str) -> Option<PathBuf> {
+    if name.contains('/') {
+        return Some(PathBuf::from(name)).filter(|path| path.is_file());
+    }
+    let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path)
+        .map(|folder| folder.join(&file))
+        .find(|program| program.is_file())
+}
+
+/// A path as a word of a shell's line.
+#[must_use]
+pub fn shell_word(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%,=".contains(c);
+    match !text.is_empty() && text.chars().all(plain) {
+        true => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
 }
 
 /// Syncs `file`, gives it the name `path` in the same folder, and syncs the folder.
@@ -252,5 +278,12 @@ mod tests {
     fn a_name_without_a_folder_is_in_this_one() {
         assert_eq!(folder_of(Path::new("rig.toml")), Path::new("."));
         assert_eq!(folder_of(Path::new("a/rig.toml")), Path::new("a"));
+    }
+
+    #[test]
+    fn a_path_is_one_word_of_a_shell() {
+        assert_eq!(shell_word(std::path::Path::new("recordings/a-1")), "recordings/a-1");
+        assert_eq!(shell_word(std::path::Path::new("a b's")), "'a b'\\''s'");
+        assert_eq!(shell_word(std::path::Path::new("$(x)")), "'$(x)'");
     }
 }

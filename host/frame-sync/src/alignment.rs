@@ -24,14 +24,11 @@
 use jiff::Timestamp;
 use protocol::TICK_HZ;
 
-use crate::rates::{Course, Rate, warming_share};
+use crate::rates::{CONSISTENT_SIGMAS, Course, Rate, warming_share};
 use crate::twists::KnownSkew;
 use recording::profile::{Learnt, Phone, Profile};
 use recording::session_file::{Alignment, FramePeriodSource, Placement, Video};
 use timebase::{BoardSeconds, ClockModel, PhoneSeconds, Wander};
-
-/// How far a learnt value may be from the one measured now, in sigmas of both.
-const CONSISTENT_SIGMAS: f64 = 5.0;
 
 /// 1-sigma of the timestamp of one of the phone's frames, ns, until a recording has taught
 /// it. Nobody documents it.
@@ -145,8 +142,13 @@ fn age_s(learnt: &Learnt, now: Timestamp) -> f64 {
 /// was then so many °C; without temperatures the age stands for them too.
 fn aged(sigma: f64, age_s: f64, warmer: Option<(f64, f64)>) -> f64 {
     let walked = (Wander::default().diffusion() * age_s).sqrt();
-    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
-    sigma.hypot(walked.min(MOST_AGED)).hypot(moved)
+    sigma.hypot(walked.min(MOST_AGED)).hypot(moved(warmer))
+}
+
+/// 1-sigma of what a skew has moved since the board was of another temperature: now and
+/// then, °C.
+fn moved(warmer: Option<(f64, f64)>) -> f64 {
+    warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then))
 }
 
 /// 1-sigma of the phase now, µs, as [`phase_sigma_us_at`] predicts it and with what the
@@ -158,34 +160,19 @@ pub fn phase_sigma_us_now(
     temperature_c: Option<f64>,
 ) -> f64 {
     let warmer = temperature_c.zip(alignment.board_temperature_c);
-    let moved = warmer.map_or(0.0, |(now, then)| TEMPERATURE_PER_C * (now - then));
     let since = now.0 - alignment.clock.reference.0;
-    phase_sigma_us_at(alignment, now).hypot(moved * since / 2.0 * 1e6)
+    phase_sigma_us_at(alignment, now).hypot(moved(warmer) * since / 2.0 * 1e6)
 }
 
 /// Takes a skew known from before into a relation of the clocks.
 ///
-/// The Kalman update with a measurement of the skew alone: the offset moves with
-/// it as their covariance says. `None` if the two contradict each other.
+/// The offset moves with it as their covariance says. `None` if the two contradict each
+/// other.
 #[must_use]
 pub fn with_known_skew(clock: &ClockModel, skew: f64, sigma: f64) -> Option<ClockModel> {
-    let p = clock.covariance;
-    let innovation = skew - clock.skew;
-    let variance = p[1][1] + sigma * sigma;
-    if !variance.is_normal() || innovation.abs() > CONSISTENT_SIGMAS * variance.sqrt() {
-        return None;
-    }
-    let gain = [p[0][1] / variance, p[1][1] / variance];
-    let cross = p[0][1] * (1.0 - gain[1]);
-    Some(ClockModel {
-        offset: clock.offset + gain[0] * innovation,
-        skew: clock.skew + gain[1] * innovation,
-        covariance: [
-            [p[0][0] - gain[0] * p[0][1], cross],
-            [cross, p[1][1] * (1.0 - gain[1])],
-        ],
-        ..*clock
-    })
+    let known = Rate { skew, sigma };
+    let (course, fit) = Course::of_twist(*clock, 0.0).with_known_skew(known)?;
+    fit.is_consistent().then_some(course.clock)
 }
 
 /// Plans the alignment.
@@ -198,7 +185,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
     let mut remarks = Vec::new();
     let frames = frame_period(&profile.phone, video, &mut remarks);
     let (frame_period_ns, frame_period_sigma_ns) = (frames.period_ns, frames.sigma_ns);
-    let exposure_us = reported_exposure_us(video).unwrap_or_else(|| {
+    let exposure_us = video.exposure_us().unwrap_or_else(|| {
         remarks.push(format!(
             "the app does not report the exposure; the profile's {} µs is used",
             profile.phone.exposure_us
@@ -250,12 +237,6 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
         },
         remarks,
     })
-}
-
-/// What the app reported of the exposure, µs.
-fn reported_exposure_us(video: &Video) -> Option<f64> {
-    let exposure = video.exposure_ns.filter(|&exposure| exposure > 0)?;
-    Some(exposure as f64 * 1e-3)
 }
 
 /// Board time of the middle of the frame that the phone gave the timestamp of.
@@ -356,7 +337,7 @@ fn frame_period(phone: &Phone, video: &Video, remarks: &mut Vec<String>) -> Fram
         ));
         return as_reported;
     };
-    let exposures = learnt.exposure_us.zip(reported_exposure_us(video));
+    let exposures = learnt.exposure_us.zip(video.exposure_us());
     let by_exposure = exposures.map_or(0.0, |(then, now)| {
         PERIOD_OF_EXPOSURE_NS_PER_MS * 1e-3 * (now - then)
     });
@@ -407,7 +388,7 @@ pub fn placement(
     alignment: &Alignment,
 ) -> Placement {
     let frames = frame_period(phone, video, &mut Vec::new());
-    let exposure_us = reported_exposure_us(video).unwrap_or(phone.exposure_us);
+    let exposure_us = video.exposure_us().unwrap_or(phone.exposure_us);
     let middle = middle(&course.clock, video, exposure_us, phone.middle_row_us());
     let rate = course.rate_from(middle);
     let to_depth = (alignment.center_offset_us + alignment.bias_us) * 1e-6;

@@ -54,6 +54,9 @@ fn of_longer_warming(t: f64) -> Vector3<f64> {
     )
 }
 
+/// How far a value may be from what was known of it before, in sigmas of both.
+pub(crate) const CONSISTENT_SIGMAS: f64 = 5.0;
+
 /// What `since_s` seconds of warming are of that in the first ten minutes.
 pub(crate) fn warming_share(since_s: f64) -> f64 {
     of_skew(since_s) / of_skew(TEN_MINUTES_S)
@@ -72,7 +75,7 @@ pub struct Rate {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Fit {
     /// Square of how far it is off, in sigmas of both.
-    pub(crate) distance: f64,
+    distance: f64,
     /// Logarithm of its likelihood, less a constant.
     pub(crate) likelihood_ln: f64,
 }
@@ -84,6 +87,10 @@ impl Fit {
             distance,
             likelihood_ln: -0.5 * (distance + variance.ln()),
         })
+    }
+
+    pub(crate) fn is_consistent(&self) -> bool {
+        self.distance <= CONSISTENT_SIGMAS * CONSISTENT_SIGMAS
     }
 }
 
@@ -156,12 +163,11 @@ impl Course {
             wander,
             ..
         } = parts[0].0.clock;
-        let of = |course: &Self| course.predicted(reference, base);
-        let mean: Vector3<f64> = parts.iter().map(|(course, w)| of(course).0 * *w).sum();
+        let parts = parts.map(|(course, weight)| (course.predicted(reference, base), weight));
+        let mean: Vector3<f64> = parts.iter().map(|((own, _), weight)| own * *weight).sum();
         let covariance: Matrix3<f64> = parts
             .iter()
-            .map(|(course, weight)| {
-                let (own, covariance) = of(course);
+            .map(|((own, covariance), weight)| {
                 let apart = own - mean;
                 (covariance + apart * apart.transpose()) * *weight
             })

@@ -16,9 +16,6 @@ use crate::rates::{Course, Fit, Rate};
 /// (docs/beliefs.md), have the rms of the three, 2.5 ppm.
 const WARMINGS: [f64; 3] = [0.15e-6, 0.8e-6, 4.3e-6];
 
-/// How far twists, or a skew known from before, may be from each other, in sigmas of both.
-const CONSISTENT_SIGMAS: f64 = 5.0;
-
 /// A skew that was learnt before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct KnownSkew {
@@ -68,14 +65,14 @@ impl Twists {
 
     fn updated(&self, of: impl Fn(&Supposition) -> Option<(Course, Fit)>) -> Option<Self> {
         let mut each = self.0;
-        let mut nearest = f64::INFINITY;
+        let mut is_consistent = false;
         for supposed in &mut each {
             let (course, fit) = of(supposed)?;
             supposed.course = course;
             supposed.likelihood_ln += fit.likelihood_ln;
-            nearest = nearest.min(fit.distance);
+            is_consistent |= fit.is_consistent();
         }
-        (nearest <= CONSISTENT_SIGMAS * CONSISTENT_SIGMAS).then_some(Self(each))
+        is_consistent.then_some(Self(each))
     }
 
     /// All suppositions together.

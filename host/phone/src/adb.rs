@@ -92,10 +92,22 @@ fn others(states: &[String]) -> String {
 /// phone that GNOME's files or another gvfs has mounted by MTP. `extract` finds them there.
 #[must_use]
 pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
-    let folder = folder.display().to_string().replace('\'', "'\\''");
     format!(
-        "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/*/*_timestamps.csv)\")\" '{folder}'",
-        phase.0
+        "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/*/*_timestamps.csv)\")\" {}",
+        phase.0,
+        files::shell_word(folder)
+    )
+}
+
+/// The command of this program that copies them through `adb`, the video too if
+/// `with_video`.
+#[must_use]
+pub fn get_files_command(phase: PhoneNanos, folder: &Path, with_video: bool) -> String {
+    let video = if with_video { " --video" } else { "" };
+    format!(
+        "smartdepthsync phone get-files --phase {}{video} --out {}",
+        phase.0,
+        files::shell_word(folder)
     )
 }
 
@@ -126,7 +138,7 @@ pub fn fetch(
     stop: &StopSignal,
 ) -> Result<Vec<PathBuf>, AdbError> {
     let adb = Adb {
-        program: program().ok_or(AdbError::NoProgram)?,
+        program: files::program("adb").ok_or(AdbError::NoProgram)?,
         stop,
     };
     let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
@@ -148,7 +160,7 @@ pub fn fetch(
 /// There is no program or no phone, or it does not answer.
 pub fn wifi_address(stop: &StopSignal) -> Result<Option<String>, AdbError> {
     let adb = Adb {
-        program: program().ok_or(AdbError::NoProgram)?,
+        program: files::program("adb").ok_or(AdbError::NoProgram)?,
         stop,
     };
     let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
@@ -166,14 +178,6 @@ fn address_in(list: &str) -> Option<String> {
     let address = words.nth(1)?.split('/').next()?;
     let address: std::net::Ipv4Addr = address.parse().ok()?;
     Some(address.to_string())
-}
-
-fn program() -> Option<PathBuf> {
-    let name = format!("adb{}", std::env::consts::EXE_SUFFIX);
-    let path = std::env::var_os("PATH")?;
-    std::env::split_paths(&path)
-        .map(|folder| folder.join(&name))
-        .find(|program| program.is_file())
 }
 
 /// The phones of `adb devices` that are ready.

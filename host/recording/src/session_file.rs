@@ -229,7 +229,7 @@ pub struct Twist {
     pub offset_sigma_us: Option<f64>,
     /// 1-sigma of the skew, ppm.
     pub skew_sigma_ppm: Option<f64>,
-    /// Mean temperature of the board's IMU during it, °C.
+    /// Temperature of the board's IMU at its end, °C.
     #[serde(default)]
     pub board_temperature_c: Option<f64>,
     /// The full report of the estimate (gates, faults, residuals).
@@ -254,6 +254,15 @@ pub struct Video {
     pub frame_duration_ns: f64,
     /// Exposure as the app reported it, ns.
     pub exposure_ns: Option<u64>,
+}
+
+impl Video {
+    /// The exposure, µs, if the app reported one.
+    #[must_use]
+    pub fn exposure_us(&self) -> Option<f64> {
+        let exposure = self.exposure_ns.filter(|&exposure| exposure > 0)?;
+        Some(exposure as f64 * 1e-3)
+    }
 }
 
 /// How the trigger was aligned; see `docs/formats.md`.
@@ -433,8 +442,7 @@ impl SessionFile {
             let other = self.phones.iter().find(|other| other.name == phone);
             other.and_then(|other| other.video)
         };
-        let exposure = video?.exposure_ns.filter(|&exposure| exposure > 0)?;
-        Some(exposure as f64 * 1e-3)
+        video?.exposure_us()
     }
 
     /// Writes it into the recording's folder; replaces an older one only when

@@ -20,7 +20,7 @@ use page::{Level, Page};
 use recording::RecordingError;
 use recording::session_file::{SessionFile, Span};
 use timebase::ClockModel;
-pub use verdict::{Judgement, files_to_fetch, findings, has_recorded, shell_word};
+pub use verdict::{Judgement, files_to_fetch, findings, has_recorded};
 
 /// Name of the report in a recording's folder.
 pub const REPORT_FILE: &str = "report.html";

@@ -8,11 +8,13 @@
 use std::path::{Path, PathBuf};
 
 use page::Level;
+use phone::adb::get_files_command;
 use phone::video_files;
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
 };
 use serde::Serialize;
+use timebase::PhoneNanos;
 
 use crate::seconds;
 
@@ -198,8 +200,8 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
             missing.join(", ")
         );
         next.push(format!(
-            "`smartdepthsync phone get-files --phase {video} --video --out {}` copies them by USB",
-            shell_word(&place)
+            "`{}` copies them by USB",
+            get_files_command(PhoneNanos(video), &place, true)
         ));
     }
     part("board and phone", verdict, found, next)
@@ -333,17 +335,6 @@ fn depth_file(folder: &Path) -> Option<(String, u64)> {
         .max_by_key(|&(_, bytes)| bytes)
 }
 
-/// A path as one word of a shell's line.
-#[must_use]
-pub fn shell_word(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+:@%,=".contains(c);
-    match !text.is_empty() && text.chars().all(plain) {
-        true => text,
-        false => format!("'{}'", text.replace('\'', "'\\''")),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use protocol::Ticks;
@@ -440,12 +431,5 @@ mod tests {
             Verdict::Good
         );
         assert!(files_to_fetch(folder.path(), &session).is_empty());
-    }
-
-    #[test]
-    fn a_path_is_one_word_of_a_shell() {
-        assert_eq!(shell_word(Path::new("recordings/a-1")), "recordings/a-1");
-        assert_eq!(shell_word(Path::new("a b's")), "'a b'\\''s'");
-        assert_eq!(shell_word(Path::new("$(x)")), "'$(x)'");
     }
 }

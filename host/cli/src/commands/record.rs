@@ -15,10 +15,12 @@ use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
+use phone::adb::get_files_command;
 use phone::video_files;
 use recording::folder::check_name;
 use recording::session_file::{OtherPhone, SessionFile};
-use session_report::{Judgement, files_to_fetch, findings, has_recorded, shell_word, sigmas};
+use session_report::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
+use timebase::PhoneNanos;
 
 /// How long a calibration records between its twists: a minute is the least that a rate is
 /// learnt from.
@@ -237,14 +239,11 @@ fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) 
     let missing = files_to_fetch(folder, session);
     let mut commands: Vec<String> = missing
         .iter()
-        .map(|(phase, place)| {
-            let place = shell_word(place);
-            format!("smartdepthsync phone get-files --phase {phase} --video --out {place}")
-        })
+        .map(|(phase, place)| get_files_command(PhoneNanos(*phase), place, true))
         .collect();
-    let mut extract = format!("smartdepthsync extract {}", shell_word(folder));
+    let mut extract = format!("smartdepthsync extract {}", files::shell_word(folder));
     if let Some(profile) = to_teach {
-        extract += &format!(" --learn {}", shell_word(profile));
+        extract += &format!(" --learn {}", files::shell_word(profile));
     }
     commands.push(extract);
     commands

@@ -14,11 +14,10 @@ use super::{PortArg, doctor};
 use crate::cli::Context;
 use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
-use crate::record::preflight::{Checks, on_search_path};
+use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
 use recording::camera::{DEFAULT_CAMERA, MODELS, Mode, Model};
-use session_report::shell_word;
 
 /// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
 /// `doctor` does, and names the next command.
@@ -165,11 +164,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let checks = doctor::look(&doctor, context);
     let is_ready = checks.failure().is_none();
     let port = args.port.port.as_deref().map_or(String::new(), |port| {
-        format!(" --port {}", shell_word(port.as_ref()))
+        format!(" --port {}", files::shell_word(port.as_ref()))
     });
     let profile = match args.profile.as_os_str() == FILE {
         true => String::new(),
-        false => format!(" --profile {}", shell_word(&args.profile)),
+        false => format!(" --profile {}", files::shell_word(&args.profile)),
     };
     let next = match is_ready {
         true => format!("smartdepthsync record --calibrate{port}{profile}"),
@@ -278,7 +277,7 @@ fn answers<R: BufRead>(
         Some(recorder) => recorder.clone(),
         None => {
             let usual = usual_recorder(camera.model);
-            let default = match on_search_path(usual) {
+            let default = match files::program(usual).is_some() {
                 true => usual,
                 false => "none",
             };

@@ -12,7 +12,7 @@ use super::{Options, Stop};
 use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
 use board::Conversation;
-use phone::adb::copy_command;
+use phone::adb::{copy_command, get_files_command};
 use phone::task::{Answer, PhoneTask, Request};
 use protocol::Output;
 use verify::watch::Finding;
@@ -203,9 +203,8 @@ fn fetch_files(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
         }
         Some((_, Err(error))) => format!(
             "timestamps and sensors of the video are on {label} ({error}); by USB: \
-             `smartdepthsync phone get-files --phase {} --out '{}'`, or by MTP: {}",
-            video.phase.0,
-            folder.display(),
+             `{}`, or by MTP: {}",
+            get_files_command(video.phase, &folder, false),
             copy_command(video.phase, &folder)
         ),
         _ => return Ok(()),

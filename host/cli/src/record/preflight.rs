@@ -54,16 +54,6 @@ pub(crate) fn firmware_version(hello: &Hello) -> String {
     format!("{major}.{minor}.{patch}")
 }
 
-/// Whether a program is there: at its path, or by its name on the search path.
-pub(crate) fn on_search_path(program: &str) -> bool {
-    if program.contains('/') {
-        return Path::new(program).is_file();
-    }
-    std::env::var_os("PATH").is_some_and(|path| {
-        std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
-    })
-}
-
 /// Checks, in the order in which they were made.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Checks {
@@ -254,7 +244,7 @@ impl Checks {
             self.good("depth recorder", "none in the profile: start it yourself");
             return;
         };
-        if on_search_path(program) {
+        if files::program(program).is_some() {
             self.good("depth recorder", program.clone());
             for group in left_over() {
                 self.warn(

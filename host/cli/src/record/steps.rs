@@ -17,7 +17,7 @@ use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
-use frame_sync::alignment::{phase_sigma_us_at, phase_sigma_us_now, plan};
+use frame_sync::alignment::{phase_sigma_us_at, plan};
 use recording::session_file::{Alignment, Marker, Span, Twist, Video};
 use recording::writer::Severity;
 use timebase::ClockModel;
@@ -256,10 +256,9 @@ fn twist_temperature(twists: &[Twist]) -> Option<f64> {
 
 /// Whether the phase is known less well by now than a twist must know it.
 fn is_twist_due(rig: &Rig<'_>) -> bool {
-    let limit = rig.profile.align.max_offset_sigma_us;
+    let (gauge, now) = (&rig.journal.live.gauge, rig.now().into());
     let alignment = rig.journal.file.alignment.as_ref();
-    let temperature = rig.observers.temperature;
-    alignment.is_some_and(|known| phase_sigma_us_now(known, rig.now().into(), temperature) > limit)
+    alignment.is_some_and(|known| gauge.phase_known(known, now).1)
 }
 
 fn tell_due_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {

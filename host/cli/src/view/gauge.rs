@@ -11,7 +11,7 @@ use super::{
 use board::imu::{Sample, Scale};
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};
-use timebase::ClockModel;
+use timebase::{BoardSeconds, ClockModel};
 use twist_sync::coach::Coach;
 
 /// How much of the gyroscope is shown, ticks.
@@ -161,7 +161,7 @@ impl Gauge {
 
     /// What a session knows of its further phones by now.
     pub(crate) fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
-        let now = timebase::BoardSeconds::from(self.now);
+        let now = BoardSeconds::from(self.now);
         self.phones = phones
             .iter()
             .map(|phone| OtherPhone {
@@ -312,13 +312,20 @@ impl Gauge {
         self.coach = None;
     }
 
+    /// How well the phase is known by a time: its 1-sigma, µs, and whether that is less
+    /// well than a twist must know it.
+    pub(crate) fn phase_known(&self, alignment: &Alignment, now: BoardSeconds) -> (f64, bool) {
+        let sigma = phase_sigma_us_now(alignment, now, self.temperature);
+        (sigma, self.enough_us.is_some_and(|enough| sigma > enough))
+    }
+
     /// The latest state, with what only the session knows.
     pub(crate) fn snapshot(
         &self,
         clock: Option<&ClockModel>,
         alignment: Option<&Alignment>,
     ) -> Snapshot {
-        let board_now = timebase::BoardSeconds::from(self.now);
+        let board_now = BoardSeconds::from(self.now);
         let mut trigger = self.trigger.clone();
         if let (Some(alignment), Some(at)) = (alignment, self.last_pulse)
             && alignment.arrival.is_some_and(|arrival| at >= arrival)
@@ -327,9 +334,9 @@ impl Gauge {
                 .phase_error(alignment.anchor, at)
                 .0;
             trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
-            let sigma = phase_sigma_us_now(alignment, board_now, self.temperature);
+            let (sigma, twist_due) = self.phase_known(alignment, board_now);
             trigger.phase_sigma_us = Some(sigma);
-            trigger.twist_due = self.enough_us.is_some_and(|enough| sigma > enough);
+            trigger.twist_due = twist_due;
         }
         let mut losses = self.losses;
         losses.reconnects = self.reconnects;
@@ -376,7 +383,7 @@ impl Gauge {
     }
 }
 
-fn clock_at(clock: &ClockModel, now: timebase::BoardSeconds) -> Clock {
+fn clock_at(clock: &ClockModel, now: BoardSeconds) -> Clock {
     let offset = clock.offset_at(now);
     Clock {
         offset_s: offset.value,
