@@ -282,8 +282,8 @@ mod tests {
 
     #[test]
     fn a_path_is_one_word_of_a_shell() {
-        assert_eq!(shell_word(std::path::Path::new("recordings/a-1")), "recordings/a-1");
-        assert_eq!(shell_word(std::path::Path::new("a b's")), "'a b'\\''s'");
-        assert_eq!(shell_word(std::path::Path::new("$(x)")), "'$(x)'");
+        assert_eq!(shell_word(Path::new("recordings/a-1")), "recordings/a-1");
+        assert_eq!(shell_word(Path::new("a b's")), "'a b'\\''s'");
+        assert_eq!(shell_word(Path::new("$(x)")), "'$(x)'");
     }
 }
