@@ -33,6 +33,7 @@
 //! Limits: an edge of the photodiode is one edge; images are not made here.
 
 mod config;
+mod family;
 
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
@@ -40,6 +41,7 @@ use std::sync::mpsc::Sender;
 use serde::{Deserialize, Serialize};
 
 pub use config::{DepthCameraConfig, DepthCameraError, DepthMode};
+pub use family::Family;
 
 use crate::flash_log::{FlashLog, TrueFlash};
 use crate::oscillator::{BoardTime, Oscillator, TrueTime};
@@ -49,9 +51,6 @@ use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
-
-/// Shortest pulse that does *not* count (vendor: it needs more than 8 µs).
-pub(crate) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Device timestamps count at this rate, in the camera's time.
 pub const TIMESTAMP_HZ: u64 = 90_000;
@@ -297,7 +296,8 @@ impl DepthCamera {
     fn follow(&mut self, base: u64) {
         self.state = State::Streaming { base };
         let patience = self.period() + self.config.tolerance.units();
-        self.deadline = Some(self.board_at(base + patience + 1));
+        let deadline = self.board_at(base + patience + 1);
+        self.deadline = self.config.free_runs.then_some(deadline);
     }
 
     /// A disturbance within a frame spoils that frame.
@@ -425,7 +425,7 @@ impl PinModel for DepthCamera {
             return;
         }
         if level.is_high() {
-            let counts_from = io.now() + PULSE_TOO_SHORT + SimDuration::from_units(1);
+            let counts_from = io.now() + self.config.shortest_pulse + SimDuration::from_units(1);
             self.candidate = Some(Candidate {
                 edge: io.now(),
                 counts_from,

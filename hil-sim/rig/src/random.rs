@@ -47,6 +47,8 @@ pub enum Stream {
     PhoneFrames = 21,
     /// What a rig may be like beyond what is believed.
     Beliefs = 22,
+    /// What nobody has published of a depth camera's family.
+    DepthFamily = 23,
 }
 
 impl From<Stream> for u64 {

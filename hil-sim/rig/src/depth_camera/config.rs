@@ -2,11 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::PULSE_TOO_SHORT;
 use crate::oscillator::OscillatorConfig;
 use crate::rolling_shutter::FlashTrain;
 use crate::wiring;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
+
+/// Longest pulse that does not count (Azure Kinect: it needs more than 8 µs).
+pub(super) const PULSE_TOO_SHORT: SimDuration = SimDuration::from_micros(8);
 
 /// Depth modes with their flashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -15,6 +17,11 @@ pub enum DepthMode {
     NfovUnbinned,
     /// Wide field of view, unbinned: up to 15 fps.
     WfovUnbinned,
+    /// No flashes of its own, but a shutter: one exposure of this length.
+    Shutter {
+        /// How long it is open.
+        exposure: SimDuration,
+    },
 }
 
 impl DepthMode {
@@ -24,6 +31,11 @@ impl DepthMode {
         match self {
             Self::NfovUnbinned => FlashTrain::NFOV,
             Self::WfovUnbinned => FlashTrain::WFOV,
+            Self::Shutter { exposure } => FlashTrain {
+                count: 1,
+                pitch_ns: 0,
+                duration_ns: exposure.as_nanos() as i64,
+            },
         }
     }
 }
@@ -35,6 +47,10 @@ pub struct DepthCameraConfig {
     pub fps: u32,
     /// Depth mode.
     pub mode: DepthMode,
+    /// Longest pulse that does *not* count.
+    pub shortest_pulse: SimDuration,
+    /// It goes on by itself when the pulses stop; others wait for each.
+    pub free_runs: bool,
     /// The pulse that makes the first frame: 2 or 3 on real cameras.
     pub first_frame: u32,
     /// From a pulse's rising edge to the first flash, in the camera's time.
@@ -71,6 +87,8 @@ impl Default for DepthCameraConfig {
         Self {
             fps: 30,
             mode: DepthMode::NfovUnbinned,
+            shortest_pulse: PULSE_TOO_SHORT,
+            free_runs: true,
             first_frame: 2,
             flash_delay: SimDuration::from_micros(500),
             flash_jitter: SimDuration::ZERO,
@@ -106,13 +124,13 @@ impl DepthCameraConfig {
 
     /// From a pulse, or where one was expected, to where it is known whether one came.
     pub(super) fn earliest_flash(&self) -> SimDuration {
-        self.tolerance + PULSE_TOO_SHORT + SimDuration::from_micros(1)
+        self.tolerance + self.shortest_pulse + SimDuration::from_micros(1)
     }
 
     pub(super) fn check(&self) -> Result<(), DepthCameraError> {
         let fail = |text: String| Err(DepthCameraError(text));
         match (self.fps, self.mode) {
-            (5 | 15, _) | (30, DepthMode::NfovUnbinned) => {}
+            (5 | 15, _) | (30, DepthMode::NfovUnbinned | DepthMode::Shutter { .. }) => {}
             (30, DepthMode::WfovUnbinned) => {
                 return fail("WFOV unbinned runs at 15 or 5 fps, not at 30".to_owned());
             }
@@ -131,7 +149,7 @@ impl DepthCameraConfig {
             ));
         }
         let known_after = self.earliest_flash();
-        if self.flash_delay < known_after {
+        if self.free_runs && self.flash_delay < known_after {
             return fail(format!(
                 "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
                  as the camera must know that no pulse comes before it flashes on its own",

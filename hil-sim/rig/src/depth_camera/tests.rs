@@ -1,3 +1,4 @@
+use super::config::PULSE_TOO_SHORT;
 use super::*;
 use crate::oscillator::OscillatorConfig;
 use stm32f4_sim::model_bench::Bench;
@@ -325,5 +326,36 @@ fn impossible_cameras_are_refused() {
     ] {
         let error = DepthCamera::new(config, board(), Seed(1)).unwrap_err();
         assert!(error.to_string().contains(says), "{error}");
+    }
+}
+
+/// Each family follows pulses of 100 µs, as their makers ask for; pulses for the Azure Kinect
+/// only the Azure Kinect.
+#[test]
+fn each_family_follows_its_own_pulses() {
+    for family in Family::ALL {
+        for seed in 1..20 {
+            let config = family.of(steady(), Seed(seed));
+            for width_us in [12, 100] {
+                let mut bench = camera(config);
+                for at in times(10) {
+                    pulse(&mut bench, ms(at), SimDuration::from_micros(width_us));
+                }
+                bench.run_until(ms(10.0 * PERIOD_MS + 300.0));
+                let frames = bench.model.take_frames();
+                let (of_pulses, alone): (Vec<_>, Vec<_>) = frames
+                    .into_iter()
+                    .partition(|frame| matches!(frame.source, Source::Pulse { .. }));
+                let follows = width_us > 12 || family == Family::AzureKinect;
+                let expected = if follows { 11 - config.first_frame } else { 0 };
+                assert_eq!(
+                    of_pulses.len() as u32,
+                    expected,
+                    "{family:?}, {width_us} µs"
+                );
+                let goes_on = follows && config.free_runs;
+                assert_eq!(!alone.is_empty(), goes_on, "{family:?}");
+            }
+        }
     }
 }
