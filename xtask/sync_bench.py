@@ -22,6 +22,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from twistnsync.twistnsync import TimeSync
 
+import twist_sync
+
 
 # As often as the example runs ours.
 RUNS = 5
@@ -58,6 +60,19 @@ def offsets(mcu, phone):
     return between + sync.time_delay, between + repaired, seconds
 
 
+def through_python(mcu, phone):
+    """Seconds of the fastest run of the package of ours; refused or not."""
+    seconds = math.inf
+    for _ in range(RUNS):
+        start = time.perf_counter()
+        try:
+            twist_sync.estimate(*mcu, *phone)
+        except twist_sync.Refused:
+            pass
+        seconds = min(seconds, time.perf_counter() - start)
+    return seconds
+
+
 def rms(values):
     return math.sqrt(sum(v * v for v in values) / len(values))
 
@@ -65,7 +80,7 @@ def rms(values):
 def main():
     folder = pathlib.Path(sys.argv[1])
     errors = {"as published": [], "index repaired": [], "smartdepthsync": []}
-    seconds, ours_ms = [], []
+    seconds, ours_ms, wheel_ms = [], [], []
     with open(folder / "ours.csv", newline="") as file:
         for row in csv.DictReader(file):
             mcu = read(folder / f"{row['trial']}_a.csv")
@@ -78,6 +93,7 @@ def main():
                 errors["smartdepthsync"].append(float(row["offset_s"]) - truth)
             seconds.append(took)
             ours_ms.append(float(row["ms"]))
+            wheel_ms.append(through_python(mcu, phone) * 1e3)
     print(f"{len(seconds)} simulated twists, the same files for all\n")
     print("| | RMSE µs | median µs | largest µs | ms |")
     print("|---|---|---|---|---|")
@@ -91,6 +107,10 @@ def main():
             f"| {name} | {rms(values) * 1e6:.2f} | {np.median(absolute):.2f}"
             f" | {absolute.max():.2f} | {ms:.1f} |"
         )
+    print(
+        f"\nsmartdepthsync through Python: {np.median(wheel_ms):.1f} ms, "
+        f"{np.median(np.divide(wheel_ms, ours_ms)):.3f} times the crate's"
+    )
     if errors["smartdepthsync"]:
         factor = rms(errors["index repaired"]) / rms(errors["smartdepthsync"])
         print(f"\nerror of the repaired package / ours: {factor:.1f}")

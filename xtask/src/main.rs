@@ -17,6 +17,7 @@ mod package;
 mod process;
 mod sync_bench;
 mod tools;
+mod wheel;
 
 use std::process::ExitCode;
 
@@ -144,6 +145,8 @@ enum Command {
     /// Build the Debian package with host tool, udev rule and firmware, and try it
     /// in a root of its own.
     Package,
+    /// Build the Python package twist-sync, install it into target/venv, and test it there.
+    Wheel,
     /// Build the book into target/book and check its links.
     Docs,
     /// Draw the book's figures again from simulated runs.
@@ -196,6 +199,7 @@ fn run(command: Command) -> Result<()> {
         Command::Hour => hour(),
         Command::Dependencies => dependencies::check(),
         Command::Package => package(),
+        Command::Wheel => wheel::build_and_test(),
         Command::Docs => docs::build_and_check(),
         Command::DocsFigures => figures::make(),
     }
@@ -271,6 +275,9 @@ fn check(no_book: bool) -> Result<()> {
         "warnings",
     ])?;
     firmware::clippy()?;
+    // As a lean crate of its own, from what would be published.
+    process::cargo(["package", "-p", "twist-sync", "--allow-dirty", "--quiet"])?;
+    wheel::build_and_test()?;
     dependencies::check()?;
     if no_book {
         docs::check()

@@ -3,12 +3,13 @@
 
 use anyhow::Result;
 
-use crate::{process, tools};
+use crate::{process, wheel};
 
 /// Trials that the Python package is given: it is measured, not studied.
 const MOST_FILES: u32 = 100;
 
-fn example(name: &str, args: &[&str]) -> Result<()> {
+/// Runs an example of the estimator.
+pub(crate) fn example(name: &str, args: &[&str]) -> Result<()> {
     let mut all = vec![
         "run",
         "--release",
@@ -29,7 +30,8 @@ pub(crate) fn run(trials: u32) -> Result<()> {
     let trials_text = trials.to_string();
     example("sync_bench", &["--trials", &trials_text])?;
     example("sync_bench", &["--hour", "--trials", &trials_text])?;
-    let python = tools::ensure_python()?;
+    example("sync_bench", &["--loops", "--trials", &trials_text])?;
+    let python = wheel::installed()?;
     let files = trials.min(MOST_FILES).to_string();
     for (scenario, label) in [
         ("base", "Base scenario"),

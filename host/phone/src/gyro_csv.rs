@@ -473,8 +473,14 @@ mod tests {
             parse("timestamp,x,y,z\n949113215987860,1,2,3\n949113217987860,1,2,3\n").unwrap();
         assert!((file.track.epoch_s - 949_113.215_987_86).abs() < 1e-9);
         assert!((file.track.t[1] - 0.002).abs() < 1e-9);
-        let file = parse("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a\n1403636579758555392,1,2,3,0\n").unwrap();
+        // EuRoC.
+        let file = parse("#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n1403636579758555392,1,2,3,0,0,0\n").unwrap();
         assert_eq!(file.track.w[0], [1.0, 2.0, 3.0]);
+        assert_eq!(file.times, [1_403_636_579_758_555_392]);
+        // Sensor Logger.
+        let file = parse("time,seconds_elapsed,z,y,x\n1698501144401909000,0.1,3,2,1\n1698501144411909000,0.11,3,2,1\n").unwrap();
+        assert_eq!(file.track.w[0], [1.0, 2.0, 3.0]);
+        assert_eq!(file.times[0], 1_698_501_144_401_909_000);
     }
 
     #[test]

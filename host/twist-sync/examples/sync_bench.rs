@@ -1,7 +1,7 @@
 //! The clock estimate on simulated twists: error, honesty and time, scenario by
 //! scenario; and the recordings as files, for other programs.
 //!
-//! `sync_bench [--trials N] [--export DIR --scenario NAME]`. All figures are of
+//! `sync_bench [--trials N] [--hour | --loops | --export DIR --scenario NAME]`. All figures are of
 //! simulated recordings. Run by `cargo xtask bench --sync`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -11,9 +11,12 @@ use std::time::Instant;
 
 use clap::Parser;
 use rayon::prelude::*;
+use twist_sync::network::{Network, Pair};
 use twist_sync::robust;
-use twist_sync::simulate::{self, ClockPath, Scenario, Twist, TwistSpec};
-use twist_sync::{ClockRelation, Estimate, GyroTrack, Options, Refusal, estimate_offset};
+use twist_sync::simulate::{self, ClockPath, Scenario, Sensor, Twist, TwistSpec};
+use twist_sync::{
+    ClockCourse, ClockRelation, Estimate, GyroTrack, Options, Refusal, WithSigma, estimate_offset,
+};
 
 #[derive(Parser)]
 struct Args {
@@ -35,7 +38,11 @@ struct Args {
     /// Five twists over an hour instead, of some scenarios
     #[arg(long)]
     hour: bool,
-    /// Write the recordings as CSV and our results beside the truth to this folder
+    /// Three devices on one body instead: how their loops close
+    #[arg(long)]
+    loops: bool,
+    /// Write the recordings as CSV and our results beside the truth to this folder; of all
+    /// scenarios to folders in it
     #[arg(long)]
     export: Option<PathBuf>,
 }
@@ -76,7 +83,11 @@ const HOUR: [&str; 4] = [
 
 fn main() {
     let args = Args::parse();
-    if args.export.is_none() {
+    if args.loops {
+        loops(&args);
+        return;
+    }
+    if args.export.is_none() && !args.hour {
         println!("Simulated twists, {} per scenario.\n", args.trials);
         println!(
             "| scenario | accepted | RMSE µs | largest µs | mean sigma µs | error/sigma rms | largest | of the skew | ms |"
@@ -106,7 +117,12 @@ fn main() {
             continue;
         }
         match &args.export {
-            Some(folder) => export(&args, &scenario, folder),
+            Some(folder) if args.scenario.is_some() => export(&args, &scenario, folder),
+            Some(folder) => {
+                let letters = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+                let name: String = scenario.name.chars().map(letters).collect();
+                export(&args, &scenario, &folder.join(name));
+            }
             None => row(&args, &scenario),
         }
     }
@@ -258,6 +274,79 @@ fn hour(args: &Args, name: &str, spec: &TwistSpec) {
     );
 }
 
+/// A loop of three devices, and the errors of the one solution.
+struct Loop {
+    closure: WithSigma,
+    errors: [WithSigma; 2],
+}
+
+/// Twists of three devices: a and b of the base scenario, and a third at 416 Hz.
+fn loops(args: &Args) {
+    let spec = TwistSpec::default();
+    let sensor = Sensor {
+        rate_hz: 416.0,
+        ..simulate::SENSOR_B
+    };
+    let found: Vec<Option<Loop>> = (0..args.trials)
+        .into_par_iter()
+        .map(|trial| {
+            let seed = args.seed + 1000 * trial;
+            let of_b = simulate::twist(&spec, seed);
+            let of_c = simulate::third(&spec, seed, &sensor);
+            let tracks = [&of_b.a, &of_b.b, &of_c.b];
+            let pair = |a: usize, b: usize| -> Option<Pair> {
+                let clock = estimate_offset(tracks[a], tracks[b], &Options::default())
+                    .ok()?
+                    .clock;
+                let course = ClockCourse::from_estimates(&[clock], clock.wander)?;
+                Some(Pair { a, b, course })
+            };
+            let pairs = vec![pair(0, 1)?, pair(0, 2)?, pair(1, 2)?];
+            // Where offset and skew do not trade against each other.
+            let at = pairs[0].course.span().0;
+            let network = Network::new(3, pairs).ok()?;
+            let solved = network.at(at);
+            let error = |k: usize, truth: &Twist| WithSigma {
+                value: solved[k].value - truth.offset_at(at),
+                sigma: solved[k].sigma,
+            };
+            Some(Loop {
+                closure: network.closures(at).first()?.error,
+                errors: [error(1, &of_b), error(2, &of_c)],
+            })
+        })
+        .collect();
+    let found: Vec<Loop> = found.into_iter().flatten().collect();
+    let n = found.len().max(1) as f64;
+    let rms =
+        |of: &dyn Fn(&Loop) -> f64| (found.iter().map(|l| of(l).powi(2)).sum::<f64>() / n).sqrt();
+    let sigmas = |x: WithSigma| x.value / x.sigma;
+    let largest = found.iter().map(|l| sigmas(l.closure).abs());
+    println!(
+        "\nThree devices, {} twists, {} with all pairs:\n",
+        args.trials,
+        found.len()
+    );
+    println!("| | rms µs | stated sigma µs | over it, rms | largest |\n|---|---|---|---|---|");
+    println!(
+        "| closure of the loop | {:.3} | {:.2} | {:.2} | {:.2} |",
+        rms(&|l| l.closure.value) * 1e6,
+        rms(&|l| l.closure.sigma) * 1e6,
+        rms(&|l| sigmas(l.closure)),
+        largest.fold(0.0, f64::max)
+    );
+    for (k, name) in ["second", "third"].into_iter().enumerate() {
+        let largest = found.iter().map(|l| sigmas(l.errors[k]).abs());
+        println!(
+            "| error of the {name} clock | {:.3} | {:.2} | {:.2} | {:.2} |",
+            rms(&|l| l.errors[k].value) * 1e6,
+            rms(&|l| l.errors[k].sigma) * 1e6,
+            rms(&|l| sigmas(l.errors[k])),
+            largest.fold(0.0, f64::max)
+        );
+    }
+}
+
 /// Chi-square of five offsets about their weighted straight line: 3 degrees of freedom.
 fn about_a_line(clocks: &[ClockRelation]) -> f64 {
     let base = clocks[0];
@@ -287,11 +376,12 @@ fn about_a_line(clocks: &[ClockRelation]) -> f64 {
         .sum()
 }
 
-/// Recordings and a table `trial,reference,true offset there,ours,sigma,ms`.
+/// Recordings and a table of the truth, our results (all digits) and settings, and the time.
 fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
     std::fs::create_dir_all(folder).unwrap();
     let options = options(scenario);
-    let mut table = String::from("trial,reference_s,true_offset_s,offset_s,sigma_s,ms\n");
+    let mut table =
+        String::from("trial,reference_s,true_offset_s,offset_s,sigma_s,a_delay_s,b_delay_s,ms\n");
     for trial in 0..args.trials {
         let twist = twist(args, scenario, trial);
         std::fs::write(folder.join(format!("{trial}_a.csv")), csv(&twist.a)).unwrap();
@@ -311,8 +401,10 @@ fn export(args: &Args, scenario: &Scenario, folder: &std::path::Path) {
         });
         let _ = writeln!(
             table,
-            "{trial},{reference:.9},{:.9},{ours:.9},{sigma:.9},{ms:.3}",
-            twist.offset_at(reference)
+            "{trial},{reference},{:.9},{ours},{sigma},{},{},{ms:.3}",
+            twist.offset_at(reference),
+            options.a_delay_s,
+            options.b_delay_s
         );
     }
     std::fs::write(folder.join("ours.csv"), table).unwrap();

@@ -4,8 +4,9 @@
 //! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
 
 use rayon::prelude::*;
-use twist_sync::simulate::{self, Scenario, Twist, TwistSpec};
-use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
+use twist_sync::network::{Network, Pair};
+use twist_sync::simulate::{self, SENSOR_B, Scenario, Sensor, Twist, TwistSpec};
+use twist_sync::{ClockCourse, Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
 fn trials() -> u64 {
     std::env::var("SYNC_TRIALS")
@@ -250,4 +251,41 @@ fn the_real_twist_is_stable_and_its_faults_are_found() {
     .unwrap();
     let moved = faulty.clock.offset_at(estimate.clock.reference).value - estimate.clock.offset;
     assert!(moved < -80e-6, "the faults move the answer by {moved}");
+}
+
+#[test]
+fn loops_of_three_devices_close_and_their_clocks_are_right() {
+    let spec = TwistSpec::default();
+    let sensor = Sensor {
+        rate_hz: 416.0,
+        ..SENSOR_B
+    };
+    let trials: u64 = 16;
+    let sum: f64 = (0..trials)
+        .into_par_iter()
+        .map(|trial| {
+            let second = simulate::twist(&spec, 1000 * trial + 3);
+            let third = simulate::third(&spec, 1000 * trial + 3, &sensor);
+            let tracks = [&second.a, &second.b, &third.b];
+            let pair = |a: usize, b: usize| {
+                let clock = estimate_offset(tracks[a], tracks[b], &Options::default())
+                    .unwrap()
+                    .clock;
+                let course = ClockCourse::from_estimates(&[clock], clock.wander).unwrap();
+                Pair { a, b, course }
+            };
+            let pairs = vec![pair(0, 1), pair(0, 2), pair(1, 2)];
+            let at = pairs[0].course.span().0;
+            let network = Network::new(3, pairs).unwrap();
+            let closure = network.closures(at)[0].error;
+            assert!(closure.value.abs() < closure.sigma, "{trial}: {closure:?}");
+            let clocks = network.at(at);
+            let squares = [(1, &second), (2, &third)].map(|(k, twist)| {
+                ((clocks[k].value - twist.offset_at(at)) / clocks[k].sigma).powi(2)
+            });
+            squares.iter().sum::<f64>()
+        })
+        .sum();
+    let ratio = (sum / (2 * trials) as f64).sqrt();
+    assert!((0.6..1.5).contains(&ratio), "error over sigma {ratio:.2}");
 }

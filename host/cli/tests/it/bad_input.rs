@@ -198,6 +198,14 @@ const CASES: &[Case] = &[
         "empty.csv",
         "CSV",
     ),
+    (
+        "sync gyro.csv nothing.csv",
+        13,
+        "nothing.csv",
+        "check the path",
+    ),
+    ("sync gyro.csv text.txt", 2, "text.txt", "x,y,z,nanoseconds"),
+    ("sync gyro.csv", 2, "2 values required", "help COMMAND"),
     // Videos.
     (
         "evaluate precision nothing.mp4",

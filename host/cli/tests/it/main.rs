@@ -15,5 +15,6 @@ mod phone_faults;
 mod report_browser;
 #[path = "../support/mod.rs"]
 mod support;
+mod sync_command;
 mod trigger_imu;
 mod verify_command;

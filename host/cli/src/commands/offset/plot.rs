@@ -106,9 +106,12 @@ fn reasons(report: &Report, names: [&str; 2]) -> String {
     let of_samples = faults.iter().filter(|fault| {
         fault.action == Action::LeftOut && (report.left_out.is_empty() || !is_stretch(fault.kind))
     });
-    let of_samples = of_samples.map(|fault| format!("left out: {}", fault_found(fault, names)));
+    let of_samples: Vec<String> = of_samples.map(|fault| fault_found(fault, names)).collect();
     let stretches = report.left_out.iter().map(LeftOut::to_string);
-    let all: Vec<String> = stretches.chain(of_samples).collect();
+    let mut all: Vec<String> = stretches.collect();
+    if !of_samples.is_empty() {
+        all.push(format!("left out: {}", of_samples.join("; ")));
+    }
     let all = all.join("; ");
     all.replacen("left", "Left", 1)
 }
@@ -143,7 +146,7 @@ fn finite(points: impl Iterator<Item = (f64, f64)>) -> Points {
 
 fn after(names: [&str; 2], pairs: &[Pair], estimate: &Estimate, start: f64) -> [Chart; 3] {
     let found = format!(
-        "After: offset {:.6} s ± {:.2} µs, skew {:+.1} ± {:.1} ppm; {} carried to the axes of {}",
+        "After: offset {:.6} s ± {:.2} µs, skew {:+.1} ± {:.1} ppm; {} turned to {}'s axes",
         estimate.clock.offset,
         estimate.offset_sigma_s() * 1e6,
         estimate.clock.skew * 1e6,

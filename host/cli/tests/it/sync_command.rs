@@ -1,0 +1,263 @@
+//! `smartdepthsync sync` as a process: forms of recordings, three devices, whole recordings.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use recording::messages::{Header, Imu, Time, to_cdr};
+use recording::rosbag2::Bag;
+use serde_json::Value;
+use twist_sync::GyroTrack;
+use twist_sync::simulate::{self, Motion, SENSOR_B, Sensor, Twist, TwistSpec};
+
+use crate::support::objects;
+
+fn sync(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .current_dir(folder)
+        .arg("sync")
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+fn nanos(track: &GyroTrack) -> impl Iterator<Item = i64> {
+    let at = |t: &f64| ((track.epoch_s + t) * 1e9).round() as i64;
+    track.t.iter().map(at)
+}
+
+/// As EuRoC has it, with an accelerometer.
+fn euroc(path: PathBuf, track: &GyroTrack) {
+    let mut out = String::from(
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
+         a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n",
+    );
+    for (at, w) in nanos(track).zip(&track.w) {
+        writeln!(out, "{at},{},{},{},0,0,9.8", w[0], w[1], w[2]).unwrap();
+    }
+    std::fs::write(path, out).unwrap();
+}
+
+/// As the phone's app writes it.
+fn app(path: PathBuf, track: &GyroTrack) {
+    let mut out = String::new();
+    for (at, w) in nanos(track).zip(&track.w) {
+        writeln!(out, "{},{},{},{at}", w[0], w[1], w[2]).unwrap();
+    }
+    std::fs::write(path, out).unwrap();
+}
+
+/// A ROS 2 bag with two IMUs, the second at rest.
+fn ros2(path: PathBuf, track: &GyroTrack) {
+    let mut bag = Bag::create(std::io::BufWriter::new(
+        std::fs::File::create(path).unwrap(),
+    ))
+    .unwrap();
+    for topic in ["/imu/data", "/imu/other"] {
+        bag.add_topic::<Imu>(topic).unwrap();
+    }
+    for (at, w) in nanos(track).zip(&track.w) {
+        for (topic, rate) in [*w, [0.0; 3]].into_iter().enumerate() {
+            let imu = Imu {
+                header: Header {
+                    stamp: Time::from_nanos(at),
+                    frame_id: String::from("imu"),
+                },
+                orientation: [0.0; 4],
+                orientation_covariance: [0.0; 9],
+                angular_velocity: rate.into(),
+                angular_velocity_covariance: [0.0; 9],
+                linear_acceleration: [0.0; 3].into(),
+                linear_acceleration_covariance: [0.0; 9],
+            };
+            // Received later than measured: the header counts.
+            let received = at.unsigned_abs() + 7_000_000;
+            bag.put(topic, received, &to_cdr(&imu).unwrap()).unwrap();
+        }
+    }
+    bag.finish("bag.mcap").unwrap();
+}
+
+/// Offset in s of clock b of a twist at a time of clock a in ns.
+fn truth(twist: &Twist, reference: &Value) -> f64 {
+    twist.offset_at(reference.as_i64().unwrap() as f64 * 1e-9)
+}
+
+fn offset_s(object: &Value) -> f64 {
+    object["offset_ns"].as_i64().unwrap() as f64 * 1e-9
+}
+
+#[test]
+fn three_devices_in_three_forms_have_one_solution() {
+    let folder = tempfile::tempdir().unwrap();
+    let (spec, seed) = (TwistSpec::default(), 9_000);
+    let sensor = Sensor {
+        rate_hz: 416.0,
+        ..SENSOR_B
+    };
+    let second = simulate::twist(&spec, seed);
+    let third = simulate::third(&spec, seed, &sensor);
+    euroc(folder.path().join("imu.csv"), &second.a);
+    app(folder.path().join("phone.csv"), &second.b);
+    ros2(folder.path().join("bag.mcap"), &third.b);
+    let files = ["imu.csv", "phone.csv", "bag.mcap@/imu/data"];
+    let more = ["--json", "--write", "times", "--plot", "plot.svg"];
+    let output = sync(folder.path(), &[&files[..], &more].concat());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let result = json(&output);
+    objects::check("sync", &[&result]);
+    for (clock, truth_of) in [(0, &second), (1, &third)] {
+        let clock = &result["clocks"][clock];
+        let error_us = (offset_s(clock) - truth(truth_of, &clock["reference_ns"])) * 1e6;
+        let sigma_us = clock["sigma_us"].as_f64().unwrap();
+        assert!(
+            error_us.abs() < 4.0 * sigma_us && sigma_us < 10.0,
+            "{clock}: {error_us}"
+        );
+    }
+    let found = &result["loops"][0];
+    assert_eq!(found["recordings"], serde_json::json!([1, 2, 3]));
+    let closes = found["closure_rms_us"].as_f64().unwrap();
+    assert!(closes < found["sigma_rms_us"].as_f64().unwrap(), "{found}");
+    assert!(
+        std::fs::read_to_string(folder.path().join("plot.svg"))
+            .unwrap()
+            .starts_with("<svg")
+    );
+
+    // Every timestamp of the phone, in the time of the first.
+    let table = std::fs::read_to_string(folder.path().join("times/2_phone.csv")).unwrap();
+    let rows: Vec<Vec<i64>> = table
+        .lines()
+        .skip(1)
+        .map(|line| {
+            line.split(',')
+                .map(|field| field.parse().unwrap())
+                .collect()
+        })
+        .collect();
+    assert_eq!(rows.len(), second.b.len());
+    for row in &rows {
+        let expected = row[0] as f64 * 1e-9 - second.offset_at(row[1] as f64 * 1e-9);
+        let error_s = row[1] as f64 * 1e-9 - expected;
+        assert!(error_s.abs() < 5e-9 * row[2] as f64, "{row:?}: {error_s}");
+    }
+
+    // With two, the numbers are those of `offset`.
+    let output = sync(folder.path(), &["--json", "imu.csv", "phone.csv"]);
+    let pair = json(&output)["pairs"][0].clone();
+    let offset = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .current_dir(folder.path())
+        .args([
+            "offset",
+            "--json",
+            "--mcu",
+            "imu.csv",
+            "--phone",
+            "phone.csv",
+        ])
+        .output()
+        .unwrap();
+    let offset = json(&offset);
+    let near = |ours: &Value, theirs: &Value, within: f64| {
+        let difference = ours.as_f64().unwrap() - theirs.as_f64().unwrap();
+        assert!(difference.abs() < within, "{ours} {theirs}");
+    };
+    near(&pair["skew_ppm"], &offset["skew_ppm"], 1e-4);
+    assert!((offset_s(&pair) - offset["offset_s"].as_f64().unwrap()).abs() < 5e-9);
+}
+
+#[test]
+fn a_device_on_another_body_is_refused_and_the_rest_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let good = simulate::twist(&TwistSpec::default(), 9_100);
+    let other = simulate::twist(&TwistSpec::default(), 9_200);
+    app(folder.path().join("a.csv"), &good.a);
+    app(folder.path().join("b.csv"), &good.b);
+    app(folder.path().join("c.csv"), &other.b);
+    let output = sync(folder.path(), &["--json", "a.csv", "b.csv", "c.csv"]);
+    assert_eq!(output.status.code(), Some(3), "{output:?}");
+    let result = json(&output);
+    assert_eq!(result["pairs"][0]["accepted"], true);
+    let refusal = result["pairs"][1]["refusal"].as_str().unwrap();
+    assert!(refusal.contains("at any time shift"), "{refusal}");
+    assert!(result["refusal"].as_str().unwrap().ends_with("number 3"));
+}
+
+#[test]
+fn minutes_of_walking_need_no_twist() {
+    let folder = tempfile::tempdir().unwrap();
+    let spec = TwistSpec {
+        motion: Motion::Natural(0.8, 1.6),
+        duration_s: 120.0,
+        ..TwistSpec::default()
+    };
+    let walk = simulate::twist(&spec, 9_300);
+    app(folder.path().join("a.csv"), &walk.a);
+    euroc(folder.path().join("b.csv"), &walk.b);
+    let output = sync(
+        folder.path(),
+        &["--json", "a.csv", "b.csv", "--plot", "plot.svg"],
+    );
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let pair = &json(&output)["pairs"][0];
+    let error_us = (offset_s(pair) - truth(&walk, &pair["reference_ns"])) * 1e6;
+    let sigma_us = pair["offset_sigma_us"].as_f64().unwrap();
+    assert!(
+        error_us.abs() < 4.0 * sigma_us && sigma_us < 10.0,
+        "{pair}: {error_us}"
+    );
+    assert!(pair["used"].as_u64().unwrap() >= 10, "{pair}");
+    let svg = std::fs::read_to_string(folder.path().join("plot.svg")).unwrap();
+    assert!(svg.contains("smoothed"));
+}
+
+#[test]
+fn what_is_wrong_with_a_file_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    // Longer than a chunk of the bag.
+    let spec = TwistSpec {
+        duration_s: 20.0,
+        ..TwistSpec::default()
+    };
+    let twist = simulate::twist(&spec, 9_400);
+    app(folder.path().join("a.csv"), &twist.a);
+    ros2(folder.path().join("b.mcap"), &twist.b);
+    std::fs::write(folder.path().join("c.db3"), b"SQLite format 3\0 and so on").unwrap();
+    std::fs::write(folder.path().join("d.mp4"), b"\0\0\0\x20ftypisom    ").unwrap();
+    let bag = std::fs::read(folder.path().join("b.mcap")).unwrap();
+    std::fs::write(folder.path().join("e.mcap"), &bag[..20]).unwrap();
+    for (file, message, next) in [
+        ("b.mcap", "/imu/data, /imu/other", "FILE@/TOPIC"),
+        (
+            "b.mcap@/none",
+            "no IMU on topic /none; there are /imu/data",
+            "IMU",
+        ),
+        ("c.db3", "sqlite3 is not read", "ros2 bag convert"),
+        ("d.mp4", "is not read", "CSV"),
+        ("e.mcap", "cannot be read", "a whole recording"),
+    ] {
+        let output = sync(folder.path(), &["a.csv", file]);
+        assert_eq!(output.status.code(), Some(2), "{file}: {output:?}");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            said.contains(message) && said.contains(next),
+            "{file}: {said}"
+        );
+    }
+    // What is left of a bag is used, and its end is missed.
+    std::fs::write(folder.path().join("f.mcap"), &bag[..bag.len() * 9 / 10]).unwrap();
+    let output = sync(folder.path(), &["--json", "a.csv", "f.mcap@/imu/data"]);
+    assert_eq!(output.status.code(), Some(4), "{output:?}");
+    assert!(
+        !json(&output)["recordings"][1]["damage"]
+            .as_array()
+            .unwrap()
+            .is_empty()
+    );
+}

@@ -1,0 +1,82 @@
+//! The Python package `twist-sync`: built, installed into the Python environment, tested.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::{process, sync_bench, tools};
+
+/// Twists of each scenario whose results must be those of the crate.
+const TRIALS: &str = "2";
+
+/// Builds the wheel and gives its path.
+pub(crate) fn build(python: &Path) -> Result<PathBuf> {
+    let folder = process::target_dir().join("wheels");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder)
+            .with_context(|| format!("cannot empty {}", folder.display()))?;
+    }
+    process::run(
+        process::command(python)
+            .args(["-m", "maturin", "build", "--release", "--quiet"])
+            .args([
+                "--manifest-path",
+                "host/twist-sync-python/Cargo.toml",
+                "--out",
+            ])
+            .arg(&folder)
+            .env("VIRTUAL_ENV", process::target_dir().join("venv")),
+    )?;
+    let entry = std::fs::read_dir(&folder)?.next();
+    match entry {
+        Some(entry) => Ok(entry?.path()),
+        None => bail!("maturin has left no wheel in {}", folder.display()),
+    }
+}
+
+/// Builds the wheel and installs it into the Python environment, which has all that it needs.
+pub(crate) fn installed() -> Result<PathBuf> {
+    let python = tools::ensure_python()?;
+    let wheel = build(&python)?;
+    process::run(
+        process::command(&python)
+            .args([
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+            ])
+            .args(["--no-deps", "--force-reinstall"])
+            .arg(&wheel),
+    )?;
+    println!("wheel: {}", wheel.display());
+    Ok(python)
+}
+
+/// `cargo xtask wheel`.
+pub(crate) fn build_and_test() -> Result<()> {
+    let python = installed()?;
+    process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
+    let twists = process::target_dir().join("wheel-twists");
+    let twists_text = twists.display().to_string();
+    sync_bench::example(
+        "sync_bench",
+        &["--export", &twists_text, "--trials", TRIALS],
+    )?;
+    process::run(
+        process::command(&python)
+            .args([
+                "-m",
+                "unittest",
+                "discover",
+                "-s",
+                "host/twist-sync-python/tests",
+            ])
+            .env(
+                "SMARTDEPTHSYNC",
+                process::target_dir().join("release/smartdepthsync"),
+            )
+            .env("SYNC_BENCH", &twists),
+    )
+}
