@@ -47,6 +47,14 @@ pub enum Stream {
     PhoneFrames = 21,
     /// What a rig may be like beyond what is believed.
     Beliefs = 22,
+    /// What is drawn once for a study of clocks that are asked for their time.
+    Tracking = 23,
+    /// Delays of exchanges with the board.
+    BoardLink = 24,
+    /// Delays of exchanges with the phone.
+    PhoneLink = 25,
+    /// Wander of the computer's clock.
+    ComputerClock = 26,
 }
 
 impl From<Stream> for u64 {

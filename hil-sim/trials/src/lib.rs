@@ -11,4 +11,5 @@ pub mod hostile;
 pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
+pub mod tracking;
 pub mod whole_chain;

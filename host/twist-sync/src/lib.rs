@@ -43,6 +43,7 @@ mod stream;
 mod swing;
 mod timestamps;
 mod track;
+pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::ClockCourse;
