@@ -236,8 +236,15 @@ impl Period {
     /// count too. A train of period 0 has one edge, `anchor`.
     #[must_use]
     pub fn phase_error(self, anchor: Ticks, at: Ticks) -> TickDelta {
+        self.phase_error_of(anchor, 0, at)
+    }
+
+    /// The same where an edge lies a fraction of a tick, in 2⁻³² ticks, after the start of
+    /// tick `anchor`.
+    #[must_use]
+    pub fn phase_error_of(self, anchor: Ticks, fraction: u32, at: Ticks) -> TickDelta {
         let period = i128::from(self.0);
-        let apart = (i128::from(at.0) - i128::from(anchor.0)) << 32;
+        let apart = ((i128::from(at.0) - i128::from(anchor.0)) << 32) - i128::from(fraction);
         let Some(beyond) = apart.checked_rem_euclid(period) else {
             return at - anchor;
         };

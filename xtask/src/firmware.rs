@@ -1,6 +1,6 @@
-//! The firmware's ELF, and a compiler for its target.
+//! The firmware's ELF and the phone's agent, and a compiler for their targets.
 //!
-//! Three routes to `core` for `thumbv7em-none-eabihf`, tried in this order:
+//! Three routes to `core` for such a target, tried in this order:
 //!
 //! 1. the active toolchain has the target;
 //! 2. `rustup target add` fetches it;
@@ -20,6 +20,15 @@ use crate::{process, tools};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 const FIRMWARE: &str = "firmware";
+const AGENT: &str = "host/phone-agent";
+const AGENT_PROGRAM: &str = "smartdepthsync-phone-agent";
+/// Targets of the agent, and what its files are called: by Android's names of processors.
+const AGENT_TARGETS: [(&str, &str); 2] = [
+    ("aarch64-unknown-none", "arm64-v8a"),
+    ("armv7a-none-eabi", "armeabi-v7a"),
+];
+/// The agent is smaller than this, bytes.
+const AGENT_MOST: u64 = 20_000;
 const FOREIGN: &str = "hil-sim/stm32f4-sim/foreign";
 const FOREIGN_PACKAGES: &[&str] = &["-p", "foreign-embassy", "-p", "foreign-hal"];
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
@@ -42,6 +51,7 @@ enum Route {
 /// Gives the path of the ELF.
 pub(crate) fn build_rig() -> Result<PathBuf> {
     let elf = build()?;
+    build_agent()?;
     process::cargo([
         "build",
         "--release",
@@ -61,7 +71,7 @@ pub(crate) fn build() -> Result<PathBuf> {
 /// Builds the firmware in the release profile and gives it to the runner of its target
 /// (`.cargo/config.toml`), which flashes it.
 pub(crate) fn flash() -> Result<()> {
-    cargo_for_target(FIRMWARE, &["run", "--release"])
+    cargo_for_target(FIRMWARE, TARGET, &["run", "--release"])
 }
 
 /// Builds the firmware with a wrong PLL factor, beside the right one: the name
@@ -81,13 +91,39 @@ pub(crate) fn build_with_wrong_pll() -> Result<()> {
 pub(crate) fn build_foreign() -> Result<()> {
     cargo_for_target(
         FOREIGN,
+        TARGET,
         &[&["build", "--release"], FOREIGN_PACKAGES].concat(),
     )
 }
 
+/// Builds the agent for phones of each processor, and puts it beside the host tool, where
+/// that looks for it.
+pub(crate) fn build_agent() -> Result<()> {
+    let folder = process::target_dir().join("release");
+    std::fs::create_dir_all(&folder)
+        .with_context(|| format!("cannot make {}", folder.display()))?;
+    for (target, processor) in AGENT_TARGETS {
+        cargo_for_target(AGENT, target, &["build", "--release", "--target", target])?;
+        let from = process::target_dir()
+            .join(target)
+            .join("release")
+            .join(AGENT_PROGRAM);
+        let to = folder.join(format!("{AGENT_PROGRAM}-{processor}"));
+        let size = std::fs::copy(&from, &to)
+            .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
+        if size >= AGENT_MOST {
+            bail!(
+                "{} has {size} bytes; expected less than {AGENT_MOST}",
+                to.display()
+            );
+        }
+    }
+    Ok(())
+}
+
 /// Runs cargo and returns the ELF that it leaves.
 fn built(args: &[&str]) -> Result<PathBuf> {
-    cargo_for_target(FIRMWARE, args)?;
+    cargo_for_target(FIRMWARE, TARGET, args)?;
     let elf = process::target_dir()
         .join(TARGET)
         .join("release")
@@ -104,22 +140,37 @@ fn built(args: &[&str]) -> Result<PathBuf> {
 /// Lints the programs for the chip's target, where the register code is compiled.
 /// Debian's compiler brings no clippy: there a build without warnings has to do.
 pub(crate) fn clippy() -> Result<()> {
-    match route()? {
+    let strictly = ["--", "-D", "warnings"];
+    let clippy = ["clippy", "--release"];
+    match route(TARGET)? {
         Route::Toolchain => {
-            let strictly = ["--", "-D", "warnings"];
-            let clippy = ["clippy", "--release"];
-            cargo_for_target(FIRMWARE, &[&clippy[..], &strictly].concat())?;
-            cargo_for_target(FOREIGN, &[&clippy, FOREIGN_PACKAGES, &strictly].concat())
+            cargo_for_target(FIRMWARE, TARGET, &[&clippy[..], &strictly].concat())?;
+            cargo_for_target(
+                FOREIGN,
+                TARGET,
+                &[&clippy, FOREIGN_PACKAGES, &strictly].concat(),
+            )?;
         }
         Route::Debian { .. } => {
             build()?;
-            build_foreign()
+            build_foreign()?;
         }
     }
+    for (target, _) in AGENT_TARGETS {
+        match route(target)? {
+            Route::Toolchain => {
+                let target_args = ["--target", target];
+                let args = [&clippy[..], &target_args, &strictly].concat();
+                cargo_for_target(AGENT, target, &args)?;
+            }
+            Route::Debian { .. } => build_agent()?,
+        }
+    }
+    Ok(())
 }
 
-/// Runs cargo in a folder whose programs are for the chip.
-fn cargo_for_target(folder: &str, args: &[&str]) -> Result<()> {
+/// Runs cargo in a folder whose programs are for a target without a system.
+fn cargo_for_target(folder: &str, target: &str, args: &[&str]) -> Result<()> {
     let mut cargo = process::command(process::cargo_program());
     // The folder's own .cargo/config.toml sets target and profile, so that this
     // is the very build of `cargo run` there.
@@ -131,44 +182,45 @@ fn cargo_for_target(folder: &str, args: &[&str]) -> Result<()> {
         None => (args, &[][..]),
     };
     cargo.args(before);
-    if let Route::Debian { linker } = route()? {
+    if let Route::Debian { linker } = route(target)? {
+        let target = target.to_uppercase().replace('-', "_");
         cargo
             .arg("-Zbuild-std=core")
             .env("RUSTC", DEBIAN_RUSTC)
             .env("RUSTC_BOOTSTRAP", "1")
-            .env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker);
+            .env(format!("CARGO_TARGET_{target}_LINKER"), linker);
     }
     process::run(cargo.args(after))
 }
 
-fn route() -> Result<Route> {
+fn route(target: &str) -> Result<Route> {
     let forced = env::var(ROUTE_VARIABLE).unwrap_or_default();
     match forced.as_str() {
         "" => {}
-        "debian" => return debian(),
+        "debian" => return debian(target),
         other => bail!("{ROUTE_VARIABLE} is {other:?}; it can be unset or \"debian\""),
     }
     let sysroot = sysroot()?;
-    if has_target(&sysroot) {
+    if has_target(&sysroot, target) {
         return Ok(Route::Toolchain);
     }
-    println!("the Rust target {TARGET} is missing: trying rustup target add");
+    println!("the Rust target {target} is missing: trying rustup target add");
     let added = Command::new("rustup")
         .current_dir(process::root())
-        .args(["target", "add", TARGET])
+        .args(["target", "add", target])
         .status()
         .is_ok_and(|status| status.success());
-    if added && has_target(&sysroot) {
+    if added && has_target(&sysroot, target) {
         return Ok(Route::Toolchain);
     }
-    debian()
+    debian(target)
 }
 
-fn debian() -> Result<Route> {
+fn debian(target: &str) -> Result<Route> {
     if !debian_ready() {
         tools::apt_install(&DEBIAN_PACKAGES).with_context(|| {
             format!(
-                "there is no Rust library for {TARGET}; run `rustup target add {TARGET}`, \
+                "there is no Rust library for {target}; run `rustup target add {target}`, \
                  or on Debian `sudo apt-get install {}`",
                 DEBIAN_PACKAGES.join(" ")
             )
@@ -177,7 +229,7 @@ fn debian() -> Result<Route> {
     if !debian_ready() {
         bail!(
             "{DEBIAN_RUSTC} is older than Rust 1.{OLDEST_MINOR} or its library source is missing; \
-             run `rustup target add {TARGET}`, or on Debian 12 with its security archive \
+             run `rustup target add {target}`, or on Debian 12 with its security archive \
              `sudo apt-get install {}`",
             DEBIAN_PACKAGES.join(" ")
         );
@@ -194,7 +246,7 @@ fn debian() -> Result<Route> {
             return Ok(Route::Debian { linker });
         }
     }
-    bail!("no linker for {TARGET}: run `sudo apt-get install lld`")
+    bail!("no linker for {target}: run `sudo apt-get install lld`")
 }
 
 fn debian_ready() -> bool {
@@ -219,10 +271,10 @@ fn sysroot() -> Result<PathBuf> {
     Ok(PathBuf::from(text.trim()))
 }
 
-fn has_target(sysroot: &Path) -> bool {
+fn has_target(sysroot: &Path, target: &str) -> bool {
     sysroot
         .join("lib/rustlib")
-        .join(TARGET)
+        .join(target)
         .join("lib")
         .is_dir()
 }

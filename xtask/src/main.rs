@@ -139,6 +139,10 @@ enum Command {
         /// Sessions per case.
         #[arg(long, default_value_t = 60)]
         trials: u32,
+        /// Instead, the phase over an hour while the phone's clock is tracked: the table of
+        /// docs/tracking.md. `--trials` is the number of rigs.
+        #[arg(long)]
+        tracking: bool,
     },
     /// Check licences and sources of all dependencies, and every unsafe block.
     Dependencies,
@@ -195,7 +199,11 @@ fn run(command: Command) -> Result<()> {
             ..
         } => frame_sync(launches, beliefs),
         Command::Bench { sync: false, .. } => bench(),
-        Command::Study { trials } => sync_bench::study(trials),
+        Command::Study {
+            trials,
+            tracking: true,
+        } => track_study(trials),
+        Command::Study { trials, .. } => sync_bench::study(trials),
         Command::Hour => hour(),
         Command::Dependencies => dependencies::check(),
         Command::Package => package(),
@@ -208,6 +216,7 @@ fn run(command: Command) -> Result<()> {
 fn build() -> Result<()> {
     firmware::build_with_wrong_pll()?;
     let elf = firmware::build()?;
+    firmware::build_agent()?;
     process::cargo(["build", "--release", "--workspace"])?;
     println!("firmware: {}", elf.display());
     Ok(())
@@ -228,6 +237,7 @@ fn test(cargo_args: &[String]) -> Result<()> {
     firmware::build_with_wrong_pll()?;
     let elf = firmware::build()?;
     firmware::build_foreign()?;
+    firmware::build_agent()?;
     let mut args = vec!["test".to_owned(), "--release".to_owned()];
     if cargo_args.is_empty() {
         args.push("--workspace".to_owned());
@@ -288,6 +298,7 @@ fn check(no_book: bool) -> Result<()> {
 
 fn package() -> Result<()> {
     let elf = firmware::build()?;
+    firmware::build_agent()?;
     process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
     package::build(&elf)
 }
@@ -337,6 +348,20 @@ fn frame_sync(launches: u32, beliefs: bool) -> Result<()> {
         args.push("--beliefs".to_owned());
     }
     process::run_hil_sim(&args, &elf)
+}
+
+fn track_study(rigs: u32) -> Result<()> {
+    let rigs = format!("--rigs={rigs}");
+    process::cargo([
+        "run",
+        "--release",
+        "-q",
+        "-p",
+        "hil-sim",
+        "--",
+        "track-study",
+        &rigs,
+    ])
 }
 
 fn chain(seconds: u32, seeds: u32) -> Result<()> {

@@ -14,6 +14,7 @@ pub mod inertial_channel;
 pub mod jumpers;
 pub mod k4a_mkv;
 pub mod lidar;
+pub mod link_delay;
 pub mod motion;
 pub mod mpu9150;
 pub mod oscillator;

@@ -47,8 +47,16 @@ pub enum Stream {
     PhoneFrames = 21,
     /// What a rig may be like beyond what is believed.
     Beliefs = 22,
+    /// What is drawn once for a study of clocks that are asked for their time.
+    Tracking = 23,
+    /// Delays of exchanges with the board.
+    BoardLink = 24,
+    /// Delays of exchanges with the phone.
+    PhoneLink = 25,
+    /// Wander of the computer's clock.
+    ComputerClock = 26,
     /// What nobody has published of a depth camera's family.
-    DepthFamily = 23,
+    DepthFamily = 27,
 }
 
 impl From<Stream> for u64 {

@@ -180,7 +180,7 @@ pub fn run(args: &Args) -> Result<()> {
     let table = match (&args.profile, &phone) {
         (Some(path), Some(phone)) => {
             let own = std::env::current_exe().context("where is this program?")?;
-            let table = Table::new(&parts, phone.storage(), &own)?;
+            let table = Table::new(&parts, phone, &own)?;
             let text = owner_profile(&parts.config, phone)? + &table.recorder();
             std::fs::write(path, text)
                 .with_context(|| format!("cannot write {}", path.display()))?;

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 
 use crate::depth_link::Cable;
+use crate::link_delay::LinkBeliefs;
+use crate::phone::{ClockTeller, SimPhone};
 use crate::rig_config::RigParts;
 
 /// What lies on the table beside the rig: the depth camera's cable, and programs that reach
@@ -15,18 +17,22 @@ use crate::rig_config::RigParts;
 pub struct Table {
     recorder: String,
     programs: PathBuf,
+    _teller: ClockTeller,
     _cable: Cable,
     _folder: tempfile::TempDir,
 }
 
 impl Table {
-    /// Lays it out: `storage` is the folder of the phone's files, `hil_sim` the program with
+    /// Lays it out, beside this phone: `hil_sim` the program with
     /// the depth recorder.
     ///
     /// # Errors
     ///
     /// The rig has no depth camera, or a file cannot be made.
-    pub fn new(parts: &RigParts, storage: &Path, hil_sim: &Path) -> Result<Self> {
+    pub fn new(parts: &RigParts, phone: &SimPhone, hil_sim: &Path) -> Result<Self> {
+        let storage = phone.storage();
+        let teller = phone.tell_clock(&LinkBeliefs::PHONE_USB);
+        let teller = teller.context("no port for the phone's clock")?;
         let folder = tempfile::Builder::new()
             .prefix("simulated-rig-")
             .tempdir()
@@ -52,7 +58,7 @@ impl Table {
         std::fs::create_dir(&programs).context("no folder for the rig's programs")?;
         // Shells and TOML take it from wherever they are.
         let storage = std::path::absolute(storage).context("where is the phone's storage?")?;
-        write_adb(&programs.join("adb"), &storage)?;
+        write_adb(&programs.join("adb"), &storage, teller.port())?;
         let tool = hil_sim.with_file_name("smartdepthsync");
         if tool.is_file() {
             std::os::unix::fs::symlink(tool, programs.join("smartdepthsync"))
@@ -61,6 +67,7 @@ impl Table {
         Ok(Self {
             recorder,
             programs,
+            _teller: teller,
             _cable: cable,
             _folder: folder,
         })
@@ -103,8 +110,9 @@ impl Table {
 }
 
 /// Writes a program that does of `adb` what the host tool asks of it, with the simulated
-/// phone's storage as the phone's.
-fn write_adb(path: &Path, storage: &Path) -> Result<()> {
+/// phone's storage as the phone's, and its clock behind a port. Nothing is started on the
+/// phone: the port is there all the time.
+fn write_adb(path: &Path, storage: &Path, clock_port: u16) -> Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
     let script = format!(
         r#"#!/bin/sh
@@ -113,7 +121,14 @@ here() {{ printf %s "$1" | sed 's#/sdcard/DCIM/OpenCamera#{storage}#g'; }}
 case "$1" in
 devices) printf 'List of devices attached\nSIMULATED\tdevice\n' ;;
 -s) case "$3" in
-    shell) sh -c "$(here "$4")" | sed 's#{storage}#/sdcard/DCIM/OpenCamera#g' ;;
+    shell) case "$4" in
+        'getprop ro.product.cpu.abilist') echo arm64-v8a ;;
+        'chmod 755 /data/local/tmp/'*) ;;
+        /data/local/tmp/*) exec sleep 20 ;;
+        *) sh -c "$(here "$4")" | sed 's#{storage}#/sdcard/DCIM/OpenCamera#g' ;;
+        esac ;;
+    push) ;;
+    forward) [ "$4" = --remove ] || echo {clock_port} ;;
     pull) cp "$(here "$4")" "$5" ;;
     esac ;;
 esac

@@ -12,5 +12,6 @@ pub mod hostile;
 pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
+pub mod tracking;
 pub mod whole_chain;
 mod workers;

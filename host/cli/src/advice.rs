@@ -228,6 +228,12 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
         AdbError::NoDevice { .. } => {
             "connect the phone by USB with USB debugging switched on, and allow this computer on its screen; or `adb connect`"
         }
+        AdbError::SeveralDevices { .. } => {
+            "leave one phone connected, or follow none: `record --no-track`"
+        }
+        AdbError::NoAgent { .. } | AdbError::OtherAgent { .. } => {
+            "build everything together (`cargo xtask build`), or record with `--no-track`"
+        }
         AdbError::NotFound { .. } => {
             "the app may save elsewhere, or the files of the video be deleted: copy them by hand, and give their folder to `extract --phone`"
         }

@@ -270,20 +270,27 @@ fn drift_sigma_us_per_min(rate: Rate, frames: &Frames) -> f64 {
 /// is known to change.
 #[must_use]
 pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
+    let course = Course {
+        clock: alignment.clock,
+        change: alignment.change,
+    };
     let anchor = BoardSeconds(alignment.anchor.as_secs_f64());
-    let since = at.0 - anchor.0;
+    let offset_us = course.offset_sigma_at(at) * 1e6;
+    offset_us
+        .hypot(frames_sigma_us(alignment, at))
+        .hypot(course.bend(anchor, at) * 1e6)
+}
+
+/// The part of [`phase_sigma_us_at`] that is the phone's frames': the jitter of the one
+/// timestamp that the phone gave, and how many frames of an uncertain period lie between.
+pub(crate) fn frames_sigma_us(alignment: &Alignment, at: BoardSeconds) -> f64 {
+    let since = at.0 - alignment.anchor.as_secs_f64();
     // Sessions of before have neither.
     let jitter_ns = alignment.frame_jitter_ns.unwrap_or(FRAME_JITTER_NS);
     let reported_ns = || video_start_sigma_ns(jitter_ns);
     let sigma_ns = alignment.frame_period_sigma_ns.unwrap_or_else(reported_ns);
     let period_sigma = sigma_ns / alignment.frame_period_ns;
-    let course = Course {
-        clock: alignment.clock,
-        change: alignment.change,
-    };
-    phase_sigma_us(&course, at, jitter_ns)
-        .hypot(since * period_sigma * 1e6)
-        .hypot(course.bend(anchor, at) * 1e6)
+    (jitter_ns * 1e-3).hypot(since * period_sigma * 1e6)
 }
 
 /// The mean frame duration that the phone reports, where frames of the first 60 were lost

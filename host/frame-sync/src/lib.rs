@@ -6,10 +6,12 @@
 //! - [`twists`]: what the twists before a recording say of it together.
 //! - [`alignment`]: where the trigger must be sent so that both cameras expose at the
 //!   same instant.
+//! - [`steering`]: how the trigger's period follows the phone's clock while it is tracked.
 #![forbid(unsafe_code)]
 
 pub mod alignment;
 pub mod learn;
 pub mod rates;
+pub mod steering;
 pub mod train;
 pub mod twists;

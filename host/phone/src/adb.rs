@@ -10,6 +10,7 @@
 //! reached by `adb connect`); the files lie in [`FOLDER`], where the app saves unless told
 //! otherwise. For phones that only MTP reaches there is a [`copy_command`].
 
+use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -39,6 +40,29 @@ pub enum AdbError {
     NoDevice {
         /// The states of those that are not.
         states: Vec<String>,
+    },
+    /// It knows several, and nobody has said which one is meant.
+    #[error("`adb devices` lists several phones: {}", devices.join(", "))]
+    SeveralDevices {
+        /// Those that are ready.
+        devices: Vec<String>,
+    },
+    /// There is no agent for the phone's processor.
+    #[error(
+        "there is no smartdepthsync-phone-agent for a phone of {processors:?} beside this program"
+    )]
+    NoAgent {
+        /// As the phone says.
+        processors: String,
+    },
+    /// Another version of the agent answers.
+    #[error(
+        "the agent on the phone speaks version {found}, expected {}",
+        phone_agent::VERSION
+    )]
+    OtherAgent {
+        /// Its version.
+        found: u32,
     },
     /// No phone has the video.
     #[error("no file of frame timestamps in {FOLDER} of {} has the phase {}", devices.join(", "), phase.0)]
@@ -111,6 +135,15 @@ pub fn get_files_command(phase: PhoneNanos, folder: &Path, with_video: bool) -> 
     )
 }
 
+/// Whether an `adb` server runs on this computer; it is not started by asking.
+#[must_use]
+pub fn server_runs() -> bool {
+    let port = std::env::var("ANDROID_ADB_SERVER_PORT").ok();
+    let port = port.and_then(|port| port.parse().ok()).unwrap_or(5037);
+    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+    TcpStream::connect_timeout(&address, Duration::from_millis(200)).is_ok()
+}
+
 /// One file on the phone.
 #[derive(Debug, PartialEq, Eq)]
 struct Remote {
@@ -119,7 +152,7 @@ struct Remote {
 }
 
 /// The program, and when to give up.
-struct Adb<'a> {
+pub(crate) struct Adb<'a> {
     program: PathBuf,
     stop: &'a StopSignal,
 }
@@ -137,10 +170,7 @@ pub fn fetch(
     with_video: bool,
     stop: &StopSignal,
 ) -> Result<Vec<PathBuf>, AdbError> {
-    let adb = Adb {
-        program: files::program("adb").ok_or(AdbError::NoProgram)?,
-        stop,
-    };
+    let adb = Adb::find(stop)?;
     let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
     for device in &devices {
         let files = adb.files_of(device, phase, with_video)?;
@@ -159,16 +189,13 @@ pub fn fetch(
 ///
 /// There is no program or no phone, or it does not answer.
 pub fn wifi_address(stop: &StopSignal) -> Result<Option<String>, AdbError> {
-    let adb = Adb {
-        program: files::program("adb").ok_or(AdbError::NoProgram)?,
-        stop,
-    };
+    let adb = Adb::find(stop)?;
     let devices = ready(&adb.run(&["devices"], Some(PATIENCE))?)?;
     let [device] = devices.as_slice() else {
         return Ok(None);
     };
     let ask = "ip -4 -o addr show wlan0 2>/dev/null || true";
-    let list = adb.run(&["-s", device, "shell", ask], Some(PATIENCE))?;
+    let list = adb.shell(device, ask)?;
     Ok(address_in(&list))
 }
 
@@ -197,7 +224,47 @@ fn ready(list: &str) -> Result<Vec<String>, AdbError> {
         .collect())
 }
 
-impl Adb<'_> {
+impl<'a> Adb<'a> {
+    /// The program on the search path.
+    pub(crate) fn find(stop: &'a StopSignal) -> Result<Self, AdbError> {
+        let program = files::program("adb").ok_or(AdbError::NoProgram)?;
+        Ok(Self { program, stop })
+    }
+
+    pub(crate) fn program(&self) -> &Path {
+        &self.program
+    }
+
+    /// The one phone that is ready.
+    pub(crate) fn only_device(&self) -> Result<String, AdbError> {
+        let mut devices = ready(&self.run(&["devices"], Some(PATIENCE))?)?;
+        match devices.pop() {
+            Some(device) if devices.is_empty() => Ok(device),
+            last => {
+                devices.extend(last);
+                Err(AdbError::SeveralDevices { devices })
+            }
+        }
+    }
+
+    /// Runs a line in the phone's shell; gives what it prints.
+    pub(crate) fn shell(&self, device: &str, line: &str) -> Result<String, AdbError> {
+        self.run_for(device, &["shell", line])
+    }
+
+    /// Runs the program for a phone; gives what it prints.
+    pub(crate) fn run_for(&self, device: &str, what: &[&str]) -> Result<String, AdbError> {
+        self.run(&[&["-s", device], what].concat(), Some(PATIENCE))
+    }
+
+    pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {
+        AdbError::Io {
+            action: "run",
+            path: self.program.clone(),
+            source,
+        }
+    }
+
     /// The files of the video with this phase on a phone; none if it does not have it.
     fn files_of(
         &self,
@@ -209,7 +276,7 @@ impl Adb<'_> {
             "grep -lx {} {FOLDER}/*/*_timestamps.csv 2>/dev/null || true",
             phase.0
         );
-        let found = self.run(&["-s", device, "shell", &find], Some(PATIENCE))?;
+        let found = self.shell(device, &find)?;
         let Some(frames) = found.lines().map(str::trim).find(|line| is_plain(line)) else {
             return Ok(Vec::new());
         };
@@ -220,7 +287,7 @@ impl Adb<'_> {
             return Ok(Vec::new());
         };
         let list = format!("stat -c '%s %n' '{folder}'/* {FOLDER}/*.mp4 2>/dev/null || true");
-        let list = self.run(&["-s", device, "shell", &list], Some(PATIENCE))?;
+        let list = self.shell(device, &list)?;
         let wanted = |name: &str| match classify(name) {
             Some((Part::Video, of)) => with_video && of == video,
             Some((_, of)) => of == video,
@@ -266,11 +333,7 @@ impl Adb<'_> {
 
     /// Runs the program; gives what it prints.
     fn run(&self, arguments: &[&str], patience: Option<Duration>) -> Result<String, AdbError> {
-        let io = |source| AdbError::Io {
-            action: "run",
-            path: self.program.clone(),
-            source,
-        };
+        let io = |source| self.cannot_run(source);
         let failed = |reason: String| AdbError::Failed {
             command: arguments.join(" "),
             reason,

@@ -19,6 +19,7 @@
 //! synchronisation, so a slow network costs patience, never accuracy.
 
 pub mod adb;
+pub mod agent;
 pub mod answer;
 pub mod client;
 mod connection;

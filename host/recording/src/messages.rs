@@ -9,6 +9,7 @@
 
 pub mod camera;
 
+use protocol::{Period, TickDelta, Ticks};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -358,6 +359,63 @@ impl RosMessage for BoardRun {
     const DEFINITION: &'static str = "std_msgs/Header header\nuint32 epoch\nstring reset_cause\n\
         uint64 shift_ticks\nfloat64 shift_sigma_s\nuint64 last_ticks\n";
     const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
+}
+
+/// `smartdepthsync_msgs/msg/ClockExchange`: a clock was asked for its time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClockExchange {
+    /// Latest board time known then; `frame_id` is `board`, or the phone's name.
+    pub header: Header,
+    /// When it was asked, by the computer's clock, ns.
+    pub sent_ns: i64,
+    /// When the answer came, by the same.
+    pub received_ns: i64,
+    /// What the clock read in between, ns: the board's, or the phone's boot clock.
+    pub clock_ns: i64,
+    /// The phone's `CLOCK_MONOTONIC`, ns; 0 of the board.
+    pub monotonic_ns: i64,
+    /// Temperature of the phone's battery, °C; not a number where it is not known.
+    pub temperature: f64,
+}
+
+impl RosMessage for ClockExchange {
+    const TYPE: &'static str = "smartdepthsync_msgs/msg/ClockExchange";
+    const DEFINITION: &'static str = "std_msgs/Header header\nint64 sent_ns\n\
+        int64 received_ns\nint64 clock_ns\nint64 monotonic_ns\nfloat64 temperature\n";
+    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
+}
+
+/// `smartdepthsync_msgs/msg/TriggerPeriod`: the trigger has another period from an edge on,
+/// to stay on the phone's frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TriggerPeriod {
+    /// That edge's time.
+    pub header: Header,
+    /// Its tick; the edge is on the old grid and on the new one.
+    pub ticks: u64,
+    /// Its fraction, in 2⁻³² ticks.
+    pub fraction: u32,
+    /// The period from there on, in 2⁻³² ticks.
+    pub period_q32: u64,
+    /// By how much the grid was late on the phone's frames, µs.
+    pub phase_us: f64,
+    /// 1-sigma of it, µs.
+    pub phase_sigma_us: f64,
+}
+
+impl RosMessage for TriggerPeriod {
+    const TYPE: &'static str = "smartdepthsync_msgs/msg/TriggerPeriod";
+    const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 fraction\n\
+        uint64 period_q32\nfloat64 phase_us\nfloat64 phase_sigma_us\n";
+    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
+}
+
+impl TriggerPeriod {
+    /// How far a pulse is off this grid, in ticks.
+    #[must_use]
+    pub fn phase_error(&self, at: Ticks) -> TickDelta {
+        Period(self.period_q32).phase_error_of(Ticks(self.ticks), self.fraction, at)
+    }
 }
 
 /// `smartdepthsync_msgs/msg/LinkFrame`: one frame of the link as it came.

@@ -9,8 +9,8 @@ use protocol::{CaptureChannel, Edge, Ticks};
 use super::RecordingError;
 use super::diagnostics::diagnostics;
 use super::messages::{
-    BoardRun, Capture, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature, Time,
-    TimeReference,
+    BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature,
+    Time, TimeReference, TriggerPeriod,
 };
 use super::topic::{Item, Topic};
 use board::imu::Sample;
@@ -255,6 +255,47 @@ impl<O: Output> Publisher<O> {
                 shift_ticks: joint.shift,
                 shift_sigma_s: joint.sigma_s,
                 last_ticks: last.0,
+            }),
+        )
+    }
+
+    /// A clock was asked for its time: that of `name`, where `at` is the latest board time
+    /// known. Whatever header the message has is replaced.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn exchange(
+        &mut self,
+        at: Ticks,
+        name: &str,
+        exchange: ClockExchange,
+    ) -> Result<(), RecordingError> {
+        let header = header(at, name);
+        self.put(at, Item::Exchange(ClockExchange { header, ..exchange }))
+    }
+
+    /// The trigger has another period from an edge on, with the phase before it in µs and
+    /// its 1-sigma; `grid` is the edge's tick and fraction, and the period.
+    ///
+    /// # Errors
+    ///
+    /// As [`Publisher::imu`].
+    pub fn trigger_period(
+        &mut self,
+        grid: (Ticks, u32, protocol::Period),
+        (phase_us, phase_sigma_us): (f64, f64),
+    ) -> Result<(), RecordingError> {
+        let (edge, fraction, period) = grid;
+        self.put(
+            edge,
+            Item::Period(TriggerPeriod {
+                header: header(edge, "board"),
+                ticks: edge.0,
+                fraction,
+                period_q32: period.0,
+                phase_us,
+                phase_sigma_us,
             }),
         )
     }

@@ -65,6 +65,9 @@ pub struct SessionFile {
     /// of the phone that the trigger is aligned to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub phones: Vec<OtherPhone>,
+    /// How the phone's clock was followed while it recorded; nothing if it was not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tracking: Option<TrackInfo>,
     /// The recorded span of board time: from the arrival of the trigger on the
     /// phone's frames to the stop.
     pub recorded: Option<Span>,
@@ -245,6 +248,17 @@ pub struct Span {
     pub to: Ticks,
 }
 
+/// How the phone's clock was followed while it recorded.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrackInfo {
+    /// The phone, as `adb` names it.
+    pub device: String,
+    /// How often the trigger's period was set anew.
+    pub steps: u32,
+    /// How often the phone's clock was lost.
+    pub lost: u32,
+}
+
 /// The answer to `video_start`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Video {
@@ -395,6 +409,7 @@ impl SessionFile {
             alignment: None,
             runs: Vec::new(),
             phones: Vec::new(),
+            tracking: None,
             recorded: None,
             markers: Vec::new(),
             counts: StreamCounts::default(),

@@ -6,8 +6,8 @@
 //! asks for it.
 
 use super::messages::{
-    BoardRun, Capture, CdrError, ClockModel, DiagnosticArray, Imu, LinkFrame, Log, Pulse,
-    RosMessage as _, Temperature, TimeReference, from_cdr, to_cdr,
+    BoardRun, Capture, CdrError, ClockExchange, ClockModel, DiagnosticArray, Imu, LinkFrame, Log,
+    Pulse, RosMessage as _, Temperature, TimeReference, TriggerPeriod, from_cdr, to_cdr,
 };
 
 macro_rules! topics {
@@ -121,6 +121,10 @@ topics! {
     Run: BoardRun = "/session/board_run",
     /// The relation of the clocks of a further phone; `frame_id` says whose.
     PhoneClock: ClockModel = "/session/phone_clock_model",
+    /// Board and phone were asked for their time, while the phone's clock is followed.
+    Exchange: ClockExchange = "/session/clock_exchanges",
+    /// The trigger's period follows the phone's clock.
+    Period: TriggerPeriod = "/session/trigger_period",
 }
 
 impl Topic {
@@ -256,6 +260,20 @@ mod tests {
                 8,
                 "smartdepthsync_msgs/msg/ClockModel",
                 0x422d_4257,
+            ),
+            (
+                17,
+                "/session/clock_exchanges",
+                11,
+                "smartdepthsync_msgs/msg/ClockExchange",
+                0x0,
+            ),
+            (
+                18,
+                "/session/trigger_period",
+                12,
+                "smartdepthsync_msgs/msg/TriggerPeriod",
+                0x0,
             ),
         ];
         let expected = expected.map(|(id, topic, schema, name, hash)| {

@@ -8,6 +8,7 @@ use protocol::{Period, Ticks};
 use super::MAX_LISTED;
 use page::chart::Envelope;
 use recording::RecordingError;
+use recording::messages::TriggerPeriod;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 
@@ -28,6 +29,8 @@ pub(super) struct Curves {
     /// whether all tell one relation.
     pub(super) gnss: Option<Gnss>,
     pub(super) broken_off: bool,
+    /// The trigger's last change of its period.
+    followed: Option<TriggerPeriod>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -75,6 +78,7 @@ impl Curves {
                     envelope.add(x, rate);
                 }
             }
+            Item::Period(period) => self.followed = Some(period.clone()),
             Item::Temperature(value) => self.temperature.add(x, value.temperature),
             Item::Pulse(pulse) => {
                 if pulse.readback {
@@ -83,9 +87,12 @@ impl Curves {
                 if let (Some(alignment), Some(span)) = (session.alignment, session.recorded)
                     && (span.from..=span.to).contains(&at)
                 {
-                    let period = Period(alignment.period_q32);
-                    self.off_grid
-                        .add(x, period.phase_error(alignment.anchor, at).0 as f64);
+                    let holds = |period: &&TriggerPeriod| Ticks(period.ticks) <= at;
+                    let off = match self.followed.as_ref().filter(holds) {
+                        Some(period) => period.phase_error(at),
+                        None => Period(alignment.period_q32).phase_error(alignment.anchor, at),
+                    };
+                    self.off_grid.add(x, off.0 as f64);
                 }
             }
             Item::Output(pulse) => {

@@ -35,6 +35,7 @@ mod stream;
 mod swing;
 mod timestamps;
 mod track;
+pub mod tracker;
 
 pub use clock::{ClockRelation, Wander, WithSigma};
 pub use course::ClockCourse;

@@ -57,8 +57,16 @@ impl Finding {
 pub struct Grid {
     /// One edge.
     pub anchor: Ticks,
+    /// Its fraction, in 2⁻³² ticks.
+    pub fraction: u32,
     /// Distance of edges.
     pub period: Period,
+}
+
+impl Grid {
+    fn off(&self, at: Ticks) -> i64 {
+        self.period.phase_error_of(self.anchor, self.fraction, at).0
+    }
 }
 
 /// The board's counters when the watch began.
@@ -75,6 +83,8 @@ struct Baseline {
 #[derive(Debug)]
 pub struct Watch {
     grid: Grid,
+    /// The grid before this one, for pulses before its anchor.
+    before: Option<Grid>,
     next_number: Option<u64>,
     last_pulse: Ticks,
     pulses_away: bool,
@@ -92,6 +102,7 @@ impl Watch {
     pub const fn new(grid: Grid, now: Ticks) -> Self {
         Self {
             grid,
+            before: None,
             next_number: None,
             last_pulse: now,
             pulses_away: false,
@@ -107,6 +118,12 @@ impl Watch {
     #[must_use]
     pub const fn grid(&self) -> Grid {
         self.grid
+    }
+
+    /// From its anchor on the train is on another grid.
+    pub const fn follow(&mut self, grid: Grid) {
+        self.before = Some(self.grid);
+        self.grid = grid;
     }
 
     /// A pulse.
@@ -125,7 +142,11 @@ impl Watch {
         }
         self.next_number = Some(pulse.number.wrapping_add(1));
         self.last_pulse = pulse.at;
-        let off = self.grid.period.phase_error(self.grid.anchor, pulse.at).0;
+        let grid = match self.before {
+            Some(before) if pulse.at < self.grid.anchor => before,
+            _ => self.grid,
+        };
+        let off = grid.off(pulse.at);
         match (off != 0, self.off_grid) {
             (true, false) => findings.push(Finding::error(
                 "phase_off",
@@ -275,6 +296,7 @@ mod tests {
 
     const GRID: Grid = Grid {
         anchor: Ticks(1_000_000),
+        fraction: 0,
         period: Period::from_ticks(1_600_000),
     };
 

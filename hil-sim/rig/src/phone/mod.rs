@@ -20,6 +20,7 @@
 
 mod app;
 mod camera;
+mod clock_teller;
 mod config;
 mod files;
 mod java;
@@ -34,6 +35,7 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crate::flash_log::FlashSource;
+use crate::link_delay::LinkBeliefs;
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
@@ -45,6 +47,7 @@ use server::Link;
 
 pub use app::VideoTruth;
 pub use camera::FrameTimes;
+pub use clock_teller::ClockTeller;
 pub use config::{
     AppConfig, CameraConfig, PhoneConfig, SensorConfig, StorageAccess, StreamFaults, VideoMode,
 };
@@ -172,6 +175,15 @@ impl SimPhone {
     #[must_use]
     pub fn videos(&self) -> Vec<VideoTruth> {
         self.app.videos()
+    }
+
+    /// Tells on a port of its own what its clocks read, with the delays of such a link.
+    ///
+    /// # Errors
+    ///
+    /// There is no port.
+    pub fn tell_clock(&self, link: &LinkBeliefs) -> std::io::Result<ClockTeller> {
+        ClockTeller::start(Arc::clone(&self.app), link)
     }
 
     /// Whether it records a video.

@@ -9,6 +9,7 @@ pub(crate) mod hostile;
 pub(crate) mod lies;
 pub(crate) mod long_run;
 pub(crate) mod phone_faults;
+pub(crate) mod track_study;
 
 use std::path::{Path, PathBuf};
 

@@ -82,7 +82,7 @@ impl Stage {
         let mut text = rig.profile()?;
         let mut table = None;
         if let (Some(recorder), Some(phone)) = (&options.recorder, rig.phone()) {
-            let laid = Table::new(rig.parts(), phone.storage(), recorder)?;
+            let laid = Table::new(rig.parts(), phone, recorder)?;
             text += &laid.recorder();
             table = Some(laid);
         }

@@ -55,6 +55,7 @@ use smartdepthsync::record::live::Live;
 use smartdepthsync::record::operator::Operator;
 use smartdepthsync::record::phones::Phones;
 use smartdepthsync::record::rig::Rig as HostRig;
+use smartdepthsync::record::track::Track;
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
 use smartdepthsync::rig_profile::{Place, Source};
 use verify::watch::{Grid, Watch};
@@ -247,6 +248,7 @@ fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, Stri
             source: Source::Published,
         },
         link_patience: LINK_PATIENCE,
+        track: Track::Never,
         plain: true,
         yes: true,
         markers: Vec::new(),
@@ -322,6 +324,7 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
     host.observers.watch = Some(Watch::new(
         Grid {
             anchor: train.first,
+            fraction: 0,
             period,
         },
         train.first,

@@ -42,6 +42,7 @@ mod record_kill;
 mod record_outputs;
 mod record_phones;
 mod record_reset;
+mod record_track;
 mod several_sensors;
 mod strobes;
 mod support;

@@ -143,7 +143,8 @@ impl SerialLink {
 }
 
 /// Time since the program first asked for it: one clock for all links.
-fn program_time() -> Duration {
+#[must_use]
+pub fn program_time() -> Duration {
     static BEGAN: OnceLock<Instant> = OnceLock::new();
     BEGAN.get_or_init(Instant::now).elapsed()
 }

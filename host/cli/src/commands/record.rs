@@ -13,6 +13,7 @@ use crate::cli::Context;
 use crate::decimal::Decimal;
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::record::track::Track;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
 use phone::adb::get_files_command;
@@ -78,6 +79,14 @@ pub(crate) struct Args {
     /// Download the phone's video at the end
     #[arg(long)]
     fetch_video: bool,
+    /// Follow the phone's clock through adb while it records, so that the trigger stays on
+    /// its frames for hours; by itself where an adb server runs and has the phone. It is an
+    /// error if it cannot be
+    #[arg(long)]
+    track: bool,
+    /// Do not: nothing is started on the phone
+    #[arg(long, conflicts_with = "track")]
+    no_track: bool,
     #[command(flatten)]
     foxglove: FoxgloveArg,
 }
@@ -137,6 +146,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let options = Options {
         out: args.out.clone(),
         name: args.name.clone(),
+        track: match (args.track, args.no_track) {
+            (true, _) => Track::Always,
+            (_, true) => Track::Never,
+            _ => Track::IfThere,
+        },
         duration: args.duration.or(length),
         profile: place.clone(),
         link_patience: Duration::from_secs_f64(args.link_patience as f64 / f64::from(TICK_HZ)),

@@ -12,6 +12,7 @@ use super::operator::{Choice, Operator};
 use super::phones::{self, Phones};
 use super::preflight::{Checks, IMU_TIME, TRIGGER_TIME, firmware_version};
 use super::rig::Rig;
+use super::track;
 use super::{Connector, Options, Stop};
 use crate::advice::imu_scale;
 use crate::cli::Context;
@@ -43,6 +44,7 @@ pub(super) fn connect<'a>(
 ) -> Result<(Rig<'a>, Checks), Stop> {
     // It starts a program: the board is not to be kept waiting for that later.
     let checked = check_host(profile, options);
+    let tracking = track::start(options.track, profile, context)?;
     let asks = !options.yes && !context.global.json;
     let mut live = Live::open(context, !options.plain);
     live.length = options.duration;
@@ -83,6 +85,7 @@ pub(super) fn connect<'a>(
         options.link_patience,
     );
     let mut rig = Rig::new(context, profile, link, sides.phones, operator, journal);
+    rig.tracking = tracking;
     rig.journal.save()?;
     let text = format!("recording into {}", rig.journal.folder.display());
     rig.journal.info("connected", &text)?;

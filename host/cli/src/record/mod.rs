@@ -10,6 +10,7 @@
 //! closed in the same way: the phone's video is stopped, the depth recorder is
 //! asked to stop, the trigger is stopped, the files are finished.
 //!
+//! - [`track`]: the phone's clock, followed while it records.
 //! - [`link`], `resume`: the link to the board, and going on after it was lost or the
 //!   board was reset.
 //! - [`observers`]: who looks at its messages, such as the [watch](verify::watch).
@@ -32,6 +33,7 @@ mod resume;
 pub mod rig;
 mod rounds;
 mod steps;
+pub mod track;
 mod twist;
 mod video_watch;
 
@@ -69,6 +71,8 @@ pub struct Options {
     pub yes: bool,
     /// Marks to be set by themselves: ticks after the begin of the recording.
     pub markers: Vec<u64>,
+    /// Whether the phone's clock is to be followed.
+    pub track: track::Track,
     /// Twists before the recording.
     pub twists: u32,
     /// Between two of them, ticks of board time.

@@ -20,6 +20,7 @@ use super::operator::Operator;
 use super::phones::Phones;
 use super::resume::restart::{Pending, reset_ends_session};
 use super::rounds::Rounds;
+use super::track::{self, Tracking};
 use crate::cli::Context;
 use board::Event;
 use board::transport::LinkError;
@@ -48,6 +49,8 @@ pub struct Rig<'a> {
     /// Who looks at the board's messages.
     pub observers: Observers,
     pub(super) rounds: Rounds,
+    /// The phone's clock, if it is followed.
+    pub(super) tracking: Option<Tracking>,
     /// The trigger was started by this session.
     pub trigger_started: bool,
     /// The session is being closed: interrupts are no reason to stop any more.
@@ -77,6 +80,7 @@ impl<'a> Rig<'a> {
             journal,
             observers: Observers::default(),
             rounds: Rounds::new(),
+            tracking: None,
             trigger_started: false,
             closing: false,
             pending: None,
@@ -118,6 +122,9 @@ impl<'a> Rig<'a> {
                 Err(other) => return Err(other.into()),
             }
             wait = Duration::ZERO;
+        }
+        if let Some(tracking) = &mut self.tracking {
+            tracking.look(&mut self.link, &mut self.journal)?;
         }
         self.listen()?;
         let findings = std::mem::take(&mut self.observers.findings);
@@ -198,6 +205,7 @@ impl<'a> Rig<'a> {
                 let goes_on = self.observers.watch.is_some() || self.closing;
                 self.trigger_started = false;
                 self.begin_run()?;
+                track::give_up(self)?;
                 if !goes_on {
                     return Err(reset_ends_session(now).into());
                 }
@@ -210,9 +218,18 @@ impl<'a> Rig<'a> {
                 if let Ok(Reply::Ping(Pong { received, .. })) = answer.result {
                     let heard = self.link.board.now();
                     self.link.axis.answered(answer.id, heard, received);
+                    let at = self.link.axis.recorded(received);
+                    if let Some(tracking) = &mut self.tracking {
+                        tracking.answered(&mut self.journal, answer.id, heard, at)?;
+                    }
                 }
             }
-            Event::Expired { id } => self.link.axis.expired(id),
+            Event::Expired { id } => {
+                self.link.axis.expired(id);
+                if let Some(tracking) = &mut self.tracking {
+                    tracking.expired(id);
+                }
+            }
         }
         Ok(())
     }

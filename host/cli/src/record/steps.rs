@@ -11,6 +11,7 @@ use super::operator::Choice;
 use super::phones;
 use super::preflight::Checks;
 use super::rig::Rig;
+use super::track;
 use super::twist::first_twists;
 use super::{Options, Stop, seconds};
 use crate::arrival::PlannedArrival;
@@ -189,6 +190,7 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     rig.observers.watch = Some(Watch::new(
         Grid {
             anchor: alignment.anchor,
+            fraction: 0,
             period,
         },
         rig.now(),
@@ -207,6 +209,7 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     let text = format!("recording{how_long}; {keys}");
     rig.journal.info("recording", &text)?;
     rig.operator.forget_typed();
+    track::follow(rig);
     let bar = recording_bar(rig.context, options.duration);
     let mut due_twist_told = false;
     let mut due: Vec<u64> = options.markers.clone();
@@ -222,6 +225,9 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
             }
         }
         if let Err(stop) = rig.watch_videos() {
+            return Some(Err(stop));
+        }
+        if let Err(stop) = track::steer(rig) {
             return Some(Err(stop));
         }
         if !due_twist_told && is_twist_due(rig) {

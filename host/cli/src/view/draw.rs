@@ -400,6 +400,7 @@ mod tests {
                 phase_us: Some(0.0),
                 phase_sigma_us: Some(3.4),
                 twist_due: false,
+                tracked: None,
                 readback_ns: Some(83.0),
                 readback_missing: 0,
                 late: 0,

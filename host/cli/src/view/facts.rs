@@ -58,10 +58,16 @@ pub(super) fn trigger_lines(snapshot: &Snapshot) -> Vec<Line<'_>> {
         (Some(_), Some(sigma)) if trigger.twist_due => {
             (format!("+-{sigma:.0} us: time for a TWIST"), WARN)
         }
-        (Some(phase), Some(sigma)) => (
-            format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
-            if phase == 0.0 { GOOD } else { BAD },
-        ),
+        (Some(phase), Some(sigma)) => match &trigger.tracked {
+            Some(tracked) => (
+                format!("{phase:+.1} us +-{sigma:.1} us, {}", tracked.text()),
+                if tracked.holds { GOOD } else { WARN },
+            ),
+            None => (
+                format!("{phase:+.2} us off grid, +-{sigma:.1} us"),
+                if phase == 0.0 { GOOD } else { BAD },
+            ),
+        },
         _ => (String::from("not aligned yet"), Style::new()),
     };
     let readback = match (trigger.readback_ns, trigger.readback_missing) {

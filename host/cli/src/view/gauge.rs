@@ -8,6 +8,7 @@ use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainStat
 use super::{
     Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
 };
+use crate::record::track::Tracked;
 use board::imu::{Sample, Scale};
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};
@@ -86,6 +87,8 @@ pub(crate) struct Gauge {
     phones: Vec<OtherPhone>,
     /// 1-sigma of a phase above which a twist is due, µs.
     enough_us: Option<f64>,
+    /// The phase, where the phone's clock is followed.
+    pub(crate) tracked: Option<Tracked>,
 }
 
 /// Place of the lidar among the sensors.
@@ -315,7 +318,10 @@ impl Gauge {
     /// How well the phase is known by a time: its 1-sigma, µs, and whether that is less
     /// well than a twist must know it.
     pub(crate) fn phase_known(&self, alignment: &Alignment, now: BoardSeconds) -> (f64, bool) {
-        let sigma = phase_sigma_us_now(alignment, now, self.temperature);
+        let sigma = match self.tracked {
+            Some(tracked) => tracked.sigma_us,
+            None => phase_sigma_us_now(alignment, now, self.temperature),
+        };
         (sigma, self.enough_us.is_some_and(|enough| sigma > enough))
     }
 
@@ -333,7 +339,9 @@ impl Gauge {
             let off = Period(alignment.period_q32)
                 .phase_error(alignment.anchor, at)
                 .0;
-            trigger.phase_us = Some(off as f64 * 1e6 / f64::from(TICK_HZ));
+            let off_us = off as f64 * 1e6 / f64::from(TICK_HZ);
+            trigger.phase_us = Some(self.tracked.map_or(off_us, |tracked| tracked.phase_us));
+            trigger.tracked = self.tracked;
             let (sigma, twist_due) = self.phase_known(alignment, board_now);
             trigger.phase_sigma_us = Some(sigma);
             trigger.twist_due = twist_due;

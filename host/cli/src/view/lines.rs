@@ -43,6 +43,9 @@ pub(crate) fn line(snapshot: &Snapshot) -> String {
             ""
         };
         let _ = write!(line, " phase {phase:+.2} ± {sigma:.1} µs{due}");
+        if let Some(tracked) = &trigger.tracked {
+            let _ = write!(line, ", {}", tracked.text());
+        }
     }
     if let Some(clock) = &snapshot.clock {
         let _ = write!(line, "  clocks ± {:.1} µs", clock.sigma_us);

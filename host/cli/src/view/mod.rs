@@ -18,6 +18,7 @@ pub(crate) mod screen;
 
 use std::time::Duration;
 
+use crate::record::track::Tracked;
 use protocol::Ticks;
 use serde::Serialize;
 
@@ -83,6 +84,9 @@ pub(crate) struct Trigger {
     pub(crate) phase_sigma_us: Option<f64>,
     /// That is more than a twist may have: it is time for another.
     pub(crate) twist_due: bool,
+    /// The phase, where the phone's clock is followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) tracked: Option<Tracked>,
     /// From the edge to the wire, ns; nothing if it was not seen.
     pub(crate) readback_ns: Option<f64>,
     /// Pulses that the wire did not show.
@@ -277,6 +281,7 @@ pub(crate) fn todo_for(kind: &str) -> &'static str {
         "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
         "phone_lost" => "check the phone: app in the foreground, same network",
         "disk_nearly_full" => "free some space",
+        "track_lost" => "look after the phone's cable, or `adb devices`",
         "twist_due" => "stop, and record again when the phase matters",
         "twist_refused" => "twist again, faster, about all axes",
         _ => "see the recording's report",

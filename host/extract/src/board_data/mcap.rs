@@ -59,6 +59,8 @@ const fn is_of_use(topic: Topic) -> bool {
         | Topic::Status
         | Topic::Link
         | Topic::HostTime
+        | Topic::Exchange
+        | Topic::Period
         | Topic::Log => false,
     }
 }
@@ -378,6 +380,8 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
         | Item::Status(_)
         | Item::Link(_)
         | Item::HostTime(_)
+        | Item::Exchange(_)
+        | Item::Period(_)
         | Item::Log(_) => return,
     };
     out.push(decoded);

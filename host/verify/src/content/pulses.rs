@@ -3,7 +3,7 @@
 use protocol::{Period, Status, Ticks};
 
 use crate::{Findings, Grade, GridReport};
-use recording::messages::Pulse;
+use recording::messages::{Pulse, TriggerPeriod};
 use recording::session_file::{Alignment, SessionFile};
 
 /// The last pulse.
@@ -38,6 +38,8 @@ pub(super) struct Pulses {
     /// The shortest and the longest step on a grid that is not known, ticks.
     steps: Option<(u64, u64)>,
     grid: GridReport,
+    /// The last change of the period, and the one before it, which holds until then.
+    followed: [Option<TriggerPeriod>; 2],
 }
 
 impl Pulses {
@@ -53,7 +55,25 @@ impl Pulses {
             last: None,
             steps: None,
             grid: GridReport::default(),
+            followed: [None, None],
         }
+    }
+
+    /// The trigger has another period from an edge on.
+    pub(super) fn follow(&mut self, period: TriggerPeriod) {
+        let [last, before] = &mut self.followed;
+        *before = last.replace(period);
+    }
+
+    /// How far a pulse is off the grid, ticks.
+    fn off(&self, alignment: &Alignment, at: Ticks) -> u64 {
+        let holds = |period: &&TriggerPeriod| Ticks(period.ticks) <= at;
+        let followed = self.followed.iter().flatten().find(holds);
+        let off = match followed {
+            Some(period) => period.phase_error(at),
+            None => Period(alignment.period_q32).phase_error(alignment.anchor, at),
+        };
+        off.0.unsigned_abs()
     }
 
     /// Something is missing here: what follows is not compared with what was before.
@@ -65,6 +85,7 @@ impl Pulses {
     /// The board was reset: the alignment in the session file is of one run only.
     pub(super) fn begin_run(&mut self) {
         self.forget();
+        self.followed = [None, None];
         self.recorded_to = Some(Ticks(0));
     }
 
@@ -160,10 +181,7 @@ impl Pulses {
         if at < arrived || self.recorded_to.is_some_and(|to| at > to) {
             return;
         }
-        let off = Period(alignment.period_q32)
-            .phase_error(alignment.anchor, at)
-            .0
-            .unsigned_abs();
+        let off = self.off(&alignment, at);
         self.grid.checked += 1;
         if off != 0 {
             self.grid.off += 1;

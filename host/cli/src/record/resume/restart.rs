@@ -242,7 +242,17 @@ impl Rig<'_> {
             run.anchor = Some(anchor);
         }
         let period = grid.period;
-        self.observers.watch = Some(Watch::new(Grid { anchor, period }, anchor));
+        self.observers.watch = Some(Watch::new(
+            Grid {
+                anchor,
+                fraction: 0,
+                period,
+            },
+            anchor,
+        ));
+        // The period that was followed is not the alignment's.
+        self.journal
+            .write(|writer, _| writer.trigger_period((anchor, 0, period), (f64::NAN, f64::NAN)))?;
         let text = "the trigger runs on its former grid again";
         self.journal.info("trigger_restarted", text)?;
         self.journal.save()?;
@@ -278,6 +288,7 @@ mod tests {
     fn the_next_edge_is_on_the_grid_and_not_before() {
         let grid = Grid {
             anchor: Ticks(123_456_789),
+            fraction: 0,
             period: Period::from_picos(33_330_652_540).unwrap_or(Period::MIN),
         };
         for earliest in [0, 1_000, 123_456_789, 123_456_790, 9_876_543_210_123] {

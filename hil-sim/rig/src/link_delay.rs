@@ -1,0 +1,206 @@
+//! How long a question to a clock takes on its way, and the answer back.
+//!
+//! Each way takes the least that it can, some microseconds that scatter even then, often a
+//! body of waiting, and now and then a tail of milliseconds. What the least is differs
+//! between the two ways, wanders slowly, and steps: a screen goes off, a governor changes
+//! the clock of a processor, a hub wakes. Sometimes nothing is answered for seconds. All of
+//! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
+//! beliefs has a row for each.
+
+use crate::random::Random;
+
+/// What a link is like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinkBeliefs {
+    /// Median of the round trip, s.
+    pub median: (f64, f64),
+    /// How the shortest ways scatter, s.
+    pub jitter: (f64, f64),
+    /// What share of the median the shortest round trip is.
+    pub least: (f64, f64),
+    /// What share of it the way there is.
+    pub there: (f64, f64),
+    /// Share of ways that have a tail.
+    pub tailed: (f64, f64),
+    /// Length of a tail: where it begins, s; it ends at [`LinkBeliefs::LONGEST_TAIL`].
+    pub tail: (f64, f64),
+    /// Steps an hour.
+    pub steps: (f64, f64),
+    /// By what factor a step moves the least of a round trip, at most.
+    pub step: (f64, f64),
+    /// Silences an hour.
+    pub silences: (f64, f64),
+    /// How long one is, s.
+    pub silence: (f64, f64),
+    /// How far the least of a way wanders, in its jitter.
+    pub wander: (f64, f64),
+}
+
+impl LinkBeliefs {
+    /// The longest tail, s.
+    pub const LONGEST_TAIL: f64 = 0.08;
+
+    /// An agent on the phone by `adb` over USB.
+    pub const PHONE_USB: Self = Self {
+        median: (0.5e-3, 2e-3),
+        jitter: (5e-6, 50e-6),
+        least: (0.4, 0.9),
+        there: (0.3, 0.7),
+        tailed: (0.002, 0.03),
+        tail: (1e-3, 1e-2),
+        steps: (0.0, 8.0),
+        step: (1.05, 1.8),
+        silences: (0.0, 4.0),
+        silence: (1.0, 40.0),
+        wander: (0.0, 0.3),
+    };
+
+    /// The same over Wi-Fi.
+    pub const PHONE_WIFI: Self = Self {
+        median: (2e-3, 10e-3),
+        jitter: (50e-6, 250e-6),
+        tailed: (0.01, 0.1),
+        tail: (3e-3, 3e-2),
+        ..Self::PHONE_USB
+    };
+
+    /// The board by its serial port over USB: a link of full speed, whose pings share it
+    /// with its streams.
+    pub const BOARD_USB: Self = Self {
+        median: (0.3e-3, 1.5e-3),
+        steps: (0.0, 2.0),
+        silences: (0.0, 1.0),
+        silence: (0.5, 10.0),
+        ..Self::PHONE_USB
+    };
+}
+
+/// One link, drawn from what links may be like.
+#[derive(Clone, Debug)]
+pub struct Link {
+    random: Random,
+    /// Least time there and back, s.
+    least: [f64; 2],
+    jitter: f64,
+    /// Median and spread of the body of one way, s and of its logarithm.
+    body: (f64, f64),
+    waits: f64,
+    tailed: f64,
+    tail: f64,
+    /// Slow wander of each way: where it is, its 1-sigma, s, and its time, s.
+    wander: ([f64; 2], f64, f64),
+    /// Mean time between steps, and between silences, s.
+    between: (f64, f64),
+    step: (f64, f64),
+    silence: (f64, f64),
+    next_step: f64,
+    silent: (f64, f64),
+    at: f64,
+}
+
+fn even(random: &mut Random, (from, to): (f64, f64)) -> f64 {
+    random.uniform(from, to)
+}
+
+fn log(random: &mut Random, (from, to): (f64, f64)) -> f64 {
+    (even(random, (from.ln(), to.ln()))).exp()
+}
+
+/// How long until something happens that happens so often.
+fn waiting(random: &mut Random, between: f64) -> f64 {
+    -between * (1.0 - random.uniform(0.0, 1.0)).ln()
+}
+
+impl Link {
+    /// A link by its own stream of random numbers; time begins at 0.
+    #[must_use]
+    pub fn drawn(beliefs: &LinkBeliefs, mut random: Random) -> Self {
+        let r = &mut random;
+        let median = log(r, beliefs.median);
+        let least = median * even(r, beliefs.least);
+        let there = even(r, beliefs.there);
+        let jitter = log(r, beliefs.jitter);
+        let between = |per_hour: f64| 3_600.0 / per_hour.max(1e-6);
+        let between = (
+            between(even(r, beliefs.steps)),
+            between(even(r, beliefs.silences)),
+        );
+        let wander = jitter * even(r, beliefs.wander);
+        let mut link = Self {
+            least: [least * there, least * (1.0 - there)],
+            jitter,
+            body: ((median - least) / 2.0, even(r, (0.4, 1.0))),
+            waits: even(r, (0.5, 0.9)),
+            tailed: log(r, beliefs.tailed),
+            tail: log(r, beliefs.tail),
+            wander: ([0.0; 2], wander, log(r, (30.0, 600.0))),
+            between,
+            step: beliefs.step,
+            silence: beliefs.silence,
+            next_step: waiting(r, between.0),
+            silent: (0.0, 0.0),
+            at: 0.0,
+            random,
+        };
+        link.silent = link.next_silence(0.0);
+        link
+    }
+
+    fn next_silence(&mut self, after: f64) -> (f64, f64) {
+        let from = after + waiting(&mut self.random, self.between.1);
+        (from, from + log(&mut self.random, self.silence))
+    }
+
+    /// The way there and back of a question that is asked at this time, s; nothing if it
+    /// is not answered. Times do not go back.
+    pub fn ways(&mut self, at: f64) -> Option<[f64; 2]> {
+        while at >= self.next_step {
+            self.step();
+        }
+        while at >= self.silent.1 {
+            self.silent = self.next_silence(self.silent.1);
+        }
+        self.move_slowly(at);
+        let ways = [self.way(0), self.way(1)];
+        (at < self.silent.0).then_some(ways)
+    }
+
+    /// The least of both ways becomes another: of one, of the other or of both.
+    fn step(&mut self) {
+        let factor = log(&mut self.random, self.step);
+        let round = self.least[0] + self.least[1];
+        let longer = match self.random.chance(0.5) {
+            true => round * (factor - 1.0),
+            false => round * (1.0 / factor - 1.0),
+        };
+        let there = self.random.uniform(0.0, 1.0);
+        let by = [longer * there, longer * (1.0 - there)];
+        for (least, by) in self.least.iter_mut().zip(by) {
+            *least = (*least + by).max(2e-5);
+        }
+        self.next_step += waiting(&mut self.random, self.between.0);
+    }
+
+    fn move_slowly(&mut self, at: f64) {
+        let keep = (-(at - self.at).max(0.0) / self.wander.2).exp();
+        self.at = at;
+        for place in &mut self.wander.0 {
+            let fresh = (1.0 - keep * keep).sqrt() * self.random.normal();
+            *place = *place * keep + self.wander.1 * fresh;
+        }
+    }
+
+    fn way(&mut self, place: usize) -> f64 {
+        let r = &mut self.random;
+        let mut way = self.least[place] + self.wander.0[place] + self.jitter * r.normal().abs();
+        if r.chance(self.waits) {
+            way += self.body.0 * (self.body.1 * r.normal()).exp();
+        }
+        if r.chance(self.tailed) {
+            // Heavy: of Pareto's kind, α = 1.5.
+            let tail = self.tail * (1.0 - r.uniform(0.0, 1.0)).powf(-1.0 / 1.5);
+            way += tail.min(LinkBeliefs::LONGEST_TAIL);
+        }
+        way.max(1e-5)
+    }
+}

@@ -1,0 +1,119 @@
+//! What the phone's clocks read, told on a port as our program on a phone tells it, with the
+//! delays of a link on the way.
+//!
+//! It stands for the program, for `adb`'s forwarding and for the cable: how long the way
+//! there and back takes is drawn from what links may be like, in true time.
+
+use std::io::{Read as _, Write as _};
+use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use phone_agent::{Answer, QUESTION, read_question};
+
+use super::app::App;
+use crate::link_delay::{Link, LinkBeliefs};
+use crate::oscillator::TrueTime;
+use crate::random::Stream;
+use stm32f4_sim::time::UNITS_PER_SECOND;
+
+/// Tells the clocks until it is dropped.
+#[derive(Debug)]
+pub struct ClockTeller {
+    port: u16,
+    stop: Arc<AtomicBool>,
+    open: Arc<Mutex<Option<TcpStream>>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl ClockTeller {
+    pub(super) fn start(app: Arc<App>, beliefs: &LinkBeliefs) -> std::io::Result<Self> {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+        let port = listener.local_addr()?.port();
+        let stop = Arc::new(AtomicBool::new(false));
+        let open = Arc::new(Mutex::new(None));
+        let link = Link::drawn(beliefs, app.config.seed.stream(Stream::PhoneLink));
+        let thread = {
+            let (stop, open) = (Arc::clone(&stop), Arc::clone(&open));
+            std::thread::spawn(move || serve(&listener, &app, link, &stop, &open))
+        };
+        Ok(Self {
+            port,
+            stop,
+            open,
+            thread: Some(thread),
+        })
+    }
+
+    /// Its port of 127.0.0.1.
+    #[must_use]
+    pub const fn port(&self) -> u16 {
+        self.port
+    }
+}
+
+impl Drop for ClockTeller {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::SeqCst);
+        if let Some(stream) = &*self.open.lock().unwrap_or_else(PoisonError::into_inner) {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+        // Whoever waits for a connection gets one.
+        let _ = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port));
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn serve(
+    listener: &TcpListener,
+    app: &App,
+    mut link: Link,
+    stop: &AtomicBool,
+    open: &Mutex<Option<TcpStream>>,
+) {
+    for stream in listener.incoming() {
+        if stop.load(Ordering::SeqCst) {
+            return;
+        }
+        let Ok(stream) = stream else { continue };
+        *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
+        // A host that has gone is no reason to end.
+        let _ = answer(stream, app, &mut link);
+    }
+}
+
+/// Answers until the host is gone, or the rig has stopped.
+fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    let clock = &app.clock;
+    loop {
+        let mut question = [0; QUESTION];
+        stream.read_exact(&mut question)?;
+        let Ok(nonce) = read_question(&question) else {
+            return Ok(());
+        };
+        let asked = clock.now();
+        let Some([there, back]) = link.ways(asked.as_secs_f64()) else {
+            continue;
+        };
+        let later = |from: TrueTime, by: f64| {
+            let units = (by * UNITS_PER_SECOND as f64) as u64;
+            TrueTime::from_units(from.units().saturating_add(units))
+        };
+        let read_at = later(asked, there);
+        if clock.wait_until(later(read_at, back)).is_err() {
+            return Ok(());
+        }
+        let now_ns = app.oscillator.nanos_at(read_at);
+        let answer = Answer {
+            nonce,
+            boot_ns: now_ns,
+            monotonic_ns: now_ns,
+            temperature: Some(314),
+        };
+        stream.write_all(&answer.bytes())?;
+    }
+}

@@ -1,0 +1,359 @@
+//! The phone's clock while it records, and the trigger's period that follows it.
+//!
+//! A program of ours on the phone ([`phone::agent`]) and the board are asked for their time
+//! many times a second. What they answer goes into the recording and to the tracker
+//! ([`twist_sync::tracker`]), which knows the clocks' offset from the twist and follows its
+//! change. While the recording runs, the trigger's period follows ([`frame_sync::steering`]).
+//!
+//! Where the phone is not heard any more, or the board is reset, the period stays as it is:
+//! what a session without all this does. That is told, and marked in the recording.
+
+use std::time::Duration;
+
+use phone::agent::Agent;
+use phone::client::StopSignal;
+use protocol::{Output, Ticks};
+use serde::Serialize;
+use twist_sync::tracker::{Asked, Exchange, Tracker};
+
+use super::Stop;
+use super::journal::Journal;
+use super::link::BoardLink;
+use super::rig::Rig;
+use super::steps::mark;
+use crate::cli::Context;
+use crate::outcome::Failure;
+use board::Board;
+use board::transport::serial::program_time;
+use frame_sync::steering::{Link, STEP_EVERY_S, Steering, has_lock};
+use recording::messages::{ClockExchange, Header};
+use recording::profile::Profile;
+use recording::session_file::TrackInfo;
+use recording::writer::Severity;
+use timebase::ClockModel;
+use verify::watch::Grid;
+
+/// The board is asked so often.
+const ASK_EVERY: Duration = Duration::from_millis(40);
+
+/// Whether the phone's clock is to be followed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Track {
+    /// Where an `adb` server runs and has a phone.
+    #[default]
+    IfThere,
+    /// It is an error if it cannot be.
+    Always,
+    /// Never.
+    Never,
+}
+
+/// What the live view shows of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct Tracked {
+    /// By how much the trigger is late on the phone's frames, µs, and the 1-sigma.
+    pub(crate) phase_us: f64,
+    /// 1-sigma of it, µs.
+    pub(crate) sigma_us: f64,
+    /// Temperature of the phone's battery, °C.
+    pub(crate) temperature: Option<f64>,
+    /// Whether both clocks are heard.
+    pub(crate) holds: bool,
+}
+
+impl Tracked {
+    /// Whether the lock holds, and the phone's temperature.
+    pub(crate) fn text(&self) -> String {
+        let lock = if self.holds { "locked" } else { "LOCK LOST" };
+        let celsius = self.temperature;
+        celsius.map_or(lock.to_owned(), |celsius| {
+            format!("{lock}, phone {celsius:.1} °C")
+        })
+    }
+}
+
+/// The clocks as they are followed.
+pub(super) struct Tracking {
+    agent: Agent,
+    link: Link,
+    phone: String,
+    tracker: Tracker,
+    /// The question to the board, and when it was asked.
+    asked: Option<(u32, Duration)>,
+    last_asked: Duration,
+    /// What the tracker was told of the clocks.
+    known: Option<ClockModel>,
+    temperature: Option<f64>,
+    following: Option<Following>,
+}
+
+/// The trigger on the phone's frames.
+struct Following {
+    steering: Steering,
+    stepped: Duration,
+    is_lost: bool,
+}
+
+/// Starts the program on the phone, if that is wanted and can be.
+///
+/// # Errors
+///
+/// It is wanted in any case, and cannot be.
+pub(super) fn start(
+    track: Track,
+    profile: &Profile,
+    context: &Context,
+) -> Result<Option<Tracking>, Failure> {
+    let is_wanted = match track {
+        Track::Never => false,
+        Track::Always => true,
+        Track::IfThere => profile.phones.is_empty() && phone::adb::server_runs(),
+    };
+    if !is_wanted {
+        return Ok(None);
+    }
+    let interrupt = context.interrupt.clone();
+    let stop = StopSignal::new(move || interrupt.requested());
+    let agent = match Agent::start(program_time, &stop) {
+        Ok(agent) => agent,
+        Err(error) if track == Track::IfThere => {
+            context.say(format!("the phone's clock is not followed: {error}"));
+            return Ok(None);
+        }
+        Err(error) => return Err(phone::PhoneError::from(error).into()),
+    };
+    let link = match agent.is_by_network() {
+        true => Link::Network,
+        false => Link::Usb,
+    };
+    context.say(format!("the clock of phone {} is followed", agent.device()));
+    Ok(Some(Tracking {
+        agent,
+        link,
+        phone: profile.phone.name.clone(),
+        tracker: Tracker::new(),
+        asked: None,
+        last_asked: Duration::ZERO,
+        known: None,
+        temperature: None,
+        following: None,
+    }))
+}
+
+impl Tracking {
+    /// Takes what the phone has answered, asks the board if it is time to, and learns what
+    /// twists say. Never waits.
+    pub(super) fn look(
+        &mut self,
+        board: &mut BoardLink<'_>,
+        journal: &mut Journal<'_>,
+    ) -> Result<(), Stop> {
+        let exchanges: Vec<_> = self.agent.exchanges().collect();
+        for exchange in exchanges {
+            let answer = exchange.answer;
+            let tenths = answer.temperature.map(f64::from);
+            self.temperature = tenths.map(|tenths| tenths / 10.0);
+            self.take(
+                journal,
+                Asked::B,
+                (exchange.sent, exchange.received),
+                (answer.boot_ns, answer.monotonic_ns),
+            )?;
+        }
+        let now = board.board.now();
+        if self.asked.is_none() && now.saturating_sub(self.last_asked) >= ASK_EVERY {
+            self.asked = Some((board.board.ask_time(), now));
+            self.last_asked = now;
+        }
+        if let Some(clock) = journal
+            .file
+            .clock
+            .filter(|clock| self.known != Some(*clock))
+            && self.tracker.know(&clock.into())
+        {
+            self.known = Some(clock);
+        }
+        journal.live.gauge.tracked = self.tracked(now, journal.now);
+        Ok(())
+    }
+
+    /// The board has answered; its time is a recorded one.
+    pub(super) fn answered(
+        &mut self,
+        journal: &mut Journal<'_>,
+        id: u32,
+        now: Duration,
+        at: Ticks,
+    ) -> Result<(), Stop> {
+        let Some((_, sent)) = self.asked.take_if(|(asked, _)| *asked == id) else {
+            return Ok(());
+        };
+        let nanos = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
+        self.take(journal, Asked::A, (sent, now), (nanos, 0))
+    }
+
+    /// No answer to this question will come.
+    pub(super) fn expired(&mut self, id: u32) {
+        self.asked.take_if(|(asked, _)| *asked == id);
+    }
+
+    fn take(
+        &mut self,
+        journal: &mut Journal<'_>,
+        asked: Asked,
+        (sent, received): (Duration, Duration),
+        (clock_ns, monotonic_ns): (i64, i64),
+    ) -> Result<(), Stop> {
+        self.tracker.take(
+            asked,
+            Exchange {
+                sent: sent.as_secs_f64(),
+                received: received.as_secs_f64(),
+                stamp: timebase::PhoneNanos(clock_ns).seconds().0,
+            },
+        );
+        let nanos = |time: Duration| i64::try_from(time.as_nanos()).unwrap_or(i64::MAX);
+        let (name, temperature) = match asked {
+            Asked::A => ("board", None),
+            Asked::B => (self.phone.as_str(), self.temperature),
+        };
+        journal.write(|writer, at| {
+            let exchange = ClockExchange {
+                header: Header::default(),
+                sent_ns: nanos(sent),
+                received_ns: nanos(received),
+                clock_ns,
+                monotonic_ns,
+                temperature: temperature.unwrap_or(f64::NAN),
+            };
+            writer.exchange(at, name, exchange)
+        })
+    }
+
+    /// The relation of the clocks now, once a twist has been told.
+    fn relation(&self, now: Duration) -> Option<ClockModel> {
+        self.known?;
+        let relation = self.tracker.relation_at(now.as_secs_f64())?;
+        Some(relation.into())
+    }
+
+    fn tracked(&self, now: Duration, board_now: Ticks) -> Option<Tracked> {
+        let following = self.following.as_ref()?;
+        let relation = self.relation(now)?;
+        let steering = &following.steering;
+        Some(Tracked {
+            phase_us: steering.phase_s(&relation, board_now) * 1e6,
+            sigma_us: steering.phase_sigma_us(&relation, board_now.into()),
+            temperature: self.temperature,
+            holds: !following.is_lost,
+        })
+    }
+}
+
+/// From here on the period follows: the trigger is on its grid.
+pub(super) fn follow(rig: &mut Rig<'_>) {
+    let now = rig.link.board.now();
+    let ratio = rig.profile.frame_ratio();
+    if let (Some(tracking), Some(alignment)) = (&mut rig.tracking, &rig.journal.file.alignment) {
+        rig.journal.file.tracking = Some(TrackInfo {
+            device: tracking.agent.device().to_owned(),
+            steps: 0,
+            lost: 0,
+        });
+        tracking.following = Some(Following {
+            steering: Steering::new(alignment, ratio),
+            stepped: now,
+            is_lost: false,
+        });
+    }
+}
+
+/// Sets another period, if it is time to and the clocks are known; tells if they are not any
+/// more, and if they are again.
+pub(super) fn steer(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    let now = rig.link.board.now();
+    let board_now = rig.now();
+    let Some(tracking) = &mut rig.tracking else {
+        return Ok(());
+    };
+    let relation = tracking.relation(now);
+    let holds = has_lock(&tracking.tracker, tracking.link, now.as_secs_f64()) && relation.is_some();
+    let Some(following) = &mut tracking.following else {
+        return Ok(());
+    };
+    if holds == following.is_lost {
+        following.is_lost = !holds;
+        tell_lock(rig, holds)?;
+        return Ok(());
+    }
+    let since_s = now.saturating_sub(following.stepped).as_secs_f64();
+    let Some(relation) = relation.filter(|_| holds && since_s >= STEP_EVERY_S) else {
+        return Ok(());
+    };
+    following.stepped = now;
+    let steering = &following.steering;
+    let phase_us = steering.phase_s(&relation, board_now) * 1e6;
+    let sigma_us = steering.phase_sigma_us(&relation, board_now.into());
+    let Some(period) = steering.wanted(&relation, board_now, since_s) else {
+        return Ok(());
+    };
+    let status = rig.call(|board: &mut Board| board.set_period(Output::Camera, period))?;
+    let edge = rig.link.axis.recorded(status.next_edge);
+    let fraction = status.next_fraction;
+    if let Some(following) = rig.tracking.as_mut().and_then(|t| t.following.as_mut()) {
+        following.steering.follow(edge, fraction, period);
+    }
+    if let Some(watch) = &mut rig.observers.watch {
+        watch.follow(Grid {
+            anchor: edge,
+            fraction,
+            period,
+        });
+    }
+    if let Some(info) = &mut rig.journal.file.tracking {
+        info.steps += 1;
+    }
+    rig.journal
+        .write(|writer, _| writer.trigger_period((edge, fraction, period), (phase_us, sigma_us)))
+}
+
+/// The lock was lost, or is there again.
+fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
+    let now = rig.now();
+    if holds {
+        mark(
+            &mut rig.journal,
+            now,
+            Some(String::from("phone's clock heard again")),
+        )?;
+        return rig
+            .journal
+            .info("track_back", "the phone's clock is followed again");
+    }
+    if let Some(info) = &mut rig.journal.file.tracking {
+        info.lost += 1;
+    }
+    mark(
+        &mut rig.journal,
+        now,
+        Some(String::from("phone's clock lost")),
+    )?;
+    let text = "the phone's clock is not heard any more: the trigger's period stays, and the \
+                phase drifts as without tracking; look after its cable, or `adb devices`";
+    rig.journal.live.gauge.warning("track_lost", text);
+    rig.journal.tell(Severity::Warning, "track_lost", text)
+}
+
+/// The board was reset: its time goes on by the computer's clock, which the tracker's
+/// offset does not.
+pub(super) fn give_up(rig: &mut Rig<'_>) -> Result<(), Stop> {
+    rig.journal.live.gauge.tracked = None;
+    match rig.tracking.take() {
+        None => Ok(()),
+        Some(_) => rig.journal.tell(
+            Severity::Warning,
+            "track_ended",
+            "the board was reset: the phone's clock is not followed from here on",
+        ),
+    }
+}

@@ -1,0 +1,170 @@
+//! How the trigger follows the phone's clock while it is watched.
+//!
+//! After the alignment the grid of the trigger has one period for ever, and drifts as far
+//! as the rate of the clocks was wrong or changes. Where the relation of the clocks is
+//! tracked ([`twist_sync::tracker`]), the period follows instead:
+//!
+//! ```text
+//! wanted, phone's time   w(n) = phone(anchor) + n · frame period
+//! phase                  φ    = phone(edge n) − w(n)              by the tracked relation
+//! next period            p    = frame period / (1 + rate) · (1 − φ / CATCH_UP_S)
+//! ```
+//!
+//! A step is another period from an edge on that is on the old grid and on the new one: no
+//! jump of the phase. It is bounded in ppm a second and in ppm of the alignment's period, so
+//! that whatever the tracker believes, the depth camera never sees more than that.
+//!
+//! What a frame's period is in the phone's time, nothing here learns: 1 ppb of it is 3.6 µs
+//! an hour.
+
+use protocol::{Period, TICK_HZ, Ticks};
+use timebase::{BoardSeconds, ClockModel, PhoneSeconds};
+use twist_sync::tracker::{Asked, Tracker};
+
+use crate::alignment::frames_sigma_us;
+use recording::session_file::Alignment;
+
+/// A phase is brought back within about so long, s.
+const CATCH_UP_S: f64 = 10.0;
+
+/// The period changes by no more in a second, of itself. A crystal that warms up by 5 ppm in
+/// ten minutes moves by 0.04 ppm a second at most.
+pub const MOST_A_SECOND: f64 = 0.2e-6;
+
+/// And is never farther from the alignment's, of itself.
+pub const MOST_AWAY: f64 = 50e-6;
+
+/// The period follows so often, s.
+pub const STEP_EVERY_S: f64 = 2.0;
+
+/// How a phone is reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// By a cable.
+    Usb,
+    /// Through a network.
+    Network,
+}
+
+impl Link {
+    /// After so long without an exchange the phone's clock counts as lost, s.
+    #[must_use]
+    pub const fn patience_s(self) -> f64 {
+        match self {
+            Self::Usb => 6.0,
+            Self::Network => 20.0,
+        }
+    }
+}
+
+/// Whether both clocks were heard lately, at a time of the computer.
+#[must_use]
+pub fn has_lock(tracker: &Tracker, link: Link, computer: f64) -> bool {
+    [Asked::A, Asked::B].into_iter().all(|clock| {
+        let last = tracker.last_of(clock);
+        last.is_some_and(|last| computer - last <= link.patience_s())
+    })
+}
+
+/// 2⁻³² ticks to a tick.
+const Q32: f64 = 4_294_967_296.0;
+
+/// Fraction bits of positions.
+const FRACTION_BITS: u32 = 32;
+
+/// The trigger's grid, and where the phone's frames are.
+#[derive(Clone, Debug)]
+pub struct Steering {
+    alignment: Alignment,
+    /// Phone's time at the alignment's anchor.
+    begin: PhoneSeconds,
+    /// Phone's time from one wanted edge to the next, s.
+    frame_s: f64,
+    /// An edge of the grid: its number from the anchor, and where it is, in 2⁻³² ticks.
+    edge: (u64, u128),
+    period: Period,
+}
+
+impl Steering {
+    /// From an alignment on; `ratio` phone frames to a depth frame.
+    #[must_use]
+    pub fn new(alignment: &Alignment, ratio: u32) -> Self {
+        let anchor = alignment.anchor;
+        Self {
+            alignment: *alignment,
+            begin: alignment.clock.to_phone(anchor.into()),
+            frame_s: alignment.frame_period_ns * 1e-9 * f64::from(ratio),
+            edge: (0, u128::from(anchor.0) << FRACTION_BITS),
+            period: Period(alignment.period_q32),
+        }
+    }
+
+    /// The first edge of the grid that is not before a time: its number from the anchor, and
+    /// where it is, in 2⁻³² ticks.
+    #[must_use]
+    pub fn edge_from(&self, at: Ticks) -> (u64, u128) {
+        let (number, position) = self.edge;
+        let away = (u128::from(at.0) << FRACTION_BITS).saturating_sub(position);
+        let count = away.div_ceil(u128::from(self.period.0.max(1)));
+        let count = u64::try_from(count).unwrap_or(u64::MAX);
+        let moved = u128::from(count) * u128::from(self.period.0);
+        (number.saturating_add(count), position + moved)
+    }
+
+    /// By how much the grid is late on the phone's frames at a time, s, by a relation of the
+    /// clocks.
+    #[must_use]
+    pub fn phase_s(&self, clock: &ClockModel, at: Ticks) -> f64 {
+        self.phase_of(clock, self.edge_from(at))
+    }
+
+    fn phase_of(&self, clock: &ClockModel, (number, position): (u64, u128)) -> f64 {
+        let ticks = position as f64 / Q32;
+        let at = clock.to_phone(BoardSeconds(ticks / f64::from(TICK_HZ)));
+        (at.0 - self.begin.0) - number as f64 * self.frame_s
+    }
+
+    /// 1-sigma of the phase at a time, µs, by a relation that is tracked: that of its offset,
+    /// of the first frame's time, and of the frame period since.
+    #[must_use]
+    pub fn phase_sigma_us(&self, clock: &ClockModel, at: BoardSeconds) -> f64 {
+        let offset_us = clock.offset_at(at).sigma * 1e6;
+        offset_us.hypot(frames_sigma_us(&self.alignment, at))
+    }
+
+    /// The period that is followed now.
+    #[must_use]
+    pub const fn period(&self) -> Period {
+        self.period
+    }
+
+    /// The period from now on, `since_s` seconds after the last one was set; nothing if it
+    /// stays.
+    #[must_use]
+    pub fn wanted(&self, clock: &ClockModel, at: Ticks, since_s: f64) -> Option<Period> {
+        let phase = self.phase_s(clock, at);
+        let aligned = self.alignment.period_q32 as f64;
+        let ticks = self.frame_s / (1.0 + clock.skew) * f64::from(TICK_HZ);
+        let wanted = ticks * Q32 * (1.0 - phase / CATCH_UP_S);
+        let now = self.period.0 as f64;
+        let most = MOST_A_SECOND * since_s.clamp(0.0, CATCH_UP_S) * aligned;
+        let wanted = wanted.clamp(now - most, now + most);
+        let away = MOST_AWAY * aligned;
+        let wanted = wanted.clamp(aligned - away, aligned + away);
+        let period = Period(wanted.round() as u64);
+        let changes = wanted.is_finite() && period != self.period && period.in_bounds();
+        changes.then_some(period)
+    }
+
+    /// The board has this period from an edge on, which is on the old grid too; its fraction
+    /// is in 2⁻³² ticks.
+    pub fn follow(&mut self, edge: Ticks, fraction: u32, period: Period) {
+        let position = (u128::from(edge.0) << FRACTION_BITS) | u128::from(fraction);
+        let (number, before) = self.edge;
+        let old = u128::from(self.period.0.max(1));
+        let count = (position.saturating_sub(before) + old / 2) / old;
+        let count = u64::try_from(count).unwrap_or(u64::MAX);
+        self.edge = (number.saturating_add(count), position);
+        self.period = period;
+    }
+}

@@ -1,0 +1,272 @@
+//! Linux' system calls, where the program begins, and where it ends.
+//!
+//! The numbers are those of `include/uapi/asm-generic/unistd.h` (aarch64) and
+//! `arch/arm/tools/syscall.tbl` (ARM EABI) of Linux; the constants those of its
+//! `socket.h`, `fcntl.h`, `poll.h` and `time.h`, which are the same on both.
+#![allow(unsafe_code)]
+
+use core::arch::{asm, global_asm};
+use core::ffi::CStr;
+
+use crate::agent;
+
+#[cfg(target_arch = "aarch64")]
+mod number {
+    pub(super) const UNLINKAT: usize = 35;
+    pub(super) const OPENAT: usize = 56;
+    pub(super) const CLOSE: usize = 57;
+    pub(super) const READ: usize = 63;
+    pub(super) const PPOLL: usize = 73;
+    pub(super) const EXIT_GROUP: usize = 94;
+    pub(super) const CLOCK_GETTIME: usize = 113;
+    pub(super) const SOCKET: usize = 198;
+    pub(super) const BIND: usize = 200;
+    pub(super) const LISTEN: usize = 201;
+    pub(super) const SENDTO: usize = 206;
+    pub(super) const RECVFROM: usize = 207;
+    pub(super) const ACCEPT4: usize = 242;
+}
+
+#[cfg(target_arch = "arm")]
+mod number {
+    pub(super) const READ: usize = 3;
+    pub(super) const CLOSE: usize = 6;
+    pub(super) const EXIT_GROUP: usize = 248;
+    pub(super) const CLOCK_GETTIME: usize = 263;
+    pub(super) const SOCKET: usize = 281;
+    pub(super) const BIND: usize = 282;
+    pub(super) const LISTEN: usize = 284;
+    pub(super) const SENDTO: usize = 290;
+    pub(super) const RECVFROM: usize = 292;
+    pub(super) const OPENAT: usize = 322;
+    pub(super) const UNLINKAT: usize = 328;
+    pub(super) const PPOLL: usize = 336;
+    pub(super) const ACCEPT4: usize = 366;
+}
+
+// The stack pointer at the begin is that of argc and argv.
+#[cfg(target_arch = "aarch64")]
+global_asm!(".globl _start", "_start:", "mov x0, sp", "b {begin}", begin = sym begin);
+#[cfg(target_arch = "arm")]
+global_asm!(
+    ".globl _start",
+    "_start:",
+    "mov r0, sp",
+    "bic sp, sp, #7",
+    "b {begin}",
+    begin = sym begin
+);
+
+/// A system call with up to six arguments; an error is a small negative number.
+fn call(number: usize, arguments: [usize; 6]) -> isize {
+    let [a, b, c, d, e, f] = arguments;
+    let result: isize;
+    #[cfg(target_arch = "aarch64")]
+    // SAFETY: the kernel reads and writes only what the arguments point to, which the
+    // functions below own or borrow for the call; it keeps all other registers.
+    unsafe {
+        asm!(
+            "svc #0",
+            in("x8") number,
+            inlateout("x0") a => result,
+            in("x1") b, in("x2") c, in("x3") d, in("x4") e, in("x5") f,
+            options(nostack),
+        );
+    }
+    #[cfg(target_arch = "arm")]
+    // SAFETY: as above.
+    unsafe {
+        asm!(
+            "svc #0",
+            in("r7") number,
+            inlateout("r0") a => result,
+            in("r1") b, in("r2") c, in("r3") d, in("r4") e, in("r5") f,
+            options(nostack),
+        );
+    }
+    result
+}
+
+/// `AT_FDCWD`: paths are what they are.
+const HERE: usize = -100_isize as usize;
+
+const AF_UNIX: u16 = 1;
+const SOCK_STREAM: usize = 1;
+const SOCK_CLOEXEC: usize = 0o2_000_000;
+const MSG_NOSIGNAL: usize = 0x4000;
+const POLLIN: i16 = 1;
+
+/// `time_t`, `long` and sizes of the kernel's interface are a register wide on both.
+#[repr(C)]
+struct TimeSpec {
+    seconds: isize,
+    nanos: isize,
+}
+
+#[repr(C)]
+struct PollFd {
+    file: i32,
+    events: i16,
+    found: i16,
+}
+
+/// `struct sockaddr_un`.
+#[repr(C)]
+struct Address {
+    family: u16,
+    path: [u8; 108],
+}
+
+/// A clock of the kernel.
+#[derive(Clone, Copy)]
+pub(crate) enum Clock {
+    /// It stands still while the phone sleeps.
+    Monotonic = 1,
+    /// It does not.
+    Boot = 7,
+}
+
+/// What a clock reads, ns.
+pub(crate) fn now(clock: Clock) -> i64 {
+    let mut time = TimeSpec {
+        seconds: 0,
+        nanos: 0,
+    };
+    let place = &raw mut time as usize;
+    call(number::CLOCK_GETTIME, [clock as usize, place, 0, 0, 0, 0]);
+    time.seconds as i64 * 1_000_000_000 + time.nanos as i64
+}
+
+/// Removes a file by its path, which ends with a zero.
+pub(crate) fn remove(path: &[u8]) -> bool {
+    call(number::UNLINKAT, [HERE, path.as_ptr() as usize, 0, 0, 0, 0]) == 0
+}
+
+/// An open file; closed when dropped.
+pub(crate) struct File(i32);
+
+impl File {
+    fn of(result: isize) -> Option<Self> {
+        i32::try_from(result)
+            .ok()
+            .filter(|&file| file >= 0)
+            .map(Self)
+    }
+
+    /// Opens a file to be read.
+    pub(crate) fn open(path: &CStr) -> Option<Self> {
+        Self::of(call(
+            number::OPENAT,
+            [HERE, path.as_ptr() as usize, 0, 0, 0, 0],
+        ))
+    }
+
+    /// Listens on an abstract socket.
+    pub(crate) fn listen(name: &[u8]) -> Option<Self> {
+        let kind = SOCK_STREAM | SOCK_CLOEXEC;
+        let socket = Self::of(call(number::SOCKET, [AF_UNIX.into(), kind, 0, 0, 0, 0]))?;
+        // A path that begins with a zero is a name that is no file.
+        let mut address = Address {
+            family: AF_UNIX,
+            path: [0; 108],
+        };
+        address.path.get_mut(1..=name.len())?.copy_from_slice(name);
+        let place = &raw const address as usize;
+        let length = size_of::<u16>() + 1 + name.len();
+        let bound = call(number::BIND, [socket.0 as usize, place, length, 0, 0, 0]);
+        let listens = call(number::LISTEN, [socket.0 as usize, 1, 0, 0, 0, 0]);
+        (bound == 0 && listens == 0).then_some(socket)
+    }
+
+    pub(crate) fn accept(&self) -> Option<Self> {
+        Self::of(call(
+            number::ACCEPT4,
+            [self.0 as usize, 0, 0, SOCK_CLOEXEC, 0, 0],
+        ))
+    }
+
+    /// Waits until there is something to be read; false after so many seconds.
+    pub(crate) fn is_ready(&self, seconds: u32) -> bool {
+        let mut asked = PollFd {
+            file: self.0,
+            events: POLLIN,
+            found: 0,
+        };
+        let mut patience = TimeSpec {
+            seconds: seconds as isize,
+            nanos: 0,
+        };
+        let asked = &raw mut asked as usize;
+        let patience = &raw mut patience as usize;
+        call(number::PPOLL, [asked, 1, patience, 0, 0, 0]) > 0
+    }
+
+    /// Bytes that have come; 0 at the end of a connection.
+    pub(crate) fn receive(&self, to: &mut [u8]) -> Option<usize> {
+        let place = to.as_mut_ptr() as usize;
+        let got = call(
+            number::RECVFROM,
+            [self.0 as usize, place, to.len(), 0, 0, 0],
+        );
+        usize::try_from(got).ok()
+    }
+
+    pub(crate) fn read(&self, to: &mut [u8]) -> Option<usize> {
+        let place = to.as_mut_ptr() as usize;
+        let got = call(number::READ, [self.0 as usize, place, to.len(), 0, 0, 0]);
+        usize::try_from(got).ok()
+    }
+
+    /// Whether all was sent.
+    pub(crate) fn send(&self, bytes: &[u8]) -> bool {
+        let place = bytes.as_ptr() as usize;
+        let arguments = [self.0 as usize, place, bytes.len(), MSG_NOSIGNAL, 0, 0];
+        usize::try_from(call(number::SENDTO, arguments)) == Ok(bytes.len())
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        call(number::CLOSE, [self.0 as usize, 0, 0, 0, 0, 0]);
+    }
+}
+
+/// One of the program's arguments, without its zero.
+///
+/// # Safety
+///
+/// `stack` is the stack pointer with which the kernel starts a program, and `place` is below
+/// the number that it points to.
+unsafe fn argument(stack: *const usize, place: usize) -> &'static [u8] {
+    // SAFETY: behind argc come so many pointers to strings that stay for ever.
+    unsafe { CStr::from_ptr(*stack.add(1 + place) as *const _) }.to_bytes()
+}
+
+/// The first of the program.
+///
+/// # Safety
+///
+/// `stack` is the stack pointer with which the kernel starts a program.
+unsafe extern "C" fn begin(stack: *const usize) -> ! {
+    // SAFETY: so it is.
+    let count = unsafe { *stack };
+    let code = if count == 2 {
+        // SAFETY: both are below the count. The path's zero is behind it.
+        let (own_file, name) = unsafe { (argument(stack, 0), argument(stack, 1)) };
+        agent::run(own_file, name)
+    } else {
+        2
+    };
+    exit(code)
+}
+
+fn exit(code: i32) -> ! {
+    loop {
+        call(number::EXIT_GROUP, [code as usize, 0, 0, 0, 0, 0]);
+    }
+}
+
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+    exit(101)
+}

@@ -1,0 +1,285 @@
+//! A look at the phone's clocks while it records, by a small program of ours on the phone.
+//!
+//! [`Agent::start`] finds the phone by `adb`, copies the program there (`/data/local/tmp`),
+//! starts it, and asks it again and again through a port that `adb` forwards to it; a
+//! thread does nothing else. What is exchanged, and how the program ends by itself, is in
+//! [`phone_agent`].
+//!
+//! Whatever ends this program, nothing is left running on the phone: the agent removes its
+//! own file when it starts, and ends once nobody has asked it for
+//! [`phone_agent::PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
+//! given back by [`Agent`]'s end; after a SIGKILL the `adb` server keeps it until it ends.
+
+use std::io::{Read as _, Write as _};
+use std::net::{Ipv4Addr, SocketAddr, TcpStream};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use phone_agent::{ANSWER, Answer, Wrong, question};
+
+use crate::adb::{Adb, AdbError};
+use crate::client::StopSignal;
+
+/// Where a program may lie on a phone that is not rooted.
+const FOLDER: &str = "/data/local/tmp";
+
+/// What the program and its socket are called, before a number of their own.
+const NAME: &str = "smartdepthsync-phone-agent";
+
+/// How often the phone is asked.
+const EVERY: Duration = Duration::from_millis(20);
+
+/// An answer that is later than this is of no use, and its connection is given up.
+const LATE: Duration = Duration::from_secs(2);
+
+/// How long the program may take to start.
+const START: Duration = Duration::from_secs(5);
+
+/// Between two tries to reach it again.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// One question and its answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhoneExchange {
+    /// When it was asked, on the clock that [`Agent::start`] was given.
+    pub sent: Duration,
+    /// When the answer came.
+    pub received: Duration,
+    /// What the phone's clocks read in between.
+    pub answer: Answer,
+}
+
+/// A program on the phone that tells its clocks. It ends when this is dropped.
+pub struct Agent {
+    adb: PathBuf,
+    device: String,
+    port: u16,
+    shell: Child,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    exchanges: Receiver<PhoneExchange>,
+}
+
+/// The program's file for a processor, by Android's name of it: beside this program, or
+/// where a package puts it.
+fn program_for(processor: &str) -> Option<PathBuf> {
+    let name = format!("{NAME}-{processor}");
+    let own = std::env::current_exe().ok()?;
+    let folder = own.parent()?;
+    let places = [
+        folder.join(&name),
+        folder
+            .join("../share/smartdepthsync/phone-agent")
+            .join(&name),
+    ];
+    places.into_iter().find(|place| place.is_file())
+}
+
+impl Agent {
+    /// Starts it on the one phone that `adb` finds, and asks it from now on. `now` is the
+    /// clock of [`PhoneExchange`]'s times.
+    ///
+    /// # Errors
+    ///
+    /// There is no `adb` or not one phone, none of our programs runs on it, or it does not
+    /// answer.
+    pub fn start(now: fn() -> Duration, stop: &StopSignal) -> Result<Self, AdbError> {
+        let adb = Adb::find(stop)?;
+        let device = adb.only_device()?;
+        let said = adb.shell(&device, "getprop ro.product.cpu.abilist")?;
+        let programs = said.trim().split(',').find_map(program_for);
+        let Some(program) = programs else {
+            return Err(AdbError::NoAgent {
+                processors: said.trim().to_owned(),
+            });
+        };
+        let number = u64::from(std::process::id()) << 32
+            | std::time::SystemTime::now()
+                .duration_since(std::time::UNIX_EPOCH)
+                .map_or(0, |since| u64::from(since.subsec_nanos()));
+        let socket = format!("{NAME}-{number:x}");
+        let file = format!("{FOLDER}/{socket}");
+        adb.run_for(&device, &["push", &program.to_string_lossy(), &file])?;
+        adb.shell(&device, &format!("chmod 755 {file}"))?;
+        let mut shell = Command::new(adb.program())
+            .args(["-s", &device, "shell", &format!("{file} {socket}")])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .map_err(|source| adb.cannot_run(source))?;
+        let forwarded = adb.run_for(
+            &device,
+            &["forward", "tcp:0", &format!("localabstract:{socket}")],
+        );
+        let port = forwarded.and_then(|said| {
+            let port = said.trim().parse();
+            port.map_err(|_| AdbError::Failed {
+                command: String::from("forward tcp:0"),
+                reason: format!("expected a port, found {:?}", said.trim()),
+            })
+        });
+        let port: u16 = match port {
+            Ok(port) => port,
+            Err(error) => {
+                // It may have ended; and the agent does within seconds.
+                let _ = shell.kill();
+                let _ = shell.wait();
+                return Err(error);
+            }
+        };
+        let ends = Arc::new(AtomicBool::new(false));
+        let (sender, exchanges) = channel();
+        let mut agent = Self {
+            adb: adb.program().to_owned(),
+            device,
+            port,
+            shell,
+            stop: Arc::clone(&ends),
+            thread: None,
+            exchanges,
+        };
+        let first = first_answer(port, now)?;
+        let asking = std::thread::Builder::new().name(String::from("phone's clock"));
+        let thread = asking.spawn(move || ask(first, port, now, &ends, &sender));
+        agent.thread = Some(thread.map_err(|source| adb.cannot_run(source))?);
+        Ok(agent)
+    }
+
+    /// Whether it is reached through a network: `adb` names such a phone by its address.
+    #[must_use]
+    pub fn is_by_network(&self) -> bool {
+        self.device.contains(':')
+    }
+
+    /// The phone, as `adb` names it.
+    #[must_use]
+    pub fn device(&self) -> &str {
+        &self.device
+    }
+
+    /// What was exchanged since this was called last.
+    pub fn exchanges(&self) -> impl Iterator<Item = PhoneExchange> {
+        self.exchanges.try_iter()
+    }
+}
+
+impl Drop for Agent {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        // The phone may be gone, and then nothing of it is left.
+        let _ = self.shell.kill();
+        let _ = self.shell.wait();
+        let _ = Command::new(&self.adb)
+            .args(["-s", &self.device, "forward", "--remove"])
+            .arg(format!("tcp:{}", self.port))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+    }
+}
+
+fn connect(port: u16) -> std::io::Result<TcpStream> {
+    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
+    let stream = TcpStream::connect_timeout(&address, LATE)?;
+    stream.set_nodelay(true)?;
+    stream.set_read_timeout(Some(LATE))?;
+    stream.set_write_timeout(Some(LATE))?;
+    Ok(stream)
+}
+
+/// A connection to an agent that has answered: it needs a moment to start, and until then
+/// `adb` accepts and closes.
+fn first_answer(port: u16, now: fn() -> Duration) -> Result<TcpStream, AdbError> {
+    let begun = Instant::now();
+    loop {
+        let tried = connect(port).and_then(|mut stream| {
+            let answered = exchange(&mut stream, 0, now)?;
+            Ok((stream, answered))
+        });
+        match tried {
+            Ok((stream, Ok(_))) => return Ok(stream),
+            Ok((_, Err(Wrong::Version(found)))) => return Err(AdbError::OtherAgent { found }),
+            Ok((_, Err(Wrong::Magic))) => {
+                return Err(AdbError::Failed {
+                    command: format!("forward tcp:{port}"),
+                    reason: String::from("something else than our program answers"),
+                });
+            }
+            Err(error) if begun.elapsed() > START => {
+                return Err(AdbError::Failed {
+                    command: String::from("shell (the agent)"),
+                    reason: format!("no answer within {START:?}: {error}"),
+                });
+            }
+            Err(_) => std::thread::sleep(Duration::from_millis(50)),
+        }
+    }
+}
+
+/// Asks once.
+fn exchange(
+    stream: &mut TcpStream,
+    nonce: u64,
+    now: fn() -> Duration,
+) -> std::io::Result<Result<PhoneExchange, Wrong>> {
+    let sent = now();
+    stream.write_all(&question(nonce))?;
+    let mut bytes = [0; ANSWER];
+    loop {
+        stream.read_exact(&mut bytes)?;
+        let received = now();
+        match Answer::read(&bytes) {
+            Err(wrong) => return Ok(Err(wrong)),
+            // One to an earlier question, which was given up.
+            Ok(answer) if answer.nonce != nonce => {}
+            Ok(answer) => {
+                return Ok(Ok(PhoneExchange {
+                    sent,
+                    received,
+                    answer,
+                }));
+            }
+        }
+    }
+}
+
+/// Asks until it is to stop; what cannot be asked is silence.
+fn ask(
+    first: TcpStream,
+    port: u16,
+    now: fn() -> Duration,
+    stop: &AtomicBool,
+    sender: &Sender<PhoneExchange>,
+) {
+    let mut stream = Some(first);
+    let mut nonce = 0_u64;
+    while !stop.load(Ordering::Relaxed) {
+        nonce = nonce.wrapping_add(1);
+        // Not in step with anything on the way, such as the frames of USB.
+        let scatter = nonce.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 54;
+        std::thread::sleep(EVERY / 2 + EVERY.mul_f64(scatter as f64 / 1024.0));
+        let Some(open) = &mut stream else {
+            std::thread::sleep(PAUSE);
+            stream = connect(port).ok();
+            continue;
+        };
+        match exchange(open, nonce, now) {
+            Ok(Ok(exchange)) => {
+                if sender.send(exchange).is_err() {
+                    return;
+                }
+            }
+            Ok(Err(_)) | Err(_) => stream = None,
+        }
+    }
+}
