@@ -377,8 +377,8 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
         ),
         GyroFileError::NotRead(_) => (
             ExitStatus::Usage,
-            "convert it: of a bag `ros2 bag convert` makes MCAP; of a video another program must \
-             first write the gyroscope as CSV",
+            "convert it: `ros2 bag convert`, or `rosbags-convert --dst-storage mcap` without ROS, makes \
+             MCAP of a bag; of a video another program must first write the gyroscope as CSV",
         ),
     };
     Failure::new(status, format!("{}: {error}", path.display())).next_step(next)
