@@ -549,7 +549,12 @@ mod tests {
             name: String::from("windows"),
             data: bars,
         };
-        let svg = series("x", "y", 0.0..1.0, &[windows]);
+        // One series by itself has no legend.
+        let dots = Series {
+            name: String::from("smoothed"),
+            data: Data::Points(vec![(0.02, 0.5), (0.98, 0.5)]),
+        };
+        let svg = series("x", "y", 0.0..1.0, &[windows, dots]);
         let numbers = |from: &str| -> Vec<f64> {
             let parts = svg.split(from).skip(1);
             let texts = parts.map(|part| part.split('"').next().unwrap_or_default());
