@@ -57,7 +57,15 @@ pub(crate) fn installed() -> Result<PathBuf> {
 /// `cargo xtask wheel`.
 pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
-    process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
+    // Both together, as the demo and the tests build them: nothing is compiled twice.
+    process::cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
     sync_bench::example(

@@ -341,21 +341,6 @@ pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
     })
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_wrong_address_is_told_its_form() {
-        let error = PhoneError::Address {
-            address: "phone:0".to_owned(),
-            reason: "its port is out of range",
-        };
-        assert!(phone_step(&error).unwrap().contains("<host>:<port>"));
-        assert_eq!(Failure::from(error).status(), ExitStatus::Usage);
-    }
-}
-
 /// A file that was given as a gyroscope's recording.
 pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
     let (status, next) = match &error {
@@ -377,9 +362,24 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
         ),
         GyroFileError::NotRead(_) => (
             ExitStatus::Usage,
-            "convert it: of a bag `ros2 bag convert` makes MCAP; of a video another program must \
-             first write the gyroscope as CSV",
+            "convert it: `ros2 bag convert`, or `rosbags-convert --dst-storage mcap` without ROS, makes \
+             MCAP of a bag; of a video another program must first write the gyroscope as CSV",
         ),
     };
     Failure::new(status, format!("{}: {error}", path.display())).next_step(next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_address_is_told_its_form() {
+        let error = PhoneError::Address {
+            address: "phone:0".to_owned(),
+            reason: "its port is out of range",
+        };
+        assert!(phone_step(&error).unwrap().contains("<host>:<port>"));
+        assert_eq!(Failure::from(error).status(), ExitStatus::Usage);
+    }
 }

@@ -1,7 +1,6 @@
 //! IMU messages of MCAP files and ROS 1 bags.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -166,7 +165,7 @@ fn record(opcode: u8, body: &[u8], known: &mut Channels, out: &mut Topics) {
 }
 
 pub(crate) fn bag(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    let mut bag = Bag::open(BufReader::with_capacity(1 << 20, File::open(path)?))?;
+    let mut bag = Bag::open(BufReader::with_capacity(1 << 20, files::open(path)?))?;
     let mut out = Topics::default();
     let mut others = std::collections::BTreeSet::new();
     loop {

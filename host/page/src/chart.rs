@@ -6,6 +6,8 @@
 //! envelope of a bounded number of columns, so a page stays small after hours of
 //! recording.
 
+mod head;
+
 use std::ops::Range;
 
 use plotters::coord::Shift;
@@ -13,6 +15,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 pub use crate::envelope::{Column, Envelope};
+use head::{Head, USUAL_LINES, head};
 
 /// Size of a drawing of one chart, pixels.
 pub const SIZE: (u32, u32) = (800, 340);
@@ -422,89 +425,6 @@ fn tick(value: f64, shown: &Range<f64>) -> String {
     text
 }
 
-/// Lines of title and legend that the size of a drawing has room for.
-const USUAL_LINES: i32 = 2;
-
-/// Title and legend, laid out.
-struct Head<'chart> {
-    title: Vec<String>,
-    /// Each with its left end and its line of the legend.
-    legend: Vec<(i32, i32, &'chart (Series, Ink))>,
-}
-
-impl<'chart> Head<'chart> {
-    fn of(chart: &'chart Chart, width: i32) -> Self {
-        let (mut x, mut line) = (LEFT, 0);
-        let named = chart.series.iter().filter(|(s, _)| !s.name.is_empty());
-        let legend = named.map(|entry| {
-            let long = 48 + LETTER * entry.0.name.chars().count() as i32;
-            if x > LEFT && x + long > width {
-                (x, line) = (LEFT, line + 1);
-            }
-            x += long;
-            (x - long, line, entry)
-        });
-        Self {
-            legend: legend.collect(),
-            title: wrapped(&chart.title, (width - 2 * LEFT) / LETTER),
-        }
-    }
-
-    fn lines(&self) -> i32 {
-        let of_legend = self.legend.last().map_or(0, |(_, line, _)| line + 1);
-        self.title.len() as i32 + of_legend
-    }
-}
-
-/// Writes title and legend; returns what is left for the axes.
-fn head<'svg>(chart: &Chart, area: &Area<'svg>) -> Drawn<Area<'svg>> {
-    let head = Head::of(chart, area.dim_in_pixel().0 as i32);
-    let text =
-        |words: &str, x, y| Text::new(words.to_owned(), (x, y), ("sans-serif", LABEL).into_font());
-    let mut top = 10;
-    for line in &head.title {
-        area.draw(&text(line, LEFT, top))?;
-        top += LINE;
-    }
-    for &(x, line, (series, ink)) in &head.legend {
-        let y = top + line * LINE;
-        let middle = y + LABEL / 2;
-        match series.data {
-            Data::Line(_) | Data::Upright(_) | Data::Marks(_) => {
-                area.draw(&PathElement::new(
-                    [(x, middle), (x + 18, middle)],
-                    ink.line(),
-                ))?;
-            }
-            Data::Points(_) | Data::Bars(_) => {
-                area.draw(&Circle::new((x + 9, middle), 3, ink.fill()))?;
-            }
-            Data::Range(..) | Data::Bins { .. } => {
-                let corners = [(x, middle - 5), (x + 18, middle + 5)];
-                area.draw(&Rectangle::new(corners, ink.fill()))?;
-            }
-        }
-        area.draw(&text(&series.name, x + 24, y))?;
-    }
-    let used = 10 + head.lines() * LINE;
-    Ok(area.split_vertically(used.max(LINE / 2)).1)
-}
-
-/// Lines of at most so many letters.
-fn wrapped(words: &str, width: i32) -> Vec<String> {
-    let mut lines: Vec<String> = Vec::new();
-    for word in words.split_whitespace() {
-        match lines.last_mut() {
-            Some(line) if line.chars().count() + word.chars().count() < width as usize => {
-                line.push(' ');
-                line.push_str(word);
-            }
-            _ => lines.push(word.to_owned()),
-        }
-    }
-    lines
-}
-
 fn paint(axes: &mut Axes<'_, '_>, data: &Data, ink: Ink, ys: &Range<f64>) -> Drawn<()> {
     match data {
         Data::Line(points) => {
@@ -629,7 +549,12 @@ mod tests {
             name: String::from("windows"),
             data: bars,
         };
-        let svg = series("x", "y", 0.0..1.0, &[windows]);
+        // One series by itself has no legend.
+        let dots = Series {
+            name: String::from("smoothed"),
+            data: Data::Points(vec![(0.02, 0.5), (0.98, 0.5)]),
+        };
+        let svg = series("x", "y", 0.0..1.0, &[windows, dots]);
         let numbers = |from: &str| -> Vec<f64> {
             let parts = svg.split(from).skip(1);
             let texts = parts.map(|part| part.split('"').next().unwrap_or_default());

@@ -3,6 +3,9 @@
 //!
 //! Arrays come as bytes, little-endian, so that no version of numpy is built against.
 
+// A refusal carries its report, and there is one a call.
+#![allow(clippy::result_large_err)]
+
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use twist_sync::{

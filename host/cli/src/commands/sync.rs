@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 use gyro_files::GyroRecording;
 use serde::Serialize;
-use twist_sync::WithSigma;
 use twist_sync::network::Network;
+use twist_sync::{GyroTrack, WithSigma};
 
 use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
@@ -176,7 +176,18 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
                 [a, b],
             ) => {
                 let Whole { result, options } = &**whole;
-                twist_plot::svg(["recording 1", "recording 2"], [a, b], result, options)
+                // With the offset of the clocks, not that of the first samples.
+                let between = recordings[1].first().saturating_sub(recordings[0].first());
+                let between_s = between as f64 * 1e-9;
+                let b = GyroTrack {
+                    epoch_s: b.epoch_s + between_s,
+                    ..b.clone()
+                };
+                let mut result = result.clone();
+                if let Ok(estimate) = &mut result {
+                    estimate.clock.offset += between_s;
+                }
+                twist_plot::svg(["recording 1", "recording 2"], [a, &b], &result, options)
             }
             _ => plot::svg(&pairs),
         };

@@ -214,6 +214,19 @@ fn minutes_of_walking_need_no_twist() {
     assert!(pair["used"].as_u64().unwrap() >= 10, "{pair}");
     let svg = std::fs::read_to_string(folder.path().join("plot.svg")).unwrap();
     assert!(svg.contains("smoothed"));
+
+    // Ten seconds of it, somewhere.
+    let from_s = walk.b.epoch_s + 50.0;
+    app(
+        folder.path().join("c.csv"),
+        &walk.b.between(from_s, from_s + 10.0),
+    );
+    let output = sync(folder.path(), &["--json", "a.csv", "c.csv"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let pair = &json(&output)["pairs"][0];
+    let error_us = (offset_s(pair) - truth(&walk, &pair["reference_ns"])) * 1e6;
+    let sigma_us = pair["offset_sigma_us"].as_f64().unwrap();
+    assert!(error_us.abs() < 4.0 * sigma_us, "{pair}: {error_us}");
 }
 
 #[test]

@@ -8,8 +8,10 @@ use twist_sync::{
 use crate::commands::offset::fault_text;
 use crate::sync_report::SyncReport;
 
-/// Recordings up to this length are taken as a whole, seconds: a twist.
+/// A recording up to this length is taken as a whole, seconds: a twist.
 const LONGEST_TWIST_S: f64 = 60.0;
+/// So is the other one then, up to this length, seconds: memory for some 300 MB.
+const LONGEST_WITH_TWIST_S: f64 = 600.0;
 
 /// Two recordings.
 pub(super) struct Related {
@@ -37,7 +39,8 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
         b_delay_s: delays.1,
         ..options
     };
-    if length_s(a).max(length_s(b)) > LONGEST_TWIST_S {
+    let (short_s, long_s) = (length_s(a).min(length_s(b)), length_s(a).max(length_s(b)));
+    if short_s > LONGEST_TWIST_S || long_s > LONGEST_WITH_TWIST_S {
         return over_time(a, b, &delayed(Options::of_windows()));
     }
     let options = delayed(Options::default());
