@@ -99,16 +99,15 @@ pub(crate) fn build_foreign() -> Result<()> {
 /// Builds the agent for phones of each processor, and puts it beside the host tool, where
 /// that looks for it.
 pub(crate) fn build_agent() -> Result<()> {
-    let folder = process::target_dir().join("release");
-    std::fs::create_dir_all(&folder)
-        .with_context(|| format!("cannot make {}", folder.display()))?;
-    for (target, processor) in AGENT_TARGETS {
+    for ((target, _), to) in AGENT_TARGETS.into_iter().zip(agents()) {
         cargo_for_target(AGENT, target, &["build", "--release", "--target", target])?;
         let from = process::target_dir()
             .join(target)
             .join("release")
             .join(AGENT_PROGRAM);
-        let to = folder.join(format!("{AGENT_PROGRAM}-{processor}"));
+        let folder = to.parent().unwrap_or(&to);
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
         let size = std::fs::copy(&from, &to)
             .with_context(|| format!("cannot copy {} to {}", from.display(), to.display()))?;
         if size >= AGENT_MOST {
@@ -119,6 +118,14 @@ pub(crate) fn build_agent() -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// Where the agents are once they are built.
+pub(crate) fn agents() -> impl Iterator<Item = PathBuf> {
+    let folder = process::target_dir().join("release");
+    AGENT_TARGETS
+        .into_iter()
+        .map(move |(_, processor)| folder.join(format!("{AGENT_PROGRAM}-{processor}")))
 }
 
 /// Runs cargo and returns the ELF that it leaves.

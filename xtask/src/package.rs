@@ -76,6 +76,11 @@ pub(crate) fn build(elf: &Path) -> Result<()> {
         )?;
     }
     firmware(elf, &tree.join("usr/share").join(NAME).join("firmware"))?;
+    let agents = tree.join("usr/share").join(NAME).join("phone-agent");
+    for agent in crate::firmware::agents() {
+        let name = agent.file_name().context("an agent without a name")?;
+        install(&agent, &agents.join(name), 0o644)?;
+    }
     control(&tree, version, &arch)?;
 
     let package = base.join(format!("{NAME}_{version}_{arch}.deb"));
@@ -188,6 +193,7 @@ fn try_it(package: &Path, root: &Path) -> Result<()> {
         "usr/share/man/man1/smartdepthsync-record.1.gz",
         "usr/share/bash-completion/completions/smartdepthsync",
         "usr/share/doc/smartdepthsync/NOTICE",
+        "usr/share/smartdepthsync/phone-agent/smartdepthsync-phone-agent-arm64-v8a",
     ] {
         if !root.join(file).is_file() {
             bail!("{file} is not installed");

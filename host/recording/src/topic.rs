@@ -266,14 +266,14 @@ mod tests {
                 "/session/clock_exchanges",
                 11,
                 "smartdepthsync_msgs/msg/ClockExchange",
-                0x0,
+                0x7361_60b4,
             ),
             (
                 18,
                 "/session/trigger_period",
                 12,
                 "smartdepthsync_msgs/msg/TriggerPeriod",
-                0x0,
+                0x59c3_f380,
             ),
         ];
         let expected = expected.map(|(id, topic, schema, name, hash)| {

@@ -44,7 +44,6 @@ pub(super) fn connect<'a>(
 ) -> Result<(Rig<'a>, Checks), Stop> {
     // It starts a program: the board is not to be kept waiting for that later.
     let checked = check_host(profile, options);
-    let tracking = track::start(options.track, profile, context)?;
     let asks = !options.yes && !context.global.json;
     let mut live = Live::open(context, !options.plain);
     live.length = options.duration;
@@ -77,6 +76,8 @@ pub(super) fn connect<'a>(
             return Err(failure.into());
         }
     };
+    // What the board sends meanwhile waits in the link's queue.
+    let tracking = track::start(options.track, profile, context)?;
     let journal = new_journal(&sides, live, options, profile, context)?;
     let link = BoardLink::new(
         sides.board,

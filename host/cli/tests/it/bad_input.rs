@@ -147,7 +147,7 @@ const CASES: &[Case] = &[
     ("phone get-files --phase word", 2, "--phase", "help COMMAND"),
     // Sessions.
     ("record --port /no/such/port", 5, "/no/such/port", "ports"),
-    ("record --track --no-track", 2, "--no-track", "help record"),
+    ("record --track --no-track", 2, "--no-track", "help COMMAND"),
     (
         "record --profile nothing.toml",
         13,
