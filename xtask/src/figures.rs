@@ -110,7 +110,7 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
             "--disable-gpu",
             "--hide-scrollbars",
         ])
-        .args(["--window-size=900,1500", "--virtual-time-budget=4000"])
+        .args(["--window-size=900,2150", "--virtual-time-budget=4000"])
         .arg(format!(
             "--user-data-dir={}",
             place.join("browser").display()
