@@ -177,6 +177,24 @@ pub(crate) fn profile(data: &[u8]) {
     }
 }
 
+/// Any text as what Kalibr found: no panic, and a profile that takes it over is one.
+pub(crate) fn camchain(data: &[u8]) {
+    let path = std::path::Path::new("rig.toml");
+    if let Ok(chain) = std::str::from_utf8(data)
+        && let Ok((text, _)) =
+            recording::kalibr::into_profile(recording::profile::DEFAULT, path, None, chain)
+    {
+        Profile::parse(&text, None).unwrap();
+    }
+}
+
+/// Any bytes as a depth camera's calibration: no panic.
+pub(crate) fn calibration(data: &[u8]) {
+    for color in [None, Some((1280, 720)), Some((2048, 1536))] {
+        let _ = extract::geometry::check_calibration(data, "NFOV_UNBINNED", color);
+    }
+}
+
 /// Any text as a session file.
 pub(crate) fn session_file(data: &[u8]) {
     let folder = tempfile::tempdir().unwrap();

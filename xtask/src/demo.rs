@@ -8,7 +8,7 @@ use anyhow::Result;
 use crate::process;
 
 /// Options of `cargo xtask demo`.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 pub(crate) struct Args {
     /// Seed of all randomness: clocks, mounting, motion, noise.
     #[arg(long)]
@@ -30,6 +30,16 @@ pub(crate) struct Args {
     /// in cargo's target folder]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+}
+
+impl Args {
+    /// With everything as it is by default, into a folder.
+    pub(crate) fn into_folder(out: PathBuf) -> Self {
+        Self {
+            out: Some(out),
+            ..Self::default()
+        }
+    }
 }
 
 /// Runs the demo with the programs that were just built.

@@ -1,19 +1,26 @@
-//! Figures of the book that are made from simulated runs.
+//! Figures of the book and of the README that are made from simulated runs.
 
 use std::env;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-use crate::{firmware, process, tools};
+use crate::{demo, firmware, process, tools};
 
 /// What the plots are drawn with, beyond the packages of the tests.
 const PLOTTING: &str = "matplotlib==3.11.2";
 
-/// Makes the book's figures anew, into `docs/figures`.
+/// Size of the terminal of the live view.
+const TERMINAL: (u16, u16) = (80, 24);
+
+/// How long the live view may take to show a recording.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Makes the figures anew, into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
     let elf = firmware::build_rig()?;
     let python = tools::ensure_python()?;
@@ -27,7 +34,134 @@ pub(crate) fn make() -> Result<()> {
     ]))?;
     let figures = process::root().join("docs/figures");
     fs::create_dir_all(&figures).with_context(|| format!("cannot make {}", figures.display()))?;
-    imu_twist(&elf, &python, &figures.join("imu-twist.svg"))
+    imu_twist(&elf, &python, &figures.join("imu-twist.svg"))?;
+    live_view(&elf, &python, &figures.join("live-view.svg"))?;
+    report(&elf, &python, &figures.join("report.png"))
+}
+
+/// The live view of a recording on the simulated rig.
+fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
+    let place = fresh_folder("figures")?;
+    let profile = place.join("rig.toml");
+    let written = profile.display().to_string();
+    let rig = Rig::start(
+        elf,
+        &["--motion", "twist", "--phone", "0", "--profile", &written],
+    )?;
+    let terminal = Terminal(place.join("tmux"));
+    let (width, height) = (TERMINAL.0.to_string(), TERMINAL.1.to_string());
+    let program = program("smartdepthsync").display().to_string();
+    let out = place.join("recordings").display().to_string();
+    let record = [
+        "record",
+        "--yes",
+        "--port",
+        &rig.port,
+        "--profile",
+        &written,
+        "--out",
+        &out,
+    ];
+    let session = [
+        "-f",
+        "/dev/null",
+        "new-session",
+        "-d",
+        "-x",
+        &width,
+        "-y",
+        &height,
+    ];
+    terminal.run(&[&session[..], &[&program], &record[..]].concat())?;
+    let begun = Instant::now();
+    let mut seen = String::new();
+    while !(seen.contains("RECORDING") && seen.contains("off grid")) {
+        if begun.elapsed() > PATIENCE {
+            bail!("the live view never showed a recording:\n{seen}");
+        }
+        std::thread::sleep(Duration::from_millis(500));
+        seen = terminal.run(&["capture-pane", "-p"])?;
+    }
+    // Until its chart is full.
+    std::thread::sleep(Duration::from_secs(4));
+    let capture = place.join("live-view.txt");
+    fs::write(&capture, terminal.run(&["capture-pane", "-p", "-e"])?)?;
+    process::run(
+        process::command(python)
+            .arg(process::root().join("xtask/figures/terminal.py"))
+            .arg(&capture)
+            .arg(&width)
+            .arg(figure),
+    )?;
+    println!("{}", figure.display());
+    Ok(())
+}
+
+/// The report of the demo's data set, as a browser shows its beginning.
+fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
+    let place = fresh_folder("figures-demo")?;
+    demo::run(&demo::Args::into_folder(place.clone()), elf)?;
+    let shot = place.join("report.png");
+    let mut browser = process::command("chromium");
+    browser
+        .args([
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+        ])
+        .args(["--window-size=900,2150", "--virtual-time-budget=4000"])
+        .arg(format!(
+            "--user-data-dir={}",
+            place.join("browser").display()
+        ))
+        .arg(format!("--screenshot={}", shot.display()))
+        .arg(format!(
+            "file://{}",
+            place.join("recording-euroc/report.html").display()
+        ));
+    process::run(&mut browser)?;
+    process::run(
+        process::command(python)
+            .arg(process::root().join("xtask/figures/shrink.py"))
+            .arg(&shot)
+            .arg(figure),
+    )?;
+    println!("{}", figure.display());
+    Ok(())
+}
+
+fn fresh_folder(name: &str) -> Result<PathBuf> {
+    let place = process::target_dir().join(name);
+    // It may not be there.
+    let _ = fs::remove_dir_all(&place);
+    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
+    Ok(place)
+}
+
+/// A terminal of a tmux server of its own, by the server's socket.
+struct Terminal(PathBuf);
+
+impl Terminal {
+    fn run(&self, arguments: &[&str]) -> Result<String> {
+        let output = Command::new("tmux")
+            .arg("-S")
+            .arg(&self.0)
+            .args(arguments)
+            .output()
+            .context("cannot run tmux: sudo apt-get install tmux")?;
+        if !output.status.success() {
+            bail!("tmux: {}", String::from_utf8_lossy(&output.stderr).trim());
+        }
+        Ok(String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        // The server may have ended with its program.
+        let _ = self.run(&["kill-server"]);
+    }
 }
 
 /// A hand twist on the simulated rig, recorded by the host tool.

@@ -10,7 +10,7 @@
 //!   and images), `pairs`, `grid` (frames against the trigger).
 //! - Space: [`geometry`] (lenses, the depth camera's calibration, registration).
 //! - Outputs: [`layout`] (EuRoC, TUM, topics, bags), sequences, `tables`, `imu_tables`,
-//!   `image_tables`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
+//!   `image_tables`, `strip`, in a [`workplace`] that can be gone on with. [`learn`] puts what a
 //!   recording teaches into a rig profile.
 //!
 //! Inputs are read only, front to back, with bounded memory; nothing read from a
@@ -44,6 +44,7 @@ mod ros2_depth;
 pub mod run;
 mod sequence;
 mod streams;
+mod strip;
 mod survey;
 mod tables;
 mod time;

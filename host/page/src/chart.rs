@@ -543,18 +543,12 @@ mod tests {
 
     #[test]
     fn a_legend_stands_above_all_that_is_drawn() {
-        // An error bar over the whole height, where a legend inside the axes would be.
-        let bars = Data::Bars(vec![(0.02, 0.5, 0.5), (0.98, 0.5, 0.5)]);
-        let windows = Series {
-            name: String::from("windows"),
-            data: bars,
+        // Error bars over the whole height, where a legend inside the axes would be.
+        let bars = |name: &str| Series {
+            name: name.to_owned(),
+            data: Data::Bars(vec![(0.02, 0.5, 0.5), (0.98, 0.5, 0.5)]),
         };
-        // One series by itself has no legend.
-        let dots = Series {
-            name: String::from("smoothed"),
-            data: Data::Points(vec![(0.02, 0.5), (0.98, 0.5)]),
-        };
-        let svg = series("x", "y", 0.0..1.0, &[windows, dots]);
+        let svg = series("x", "y", 0.0..1.0, &[bars("windows"), bars("others")]);
         let numbers = |from: &str| -> Vec<f64> {
             let parts = svg.split(from).skip(1);
             let texts = parts.map(|part| part.split('"').next().unwrap_or_default());

@@ -124,7 +124,7 @@ impl Drop for Video {
 }
 
 /// Reads everything, so that the decoder never waits, and keeps the beginning.
-fn keep_start(mut stderr: ChildStderr) -> String {
+pub(super) fn keep_start(mut stderr: ChildStderr) -> String {
     let mut kept = Vec::new();
     let _ = stderr.by_ref().take(MAX_MESSAGES).read_to_end(&mut kept);
     let _ = io::copy(&mut stderr, &mut io::sink());

@@ -102,7 +102,7 @@ impl Case {
         let path = self.path(name);
         let made = Command::new("ffmpeg")
             .args(["-v", "error", "-f", "lavfi", "-i"])
-            .arg(format!("testsrc=size={size}"))
+            .arg(format!("testsrc2=size={size}"))
             .args(["-frames:v", &frames.to_string()])
             .arg(&path)
             .status();

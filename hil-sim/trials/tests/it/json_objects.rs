@@ -149,16 +149,41 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     }
 }
 
+/// What Kalibr writes of two cameras.
+const CHAIN: &str = "cam0:
+  T_cam_imu:
+  - [0.0, -1.0, 0.0, 0.02]
+  - [0.0, 0.0, -1.0, -0.03]
+  - [1.0, 0.0, 0.0, 0.001]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.7e-05]
+  distortion_model: radtan
+  intrinsics: [1412.5, 1410.25, 958.0, 541.5]
+  resolution: [1920, 1080]
+cam1:
+  T_cam_imu:
+  - [1.0, 0.0, 0.0, -0.05]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+";
+
 #[test]
 fn objects_of_commands_that_need_nothing() {
     let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("chain.yaml"), CHAIN).unwrap();
     for (command, arguments) in [
         ("ports", &["ports"][..]),
         ("completions", &["completions", "bash"]),
         ("man", &["man", "man1"]),
         ("profile init", &["profile", "init", "rig.toml"]),
         ("profile check", &["profile", "check", "rig.toml"]),
+        (
+            "profile import-kalibr",
+            &["profile", "import-kalibr", "rig.toml", "chain.yaml"],
+        ),
     ] {
         objects::check(command, &[&print(folder.path(), arguments)]);
     }

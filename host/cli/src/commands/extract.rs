@@ -38,6 +38,8 @@ enum FormatArg {
     Ros2,
     /// A ROS 1 bag of images and samples: `data.bag`
     Ros1,
+    /// LeRobot v3: `videos`, depth and times in `data`, `meta`
+    Lerobot,
 }
 
 impl From<FormatArg> for Format {
@@ -49,6 +51,7 @@ impl From<FormatArg> for Format {
             FormatArg::Kalibr => Self::Kalibr,
             FormatArg::Ros2 => Self::Ros2,
             FormatArg::Ros1 => Self::Ros1,
+            FormatArg::Lerobot => Self::Lerobot,
         }
     }
 }

@@ -133,10 +133,14 @@ fn every_command_has_help_and_a_manual_page() {
         assert_eq!(help.status.code(), Some(0), "{args:?}");
         let help = String::from_utf8_lossy(&help.stdout).into_owned();
         assert!(help.contains("Usage:"), "{args:?}");
-        let headings = help
+        let mut headings = help
             .lines()
             .filter(|line| line.ends_with(':') && !line.starts_with(' '));
-        assert_eq!(headings.last(), Some("Options of every command:"), "{help}");
+        assert_eq!(
+            headings.next_back(),
+            Some("Options of every command:"),
+            "{help}"
+        );
         let page = place.join(format!("smartdepthsync-{}.1", path.join("-")));
         let text =
             fs::read_to_string(&page).unwrap_or_else(|error| panic!("{}: {error}", page.display()));

@@ -325,3 +325,62 @@ fn bag_record(index: u64, connections: u32, chunks: u32) -> Vec<u8> {
     let blanks = BAG_RECORD - 8 - fields(header).len();
     record(header, &vec![b' '; blanks])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::messages;
+    use super::super::reader::{Bag, BagError};
+    use super::*;
+    use recording::messages::Time;
+
+    #[test]
+    fn the_reader_finds_what_was_written() {
+        let imu = |number: u32| Imu {
+            header: Header {
+                stamp: Time::from_nanos(1_000_000_000_007 + i64::from(number) * 2_000_000),
+                frame_id: String::from("imu0"),
+            },
+            orientation: [0.0, 0.0, 0.0, 1.0],
+            orientation_covariance: [0.0; 9],
+            angular_velocity: [f64::from(number), 2.0, 3.0].into(),
+            angular_velocity_covariance: [0.5; 9],
+            linear_acceleration: [4.0, 5.0, 6.0].into(),
+            linear_acceleration_covariance: [0.25; 9],
+        };
+        let mut file = io::Cursor::new(Vec::new());
+        let mut bag = BagWriter::create(&mut file).unwrap();
+        bag.add_topic::<Imu>("/imu0");
+        // More than a chunk.
+        let count = 20_000;
+        for number in 0..count {
+            let (message, mut bytes) = (imu(number), Vec::new());
+            message.write_ros1(&mut bytes);
+            bag.put(0, message.header.stamp.nanos().unsigned_abs(), &bytes)
+                .unwrap();
+        }
+        bag.finish().unwrap();
+        let bytes = file.into_inner();
+        let mut bag = Bag::open(bytes.as_slice()).unwrap();
+        let (mut number, mut chunks) = (0, 0);
+        while bag
+            .next_chunk(|message| {
+                let expected = imu(number);
+                assert_eq!(&*message.connection.topic, "/imu0");
+                assert_eq!(message.connection.kind, "sensor_msgs/Imu");
+                assert_eq!(message.received, expected.header.stamp.nanos());
+                let found = messages::Imu::parse(message.data).unwrap();
+                assert_eq!(found.gyro, <[f64; 3]>::from(expected.angular_velocity));
+                number += 1;
+                Ok::<(), BagError>(())
+            })
+            .unwrap()
+        {
+            chunks += 1;
+        }
+        assert_eq!(number, count);
+        assert!(
+            chunks > 1 && bag.was_closed() && bag.damage().is_empty(),
+            "{chunks}"
+        );
+    }
+}

@@ -7,6 +7,16 @@ pub(crate) mod register;
 
 use recording::profile::{Direction, Intrinsics, Pose};
 
+/// Whether a depth camera's `calibration.json` can be used, for a depth mode as its recorder
+/// names it and the size of the colour images, if there are any.
+///
+/// # Errors
+///
+/// What was found and what was expected.
+pub fn check_calibration(json: &[u8], mode: &str, color: Option<(u32, u32)>) -> Result<(), String> {
+    k4a::read(json, Some(mode), color).map(drop)
+}
+
 /// Which camera's view depth images are given in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]

@@ -23,7 +23,7 @@ use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Euroc;
 
-const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
+pub(super) const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
     a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
 
 fn image(folder: &str, at: BoardNanos) -> PathBuf {

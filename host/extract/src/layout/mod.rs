@@ -7,8 +7,10 @@
 mod euroc;
 mod further;
 mod kalibr;
+mod lerobot;
 mod noise;
 mod offset;
+mod parts;
 mod ros;
 mod topics;
 mod tum;
@@ -38,6 +40,8 @@ pub enum Format {
     Ros2,
     /// The same as a ROS 1 bag.
     Ros1,
+    /// LeRobot v3: a video of the phone's images, a table of depth images and times.
+    Lerobot,
 }
 
 impl Format {
@@ -50,6 +54,7 @@ impl Format {
             Self::Kalibr => "kalibr",
             Self::Ros2 => "ros2",
             Self::Ros1 => "ros1",
+            Self::Lerobot => "lerobot",
         }
     }
 
@@ -63,6 +68,7 @@ impl Format {
             Self::Kalibr => &kalibr::Kalibr,
             Self::Ros2 => &ros::Ros::TWO,
             Self::Ros1 => &ros::Ros::ONE,
+            Self::Lerobot => &lerobot::Lerobot,
         }
     }
 }
@@ -212,7 +218,7 @@ pub(crate) fn calibration_path(format: Format) -> &'static str {
         Format::Tum => "calibration.json",
         Format::Topics => "_azure_depth_image_raw/calibration.json",
         Format::Kalibr => "kalibr/depth0/calibration.json",
-        Format::Ros2 | Format::Ros1 => "calibration.json",
+        Format::Ros2 | Format::Ros1 | Format::Lerobot => "calibration.json",
     }
 }
 

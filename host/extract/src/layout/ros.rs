@@ -10,9 +10,7 @@
 //! | `/cam0/camera_info`, … | with each image |
 //! | `/imu0`, `/imu1` | the IMUs of board and phone |
 //!
-//! Images are files below [`PARTS`] first, so that an extraction that was stopped goes on.
-//! When the bag is whole they are removed, unless the next run can add to them. A bag
-//! whose images are gone is finished.
+//! Images are files first ([`parts`]).
 
 use std::fs::{self, File};
 use std::io::{self, BufRead, BufReader};
@@ -27,14 +25,13 @@ use recording::rosbag2;
 
 use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables};
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::bag::writer::{BagWriter, Ros1Message};
 use crate::board_data::ImuRow;
 use crate::geometry::CameraFacts;
 use crate::image::{Decoded, WholeFile, read_png, write_whole};
-use crate::time::{BoardNanos, in_name};
+use crate::time::BoardNanos;
 
-const PARTS: &str = ".parts";
 const BOARD_IMU: &str = ".parts/imu0.csv";
 const PHONE_IMU: &str = ".parts/imu1.csv";
 const MCAP_FILE: &str = "data.mcap";
@@ -53,25 +50,21 @@ impl Ros {
     pub(super) const TWO: Self = Self { is_two: true };
 }
 
-fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
-    PathBuf::from(format!("{PARTS}/{folder}/{}.{ending}", in_name(at)))
-}
-
 impl Layout for Ros {
     fn color_path(&self, at: BoardNanos) -> PathBuf {
-        image("cam0", at, "png")
+        parts::image("cam0", at, "png")
     }
 
     fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        image("depth0", at, "png")
+        parts::image("depth0", at, "png")
     }
 
     fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image("cam1", at, "jpg"))
+        Some(parts::image("cam1", at, "jpg"))
     }
 
     fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image("ir0", at, "png"))
+        Some(parts::image("ir0", at, "png"))
     }
 
     fn board_imu(&self) -> ImuTable {
@@ -90,29 +83,9 @@ impl Layout for Ros {
         } else {
             folder.join("data.bag")
         };
-        let images = [
-            &tables.color,
-            &tables.camera,
-            &tables.depth,
-            &tables.infrared,
-        ];
-        let mut images = images.into_iter().flatten();
-        let gone = images.find(|row| !folder.join(&row.path).exists());
-        match gone {
-            Some(_) if path.exists() => {}
-            Some(_) => {
-                return Err(io::Error::other(format!(
-                    "{} is gone, and so are the images that it was made of; extract again with --overwrite",
-                    path.display()
-                )));
-            }
-            None => self.write_bag(&path, folder, tables, facts)?,
-        }
-        let parts = folder.join(PARTS);
-        if parts.exists() && !tables.unfinished {
-            fs::remove_dir_all(parts)?;
-        }
-        Ok(())
+        parts::join(folder, &path, tables, || {
+            self.write_bag(&path, folder, tables, facts)
+        })
     }
 }
 

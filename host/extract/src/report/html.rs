@@ -8,11 +8,12 @@ use serde_json::json;
 
 use super::ExtractReport;
 use crate::gyro_clock::WindowResult;
+use crate::strip;
 
 impl ExtractReport {
-    /// The report as a page without anything from outside.
-    #[must_use]
-    pub fn html(&self) -> String {
+    /// The report as a page without anything from outside. `samples` is a drawing of sample
+    /// pairs.
+    pub(crate) fn html(&self, samples: Option<&str>) -> String {
         let (level, verdict) = self.verdict();
         let title = format!("Extraction of {}", self.recording);
         let mut page = Page::new(&title, level, &verdict);
@@ -62,6 +63,9 @@ impl ExtractReport {
                 &pairs_svg(&pairs.course),
                 "The same over time. A slope is a drift of the trigger against the phone's frames.",
             );
+            if let Some(samples) = samples {
+                page.figure(samples, strip::CAPTION);
+            }
         }
         if let Some(clock) = self.clock.as_ref().filter(|clock| clock.course.len() > 1) {
             page.section("Clock of the phone");

@@ -9,6 +9,7 @@ use crate::layout::{Facts, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;
 use crate::report::SequenceReport;
 use crate::sequence::Sequences;
+use crate::strip;
 use crate::tables::{CameraFrame, ColorFrame, DepthFrame};
 
 /// What there is for all sequences.
@@ -47,8 +48,10 @@ impl Extraction<'_> {
             let here = names.iter().filter(|(topic, _)| here(topic));
             tables.names = here.map(|(&topic, name)| (topic, name.clone())).collect();
             let folder = sequences.folder(sequence);
+            let data = self.place.out.join(below).join(&folder);
+            self.draw_samples(&data, &tables)?;
             layout
-                .finish(&self.place.out.join(below).join(&folder), &tables, facts)
+                .finish(&data, &tables, facts)
                 .map_err(|error| self.failed(error))?;
             let folder = folder.display().to_string();
             reports.push(SequenceReport {
@@ -63,6 +66,32 @@ impl Extraction<'_> {
             });
         }
         Ok(reports)
+    }
+
+    /// Draws sample pairs for the report, of the sequence that has most; once, for some
+    /// formats do not keep the images.
+    fn draw_samples(
+        &mut self,
+        data: &Path,
+        tables: &SequenceTables<'_>,
+    ) -> Result<(), ExtractError> {
+        if tables.pairs.len() <= self.drawn_from {
+            return Ok(());
+        }
+        let pairs = strip::samples(data, tables);
+        if pairs.iter().any(|(color, _)| !color.exists()) {
+            return Ok(());
+        }
+        self.drawn_from = tables.pairs.len();
+        match strip::draw(&pairs) {
+            Ok(svg) => self.write(strip::FILE, svg.as_bytes()),
+            // The images are right or wrong by themselves; the report does without.
+            Err(error) => {
+                self.remarks
+                    .push(format!("the report has no sample pairs: {error}"));
+                Ok(())
+            }
+        }
     }
 
     fn tables_of<'a>(

@@ -41,6 +41,7 @@ use super::report::{
 };
 use super::sequence::Sequences;
 use super::streams::{Stopped, each_event};
+use super::strip;
 use super::survey::{ImuSpan, Survey, survey};
 use super::tables::{self, ColorFrame, DepthFrame, Shutter};
 use super::time::BoardNanos;
@@ -130,6 +131,8 @@ struct Extraction<'a> {
     remarks: Vec<String>,
     /// Images are missing that the next run may write.
     unfinished: bool,
+    /// Pairs of the sequence of which samples are drawn.
+    drawn_from: usize,
 }
 
 /// Extracts.
@@ -189,7 +192,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         video: video.as_ref(),
         images: images.as_ref(),
     };
-    run.miss_registration(&pairs);
+    run.miss_pairs(&pairs);
     let sequence_reports = run.finish_sequences(Path::new(""), &sequences, &written, &facts)?;
     if images.is_some() {
         run.write_calibration(depth.as_ref())?;
@@ -264,6 +267,7 @@ impl<'a> Extraction<'a> {
             progress,
             losses: Vec::new(),
             unfinished: false,
+            drawn_from: 0,
         })
     }
 }
@@ -294,7 +298,8 @@ impl Extraction<'_> {
     fn write_report(&self, report: &ExtractReport) -> Result<(), ExtractError> {
         let json = serde_json::to_vec_pretty(report).map_err(|error| self.failed(error.into()))?;
         self.write("report.json", &json)?;
-        self.write("report.html", report.html().as_bytes())
+        let samples = std::fs::read_to_string(self.place.out.join(strip::FILE)).ok();
+        self.write("report.html", report.html(samples.as_deref()).as_bytes())
     }
 
     fn board_report(
@@ -314,8 +319,8 @@ impl Extraction<'_> {
         }
     }
 
-    /// Says that a format which wants registered depth does not get it.
-    fn miss_registration(&mut self, pairs: &[Pair]) {
+    /// Says what a format wants of pairs and does not get.
+    fn miss_pairs(&mut self, pairs: &[Pair]) {
         let is_wanted = self.job.format == Format::Tum && self.job.options.view.is_none();
         if is_wanted && !pairs.is_empty() {
             self.lose(
@@ -323,6 +328,12 @@ impl Extraction<'_> {
                 "there is no associations.txt: whoever reads it takes each depth pixel for the one of colour in \
                  the same place, and depth is not registered; give --register phone or --register color \
                  (the pairs are in pairs.csv)",
+            );
+        }
+        if self.job.format == Format::Lerobot && pairs.is_empty() {
+            self.lose(
+                "pairs",
+                "a LeRobot dataset is made of pairs of phone and depth images, and there are none",
             );
         }
     }

@@ -1,0 +1,308 @@
+//! LeRobot v3: one dataset of one episode for each sequence.
+//!
+//! | file | what |
+//! |---|---|
+//! | `meta/info.json`, `stats.json`, `tasks.parquet`, `episodes/chunk-000/file-000.parquet` | what is where, and the statistics that training normalizes by |
+//! | `data/chunk-000/file-000.parquet` | a row a pair of images: depth as a 16-bit PNG file in mm, times |
+//! | `videos/observation.images.phone/chunk-000/file-000.mp4` | the phone's image of each pair |
+//! | `imu/board.csv`, `imu/phone.csv` | the samples of both IMUs, beside the format |
+//!
+//! The format counts frames: `timestamp` is the frame's number over the frame rate, and the
+//! video has it so. When the images were exposed, in nanoseconds of board time, is in
+//! `phone_time_ns` and `depth_time_ns`.
+
+mod stats;
+mod table;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde_json::{Value, json};
+use video::Encoder;
+
+use self::stats::Stats;
+use self::table::{Kind, Table, Values};
+use super::euroc::IMU_HEADER;
+use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
+use crate::image::{Decoded, read_png, write_whole};
+use crate::time::BoardNanos;
+
+pub(super) struct Lerobot;
+
+const PHONE: &str = "observation.images.phone";
+const DEPTH: &str = "observation.images.depth";
+const INFO: &str = "meta/info.json";
+const DATA: &str = "data/chunk-000/file-000.parquet";
+const EPISODES: &str = "meta/episodes/chunk-000/file-000.parquet";
+/// What was done, as an episode must say; nothing is known of it.
+const TASK: &str = "recording";
+/// Rows that are made at a time.
+const ROWS_AT_A_TIME: usize = 64;
+
+impl Layout for Lerobot {
+    fn color_path(&self, at: BoardNanos) -> PathBuf {
+        parts::image("phone", at, "png")
+    }
+
+    fn depth_path(&self, at: BoardNanos) -> PathBuf {
+        parts::image("depth", at, "png")
+    }
+
+    fn camera_path(&self, _at: BoardNanos) -> Option<PathBuf> {
+        None
+    }
+
+    fn infrared_path(&self, _at: BoardNanos) -> Option<PathBuf> {
+        None
+    }
+
+    fn board_imu(&self) -> ImuTable {
+        ImuTable::plain("imu/board.csv", IMU_HEADER)
+    }
+
+    fn phone_imu(&self) -> Option<ImuTable> {
+        Some(ImuTable::plain("imu/phone.csv", IMU_HEADER))
+    }
+
+    fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
+        super::further::write(folder, tables)?;
+        let pairs = tables.pairs.iter();
+        let pairs: Vec<Pair<'_>> = pairs
+            .filter_map(|&(color, depth)| {
+                Some((tables.color.get(color)?, tables.depth.get(depth)?))
+            })
+            .collect();
+        if pairs.is_empty() {
+            return Ok(());
+        }
+        parts::join(folder, &folder.join(INFO), tables, || {
+            write(folder, &pairs, facts)
+        })
+    }
+}
+
+/// Images of phone and depth camera.
+type Pair<'a> = (&'a ImageRow, &'a ImageRow);
+
+fn write(folder: &Path, pairs: &[Pair<'_>], facts: &Facts) -> io::Result<()> {
+    let fps = facts
+        .color_rate
+        .map_or(30, |rate| rate.round().max(1.0) as u32);
+    let (phone_size, phone) = write_video(folder, pairs, fps)?;
+    let (depth_size, depth) = write_rows(folder, pairs, fps)?;
+    let count = pairs.len() as i64;
+    let numbers =
+        |at: &dyn Fn(usize) -> f64| Stats::of_numbers((0..pairs.len()).map(at)).json(false);
+    let stats = json!({
+        PHONE: phone.json(true),
+        DEPTH: depth.json(true),
+        "phone_time_ns": numbers(&|row| pairs[row].0.at.0 as f64),
+        "depth_time_ns": numbers(&|row| pairs[row].1.at.0 as f64),
+        "timestamp": numbers(&|row| f64::from(timestamp(row, fps))),
+        "frame_index": numbers(&|row| row as f64),
+        "episode_index": numbers(&|_| 0.0),
+        "index": numbers(&|row| row as f64),
+        "task_index": numbers(&|_| 0.0),
+    });
+    write_json(&folder.join("meta/stats.json"), &stats)?;
+    write_tasks(&folder.join("meta/tasks.parquet"))?;
+    write_episode(&folder.join(EPISODES), count, f64::from(fps))?;
+    // Last: with it the dataset is whole.
+    write_json(
+        &folder.join(INFO),
+        &info(count, fps, phone_size, depth_size),
+    )
+}
+
+/// Seconds of a frame as the format counts them.
+fn timestamp(row: usize, fps: u32) -> f32 {
+    (row as f64 / f64::from(fps)) as f32
+}
+
+fn write_json(path: &Path, value: &Value) -> io::Result<()> {
+    write_whole(path, &serde_json::to_vec_pretty(value)?)
+}
+
+type Size = (u32, u32);
+
+/// The video of the phone's images; their size, and the statistics of their colours.
+fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, Stats)> {
+    let path = folder.join(format!("videos/{PHONE}/chunk-000/file-000.mp4"));
+    fs::create_dir_all(files::folder_of(&path))?;
+    let partial = path.with_extension("partial");
+    let mut video: Option<(Encoder, Size)> = None;
+    let mut stats = Stats::new(3);
+    for pairs in pairs.chunks(ROWS_AT_A_TIME) {
+        let images: Vec<io::Result<(Decoded, Stats)>> = pairs
+            .par_iter()
+            .map(|(image, _)| {
+                let image = read_png(&folder.join(&image.path))?;
+                let stats = Stats::of_image(3, 255.0, image.pixels.iter().copied().map(u16::from));
+                Ok((image, stats))
+            })
+            .collect();
+        for image in images {
+            let (image, its) = image?;
+            stats.join(&its);
+            if video.is_none() {
+                let encoder = Encoder::create(&partial, image.size, fps);
+                video = Some((encoder.map_err(io::Error::other)?, image.size));
+            }
+            if let Some((encoder, size)) = &mut video
+                && *size == image.size
+            {
+                encoder.write(&image.pixels).map_err(io::Error::other)?;
+            }
+        }
+    }
+    let (encoder, size) = video.ok_or_else(|| io::Error::other("there are no images"))?;
+    encoder.finish().map_err(io::Error::other)?;
+    fs::rename(&partial, &path)?;
+    Ok((size, stats))
+}
+
+/// The rows with depth and times; size and statistics of depth.
+fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, Stats)> {
+    let columns = [
+        (DEPTH, Kind::Image),
+        ("phone_time_ns", Kind::Int),
+        ("depth_time_ns", Kind::Int),
+        ("timestamp", Kind::Float),
+        ("frame_index", Kind::Int),
+        ("episode_index", Kind::Int),
+        ("index", Kind::Int),
+        ("task_index", Kind::Int),
+    ]
+    .map(|(name, kind)| (name.to_owned(), kind));
+    let mut table = Table::create(&folder.join(DATA), &columns, None)?;
+    let (mut size, mut stats) = ((0, 0), Stats::new(1));
+    let mut first = 0;
+    for pairs in pairs.chunks(ROWS_AT_A_TIME) {
+        let images: Vec<io::Result<(Vec<u8>, Size, Stats)>> = pairs
+            .par_iter()
+            .map(|(_, depth)| {
+                let path = folder.join(&depth.path);
+                let image = read_png(&path)?;
+                let pixels = image.pixels.chunks_exact(2);
+                let millimetres = pixels.map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
+                let stats = Stats::of_image(1, 1.0, millimetres);
+                Ok((fs::read(path)?, image.size, stats))
+            })
+            .collect();
+        let mut bytes = Vec::with_capacity(pairs.len());
+        for image in images {
+            let (image, its_size, its) = image?;
+            bytes.push(image);
+            size = its_size;
+            stats.join(&its);
+        }
+        let rows = first..first + pairs.len();
+        let numbers: Vec<i64> = rows.clone().map(|row| row as i64).collect();
+        let zeros = Values::Int(vec![0; pairs.len()]);
+        table.put(vec![
+            Values::Bytes(bytes),
+            Values::Int(pairs.iter().map(|(phone, _)| phone.at.0).collect()),
+            Values::Int(pairs.iter().map(|(_, depth)| depth.at.0).collect()),
+            Values::Float(rows.map(|row| timestamp(row, fps)).collect()),
+            Values::Int(numbers.clone()),
+            zeros.clone(),
+            Values::Int(numbers),
+            zeros,
+        ])?;
+        first += pairs.len();
+    }
+    table.finish()?;
+    Ok((size, stats))
+}
+
+/// The one task; pandas finds the row by its text.
+fn write_tasks(path: &Path) -> io::Result<()> {
+    let columns = [("task_index", Kind::Int), ("task", Kind::Text)];
+    let columns = columns.map(|(name, kind)| (name.to_owned(), kind));
+    let column = |name: &str, pandas: &str, numpy: &str| {
+        json!({
+            "name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy,
+            "metadata": null,
+        })
+    };
+    let about = json!({
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+    });
+    let mut table = Table::create(path, &columns, Some(("pandas", about.to_string())))?;
+    table.put(vec![Values::Int(vec![0]), Values::text(TASK)])?;
+    table.finish()
+}
+
+/// The one episode: where its rows and its part of the video are.
+fn write_episode(path: &Path, count: i64, fps: f64) -> io::Result<()> {
+    let int = |name: &str, value: i64| (name.to_owned(), Kind::Int, Values::Int(vec![value]));
+    let seconds = |name: String, value: f64| (name, Kind::Double, Values::Double(vec![value]));
+    let columns = [
+        int("episode_index", 0),
+        (String::from("tasks"), Kind::TextList, Values::text(TASK)),
+        int("length", count),
+        int("data/chunk_index", 0),
+        int("data/file_index", 0),
+        int("dataset_from_index", 0),
+        int("dataset_to_index", count),
+        int(&format!("videos/{PHONE}/chunk_index"), 0),
+        int(&format!("videos/{PHONE}/file_index"), 0),
+        seconds(format!("videos/{PHONE}/from_timestamp"), 0.0),
+        seconds(format!("videos/{PHONE}/to_timestamp"), count as f64 / fps),
+        int("meta/episodes/chunk_index", 0),
+        int("meta/episodes/file_index", 0),
+    ];
+    let (mut kinds, mut values) = (Vec::new(), Vec::new());
+    for (name, kind, value) in columns {
+        kinds.push((name, kind));
+        values.push(value);
+    }
+    let mut table = Table::create(path, &kinds, None)?;
+    table.put(values)?;
+    table.finish()
+}
+
+fn info(count: i64, fps: u32, phone: Size, depth: Size) -> Value {
+    let image = |kind: &str, (width, height): Size, channels: u32, about: Value| {
+        json!({
+            "dtype": kind,
+            "shape": [height, width, channels],
+            "names": ["height", "width", "channels"],
+            "info": about,
+        })
+    };
+    let number = |kind: &str| json!({ "dtype": kind, "shape": [1], "names": null });
+    let video = json!({
+        "video.height": phone.1, "video.width": phone.0, "video.codec": "h264",
+        "video.fps": fps, "video.channels": 3, "is_depth_map": false, "has_audio": false,
+    });
+    json!({
+        "codebase_version": "v3.0",
+        "robot_type": null,
+        "total_episodes": 1,
+        "total_frames": count,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": { "train": "0:1" },
+        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+        "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
+        "features": {
+            PHONE: image("video", phone, 3, video),
+            DEPTH: image("image", depth, 1, json!({ "is_depth_map": true, "depth_unit": "mm" })),
+            "phone_time_ns": number("int64"),
+            "depth_time_ns": number("int64"),
+            "timestamp": number("float32"),
+            "frame_index": number("int64"),
+            "episode_index": number("int64"),
+            "index": number("int64"),
+            "task_index": number("int64"),
+        },
+    })
+}
