@@ -331,6 +331,21 @@ fn it_runs_on_the_first_revision_of_the_chip() {
     assert!(prefetch(&Board::boot(wiring::board())));
 }
 
+/// Here the bus is wired to others of I2C1's pins than those that the firmware uses.
+#[test]
+fn what_the_manual_forbids_ends_the_run_whatever_is_tolerated() {
+    let builder = wiring::board().i2c_bus(Pin::PB8, Pin::PB9);
+    let mut rig = builder.tolerate_failures().build().unwrap();
+    let error = rig.run_for(SimDuration::from_secs(2)).unwrap_err();
+    let SimError::Failed(failure) = &error else {
+        panic!("{error}");
+    };
+    assert_eq!(failure.kind, FailureKind::Forbidden);
+    let text = error.to_string();
+    let rule = "I2C1 is used while PB8 is not in its alternate function 4";
+    assert!(text.contains(rule), "{text}");
+}
+
 /// The stack has memory of its own, with nothing below it: one that overflows faults.
 #[test]
 fn the_stack_ends_where_memory_ends() {

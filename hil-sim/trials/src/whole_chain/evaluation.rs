@@ -2,9 +2,12 @@
 //! the phase of the frames by the truth, over many seeds; and whether the stated
 //! uncertainties are honest.
 
+use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use protocol::Ticks;
+use rig::phone::VideoTruth;
 use serde::Serialize;
 use serde_json::Value;
 
@@ -151,13 +154,27 @@ pub fn bias(recorded: &Recorded, programs: &Programs) -> Result<Measured> {
 fn true_bias(recorded: &Recorded) -> Result<f64> {
     let video = recorded.truth.videos.last().context("no video")?;
     let count = video.count.context("the video was not stopped")?;
-    let errors = phase_errors(
-        &video.frames,
+    Ok(mean_phase(
+        recorded,
+        video,
         count.saturating_sub(FRAMES)..count,
-        &recorded.truth.phone,
-        &recorded.truth.depth,
-    );
-    Ok(errors.iter().map(|e| e.error_us).sum::<f64>() / errors.len().max(1) as f64)
+    ))
+}
+
+/// Mean phase error of as many frames around a tick, by the truth, µs.
+pub(super) fn phase_at(recorded: &Recorded, at: Ticks) -> Result<f64> {
+    let video = recorded.truth.videos.last().context("no video")?;
+    let truth = &recorded.truth;
+    let at = truth.board.true_at(recorded.base.time(at));
+    let middle = video.frames.complete_at(truth.phone.nanos_at(at));
+    let first = middle.saturating_sub(FRAMES / 2);
+    Ok(mean_phase(recorded, video, first..first + FRAMES))
+}
+
+fn mean_phase(recorded: &Recorded, video: &VideoTruth, frames: Range<usize>) -> f64 {
+    let truth = &recorded.truth;
+    let errors = phase_errors(&video.frames, frames, &truth.phone, &truth.depth);
+    errors.iter().map(|e| e.error_us).sum::<f64>() / errors.len().max(1) as f64
 }
 
 /// Drift over the recorded span, as `evaluate drift` measures it.

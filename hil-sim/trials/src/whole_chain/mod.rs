@@ -27,6 +27,7 @@ use recording::session_file::SessionFile;
 use serde_json::Value;
 
 use crate::demo::judge::{Timebase, Truth};
+use rig::beliefs::Beliefs;
 use rig::k4a_mkv::{self, K4aSettings};
 use rig::motion::gesture::Gesture;
 use rig::motion::{MotionSpec, Step};
@@ -42,6 +43,9 @@ use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 /// How long the rig is twisted at first, seconds: the session connects, and
 /// then needs 9 s of it.
 const TWIST_S: f64 = 45.0;
+/// Between two twists of a session, and how much longer it is twisted for each, seconds.
+const GAP_S: u32 = 20;
+const MORE_TWIST_S: f64 = 35.0;
 
 /// What all checks need.
 #[derive(Clone, Debug)]
@@ -67,6 +71,10 @@ pub struct Plan {
     pub drop_probability: f64,
     /// By how much the camera flashes later than the owner's profile says.
     pub hidden_delay: SimDuration,
+    /// Twists before the recording.
+    pub twists: u32,
+    /// What is true of the rig.
+    pub beliefs: Beliefs,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.
     pub profile: Option<PathBuf>,
@@ -82,8 +90,28 @@ impl Plan {
             name: format!("seed_{seed}"),
             drop_probability: 0.0,
             hidden_delay: SimDuration::ZERO,
+            twists: 1,
+            beliefs: Beliefs::default(),
             profile: None,
         }
+    }
+
+    /// The rig, without what is hidden from its owner, and the phone on it.
+    fn parts(&self) -> (RigConfig, PhoneConfig) {
+        let seed = Seed(self.seed);
+        let step = |gesture, seconds| Step { gesture, seconds };
+        let twisted = TWIST_S + f64::from(self.twists.saturating_sub(1)) * MORE_TWIST_S;
+        let motion = MotionSpec::Script(vec![
+            step(Gesture::Twist, Some(twisted)),
+            step(Gesture::Walk, None),
+        ]);
+        let mut rig = RigConfig::published(seed).with_motion(motion);
+        if let Some(camera) = &mut rig.depth_camera {
+            camera.drop_probability = self.drop_probability;
+        }
+        let mut phone = PhoneConfig::draw(seed);
+        self.beliefs.apply(&mut rig, &mut phone);
+        (rig, phone)
     }
 }
 
@@ -152,20 +180,12 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
             .with_context(|| format!("cannot remove the former {}", run.display()))?;
     }
     std::fs::create_dir_all(&run).with_context(|| format!("cannot make {}", run.display()))?;
-    let seed = Seed(plan.seed);
-    let step = |gesture, seconds| Step { gesture, seconds };
-    let motion = MotionSpec::Script(vec![
-        step(Gesture::Twist, Some(TWIST_S)),
-        step(Gesture::Walk, None),
-    ]);
     // What the owner has measured; what is hidden from him comes on top.
-    let known = RigConfig::published(seed).with_motion(motion);
+    let (known, mut phone) = plan.parts();
     let mut config = known.clone();
     if let Some(camera) = &mut config.depth_camera {
-        camera.drop_probability = plan.drop_probability;
         camera.flash_delay = camera.flash_delay + plan.hidden_delay;
     }
-    let mut phone = PhoneConfig::draw(seed);
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());
     let mut board = wiring::board();
@@ -182,10 +202,22 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
         None => text,
         Some(path) => moved(path, &text)?,
     };
-    let recorded = session(rig, programs, &text, &run, storage, plan.seconds)
+    let length = Length {
+        seconds: plan.seconds,
+        twists: plan.twists,
+    };
+    let recorded = session(rig, programs, &text, &run, storage, length)
         .with_context(|| format!("seed {}", plan.seed))?;
     recorded.write_depth()?;
     Ok(recorded)
+}
+
+/// How long a session is.
+struct Length {
+    /// Seconds of board time to record.
+    seconds: u32,
+    /// Twists before that.
+    twists: u32,
 }
 
 /// Runs one session of a rig, with `profile` as its profile and `phone` as the folder
@@ -197,7 +229,7 @@ fn session(
     profile: &str,
     out: &Path,
     phone: PathBuf,
-    seconds: u32,
+    length: Length,
 ) -> Result<Recorded> {
     let path = out.join("rig.toml");
     std::fs::write(&path, profile).with_context(|| format!("cannot write {}", path.display()))?;
@@ -210,7 +242,9 @@ fn session(
         .arg("--out")
         .arg(out)
         .args(["--name", "recording", "--yes", "--fetch-video"])
-        .args(["--duration", &format!("{seconds}s")])
+        .args(["--duration", &format!("{}s", length.seconds)])
+        .args(["--twists", &length.twists.to_string()])
+        .args(["--twist-gap", &format!("{GAP_S}s")])
         .stdin(Stdio::null())
         .output()
         .with_context(|| cannot_start(&programs.smartdepthsync))?;

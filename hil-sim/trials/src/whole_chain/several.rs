@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
 use super::extraction::{table, whole};
-use super::{Programs, Recorded, ask, session};
+use super::{Length, Programs, Recorded, ask, session};
 use crate::demo::judge::{OtherVerdict, Verdict};
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::motion::MotionSpec;
@@ -256,7 +256,10 @@ pub fn run(
         &profile,
         out,
         out.join("phones"),
-        plan.seconds,
+        Length {
+            seconds: plan.seconds,
+            twists: 1,
+        },
     )?;
     // As its recorder would have been stopped with the session.
     let span = recorded.session.recorded.context("nothing was recorded")?;

@@ -105,7 +105,7 @@ fn the_photodiode_gives_the_time_from_trigger_to_centre() {
     // The camera counts its delays on its own clock.
     let rate = (1.0 + 1e-6 * board.rate_ppm) / (1.0 + 1e-6 * camera.clock.rate_ppm);
     let flash_us = camera.flash_delay.as_nanos() as f64 * 1e-3;
-    let center_us = flash_us + camera.mode.flashes().center_offset_ns() as f64 * 1e-3;
+    let center_us = camera.center_delay_ns() * 1e-3;
     // A capture is late by the input's synchroniser, the trigger's edge is not.
     let late_us = INPUT_SYNCHRONISER as f64 * 1e6 / f64::from(TICK_HZ);
     for (key, truth, late_us, limit) in [
