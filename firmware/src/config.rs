@@ -184,9 +184,17 @@ pub const I2C_TIMEOUT_MS: u64 = 5;
 /// after power-on until it answers (data sheet 6.3).
 pub const IMU_POWER_UP_MS: u64 = 100;
 
+/// Clock of an ICM-42688-P, in Hz: at 32 kHz its rates are those that it is set to (data
+/// sheet, 12.5). 1,500 ticks of TIM3.
+pub const IMU_RTC_HZ: u32 = 32_000;
+
+/// Longest time for starting a sensor that is set up, in ms: eleven transfers of at most
+/// 0.1 ms, a pause of 0.2, and time for a bus with a hiccup.
+pub const IMU_START_MS: u64 = 10;
+
 /// How long the first data-ready may take after setting up, in ms, before the
 /// clock is taken to be missing, beyond one interval: three times the start-up
-/// time of the gyroscope (30 ms, data sheet 6.1).
+/// time of the gyroscope (30 ms, data sheet 6.1; MPU-6500 35 ms, ICM-42688-P 30 ms).
 pub const FIRST_DATA_READY_MS: u64 = 100;
 
 /// From the switch to the external clock until the sensor's PLL has settled on it, in
@@ -194,7 +202,7 @@ pub const FIRST_DATA_READY_MS: u64 = 100;
 /// neither clock.
 pub const IMU_CLOCK_SETTLING_MS: u64 = 10;
 
-/// Longest time for setting the sensor up, in ms: 100 ms for its reset, 17
+/// Longest time for setting the sensor up, in ms: 100 ms for its reset, 50
 /// transfers of at most 0.1 ms, and time for a bus with a hiccup.
 pub const SET_UP_MS: u64 = 150;
 
@@ -227,5 +235,6 @@ mod tests {
         assert_eq!(HSE_HZ / 4 * 96 / 4, 48_000_000);
         assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
         assert_eq!(SYSCLK_HZ / 5, 19_200_000);
+        assert_eq!(TIM2_HZ % IMU_RTC_HZ, 0);
     }
 }

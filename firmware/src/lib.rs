@@ -8,7 +8,7 @@
 //! - [`trigger`]: where the edges of the train fall.
 //! - [`pulser`]: how each edge is made by a compare channel.
 //! - [`capture`]: directions of captured edges, and the limit on their rate.
-//! - [`imu`]: the MPU-9150.
+//! - [`imu`]: the IMUs, a file a family.
 //! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
 //! - [`die`]: the chip's temperature.

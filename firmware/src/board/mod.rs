@@ -27,6 +27,7 @@ pub(crate) mod faults;
 pub(crate) mod handover;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
+pub(crate) mod imu_clock;
 pub(crate) mod leds;
 pub(crate) mod nmea_port;
 pub(crate) mod outputs;

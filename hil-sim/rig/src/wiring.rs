@@ -21,8 +21,10 @@ pub(crate) const IMU_READY: Pin = Pin::PA1;
 pub const STROBE: Pin = Pin::PA2;
 /// The trigger's wire, read back (TIM2 CH4).
 pub(crate) const READBACK: Pin = Pin::PA3;
-/// Clock of the IMU (MCO1).
+/// Clock of an IMU that takes 19.2 MHz (MCO1).
 pub const IMU_CLOCK: Pin = Pin::PA8;
+/// Clock of an IMU that takes 32 kHz (TIM3 CH3).
+pub(crate) const IMU_RTC: Pin = Pin::PB0;
 /// Clock of the I2C bus (I2C1).
 pub(crate) const SCL: Pin = Pin::PB6;
 /// Data of the I2C bus (I2C1).

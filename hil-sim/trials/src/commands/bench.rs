@@ -13,7 +13,7 @@ use protocol::{
 };
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::motion::Motion;
-use rig::mpu9150::{Mpu9150, Mpu9150Config};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
@@ -181,8 +181,8 @@ fn measure(args: &Args) -> Result<Figures> {
 
     // The whole rig: IMU at 500 Hz, trigger and camera at 30 fps.
     let board = BoardTime::new(OscillatorConfig::default(), SEED.stream(Stream::BoardClock));
-    let imu = Mpu9150::new(
-        Mpu9150Config::typical(SEED),
+    let imu = SimImu::new(
+        SimImuConfig::typical(SEED),
         Motion::rest(),
         board.clone(),
         SEED,

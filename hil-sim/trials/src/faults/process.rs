@@ -31,7 +31,7 @@ use super::{Programs, Verdict};
 use crate::board_truth::{UNITS_PER_TICK, captured};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::mpu9150::SampleRecord;
+use rig::imu::SampleRecord;
 use rig::phone::{LinkFault, PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;

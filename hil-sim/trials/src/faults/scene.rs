@@ -16,7 +16,7 @@ use crate::board_truth::{BoardTruth, Compared, Train};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::mpu9150::{Mpu9150, Mpu9150Config};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use stm32f4_sim::i2c::{Shared, lock};
@@ -76,7 +76,7 @@ pub(super) struct Report {
 pub(super) struct Scene {
     pub(super) plan: Plan,
     pub(super) rig: Sim,
-    pub(super) sensor: Shared<Mpu9150>,
+    pub(super) sensor: Shared<SimImu>,
     pub(super) camera: Shared<DepthCamera>,
     pub(super) flood: Shared<Flood>,
     pub(super) truth: BoardTruth,
@@ -113,7 +113,7 @@ impl Scene {
             .build(seed.stream(Stream::Motion))
             .map_err(|error| error.to_string())?;
         let sensor =
-            Mpu9150::new(Mpu9150Config::typical(seed), motion, board.clone(), seed).shared();
+            SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
         let camera = DepthCamera::new(DepthCameraConfig::default(), board, seed)
             .map_err(|error| error.to_string())?;
         let camera = Arc::new(Mutex::new(camera));

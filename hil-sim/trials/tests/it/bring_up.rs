@@ -11,7 +11,7 @@ use crate::turn;
 use crate::whole_rig::Session;
 use protocol::{Failure, SELF_TEST_KEY, SelfTest};
 use rig::jumpers::Jumpers;
-use rig::mpu9150::Fault;
+use rig::imu::Fault;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
