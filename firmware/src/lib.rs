@@ -3,6 +3,7 @@
 //! Nothing in here touches a register. The binary (`src/main.rs`) adds the
 //! board (`src/board/`) and the tasks (`src/tasks/`).
 //!
+//! - [`boards`]: what differs from board to board.
 //! - [`config`]: every tuning number with its derivation.
 //! - [`timebase`]: 32-bit counter values to 64-bit board time.
 //! - [`trigger`]: where the edges of the train fall.
@@ -21,6 +22,7 @@
 #![forbid(unsafe_code)]
 
 pub mod alive;
+pub mod boards;
 pub mod capture;
 pub mod config;
 pub mod die;

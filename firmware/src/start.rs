@@ -39,7 +39,7 @@ fn main() -> ! {
     outputs::init(output_events);
     tim2::init(trigger_events);
     nmea_port::init();
-    leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
+    leds::init();
 
     // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
     let mut clock_out = McoConfig::default();

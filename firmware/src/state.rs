@@ -8,11 +8,10 @@ use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::once_lock::OnceLock;
 use embassy_sync::waitqueue::AtomicWaker;
 use firmware::alive::Alive;
+use firmware::boards::BOARD;
 use firmware::outbox::Outbox;
 use heapless::String;
-use protocol::{
-    BoardModel, Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks,
-};
+use protocol::{Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
 
 /// What does not change while the board runs.
 #[derive(Debug)]
@@ -104,7 +103,7 @@ pub(crate) fn hello(now: Ticks) -> Hello {
         epoch: info.map_or(0, |info| info.epoch),
         reset_cause: info.map_or(ResetCause::Unknown, |info| info.reset_cause),
         last_panic: info.and_then(|info| info.last_panic.clone()),
-        board: BoardModel::Discovery,
+        board: BOARD.model,
     }
 }
 

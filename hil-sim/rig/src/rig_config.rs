@@ -15,6 +15,7 @@ use crate::motion::{Motion, MotionSpec};
 use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use crate::random::{Seed, Stream};
 use crate::truth::{Clocks, Run};
+use crate::wiring::BoardKind;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::sim::SimBuilder;
 
@@ -23,6 +24,9 @@ use stm32f4_sim::sim::SimBuilder;
 pub struct RigConfig {
     /// Everything random comes from this.
     pub seed: Seed,
+    /// The board.
+    #[serde(default)]
+    pub board: BoardKind,
     /// How the rig moves.
     pub motion: MotionSpec,
     /// The board's crystal.
@@ -65,6 +69,7 @@ impl RigConfig {
         };
         Self {
             seed,
+            board: BoardKind::default(),
             motion: MotionSpec::default(),
             board_clock,
             imu: Some(SimImuConfig::typical(seed)),

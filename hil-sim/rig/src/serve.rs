@@ -67,6 +67,9 @@ pub struct Args {
     /// rad/s, optionally specific force x, y, z in m/s²).
     #[arg(long, value_name = "MOTION", default_value = "rest")]
     motion: MotionSpec,
+    /// The board.
+    #[arg(long, value_enum, default_value_t)]
+    board: wiring::BoardKind,
     /// The IMU on the board.
     #[arg(long, value_enum, default_value_t)]
     imu: SensorModel,
@@ -142,7 +145,7 @@ pub fn run(args: &Args) -> Result<()> {
         config.depth_camera = None;
     }
     let parts = config.build()?;
-    let mut builder = parts.wire(wiring::board());
+    let mut builder = parts.wire(wiring::board_of(args.board));
     if args.bring_up {
         let jumpers = Arc::new(Mutex::new(Jumpers::default()));
         builder = builder.model(Arc::clone(&jumpers));

@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 
 use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
 
-use rig::imu::{SimImu, SampleRecord};
+use rig::imu::{SampleRecord, SimImu};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;

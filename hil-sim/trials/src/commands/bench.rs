@@ -12,8 +12,8 @@ use protocol::{
     SendFiller, Sentences, StartGnss, StartTrigger, StopTrigger, TICK_HZ, TriggerStart,
 };
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
-use rig::motion::Motion;
 use rig::imu::{SimImu, SimImuConfig};
+use rig::motion::Motion;
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;

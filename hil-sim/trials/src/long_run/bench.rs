@@ -11,9 +11,9 @@ use protocol::{
 use super::{Growth, Interrupt, LongRunError, Options, Report};
 use crate::board_truth::{BoardTruth, Compared, Train, Wrong};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::imu::{SimImu, SimImuConfig};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
 use rig::wiring;
@@ -103,8 +103,7 @@ impl Bench {
         let seed = options.seed;
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion))?;
-        let sensor =
-            SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
+        let sensor = SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
         let config = DepthCameraConfig {
             photodiode: options.strobe,
             ..DepthCameraConfig::default()

@@ -1,5 +1,6 @@
 mod behaviour;
 mod families;
+mod other_driver;
 
 use super::mpu::PULSE;
 use super::mpu::address::*;
