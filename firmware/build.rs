@@ -13,9 +13,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let memory = root.join("memory.x");
     println!("cargo:rerun-if-changed={}", memory.display());
     if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
+        // The linker looks at the root first, and there it is: this is for those that do not.
         std::fs::copy(&memory, Path::new(&out).join("memory.x"))?;
         println!("cargo:rustc-link-search={out}");
         println!("cargo:rustc-link-arg-bins=--nmagic");
+        // What another chip has otherwise.
+        if env::var_os("CARGO_FEATURE_BLACK_PILL").is_some() {
+            let board = root.join("firmware/memory/black-pill.x");
+            println!("cargo:rustc-link-arg-bins=-T{}", board.display());
+        }
         println!("cargo:rustc-link-arg-bins=-Tlink.x");
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     }

@@ -1,48 +1,35 @@
-//! Driver of the MPU-9150's accelerometer and gyroscope.
+//! Drivers of the IMUs that the board takes.
 //!
-//! Over any `embedded-hal-async` I2C bus. It does not time out by itself: the
-//! caller drops a transfer that takes too long and asks [`Mpu9150::register`]
-//! which one it was. Register names and values follow the register map
-//! (RM-MPU-9150A-00); every setting is read back.
+//! Over any `embedded-hal-async` I2C bus. They do not time out by themselves: the
+//! caller drops a transfer that takes too long and asks [`Imu::register`] which one it
+//! was. Every setting is read back.
 //!
-//! The interrupt pin gives a pulse of 50 µs for each sample, whether the last
+//! A family is a file with the same five functions: [`mpu`] (MPU-6050, 9150, 6500, 9250)
+//! and [`icm42688p`]. [`Imu`] finds out which it is, by WHO_AM_I, which is register 0x75 at
+//! address 0x68 in all of them, and calls the right one. It is an enum and not a trait
+//! object: `no_std` has no boxed futures, and the compiler names every place where a new
+//! family is missing.
+//!
+//! The interrupt pin gives a short pulse for each sample, whether the last
 //! one was read or not, so that a sample that is not read in time is seen as an
-//! edge without data and not as silence.
+//! edge without data and not as silence. That edge is the sample's time, whatever clock the
+//! sensor runs on.
+
+pub(crate) mod icm42688p;
+pub(crate) mod mpu;
 
 use embedded_hal::i2c::{Error, ErrorKind};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
-use protocol::mpu9150::{
-    ACCEL_CONFIG, ACCEL_XOUT_H, ADDRESS, CONFIG, GYRO_CONFIG, IDENTITY, INT_ENABLE, INT_PIN_CFG,
-    PWR_MGMT_1, SMPLRT_DIV, WHO_AM_I,
-};
+use protocol::mpu9150::ADDRESS;
 use protocol::{
-    AccelRange, GyroRange, ImuConfig, ImuFault, ImuSetup, ImuStatus, LowPass, Refusal, TICK_HZ,
+    ImuClock, ImuConfig, ImuFault, ImuModel, ImuSensor, ImuSetup, ImuStatus, Refusal, TICK_HZ,
 };
 
-/// PWR_MGMT_1: reset all registers; the bit clears itself.
-const DEVICE_RESET: u8 = 0x80;
+/// Identity, in all families.
+const WHO_AM_I: u8 = 0x75;
 
-/// PWR_MGMT_1 after a reset: asleep.
-const AFTER_RESET: u8 = 0x40;
-
-/// PWR_MGMT_1, CLKSEL: PLL with the x gyroscope as reference.
-const CLOCK_GYRO_X: u8 = 1;
-
-/// PWR_MGMT_1, CLKSEL: PLL with external 19.2 MHz.
-const CLOCK_EXTERNAL: u8 = 5;
-
-/// INT_PIN_CFG: active high, push-pull, a pulse of 50 µs, cleared by any read.
-const INTERRUPT_PULSE: u8 = 0x10;
-
-/// INT_ENABLE: DATA_RDY_EN.
-const INTERRUPT_DATA_READY: u8 = 0x01;
-
-/// From reset to the next access, in ms: the data sheet gives 11 ms as typical,
-/// 100 as the most (6.3).
-const RESET_MS: u32 = 100;
-
-/// Sampling rate before the divider, with the low-pass on, in Hz.
+/// Highest rate, in Hz: what [`ImuConfig::divider`] divides.
 const BASE_RATE_HZ: u32 = 1_000;
 
 /// The registers of a sample, as they are.
@@ -57,24 +44,20 @@ pub struct RawSample {
 }
 
 impl RawSample {
-    /// From the 14 bytes at ACCEL_XOUT_H, big-endian.
-    const fn from_bytes(bytes: &[u8; 14]) -> Self {
-        const fn word(bytes: &[u8; 14], index: usize) -> i16 {
-            i16::from_be_bytes([bytes[2 * index], bytes[2 * index + 1]])
-        }
-        Self {
-            accel: [word(bytes, 0), word(bytes, 1), word(bytes, 2)],
-            temperature: word(bytes, 3),
-            gyro: [word(bytes, 4), word(bytes, 5), word(bytes, 6)],
-        }
-    }
-
     /// Whether an axis stands at an end of its range.
     #[must_use]
     pub fn is_saturated(&self) -> bool {
         let at_end = |&value: &i16| value == i16::MIN || value == i16::MAX;
         self.accel.iter().any(at_end) || self.gyro.iter().any(at_end)
     }
+}
+
+/// What a family says of one setting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Description {
+    gyro_delay_us: u32,
+    accel_delay_us: u32,
+    sensor: ImuSensor,
 }
 
 const fn interval_ticks(config: &ImuConfig) -> u32 {
@@ -87,125 +70,126 @@ pub const fn interval_ms(config: &ImuConfig) -> u32 {
     (config.divider as u32 + 1) * 1_000 / BASE_RATE_HZ
 }
 
-/// Refuses settings that the board does not take.
+/// Refuses settings that this sensor does not have.
 ///
 /// # Errors
 ///
-/// The divider is above [`ImuConfig::MAX_DIVIDER`].
-pub const fn check(config: &ImuConfig) -> Result<(), Refusal> {
-    if config.divider > ImuConfig::MAX_DIVIDER {
-        return Err(Refusal::ImuSettingOutOfRange);
+/// The divider is above [`ImuConfig::MAX_DIVIDER`], or the sensor has no such rate.
+pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
+    let has = match model {
+        ImuModel::Icm42688P => icm42688p::has(config),
+        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
+            mpu::has(config)
+        }
+    };
+    if has {
+        Ok(())
+    } else {
+        Err(Refusal::ImuSettingOutOfRange)
     }
-    Ok(())
 }
 
-/// The IMU as it is set up, with the scales and delays that follow.
+/// The IMU as it is set up, with the scales and delays that follow. One that is not
+/// found yet is described as an MPU-6050.
 #[must_use]
-pub const fn describe(config: ImuConfig, status: ImuStatus) -> ImuSetup {
+pub const fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
+    let description = match model {
+        ImuModel::Icm42688P => icm42688p::describe(&config),
+        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
+            mpu::describe(model, &config)
+        }
+    };
     ImuSetup {
         config,
         interval: interval_ticks(&config),
         gyro_lsb_per_dps_times_10: config.gyro_range.lsb_per_dps_times_10(),
         accel_lsb_per_g: config.accel_range.lsb_per_g(),
-        gyro_delay_us: config.low_pass.gyro_delay_us(),
-        accel_delay_us: config.low_pass.accel_delay_us(),
+        gyro_delay_us: description.gyro_delay_us,
+        accel_delay_us: description.accel_delay_us,
         status,
+        sensor: description.sensor,
     }
 }
 
-/// DLPF_CFG (register map, 4.3).
-const fn dlpf_cfg(low_pass: LowPass) -> u8 {
-    match low_pass {
-        LowPass::Hz188 => 1,
-        LowPass::Hz98 => 2,
-        LowPass::Hz42 => 3,
-        LowPass::Hz20 => 4,
-        LowPass::Hz10 => 5,
-        LowPass::Hz5 => 6,
-    }
-}
-
-/// GYRO_CONFIG: FS_SEL in bits 4 and 3 (register map, 4.4).
-const fn gyro_config(range: GyroRange) -> u8 {
-    (match range {
-        GyroRange::Dps250 => 0,
-        GyroRange::Dps500 => 1,
-        GyroRange::Dps1000 => 2,
-        GyroRange::Dps2000 => 3,
-    }) << 3
-}
-
-/// ACCEL_CONFIG: AFS_SEL in bits 4 and 3 (register map, 4.5).
-const fn accel_config(range: AccelRange) -> u8 {
-    (match range {
-        AccelRange::G2 => 0,
-        AccelRange::G4 => 1,
-        AccelRange::G8 => 2,
-        AccelRange::G16 => 3,
-    }) << 3
+/// Whose identity it is.
+const fn model_of(identity: u8) -> Option<ImuModel> {
+    Some(match identity {
+        mpu::IDENTITY_6050 => ImuModel::Mpu6050,
+        mpu::IDENTITY_6500 => ImuModel::Mpu6500,
+        mpu::IDENTITY_9250 => ImuModel::Mpu9250,
+        icm42688p::IDENTITY => ImuModel::Icm42688P,
+        _ => return None,
+    })
 }
 
 /// The sensor on its bus.
 #[derive(Debug)]
-pub struct Mpu9150<B> {
-    bus: B,
-    register: u8,
+pub struct Imu<B> {
+    registers: Registers<B>,
+    model: ImuModel,
 }
 
-impl<B: I2c> Mpu9150<B> {
-    /// The sensor at its one address.
+impl<B: I2c> Imu<B> {
+    /// The sensor at its one address; `model` is what an earlier [`Imu::set_up`] found.
     #[must_use]
-    pub const fn new(bus: B) -> Self {
-        Self { bus, register: 0 }
+    pub const fn new(bus: B, model: ImuModel) -> Self {
+        let registers = Registers { bus, register: 0 };
+        Self { registers, model }
     }
 
     /// The register that the last transfer was about.
     #[must_use]
     pub const fn register(&self) -> u8 {
-        self.register
+        self.registers.register
     }
 
-    /// Resets the sensor and sets it up on its own clock, up to data-ready pulses.
+    /// Which sensor [`Imu::set_up`] found.
+    #[must_use]
+    pub const fn model(&self) -> ImuModel {
+        self.model
+    }
+
+    /// Finds out which sensor it is, resets it and sets it up on its own clock, up to
+    /// what [`Imu::start`] does.
     ///
     /// # Errors
     ///
-    /// Faults of the bus; another sensor; a register that does not keep what
-    /// is written.
+    /// Faults of the bus; an unknown sensor; settings that it does not have; a register that
+    /// does not keep what is written.
     pub async fn set_up(
         &mut self,
         config: &ImuConfig,
         delay: &mut impl DelayNs,
     ) -> Result<(), ImuFault> {
-        let found = self.read(WHO_AM_I).await?;
-        if found != IDENTITY {
-            return Err(ImuFault::WrongIdentity { found });
+        self.model = self.identify().await?;
+        if check(self.model, config).is_err() {
+            return Err(ImuFault::NoSuchSetting);
         }
-        self.write(PWR_MGMT_1, DEVICE_RESET).await?;
-        delay.delay_ms(RESET_MS).await;
-        self.expect(PWR_MGMT_1, DEVICE_RESET, AFTER_RESET).await?;
-
-        for (register, value) in [
-            (PWR_MGMT_1, CLOCK_GYRO_X),
-            (SMPLRT_DIV, config.divider),
-            (CONFIG, dlpf_cfg(config.low_pass)),
-            (GYRO_CONFIG, gyro_config(config.gyro_range)),
-            (ACCEL_CONFIG, accel_config(config.accel_range)),
-            (INT_PIN_CFG, INTERRUPT_PULSE),
-            (INT_ENABLE, INTERRUPT_DATA_READY),
-        ] {
-            self.set(register, value).await?;
+        let registers = &mut self.registers;
+        match self.model {
+            ImuModel::Icm42688P => icm42688p::set_up(registers, config, delay).await,
+            model => mpu::set_up(registers, model, config, delay).await,
         }
-        Ok(())
     }
 
-    /// Switches a sensor that is set up to the clock at CLKIN. Without one there it may
-    /// stop, and may not even answer any more: then it is to be set up again.
+    /// Starts a sensor that is set up: on its own clock, or on the one at CLKIN, if it takes
+    /// one. Without a clock there it may stop, and may not even answer any more: then it is
+    /// to be set up again.
     ///
     /// # Errors
     ///
-    /// Faults of the bus; the register does not keep what is written.
-    pub async fn use_external_clock(&mut self) -> Result<(), ImuFault> {
-        self.set(PWR_MGMT_1, CLOCK_EXTERNAL).await
+    /// Faults of the bus; a register does not keep what is written.
+    pub async fn start(
+        &mut self,
+        clock: ImuClock,
+        delay: &mut impl DelayNs,
+    ) -> Result<(), ImuFault> {
+        let external = matches!(clock, ImuClock::External);
+        let registers = &mut self.registers;
+        match self.model {
+            ImuModel::Icm42688P => icm42688p::start(registers, external, delay).await,
+            _ => mpu::start(registers, external).await,
+        }
     }
 
     /// Reads a sample. One transfer: the sensor keeps the registers of one
@@ -215,13 +199,34 @@ impl<B: I2c> Mpu9150<B> {
     ///
     /// Faults of the bus.
     pub async fn read_sample(&mut self) -> Result<RawSample, ImuFault> {
-        let mut bytes = [0; 14];
-        self.register = ACCEL_XOUT_H;
-        let result = self.bus.write_read(ADDRESS, &[ACCEL_XOUT_H], &mut bytes);
-        result.await.map_err(|error| fault(&error, ACCEL_XOUT_H))?;
-        Ok(RawSample::from_bytes(&bytes))
+        match self.model {
+            ImuModel::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
+            _ => mpu::read_sample(&mut self.registers).await,
+        }
     }
 
+    async fn identify(&mut self) -> Result<ImuModel, ImuFault> {
+        if let Some(model) = model_of(self.registers.read(WHO_AM_I).await?) {
+            return Ok(model);
+        }
+        // An ICM-42688-P whose set-up was cut short may still show another bank.
+        self.registers
+            .write(protocol::icm42688p::REG_BANK_SEL, 0)
+            .await?;
+        let found = self.registers.read(WHO_AM_I).await?;
+        model_of(found).ok_or(ImuFault::WrongIdentity { found })
+    }
+}
+
+/// Access to single registers.
+#[derive(Debug)]
+struct Registers<B> {
+    bus: B,
+    /// What the last transfer was about.
+    register: u8,
+}
+
+impl<B: I2c> Registers<B> {
     async fn write(&mut self, register: u8, value: u8) -> Result<(), ImuFault> {
         self.register = register;
         let result = self.bus.write(ADDRESS, &[register, value]).await;
@@ -234,12 +239,24 @@ impl<B: I2c> Mpu9150<B> {
         self.expect(register, value, value).await
     }
 
+    /// Sets the bits of `mask` to those of `value`, and leaves the others.
+    async fn update(&mut self, register: u8, mask: u8, value: u8) -> Result<(), ImuFault> {
+        let before = self.read(register).await?;
+        self.set(register, (before & !mask) | value).await
+    }
+
     async fn read(&mut self, register: u8) -> Result<u8, ImuFault> {
+        let [value] = self.read_all(register).await?;
+        Ok(value)
+    }
+
+    /// Reads registers from `register` on, in one transfer.
+    async fn read_all<const N: usize>(&mut self, register: u8) -> Result<[u8; N], ImuFault> {
         self.register = register;
-        let mut value = [0];
-        let result = self.bus.write_read(ADDRESS, &[register], &mut value).await;
+        let mut bytes = [0; N];
+        let result = self.bus.write_read(ADDRESS, &[register], &mut bytes).await;
         result.map_err(|error| fault(&error, register))?;
-        Ok(value[0])
+        Ok(bytes)
     }
 
     async fn expect(&mut self, register: u8, wrote: u8, expected: u8) -> Result<(), ImuFault> {
@@ -253,6 +270,22 @@ impl<B: I2c> Mpu9150<B> {
         }
         Ok(())
     }
+}
+
+/// Seven words, high byte first.
+const fn words(bytes: &[u8; 14]) -> [i16; 7] {
+    const fn word(bytes: &[u8; 14], index: usize) -> i16 {
+        i16::from_be_bytes([bytes[2 * index], bytes[2 * index + 1]])
+    }
+    [
+        word(bytes, 0),
+        word(bytes, 1),
+        word(bytes, 2),
+        word(bytes, 3),
+        word(bytes, 4),
+        word(bytes, 5),
+        word(bytes, 6),
+    ]
 }
 
 /// What an error of the bus is called in messages.

@@ -3,12 +3,13 @@
 //! Nothing in here touches a register. The binary (`src/main.rs`) adds the
 //! board (`src/board/`) and the tasks (`src/tasks/`).
 //!
+//! - [`boards`]: what differs from board to board.
 //! - [`config`]: every tuning number with its derivation.
 //! - [`timebase`]: 32-bit counter values to 64-bit board time.
 //! - [`trigger`]: where the edges of the train fall.
 //! - [`pulser`]: how each edge is made by a compare channel.
 //! - [`capture`]: directions of captured edges, and the limit on their rate.
-//! - [`imu`]: the MPU-9150.
+//! - [`imu`]: the IMUs, a file a family.
 //! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
 //! - [`die`]: the chip's temperature.
@@ -21,6 +22,7 @@
 #![forbid(unsafe_code)]
 
 pub mod alive;
+pub mod boards;
 pub mod capture;
 pub mod config;
 pub mod die;

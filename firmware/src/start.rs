@@ -10,6 +10,7 @@ use firmware::config;
 use protocol::ResetCause;
 
 use crate::board::imu_bus::ImuBus;
+use crate::board::imu_clock::ImuClockOutput;
 use crate::board::{
     clocks, cycles, faults, handover, idle, leds, nmea_port, outputs, rng, stack, tim2,
 };
@@ -38,7 +39,7 @@ fn main() -> ! {
     outputs::init(output_events);
     tim2::init(trigger_events);
     nmea_port::init();
-    leds::init(p.PD12, p.PD13, p.PD14, p.PD15);
+    leds::init();
 
     // 96 MHz / 5: the 19.2 MHz that the MPU-9150 asks for at CLKSEL = 5.
     let mut clock_out = McoConfig::default();
@@ -78,12 +79,14 @@ fn main() -> ! {
         rx: p.DMA1_CH0,
     };
 
+    let imu_clock = ImuClockOutput::new(p.TIM3, p.PB0);
+
     idle::run(move |spawner| {
         spawn(spawner, tasks::usb::run(usb.device));
         spawn(spawner, tasks::usb::watch_terminal(usb.control));
         spawn(spawner, tasks::receive::run(usb.receiver));
         spawn(spawner, tasks::transmit::run(usb.sender));
-        spawn(spawner, tasks::imu::run(imu_bus));
+        spawn(spawner, tasks::imu::run(imu_bus, imu_clock));
         spawn(spawner, tasks::gnss::run());
         spawn(spawner, tasks::self_test::run());
         spawn(spawner, tasks::unmute::run());

@@ -8,6 +8,7 @@ use embassy_sync::blocking_mutex::CriticalSectionMutex;
 use embassy_sync::once_lock::OnceLock;
 use embassy_sync::waitqueue::AtomicWaker;
 use firmware::alive::Alive;
+use firmware::boards::BOARD;
 use firmware::outbox::Outbox;
 use heapless::String;
 use protocol::{Hello, LinkCounters, MAX_PANIC, PROTOCOL_VERSION, ResetCause, TICK_HZ, Ticks};
@@ -102,6 +103,7 @@ pub(crate) fn hello(now: Ticks) -> Hello {
         epoch: info.map_or(0, |info| info.epoch),
         reset_cause: info.map_or(ResetCause::Unknown, |info| info.reset_cause),
         last_panic: info.and_then(|info| info.last_panic.clone()),
+        board: BOARD.model,
     }
 }
 

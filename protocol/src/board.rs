@@ -28,7 +28,7 @@ pub struct Hello {
     pub git_revision: String<12>,
     /// The work tree had changes when the firmware was built.
     pub git_dirty: bool,
-    /// The MCU's unique device ID (RM0090 39.1).
+    /// The MCU's unique device ID (RM0090 39.1, RM0383 24.1).
     pub board_id: [u8; 12],
     /// Rate of all ticks, in Hz.
     pub tick_hz: u32,
@@ -41,6 +41,39 @@ pub struct Hello {
     pub reset_cause: ResetCause,
     /// Message of the panic or fault that ended the last run, if it did.
     pub last_panic: Option<String<MAX_PANIC>>,
+    /// Which board it is.
+    pub board: BoardModel,
+}
+
+/// A board that the firmware is built for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum BoardModel {
+    /// STM32F4DISCOVERY (STM32F407VG).
+    Discovery,
+    /// WeAct Black Pill (STM32F411CE): no further outputs, nothing for a lidar.
+    BlackPill,
+}
+
+impl BoardModel {
+    /// What its maker calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Discovery => "STM32F4DISCOVERY",
+            Self::BlackPill => "WeAct Black Pill (STM32F411CE)",
+        }
+    }
+
+    /// Whether it has the further outputs, 2 to 4, and the pulse per second with its
+    /// sentences.
+    #[must_use]
+    pub const fn has_outputs(self) -> bool {
+        match self {
+            Self::Discovery => true,
+            Self::BlackPill => false,
+        }
+    }
 }
 
 /// From the reset flags of RCC_CSR (RM0090 7.3.21).

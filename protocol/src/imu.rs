@@ -16,7 +16,7 @@ pub struct ImuSample {
     pub flags: ImuFlags,
     /// Acceleration x, y, z, in counts of [`ImuSetup::accel_lsb_per_g`].
     pub accel: [i16; 3],
-    /// Die temperature, in counts: `raw / 340 + 35` °C (MPU-9150 register map, 4.18).
+    /// Die temperature, in counts of [`ImuSensor::temperature_lsb_per_c_times_100`].
     pub temperature: i16,
     /// Angular rate x, y, z, in counts of [`ImuSetup::gyro_lsb_per_dps_times_10`].
     pub gyro: [i16; 3],
@@ -53,10 +53,11 @@ impl ImuFlags {
 /// Settings of the IMU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImuConfig {
-    /// SMPLRT_DIV: the rate is 1 kHz / (1 + divider), with the low-pass on
-    /// (MPU-9150 register map, 4.2); 0 to [`ImuConfig::MAX_DIVIDER`].
+    /// The rate is 1 kHz / (1 + divider); 0 to [`ImuConfig::MAX_DIVIDER`]. The
+    /// ICM-42688-P has 0, 1, 4, 9, 19 and 39 alone.
     pub divider: u8,
-    /// DLPF_CFG, the digital low-pass.
+    /// The digital low-pass: of those that the sensor has at this rate, the nearest.
+    /// [`ImuSensor::gyro_bandwidth_hz_times_10`] says which that is.
     pub low_pass: LowPass,
     /// Full scale of the gyroscope.
     pub gyro_range: GyroRange,
@@ -70,24 +71,24 @@ impl ImuConfig {
     pub const MAX_DIVIDER: u8 = 199;
 }
 
-/// DLPF_CFG: bandwidth of the gyroscope (MPU-9150 register map, 4.3).
+/// Bandwidth of the gyroscope's low-pass, by its value in the MPU-6050 and MPU-9150.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum LowPass {
-    /// 188 Hz, delay 1.9 ms.
+    /// 188 Hz.
     Hz188,
-    /// 98 Hz, delay 2.8 ms.
+    /// 98 Hz.
     Hz98,
-    /// 42 Hz, delay 4.8 ms.
+    /// 42 Hz.
     Hz42,
-    /// 20 Hz, delay 8.3 ms.
+    /// 20 Hz.
     Hz20,
-    /// 10 Hz, delay 13.4 ms.
+    /// 10 Hz.
     Hz10,
-    /// 5 Hz, delay 18.6 ms.
+    /// 5 Hz.
     Hz5,
 }
 
-/// FS_SEL.
+/// Full scale of the gyroscope.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum GyroRange {
     /// ±250 °/s, 131 LSB per °/s.
@@ -100,7 +101,7 @@ pub enum GyroRange {
     Dps2000,
 }
 
-/// AFS_SEL.
+/// Full scale of the accelerometer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum AccelRange {
     /// ±2 g, 16,384 LSB per g.
@@ -114,7 +115,8 @@ pub enum AccelRange {
 }
 
 impl LowPass {
-    /// Group delay of the gyroscope's low-pass, in µs (register map, 4.3).
+    /// Group delay of the gyroscope's low-pass in the MPU-6050 and MPU-9150, in µs
+    /// (their register maps, 4.3).
     #[must_use]
     pub const fn gyro_delay_us(self) -> u32 {
         match self {
@@ -127,7 +129,8 @@ impl LowPass {
         }
     }
 
-    /// Group delay of the accelerometer's low-pass, in µs (register map, 4.3).
+    /// Group delay of the accelerometer's low-pass in the MPU-6050 and MPU-9150, in µs
+    /// (their register maps, 4.3).
     #[must_use]
     pub const fn accel_delay_us(self) -> u32 {
         match self {
@@ -142,7 +145,8 @@ impl LowPass {
 }
 
 impl GyroRange {
-    /// Counts per °/s, times ten (register map, 4.19).
+    /// Counts per °/s, times ten, of all families (MPU-9150 register map, 4.19;
+    /// ICM-42688-P data sheet, 3.1).
     #[must_use]
     pub const fn lsb_per_dps_times_10(self) -> u16 {
         match self {
@@ -155,7 +159,8 @@ impl GyroRange {
 }
 
 impl AccelRange {
-    /// Counts per g (register map, 4.17).
+    /// Counts per g, of all families (MPU-9150 register map, 4.17; ICM-42688-P data
+    /// sheet, 3.2).
     #[must_use]
     pub const fn lsb_per_g(self) -> u16 {
         match self {
@@ -185,6 +190,82 @@ pub struct ImuSetup {
     pub accel_delay_us: u32,
     /// How it fares.
     pub status: ImuStatus,
+    /// Which sensor it is. Recordings of boards up to version 3, which took an MPU-9150
+    /// alone, do not have it.
+    #[serde(default)]
+    pub sensor: ImuSensor,
+}
+
+/// A family of sensors, as the identity register tells it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ImuModel {
+    /// Not found yet.
+    Unknown,
+    /// MPU-6050 or MPU-9150, which have one identity and one register map.
+    Mpu6050,
+    /// MPU-6500.
+    Mpu6500,
+    /// MPU-9250.
+    Mpu9250,
+    /// ICM-42688-P.
+    Icm42688P,
+}
+
+impl ImuModel {
+    /// What its maker calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "not found",
+            Self::Mpu6050 => "MPU-6050 or MPU-9150",
+            Self::Mpu6500 => "MPU-6500",
+            Self::Mpu9250 => "MPU-9250",
+            Self::Icm42688P => "ICM-42688-P",
+        }
+    }
+
+    /// The pin of the board and the frequency of the clock that its CLKIN takes; `None`
+    /// if it has no such pin.
+    #[must_use]
+    pub const fn clock_input(self) -> Option<(&'static str, &'static str)> {
+        match self {
+            Self::Unknown | Self::Mpu6050 => Some(("PA8", "19.2 MHz")),
+            Self::Mpu6500 | Self::Mpu9250 => None,
+            Self::Icm42688P => Some(("PB0", "32 kHz")),
+        }
+    }
+}
+
+/// What the sensor is, by its data sheet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ImuSensor {
+    /// The family.
+    pub model: ImuModel,
+    /// Bandwidth of the gyroscope's low-pass as it is set, in 0.1 Hz; 0 if not told.
+    pub gyro_bandwidth_hz_times_10: u16,
+    /// Noise density of the gyroscope, in µ°/s/√Hz.
+    pub gyro_noise_udps: u16,
+    /// Noise density of the accelerometer, in µg/√Hz.
+    pub accel_noise_ug: u16,
+    /// Counts of the thermometer per °C, times 100.
+    pub temperature_lsb_per_c_times_100: u16,
+    /// Temperature at a count of 0, in 0.01 °C.
+    pub temperature_at_zero_centidegrees: i16,
+}
+
+impl Default for ImuSensor {
+    /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18).
+    fn default() -> Self {
+        Self {
+            model: ImuModel::Mpu6050,
+            gyro_bandwidth_hz_times_10: 0,
+            gyro_noise_udps: 5_000,
+            accel_noise_ug: 400,
+            temperature_lsb_per_c_times_100: 34_000,
+            temperature_at_zero_centidegrees: 3_500,
+        }
+    }
 }
 
 /// How the IMU fares. Counters count from reset and saturate.
@@ -222,16 +303,17 @@ pub enum ImuState {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuClock {
-    /// 19.2 MHz from PA8: its samples are exact in board time.
+    /// The board's ([`ImuModel::clock_input`]): its samples are an exact division of board
+    /// time.
     External,
-    /// Its own PLL on the x gyroscope: a rate error of up to ±1 %.
+    /// Its own: a rate error of up to ±1 % (MPU family) or ±1.5 % (ICM-42688-P).
     Internal,
     /// Not known yet.
     Unknown,
 }
 
-/// A fault of the IMU; `register` is the number in the register map
-/// ([`crate::mpu9150::register_name`]).
+/// A fault of the IMU; `register` is the number in the sensor's register map
+/// ([`crate::mpu9150::register_name`], [`crate::icm42688p::register_name`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ImuFault {
@@ -252,7 +334,7 @@ pub enum ImuFault {
         /// Being written or read.
         register: u8,
     },
-    /// WHO_AM_I is not 0x68.
+    /// WHO_AM_I is none of the known sensors'.
     WrongIdentity {
         /// The identity that was read.
         found: u8,
@@ -268,4 +350,6 @@ pub enum ImuFault {
     },
     /// The sensor is set up, but no data-ready comes.
     NoDataReady,
+    /// This sensor does not have the settings that it was to get.
+    NoSuchSetting,
 }

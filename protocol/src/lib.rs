@@ -17,7 +17,8 @@
 //!
 //! Beside them, without imports:
 //!
-//! - [`mpu9150`]: names of the IMU's registers, which [`ImuFault`] gives as numbers.
+//! - [`mpu9150`], [`icm42688p`]: names of the IMUs' registers, which [`ImuFault`] gives as
+//!   numbers.
 //! - [`usb`]: how the board shows itself on USB.
 //!
 //! The order of an enum's variants and of a struct's fields *is* the format.
@@ -27,11 +28,29 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+/// Constants of registers, and a function from their numbers to their names.
+macro_rules! registers {
+    ($($(#[$doc:meta])* $name:ident = $number:expr;)*) => {
+        $($(#[$doc])* pub const $name: u8 = $number;)*
+
+        /// The name of a register in the register map, if it is one of these.
+        #[must_use]
+        pub const fn register_name(register: u8) -> Option<&'static str> {
+            match register {
+                $($name => Some(stringify!($name)),)*
+                _ => None,
+            }
+        }
+    };
+}
+use registers;
+
 pub mod board;
 pub mod capture;
 pub mod commands;
 pub mod framing;
 pub mod gnss;
+pub mod icm42688p;
 pub mod imu;
 pub mod messages;
 pub mod mpu9150;
@@ -54,4 +73,4 @@ pub use units::{Period, TICK_HZ, TickDelta, Ticks};
 /// Version of the wire format. Host and board must agree on it exactly; it is
 /// the first field of [`Hello`], whose position never changes, so that a host
 /// can read the version of any board.
-pub const PROTOCOL_VERSION: u16 = 3;
+pub const PROTOCOL_VERSION: u16 = 4;

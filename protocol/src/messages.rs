@@ -117,6 +117,9 @@ pub enum Refusal {
         /// When they would end, in µs after the pulse.
         ends_us: u32,
     },
+    /// This board has no such output, or no pulse per second
+    /// ([`BoardModel::has_outputs`](crate::BoardModel::has_outputs)).
+    NotOnThisBoard,
 }
 
 /// Load for tests; the payload counts up from the low byte of `seq`.

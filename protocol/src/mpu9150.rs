@@ -1,28 +1,11 @@
-//! Registers of the MPU-9150 that the board uses (MPU-9150 Register Map and
-//! Descriptions, RM-MPU-9150A-00), by their names there.
+//! Registers of the MPU family (MPU-6050, 9150, 6500, 9250) that the board uses, by their
+//! names in the "MPU-9150 Register Map and Descriptions", RM-MPU-9150A-00. The MPU-6500
+//! and MPU-9250 have [`ACCEL_CONFIG_2`] beside them (RM-MPU-6500A-00, 4.8).
 
-/// I2C address with AD0 low.
+/// I2C address with AD0 low, of the ICM-42688-P too.
 pub const ADDRESS: u8 = 0x68;
 
-/// What WHO_AM_I holds.
-pub const IDENTITY: u8 = 0x68;
-
-macro_rules! registers {
-    ($($(#[$doc:meta])* $name:ident = $number:expr;)*) => {
-        $($(#[$doc])* pub const $name: u8 = $number;)*
-
-        /// The name of a register in the register map, if it is one of these.
-        #[must_use]
-        pub const fn register_name(register: u8) -> Option<&'static str> {
-            match register {
-                $($name => Some(stringify!($name)),)*
-                _ => None,
-            }
-        }
-    };
-}
-
-registers! {
+crate::registers! {
     /// Divider of the sample rate.
     SMPLRT_DIV = 0x19;
     /// Digital low-pass.
@@ -31,6 +14,8 @@ registers! {
     GYRO_CONFIG = 0x1B;
     /// Full scale of the accelerometer.
     ACCEL_CONFIG = 0x1C;
+    /// Low-pass of the accelerometer, where it has its own.
+    ACCEL_CONFIG_2 = 0x1D;
     /// Behaviour of the interrupt pin.
     INT_PIN_CFG = 0x37;
     /// Which interrupts are on.

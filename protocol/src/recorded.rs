@@ -1,13 +1,14 @@
 //! Frames in recordings, also of boards of an older version.
 //!
 //! Host and board must agree on the version; a recording may be older than both.
-//! What version 2 said otherwise than this one is declared here once more, for reading
-//! alone.
+//! What versions 2 and 3 said otherwise than this one is declared here once more, for
+//! reading alone.
 
+use heapless::String;
 use serde::Deserialize;
 
 use crate::PROTOCOL_VERSION;
-use crate::board::{Dropped, Handlers, Hello, Status};
+use crate::board::{BoardModel, Dropped, Handlers, Hello, MAX_PANIC, ResetCause, Status};
 use crate::capture::Capture;
 use crate::framing::{FrameError, LinkCounters, MAX_FRAME, body, parse};
 use crate::gnss::{GnssStatus, Pps};
@@ -18,6 +19,9 @@ use crate::units::{TickDelta, Ticks};
 
 /// The oldest version whose frames are read.
 pub const OLDEST_RECORDED: u16 = 2;
+
+/// Variant of the hellos, in all versions.
+const HELLO: u8 = 0;
 
 /// Variant of the answers, in all versions.
 const ANSWER: u8 = 1;
@@ -35,10 +39,32 @@ pub fn read_recorded(version: u16, frame: &[u8]) -> Result<Option<DeviceToHost>,
     let message = body(copy)?;
     match (version, message.first()) {
         (PROTOCOL_VERSION, _) => parse(message).map(Some),
-        (2, Some(&ANSWER)) => Ok(None),
+        (2 | 3, Some(&ANSWER)) => Ok(None),
+        (3, Some(&HELLO)) => parse(message).map(|Message3::Hello(hello)| Some(hello.today())),
+        // Nothing else has changed since.
+        (3, _) => parse(message).map(Some),
         (2, _) => parse(message).map(Message2::today),
         _ => Err(FrameError::Message),
     }
+}
+
+#[derive(Deserialize)]
+enum Message3 {
+    Hello(Hello3),
+}
+
+#[derive(Deserialize)]
+struct Hello3 {
+    protocol_version: u16,
+    firmware_version: (u8, u8, u8),
+    git_revision: String<12>,
+    git_dirty: bool,
+    board_id: [u8; 12],
+    tick_hz: u32,
+    now: Ticks,
+    epoch: u32,
+    reset_cause: ResetCause,
+    last_panic: Option<String<MAX_PANIC>>,
 }
 
 #[derive(Deserialize)]
@@ -47,7 +73,7 @@ pub fn read_recorded(version: u16, frame: &[u8]) -> Result<Option<DeviceToHost>,
     reason = "no allocation here; one is alive at once"
 )]
 enum Message2 {
-    Hello(Hello),
+    Hello(Hello3),
     Answer(()),
     Status(Status2),
     Pulse(Pulse2),
@@ -120,6 +146,25 @@ impl From<Output2> for Output {
     }
 }
 
+impl Hello3 {
+    fn today(self) -> DeviceToHost {
+        DeviceToHost::Hello(Hello {
+            protocol_version: self.protocol_version,
+            firmware_version: self.firmware_version,
+            git_revision: self.git_revision,
+            git_dirty: self.git_dirty,
+            board_id: self.board_id,
+            tick_hz: self.tick_hz,
+            now: self.now,
+            epoch: self.epoch,
+            reset_cause: self.reset_cause,
+            last_panic: self.last_panic,
+            // There was no other.
+            board: BoardModel::Discovery,
+        })
+    }
+}
+
 impl Pulse2 {
     fn of(self, output: Output) -> DeviceToHost {
         DeviceToHost::Pulse(Pulse {
@@ -180,7 +225,7 @@ impl Message2 {
     fn today(self) -> Option<DeviceToHost> {
         Some(match self {
             Self::Answer(()) => return None,
-            Self::Hello(hello) => DeviceToHost::Hello(hello),
+            Self::Hello(hello) => hello.today(),
             Self::Status(status) => DeviceToHost::Status(status.into()),
             Self::Pulse(pulse) => pulse.of(Output::Camera),
             Self::Arrived(arrived) => arrived.of(Output::Camera),

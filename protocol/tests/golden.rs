@@ -64,7 +64,20 @@ fn imu_setup(config: ImuConfig, status: ImuStatus) -> ImuSetup {
         gyro_delay_us: config.low_pass.gyro_delay_us(),
         accel_delay_us: config.low_pass.accel_delay_us(),
         status,
+        sensor: ImuSensor {
+            model: ImuModel::Icm42688P,
+            gyro_bandwidth_hz_times_10: 2_467,
+            gyro_noise_udps: 2_800,
+            accel_noise_ug: 70,
+            temperature_lsb_per_c_times_100: 13_248,
+            temperature_at_zero_centidegrees: -2_500,
+        },
     }
+}
+
+fn of_model(mut setup: ImuSetup, model: ImuModel) -> ImuSetup {
+    setup.sensor.model = model;
+    setup
 }
 
 fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello {
@@ -79,6 +92,7 @@ fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello {
         epoch: 0xDEAD_BEEF,
         reset_cause,
         last_panic: last_panic.map(|text| String::try_from(text).unwrap()),
+        board: BoardModel::Discovery,
     }
 }
 
@@ -341,6 +355,11 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             DeviceToHost::Hello(hello(cause, None)),
         );
     }
+    let other = Hello {
+        board: BoardModel::BlackPill,
+        ..hello(ResetCause::PowerOn, None)
+    };
+    add("hello-black-pill".to_owned(), DeviceToHost::Hello(other));
     let panic = Some("src/main.rs:1: it fell");
     add(
         "hello-panic".to_owned(),
@@ -377,6 +396,22 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         ("trigger-query", QueryTrigger::wrap(trigger_status())),
         ("imu-configure", ConfigureImu::wrap(imu)),
         ("imu-query", QueryImu::wrap(imu)),
+        (
+            "imu-unknown",
+            QueryImu::wrap(of_model(imu, ImuModel::Unknown)),
+        ),
+        (
+            "imu-mpu-6050",
+            QueryImu::wrap(of_model(imu, ImuModel::Mpu6050)),
+        ),
+        (
+            "imu-mpu-6500",
+            QueryImu::wrap(of_model(imu, ImuModel::Mpu6500)),
+        ),
+        (
+            "imu-mpu-9250",
+            QueryImu::wrap(of_model(imu, ImuModel::Mpu9250)),
+        ),
         ("gnss-start", StartGnss::wrap(gnss)),
         ("gnss-stop", StopGnss::wrap(gnss_off)),
         ("gnss-query", QueryGnss::wrap(gnss)),
@@ -407,6 +442,7 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         Refusal::GnssStopping,
         Refusal::GnssDateOutOfRange,
         Refusal::GnssWindowExceeded { ends_us: 512_000 },
+        Refusal::NotOnThisBoard,
     ];
     for (number, refusal) in refusals.into_iter().enumerate() {
         let result = Err(refusal);
@@ -450,6 +486,7 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
             read: 0,
         },
         ImuFault::NoDataReady,
+        ImuFault::NoSuchSetting,
     ]
     .into_iter()
     .enumerate()
@@ -685,12 +722,38 @@ fn recorded_frames_of_version_2_are_read() {
     }
     // And as a frame of any other version they are not taken for something else.
     let pps = bytes("110a0980f0f0e401a2ec88b00db03598ba");
-    for version in [0, 1, PROTOCOL_VERSION, PROTOCOL_VERSION + 1] {
+    for version in [0, 1, 3, PROTOCOL_VERSION, PROTOCOL_VERSION + 1] {
         assert_eq!(read_recorded(version, &pps), Err(FrameError::Message));
     }
     let mut damaged = pps;
     damaged[5] ^= 1;
     assert_eq!(read_recorded(2, &damaged), Err(FrameError::Checksum));
+}
+
+/// The frames of a board that spoke version 3: all but hellos and answers are as today.
+#[test]
+fn recorded_frames_of_version_3_are_read() {
+    let today: std::collections::HashMap<_, _> = messages().into_iter().collect();
+    let (mut read, mut answers) = (0, 0);
+    for line in include_str!("version_3.txt").lines() {
+        let Some((name, frame)) = line.split_once(' ').filter(|(name, _)| *name != "#") else {
+            continue;
+        };
+        let frame = bytes(frame);
+        let message = read_recorded(3, frame.strip_suffix(&[0]).unwrap()).unwrap();
+        if name.starts_with("answer-") {
+            assert_eq!(message, None, "{name}");
+            answers += 1;
+            continue;
+        }
+        let mut expected = today[name].clone();
+        if let DeviceToHost::Hello(hello) = &mut expected {
+            hello.protocol_version = 3;
+        }
+        assert_eq!(message, Some(expected), "{name}");
+        read += 1;
+    }
+    assert_eq!((read, answers), (31, 3));
 }
 
 /// A frame of this version is read as the decoder reads it.

@@ -63,15 +63,37 @@ pub(crate) fn build_rig() -> Result<PathBuf> {
     Ok(elf)
 }
 
-/// Builds the firmware in the release profile and returns its ELF.
+/// A board that the firmware is built for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Board {
+    /// STM32F4DISCOVERY
+    #[default]
+    Discovery,
+    /// WeAct Black Pill (STM32F411CE)
+    BlackPill,
+}
+
+/// Builds the firmware of the STM32F4DISCOVERY in the release profile and returns its ELF.
 pub(crate) fn build() -> Result<PathBuf> {
     built(&["build", "--release"])
 }
 
 /// Builds the firmware in the release profile and gives it to the runner of its target
 /// (`.cargo/config.toml`), which flashes it.
-pub(crate) fn flash() -> Result<()> {
-    cargo_for_target(FIRMWARE, TARGET, &["run", "--release"])
+pub(crate) fn flash(board: Board) -> Result<()> {
+    match board {
+        Board::Discovery => cargo_for_target(FIRMWARE, TARGET, &["run", "--release"]),
+        // An alias of the folder's `.cargo/config.toml`.
+        Board::BlackPill => cargo_for_target(FIRMWARE, TARGET, &["black-pill"]),
+    }
+}
+
+/// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its
+/// ELF ends in `-black-pill`. To be called before [`build`].
+pub(crate) fn build_black_pill() -> Result<()> {
+    let features = ["--no-default-features", "--features", "black-pill"];
+    let elf = built(&[&["build", "--release"], &features[..]].concat())?;
+    keep(&elf, "-black-pill")
 }
 
 /// Builds the firmware with a wrong PLL factor, beside the right one: the name
@@ -79,9 +101,14 @@ pub(crate) fn flash() -> Result<()> {
 /// called before [`build`], which leaves the right one under its own name.
 pub(crate) fn build_with_wrong_pll() -> Result<()> {
     let elf = built(&["build", "--release", "--features", "wrong-pll"])?;
-    let mut kept = elf.clone().into_os_string();
-    kept.push("-wrong-pll");
-    std::fs::copy(&elf, &kept)
+    keep(&elf, "-wrong-pll")
+}
+
+/// Copies an ELF to the same name with an ending.
+fn keep(elf: &Path, ending: &str) -> Result<()> {
+    let mut kept = elf.as_os_str().to_owned();
+    kept.push(ending);
+    std::fs::copy(elf, &kept)
         .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
     Ok(())
 }
@@ -152,6 +179,9 @@ pub(crate) fn clippy() -> Result<()> {
     match route(TARGET)? {
         Route::Toolchain => {
             cargo_for_target(FIRMWARE, TARGET, &[&clippy[..], &strictly].concat())?;
+            let other = ["--no-default-features", "--features", "black-pill"];
+            let args = [&clippy[..], &other, &strictly].concat();
+            cargo_for_target(FIRMWARE, TARGET, &args)?;
             cargo_for_target(
                 FOREIGN,
                 TARGET,
@@ -159,6 +189,7 @@ pub(crate) fn clippy() -> Result<()> {
             )?;
         }
         Route::Debian { .. } => {
+            build_black_pill()?;
             build()?;
             build_foreign()?;
         }

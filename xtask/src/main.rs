@@ -48,7 +48,11 @@ enum Command {
     /// Build the firmware for the board, the host tool and the simulator.
     Build,
     /// Build the firmware, flash the board through probe-rs and show the log.
-    Flash,
+    Flash {
+        /// Which board it is.
+        #[arg(long, value_enum, default_value_t)]
+        board: firmware::Board,
+    },
     /// Run every test, on the host and in the simulator.
     Test {
         /// Passed on to cargo test, for example `-p smartdepthsync verify_command`.
@@ -160,7 +164,7 @@ enum Command {
 fn run(command: Command) -> Result<()> {
     match command {
         Command::Build => build(),
-        Command::Flash => flash(),
+        Command::Flash { board } => flash(board),
         Command::Test { cargo_args } => test(&cargo_args),
         Command::Demo(args) => demo(&args),
         Command::Check { no_book } => check(no_book),
@@ -215,6 +219,7 @@ fn run(command: Command) -> Result<()> {
 
 fn build() -> Result<()> {
     firmware::build_with_wrong_pll()?;
+    firmware::build_black_pill()?;
     let elf = firmware::build()?;
     firmware::build_agent()?;
     process::cargo(["build", "--release", "--workspace"])?;
@@ -222,19 +227,20 @@ fn build() -> Result<()> {
     Ok(())
 }
 
-fn flash() -> Result<()> {
+fn flash(board: firmware::Board) -> Result<()> {
     if !process::answers("probe-rs", &["--version"]) {
         bail!(
             "there is no probe-rs on the PATH: see https://probe.rs for how to install it, or \
              docs/flash.md for two ways without it"
         );
     }
-    firmware::flash()
+    firmware::flash(board)
 }
 
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
     firmware::build_with_wrong_pll()?;
+    firmware::build_black_pill()?;
     let elf = firmware::build()?;
     firmware::build_foreign()?;
     firmware::build_agent()?;

@@ -13,35 +13,28 @@ use embassy_stm32::rcc::{
     Sysclk,
 };
 use embassy_stm32::time::Hertz;
-use firmware::config::HSE_HZ;
+use firmware::boards::BOARD;
 use protocol::ResetCause;
 
 use crate::board::{falls, leds, urgent};
-
-/// Interrupts of the STM32F407 (RM0090 table 61).
-const INTERRUPTS: usize = 82;
 
 /// Looks at the crystal, 1 µs and more apart, until it is given up: 50 times the 2 ms in
 /// which it typically starts (data sheet, table 39).
 const CRYSTAL_LOOKS: u32 = 100_000;
 
-/// DBGMCU_IDCODE of the STM32F40x and of its first revision (RM0090 38.6.1).
-const DEVICE_ID: u16 = 0x413;
-const REVISION_A: u16 = 0x1000;
-
-/// HSE 8 MHz / 4 · 96 = 192 MHz; / 2 = 96 MHz core, / 4 = 48 MHz USB; APB1
+/// The crystal's PLL at 192 MHz; / 2 = 96 MHz core, / 4 = 48 MHz USB; APB1
 /// 24 MHz (timers 48), APB2 48 MHz (timers 96).
 pub(crate) fn config() -> Config {
     let mut config = Config::default();
     config.rcc.hsi = false;
     config.rcc.hse = Some(Hse {
-        freq: Hertz(HSE_HZ),
+        freq: Hertz(BOARD.crystal_hz),
         mode: HseMode::Oscillator,
     });
     config.rcc.pll_src = PllSource::HSE;
     config.rcc.pll = Some(Pll {
-        prediv: PllPreDiv::DIV4,
-        mul: PllMul::MUL96,
+        prediv: PllPreDiv::from_bits(BOARD.pll_divider),
+        mul: PllMul::from_bits(BOARD.pll_factor),
         divp: Some(if cfg!(feature = "wrong-pll") {
             PllPDiv::DIV4
         } else {
@@ -80,6 +73,7 @@ pub(crate) fn start_crystal() {
 /// (ES0182, "delay after an RCC peripheral clock enabling").
 pub(crate) fn enable_peripherals() {
     pac::RCC.ahb2enr().modify(|w| {
+        #[cfg(feature = "discovery")]
         w.set_rngen(true);
         // The tasks that read and write look at their endpoints before the one that runs
         // the device has let the HAL switch this on and reset the core.
@@ -89,6 +83,7 @@ pub(crate) fn enable_peripherals() {
     pac::RCC.apb1enr().modify(|w| {
         w.set_tim2en(true);
         w.set_tim5en(true);
+        #[cfg(feature = "discovery")]
         w.set_uart5en(true);
     });
     let _ = pac::RCC.apb1enr().read();
@@ -100,15 +95,17 @@ pub(crate) fn enable_peripherals() {
 }
 
 /// Switches on the flash accelerator, which the HAL leaves off: at 96 MHz every
-/// access to the flash takes three wait states without it (RM0090 3.5.1). Revision A of
-/// the chip cannot prefetch (ES0182). It gives the STM32F2's device ID.
+/// access to the flash takes three wait states without it (RM0090 3.5.1). The first
+/// revision of some chips cannot prefetch, and gives another device ID.
 pub(crate) fn enable_flash_accelerator() {
     let id = pac::DBGMCU.idcode().read();
-    let revision_a = id.dev_id() != DEVICE_ID || id.rev_id() == REVISION_A;
+    let found = (id.dev_id(), id.rev_id());
+    let cannot = |which| found == which || found.0 != BOARD.device_id;
+    let prefetches = !BOARD.cannot_prefetch.is_some_and(cannot);
     pac::FLASH.acr().modify(|w| {
         w.set_icen(true);
         w.set_dcen(true);
-        w.set_prften(!revision_a);
+        w.set_prften(prefetches);
     });
 }
 
@@ -144,7 +141,7 @@ pub(crate) fn take_reset_cause() -> ResetCause {
 pub(crate) fn set_priorities() {
     // SAFETY: called once, first thing, while no interrupt is enabled.
     let mut core = unsafe { cortex_m::Peripherals::steal() };
-    for interrupt in 0..INTERRUPTS {
+    for interrupt in 0..BOARD.interrupts {
         // SAFETY: any priority is valid; critical sections are not in use yet.
         unsafe { core.NVIC.ipr[interrupt].write(Priority::P8 as u8) };
     }

@@ -15,7 +15,7 @@ use firmware::pulser::Pulsed;
 use heapless::spsc::Producer;
 use protocol::{Capture, Output, Ticks};
 
-pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::DCMI;
+pub(crate) const INTERRUPT: pac::Interrupt = pac::Interrupt::SPI3;
 
 /// Capture inputs, as bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -47,7 +47,7 @@ fn next<T>(events: &Receiver<T>) -> Option<T> {
 }
 
 #[interrupt]
-fn DCMI() {
+fn SPI3() {
     HANDOVER_TIME.of(hand_over);
 }
 

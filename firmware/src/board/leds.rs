@@ -1,57 +1,72 @@
-//! The four LEDs of the STM32F4DISCOVERY, PD12 to PD15.
+//! The LEDs, on the pins of [`BOARD`].
 
-use embassy_stm32::Peri;
-use embassy_stm32::gpio::{Level, Output, Speed};
 use embassy_stm32::pac;
+use embassy_stm32::pac::gpio::Gpio;
 use embassy_stm32::pac::gpio::vals::Moder;
-use embassy_stm32::peripherals::{PD12, PD13, PD14, PD15};
+use firmware::boards::BOARD;
 
-/// One of the LEDs; the number is its pin on port D.
+/// One of the LEDs; the number is its place in [`BOARD`].
 #[derive(Clone, Copy)]
 #[repr(u8)]
 pub(crate) enum Led {
-    /// Green: IMU samples come.
-    Imu = 12,
-    /// Orange: changes with every pulse of the trigger.
-    Pulse = 13,
-    /// Red: the IMU has failed, or the last run ended in a panic or watchdog reset.
-    Fault = 14,
-    /// Blue: a host is linked.
-    Link = 15,
+    /// IMU samples come.
+    Imu,
+    /// Changes with every pulse of the trigger.
+    Pulse,
+    /// The IMU has failed, or the last run ended in a panic or watchdog reset.
+    Fault,
+    /// A host is linked.
+    Link,
+}
+
+impl Led {
+    const ALL: [Self; 4] = [Self::Imu, Self::Pulse, Self::Fault, Self::Link];
+}
+
+/// The registers of a port; LEDs are on B, C or D.
+const fn port(number: u8) -> Gpio {
+    match number {
+        1 => pac::GPIOB,
+        2 => pac::GPIOC,
+        _ => pac::GPIOD,
+    }
 }
 
 /// Makes the pins outputs, all dark.
-pub(crate) fn init(
-    imu: Peri<'static, PD12>,
-    pulse: Peri<'static, PD13>,
-    fault: Peri<'static, PD14>,
-    link: Peri<'static, PD15>,
-) {
-    core::mem::forget([
-        Output::new(imu, Level::Low, Speed::Low),
-        Output::new(pulse, Level::Low, Speed::Low),
-        Output::new(fault, Level::Low, Speed::Low),
-        Output::new(link, Level::Low, Speed::Low),
-    ]);
+pub(crate) fn init() {
+    for led in Led::ALL {
+        make_output(led);
+    }
+}
+
+fn make_output(led: Led) {
+    let pin = BOARD.leds[led as usize];
+    set(led, false);
+    port(pin.port)
+        .moder()
+        .modify(|w| w.set_moder(pin.pin.into(), Moder::OUTPUT));
 }
 
 /// Switches an LED. One write to the bit-set register: safe from any context.
 pub(crate) fn set(led: Led, on: bool) {
-    pac::GPIOD.bsrr().write(|w| {
-        if on {
-            w.set_bs(led as usize, true);
+    let pin = BOARD.leds[led as usize];
+    port(pin.port).bsrr().write(|w| {
+        if on != pin.active_low {
+            w.set_bs(pin.pin.into(), true);
         } else {
-            w.set_br(led as usize, true);
+            w.set_br(pin.pin.into(), true);
         }
     });
 }
 
-/// Lights the red LED alone, before anything else is set up.
+/// Lights the LED of faults alone, before anything else is set up.
 pub(crate) fn show_fault() {
-    pac::RCC.ahb1enr().modify(|w| w.set_gpioden(true));
+    pac::RCC.ahb1enr().modify(|w| {
+        w.set_gpioben(true);
+        w.set_gpiocen(true);
+        w.set_gpioden(true);
+    });
     let _ = pac::RCC.ahb1enr().read();
-    pac::GPIOD
-        .moder()
-        .modify(|w| w.set_moder(Led::Fault as usize, Moder::OUTPUT));
+    make_output(Led::Fault);
     set(Led::Fault, true);
 }

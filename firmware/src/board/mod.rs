@@ -1,4 +1,5 @@
-//! The registers of the STM32F407 and the wiring of the STM32F4DISCOVERY.
+//! The registers of the chip and the wiring of the board. What differs from board to board is
+//! in [`firmware::boards`]; `absent` stands in for what a chip does not have.
 //!
 //! Interrupt priorities (smaller goes first):
 //!
@@ -18,6 +19,8 @@
 //! The modules form layers, and imports go down: [`events`] and the locks; the drivers;
 //! [`handover`]. Of the rest of the binary they see `state` alone.
 
+#[cfg(not(feature = "discovery"))]
+mod absent;
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
 pub(crate) mod cycles;
@@ -27,9 +30,12 @@ pub(crate) mod faults;
 pub(crate) mod handover;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
+pub(crate) mod imu_clock;
 pub(crate) mod leds;
+#[cfg(feature = "discovery")]
 pub(crate) mod nmea_port;
 pub(crate) mod outputs;
+#[cfg(feature = "discovery")]
 pub(crate) mod rng;
 pub(crate) mod stack;
 pub(crate) mod thermometer;
@@ -37,3 +43,6 @@ mod tim1;
 pub(crate) mod tim2;
 pub(crate) mod triggers;
 pub(crate) mod urgent;
+
+#[cfg(not(feature = "discovery"))]
+pub(crate) use absent::{nmea_port, rng};

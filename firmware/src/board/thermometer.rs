@@ -4,12 +4,19 @@
 use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::SampleTime;
 use embassy_stm32::pac::adccommon::vals::Adcpre;
+use firmware::boards::BOARD;
 use firmware::die::{self, Calibration};
 
 const ADC: pac::adc::Adc = pac::ADC1;
 
-/// Channels of the sensor and of the reference on this chip (RM0090 13.10, 13.11).
-const SENSOR: u8 = 16;
+/// Registers that all ADCs of the chip share.
+#[cfg(feature = "discovery")]
+const COMMON: pac::adccommon::AdcCommon = pac::ADC123_COMMON;
+#[cfg(not(feature = "discovery"))]
+const COMMON: pac::adccommon::AdcCommon = pac::ADC1_COMMON;
+
+/// Channels of the sensor and of the reference (RM0090 13.10, 13.11).
+const SENSOR: u8 = BOARD.temperature_channel;
 const REFERENCE: u8 = 17;
 
 pub(crate) struct Thermometer {
@@ -22,7 +29,7 @@ pub(crate) struct Thermometer {
 impl Thermometer {
     /// Switches sensor and ADC on. They take 10 µs to settle (DS8626 table 70).
     pub(crate) fn new() -> Self {
-        pac::ADC123_COMMON.ccr().modify(|w| {
+        COMMON.ccr().modify(|w| {
             // APB2's 48 MHz / 4; the ADC takes 36 at most.
             w.set_adcpre(Adcpre::DIV4);
             w.set_tsvrefe(true);

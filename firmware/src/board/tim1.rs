@@ -18,6 +18,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::{Moder, Ospeedr, Pupdr};
 use embassy_stm32::pac::timer::regs::{SrAdv, SrGp16};
 use embassy_stm32::pac::timer::vals::{Ocm, Sms, Ts};
+use firmware::boards::BOARD;
 use firmware::config;
 use firmware::pulser::{Action, Captured, CompareOutput};
 
@@ -56,6 +57,9 @@ pub(super) fn init() {
     });
     TIM5.sr().write_value(SrGp16(0));
 
+    if !BOARD.model.has_outputs() {
+        return;
+    }
     for pin in PINS {
         pac::GPIOE
             .afr(pin / 8)

@@ -1,18 +1,24 @@
-//! Tests of the driver on a mock bus.
+//! Tests of the drivers on a mock bus.
 
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
 use embedded_hal::i2c::{ErrorType, NoAcknowledgeSource, Operation};
-use protocol::mpu9150::register_name;
+use protocol::mpu9150::{GYRO_CONFIG, PWR_MGMT_1, SMPLRT_DIV, register_name};
+use protocol::{AccelRange, GyroRange, ImuState, LowPass, icm42688p as icm};
 
 use super::*;
 use crate::config::IMU_DEFAULT;
 
+/// PWR_MGMT_1 of the MPUs.
+const DEVICE_RESET: u8 = 0x80;
+const AFTER_RESET: u8 = 0x40;
+
 /// A sensor as far as the driver sees it: registers, a fault to come, and a
 /// log of what was written.
 struct Mock {
-    registers: [u8; 128],
+    /// By bank; only the ICM-42688-P has more than one.
+    registers: [[u8; 128]; 3],
     log: Vec<(u8, u8)>,
     /// The transfer (counted from 0) that fails, and how.
     fail: Option<(usize, ErrorKind)>,
@@ -32,9 +38,15 @@ impl Error for MockError {
 
 impl Mock {
     fn new() -> Self {
-        let mut registers = [0; 128];
-        registers[usize::from(WHO_AM_I)] = 0x68;
-        registers[usize::from(PWR_MGMT_1)] = 0x40;
+        let mut mock = Self::with_identity(0x68);
+        mock.registers[0][usize::from(PWR_MGMT_1)] = 0x40;
+        mock
+    }
+
+    /// Any other, with zeros in its registers.
+    fn with_identity(identity: u8) -> Self {
+        let mut registers = [[0; 128]; 3];
+        registers[0][usize::from(WHO_AM_I)] = identity;
         Self {
             registers,
             log: Vec::new(),
@@ -42,6 +54,20 @@ impl Mock {
             stuck: None,
             transfers: 0,
         }
+    }
+
+    fn is_icm(&self) -> bool {
+        self.registers[0][usize::from(WHO_AM_I)] == 0x47
+    }
+
+    fn place(&mut self, register: usize) -> &mut u8 {
+        let select = usize::from(icm::REG_BANK_SEL);
+        let bank = if self.is_icm() && register != select {
+            usize::from(self.registers[0][select])
+        } else {
+            0
+        };
+        &mut self.registers[bank][register]
     }
 }
 
@@ -71,19 +97,23 @@ impl I2c for Mock {
                     self.log.push((*register, *value));
                     let kept = match (*register, *value) {
                         (PWR_MGMT_1, DEVICE_RESET) => {
-                            self.registers[usize::from(SMPLRT_DIV)..0x6B].fill(0);
-                            AFTER_RESET
+                            self.registers[0][usize::from(SMPLRT_DIV)..0x6B].fill(0);
+                            match self.registers[0][usize::from(WHO_AM_I)] {
+                                0x68 => AFTER_RESET,
+                                _ => 0x01,
+                            }
                         }
+                        (icm::DEVICE_CONFIG, 1) if self.is_icm() => 0,
                         _ => *value,
                     };
                     if self.stuck != Some(*register) {
-                        self.registers[usize::from(*register)] = kept;
+                        *self.place(usize::from(*register)) = kept;
                     }
                 }
                 Operation::Write(other) => panic!("unexpected write {other:?}"),
                 Operation::Read(bytes) => {
                     for byte in bytes.iter_mut() {
-                        *byte = self.registers[pointer];
+                        *byte = *self.place(pointer);
                         pointer += 1;
                     }
                 }
@@ -109,15 +139,19 @@ fn now<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
+fn imu(mock: Mock) -> Imu<Mock> {
+    Imu::new(mock, ImuModel::Unknown)
+}
+
 /// Up to the external clock.
-fn set_up(sensor: &mut Mpu9150<Mock>, config: &ImuConfig) -> Result<(), ImuFault> {
+fn set_up(sensor: &mut Imu<Mock>, config: &ImuConfig) -> Result<(), ImuFault> {
     now(sensor.set_up(config, &mut Delay::default()))?;
-    now(sensor.use_external_clock())
+    now(sensor.start(ImuClock::External, &mut Delay::default()))
 }
 
 #[test]
 fn the_default_is_written_after_a_reset() {
-    let mut sensor = Mpu9150::new(Mock::new());
+    let mut sensor = imu(Mock::new());
     let mut delay = Delay::default();
     now(sensor.set_up(&IMU_DEFAULT, &mut delay)).unwrap();
     // Its own clock first: every other setting is made while it surely runs.
@@ -131,9 +165,9 @@ fn the_default_is_written_after_a_reset() {
         (0x37, 0x10),
         (0x38, 0x01),
     ];
-    assert_eq!(sensor.bus.log, expected);
-    now(sensor.use_external_clock()).unwrap();
-    assert_eq!(sensor.bus.log[expected.len()..], [(0x6B, 0x05)]);
+    assert_eq!(sensor.registers.bus.log, expected);
+    now(sensor.start(ImuClock::External, &mut delay)).unwrap();
+    assert_eq!(sensor.registers.bus.log[expected.len()..], [(0x6B, 0x05)]);
     assert_eq!(delay.0, 100_000_000);
 }
 
@@ -165,9 +199,9 @@ fn every_setting_reaches_its_field() {
                     gyro_range,
                     accel_range,
                 };
-                let mut sensor = Mpu9150::new(Mock::new());
+                let mut sensor = imu(Mock::new());
                 now(sensor.set_up(&config, &mut Delay::default())).unwrap();
-                let kept = &sensor.bus.registers;
+                let kept = &sensor.registers.bus.registers[0];
                 assert_eq!(kept[0x19..0x1D], [199, dlpf, fs, afs]);
                 assert_eq!(kept[0x6B], 1);
             }
@@ -177,18 +211,20 @@ fn every_setting_reaches_its_field() {
 
 #[test]
 fn another_sensor_is_not_touched() {
-    let mut sensor = Mpu9150::new(Mock::new());
-    sensor.bus.registers[0x75] = 0x71;
+    let mut sensor = imu(Mock::new());
+    sensor.registers.bus.registers[0][0x75] = 0x12;
     let fault = set_up(&mut sensor, &IMU_DEFAULT);
-    assert_eq!(fault, Err(ImuFault::WrongIdentity { found: 0x71 }));
-    assert!(sensor.bus.log.is_empty());
+    assert_eq!(fault, Err(ImuFault::WrongIdentity { found: 0x12 }));
+    // But for the bank that an ICM-42688-P may show.
+    assert_eq!(sensor.registers.bus.log, [(0x76, 0)]);
+    assert_eq!(sensor.model(), ImuModel::Unknown);
 }
 
 #[test]
 fn a_fault_at_any_transfer_names_its_register() {
-    let mut good = Mpu9150::new(Mock::new());
+    let mut good = imu(Mock::new());
     set_up(&mut good, &IMU_DEFAULT).unwrap();
-    let transfers = good.bus.transfers;
+    let transfers = good.registers.bus.transfers;
     assert_eq!(transfers, 19);
     for at in 0..transfers {
         for source in [
@@ -196,31 +232,31 @@ fn a_fault_at_any_transfer_names_its_register() {
             NoAcknowledgeSource::Data,
             NoAcknowledgeSource::Unknown,
         ] {
-            let mut sensor = Mpu9150::new(Mock::new());
-            sensor.bus.fail = Some((at, ErrorKind::NoAcknowledge(source)));
+            let mut sensor = imu(Mock::new());
+            sensor.registers.bus.fail = Some((at, ErrorKind::NoAcknowledge(source)));
             let fault = set_up(&mut sensor, &IMU_DEFAULT);
             let register = sensor.register();
             assert_eq!(fault, Err(ImuFault::NoAcknowledge { register }));
             assert!(register_name(register).is_some());
         }
         for kind in [ErrorKind::ArbitrationLoss, ErrorKind::Bus, ErrorKind::Other] {
-            let mut sensor = Mpu9150::new(Mock::new());
-            sensor.bus.fail = Some((at, kind));
+            let mut sensor = imu(Mock::new());
+            sensor.registers.bus.fail = Some((at, kind));
             let fault = set_up(&mut sensor, &IMU_DEFAULT);
             let register = sensor.register();
             assert_eq!(fault, Err(ImuFault::Bus { register }));
         }
     }
-    let mut sensor = Mpu9150::new(Mock::new());
-    sensor.bus.fail = Some((0, ErrorKind::Bus));
+    let mut sensor = imu(Mock::new());
+    sensor.registers.bus.fail = Some((0, ErrorKind::Bus));
     let fault = now(sensor.read_sample());
     assert_eq!(fault, Err(ImuFault::Bus { register: 0x3B }));
 }
 
 #[test]
 fn a_register_that_does_not_keep_its_value_is_named() {
-    let mut sensor = Mpu9150::new(Mock::new());
-    sensor.bus.stuck = Some(GYRO_CONFIG);
+    let mut sensor = imu(Mock::new());
+    sensor.registers.bus.stuck = Some(GYRO_CONFIG);
     let fault = set_up(&mut sensor, &IMU_DEFAULT);
     let expected = ImuFault::Readback {
         register: 0x1B,
@@ -230,9 +266,9 @@ fn a_register_that_does_not_keep_its_value_is_named() {
     assert_eq!(fault, Err(expected));
 
     // A sensor that does not come back from its reset.
-    let mut sensor = Mpu9150::new(Mock::new());
-    sensor.bus.stuck = Some(PWR_MGMT_1);
-    sensor.bus.registers[0x6B] = 0;
+    let mut sensor = imu(Mock::new());
+    sensor.registers.bus.stuck = Some(PWR_MGMT_1);
+    sensor.registers.bus.registers[0][0x6B] = 0;
     let fault = set_up(&mut sensor, &IMU_DEFAULT);
     let expected = ImuFault::Readback {
         register: 0x6B,
@@ -244,10 +280,11 @@ fn a_register_that_does_not_keep_its_value_is_named() {
 
 #[test]
 fn a_sample_is_fourteen_bytes_in_one_transfer() {
-    let mut sensor = Mpu9150::new(Mock::new());
+    let mut sensor = imu(Mock::new());
     let words: [i16; 7] = [1, -2, i16::MAX, -521, 3000, -4000, 5];
     for (index, word) in words.iter().enumerate() {
-        sensor.bus.registers[0x3B + 2 * index..][..2].copy_from_slice(&word.to_be_bytes());
+        sensor.registers.bus.registers[0][0x3B + 2 * index..][..2]
+            .copy_from_slice(&word.to_be_bytes());
     }
     let sample = now(sensor.read_sample()).unwrap();
     let expected = RawSample {
@@ -256,7 +293,7 @@ fn a_sample_is_fourteen_bytes_in_one_transfer() {
         gyro: [3000, -4000, 5],
     };
     assert_eq!(sample, expected);
-    assert_eq!(sensor.bus.transfers, 1);
+    assert_eq!(sensor.registers.bus.transfers, 1);
 }
 
 #[test]
@@ -281,16 +318,178 @@ fn only_the_ends_of_the_range_are_saturated() {
 
 #[test]
 fn settings_are_bounded_and_described() {
-    let slow = ImuConfig {
-        divider: 199,
+    let with = |divider| ImuConfig {
+        divider,
         ..IMU_DEFAULT
     };
-    assert_eq!(check(&slow), Ok(()));
-    let slower = ImuConfig {
-        divider: 200,
-        ..IMU_DEFAULT
-    };
-    assert_eq!(check(&slower), Err(Refusal::ImuSettingOutOfRange));
+    let refused = Err(Refusal::ImuSettingOutOfRange);
+    for model in [
+        ImuModel::Unknown,
+        ImuModel::Mpu6050,
+        ImuModel::Mpu6500,
+        ImuModel::Mpu9250,
+    ] {
+        assert_eq!(check(model, &with(199)), Ok(()));
+        assert_eq!(check(model, &with(200)), refused);
+    }
+    // 1000, 500, 200, 100, 50 and 25 Hz.
+    let rates = (0..=255).filter(|&n| check(ImuModel::Icm42688P, &with(n)).is_ok());
+    assert_eq!(rates.collect::<Vec<_>>(), [0, 1, 4, 9, 19, 39]);
     assert_eq!(interval_ticks(&IMU_DEFAULT), 96_000);
-    assert_eq!(interval_ms(&slow), 200);
+    assert_eq!(interval_ms(&with(199)), 200);
+}
+
+#[test]
+fn the_later_mpus_have_no_clock_input_and_a_filter_for_each_sensor() {
+    for (identity, model) in [(0x70, ImuModel::Mpu6500), (0x71, ImuModel::Mpu9250)] {
+        let mut sensor = imu(Mock::with_identity(identity));
+        let mut delay = Delay::default();
+        let config = ImuConfig {
+            low_pass: LowPass::Hz42,
+            ..IMU_DEFAULT
+        };
+        now(sensor.set_up(&config, &mut delay)).unwrap();
+        now(sensor.start(ImuClock::Internal, &mut delay)).unwrap();
+        assert_eq!(sensor.model(), model);
+        assert_eq!(model.clock_input(), None);
+        let kept = &sensor.registers.bus.registers[0];
+        assert_eq!(kept[0x19..=0x1D], [1, 3, 0x08, 0x08, 3]);
+        assert_eq!((kept[0x6B], kept[0x37], kept[0x38]), (0x01, 0x10, 0x01));
+    }
+}
+
+/// An ICM-42688-P after power-on, as far as its registers are not zero (data sheet,
+/// chapters 14 to 16).
+fn icm_mock() -> Mock {
+    let mut mock = Mock::with_identity(0x47);
+    for (bank, register, value) in [
+        (0, 0x13, 0x05),
+        (0, 0x4C, 0x30),
+        (0, 0x4D, 0x91),
+        (0, 0x4F, 0x06),
+        (0, 0x50, 0x06),
+        (0, 0x51, 0x16),
+        (0, 0x52, 0x11),
+        (0, 0x53, 0x0D),
+        (0, 0x64, 0x10),
+        (0, 0x65, 0x10),
+        (1, 0x0B, 0xA0),
+        (1, 0x7C, 0x5F),
+        (2, 0x03, 0x30),
+    ] {
+        mock.registers[bank][register] = value;
+    }
+    mock
+}
+
+#[test]
+fn an_icm_42688_p_is_set_up_with_both_sensors_off_and_then_started() {
+    let mut sensor = imu(icm_mock());
+    let mut delay = Delay::default();
+    now(sensor.set_up(&IMU_DEFAULT, &mut delay)).unwrap();
+    assert_eq!(sensor.model(), ImuModel::Icm42688P);
+    let registers = |sensor: &Imu<Mock>| sensor.registers.bus.registers;
+    assert_eq!(registers(&sensor)[0][0x4E], 0, "still off");
+    let start = sensor.registers.bus.log.len();
+    now(sensor.start(ImuClock::External, &mut delay)).unwrap();
+    // Sensors on is the last thing written.
+    let log = &sensor.registers.bus.log;
+    assert_eq!(*log.last().unwrap(), (0x4E, 0x0F));
+    assert!(log[..start].iter().all(|(register, _)| *register != 0x4E));
+    let [zero, one, two] = registers(&sensor);
+    // 500 Hz, 500 °/s, 4 g, second order at ODR/2; reserved bits as they were.
+    assert_eq!(zero[0x4F..=0x53], [0x4F, 0x4F, 0x16, 0x00, 0x0D]);
+    assert_eq!((zero[0x13], zero[0x14]), (0x09, 0x03));
+    assert_eq!((zero[0x4C], zero[0x4D]), (0xB0, 0x95));
+    assert_eq!((zero[0x64], zero[0x65], zero[0x76]), (0x00, 0x08, 0));
+    assert_eq!((one[0x0B], one[0x7B], one[0x7C]), (0xA3, 0x04, 0x5C));
+    assert_eq!(two[0x03], 0x31);
+    // A millisecond for the reset, 200 µs for the start.
+    assert!(delay.0 >= 1_200_000);
+
+    let mut own = imu(icm_mock());
+    now(own.set_up(&IMU_DEFAULT, &mut delay)).unwrap();
+    now(own.start(ImuClock::Internal, &mut delay)).unwrap();
+    assert_eq!(registers(&own)[0][0x4D], 0x91);
+    assert_eq!(registers(&own)[1][0x7B], 0);
+}
+
+#[test]
+fn an_icm_42688_p_that_was_left_in_another_bank_is_found() {
+    for bank in [1, 2] {
+        let mut mock = icm_mock();
+        mock.registers[0][0x76] = bank;
+        let mut sensor = imu(mock);
+        set_up(&mut sensor, &IMU_DEFAULT).unwrap();
+        assert_eq!(sensor.model(), ImuModel::Icm42688P);
+    }
+}
+
+#[test]
+fn a_sample_of_an_icm_42688_p_begins_with_its_temperature() {
+    let mut sensor = imu(icm_mock());
+    set_up(&mut sensor, &IMU_DEFAULT).unwrap();
+    for (index, word) in [-1_i16, 2, -3, 4, -5, 6, -7].iter().enumerate() {
+        sensor.registers.bus.registers[0][0x1D + 2 * index..][..2]
+            .copy_from_slice(&word.to_be_bytes());
+    }
+    let expected = RawSample {
+        accel: [2, -3, 4],
+        temperature: -1,
+        gyro: [-5, 6, -7],
+    };
+    assert_eq!(now(sensor.read_sample()), Ok(expected));
+}
+
+/// A rate that was taken while the sensor was not known, and that it does not have.
+#[test]
+fn a_setting_that_the_found_sensor_lacks_is_a_fault() {
+    let mut sensor = imu(icm_mock());
+    let config = ImuConfig {
+        divider: 3,
+        ..IMU_DEFAULT
+    };
+    assert_eq!(set_up(&mut sensor, &config), Err(ImuFault::NoSuchSetting));
+}
+
+/// The nearest filter, and its delay, as the data sheets have them.
+#[test]
+fn each_model_describes_itself() {
+    let status = ImuStatus {
+        state: ImuState::Running,
+        clock: ImuClock::Internal,
+        samples: 0,
+        late: 0,
+        overcaptures: 0,
+        recoveries: 0,
+        last_fault: None,
+    };
+    for (model, divider, low_pass, bandwidth, gyro_us, accel_us) in [
+        (ImuModel::Mpu6050, 1, LowPass::Hz188, 1_880, 1_900, 2_000),
+        (ImuModel::Mpu6500, 1, LowPass::Hz188, 1_840, 2_900, 5_800),
+        (ImuModel::Mpu9250, 1, LowPass::Hz10, 100, 17_850, 16_830),
+        (ImuModel::Icm42688P, 1, LowPass::Hz188, 2_467, 1_300, 1_300),
+        (ImuModel::Icm42688P, 0, LowPass::Hz188, 1_916, 2_400, 2_400),
+        (ImuModel::Icm42688P, 0, LowPass::Hz98, 971, 3_700, 3_700),
+        (ImuModel::Icm42688P, 1, LowPass::Hz42, 485, 7_300, 7_300),
+        (ImuModel::Icm42688P, 4, LowPass::Hz188, 987, 3_300, 3_300),
+        (ImuModel::Icm42688P, 9, LowPass::Hz20, 192, 15_300, 15_300),
+        (ImuModel::Icm42688P, 39, LowPass::Hz188, 123, 25_700, 25_700),
+        (ImuModel::Icm42688P, 39, LowPass::Hz5, 85, 30_000, 30_000),
+    ] {
+        let config = ImuConfig {
+            divider,
+            low_pass,
+            ..IMU_DEFAULT
+        };
+        let setup = describe(model, config, status);
+        let found = (
+            setup.sensor.model,
+            setup.sensor.gyro_bandwidth_hz_times_10,
+            setup.gyro_delay_us,
+            setup.accel_delay_us,
+        );
+        assert_eq!(found, (model, bandwidth, gyro_us, accel_us));
+        assert!(setup.sensor.gyro_noise_udps > 0 && setup.sensor.accel_noise_ug > 0);
+    }
 }

@@ -2,6 +2,7 @@
 
 use core::sync::atomic::Ordering;
 
+use firmware::boards::BOARD;
 use protocol::{
     Answer, Command, HostToDevice, Output, Ping, Pong, Refusal, Reply, Request, SELF_TEST_KEY,
     SelfTest, SendFiller, StartTrigger, Ticks, TriggerStatus,
@@ -29,13 +30,16 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
         }),
         Command::StartTrigger(command) => answer(command, start),
         Command::AlignTrigger(command) => answer(command, |align| {
+            on_this_board(align.output)?;
             triggers::align(align.output, id, &align.to)
         }),
         Command::SetPeriod(command) => answer(command, |set| {
+            on_this_board(set.output)?;
             triggers::with_pulser(set.output, |pulser, _, _| pulser.set_period(set.period))?;
             state_of(set.output)
         }),
         Command::StopTrigger(command) => answer(command, |stop| {
+            on_this_board(stop.0)?;
             triggers::with_pulser(stop.0, |pulser, output, time| pulser.stop(output, time));
             state_of(stop.0)
         }),
@@ -71,7 +75,17 @@ fn answer<R: Request>(
     carry_out(command).map(R::wrap)
 }
 
+/// Refuses outputs that this board does not have.
+fn on_this_board(output: Output) -> Result<(), Refusal> {
+    if output == Output::Camera || BOARD.model.has_outputs() {
+        Ok(())
+    } else {
+        Err(Refusal::NotOnThisBoard)
+    }
+}
+
 fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {
+    on_this_board(command.output)?;
     triggers::with_pulser(command.output, |pulser, output, time| {
         pulser.start(output, time, command.start)
     })?;
@@ -79,5 +93,6 @@ fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {
 }
 
 fn state_of(output: Output) -> Result<TriggerStatus, Refusal> {
+    on_this_board(output)?;
     Ok(triggers::status(output))
 }

@@ -13,6 +13,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 use embassy_time::{Duration, Timer};
 use firmware::alive::Task;
+use firmware::boards::BOARD;
 use firmware::config::{CHECK_IN_MS, NMEA_SLACK, START_LEAD, TICKS_PER_US};
 use firmware::nmea;
 use protocol::{
@@ -70,6 +71,9 @@ fn update(change: impl FnOnce(&mut State)) {
 ///
 /// Settings out of bounds; it runs with others.
 pub(crate) fn start(settings: GnssSettings) -> Result<GnssReport, Refusal> {
+    if !BOARD.model.has_outputs() {
+        return Err(Refusal::NotOnThisBoard);
+    }
     let now = tim2::now();
     nmea::check(&settings, now)?;
     let state = STATE.lock(Cell::get);

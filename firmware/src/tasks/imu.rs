@@ -16,21 +16,23 @@ use embassy_time::{Delay, Duration, Timer, with_timeout};
 use firmware::alive::Task;
 use firmware::config::{
     DATA_READY_SLACK_MS, FIRST_DATA_READY_MS, I2C_TIMEOUT_MS, IMU_CLOCK_SETTLING_MS, IMU_DEFAULT,
-    IMU_POWER_UP_MS, IMU_RETRY_MS, SET_UP_MS,
+    IMU_POWER_UP_MS, IMU_RETRY_MS, IMU_START_MS, SET_UP_MS,
 };
-use firmware::imu::{self, Mpu9150, RawSample};
+use firmware::imu::{self, Imu, RawSample};
 use protocol::{
-    ImuClock, ImuConfig, ImuFault, ImuFlags, ImuSample, ImuSetup, ImuState, ImuStatus, Refusal,
+    ImuClock, ImuConfig, ImuFault, ImuFlags, ImuModel, ImuSample, ImuSetup, ImuState, ImuStatus,
+    Refusal,
 };
 
 use crate::board::events::{DATA_READY, DataReady, LOST_DATA_READY};
 use crate::board::imu_bus::{ImuBus, OpenBus};
+use crate::board::imu_clock::ImuClockOutput;
 use crate::board::leds::{self, Led};
 use crate::board::tim2;
 use crate::state::{self, ALIVE};
 use crate::tasks::self_test;
 
-type Sensor<'a> = Mpu9150<OpenBus<'a>>;
+type Sensor<'a> = Imu<OpenBus<'a>>;
 
 static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
     CriticalSectionMutex::new(Cell::new(ImuStatus {
@@ -46,6 +48,10 @@ static STATUS: CriticalSectionMutex<Cell<ImuStatus>> =
 static CONFIG: CriticalSectionMutex<Cell<ImuConfig>> =
     CriticalSectionMutex::new(Cell::new(IMU_DEFAULT));
 
+/// The sensor that was found last.
+static MODEL: CriticalSectionMutex<Cell<ImuModel>> =
+    CriticalSectionMutex::new(Cell::new(ImuModel::Unknown));
+
 static RECONFIGURED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
 pub(crate) fn status() -> ImuStatus {
@@ -59,16 +65,16 @@ pub(crate) fn status() -> ImuStatus {
 }
 
 pub(crate) fn setup() -> ImuSetup {
-    imu::describe(CONFIG.lock(Cell::get), status())
+    imu::describe(MODEL.lock(Cell::get), CONFIG.lock(Cell::get), status())
 }
 
 /// Sets the IMU up anew.
 ///
 /// # Errors
 ///
-/// A setting that the board does not take.
+/// A setting that the sensor does not have.
 pub(crate) fn configure(config: ImuConfig) -> Result<ImuSetup, Refusal> {
-    imu::check(&config)?;
+    imu::check(MODEL.lock(Cell::get), &config)?;
     CONFIG.lock(|cell| cell.set(config));
     update(|status| status.state = ImuState::Starting);
     RECONFIGURED.signal(());
@@ -101,8 +107,9 @@ fn show(state: ImuState) {
 }
 
 #[embassy_executor::task]
-pub(crate) async fn run(mut bus: ImuBus) {
+pub(crate) async fn run(mut bus: ImuBus, clock_output: ImuClockOutput) {
     let mut sampler = Sampler {
+        clock_output,
         config: IMU_DEFAULT,
         seq: 0,
         flags: ImuFlags::FIRST,
@@ -137,6 +144,7 @@ async fn alive() {
 }
 
 struct Sampler {
+    clock_output: ImuClockOutput,
     config: ImuConfig,
     seq: u32,
     /// Flags that the next sample carries.
@@ -160,10 +168,11 @@ impl Sampler {
         self.flags = ImuFlags::FIRST;
         update(|status| status.clock = clock);
         show(ImuState::Running);
-        defmt::info!("imu runs, clock {}", clock);
+        defmt::info!("imu runs, {}, clock {}", MODEL.lock(Cell::get), clock);
 
         let patience = self.patience();
-        let mut sensor = Mpu9150::new(bus.open());
+        let model = MODEL.lock(Cell::get);
+        let mut sensor = Imu::new(bus.open(), model);
         let mut one_failed = false;
         loop {
             alive().await;
@@ -182,7 +191,7 @@ impl Sampler {
                     if !bus.free().await {
                         return Err(ImuFault::BusHeld);
                     }
-                    sensor = Mpu9150::new(bus.open());
+                    sensor = Imu::new(bus.open(), model);
                 }
             }
             match next_edge(patience).await? {
@@ -192,9 +201,9 @@ impl Sampler {
         }
     }
 
-    /// Sets the sensor up, on the external clock or else its own, and waits for
+    /// Sets the sensor up, on the board's clock or else its own, and waits for
     /// the first data-ready. `None` if another configuration came.
-    async fn start(&self, bus: &mut ImuBus) -> Result<Option<(ImuClock, DataReady)>, ImuFault> {
+    async fn start(&mut self, bus: &mut ImuBus) -> Result<Option<(ImuClock, DataReady)>, ImuFault> {
         match self.start_on(bus, ImuClock::External).await {
             Err(setback) if setback.on_external_clock => {
                 book(setback.fault);
@@ -205,27 +214,35 @@ impl Sampler {
         .map_err(|setback| setback.fault)
     }
 
+    /// On its own clock, if it does not take another.
     async fn start_on(
-        &self,
+        &mut self,
         bus: &mut ImuBus,
-        clock: ImuClock,
+        wanted: ImuClock,
     ) -> Result<Option<(ImuClock, DataReady)>, Setback> {
         let before = |fault| Setback {
             on_external_clock: false,
-            fault,
-        };
-        let after = |fault| Setback {
-            on_external_clock: clock == ImuClock::External,
             fault,
         };
         alive().await;
         if !bus.free().await {
             return Err(before(ImuFault::BusHeld));
         }
-        let mut sensor = Mpu9150::new(bus.open());
+        let mut sensor = Imu::new(bus.open(), ImuModel::Unknown);
         set_up(&mut sensor, &self.config).await.map_err(before)?;
+        let model = sensor.model();
+        MODEL.lock(|cell| cell.set(model));
+        let clock = match model.clock_input() {
+            Some(_) => wanted,
+            None => ImuClock::Internal,
+        };
+        let after = |fault| Setback {
+            on_external_clock: clock == ImuClock::External,
+            fault,
+        };
+        self.clock_output.set(model);
+        start(&mut sensor, clock).await.map_err(after)?;
         if clock == ImuClock::External {
-            use_external_clock(&mut sensor).await.map_err(after)?;
             Timer::after_millis(IMU_CLOCK_SETTLING_MS).await;
         }
         alive().await;
@@ -281,7 +298,7 @@ impl Sampler {
 
 /// Why a start failed.
 struct Setback {
-    /// It came with the switch to the external clock: the sensor's own is still to be
+    /// It came with the switch to the board's clock: the sensor's own is still to be
     /// tried.
     on_external_clock: bool,
     fault: ImuFault,
@@ -306,9 +323,9 @@ async fn set_up(sensor: &mut Sensor<'_>, config: &ImuConfig) -> Result<(), ImuFa
     }
 }
 
-async fn use_external_clock(sensor: &mut Sensor<'_>) -> Result<(), ImuFault> {
-    let limit = Duration::from_millis(I2C_TIMEOUT_MS);
-    match with_timeout(limit, sensor.use_external_clock()).await {
+async fn start(sensor: &mut Sensor<'_>, clock: ImuClock) -> Result<(), ImuFault> {
+    let limit = Duration::from_millis(IMU_START_MS);
+    match with_timeout(limit, sensor.start(clock, &mut Delay)).await {
         Ok(result) => result,
         Err(_) => Err(timed_out(sensor)),
     }

@@ -1,7 +1,7 @@
 //! The USB device: a CDC-ACM serial port under the project's own name.
 //!
 //! A host counts as linked while the device is configured, not suspended, and
-//! the host has its terminal ready (DTR, which opening the port sets). VBUS is
+//! the host has its terminal ready (DTR, which opening the port sets). Where it can be, VBUS is
 //! sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
 //! and so survives an unplugged cable, which it must notice (RM0090 34.3.3).
 
@@ -12,6 +12,7 @@ use embassy_stm32::usb::{Config, Driver, InterruptHandler};
 use embassy_stm32::{Peri, bind_interrupts, interrupt};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, ControlChanged, Receiver, Sender, State};
 use embassy_usb::{Builder, Handler, UsbDevice};
+use firmware::boards::BOARD;
 use firmware::config::USB_PACKET;
 use heapless::String;
 use static_cell::StaticCell;
@@ -83,7 +84,7 @@ pub(crate) fn build(
     });
 
     let mut otg = Config::default();
-    otg.vbus_detection = true;
+    otg.vbus_detection = BOARD.senses_vbus;
     let driver = Driver::new_fs(usb, Irqs, dp, dm, &mut buffers.out, otg);
 
     let mut config = embassy_usb::Config::new(protocol::usb::VENDOR_ID, protocol::usb::PRODUCT_ID);

@@ -323,7 +323,7 @@ fn camera(rig: &mut RigConfig, change: impl FnOnce(&mut crate::depth_camera::Dep
     }
 }
 
-fn imu(rig: &mut RigConfig, change: impl FnOnce(&mut crate::mpu9150::Mpu9150Config)) {
+fn imu(rig: &mut RigConfig, change: impl FnOnce(&mut crate::imu::SimImuConfig)) {
     if let Some(imu) = &mut rig.imu {
         change(imu);
     }

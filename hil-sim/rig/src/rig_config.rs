@@ -9,12 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::depth_camera::{DepthCamera, DepthCameraConfig, DepthCameraError};
 use crate::flash_log::FlashLog;
+use crate::imu::{SensorModel, SimImu, SimImuConfig};
 use crate::motion::recorded::RecordingError;
 use crate::motion::{Motion, MotionSpec};
-use crate::mpu9150::{Mpu9150, Mpu9150Config};
 use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use crate::random::{Seed, Stream};
 use crate::truth::{Clocks, Run};
+use crate::wiring::BoardKind;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::sim::SimBuilder;
 
@@ -23,12 +24,15 @@ use stm32f4_sim::sim::SimBuilder;
 pub struct RigConfig {
     /// Everything random comes from this.
     pub seed: Seed,
+    /// The board.
+    #[serde(default)]
+    pub board: BoardKind,
     /// How the rig moves.
     pub motion: MotionSpec,
     /// The board's crystal.
     pub board_clock: OscillatorConfig,
     /// The IMU on the board's I2C bus.
-    pub imu: Option<Mpu9150Config>,
+    pub imu: Option<SimImuConfig>,
     /// The depth camera on the trigger and strobe pins.
     pub depth_camera: Option<DepthCameraConfig>,
 }
@@ -65,9 +69,10 @@ impl RigConfig {
         };
         Self {
             seed,
+            board: BoardKind::default(),
             motion: MotionSpec::default(),
             board_clock,
-            imu: Some(Mpu9150Config::typical(seed)),
+            imu: Some(SimImuConfig::typical(seed)),
             depth_camera: Some(DepthCameraConfig {
                 clock: camera_clock,
                 ..DepthCameraConfig::default()
@@ -92,6 +97,13 @@ impl RigConfig {
         Some(camera.center_delay_ns() * 1e-3 * rate)
     }
 
+    /// The same with another IMU.
+    #[must_use]
+    pub fn with_imu(mut self, model: SensorModel) -> Self {
+        self.imu = self.imu.map(|imu| imu.of(model));
+        self
+    }
+
     /// Draws and loads everything.
     ///
     /// # Errors
@@ -102,7 +114,7 @@ impl RigConfig {
         let board = BoardTime::new(self.board_clock, seed.stream(Stream::BoardClock));
         let imu = self
             .imu
-            .map(|config| Mpu9150::new(config, Arc::clone(&motion), board.clone(), seed).shared());
+            .map(|config| SimImu::new(config, Arc::clone(&motion), board.clone(), seed).shared());
         let flashes = FlashLog::default();
         let depth_camera = match self.depth_camera {
             None => None,
@@ -133,7 +145,7 @@ pub struct RigParts {
     /// The relation of the board's time to true time.
     pub board: BoardTime,
     /// The IMU.
-    pub imu: Option<Shared<Mpu9150>>,
+    pub imu: Option<Shared<SimImu>>,
     /// The depth camera.
     pub depth_camera: Option<Shared<DepthCamera>>,
     /// Its flashes, for whoever sees their light.

@@ -46,7 +46,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::depth_camera::FrameRecord;
-use crate::mpu9150::SampleRecord;
+use crate::imu::SampleRecord;
 use crate::oscillator::Oscillator;
 use crate::owner_profile::{owner_profile, owner_profile_of};
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoTruth};

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use crate::imu::{Fault, SensorModel, SimImu};
 use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
-use crate::mpu9150::{Fault, Mpu9150};
 use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::pty::Pty;
@@ -67,6 +67,12 @@ pub struct Args {
     /// rad/s, optionally specific force x, y, z in m/s²).
     #[arg(long, value_name = "MOTION", default_value = "rest")]
     motion: MotionSpec,
+    /// The board.
+    #[arg(long, value_enum, default_value_t)]
+    board: wiring::BoardKind,
+    /// The IMU on the board.
+    #[arg(long, value_enum, default_value_t)]
+    imu: SensorModel,
     /// Switch the phone on; its app listens on this port of 127.0.0.1 (0: a free one).
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "6969")]
     phone: Option<u16>,
@@ -132,12 +138,14 @@ pub fn speed(text: &str) -> Result<f64, String> {
 /// If the firmware fails, a part of the rig cannot be set up, or a file cannot be
 /// written.
 pub fn run(args: &Args) -> Result<()> {
-    let mut config = RigConfig::published(Seed(args.seed)).with_motion(args.motion.clone());
+    let mut config = RigConfig::published(Seed(args.seed))
+        .with_motion(args.motion.clone())
+        .with_imu(args.imu);
     if args.bring_up {
         config.depth_camera = None;
     }
     let parts = config.build()?;
-    let mut builder = parts.wire(wiring::board());
+    let mut builder = parts.wire(wiring::board_of(args.board));
     if args.bring_up {
         let jumpers = Arc::new(Mutex::new(Jumpers::default()));
         builder = builder.model(Arc::clone(&jumpers));
@@ -231,7 +239,7 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// Moves wires of a bring-up as the lines on standard input say.
-fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<Mpu9150>>) {
+fn move_wires(jumpers: &Shared<Jumpers>, imu: Option<&Shared<SimImu>>) {
     let sensor = |fault| {
         if let Some(imu) = imu {
             lock(imu).schedule(SimTime::ZERO, fault);

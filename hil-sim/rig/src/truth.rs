@@ -12,7 +12,7 @@ use std::io::{BufRead, Write};
 use serde::{Deserialize, Serialize};
 
 use crate::depth_camera::{DepthCameraConfig, FrameRecord, TIMESTAMP_HZ};
-use crate::mpu9150::{Mpu9150Config, SampleRecord, Values};
+use crate::imu::{SampleRecord, SimImuConfig, Values};
 use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use crate::random::{ALGORITHM, Seed};
 use stm32f4_sim::clock::Rate;
@@ -73,7 +73,7 @@ pub struct Run {
     /// The board's crystal.
     pub board_clock: OscillatorConfig,
     /// The IMU, if there is one.
-    pub imu: Option<Mpu9150Config>,
+    pub imu: Option<SimImuConfig>,
     /// The depth camera, if there is one.
     pub depth_camera: Option<DepthCameraConfig>,
 }
@@ -230,7 +230,7 @@ mod tests {
 
     fn run() -> Run {
         let mut run = Run::new(Seed(7), "twist".to_owned(), OscillatorConfig::default());
-        run.imu = Some(Mpu9150Config::typical(Seed(7)));
+        run.imu = Some(SimImuConfig::typical(Seed(7)));
         run.depth_camera = Some(DepthCameraConfig::default());
         run
     }

@@ -1,11 +1,13 @@
-//! The board of the product: what is soldered to the chip of an STM32F4DISCOVERY, what
-//! is wired to its pins, and the firmware that it runs.
+//! The boards of the product: what is soldered to the chip of an STM32F4DISCOVERY or a WeAct
+//! Black Pill, what is wired to their pins (the same, but for LEDs, further outputs and lidar),
+//! and the firmware that they run.
 
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::sim::{Sim, SimBuilder, Timer};
+use stm32f4_sim::sim::{Part, Sim, SimBuilder, Timer};
 
 /// Environment variable that names the ELF which tests and tools use.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
@@ -21,8 +23,10 @@ pub(crate) const IMU_READY: Pin = Pin::PA1;
 pub const STROBE: Pin = Pin::PA2;
 /// The trigger's wire, read back (TIM2 CH4).
 pub(crate) const READBACK: Pin = Pin::PA3;
-/// Clock of the IMU (MCO1).
+/// Clock of an IMU that takes 19.2 MHz (MCO1).
 pub const IMU_CLOCK: Pin = Pin::PA8;
+/// Clock of an IMU that takes 32 kHz (TIM3 CH3).
+pub(crate) const IMU_RTC: Pin = Pin::PB0;
 /// Clock of the I2C bus (I2C1).
 pub(crate) const SCL: Pin = Pin::PB6;
 /// Data of the I2C bus (I2C1).
@@ -46,8 +50,35 @@ pub(crate) const LED_LINK: Pin = Pin::PD15;
 /// the 74AHCT125, at 4.5 to 5.5 V).
 pub const GATE_HIGH: f64 = 2.0;
 
-/// Frequency of the crystal.
+/// Frequency of the crystals (UM1472 6.10; WeAct's circuit diagram).
 const CRYSTAL_HZ: u64 = 8_000_000;
+const BLACK_PILL_CRYSTAL_HZ: u64 = 25_000_000;
+
+/// Which board it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum BoardKind {
+    /// STM32F4DISCOVERY
+    #[default]
+    Discovery,
+    /// WeAct Black Pill (STM32F411CE)
+    BlackPill,
+}
+
+/// A board of either kind with the product's firmware and nothing wired to it.
+#[must_use]
+pub fn board_of(kind: BoardKind) -> SimBuilder {
+    match kind {
+        BoardKind::Discovery => board(),
+        BoardKind::BlackPill => {
+            let mut elf = default_elf().into_os_string();
+            elf.push("-black-pill");
+            board()
+                .elf(elf)
+                .part(Part::Stm32f411ce)
+                .crystal(Rate::hz(BLACK_PILL_CRYSTAL_HZ))
+        }
+    }
+}
 
 /// The board with the product's firmware ([`default_elf`]) and nothing wired to it.
 #[must_use]

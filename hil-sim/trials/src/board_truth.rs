@@ -14,7 +14,7 @@ use std::collections::VecDeque;
 
 use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
 
-use rig::mpu9150::{Mpu9150, SampleRecord};
+use rig::imu::{SampleRecord, SimImu};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;
@@ -150,7 +150,7 @@ impl BoardTruth {
     pub(crate) fn restart(
         &mut self,
         rig: &mut Sim,
-        sensor: &Shared<Mpu9150>,
+        sensor: &Shared<SimImu>,
         at: SimTime,
     ) -> Result<(), Wrong> {
         self.take_up_to(rig, sensor, at)?;
@@ -173,7 +173,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse is not where the arithmetic has it.
-    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<Mpu9150>) -> Result<(), Wrong> {
+    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<SimImu>) -> Result<(), Wrong> {
         self.take_up_to(rig, sensor, SimTime::NEVER)
     }
 
@@ -181,7 +181,7 @@ impl BoardTruth {
     fn take_up_to(
         &mut self,
         rig: &mut Sim,
-        sensor: &Shared<Mpu9150>,
+        sensor: &Shared<SimImu>,
         reset: SimTime,
     ) -> Result<(), Wrong> {
         for (pin, level, at) in rig.take_edges() {

@@ -93,6 +93,10 @@ pub fn explain(refusal: &Refusal) -> String {
             String::from("an align is on its way; wait until it has arrived")
         }
         Refusal::ImuSettingOutOfRange => String::from("the IMU has no such setting"),
+        Refusal::NotOnThisBoard => String::from(
+            "this board has the camera's trigger output alone: no outputs 2 to 4 and no pulse per \
+             second for a lidar",
+        ),
         Refusal::WrongKey => String::from("the key of the self test is wrong"),
         Refusal::GnssRunning => {
             String::from("the pulse per second runs with other settings; stop it first")

@@ -4,7 +4,7 @@
 //! Samples keep the time of their data-ready edge: the delay of the sensor's
 //! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
 
-use protocol::{ImuFlags, ImuSample, ImuSetup, TICK_HZ, Ticks};
+use protocol::{AccelRange, GyroRange, ImuFlags, ImuModel, ImuSample, ImuSetup, TICK_HZ, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// Standard gravity, m/s².
@@ -21,6 +21,51 @@ pub struct Scale {
     pub gyro_delay_us: u32,
     /// Delay of the accelerometer's low-pass, µs.
     pub accel_delay_us: u32,
+    /// °C of one count of the thermometer.
+    #[serde(default = "mpu_9150_celsius")]
+    pub temperature_c: f64,
+    /// °C at a count of zero.
+    #[serde(default = "mpu_9150_zero")]
+    pub temperature_zero_c: f64,
+}
+
+/// Of recordings of boards that took an MPU-9150 alone (register map, 4.18).
+fn mpu_9150_celsius() -> f64 {
+    1.0 / 340.0
+}
+
+fn mpu_9150_zero() -> f64 {
+    35.0
+}
+
+/// Which sensor it is and how it is set up, with what its data sheet says of that.
+#[must_use]
+pub fn describe(setup: &ImuSetup) -> String {
+    let sensor = &setup.sensor;
+    let name = sensor.model.name();
+    if sensor.model == ImuModel::Unknown {
+        return name.to_owned();
+    }
+    let rate = match setup.config.gyro_range {
+        GyroRange::Dps250 => 250,
+        GyroRange::Dps500 => 500,
+        GyroRange::Dps1000 => 1_000,
+        GyroRange::Dps2000 => 2_000,
+    };
+    let force = match setup.config.accel_range {
+        AccelRange::G2 => 2,
+        AccelRange::G4 => 4,
+        AccelRange::G8 => 8,
+        AccelRange::G16 => 16,
+    };
+    format!(
+        "{name}, ±{rate} °/s, ±{force} g, low-pass {} Hz with a delay of {} ms, noise {} m°/s/√Hz \
+         and {} µg/√Hz",
+        f64::from(sensor.gyro_bandwidth_hz_times_10) / 10.0,
+        f64::from(setup.gyro_delay_us) / 1e3,
+        f64::from(sensor.gyro_noise_udps) / 1e3,
+        sensor.accel_noise_ug
+    )
 }
 
 /// One sample in SI units.
@@ -42,7 +87,13 @@ impl Scale {
     /// The scale of a setup; `None` if the board gave no scale.
     #[must_use]
     pub fn of(setup: &ImuSetup) -> Option<Self> {
-        if setup.gyro_lsb_per_dps_times_10 == 0 || setup.accel_lsb_per_g == 0 {
+        let sensor = &setup.sensor;
+        let counts = [
+            setup.gyro_lsb_per_dps_times_10,
+            setup.accel_lsb_per_g,
+            sensor.temperature_lsb_per_c_times_100,
+        ];
+        if counts.contains(&0) {
             return None;
         }
         Some(Self {
@@ -50,6 +101,8 @@ impl Scale {
             accel_m_s2: STANDARD_GRAVITY / f64::from(setup.accel_lsb_per_g),
             gyro_delay_us: setup.gyro_delay_us,
             accel_delay_us: setup.accel_delay_us,
+            temperature_c: 100.0 / f64::from(sensor.temperature_lsb_per_c_times_100),
+            temperature_zero_c: f64::from(sensor.temperature_at_zero_centidegrees) / 100.0,
         })
     }
 
@@ -61,8 +114,8 @@ impl Scale {
             flags: sample.flags,
             gyro: sample.gyro.map(|raw| f64::from(raw) * self.gyro_rad_s),
             accel: sample.accel.map(|raw| f64::from(raw) * self.accel_m_s2),
-            // MPU-9150 register map, 4.18.
-            temperature: f64::from(sample.temperature) / 340.0 + 35.0,
+            temperature: f64::from(sample.temperature) * self.temperature_c
+                + self.temperature_zero_c,
         }
     }
 }
@@ -302,7 +355,7 @@ impl ImuLook {
 
 #[cfg(test)]
 mod tests {
-    use protocol::{AccelRange, GyroRange, ImuClock, ImuConfig, ImuState, ImuStatus, LowPass};
+    use protocol::{ImuClock, ImuConfig, ImuSensor, ImuState, ImuStatus, LowPass};
 
     use super::*;
 
@@ -328,6 +381,7 @@ mod tests {
                 recoveries: 0,
                 last_fault: None,
             },
+            sensor: ImuSensor::default(),
         }
     }
 
@@ -356,6 +410,40 @@ mod tests {
             ..setup()
         };
         assert_eq!(Scale::of(&no_scale), None);
+    }
+
+    #[test]
+    fn another_sensor_has_another_thermometer_and_says_what_it_is() {
+        let mut setup = setup();
+        setup.gyro_delay_us = 1_300;
+        setup.sensor = ImuSensor {
+            model: ImuModel::Icm42688P,
+            gyro_bandwidth_hz_times_10: 2_467,
+            gyro_noise_udps: 2_800,
+            accel_noise_ug: 70,
+            temperature_lsb_per_c_times_100: 13_248,
+            temperature_at_zero_centidegrees: 2_500,
+        };
+        let sample = Scale::of(&setup).unwrap().apply(&raw(5, ImuFlags(0), 0));
+        assert!((sample.temperature - (25.0 - 3_400.0 / 132.48)).abs() < 1e-12);
+        assert_eq!(
+            describe(&setup),
+            "ICM-42688-P, ±500 °/s, ±4 g, low-pass 246.7 Hz with a delay of 1.3 ms, noise 2.8 \
+             m°/s/√Hz and 70 µg/√Hz"
+        );
+        setup.sensor.model = ImuModel::Unknown;
+        assert_eq!(describe(&setup), "not found");
+    }
+
+    /// The scale of a session file from before there were other sensors.
+    #[test]
+    fn an_older_scale_is_that_of_an_mpu_9150() {
+        let mut older = serde_json::to_value(Scale::of(&setup()).unwrap()).unwrap();
+        let fields = older.as_object_mut().unwrap();
+        assert!(fields.remove("temperature_c").is_some());
+        assert!(fields.remove("temperature_zero_c").is_some());
+        let scale: Scale = serde_json::from_value(older).unwrap();
+        assert_eq!(scale, Scale::of(&setup()).unwrap());
     }
 
     #[test]

@@ -72,9 +72,11 @@ impl<'a> Session<'a> {
         board: &'a mut Board,
         operator: &'a mut dyn Operator,
     ) -> Result<Self, BringUpError> {
-        let trigger = board.trigger()?;
-        let output = board.output(Output::Two)?;
-        if trigger.state != TrainState::Stopped || output.state != TrainState::Stopped {
+        let mut running = board.trigger()?.state != TrainState::Stopped;
+        if board.hello().board.has_outputs() {
+            running |= board.output(Output::Two)?.state != TrainState::Stopped;
+        }
+        if running {
             return Err(BringUpError::InUse);
         }
         Ok(Self {
@@ -105,7 +107,9 @@ impl<'a> Session<'a> {
 
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
         self.board.stop_trigger(Output::Camera)?;
-        self.board.stop_trigger(Output::Two)?;
+        if self.board.hello().board.has_outputs() {
+            self.board.stop_trigger(Output::Two)?;
+        }
         self.fill(0)
     }
 
@@ -286,6 +290,10 @@ impl<'a> Session<'a> {
         const NAME: &str = "output 2 on the strobe input";
         const REASON: &str = "the wire from PE11 to PA2; or the start delay between TIM2 and TIM1, \
                               which the firmware takes from the simulated board";
+        if !self.board.hello().board.has_outputs() {
+            self.skip(NAME, "this board has no output 2", REASON);
+            return Ok(());
+        }
         if !self.operator.asked(HandsOn::MoveStrobeWire) {
             self.skip(NAME, "nobody there to move the wire", REASON);
             return Ok(());

@@ -71,6 +71,9 @@ const fn refusal_step(refusal: &Refusal) -> &'static str {
         Refusal::GnssRunning => "stop it first: `smartdepthsync gnss stop`",
         Refusal::GnssStopping => "repeat it in a second",
         Refusal::WrongKey => "nothing was changed; repeat it",
+        Refusal::NotOnThisBoard => {
+            "leave `[outputs]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY"
+        }
         Refusal::PeriodOutOfRange
         | Refusal::WidthOutOfRange { .. }
         | Refusal::TimeOutOfRange { .. }

@@ -11,6 +11,7 @@ use super::gyro_clock::prior;
 use super::later_runs::Moves;
 use super::ros2_depth::{Ros2Bag, is_bag};
 use phone::video_files::{self, FilesError, VideoFiles};
+use protocol::ImuSensor;
 use recording::MCAP_FILE;
 use recording::camera::{MODELS, Model};
 use recording::profile::{Direction, Intrinsics, Phone, Pose};
@@ -124,6 +125,8 @@ impl PhoneCamera {
 /// What is known about the rig of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct RigFacts {
+    /// The board's IMU.
+    pub(crate) board_sensor: ImuSensor,
     /// Exposure of a row of the phone, ns.
     pub(crate) exposure_ns: Option<i64>,
     /// From the first row of the phone to the one that is synchronised, ns.
@@ -455,6 +458,10 @@ fn facts_of(session: &SessionFile) -> RigFacts {
         (None, None) => nanos(profile.phone.exposure_us),
     };
     RigFacts {
+        board_sensor: session
+            .imu
+            .as_ref()
+            .map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
         exposure_ns: exposure,
         middle_row_ns: nanos(alignment.map_or(profile.middle_row_us(), |a| a.middle_row_us)),
         // A measured bias says that the depth image is exposed later than its

@@ -6,7 +6,7 @@
 
 use std::path::{Component, Path, PathBuf};
 
-use protocol::{ImuSetup, ResetCause, Ticks};
+use protocol::{BoardModel, ImuSetup, ResetCause, Ticks};
 use serde::{Deserialize, Serialize};
 
 use super::{RecordingError, SESSION_FILE};
@@ -154,6 +154,9 @@ pub struct BoardInfo {
     pub git_revision: String,
     /// Built from changed files.
     pub git_dirty: bool,
+    /// Which board it is.
+    #[serde(default = "discovery")]
+    pub model: BoardModel,
     /// Version of the protocol.
     pub protocol: u16,
     /// Ticks a second.
@@ -162,6 +165,11 @@ pub struct BoardInfo {
     pub epoch: u32,
     /// Why it last reset.
     pub reset_cause: ResetCause,
+}
+
+/// The only board that there was when session files did not say so.
+fn discovery() -> BoardModel {
+    BoardModel::Discovery
 }
 
 /// The board's IMU.

@@ -5,9 +5,9 @@ use std::collections::VecDeque;
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
 use protocol::*;
+use rig::imu::{Fault, SampleRecord, SensorModel, SimImu, SimImuConfig};
 use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
-use rig::mpu9150::{Fault, Mpu9150, Mpu9150Config, SampleRecord};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
@@ -19,7 +19,7 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 /// A board with a sensor, and the time of tick 0.
 struct Bench {
     board: Board,
-    sensor: Shared<Mpu9150>,
+    sensor: Shared<SimImu>,
     zero: u64,
     /// What the sensor measured and no sample was compared with yet.
     records: VecDeque<SampleRecord>,
@@ -28,15 +28,25 @@ struct Bench {
 impl Bench {
     /// Boots with a sensor that sees `motion` and has these `faults` from the start.
     fn new(motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
-        Self::on(wiring::board(), motion, faults)
+        Self::on(wiring::board(), SensorModel::Mpu9150, motion, faults)
     }
 
-    fn on(builder: SimBuilder, motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
+    /// The same with another sensor.
+    fn of(model: SensorModel, motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
+        Self::on(wiring::board(), model, motion, faults)
+    }
+
+    fn on(
+        builder: SimBuilder,
+        model: SensorModel,
+        motion: std::sync::Arc<Motion>,
+        faults: &[Fault],
+    ) -> Self {
         let seed = Seed(7);
         let board_time =
             BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let config = Mpu9150Config::typical(seed);
-        let mut sensor = Mpu9150::new(config, motion, board_time, seed);
+        let config = SimImuConfig::typical(seed).of(model);
+        let mut sensor = SimImu::new(config, motion, board_time, seed);
         for &fault in faults {
             sensor.schedule(SimTime::ZERO, fault);
         }
@@ -167,6 +177,7 @@ impl Drop for Bench {
 fn spurious_bus_errors_cost_no_sample() {
     let mut bench = Bench::on(
         wiring::board().spurious_bus_errors(0.1),
+        SensorModel::Mpu9150,
         Motion::rest(),
         &[],
     );
@@ -388,9 +399,9 @@ fn a_sensor_that_lost_power_for_three_seconds_comes_back() {
 
 #[test]
 fn another_sensor_is_refused_until_the_right_one_is_back() {
-    let begin = [Fault::PowerOff, Fault::Identity(0x71), Fault::PowerOn];
+    let begin = [Fault::PowerOff, Fault::Identity(0x12), Fault::PowerOn];
     recovers(&begin, 1_500, &[Fault::Identity(0x68)], |fault| {
-        fault == ImuFault::WrongIdentity { found: 0x71 }
+        fault == ImuFault::WrongIdentity { found: 0x12 }
     });
 }
 
@@ -427,6 +438,93 @@ fn without_external_clock_it_uses_its_own() {
     for pair in samples.windows(2) {
         let interval = (pair[1].at - pair[0].at).0;
         assert!((95_000..=97_000).contains(&interval), "{interval}");
+    }
+}
+
+/// Every family is found by its identity and runs on the board's clock if it takes one.
+/// Whatever clock it runs on, each sample has the tick of its data-ready and the values of
+/// its registers (`check_samples`): on the board's 96,000 ticks apart, on its own not.
+#[test]
+fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
+    let seed = Seed(7);
+    let twist: MotionSpec = "twist".parse().unwrap();
+    let motion = twist.build(seed.stream(Stream::Motion)).unwrap();
+    for (model, found, takes_clock) in [
+        (SensorModel::Mpu6050, ImuModel::Mpu6050, true),
+        (SensorModel::Mpu6500, ImuModel::Mpu6500, false),
+        (SensorModel::Mpu9250, ImuModel::Mpu9250, false),
+        (SensorModel::Icm42688P, ImuModel::Icm42688P, true),
+    ] {
+        for wired in [true, false] {
+            let cut = [Fault::ClockCut(true)];
+            let faults = if wired { &[][..] } else { &cut };
+            let mut bench = Bench::of(model, motion.clone(), faults);
+            bench.wait_for_good_samples(1_000);
+            bench.check_samples();
+            bench.board.run(1_000);
+            let samples = bench.check_samples();
+            let Ok(setup) = bench.board.ask(QueryImu) else {
+                panic!("{model:?} does not answer");
+            };
+            let on_boards = takes_clock && wired;
+            let clock = if on_boards {
+                ImuClock::External
+            } else {
+                ImuClock::Internal
+            };
+            let said = (setup.sensor.model, setup.status.clock, setup.status.state);
+            assert_eq!(said, (found, clock, ImuState::Running));
+            assert_eq!((setup.status.late, setup.status.recoveries), (0, 0));
+            let fault = setup.status.last_fault.is_some();
+            assert_eq!(fault, takes_clock && !wired, "{setup:?}");
+            assert!(samples.len() > 480, "{model:?}: {}", samples.len());
+            for pair in samples.windows(2) {
+                let interval = (pair[1].at - pair[0].at).0;
+                assert_eq!(interval == 96_000, on_boards, "{model:?}: {interval}");
+                assert!((94_000..=98_000).contains(&interval), "{interval}");
+            }
+            let ignored = lock(&bench.sensor).unmodelled().clone();
+            assert!(ignored.is_empty(), "{model:?} ignores {ignored:x?}");
+            // The clock for an ICM-42688-P is there for that alone.
+            let level = |bench: &Bench| bench.board.rig.level(Pin::PB0);
+            let before = level(&bench);
+            bench
+                .board
+                .rig
+                .run_for(SimDuration::from_nanos(15_625))
+                .unwrap();
+            let toggles = level(&bench) != before;
+            assert_eq!(toggles, model == SensorModel::Icm42688P);
+        }
+    }
+}
+
+/// An ICM-42688-P has six rates; all others are refused, and nothing has changed.
+#[test]
+fn settings_of_an_icm_42688_p_reach_it_or_are_refused() {
+    let mut bench = Bench::of(SensorModel::Icm42688P, Motion::rest(), &[]);
+    bench.wait_for_good_samples(1_000);
+    let setting = |divider| ImuConfig {
+        divider,
+        low_pass: LowPass::Hz98,
+        gyro_range: GyroRange::Dps1000,
+        accel_range: AccelRange::G8,
+    };
+    let refused = Err(Refusal::ImuSettingOutOfRange);
+    assert_eq!(bench.board.ask(ConfigureImu(setting(3))), refused);
+    for (divider, interval) in [(0, 48_000), (9, 480_000)] {
+        let Ok(setup) = bench.board.ask(ConfigureImu(setting(divider))) else {
+            panic!("refused");
+        };
+        assert_eq!((setup.config, setup.interval), (setting(divider), interval));
+        bench.board.run(500);
+        bench.check_samples();
+        bench.board.run(500);
+        let samples = bench.check_samples();
+        assert!(samples.len() as u64 >= 24_000_000 / u64::from(interval) - 2);
+        for pair in samples.windows(2) {
+            assert_eq!(pair[1].at - pair[0].at, TickDelta(i64::from(interval)));
+        }
     }
 }
 

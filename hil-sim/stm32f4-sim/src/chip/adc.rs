@@ -8,8 +8,7 @@
 use crate::clock::Rate;
 use crate::time::{SimDuration, SimTime};
 
-/// The sensor's channel on the STM32F407, and the reference's (13.10, 13.11).
-const TEMPERATURE: u32 = 16;
+/// The reference's channel (13.11).
 const REFERENCE: u32 = 17;
 
 const SR_EOC: u32 = 1 << 1;
@@ -45,6 +44,8 @@ pub(crate) struct Die {
     pub(crate) celsius: f64,
     /// Analogue supply, in V.
     pub(crate) supply: f64,
+    /// The sensor's channel.
+    pub(crate) channel: u32,
 }
 
 impl Default for Die {
@@ -53,6 +54,7 @@ impl Default for Die {
         Self {
             celsius: 36.0,
             supply: 2.9,
+            channel: 16,
         }
     }
 }
@@ -64,7 +66,9 @@ impl Die {
         let [cold, hot] = TS_CAL.map(calibrated);
         let [from, to] = CAL_CELSIUS;
         match channel {
-            TEMPERATURE => Some(cold + (hot - cold) * (self.celsius - from) / (to - from)),
+            _ if channel == self.channel => {
+                Some(cold + (hot - cold) * (self.celsius - from) / (to - from))
+            }
             REFERENCE => Some(calibrated(VREFINT_CAL)),
             _ => None,
         }

@@ -99,6 +99,10 @@ impl Soc {
     /// Reads a peripheral's register as of now; nothing if there is no peripheral.
     pub(super) fn read_register(&mut self, addr: u32) -> Option<u32> {
         let (block, enable) = block(addr)?;
+        if self.part.lacks(addr) {
+            self.end(End::Absent { address: addr });
+            return Some(0);
+        }
         if !self.clocked(enable, addr) {
             return Some(0);
         }
@@ -158,7 +162,7 @@ impl Soc {
                 }
                 value
             }
-            Block::Other if addr == DBGMCU_IDCODE => Some(self.revision.id()),
+            Block::Other if addr == DBGMCU_IDCODE => Some(self.part.id(self.revision)),
             Block::Other => None,
         }
     }
@@ -168,6 +172,10 @@ impl Soc {
         let Some((block, enable)) = block(addr) else {
             return false;
         };
+        if self.part.lacks(addr) {
+            self.end(End::Absent { address: addr });
+            return true;
+        }
         let done = !self.clocked(enable, addr)
             || self.write_modelled(block, addr, value)
             || self.cells.write(addr, value);
@@ -440,7 +448,7 @@ impl Soc {
             0x1fff_7a14 => self.uid[1],
             0x1fff_7a18 => self.uid[2],
             // Flash size in KiB in the upper half.
-            0x1fff_7a20 => 1024 << 16,
+            0x1fff_7a20 => u32::from(self.part.flash_kib()) << 16,
             // VREFINT_CAL in the upper half; TS_CAL1 and TS_CAL2.
             0x1fff_7a28 => VREFINT_CAL << 16,
             0x1fff_7a2c => (TS_CAL[1] << 16) | TS_CAL[0],

@@ -37,6 +37,15 @@ impl Memory {
         }
     }
 
+    /// Of a chip with less flash and no core-coupled memory.
+    pub(crate) fn without_ccm(flash_size: usize) -> Self {
+        Self {
+            flash: vec![0xff; flash_size],
+            ccm: Vec::new(),
+            ..Self::new()
+        }
+    }
+
     /// The memory at `addr` and the offset in it, for reading.
     #[inline]
     fn region(&self, addr: u32) -> Option<(&[u8], usize)> {

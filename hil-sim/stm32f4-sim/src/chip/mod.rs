@@ -19,6 +19,7 @@ pub(crate) mod memory;
 mod models;
 mod names;
 pub(crate) mod otg;
+pub(crate) mod part;
 pub(crate) mod pins;
 pub(crate) mod rcc;
 pub(crate) mod rng;
@@ -48,6 +49,7 @@ use iwdg::Iwdg;
 use memory::Memory;
 use models::Model;
 use otg::Otg;
+use part::Part;
 use rcc::{Clocks, Rcc, ResetCause};
 use rng::Rng;
 use rules::End;
@@ -73,6 +75,7 @@ pub(crate) struct I2cWires {
 /// What the chip is soldered to, and what differs from one specimen to the next.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ChipConfig {
+    pub(crate) part: Part,
     /// Frequency of the crystal, if there is one.
     pub(crate) crystal: Option<Rate>,
     /// Rate of the low-speed oscillator.
@@ -134,6 +137,7 @@ pub(crate) struct Soc {
     uart: [Uart; UARTS],
     pub(crate) rng: Rng,
     adc: Adc,
+    part: Part,
     revision: Revision,
     pub(crate) otg: Otg,
     pub(crate) usb: UsbHost,
@@ -179,7 +183,8 @@ impl Soc {
         let rcc = Rcc::new(config.crystal);
         let clocks = rcc.clocks(SimTime::ZERO);
         let mut soc = Self {
-            mem: Memory::new(),
+            mem: config.part.memory(),
+            part: config.part,
             now: SimTime::ZERO,
             core_clock: Clock::new(clocks.hclk, SimTime::ZERO, 0),
             clocks,
@@ -205,7 +210,10 @@ impl Soc {
             iwdg: Iwdg::new(config.low_speed),
             uart: std::array::from_fn(|_| Uart::new()),
             rng: Rng::new(seed.stream(RNG_STREAM)),
-            adc: Adc::new(config.die),
+            adc: Adc::new(Die {
+                channel: config.part.temperature_channel(),
+                ..config.die
+            }),
             revision: config.revision,
             otg: Otg::new(),
             usb: UsbHost::new(seed),

@@ -160,6 +160,17 @@ fn peripheral(address: u32) -> Option<(u32, &'static str)> {
     (!name.is_empty()).then_some((first, name))
 }
 
+/// Name of the peripheral that `address` belongs to.
+pub(super) fn name(address: u32) -> Option<&'static str> {
+    peripheral(address).map(|(_, name)| name)
+}
+
+/// Whether a peripheral has this name.
+#[cfg(test)]
+pub(super) fn is_name(name: &str) -> bool {
+    PERIPHERALS.iter().any(|(_, known)| *known == name)
+}
+
 /// Whether the chip has a peripheral there.
 pub(super) fn is_peripheral(address: u32) -> bool {
     peripheral(address).is_some()

@@ -16,6 +16,10 @@ pub(crate) enum End {
         address: u32,
         write: bool,
     },
+    /// A peripheral was touched that this chip does not have.
+    Absent {
+        address: u32,
+    },
     Forbidden(Rule),
 }
 
@@ -76,6 +80,11 @@ impl fmt::Display for End {
                     "it {verb} {register} at {address:#010x}, which is not modelled"
                 )
             }
+            Self::Absent { address } => Rule::name_access(
+                f,
+                *address,
+                "which this chip does not have: its reference manual has no such peripheral",
+            ),
             Self::Forbidden(rule) => rule.fmt(f),
         }
     }
@@ -178,10 +187,11 @@ impl Soc {
     pub(super) fn require_clocks(&mut self) {
         let (input, oscillator) = self.rcc.pll_rates();
         let clocks = &self.clocks;
+        let [hclk, pclk1, pclk2] = self.part.fastest();
         let mut limits = vec![
-            ("HCLK", clocks.hclk, [0, 168_000_000]),
-            ("PCLK1", clocks.pclk1, [0, 42_000_000]),
-            ("PCLK2", clocks.pclk2, [0, 84_000_000]),
+            ("HCLK", clocks.hclk, [0, hclk]),
+            ("PCLK1", clocks.pclk1, [0, pclk1]),
+            ("PCLK2", clocks.pclk2, [0, pclk2]),
         ];
         if self.rcc.pll_is_on() {
             limits.push(("the PLL's input", input, [950_000, 2_100_000]));

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use super::{LogSink, Sim, SimError};
 use crate::chip::adc::Die;
+use crate::chip::part::Part;
 use crate::chip::{ChipConfig, I2cWires, Revision, Soc};
 use crate::clock::Rate;
 use crate::cpu::Cpu;
@@ -59,6 +60,7 @@ impl SimBuilder {
             plugged: true,
             tolerate_failures: false,
             chip: ChipConfig {
+                part: Part::default(),
                 crystal: None,
                 low_speed: Rate::hz(LSI_HZ),
                 unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
@@ -86,6 +88,13 @@ impl SimBuilder {
     #[must_use]
     pub fn missing_hint(mut self, hint: &'static str) -> Self {
         self.missing_hint = hint;
+        self
+    }
+
+    /// Another chip of the family.
+    #[must_use]
+    pub fn part(mut self, part: Part) -> Self {
+        self.chip.part = part;
         self
     }
 
@@ -150,7 +159,8 @@ impl SimBuilder {
     /// feeds it 3.3 V through a diode): what its ADC finds, and what its outputs reach.
     #[must_use]
     pub fn die(mut self, celsius: f64, supply: f64) -> Self {
-        self.chip.die = Die { celsius, supply };
+        self.chip.die.celsius = celsius;
+        self.chip.die.supply = supply;
         self
     }
 

@@ -158,7 +158,7 @@ impl Sim {
     pub(super) fn end(&mut self, end: &End) -> Result<(), SimError> {
         self.poll_log();
         let mut failure = self.describe_failure(match end {
-            End::Unmodelled { .. } => FailureKind::Unmodelled,
+            End::Unmodelled { .. } | End::Absent { .. } => FailureKind::Unmodelled,
             End::Forbidden(_) => FailureKind::Forbidden,
         });
         failure.detail = end.to_string();

@@ -19,6 +19,7 @@ pub use builder::{INPUT_SYNCHRONISER, SimBuilder};
 pub use failure::{Failure, FailureKind, SimError};
 
 use crate::backtrace;
+pub use crate::chip::part::Part;
 pub use crate::chip::rcc::ResetCause;
 use crate::chip::{self, Soc};
 use crate::clock::Rate;

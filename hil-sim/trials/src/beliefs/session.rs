@@ -15,10 +15,10 @@ use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
 use recording::profile::Profile;
 use recording::session_file::{Alignment, Video};
 use rig::beliefs::Beliefs;
+use rig::imu::SimImu;
+use rig::imu::mpu::address;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::mpu9150::Mpu9150;
-use rig::mpu9150::registers::address;
 use rig::oscillator::{BoardTime, Oscillator, TrueTime};
 use rig::phone::{FrameTimes, PhoneConfig, gyroscope_samples};
 use rig::random::{Seed, Stream};
@@ -91,7 +91,7 @@ struct Rig {
     parts: RigParts,
     phone: PhoneConfig,
     oscillator: Oscillator,
-    imu: Bench<Mpu9150>,
+    imu: Bench<SimImu>,
     profile: Profile,
 }
 
@@ -173,7 +173,7 @@ impl Rig {
         let parts = config.build()?;
         let settings = parts.config.imu.context("the rig has no IMU")?;
         let motion = std::sync::Arc::clone(&parts.motion);
-        let mut imu = Bench::new(Mpu9150::new(settings, motion, parts.board.clone(), seed));
+        let mut imu = Bench::new(SimImu::new(settings, motion, parts.board.clone(), seed));
         imu.set_clock(wiring::IMU_CLOCK, Some(Rate::hz(19_200_000)));
         imu.run_until(SimTime::from_nanos(100_000_000));
         // 500 Hz, 188 Hz, 500 °/s, and asleep: samples are only made of twists.
@@ -242,7 +242,7 @@ impl Rig {
         let records = self.imu.model.log_mut().take();
         write(&mut self.imu, address::PWR_MGMT_1, CLOCKED | ASLEEP)?;
         let lsb = f64::from(GyroRange::Dps500.lsb_per_dps_times_10()) / 10.0;
-        let sample = |record: &rig::mpu9150::SampleRecord| {
+        let sample = |record: &rig::imu::SampleRecord| {
             let tick = record.at.units() / UNITS_PER_TICK + INPUT_SYNCHRONISER;
             let rate = record
                 .values
@@ -353,7 +353,7 @@ impl Rig {
 const CLOCKED: u8 = 5;
 const ASLEEP: u8 = 1 << 6;
 
-fn write(imu: &mut Bench<Mpu9150>, register: u8, value: u8) -> Result<()> {
+fn write(imu: &mut Bench<SimImu>, register: u8, value: u8) -> Result<()> {
     match imu.write(ADDRESS, register, &[value]) {
         Ok(()) => Ok(()),
         Err(byte) => bail!("the IMU does not acknowledge byte {byte} of register {register:#x}"),

@@ -12,8 +12,8 @@ use protocol::{
     SendFiller, Sentences, StartGnss, StartTrigger, StopTrigger, TICK_HZ, TriggerStart,
 };
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::Motion;
-use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
@@ -181,8 +181,8 @@ fn measure(args: &Args) -> Result<Figures> {
 
     // The whole rig: IMU at 500 Hz, trigger and camera at 30 fps.
     let board = BoardTime::new(OscillatorConfig::default(), SEED.stream(Stream::BoardClock));
-    let imu = Mpu9150::new(
-        Mpu9150Config::typical(SEED),
+    let imu = SimImu::new(
+        SimImuConfig::typical(SEED),
         Motion::rest(),
         board.clone(),
         SEED,

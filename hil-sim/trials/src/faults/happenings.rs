@@ -8,7 +8,7 @@ use protocol::{
 
 use super::plan::Fault;
 use super::scene::Scene;
-use rig::mpu9150::Fault as ImuFault;
+use rig::imu::Fault as ImuFault;
 use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::model::{PinIo, PinModel};

@@ -14,9 +14,9 @@ use super::plan::Plan;
 use super::stage::{Reply, Request};
 use crate::board_truth::{BoardTruth, Compared, Train};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use stm32f4_sim::i2c::{Shared, lock};
@@ -76,7 +76,7 @@ pub(super) struct Report {
 pub(super) struct Scene {
     pub(super) plan: Plan,
     pub(super) rig: Sim,
-    pub(super) sensor: Shared<Mpu9150>,
+    pub(super) sensor: Shared<SimImu>,
     pub(super) camera: Shared<DepthCamera>,
     pub(super) flood: Shared<Flood>,
     pub(super) truth: BoardTruth,
@@ -112,8 +112,7 @@ impl Scene {
         let motion = MotionSpec::always(Gesture::Walk)
             .build(seed.stream(Stream::Motion))
             .map_err(|error| error.to_string())?;
-        let sensor =
-            Mpu9150::new(Mpu9150Config::typical(seed), motion, board.clone(), seed).shared();
+        let sensor = SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
         let camera = DepthCamera::new(DepthCameraConfig::default(), board, seed)
             .map_err(|error| error.to_string())?;
         let camera = Arc::new(Mutex::new(camera));

@@ -11,9 +11,9 @@ use protocol::{
 use super::{Growth, Interrupt, LongRunError, Options, Report};
 use crate::board_truth::{BoardTruth, Compared, Train, Wrong};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
+use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::mpu9150::{Mpu9150, Mpu9150Config};
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
 use rig::wiring;
@@ -84,7 +84,7 @@ struct Fields {
 pub(super) struct Bench {
     rig: Sim,
     conversation: Conversation,
-    sensor: stm32f4_sim::i2c::Shared<Mpu9150>,
+    sensor: stm32f4_sim::i2c::Shared<SimImu>,
     camera: stm32f4_sim::i2c::Shared<DepthCamera>,
     truth: BoardTruth,
     fields: Fields,
@@ -103,8 +103,7 @@ impl Bench {
         let seed = options.seed;
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion))?;
-        let sensor =
-            Mpu9150::new(Mpu9150Config::typical(seed), motion, board.clone(), seed).shared();
+        let sensor = SimImu::new(SimImuConfig::typical(seed), motion, board.clone(), seed).shared();
         let config = DepthCameraConfig {
             photodiode: options.strobe,
             ..DepthCameraConfig::default()

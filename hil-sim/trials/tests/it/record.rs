@@ -9,7 +9,7 @@ use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
-use rig::mpu9150::SampleRecord;
+use rig::imu::SampleRecord;
 use serde_json::Value;
 use trials::demo::judge::Truth;
 

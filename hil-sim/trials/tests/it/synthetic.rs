@@ -580,6 +580,7 @@ fn imu_info() -> recording::session_file::ImuInfo {
             recoveries: 0,
             last_fault: None,
         },
+        sensor: protocol::ImuSensor::default(),
     };
     let scale = board::imu::Scale::of(&setup).unwrap();
     recording::session_file::ImuInfo { setup, scale }

@@ -49,6 +49,7 @@ impl Link for Scripted {
                 epoch: 1,
                 reset_cause: protocol::ResetCause::PowerOn,
                 last_panic: None,
+                board: protocol::BoardModel::Discovery,
             }));
             self.say(&DeviceToHost::Answer(Answer {
                 id: command.id,

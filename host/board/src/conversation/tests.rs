@@ -34,6 +34,7 @@ fn hello(epoch: u32, protocol_version: u16) -> DeviceToHost {
         epoch,
         reset_cause: ResetCause::PowerOn,
         last_panic: None,
+        board: protocol::BoardModel::Discovery,
     })
 }
 

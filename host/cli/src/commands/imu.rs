@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use indicatif::ProgressBar;
 use protocol::{
-    AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuState, LowPass, TICK_HZ, Ticks,
+    AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuSensor, ImuState, LowPass,
+    TICK_HZ, Ticks,
 };
 use serde::Serialize;
 
@@ -16,7 +17,7 @@ use super::listen::{Heard, Listened, listen};
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
-use board::imu::{Sample, Scale, Summary, SummaryReport};
+use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
 use board::{Board, BoardError};
 use board::{Event, Stream};
 
@@ -49,7 +50,7 @@ pub(crate) struct Settings {
     /// Samples a second: 1000 divided by a whole number up to 256
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     rate: Option<u8>,
-    /// Low-pass of the sensor, Hz
+    /// Low-pass of the sensor, Hz: of those that it has, the nearest is set
     #[arg(long, value_name = "HZ", value_parser = parse_low_pass)]
     low_pass: Option<LowPass>,
     /// Full scale of the gyroscope, °/s
@@ -115,6 +116,7 @@ fn parse_accel_range(text: &str) -> Result<AccelRange, &'static str> {
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
 struct PrintedImu {
+    sensor: ImuSensor,
     clock: ImuClock,
     scale: Scale,
     nominal_interval_ticks: u32,
@@ -123,6 +125,9 @@ struct PrintedImu {
     /// Samples that the board made and that did not arrive.
     missed: u64,
     csv: Option<PathBuf>,
+    /// The sensor in words.
+    #[serde(skip)]
+    described: String,
 }
 
 /// Streams the IMU.
@@ -156,6 +161,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     // The clock is only known once samples have come.
     setup = board.imu()?;
     let report = PrintedImu {
+        described: describe(&setup),
+        sensor: setup.sensor,
         clock: setup.status.clock,
         scale,
         nominal_interval_ticks: setup.interval,
@@ -241,7 +248,7 @@ fn no_samples(board: &mut Board) -> Failure {
         ExitStatus::Error,
         format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
     )
-    .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V")
+    .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V")
 }
 
 fn show(bar: &ProgressBar, summary: &Summary) {
@@ -259,11 +266,14 @@ impl PrintedImu {
     fn text(&self) -> String {
         let summary = &self.summary;
         let mut text = String::new();
-        let clock = match self.clock {
-            ImuClock::External => "19.2 MHz from the board: exact in board time",
-            ImuClock::Internal => "the sensor's own: up to 1 % off",
-            ImuClock::Unknown => "not known yet",
+        let clock = match (self.clock, self.sensor.model.clock_input()) {
+            (ImuClock::External, Some((_, rate))) => {
+                format!("{rate} from the board: exact in board time")
+            }
+            (ImuClock::Unknown, _) => String::from("not known yet"),
+            _ => String::from("the sensor's own: up to 1.5 % off"),
         };
+        let _ = writeln!(text, "sensor       {}", self.described);
         let _ = writeln!(
             text,
             "samples      {} in {:.3} s, {} missed, {} late, {} saturated, {} interruptions",

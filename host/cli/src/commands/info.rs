@@ -3,7 +3,9 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use protocol::{DeviceToHost, Hello, LinkCounters, ResetCause, Status, TICK_HZ};
+use protocol::{
+    BoardModel, DeviceToHost, Hello, ImuSetup, LinkCounters, ResetCause, Status, TICK_HZ,
+};
 use serde::Serialize;
 
 use super::PortArg;
@@ -13,6 +15,7 @@ use crate::outcome::{Failure, Outcome};
 use crate::record::preflight::firmware_version;
 use crate::rig_profile::{Place, ProfileArg};
 use board::Event;
+use board::imu::describe;
 use board::{Board, BoardError, reset_cause};
 
 /// Options of `info`.
@@ -31,6 +34,9 @@ pub(crate) struct Args {
 #[derive(Debug, Serialize)]
 struct PrintedInfo {
     board_id: String,
+    board_model: BoardModel,
+    /// Outputs 2 to 4, and the pulse per second.
+    has_outputs: bool,
     firmware_version: String,
     git_revision: Option<String>,
     git_dirty: bool,
@@ -42,6 +48,7 @@ struct PrintedInfo {
     reset_cause: ResetCause,
     last_panic: Option<String>,
     round_trip_us: f64,
+    imu: ImuSetup,
     /// The rig profile that `record` and `doctor` would use.
     profile: Place,
     status: Vec<PrintedStatus>,
@@ -72,7 +79,8 @@ struct PrintedStatus {
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let mut board = args.port.open()?;
     let (_, round_trip) = board.ping()?;
-    let mut info = PrintedInfo::new(board.hello(), round_trip, args.profile.place());
+    let imu = board.imu()?;
+    let mut info = PrintedInfo::new(board.hello(), round_trip, imu, args.profile.place());
     if !context.global.json {
         context.print(&info, || info.text())?;
     }
@@ -124,8 +132,10 @@ fn watch(
 }
 
 impl PrintedInfo {
-    fn new(hello: &Hello, round_trip: Duration, profile: Place) -> Self {
+    fn new(hello: &Hello, round_trip: Duration, imu: ImuSetup, profile: Place) -> Self {
         Self {
+            board_model: hello.board,
+            has_outputs: hello.board.has_outputs(),
             board_id: protocol::usb::serial_number(&hello.board_id).to_string(),
             firmware_version: firmware_version(hello),
             git_revision: (!hello.git_revision.is_empty()).then(|| hello.git_revision.to_string()),
@@ -138,6 +148,7 @@ impl PrintedInfo {
             reset_cause: hello.reset_cause,
             last_panic: hello.last_panic.as_ref().map(ToString::to_string),
             round_trip_us: round_trip.as_secs_f64() * 1e6,
+            imu,
             profile,
             status: Vec::new(),
         }
@@ -151,6 +162,12 @@ impl PrintedInfo {
         };
         let mut text = String::new();
         let _ = writeln!(text, "board       {}", self.board_id);
+        let outputs = if self.has_outputs {
+            "four trigger outputs, and a pulse per second for a lidar"
+        } else {
+            "the camera's trigger output alone: no outputs 2 to 4, nothing for a lidar"
+        };
+        let _ = writeln!(text, "model       {}: {outputs}", self.board_model.name());
         let _ = writeln!(
             text,
             "firmware    {} ({}{dirty}), protocol {}",
@@ -168,6 +185,7 @@ impl PrintedInfo {
             let _ = writeln!(text, "last panic  {panic}");
         }
         let _ = writeln!(text, "round trip  {:.0} µs", self.round_trip_us);
+        let _ = writeln!(text, "IMU         {}", describe(&self.imu));
         let _ = writeln!(text, "profile     {}", self.profile);
         text
     }

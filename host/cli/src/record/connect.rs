@@ -17,7 +17,7 @@ use super::{Connector, Options, Stop};
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use board::Board;
-use board::imu::ImuLook;
+use board::imu::{ImuLook, Scale};
 use recording::folder;
 use recording::profile::Profile;
 use recording::session_file::Verdict;
@@ -144,6 +144,7 @@ fn new_journal<'a>(
         firmware: firmware_version(hello),
         git_revision: hello.git_revision.to_string(),
         git_dirty: hello.git_dirty,
+        model: hello.board,
         protocol: hello.protocol_version,
         tick_hz: hello.tick_hz,
         epoch: hello.epoch,
@@ -178,7 +179,13 @@ pub(super) fn preflight(
     let looked = rig.pump_for(IMU_TIME);
     let look = rig.observers.look.take().unwrap_or_default();
     looked?;
-    checks.imu(&look, &rig.call(Board::imu)?);
+    // The sensor is known now, also if it was still being looked for before.
+    let setup = rig.call(Board::imu)?;
+    if let Some(scale) = Scale::of(&setup) {
+        rig.link.set_scale(Some(scale));
+        rig.journal.file.imu = Some(ImuInfo { setup, scale });
+    }
+    checks.imu(&look, &setup);
     let session = rig.link.board.conversation();
     checks.link(session.counts().lost(), session.damaged_frames());
     rig.journal.file.preflight.clear();

@@ -19,7 +19,7 @@ use crate::new_profile::summary;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::rig_profile::Place;
 use board::Board;
-use board::imu::ImuLook;
+use board::imu::{ImuLook, describe};
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, Verdict};
 
@@ -46,7 +46,7 @@ const OLD_DAYS: i32 = 90;
 /// Name of the check of the depth camera's settings.
 const CHECK_CAMERA: &str = "depth camera";
 
-const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 clock, 3.3 V";
+const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V";
 
 /// The version of a board's firmware, as people write it.
 pub(crate) fn firmware_version(hello: &Hello) -> String {
@@ -309,20 +309,30 @@ impl Checks {
         self.good(
             "IMU",
             format!(
-                "{} samples, {:.3} Hz, jitter {:.2} ticks",
+                "{}: {} samples, {:.3} Hz, jitter {:.2} ticks",
+                describe(setup),
                 report.samples,
                 report.rate_hz.unwrap_or_default(),
                 report.interval_jitter_ticks.unwrap_or_default()
             ),
         );
-        match setup.status.clock {
-            ImuClock::External => self.good("IMU clock", "19.2 MHz from the board"),
-            ImuClock::Internal => self.warn(
+        match (setup.status.clock, setup.sensor.model.clock_input()) {
+            (ImuClock::External, Some((_, rate))) => {
+                self.good("IMU clock", format!("{rate} from the board"));
+            }
+            (ImuClock::Internal, Some((pin, _))) => self.warn(
                 "IMU clock",
-                "its own: samples are up to 1 % off their nominal distance",
-                "wire PA8 to the sensor's CLKIN",
+                "its own: samples are up to 1.5 % off their nominal distance",
+                &format!(
+                    "wire {pin} to the sensor's CLKIN; the samples' times are exact all the same"
+                ),
             ),
-            ImuClock::Unknown => self.warn("IMU clock", "not known yet", IMU_WIRING),
+            (_, None) => self.good(
+                "IMU clock",
+                "its own, as this sensor takes no other: the distance of samples is up to 1 % off, \
+                 their times are exact",
+            ),
+            (ImuClock::Unknown, _) => self.warn("IMU clock", "not known yet", IMU_WIRING),
         }
         let at_rest = report
             .gyro_noise_rad_s

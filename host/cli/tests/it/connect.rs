@@ -23,11 +23,19 @@ fn info_tells_who_the_board_is() {
     assert_eq!(info["now_ticks"], 4_320_000_000_u64);
     assert_eq!(info["reset_cause"], "Watchdog");
     assert_eq!(info["last_panic"], "trigger.rs:12: odd");
+    assert_eq!(info["board_model"], "BlackPill");
+    assert_eq!(info["has_outputs"], false);
+    assert_eq!(info["imu"]["sensor"]["model"], "Icm42688P");
 
     let output = run(&["info", "--port", &board.path]);
     let printed = text(&output.stdout);
     assert!(printed.contains("90.000000 s since reset"), "{printed}");
     assert!(printed.contains("trigger.rs:12: odd"), "{printed}");
+    assert!(printed.contains("no outputs 2 to 4"), "{printed}");
+    assert!(
+        printed.contains("ICM-42688-P, ±500 °/s, ±4 g, low-pass 246.7 Hz with a delay of 1.3 ms"),
+        "{printed}"
+    );
 }
 
 #[test]

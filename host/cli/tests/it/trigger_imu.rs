@@ -7,9 +7,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use crate::support::{Behaviour, StandIn, code, frame, polite, run, text};
 use protocol::{
     AccelRange, AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost,
-    GyroRange, HostToDevice, ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSetup, ImuState,
-    ImuStatus, LowPass, Output, Period, QueryImu, QueryTrigger, Readback, Refusal, Reply, Request,
-    StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
+    GyroRange, HostToDevice, ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSensor, ImuSetup,
+    ImuState, ImuStatus, LowPass, Output, Period, QueryImu, QueryTrigger, Readback, Refusal, Reply,
+    Request, StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
 };
 use serde_json::Value;
 
@@ -250,6 +250,7 @@ impl ImuStandIn {
                 recoveries: 0,
                 last_fault: None,
             },
+            sensor: ImuSensor::default(),
         }
     }
 }

@@ -431,6 +431,7 @@ fn a_recording_of_an_older_board_is_read() {
             firmware: String::from("0.1.0"),
             git_revision: String::new(),
             git_dirty: false,
+            model: protocol::BoardModel::Discovery,
             protocol,
             tick_hz: TICK_HZ,
             epoch: 7,

@@ -14,8 +14,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use protocol::{
-    Answer, Decoder, DeviceToHost, Hello, HostToDevice, MAX_FRAME, PROTOCOL_VERSION, Pong, Reply,
-    ResetCause, TICK_HZ, Ticks, encode,
+    AccelRange, Answer, BoardModel, Decoder, DeviceToHost, GyroRange, Hello, HostToDevice,
+    ImuClock, ImuConfig, ImuModel, ImuSensor, ImuSetup, ImuState, ImuStatus, LowPass, MAX_FRAME,
+    PROTOCOL_VERSION, Pong, Reply, ResetCause, TICK_HZ, Ticks, encode,
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -118,6 +119,7 @@ pub(crate) fn hello() -> Hello {
         epoch: 77,
         reset_cause: ResetCause::Watchdog,
         last_panic: Some("trigger.rs:12: odd".try_into().unwrap()),
+        board: BoardModel::BlackPill,
     }
 }
 
@@ -141,7 +143,42 @@ pub(crate) fn polite(command: HostToDevice) -> Vec<u8> {
             received: Ticks(48_000_000 * 91),
             sent: Ticks(48_000_000 * 91 + 900),
         })),
+        protocol::Command::QueryImu(_) => answer(Reply::QueryImu(imu_setup())),
         _ => Vec::new(),
+    }
+}
+
+/// An ICM-42688-P at 500 Hz on the board's clock.
+pub(crate) fn imu_setup() -> ImuSetup {
+    ImuSetup {
+        config: ImuConfig {
+            divider: 1,
+            low_pass: LowPass::Hz188,
+            gyro_range: GyroRange::Dps500,
+            accel_range: AccelRange::G4,
+        },
+        interval: 96_000,
+        gyro_lsb_per_dps_times_10: 655,
+        accel_lsb_per_g: 8_192,
+        gyro_delay_us: 1_300,
+        accel_delay_us: 1_300,
+        status: ImuStatus {
+            state: ImuState::Running,
+            clock: ImuClock::External,
+            samples: 500,
+            late: 0,
+            overcaptures: 0,
+            recoveries: 0,
+            last_fault: None,
+        },
+        sensor: ImuSensor {
+            model: ImuModel::Icm42688P,
+            gyro_bandwidth_hz_times_10: 2_467,
+            gyro_noise_udps: 2_800,
+            accel_noise_ug: 70,
+            temperature_lsb_per_c_times_100: 13_248,
+            temperature_at_zero_centidegrees: 2_500,
+        },
     }
 }
 

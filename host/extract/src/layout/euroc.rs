@@ -100,7 +100,7 @@ impl Layout for Euroc {
                 "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
                 facts.board_imu_delay
             );
-            let text = imu_yaml(&comment, rate, &noise::MPU_9150);
+            let text = imu_yaml(&comment, rate, &Noise::of(&facts.board_sensor));
             write_whole(&base.join("imu0/sensor.yaml"), text.as_bytes())?;
         }
         if let Some(rate) = facts.phone_imu_rate {

@@ -78,7 +78,11 @@ impl Layout for Kalibr {
         let base = folder.join(FOLDER);
         super::further::write(folder, tables)?;
         let imus = [
-            ("imu0", facts.board_imu_rate, &noise::MPU_9150),
+            (
+                "imu0",
+                facts.board_imu_rate,
+                &Noise::of(&facts.board_sensor),
+            ),
             ("imu1", facts.phone_imu_rate, &noise::PHONE),
         ];
         for (name, rate, noise) in imus {

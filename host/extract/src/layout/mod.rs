@@ -20,6 +20,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use protocol::ImuSensor;
+
 use super::board_data::{ImuRow, TimePair};
 use super::geometry::{Cameras, View};
 use super::time::BoardNanos;
@@ -118,6 +120,8 @@ pub(crate) struct Facts {
     pub(crate) depth_rate: Option<f64>,
     /// Samples a second of the board's IMU.
     pub(crate) board_imu_rate: Option<f64>,
+    /// Which sensor that is.
+    pub(crate) board_sensor: ImuSensor,
     /// Samples a second of the phone's gyroscope.
     pub(crate) phone_imu_rate: Option<f64>,
     /// Width and height of the phone's images.

@@ -1,5 +1,10 @@
 //! Noise of the two IMUs, for the formats that tell it.
 
+use std::borrow::Cow;
+
+use board::imu::STANDARD_GRAVITY;
+use protocol::ImuSensor;
+
 /// White noise and random walks of an IMU.
 pub(super) struct Noise {
     /// rad/s/√Hz.
@@ -11,20 +16,8 @@ pub(super) struct Noise {
     /// m/s³/√Hz.
     pub(super) accel_walk: f64,
     /// Where the numbers come from.
-    pub(super) source: &'static str,
+    pub(super) source: Cow<'static, str>,
 }
-
-/// Noise of the board's MPU-9150: gyroscope 0.005 °/s/√Hz, accelerometer
-/// 400 µg/√Hz (MPU-9150 product specification, 6.1 and 6.2). The random walks are
-/// not specified; these are values usual for the part, to be replaced by an Allan
-/// variance of the own one.
-pub(super) const MPU_9150: Noise = Noise {
-    gyro: 8.7e-5,
-    gyro_walk: 2.0e-5,
-    accel: 3.9e-3,
-    accel_walk: 3.0e-3,
-    source: "data sheet of the MPU-9150; random walks are usual values, not measured",
-};
 
 /// A phone's IMU, usual values.
 pub(super) const PHONE: Noise = Noise {
@@ -32,10 +25,28 @@ pub(super) const PHONE: Noise = Noise {
     gyro_walk: 2.0e-5,
     accel: 2.0e-3,
     accel_walk: 3.0e-3,
-    source: "usual values of phones, not measured",
+    source: Cow::Borrowed("usual values of phones, not measured"),
 };
 
 impl Noise {
+    /// Of the board's sensor, by its data sheet, to two digits. The random walks are
+    /// not specified; these are values usual for the parts, to be replaced by an Allan
+    /// variance of the own one.
+    pub(super) fn of(sensor: &ImuSensor) -> Self {
+        let gyro = (f64::from(sensor.gyro_noise_udps) * 1e-6).to_radians();
+        let accel = f64::from(sensor.accel_noise_ug) * 1e-6 * STANDARD_GRAVITY;
+        Self {
+            gyro: two_digits(gyro),
+            gyro_walk: 2.0e-5,
+            accel: two_digits(accel),
+            accel_walk: 3.0e-3,
+            source: Cow::Owned(format!(
+                "data sheet of the {}; random walks are usual values, not measured",
+                sensor.model.name()
+            )),
+        }
+    }
+
     /// Variances of a sample of gyroscope (rad²/s²) and accelerometer (m²/s⁴): white noise
     /// at this many samples a second, as Kalibr has it. Zeros: the rate is not known.
     pub(super) fn variances(&self, rate: Option<f64>) -> [f64; 2] {
@@ -50,5 +61,21 @@ impl Noise {
              accelerometer_noise_density: {:e}\naccelerometer_random_walk: {:e}\n",
             self.source, self.gyro, self.gyro_walk, self.accel, self.accel_walk
         )
+    }
+}
+
+fn two_digits(value: f64) -> f64 {
+    format!("{value:.1e}").parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_published_sensor_has_the_noise_of_its_data_sheet() {
+        let noise = Noise::of(&ImuSensor::default());
+        assert_eq!((noise.gyro, noise.accel), (8.7e-5, 3.9e-3));
+        assert!(noise.source.contains("MPU-9150"), "{}", noise.source);
     }
 }

@@ -285,8 +285,9 @@ fn add_imus<B: Bag>(
     folder: &Path,
     facts: &Facts,
 ) -> io::Result<Vec<Samples>> {
+    let board = Noise::of(&facts.board_sensor);
     let both: [(_, _, _, &Noise); 2] = [
-        ("imu0", BOARD_IMU, facts.board_imu_rate, &noise::MPU_9150),
+        ("imu0", BOARD_IMU, facts.board_imu_rate, &board),
         ("imu1", PHONE_IMU, facts.phone_imu_rate, &noise::PHONE),
     ];
     let mut imus = Vec::new();

@@ -172,6 +172,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     let facts = Facts {
         color_rate: rate_of(color.iter().map(|frame| frame.at)),
         board_imu_rate: survey.imu.rate(),
+        board_sensor: input.rig.board_sensor,
         phone_imu_rate: phone_imu.rate,
         color_size: size,
         cameras,

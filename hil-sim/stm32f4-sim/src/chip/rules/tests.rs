@@ -1,6 +1,7 @@
 //! Each rule, kept and broken, by the registers that a firmware would write.
 
 use super::*;
+use crate::chip::part::Part;
 use crate::chip::{ChipConfig, I2cWires};
 use crate::clock::Rate;
 use crate::random::Seed;
@@ -33,9 +34,14 @@ pub(in crate::chip) fn chip() -> Soc {
 }
 
 fn chip_of(revision: Revision) -> Soc {
+    chip_like(Part::Stm32f407vg, revision)
+}
+
+fn chip_like(part: Part, revision: Revision) -> Soc {
     Soc::new(
         Seed(1),
         &ChipConfig {
+            part,
             crystal: Some(Rate::hz(8_000_000)),
             low_speed: Rate::hz(32_000),
             unique_id: [0; 3],
@@ -50,6 +56,31 @@ fn chip_of(revision: Revision) -> Soc {
             die: Default::default(),
         },
     )
+}
+
+/// An STM32F411 has no random number generator: a touch ends the run and says so.
+#[test]
+fn a_peripheral_that_the_chip_does_not_have_ends_the_run() {
+    const RNG_CR: u32 = 0x5006_0800;
+    let mut small = chip_like(Part::Stm32f411ce, Revision::Y);
+    write(&mut small, &[(0x4002_3834, 1 << 6)]);
+    assert_eq!(small.end.take(), None);
+    small.read_register(RNG_CR);
+    let end = small.end.take().unwrap();
+    assert_eq!(end, End::Absent { address: RNG_CR });
+    let text = end.to_string();
+    assert!(
+        text.contains("RNG_CR") && text.contains("does not have"),
+        "{text}"
+    );
+    small.write_register(RNG_CR, 0);
+    assert_eq!(small.end.take(), Some(End::Absent { address: RNG_CR }));
+    assert_eq!(small.read_register(0xe004_2000), Some(0x1000_6431));
+
+    let mut large = chip();
+    write(&mut large, &[(0x4002_3834, 1 << 6)]);
+    large.read_register(RNG_CR);
+    assert_eq!(large.end.take(), None);
 }
 
 /// Writes registers one after the other, far enough apart for any clock to come up.

@@ -4,7 +4,7 @@ use super::*;
 
 #[test]
 fn a_burst_read_never_mixes_two_samples() {
-    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), "twist");
     bench.run(SimDuration::from_secs(2));
     bench.model.log_mut().take();
     let mut bursts = Vec::new();
@@ -31,7 +31,7 @@ fn a_burst_read_never_mixes_two_samples() {
 
 #[test]
 fn a_sample_during_a_transaction_shows_after_its_stop() {
-    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), "twist");
     bench.run(SimDuration::from_secs(2));
     bench.start(ADDRESS, Direction::Write);
     bench.write_byte(ACCEL_XOUT_H);
@@ -59,7 +59,7 @@ fn the_interrupt_pin_follows_its_configuration() {
         (0x40, Drive::Low, Drive::Floating),
         (0xc0, Drive::Floating, Drive::Low),
     ] {
-        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), "rest");
         bench.write(ADDRESS, INT_PIN_CFG, &[config]).unwrap();
         bench.run(SimDuration::from_millis(100));
         bench.driven.clear();
@@ -74,7 +74,7 @@ fn the_interrupt_pin_follows_its_configuration() {
 #[test]
 fn a_latched_interrupt_stays_until_it_is_cleared() {
     // Only by INT_STATUS.
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.write(ADDRESS, INT_PIN_CFG, &[0x20]).unwrap();
     bench.run(SimDuration::from_millis(100));
     assert_eq!(bench.times(Pin::PA1, Drive::High).len(), 1);
@@ -104,7 +104,7 @@ fn a_latched_interrupt_stays_until_it_is_cleared() {
 
 #[test]
 fn full_scales_change_counts_and_saturate() {
-    let mut config = Mpu9150Config::ideal();
+    let mut config = SimImuConfig::ideal();
     config.gyro.bias = [7.0, -7.0, 0.5];
     let mut counts = Vec::new();
     for setting in [0x00, 0x08, 0x10, 0x18] {
@@ -130,7 +130,7 @@ fn full_scales_change_counts_and_saturate() {
 
 #[test]
 fn standby_and_temperature_switches_hold_values() {
-    let mut config = Mpu9150Config::ideal();
+    let mut config = SimImuConfig::ideal();
     config.temperature_c = 20.0;
     config.self_heating_c = 10.0;
     config.warm_up_s = 1.0;
@@ -162,7 +162,7 @@ fn standby_and_temperature_switches_hold_values() {
 
 #[test]
 fn a_device_reset_forgets_everything() {
-    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), "twist");
     bench.run(SimDuration::from_secs(1));
     bench.write(ADDRESS, PWR_MGMT_1, &[0x80]).unwrap();
     assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
@@ -176,7 +176,7 @@ fn a_device_reset_forgets_everything() {
 
 #[test]
 fn a_power_cut_loses_registers_and_floats_the_pin() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.run(SimDuration::from_millis(100));
     let (off, on) = (
         SimTime::from_nanos(200_000_000),
@@ -202,7 +202,7 @@ fn a_power_cut_loses_registers_and_floats_the_pin() {
 
 #[test]
 fn a_missing_acknowledge_hits_the_byte_it_was_told_to() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     for byte in 0..3 {
         bench
             .model
@@ -225,7 +225,7 @@ fn a_missing_acknowledge_hits_the_byte_it_was_told_to() {
 
 #[test]
 fn a_held_bus_is_freed_by_nine_clocks_or_never() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.model.schedule(bench.now, Fault::HoldSda(Some(9)));
     bench.run(SimDuration::from_micros(1));
     assert!(bench.model.holds_sda_low());
@@ -254,7 +254,7 @@ fn a_held_bus_is_freed_by_nine_clocks_or_never() {
 
 #[test]
 fn another_identity_and_cut_wires() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.run(SimDuration::from_millis(50));
     bench.model.schedule(bench.now, Fault::Identity(0x71));
     bench.model.schedule(bench.now, Fault::DataReadyCut(true));
@@ -275,7 +275,7 @@ fn another_identity_and_cut_wires() {
 
 #[test]
 fn ignored_settings_are_named() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     assert!(bench.model.unmodelled().is_empty());
     bench.write(ADDRESS, 0x23, &[0x78]).unwrap(); // FIFO_EN
     bench.write(ADDRESS, GYRO_CONFIG, &[0xe0]).unwrap(); // self-test

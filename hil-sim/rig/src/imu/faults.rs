@@ -10,7 +10,7 @@ pub enum Fault {
     PowerOff,
     /// The supply is back: power-on reset.
     PowerOn,
-    /// WHO_AM_I reads as this from now on. 0x68 is right again.
+    /// WHO_AM_I reads as this from now on.
     Identity(u8),
     /// Byte `byte` of a transaction is not acknowledged: counted from the
     /// start condition with the address byte as 0, repeated starts included.
@@ -29,7 +29,7 @@ pub enum Fault {
     ReleaseSda,
     /// The clock input's wire is cut (true) or whole (false).
     ClockCut(bool),
-    /// The next so many writes of PWR_MGMT_1 that select an external clock are not
+    /// The next so many writes that select the clock at CLKIN are not
     /// acknowledged, as by a sensor whose clock stopped in the middle of them.
     LostAtExternalClock(u32),
     /// The data-ready pin's wire is cut (true) or whole (false).

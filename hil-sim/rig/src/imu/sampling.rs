@@ -2,21 +2,15 @@
 
 use std::sync::Arc;
 
-use super::Mpu9150Config;
+use super::SimImuConfig;
 use super::log::Values;
-use super::registers::{
-    self, ACCEL_HZ, ClockSource, SignalPath, accel_counts_per_g, address, clock_source,
-    gyro_counts_per_dps, power, signal_path, temperature_counts,
-};
+use super::map::{Measuring, SignalPath, Source};
 use crate::inertial_channel::{Channel, quantise};
 use crate::motion::{Motion, MotionView, STANDARD_GRAVITY};
 use crate::oscillator::{BoardTime, Oscillator, OscillatorConfig};
 use crate::random::{Random, Seed, Stream};
 use stm32f4_sim::clock::{Clock, Rate};
-use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
-
-/// Nominal frequency of the external reference, in Hz.
-const REFERENCE_HZ: u64 = 19_200_000;
+use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 /// The clock that the sensor's internal samples run on.
 #[derive(Clone, Debug)]
@@ -30,12 +24,47 @@ enum SampleClock {
         /// Tick of the oscillator's counter that is internal sample 0.
         first: u64,
     },
+    /// Counted edges.
+    Edges(Edges),
+}
+
+/// Counts the edges of a clock of 31 to 50 kHz (ICM-42688-P data sheet, 3.7).
+#[derive(Clone, Copy, Debug)]
+struct Edges {
+    /// So many are an internal sample.
+    every: u64,
+    /// They count from here on.
+    ready: SimTime,
+    last: Option<SimTime>,
+    seen: u64,
+}
+
+impl Edges {
+    const SHORTEST: SimDuration = SimDuration::from_nanos(20_000);
+    const LONGEST: SimDuration = SimDuration::from_nanos(32_259);
+
+    /// A rising edge at `at`; returns whether that is an internal sample's.
+    fn count(&mut self, at: SimTime) -> bool {
+        let last = self.last.replace(at);
+        let in_range = last.is_some_and(|last| {
+            let length = at - last;
+            (Self::SHORTEST..=Self::LONGEST).contains(&length)
+        });
+        if !in_range {
+            self.seen = 0;
+        }
+        if at < self.ready || !in_range {
+            return false;
+        }
+        self.seen += 1;
+        self.seen.is_multiple_of(self.every)
+    }
 }
 
 /// Source and rate that a sample clock was made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Origin {
-    source: ClockSource,
+    source: Source,
     reference: Option<Rate>,
     gyro_hz: u64,
 }
@@ -61,17 +90,17 @@ pub(super) struct Sampling {
     last_accel_tick: Option<u64>,
     powered_since: SimTime,
     temperature_noise: Random,
-    settings: Mpu9150Config,
+    settings: SimImuConfig,
 }
 
 impl Sampling {
     pub(super) fn new(
-        config: &Mpu9150Config,
+        config: &SimImuConfig,
+        path: SignalPath,
         motion: Arc<Motion>,
         board: BoardTime,
         seed: Seed,
     ) -> Self {
-        let path = signal_path(0);
         let channel = |config, low_pass, hz: u64, stream| {
             Channel::new(config, low_pass, 1.0 / hz as f64, seed.stream(stream))
         };
@@ -80,7 +109,7 @@ impl Sampling {
             motion: MotionView::new(motion),
             board,
             gyro: channel(config.gyro, path.gyro, path.gyro_hz, Stream::ImuGyro),
-            accel: channel(config.accel, path.accel, ACCEL_HZ, Stream::ImuAccel),
+            accel: channel(config.accel, path.accel, path.accel_hz, Stream::ImuAccel),
             path,
             pll: own(config.own_clock),
             internal: own(OscillatorConfig {
@@ -131,24 +160,18 @@ impl Sampling {
         self.last_accel_tick = None;
     }
 
-    /// Chooses the sample clock from PWR_MGMT_1, CONFIG and the clock on CLKIN.
+    /// Chooses the sample clock from the registers and the clock on CLKIN.
     /// Nothing happens if nothing changed.
-    pub(super) fn configure(
-        &mut self,
-        at: SimTime,
-        awake: bool,
-        power_management: u8,
-        config: u8,
-        clock_in: Option<Rate>,
-    ) {
-        let path = signal_path(config);
+    pub(super) fn configure(&mut self, at: SimTime, measuring: &Measuring, clock_in: Option<Rate>) {
+        let path = measuring.path;
         if path != self.path {
             self.path = path;
             self.gyro.set_filter(path.gyro, 1.0 / path.gyro_hz as f64);
-            self.accel.set_filter(path.accel, 1.0 / ACCEL_HZ as f64);
+            self.accel
+                .set_filter(path.accel, 1.0 / path.accel_hz as f64);
             self.last_accel_tick = None;
         }
-        if !awake {
+        if !measuring.awake {
             self.clock = None;
             self.origin = None;
             self.awake_since = None;
@@ -156,10 +179,10 @@ impl Sampling {
             return;
         }
         let woke = *self.awake_since.get_or_insert(at);
-        let source = clock_source(power_management);
+        let source = measuring.source;
         let reference = match source {
-            ClockSource::External19M2 => {
-                clock_in.filter(|rate| locks(*rate, self.settings.lock_range_ppm))
+            Source::Reference(nominal) => {
+                clock_in.filter(|rate| locks(*rate, nominal, self.settings.lock_range_ppm))
             }
             _ => None,
         };
@@ -175,16 +198,22 @@ impl Sampling {
         let ready = (at + self.settings.pll_settling).max(woke + self.settings.wake_up);
         let rate = Rate::hz(path.gyro_hz);
         self.clock = match source {
-            ClockSource::Stopped | ClockSource::External32k => None,
-            ClockSource::External19M2 => reference.map(|reference| {
+            Source::Stopped => None,
+            Source::Reference(nominal) => reference.map(|reference| {
                 // The first internal sample falls on an edge of the reference.
                 let edges = Clock::new(reference, at, 0);
                 let first = edges.time_of(edges.edge_at(ready) + 1);
-                let samples = reference.scaled(1, REFERENCE_HZ / path.gyro_hz);
+                let samples = reference.scaled(1, nominal / path.gyro_hz);
                 SampleClock::External(Clock::new(samples, first, 0))
             }),
-            ClockSource::GyroPll => Some(self.own_clock(&self.pll, rate, ready)),
-            ClockSource::Internal => Some(self.own_clock(&self.internal, rate, ready)),
+            Source::Edges(every) => Some(SampleClock::Edges(Edges {
+                every,
+                ready,
+                last: None,
+                seen: 0,
+            })),
+            Source::Pll => Some(self.own_clock(&self.pll, rate, ready)),
+            Source::Internal => Some(self.own_clock(&self.internal, rate, ready)),
         };
         self.gyro.restart();
         self.accel.restart();
@@ -201,9 +230,19 @@ impl Sampling {
         }
     }
 
+    /// A rising edge at the CLKIN of those that count them. The sample that it is the
+    /// clock of is due at once.
+    pub(super) fn clock_edge(&mut self, at: SimTime) {
+        if let Some(SampleClock::Edges(edges)) = &mut self.clock
+            && edges.count(at)
+        {
+            self.next = Some(at);
+        }
+    }
+
     fn schedule(&mut self) {
         self.next = match &self.clock {
-            None => None,
+            None | Some(SampleClock::Edges(_)) => None,
             Some(SampleClock::External(clock)) => Some(self.data_ready(clock)),
             Some(SampleClock::Own {
                 oscillator,
@@ -237,44 +276,42 @@ impl Sampling {
     }
 
     /// Measures at `at` and moves on to the next sample.
-    pub(super) fn take(&mut self, at: SimTime, registers: &[u8; registers::REGISTERS]) -> Values {
-        let register = |address: u8| registers[usize::from(address)];
+    pub(super) fn take(&mut self, at: SimTime, measuring: &Measuring) -> Values {
         let now = self.board.true_at(at).as_secs_f64();
         let length = self.tick_length();
-        let standby = register(address::PWR_MGMT_2);
-        let per_rad = gyro_counts_per_dps(register(address::GYRO_CONFIG)) * super::DEGREES;
+        let per_rad = measuring.gyro_counts_per_dps * super::DEGREES;
         let rate = self
             .gyro
             .sample(now, self.tick, length, |t| self.motion.angular_rate(t));
         let warmed = self.self_heating(at);
         for (axis, rate) in rate.into_iter().enumerate() {
             let rate = rate + self.settings.gyro_drift[axis] * warmed;
-            if standby >> (2 - axis) & 1 == 0 {
+            if !measuring.gyro_off[axis] {
                 self.last.gyro[axis] = quantise(rate, per_rad);
             }
         }
         // The accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
-        let ratio = self.path.gyro_hz / ACCEL_HZ;
+        let ratio = self.path.gyro_hz / self.path.accel_hz;
         let accel_tick = self.tick / ratio;
         if self.last_accel_tick != Some(accel_tick) {
             self.last_accel_tick = Some(accel_tick);
             let since = (self.tick % ratio) as f64 * length;
-            let per_unit = accel_counts_per_g(register(address::ACCEL_CONFIG)) / STANDARD_GRAVITY;
+            let per_unit = measuring.accel_counts_per_g / STANDARD_GRAVITY;
             let force = self
                 .accel
                 .sample(now - since, accel_tick, length * ratio as f64, |t| {
                     self.motion.specific_force(t)
                 });
             for (axis, force) in force.into_iter().enumerate() {
-                if standby >> (5 - axis) & 1 == 0 {
+                if !measuring.accel_off[axis] {
                     self.last.accel[axis] = quantise(force, per_unit);
                 }
             }
         }
-        if register(address::PWR_MGMT_1) & power::TEMP_DIS == 0 {
-            self.last.temperature = temperature_counts(self.temperature(at));
+        if let Some((per_degree, at_zero)) = measuring.thermometer {
+            self.last.temperature = quantise(self.temperature(at) - at_zero, per_degree);
         }
-        self.tick += 1 + u64::from(register(address::SMPLRT_DIV));
+        self.tick += measuring.divider;
         self.count += 1;
         self.schedule();
         self.last
@@ -294,9 +331,9 @@ impl Sampling {
     }
 }
 
-/// Whether the PLL locks to `rate`.
-fn locks(rate: Rate, range_ppm: u32) -> bool {
+/// Whether the PLL for `nominal_hz` locks to `rate`.
+fn locks(rate: Rate, nominal_hz: u64, range_ppm: u32) -> bool {
     let (num, den) = rate.fraction();
-    let nominal = u128::from(den) * u128::from(REFERENCE_HZ);
+    let nominal = u128::from(den) * u128::from(nominal_hz);
     u128::from(num).abs_diff(nominal) * 1_000_000 <= nominal * u128::from(range_ppm)
 }

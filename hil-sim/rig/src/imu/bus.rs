@@ -1,11 +1,10 @@
 //! The sensor's side of the I2C bus (product specification, section 9).
 
-use super::registers::{self, ClockSource, DATA_RDY, address, int_pin, power};
-use super::{ADDRESS, Mpu9150, Transaction};
+use super::{ADDRESS, SimImu, Transaction};
 use stm32f4_sim::i2c::{Ack, Direction, I2cTarget};
 use stm32f4_sim::time::SimTime;
 
-impl Mpu9150 {
+impl SimImu {
     /// Acknowledges a byte, unless a fault says otherwise.
     fn acknowledge(&mut self) -> Ack {
         let byte = self.byte;
@@ -22,11 +21,7 @@ impl Mpu9150 {
 
     /// Whether the write of an external clock is lost.
     fn loses_clock(&mut self, value: u8) -> bool {
-        let external = matches!(
-            registers::clock_source(value),
-            ClockSource::External32k | ClockSource::External19M2
-        );
-        let lost = self.pointer == address::PWR_MGMT_1 && external && self.lost_at_clock > 0;
+        let lost = self.lost_at_clock > 0 && self.map.selects_clock(self.pointer, value);
         if lost {
             self.lost_at_clock -= 1;
             self.transaction = Transaction::Idle;
@@ -36,60 +31,28 @@ impl Mpu9150 {
 
     /// Where the register's address goes after an access.
     fn step_pointer(&mut self) {
-        if self.pointer != address::FIFO_R_W {
-            self.pointer = (self.pointer + 1) & 0x7f;
-        }
+        self.pointer = self.map.after(self.pointer);
     }
 
     /// A byte from the master for the register that the pointer stands on.
     fn store(&mut self, value: u8, at: SimTime) {
-        let register = self.pointer;
-        if !registers::writable(register) {
+        let stored = self.map.store(self.pointer, value);
+        if stored.reset {
+            self.reset(at);
             return;
         }
-        match register {
-            address::PWR_MGMT_1 if value & power::DEVICE_RESET != 0 => {
-                self.reset(at);
-                return;
-            }
-            address::SIGNAL_PATH_RESET => {
-                // Resets filters of which the model has no state; reads as zero.
-                return;
-            }
-            address::USER_CTRL => {
-                if value & registers::SIG_COND_RESET != 0 {
-                    self.sampling.clear();
-                    self.internal = [0; 14];
-                }
-                // Reset bits clear themselves.
-                self.registers[usize::from(register)] = value & 0xf0;
-            }
-            _ => self.registers[usize::from(register)] = value,
+        if stored.clear {
+            self.sampling.clear();
+            self.internal = self.map.no_data();
         }
-        let ignored = match register {
-            address::SMPLRT_DIV | address::PWR_MGMT_2 => 0,
-            // EXT_SYNC_SET.
-            address::CONFIG => value & 0x38,
-            // Self-test.
-            address::GYRO_CONFIG | address::ACCEL_CONFIG => value & 0xe7,
-            // FSYNC and bypass.
-            address::INT_PIN_CFG => value & 0x0f,
-            address::INT_ENABLE => value & !DATA_RDY,
-            address::PWR_MGMT_1 => value & power::CYCLE,
-            _ => value,
-        };
-        if ignored != 0 {
-            self.unmodelled.insert(register);
+        if stored.ignored {
+            self.unmodelled.insert(self.pointer);
         }
-        match register {
-            address::PWR_MGMT_1 | address::CONFIG => self.clock_changed(at),
-            address::INT_PIN_CFG => self.pin_due = Some(at),
-            address::INT_ENABLE if value & DATA_RDY == 0 => {
-                self.interrupt = super::Interrupt::default();
-                self.pin_due = Some(at);
-            }
-            _ => {}
+        self.clock_changed(at);
+        if !self.map.interrupt().data_ready {
+            self.interrupt = super::Interrupt::default();
         }
+        self.pin_due = Some(at);
     }
 
     /// The bus is idle again: the registers that a master sees are refreshed.
@@ -101,7 +64,7 @@ impl Mpu9150 {
     }
 }
 
-impl I2cTarget for Mpu9150 {
+impl I2cTarget for SimImu {
     fn start(&mut self, address: u8, direction: Direction, at: SimTime) -> Ack {
         let repeated = self.transaction != Transaction::Idle;
         if !repeated {
@@ -157,8 +120,7 @@ impl I2cTarget for Mpu9150 {
         }
         let register = self.pointer;
         let value = self.peek(register);
-        let any_read_clears = self.register(address::INT_PIN_CFG) & int_pin::INT_RD_CLEAR != 0;
-        if any_read_clears || register == address::INT_STATUS {
+        if self.map.clears(register) {
             self.clear_interrupt(at);
         }
         self.step_pointer();

@@ -1,6 +1,9 @@
 mod behaviour;
+mod families;
+mod other_driver;
 
-use super::registers::address::*;
+use super::mpu::PULSE;
+use super::mpu::address::*;
 use super::*;
 use crate::motion::MotionSpec;
 use stm32f4_sim::i2c::{Ack, Direction, I2cTarget as _};
@@ -8,7 +11,7 @@ use stm32f4_sim::model_bench::Bench;
 
 /// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
 /// at 500 Hz, low-pass 1, interrupt as a pulse.
-fn running(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
+fn running(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
     let mut bench = asleep(config, motion);
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_millis(20));
@@ -24,7 +27,7 @@ fn running(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
     bench
 }
 
-fn asleep(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
+fn asleep(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
     let seed = Seed(42);
     let motion = motion
         .parse::<MotionSpec>()
@@ -38,7 +41,7 @@ fn asleep(config: Mpu9150Config, motion: &str) -> Bench<Mpu9150> {
         },
         seed.stream(Stream::BoardClock),
     );
-    Bench::new(Mpu9150::new(config, motion, board, seed))
+    Bench::new(SimImu::new(config, motion, board, seed))
 }
 
 fn intervals(times: &[SimTime]) -> Vec<u64> {
@@ -50,7 +53,7 @@ const TICK: u64 = stm32f4_sim::time::UNITS_PER_SECOND / 48_000_000;
 
 #[test]
 fn registers_have_their_reset_values_and_keep_what_is_written() {
-    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), "rest");
     bench.run(SimDuration::from_millis(11));
     // The address does not move on from FIFO_R_W.
     let mut all = bench.read(ADDRESS, 0, 0x75).unwrap();
@@ -79,7 +82,7 @@ fn registers_have_their_reset_values_and_keep_what_is_written() {
 
 #[test]
 fn nothing_answers_before_the_start_up_time_nor_at_other_addresses() {
-    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), "rest");
     assert_eq!(bench.read(ADDRESS, WHO_AM_I, 1), Err(0));
     bench.run_until(SimTime::from_nanos(11_000_000));
     assert_eq!(bench.read(0x69, WHO_AM_I, 1), Err(0));
@@ -88,7 +91,7 @@ fn nothing_answers_before_the_start_up_time_nor_at_other_addresses() {
 
 #[test]
 fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
-    let mut bench = asleep(Mpu9150Config::ideal(), "rest");
+    let mut bench = asleep(SimImuConfig::ideal(), "rest");
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_secs(1));
     assert!(bench.model.log().is_empty());
@@ -106,7 +109,7 @@ fn a_sleeping_sensor_does_not_sample_and_wakes_after_30_ms() {
 
 #[test]
 fn with_the_external_clock_a_sample_comes_every_96_000_ticks() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.run(SimDuration::from_secs(10));
     let edges = bench.times(Pin::PA1, Drive::High);
     assert!(edges.len() > 4970, "{}", edges.len());
@@ -135,7 +138,7 @@ fn the_divider_and_the_reference_set_the_rate() {
         // A wrong reference within the lock range: 1 % fast, 1 % short.
         (1, 100, 19_392_000, 48_000 * 101 * 100 / 101),
     ] {
-        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), "rest");
         bench.set_clock(Pin::PA8, Some(Rate::hz(hz)));
         bench
             .write(ADDRESS, SMPLRT_DIV, &[divider, config])
@@ -157,7 +160,7 @@ fn the_divider_and_the_reference_set_the_rate() {
 #[test]
 fn without_a_usable_external_clock_there_is_no_data_ready() {
     for rate in [None, Some(Rate::hz(24_000_000)), Some(Rate::hz(8_000_000))] {
-        let mut bench = running(Mpu9150Config::ideal(), "rest");
+        let mut bench = running(SimImuConfig::ideal(), "rest");
         bench.run(SimDuration::from_millis(100));
         bench.set_clock(Pin::PA8, rate);
         bench.driven.clear();
@@ -173,12 +176,12 @@ fn without_a_usable_external_clock_there_is_no_data_ready() {
 
 #[test]
 fn the_own_clock_has_its_rate_error_in_true_time() {
-    let config = Mpu9150Config {
+    let config = SimImuConfig {
         own_clock: OscillatorConfig {
             rate_ppm: 5000.0,
             ..OscillatorConfig::default()
         },
-        ..Mpu9150Config::ideal()
+        ..SimImuConfig::ideal()
     };
     let mut bench = running(config, "rest");
     bench.write(ADDRESS, PWR_MGMT_1, &[1]).unwrap();
@@ -194,7 +197,7 @@ fn the_own_clock_has_its_rate_error_in_true_time() {
 
 #[test]
 fn values_are_those_of_an_independent_calculation() {
-    let mut bench = running(Mpu9150Config::ideal(), "twist");
+    let mut bench = running(SimImuConfig::ideal(), "twist");
     for (register, value) in [(GYRO_CONFIG, 0x08), (ACCEL_CONFIG, 0x08)] {
         bench.write(ADDRESS, register, &[value]).unwrap();
     }
@@ -273,7 +276,7 @@ fn every_low_pass_has_the_tables_bandwidth_and_delay() {
             .build(seed.stream(Stream::Motion))
             .unwrap();
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let mut bench = Bench::new(Mpu9150::new(Mpu9150Config::ideal(), motion, board, seed));
+        let mut bench = Bench::new(SimImu::new(SimImuConfig::ideal(), motion, board, seed));
         bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
         bench.run(SimDuration::from_millis(20));
         bench.write(ADDRESS, PWR_MGMT_1, &[5]).unwrap();
@@ -332,7 +335,7 @@ fn every_low_pass_has_the_tables_bandwidth_and_delay() {
 #[test]
 fn the_same_seed_gives_the_same_samples() {
     let samples = || {
-        let mut bench = running(Mpu9150Config::typical(Seed(9)), "walk");
+        let mut bench = running(SimImuConfig::typical(Seed(9)), "walk");
         bench.run(SimDuration::from_secs(2));
         bench.model.log_mut().take()
     };
@@ -341,7 +344,7 @@ fn the_same_seed_gives_the_same_samples() {
 
 #[test]
 fn a_typical_sensor_is_as_noisy_as_its_data_sheet_says() {
-    let mut bench = running(Mpu9150Config::typical(Seed(5)), "rest");
+    let mut bench = running(SimImuConfig::typical(Seed(5)), "rest");
     bench.write(ADDRESS, CONFIG, &[2]).unwrap(); // 98 Hz
     bench.run(SimDuration::from_secs(20));
     let n = bench.model.log().len() as f64;
@@ -359,7 +362,7 @@ fn a_typical_sensor_is_as_noisy_as_its_data_sheet_says() {
 
 #[test]
 fn a_log_with_a_limit_drops_the_oldest_and_counts_them() {
-    let mut bench = running(Mpu9150Config::ideal(), "rest");
+    let mut bench = running(SimImuConfig::ideal(), "rest");
     bench.model.log_mut().set_limit(Some(10));
     bench.run(SimDuration::from_secs(1));
     let log = bench.model.log();

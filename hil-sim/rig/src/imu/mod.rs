@@ -1,42 +1,46 @@
-//! The MPU-9150 on the board's I2C bus: registers, interrupt pin, clock, faults.
+//! The IMU on the board's I2C bus: registers, interrupt pin, clock, faults.
 //!
-//! [`Mpu9150`] is one state machine with two sides: an [`I2cTarget`](stm32f4_sim::i2c::I2cTarget)
+//! [`SimImu`] is one state machine with two sides: an [`I2cTarget`](stm32f4_sim::i2c::I2cTarget)
 //! at address 0x68 and a [`PinModel`] that drives the data-ready pin (PA1) and listens to
-//! the reference clock (PA8). It is shared by both through
-//! [`stm32f4_sim::i2c::Shared`].
+//! the reference clocks (PA8, PB0). It is shared by both through
+//! [`stm32f4_sim::i2c::Shared`]. Which sensor it is, is its register map's business
+//! ([`mpu`] for four of them, `icm42688p`).
 //!
 //! # What is modelled
 //!
-//! - All registers with their reset values; single and burst access with the
-//!   address moving on; read-only registers stay as they are.
+//! - All registers that the firmware needs with their reset values; single and burst access
+//!   with the address moving on; read-only registers stay as they are.
 //! - Sleep, device reset, and the time after power-on in which nothing answers.
-//! - Clock selection. With CLKSEL = 5 the sample clock is the frequency on PA8
-//!   divided by 19,200 (2,400 with the low-pass off), exactly: at 19.2 MHz a
+//! - Clock selection. With CLKSEL = 5 the sample clock of an MPU-6050 or MPU-9150 is the
+//!   frequency on PA8 divided by 19,200 (2,400 with the low-pass off), exactly: at 19.2 MHz a
 //!   sample every 96,000 ticks of the board's timer. The PLL locks only near
-//!   19.2 MHz. Without a clock there are no samples, and no data-ready. With
-//!   CLKSEL = 0 to 3 the sensor's own oscillator runs in true time, with its own
-//!   rate error and wander.
-//! - SMPLRT_DIV, DLPF_CFG (bandwidth, delay, internal rate), full scales,
+//!   19.2 MHz. With RTC_MODE an ICM-42688-P counts the edges on PB0, 64 a sample at 500 Hz.
+//!   Without a clock there are no samples, and no data-ready. On its own oscillator a sensor
+//!   runs in true time, with its own rate error and wander.
+//! - Rates, low-passes (bandwidth, delay, internal rate), full scales,
 //!   standby of axes, temperature.
-//! - Data-ready: the pulse of 50 µs or the latched level, either polarity, push
-//!   pull or open drain, cleared by INT_STATUS or by any read.
+//! - Data-ready: the pulse or the latched level, either polarity, push
+//!   pull or open drain, cleared by the status register or by any read.
 //! - Burst consistency: the registers that a master sees are refreshed only
-//!   while the bus is idle (registers 59 to 64); a sample that falls into a
+//!   while the bus is idle (registers 59 to 64 of the MPUs); a sample that falls into a
 //!   transaction shows after its stop condition.
 //!
 //! # What is not
 //!
 //! FIFO, auxiliary bus and magnetometer, self-test, motion detection, CYCLE,
-//! FSYNC. Their registers can be written and read; [`Mpu9150::unmodelled`]
+//! FSYNC, notch and anti-alias filter. Their registers can be written and read;
+//! [`SimImu::unmodelled`]
 //! tells which were given a value that the model ignores. The PLL takes
-//! [`Mpu9150Config::pll_settling`] to lock, and a sample clock begins with
+//! [`SimImuConfig::pll_settling`] to lock, and a sample clock begins with
 //! its first whole period after that; in which phase a real sensor begins is not
 //! documented. A changed divider takes effect after the sample under way.
 
 mod bus;
 mod faults;
+mod icm42688p;
 mod log;
-pub mod registers;
+mod map;
+pub mod mpu;
 mod sampling;
 #[cfg(test)]
 mod tests;
@@ -55,23 +59,79 @@ use crate::wiring;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::i2c::Shared;
 use stm32f4_sim::model::{PinIo, PinModel};
-use stm32f4_sim::pin::{Drive, Pin};
+use stm32f4_sim::pin::{Drive, Level, Pin};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
 
 pub use faults::Fault;
+use icm42688p::IcmRegisters;
 pub use log::{SampleLog, SampleRecord, Values};
-use registers::{DATA_RDY, address, int_pin, power};
+use map::RegisterMap;
+use mpu::MpuRegisters;
 use sampling::Sampling;
 
 /// Address on the I2C bus with AD0 low.
 pub(crate) const ADDRESS: u8 = 0x68;
 
-/// Length of the data-ready pulse if it is not latched (register 55).
-pub const PULSE: SimDuration = SimDuration::from_micros(50);
+/// Address of the identity in all maps.
+const IDENTITY: u8 = 0x75;
+
+/// Which sensor it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+pub enum SensorModel {
+    /// The published rig's.
+    #[default]
+    #[value(name = "mpu-9150")]
+    Mpu9150,
+    /// As the MPU-9150, but for its thermometer.
+    #[value(name = "mpu-6050")]
+    Mpu6050,
+    /// Without a clock input.
+    #[value(name = "mpu-6500")]
+    Mpu6500,
+    /// Without a clock input.
+    #[value(name = "mpu-9250")]
+    Mpu9250,
+    /// With a clock input of 31 to 50 kHz.
+    #[value(name = "icm-42688-p")]
+    Icm42688P,
+}
+
+impl SensorModel {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Mpu9150,
+        Self::Mpu6050,
+        Self::Mpu6500,
+        Self::Mpu9250,
+        Self::Icm42688P,
+    ];
+
+    /// What its maker calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mpu9150 => "MPU-9150",
+            Self::Mpu6050 => "MPU-6050",
+            Self::Mpu6500 => "MPU-6500",
+            Self::Mpu9250 => "MPU-9250",
+            Self::Icm42688P => "ICM-42688-P",
+        }
+    }
+
+    fn map(self) -> Box<dyn RegisterMap> {
+        match self {
+            Self::Icm42688P => Box::new(IcmRegisters::new()),
+            model => Box::new(MpuRegisters::new(model)),
+        }
+    }
+}
 
 /// A sensor's imperfections and times.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Mpu9150Config {
+pub struct SimImuConfig {
+    /// Which sensor it is.
+    #[serde(default)]
+    pub model: SensorModel,
     /// Gyroscope, in rad/s.
     pub gyro: ChannelConfig,
     /// Accelerometer, in m/s².
@@ -79,7 +139,7 @@ pub struct Mpu9150Config {
     /// Die temperature when the sensor was off for long, in °C.
     pub temperature_c: f64,
     /// By how much it is warmer after running for long, in °C (with a time
-    /// constant of [`Mpu9150Config::warm_up_s`]).
+    /// constant of [`SimImuConfig::warm_up_s`]).
     pub self_heating_c: f64,
     /// Time constant of warming up, in seconds.
     pub warm_up_s: f64,
@@ -92,11 +152,11 @@ pub struct Mpu9150Config {
     pub data_ready: DataReady,
     /// Noise of the thermometer, standard deviation of a sample in °C.
     pub temperature_noise_c: f64,
-    /// The sensor's own oscillator, as its PLL on a gyroscope makes it (CLKSEL 1
-    /// to 3; within ±1 % by the product specification).
+    /// The sensor's own oscillator, as its PLL on a gyroscope makes it (within ±1 % by
+    /// the product specifications of the MPUs, ±1.5 % of the ICM-42688-P).
     pub own_clock: OscillatorConfig,
-    /// Rate error of its internal 8 MHz oscillator (CLKSEL 0), in ppm; within
-    /// ±5 % by the product specification.
+    /// Rate error of its internal oscillator (CLKSEL 0), in ppm; within
+    /// ±5 % by the product specification (MPU-6500 ±2 %, ICM-42688-P ±3 %).
     pub internal_ppm: f64,
     /// How far from 19.2 MHz the PLL still locks, in ppm. Not documented; a
     /// setting of the model.
@@ -135,11 +195,12 @@ impl DataReady {
 /// Degrees a second in one rad/s.
 const DEGREES: f64 = 180.0 / core::f64::consts::PI;
 
-impl Mpu9150Config {
+impl SimImuConfig {
     /// A perfect sensor along the rig's axes, with the times of a real one.
     #[must_use]
     pub fn ideal() -> Self {
         Self {
+            model: SensorModel::default(),
             gyro: ChannelConfig::ideal(),
             accel: ChannelConfig::ideal(),
             temperature_c: 35.0,
@@ -195,6 +256,34 @@ impl Mpu9150Config {
             ..Self::ideal()
         }
     }
+
+    /// The same as another sensor is by its data sheet: noise, biases and clocks. What was
+    /// drawn stays drawn, in proportion.
+    #[must_use]
+    pub fn of(mut self, model: SensorModel) -> Self {
+        // Against the MPU-9150: noise of gyroscope and accelerometer, biases of both, own
+        // clocks. MPU-6500 and MPU-9250 product specifications, 3.1, 3.2 and 3.3:
+        // 0.01 °/s/√Hz, 300 µg/√Hz, ±5 °/s for ±20, ±60 mg for ±150 (z), ±2 % for ±5 %.
+        // ICM-42688-P data sheet, 3.1 to 3.3: 0.0028 °/s/√Hz, 70 µg/√Hz, ±0.5 °/s,
+        // ±20 mg, ±1.5 % and ±3 %.
+        let [noise, accel_noise, bias, accel_bias, pll, internal] = match model {
+            SensorModel::Mpu9150 | SensorModel::Mpu6050 => [1.0; 6],
+            SensorModel::Mpu6500 | SensorModel::Mpu9250 => [2.0, 0.75, 0.25, 0.4, 1.0, 0.4],
+            SensorModel::Icm42688P => [0.56, 0.175, 0.025, 0.13, 1.5, 0.6],
+        };
+        self.model = model;
+        self.gyro.noise_density *= noise;
+        self.accel.noise_density *= accel_noise;
+        self.gyro.bias = self.gyro.bias.map(|axis| axis * bias);
+        self.accel.bias = self.accel.bias.map(|axis| axis * accel_bias);
+        self.own_clock.rate_ppm *= pll;
+        self.internal_ppm *= internal;
+        if model == SensorModel::Icm42688P {
+            // From power-on or reset, at most (3.3.2, 14.1).
+            self.start_up = SimDuration::from_millis(1);
+        }
+        self
+    }
 }
 
 /// Where a transaction on the bus stands.
@@ -222,10 +311,10 @@ struct Interrupt {
 
 /// The sensor.
 #[derive(Debug)]
-pub struct Mpu9150 {
-    config: Mpu9150Config,
+pub struct SimImu {
+    config: SimImuConfig,
     /// Registers but for the 14 bytes of data.
-    registers: [u8; registers::REGISTERS],
+    map: Box<dyn RegisterMap>,
     /// Data bytes as a master reads them.
     shown: [u8; 14],
     /// Data bytes of the newest sample.
@@ -247,7 +336,8 @@ pub struct Mpu9150 {
     nack: Option<(u32, u32)>,
     /// Writes that select an external clock and are still to be lost.
     lost_at_clock: u32,
-    identity: u8,
+    /// What WHO_AM_I reads as, if a fault says so.
+    identity: Option<u8>,
     sda_held: bool,
     sda_pulses_left: Option<u32>,
     clock_cut: bool,
@@ -258,16 +348,17 @@ pub struct Mpu9150 {
     unmodelled: BTreeSet<u8>,
 }
 
-impl Mpu9150 {
+impl SimImu {
     /// A sensor on a rig that moves by `motion`, powered from time zero.
     #[must_use]
-    pub fn new(config: Mpu9150Config, motion: Arc<Motion>, board: BoardTime, seed: Seed) -> Self {
-        Self {
-            sampling: Sampling::new(&config, motion, board, seed),
+    pub fn new(config: SimImuConfig, motion: Arc<Motion>, board: BoardTime, seed: Seed) -> Self {
+        let map = config.model.map();
+        let mut sensor = Self {
+            sampling: Sampling::new(&config, map.measuring().path, motion, board, seed),
             config,
-            registers: registers::reset_values(),
-            shown: [0; 14],
-            internal: [0; 14],
+            shown: map.no_data(),
+            internal: map.no_data(),
+            map,
             powered: true,
             answers_from: SimTime::ZERO + config.start_up,
             interrupt: Interrupt::default(),
@@ -279,7 +370,7 @@ impl Mpu9150 {
             faults: faults::Schedule::default(),
             nack: None,
             lost_at_clock: 0,
-            identity: 0x68,
+            identity: None,
             sda_held: false,
             sda_pulses_left: None,
             clock_cut: false,
@@ -287,7 +378,10 @@ impl Mpu9150 {
             clock_in: None,
             log: SampleLog::default(),
             unmodelled: BTreeSet::new(),
-        }
+        };
+        // Some are awake from the beginning.
+        sensor.clock_changed(sensor.answers_from);
+        sensor
     }
 
     /// The same, to be given to the bus and to the board's loop.
@@ -320,42 +414,35 @@ impl Mpu9150 {
 
     /// What it was made from.
     #[must_use]
-    pub fn config(&self) -> &Mpu9150Config {
+    pub fn config(&self) -> &SimImuConfig {
         &self.config
     }
 
     /// A register as a master would read it now, without the read's effects.
     #[must_use]
     pub fn peek(&self, register: u8) -> u8 {
-        let register = register & 0x7f;
-        match register {
-            address::ACCEL_XOUT_H..=address::GYRO_ZOUT_L => {
-                self.shown[usize::from(register - address::ACCEL_XOUT_H)]
-            }
-            address::WHO_AM_I => self.identity,
-            _ => self.registers[usize::from(register)],
+        match (register & 0x7f, self.identity) {
+            (IDENTITY, Some(identity)) => identity,
+            (register, _) => self.map.peek(register, &self.shown),
         }
-    }
-
-    fn register(&self, register: u8) -> u8 {
-        self.registers[usize::from(register)]
     }
 
     /// Power-on reset or device reset.
     fn reset(&mut self, at: SimTime) {
-        self.registers = registers::reset_values();
-        self.shown = [0; 14];
-        self.internal = [0; 14];
+        self.map.reset();
+        self.shown = self.map.no_data();
+        self.internal = self.map.no_data();
         self.answers_from = at + self.config.start_up;
         self.transaction = Transaction::Idle;
         self.interrupt = Interrupt::default();
         self.sampling.stop();
+        self.clock_changed(self.answers_from);
         self.pin_due = Some(at);
     }
 
     fn power_off(&mut self, at: SimTime) {
-        self.reset(at);
         self.powered = false;
+        self.reset(at);
         self.sda_held = false;
     }
 
@@ -369,7 +456,7 @@ impl Mpu9150 {
                     self.sampling.cold_start(at);
                 }
             }
-            Fault::Identity(id) => self.identity = id,
+            Fault::Identity(id) => self.identity = Some(id),
             Fault::Nack { byte, times } => self.nack = (times > 0).then_some((byte, times)),
             Fault::HoldSda(pulses) => {
                 // An unpowered sensor holds nothing.
@@ -392,18 +479,15 @@ impl Mpu9150 {
 
     /// Something that decides the sample clock changed.
     fn clock_changed(&mut self, at: SimTime) {
-        let awake = self.powered && self.register(address::PWR_MGMT_1) & power::SLEEP == 0;
+        let mut measuring = self.map.measuring();
+        measuring.awake &= self.powered;
         let clock_in = if self.clock_cut { None } else { self.clock_in };
-        let (pwr, config) = (
-            self.register(address::PWR_MGMT_1),
-            self.register(address::CONFIG),
-        );
-        self.sampling.configure(at, awake, pwr, config, clock_in);
+        self.sampling.configure(at, &measuring, clock_in);
     }
 
     /// Clears data-ready, as a read does.
     fn clear_interrupt(&mut self, at: SimTime) {
-        self.registers[usize::from(address::INT_STATUS)] = 0;
+        self.map.set_ready(false);
         if self.interrupt.asserted && self.interrupt.until.is_none() {
             self.interrupt.asserted = false;
             self.pin_due = Some(at);
@@ -412,19 +496,18 @@ impl Mpu9150 {
 
     /// Takes the sample that is due.
     fn take_sample(&mut self, at: SimTime) {
-        let values = self.sampling.take(at, &self.registers);
-        self.internal = values.bytes();
+        let values = self.sampling.take(at, &self.map.measuring());
+        self.internal = self.map.bytes(&values);
         if self.transaction == Transaction::Idle {
             self.shown = self.internal;
         }
-        self.registers[usize::from(address::INT_STATUS)] |= DATA_RDY;
-        let enabled = self.register(address::INT_ENABLE) & DATA_RDY != 0;
-        let edge = enabled && !self.interrupt.asserted;
-        if enabled {
-            let latched = self.register(address::INT_PIN_CFG) & int_pin::LATCH_INT_EN != 0;
+        self.map.set_ready(true);
+        let pin = self.map.interrupt();
+        let edge = pin.data_ready && !self.interrupt.asserted;
+        if pin.data_ready {
             self.interrupt = Interrupt {
                 asserted: true,
-                until: (!latched).then(|| at + PULSE),
+                until: pin.pulse.map(|pulse| at + pulse),
             };
         }
         self.log.push(SampleRecord {
@@ -440,9 +523,9 @@ impl Mpu9150 {
         if !self.powered || self.data_ready_cut {
             return Drive::Floating;
         }
-        let config = self.register(address::INT_PIN_CFG);
-        let high = self.interrupt.asserted == (config & int_pin::INT_LEVEL == 0);
-        match (high, config & int_pin::INT_OPEN != 0) {
+        let pin = self.map.interrupt();
+        let high = self.interrupt.asserted == pin.active_high;
+        match (high, pin.open_drain) {
             (true, true) => Drive::Floating,
             (true, false) => Drive::High,
             (false, _) => Drive::Low,
@@ -459,13 +542,16 @@ impl Mpu9150 {
     }
 }
 
-impl PinModel for Mpu9150 {
+impl PinModel for SimImu {
     fn name(&self) -> String {
-        "MPU-9150".to_owned()
+        self.config.model.name().to_owned()
     }
 
     fn watched_pins(&self) -> Vec<Pin> {
-        vec![wiring::IMU_CLOCK]
+        match self.config.model {
+            SensorModel::Icm42688P => vec![wiring::IMU_RTC],
+            _ => vec![wiring::IMU_CLOCK],
+        }
     }
 
     fn inputs(&self) -> Vec<(Pin, f64)> {
@@ -481,6 +567,12 @@ impl PinModel for Mpu9150 {
         if pin == wiring::IMU_CLOCK {
             self.clock_in = rate;
             self.clock_changed(io.now());
+        }
+    }
+
+    fn on_pin_edge(&mut self, pin: Pin, level: Level, io: &mut PinIo<'_>) {
+        if pin == wiring::IMU_RTC && level.is_high() && !self.clock_cut {
+            self.sampling.clock_edge(io.now());
         }
     }
 

@@ -1,0 +1,91 @@
+//! The boards that the firmware is built for: what differs between them, a file each.
+//!
+//! All have the same wiring: the trigger on PA5, data-ready on PA1, the strobe on PA2, the
+//! read-back on PA3 (the channels of TIM2), the IMU's bus on PB6 and PB7 and its clocks on
+//! PA8 and PB0, USB on PA11 and PA12. `docs/boards.md` says what a further board needs.
+
+mod black_pill;
+mod discovery;
+
+use protocol::BoardModel;
+
+/// What one board has that another has otherwise.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Which one it is; this says too whether it has the further outputs.
+    pub model: BoardModel,
+    /// Crystal, in Hz.
+    pub crystal_hz: u32,
+    /// The PLL's input is the crystal's frequency by this (PLLM), in 1 to 2 MHz.
+    pub pll_divider: u8,
+    /// The PLL's oscillator is its input times this (PLLN): 192 MHz.
+    pub pll_factor: u16,
+    /// Interrupts of the chip.
+    pub interrupts: usize,
+    /// DBGMCU_IDCODE of the chips whose flash cannot prefetch: device and revision.
+    pub cannot_prefetch: Option<(u16, u16)>,
+    /// Device ID of all others.
+    pub device_id: u16,
+    /// Channel of the ADC that has the temperature sensor.
+    pub temperature_channel: u8,
+    /// The computer's 5 V are at PA9. Without that wire a cable that is unplugged shows as a
+    /// bus that is suspended.
+    pub senses_vbus: bool,
+    /// The LEDs: IMU, pulse, fault, link.
+    pub leds: [LedPin; 4],
+}
+
+/// A pin that has an LED.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LedPin {
+    /// Port, from 0 for A.
+    pub port: u8,
+    /// Pin on it.
+    pub pin: u8,
+    /// It is lit while the pin is low.
+    pub active_low: bool,
+}
+
+/// The board of this build.
+pub const BOARD: Board = if cfg!(feature = "black-pill") {
+    black_pill::BOARD
+} else {
+    discovery::BOARD
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{SYSCLK_HZ, TIM2_HZ};
+
+    #[test]
+    fn clocks_follow_from_each_crystal() {
+        for board in [discovery::BOARD, black_pill::BOARD] {
+            let divider = u32::from(board.pll_divider);
+            assert_eq!(board.crystal_hz % divider, 0);
+            let input = board.crystal_hz / divider;
+            // RM0090 7.3.2, RM0383 6.3.2.
+            assert!((1_000_000..=2_000_000).contains(&input));
+            let oscillator = input * u32::from(board.pll_factor);
+            assert!((100_000_000..=432_000_000).contains(&oscillator));
+            assert_eq!(oscillator / 2, SYSCLK_HZ);
+            assert_eq!(oscillator / 4, 48_000_000, "USB");
+            assert_eq!(SYSCLK_HZ / 4 * 2, TIM2_HZ);
+            assert_eq!(SYSCLK_HZ / 5, 19_200_000, "the IMU's clock");
+        }
+    }
+
+    #[test]
+    fn no_led_is_on_a_pin_of_a_signal() {
+        // Of ports A and B, as in the module's header.
+        let taken = [(0, 0x980F | 0x0020), (1, 0x00C1)];
+        for board in [discovery::BOARD, black_pill::BOARD] {
+            for (n, led) in board.leds.iter().enumerate() {
+                let clash =
+                    |&(port, pins): &(u8, u32)| led.port == port && pins & (1 << led.pin) != 0;
+                assert!(!taken.iter().any(clash), "{led:?}");
+                assert!(!board.leds[..n].contains(led));
+            }
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! WeAct Black Pill V2/V3: STM32F411CE in 48 pins, crystal of 25 MHz.
+//!
+//! Its one LED shows a fault; the other three are for the owner to wire, each with a resistor
+//! to ground. TIM1's channel 1 is on PA8, where the IMU's clock is, and channel 4 on PA11, where
+//! USB is; there is no UART5. So there are no further outputs and nothing for a lidar.
+
+use protocol::BoardModel;
+
+use super::{Board, LedPin};
+
+/// On port B, to be wired.
+const fn led(pin: u8) -> LedPin {
+    LedPin {
+        port: 1,
+        pin,
+        active_low: false,
+    }
+}
+
+pub(super) const BOARD: Board = Board {
+    model: BoardModel::BlackPill,
+    crystal_hz: 25_000_000,
+    pll_divider: 25,
+    pll_factor: 192,
+    // RM0383 table 37.
+    interrupts: 86,
+    cannot_prefetch: None,
+    // RM0383 23.6.1.
+    device_id: 0x431,
+    // RM0383 11.9.
+    temperature_channel: 18,
+    // PA9 is on the header alone.
+    senses_vbus: false,
+    leds: [
+        led(12),
+        led(13),
+        // On the board, from 3.3 V.
+        LedPin {
+            port: 2,
+            pin: 13,
+            active_low: true,
+        },
+        led(15),
+    ],
+};

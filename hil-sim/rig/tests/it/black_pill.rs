@@ -1,0 +1,166 @@
+//! The firmware of the WeAct Black Pill on a simulated STM32F411CE: what the tests of the
+//! STM32F4DISCOVERY hold in length, in short.
+
+use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use protocol::*;
+use rig::imu::{SensorModel, SimImu, SimImuConfig};
+use rig::motion::Motion;
+use rig::oscillator::{BoardTime, OscillatorConfig};
+use rig::random::{Seed, Stream};
+use rig::wiring::{self, BoardKind};
+use stm32f4_sim::i2c::lock;
+use stm32f4_sim::pin::Pin;
+use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Part, SimBuilder, SimError};
+use stm32f4_sim::time::SimDuration;
+
+fn black_pill() -> SimBuilder {
+    wiring::board_of(BoardKind::BlackPill)
+}
+
+#[test]
+fn it_boots_keeps_time_and_says_which_board_it_is() {
+    let mut board = Board::boot(black_pill());
+    assert_eq!(board.hellos[0].board, BoardModel::BlackPill);
+    assert!(!BoardModel::BlackPill.has_outputs());
+    // 25 MHz through the PLL are the same ticks as 8 MHz are.
+    let (sim_before, before) = (board.rig.now(), board.now());
+    board.run(3_000);
+    let (sim_after, after) = (board.rig.now(), board.now());
+    let counted = (after - before).as_secs_f64();
+    let elapsed = (sim_after - sim_before).as_secs_f64();
+    assert!((counted - elapsed).abs() < 1e-3, "{counted} of {elapsed}");
+    let status = board.next_status();
+    assert_eq!(status.dropped, Dropped::default());
+    // Its temperature sensor is on another channel.
+    let warm = f64::from(status.die_decidegrees.unwrap()) / 10.0;
+    assert!((warm - 36.0).abs() < 0.8, "{warm}");
+
+    // The stack is at the end of memory: one that overflows faults.
+    let symbol = |name| board.rig.firmware().symbol(name).unwrap().address;
+    let (top, bottom) = (symbol("_stack_start"), symbol("_stack_end"));
+    assert_eq!((bottom, top), (0x2000_0000, 0x2000_8000));
+    assert!(board.rig.peek(bottom, 4).is_some());
+    assert!(board.rig.peek(bottom - 4, 4).is_none());
+    assert_eq!(status.stack_size, top - bottom);
+    assert!((512..16_384).contains(&status.stack_used), "{status:?}");
+
+    board.unplug_and_plug(1_000);
+    assert!(board.ask(Ping { host_time: 1 }).is_ok());
+}
+
+#[test]
+fn its_trigger_is_exact_and_its_light_is_a_fault() {
+    let mut board = Board::boot(black_pill());
+    board.rig.log_pin(Pin::PA5);
+    let period = Period::from_picos(33_330_652_540).unwrap();
+    let start = TriggerStart {
+        period,
+        width: 576,
+        first_edge: None,
+        first_fraction: 0,
+    };
+    let first = board.start(start).next_edge;
+    board.run(5_000);
+    board.stop();
+    board.run(100);
+    let pins = pulses_of(&board.rig.take_edges(), Pin::PA5);
+    assert!(pins.len() > 148, "{}", pins.len());
+    assert_eq!(board.pulses.len(), pins.len());
+    let zero = pins[0].0.units() - first.0 * UNITS_PER_TICK;
+    for (k, (&(rise, fall), pulse)) in pins.iter().zip(&board.pulses).enumerate() {
+        let expected = period.edge(first, k as i64);
+        assert_eq!(pulse.at, expected, "pulse {k}");
+        assert_eq!(rise.units(), zero + expected.0 * UNITS_PER_TICK);
+        assert_eq!(fall.units() - rise.units(), 576 * UNITS_PER_TICK);
+    }
+    // There is no IMU, so the LED on the board, which is lit by a low pin, is on.
+    assert!(!board.rig.level(Pin::PC13).is_high());
+    assert_eq!(board.next_status().imu.state, ImuState::Failed);
+}
+
+#[test]
+fn each_imu_is_as_exact_on_it_as_on_the_discovery() {
+    let seed = Seed(7);
+    for (model, found) in [
+        (SensorModel::Mpu6050, ImuModel::Mpu6050),
+        (SensorModel::Icm42688P, ImuModel::Icm42688P),
+    ] {
+        let time = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
+        let config = SimImuConfig::typical(seed).of(model);
+        let sensor = SimImu::new(config, Motion::rest(), time, seed).shared();
+        let builder = black_pill()
+            .model(sensor.clone())
+            .i2c_target(sensor.clone());
+        let mut board = Board::boot(builder);
+        board.run(500);
+        board.samples.clear();
+        board.run(1_000);
+        let Ok(setup) = board.ask(QueryImu) else {
+            panic!("{model:?} does not answer");
+        };
+        assert_eq!(setup.sensor.model, found);
+        assert_eq!(setup.status.clock, ImuClock::External);
+        assert_eq!(setup.status.last_fault, None);
+        assert!(board.samples.len() >= 499, "{}", board.samples.len());
+        // Ticks of data-ready and values of the registers, against the sensor's own log.
+        let records = lock(&sensor).log_mut().take();
+        let same = |sample: &ImuSample| {
+            let values = (sample.accel, sample.temperature, sample.gyro);
+            records.iter().find(|record| {
+                let told = record.values;
+                (told.accel, told.temperature, told.gyro) == values
+            })
+        };
+        let first = board.samples[0];
+        let zero = same(&first).unwrap().at.units() + INPUT_SYNCHRONISER * UNITS_PER_TICK;
+        for (n, sample) in board.samples.iter().enumerate() {
+            assert_eq!(sample.at - first.at, TickDelta(96_000 * n as i64));
+            let at = zero + (sample.at - first.at).unsigned_abs() * UNITS_PER_TICK;
+            let taken = at - INPUT_SYNCHRONISER * UNITS_PER_TICK;
+            assert!(records.iter().any(|record| record.at.units() == taken));
+            assert!(
+                same(sample).is_some(),
+                "sample {n} was never in the registers"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_it_does_not_have_is_refused() {
+    let mut board = Board::boot(black_pill());
+    let refused = Refusal::NotOnThisBoard;
+    for output in Output::FURTHER {
+        assert_eq!(board.ask(QueryTrigger(output)), Err(refused));
+        assert_eq!(board.ask(StopTrigger(output)), Err(refused));
+        let start = TriggerStart {
+            period: Period::from_ticks(TICK_HZ / 30),
+            width: MIN_OUTPUT_WIDTH,
+            first_edge: None,
+            first_fraction: 0,
+        };
+        assert_eq!(board.ask(StartTrigger { output, start }), Err(refused));
+    }
+    let settings = GnssSettings {
+        utc_at_zero: 1_795_234_567,
+        baud: Baud::B9600,
+        line_inverted: false,
+        sentences: Sentences::Rmc,
+        delay_ms: 50,
+        pulse_width: TICK_HZ / 50,
+        pulse_inverted: false,
+    };
+    assert_eq!(board.ask(StartGnss(settings)), Err(refused));
+    assert!(board.ask(QueryTrigger(Output::Camera)).is_ok());
+}
+
+/// The chip's model tells the two apart: the firmware of the other board has its stack where
+/// an STM32F411 has no memory.
+#[test]
+fn the_firmware_of_the_discovery_ends_on_this_chip() {
+    let mut rig = wiring::board().part(Part::Stm32f411ce).build().unwrap();
+    let error = rig.run_for(SimDuration::from_secs(1)).unwrap_err();
+    let SimError::Failed(_) = &error else {
+        panic!("{error}");
+    };
+}
