@@ -337,7 +337,7 @@ impl Filter {
 }
 
 /// Follows the offset of clock b against clock a. Pure: it is told what was exchanged.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Tracker {
     filters: Option<Filters>,
     legs: [Leg; 2],
@@ -352,21 +352,11 @@ struct Filters {
     each: [Filter; MOVES.len()],
 }
 
-impl Default for Tracker {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Tracker {
     /// A tracker that knows nothing.
     #[must_use]
     pub fn new() -> Self {
-        Self {
-            filters: None,
-            legs: [Leg::default(), Leg::default()],
-            base: [None, None],
-        }
+        Self::default()
     }
 
     /// Takes an exchange. Those of one clock come in the order in which they were asked;
