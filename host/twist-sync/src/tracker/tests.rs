@@ -1,0 +1,192 @@
+use super::*;
+
+/// Clocks, links and their delays: its own little model, not the filter's.
+struct World {
+    random: u64,
+    /// Least time there and back to either clock, s.
+    least: [[f64; 2]; 2],
+    tracker: Tracker,
+    at: f64,
+    /// The computer's clock is fast by so much, and has gained so much until a time.
+    computer: (f64, f64, f64),
+}
+
+/// Clock b minus clock a: 20 ppm, and 2 ppm more of warming within about 200 s.
+fn offset(at: f64) -> f64 {
+    let tau = 200.0;
+    36_000.0 + 20e-6 * at + 2e-6 * (at - tau * (1.0 - (-at / tau).exp()))
+}
+
+impl World {
+    fn new() -> Self {
+        Self {
+            random: 7,
+            least: [[2e-4, 3e-4], [3e-4, 5e-4]],
+            tracker: Tracker::new(),
+            at: 0.0,
+            computer: (30e-6, 0.0, 0.0),
+        }
+    }
+
+    /// Even, from 0 to 1: Knuth's MMIX generator.
+    fn draw(&mut self) -> f64 {
+        self.random = self
+            .random
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (self.random >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn host(&self, at: f64) -> f64 {
+        let (rate, since, gained) = self.computer;
+        500.0 + at + gained + rate * (at - since)
+    }
+
+    fn way(&mut self, clock: usize, way: usize) -> f64 {
+        let (scatter, waits) = (self.draw(), self.draw());
+        let waiting = if waits < 0.6 { 1e-3 * waits } else { 0.0 };
+        let tail = if self.draw() < 0.01 { 0.02 } else { 0.0 };
+        self.least[clock][way] + 20e-6 * scatter + waiting + tail
+    }
+
+    /// Asks both clocks until a true time.
+    fn run(&mut self, until: f64) {
+        while self.at < until {
+            self.at += 0.02 * (0.5 + self.draw());
+            for (place, asked) in [Asked::A, Asked::B].into_iter().enumerate() {
+                let (there, back) = (self.way(place, 0), self.way(place, 1));
+                let read = self.at + there;
+                let stamp = if place == 0 {
+                    read
+                } else {
+                    read + offset(read)
+                };
+                let exchange = Exchange {
+                    sent: self.host(self.at),
+                    received: self.host(read + back),
+                    stamp,
+                };
+                self.tracker.take(asked, exchange);
+            }
+        }
+    }
+
+    fn twist(&mut self, at: f64) {
+        let known = self.tracker.know(&ClockRelation {
+            reference: at,
+            offset: offset(at) + 3e-6,
+            skew: 21e-6,
+            covariance: [[9e-12, 0.0], [0.0, 1e-12]],
+            wander: Wander::default(),
+        });
+        assert!(known);
+    }
+
+    /// Error now, and its 1-sigma, µs.
+    fn error_us(&self) -> (f64, f64) {
+        let found = self.tracker.offset_at(self.host(self.at)).unwrap();
+        ((found.value - offset(self.at)) * 1e6, found.sigma * 1e6)
+    }
+}
+
+#[test]
+fn a_warming_clock_is_followed() {
+    let mut world = World::new();
+    world.run(40.0);
+    world.twist(35.0);
+    let mut squares = 0.0;
+    let looks = 50;
+    for look in 1..=looks {
+        world.run(40.0 + 10.0 * f64::from(look));
+        let (error, sigma) = world.error_us();
+        squares += (error / sigma).powi(2) / f64::from(looks);
+        assert!(error.abs() < 30.0 && sigma < 30.0, "{error} ± {sigma}");
+    }
+    // The twist's own error, one sigma, is in all of them.
+    assert!((0.3..1.5).contains(&squares.sqrt()), "{squares}");
+    let relation = world.tracker.relation_at(world.host(world.at)).unwrap();
+    assert!((relation.skew - 21.87e-6).abs() < 0.15e-6, "{relation:?}");
+}
+
+#[test]
+fn a_step_of_the_asymmetry_is_no_step_of_the_clocks() {
+    for (there, back) in [(4e-4, 0.0), (0.0, 3e-4), (-1e-4, -3e-4)] {
+        let mut world = World::new();
+        world.run(60.0);
+        world.twist(35.0);
+        let (before, _) = world.error_us();
+        world.least[1][0] += there;
+        world.least[1][1] += back;
+        world.run(180.0);
+        let (error, sigma) = world.error_us();
+        // Half of the step is 150 µs and more.
+        assert!((error - before).abs() < 40.0, "{before} {error} ± {sigma}");
+        assert!(error.abs() < 3.5 * sigma, "{error} ± {sigma}");
+    }
+}
+
+#[test]
+fn a_time_server_may_steer_the_computers_clock() {
+    let mut world = World::new();
+    world.run(60.0);
+    world.twist(35.0);
+    world.computer = (15e-6, world.at, world.host(world.at) - 500.0 - world.at);
+    for until in [62.0, 66.0, 90.0] {
+        world.run(until);
+        let (error, sigma) = world.error_us();
+        assert!(
+            error.abs() < 3.0 * sigma && error.abs() < 30.0,
+            "{error} ± {sigma}"
+        );
+    }
+}
+
+#[test]
+fn in_a_gap_it_becomes_less_certain_and_finds_back() {
+    let mut world = World::new();
+    world.run(60.0);
+    world.twist(35.0);
+    let (_, before) = world.error_us();
+    world.at += 120.0;
+    let (error, sigma) = world.error_us();
+    assert!(
+        sigma > 1.5 * before && error.abs() < 3.0 * sigma,
+        "{error} ± {sigma}"
+    );
+    let last = world.tracker.last_of(Asked::B).unwrap();
+    assert!(world.host(world.at) - last > 119.0);
+    world.run(260.0);
+    let (error, sigma) = world.error_us();
+    assert!(
+        error.abs() < 3.0 * sigma && sigma < 15.0,
+        "{error} ± {sigma}"
+    );
+}
+
+#[test]
+fn what_is_no_exchange_is_left() {
+    let mut tracker = Tracker::new();
+    let good = Exchange {
+        sent: 1.0,
+        received: 1.001,
+        stamp: 5.0,
+    };
+    for bad in [
+        Exchange {
+            sent: f64::NAN,
+            ..good
+        },
+        Exchange {
+            received: 0.9,
+            ..good
+        },
+        Exchange {
+            stamp: f64::INFINITY,
+            ..good
+        },
+    ] {
+        assert_eq!(tracker.take(Asked::B, bad), Taken::Odd);
+    }
+    assert_eq!(tracker.take(Asked::B, good), Taken::Kept);
+    assert_eq!(tracker.offset_at(1.0), None);
+}
