@@ -1,4 +1,5 @@
 //! The program as it runs on phones, on an emulated processor of each kind.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::io::{Read as _, Write as _};
 use std::os::linux::net::SocketAddrExt as _;
