@@ -6,8 +6,8 @@ use protocol::Edge;
 ///
 /// `level` is the pin's level after the capture, `more` whether another edge
 /// was captured by then. Without one the level is what this edge led to; with
-/// one it is what the next led to. (More than one is an over-capture, after
-/// which the next edge is marked.)
+/// one it is what the next led to. (More than one is an over-capture, for
+/// which this edge and the next are marked.)
 #[must_use]
 pub const fn direction(level: bool, more: bool) -> Edge {
     if level != more {

@@ -18,8 +18,11 @@ use crate::units::{Period, TICK_HZ, TickDelta, Ticks};
 pub const MIN_PULSE_WIDTH: u32 = 10 * (TICK_HZ / 1_000_000);
 
 /// The shortest time from a falling edge of the camera's output to the next rising
-/// edge, in ticks: 20 µs, in which a handler arms the next pulse.
-pub const MIN_PULSE_GAP: u32 = 20 * (TICK_HZ / 1_000_000);
+/// edge, in ticks: 40 µs, in which a handler arms the next pulse.
+///
+/// Twice what the handler took at worst on the simulated board with a full link and the
+/// pessimistic waits of its buses (`docs/timing.md`).
+pub const MIN_PULSE_GAP: u32 = 40 * (TICK_HZ / 1_000_000);
 
 /// The shortest pulse of the further outputs, in ticks: 50 µs.
 ///

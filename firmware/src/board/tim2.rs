@@ -381,6 +381,9 @@ impl Shared {
             }
         }
         let (level, more) = seen;
+        // Two edges since this one was taken: the level is that of neither. The flag stays
+        // for the next, which is marked too.
+        let after_loss = after_loss || TIM.sr().read().ccof(STROBE);
         let capture = Capture {
             seq: self.capture_seq,
             channel: CaptureChannel::Strobe,

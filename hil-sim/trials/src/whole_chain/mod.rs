@@ -11,6 +11,7 @@
 //! All figures that come out of here are of simulated recordings.
 
 pub mod calibration;
+mod cameras;
 pub mod evaluation;
 pub mod extraction;
 pub mod several;
@@ -28,6 +29,7 @@ use serde_json::Value;
 
 use crate::demo::judge::{Timebase, Truth};
 use rig::beliefs::Beliefs;
+use rig::depth_camera::Family;
 use rig::k4a_mkv::{self, K4aSettings};
 use rig::motion::gesture::Gesture;
 use rig::motion::{MotionSpec, Step};
@@ -73,6 +75,8 @@ pub struct Plan {
     pub hidden_delay: SimDuration,
     /// Twists before the recording.
     pub twists: u32,
+    /// Which depth camera.
+    pub camera: Family,
     /// What is true of the rig.
     pub beliefs: Beliefs,
     /// A profile of the same rig from an earlier session, with what was learnt
@@ -91,6 +95,7 @@ impl Plan {
             drop_probability: 0.0,
             hidden_delay: SimDuration::ZERO,
             twists: 1,
+            camera: Family::default(),
             beliefs: Beliefs::default(),
             profile: None,
         }
@@ -108,6 +113,7 @@ impl Plan {
         let mut rig = RigConfig::published(seed).with_motion(motion);
         if let Some(camera) = &mut rig.depth_camera {
             camera.drop_probability = self.drop_probability;
+            *camera = self.camera.of(*camera, seed);
         }
         let mut phone = PhoneConfig::draw(seed);
         self.beliefs.apply(&mut rig, &mut phone);
@@ -199,7 +205,7 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
     let text = owner_profile(&known, rig.phone().context("the rig has no phone")?)?;
     let text = match &plan.profile {
-        None => text,
+        None => text + &cameras::profile_lines(plan.camera, programs, &run)?,
         Some(path) => moved(path, &text)?,
     };
     let length = Length {
@@ -208,7 +214,10 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     };
     let recorded = session(rig, programs, &text, &run, storage, length)
         .with_context(|| format!("seed {}", plan.seed))?;
-    recorded.write_depth()?;
+    match plan.camera.writes_mkv() {
+        true => recorded.write_depth()?,
+        false => cameras::write_bag(&recorded.folder.join("depth"), &recorded.truth.depth)?,
+    }
     Ok(recorded)
 }
 

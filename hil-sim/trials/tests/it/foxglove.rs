@@ -118,7 +118,7 @@ fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
     idle.subscribe(&everything.iter().map(String::as_str).collect::<Vec<_>>());
     // No message of the raw link; all others of a recording, and the state.
     assert!(!viewer.channels.contains_key(Topic::Link.name()));
-    assert_eq!(viewer.channels.len(), 16, "{:?}", viewer.channels.keys());
+    assert_eq!(viewer.channels.len(), 18, "{:?}", viewer.channels.keys());
     let imu = &viewer.channels[Topic::Imu.name()];
     assert_eq!(imu["encoding"], "cdr");
     assert_eq!(imu["schemaEncoding"], "ros2msg");

@@ -9,6 +9,7 @@ use crate::objects;
 use crate::support;
 use crate::turn;
 use protocol::TICK_HZ;
+use rig::depth_camera::Family;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
@@ -40,6 +41,31 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
     assert!(figures.pairs > 1100 && figures.dropped > 5, "{figures:?}");
     let limit = 6.0 * figures.phone_sigma_us.hypot(1.0);
     assert!(figures.phone_start.largest_us < limit, "{figures:?}");
+}
+
+/// From the twist to the data set with each family of depth camera that is not the published
+/// rig's, with the profile that the program writes for it.
+#[test]
+fn each_family_of_depth_cameras_gives_a_data_set() {
+    let _turn = turn::beside_others();
+    let out = tempfile::tempdir().unwrap();
+    let others = Family::ALL
+        .into_iter()
+        .filter(|&family| family != Family::AzureKinect);
+    for (seed, camera) in (31..).zip(others) {
+        let plan = Plan {
+            camera,
+            drop_probability: 0.02,
+            ..Plan::new(seed, 6)
+        };
+        let figures = extraction::check(&plan, &programs(), out.path()).unwrap();
+        println!("{camera:?}\n{}", figures.table());
+        assert!(
+            figures.depth.largest_us <= extraction::DEPTH_LIMIT_US,
+            "{figures:?}"
+        );
+        assert!(figures.pairs > 150, "{figures:?}");
+    }
 }
 
 #[test]

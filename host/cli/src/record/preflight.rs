@@ -159,8 +159,8 @@ impl Checks {
             None => self.warn(
                 CHECK_BIAS,
                 format!(
-                    "not measured: there may be ms between the cameras (of it, the depth camera's middle \
-                     of exposure: ± {} µs)",
+                    "not measured: there may be ms between the cameras (of it, ± {} µs are from the \
+                     trigger to the middle of the depth exposure)",
                     profile.depth.center_offset_sigma_us
                 ),
                 "measure it: `smartdepthsync evaluate precision ... --calibrate`",

@@ -247,7 +247,7 @@ const CASES: &[Case] = &[
         "profile init new.toml --camera kinect",
         2,
         "expected azure-kinect-dk, femto-bolt",
-        "--camera",
+        "help",
     ),
     (
         "profile init new.toml --camera oak --depth-mode NFOV_UNBINNED",
