@@ -10,6 +10,9 @@ use anyhow::{Context, Result, bail};
 /// How many tests of a program run at once.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
+/// Where `adb` and the program look for its server.
+const ADB_PORT: &str = "ANDROID_ADB_SERVER_PORT";
+
 /// Tells tests and tools which firmware to run.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
@@ -84,14 +87,15 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
 }
 
 /// Runs cargo with the firmware's ELF named in the environment. Of tests, two run on a
-/// core unless the environment says otherwise: most sessions wait for the clock.
+/// core unless the environment says otherwise: most sessions wait for the clock. They leave
+/// alone a phone that the developer's own `adb` server has: they look for one where none is.
 pub(crate) fn cargo_with_elf(args: &[String], elf: &Path) -> Result<()> {
     let mut cargo = command(cargo_program());
     if env::var_os(TEST_THREADS).is_none() {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         cargo.env(TEST_THREADS, (2 * cores).to_string());
     }
-    run(cargo.args(args).env(ELF_VARIABLE, elf))
+    run(cargo.args(args).env(ELF_VARIABLE, elf).env(ADB_PORT, "9"))
 }
 
 /// Runs the simulator that cargo has built in the release profile.
