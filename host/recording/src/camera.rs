@@ -194,7 +194,7 @@ impl Model {
     #[must_use]
     pub const fn default_mode(&self) -> &'static Mode {
         let [first, ..] = self.modes else {
-            return &azure_kinect_dk::NFOV_UNBINNED;
+            return azure_kinect_dk::NFOV_UNBINNED;
         };
         first
     }

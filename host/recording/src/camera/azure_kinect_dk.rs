@@ -2,17 +2,33 @@
 
 use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
 
-/// Half of the train of nine infrared pulses of 125 µs, 1,575 µs from one to the next.
-const NARROW: Mode = Mode {
-    name: "NFOV_UNBINNED",
-    rates: &[30, 15, 5],
-    center: Center::Fixed(6_362.5),
-    sigma_us: 100.0,
-    basis: Basis::Maker,
-    source: "maker's table of multi-camera delays; the delay before the first pulse is not published",
-};
-
-pub(super) const NFOV_UNBINNED: Mode = NARROW;
+/// The modes of the sensor, which Femto cameras have too, with how well the middle of
+/// exposure is known: half of the train of nine infrared pulses of 125 µs, 1,575 µs from one
+/// to the next, and 2,515 µs in WFOV_UNBINNED.
+pub(super) const fn modes(sigma_us: f64, basis: Basis, source: &'static str) -> [Mode; 4] {
+    const FAST: &[u32] = &[30, 15, 5];
+    const fn mode(
+        name: &'static str,
+        (rates, center_us): (&'static [u32], f64),
+        (sigma_us, basis, source): (f64, Basis, &'static str),
+    ) -> Mode {
+        Mode {
+            name,
+            rates,
+            center: Center::Fixed(center_us),
+            sigma_us,
+            basis,
+            source,
+        }
+    }
+    let known = (sigma_us, basis, source);
+    [
+        mode("NFOV_UNBINNED", (FAST, 6_362.5), known),
+        mode("NFOV_2X2BINNED", (FAST, 6_362.5), known),
+        mode("WFOV_2X2BINNED", (FAST, 6_362.5), known),
+        mode("WFOV_UNBINNED", (&[15, 5], 10_122.5), known),
+    ]
+}
 
 pub(super) const MODEL: Model = Model {
     id: "azure-kinect-dk",
@@ -57,21 +73,10 @@ pub(super) const MODEL: Model = Model {
     ],
 };
 
-const MODES: [Mode; 4] = [
-    NARROW,
-    Mode {
-        name: "NFOV_2X2BINNED",
-        ..NARROW
-    },
-    Mode {
-        name: "WFOV_2X2BINNED",
-        ..NARROW
-    },
-    // Nine pulses, 2,515 µs from one to the next.
-    Mode {
-        name: "WFOV_UNBINNED",
-        rates: &[15, 5],
-        center: Center::Fixed(10_122.5),
-        ..NARROW
-    },
-];
+const MODES: [Mode; 4] = modes(
+    100.0,
+    Basis::Maker,
+    "maker's table of multi-camera delays; the delay before the first pulse is not published",
+);
+
+pub(super) const NFOV_UNBINNED: &Mode = &MODES[0];

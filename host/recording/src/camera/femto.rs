@@ -1,7 +1,7 @@
 //! Orbbec Femto Bolt and Femto Mega: the depth sensor of the Azure Kinect DK in another
 //! housing, with another input.
 
-use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
+use super::{Basis, Input, Mode, Model, Pulse, Recording, Trap, azure_kinect_dk};
 
 const PULSE: Pulse = Pulse {
     width_us: 110.0,
@@ -11,33 +11,12 @@ const PULSE: Pulse = Pulse {
              1.8 V CMOS, high impedance",
 };
 
-const NARROW: Mode = Mode {
-    name: "NFOV_UNBINNED",
-    rates: &[30, 15, 5],
-    center: Center::Fixed(6_362.5),
-    sigma_us: 2_000.0,
-    basis: Basis::Assumed,
-    source: "the Azure Kinect's train of infrared pulses: the maker says that modes are the same, not when \
-             they begin",
-};
-
-const MODES: [Mode; 4] = [
-    NARROW,
-    Mode {
-        name: "NFOV_2X2BINNED",
-        ..NARROW
-    },
-    Mode {
-        name: "WFOV_2X2BINNED",
-        ..NARROW
-    },
-    Mode {
-        name: "WFOV_UNBINNED",
-        rates: &[15, 5],
-        center: Center::Fixed(10_122.5),
-        ..NARROW
-    },
-];
+const MODES: [Mode; 4] = azure_kinect_dk::modes(
+    2_000.0,
+    Basis::Assumed,
+    "the Azure Kinect's train of infrared pulses: the maker says that modes are the same, not when \
+     they begin",
+);
 
 const RATE: Trap = Trap {
     text: "the pulses must come at the sensor's own rate, which may be 30.015 where it says 30: if frames \
