@@ -356,8 +356,8 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
         GyroFileError::Several(_) => (ExitStatus::Usage, "choose one with FILE@/TOPIC"),
         GyroFileError::Bag(_) | GyroFileError::Kinect(_) | GyroFileError::Mcap(_) => (
             ExitStatus::Usage,
-            "give a whole recording: of ROS 2 an MCAP whose chunks are not packed or with LZ4, of \
-             ROS 1 a bag of version 2.0, of an Azure Kinect an mkv with depth and IMU",
+            "give a whole recording: of ROS 2 an MCAP, of ROS 1 a bag of version 2.0, of an Azure \
+             Kinect an mkv with depth and IMU",
         ),
         GyroFileError::None { .. } => (
             ExitStatus::Usage,

@@ -11,7 +11,7 @@
 //! recorder received them. Of a folder the one recording in it is read. Everything is
 //! in memory: 32 bytes a sample.
 //!
-//! Limits: MCAP chunks are stored as they are or with LZ4 (not zstd); no `sqlite3` bags.
+//! Limits: no `sqlite3` bags.
 
 mod ros;
 

@@ -1,4 +1,4 @@
-"""Writes a ROS 2 bag (MCAP) with depth images as a camera's driver publishes them, by
+"""Writes a ROS 2 bag (MCAP, chunks packed with Zstandard) with depth images as a camera's driver publishes them, by
 `rosbags`: stamps of the camera's clock in the headers, times of arrival that say nothing.
 
 usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER
@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 stamps = [int(line) for line in Path(sys.argv[1]).read_text().split()]
@@ -32,7 +32,9 @@ def image(stamp, frame, encoding, pixels):
         step=pixels.strides[0], data=np.ascontiguousarray(pixels).view(np.uint8).ravel()), KIND)
 
 
-with Writer(Path(sys.argv[2]), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+writer = Writer(Path(sys.argv[2]), version=9, storage_plugin=StoragePlugin.MCAP)
+writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+with writer:
     depth = writer.add_connection("/camera/depth/image_raw", KIND, typestore=store)
     color = writer.add_connection("/camera/color/image_raw", KIND, typestore=store)
     over = writer.add_connection("/camera/aligned_depth_to_color/image_raw", KIND, typestore=store)
