@@ -288,7 +288,7 @@ impl Extraction<'_> {
         self.note_faults(input, "accelerometer", accel.faults());
         if without > 0 {
             self.remarks.push(input.about(&format!(
-                "{without} samples of the phone's gyroscope have no acceleration around them and no row"
+                "gyroscope samples of the phone without an acceleration around them, and so without a row: {without}"
             )));
         }
         Ok(PhoneImu {
