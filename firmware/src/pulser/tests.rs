@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use protocol::{MAX_TIME_AWAY, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, TriggerAlign};
+use protocol::{MAX_TIME_AWAY, MIN_OUTPUT_WIDTH, MIN_PULSE_GAP, MIN_PULSE_WIDTH, TriggerAlign};
 
 use super::*;
 
@@ -204,7 +204,7 @@ fn every_edge_at_the_pin_is_exact_and_reported_over_wraps() {
     for (picos, width) in [
         (33_330_652_540, 576),
         (1_000_000_000, MIN_PULSE_WIDTH),
-        (1_000_000_001, 47_000),
+        (1_000_000_001, 48_000 - MIN_PULSE_GAP),
         (200_000_000_000, 576),
     ] {
         let first = (1 << 32) - 1_000_000;
