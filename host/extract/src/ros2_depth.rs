@@ -6,20 +6,18 @@
 //!
 //! Limits: chunks are packed with LZ4, Zstandard or not at all; images are not compressed.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
-use mcap::records::Record;
-use recording::chunks::{Chunk, Chunks};
+use recording::foreign::{Message, Messages, Next};
 use recording::messages::camera::Image as RosImage;
-use recording::messages::from_cdr;
-use recording::scan::parse;
+use recording::messages::{RosMessage as _, from_cdr};
 
 use crate::bag::messages::{Header, Image};
 use crate::board_data::{BagImage, Images, millimetres};
 use crate::faults::Faults;
 
-const KIND: &str = "sensor_msgs/msg/Image";
+const KIND: &str = RosImage::TYPE;
 
 /// How many faults are kept with their text.
 const MAX_FAULTS: usize = 50;
@@ -86,14 +84,14 @@ impl Ros2Bag {
         Ok(Ros2Images {
             path: self.path.clone(),
             files: files_of(&self.path)?.into(),
-            asked: self.topic.clone(),
-            topic: None,
-            chunks: None,
-            channels: HashMap::new(),
-            waiting: VecDeque::new(),
-            memory: Vec::new(),
-            images,
-            faults: Faults::new(MAX_FAULTS),
+            open: None,
+            taken: Taken {
+                asked: self.topic.clone(),
+                topics: Vec::new(),
+                waiting: VecDeque::new(),
+                images,
+                faults: Faults::new(MAX_FAULTS),
+            },
             before: 0,
         })
     }
@@ -142,64 +140,68 @@ fn files_of(path: &Path) -> Result<Vec<PathBuf>, Ros2Error> {
 pub(crate) struct Ros2Images {
     path: PathBuf,
     files: VecDeque<PathBuf>,
-    asked: Option<String>,
-    /// The topic whose images come.
-    topic: Option<String>,
-    chunks: Option<(PathBuf, Chunks)>,
-    /// Topics that may be depth, by their channel in this file.
-    channels: HashMap<u16, String>,
-    waiting: VecDeque<BagImage>,
-    memory: Vec<u8>,
-    images: Images,
-    faults: Faults,
+    /// The file that is being read.
+    open: Option<(PathBuf, Messages)>,
+    taken: Taken,
     /// Bytes of the files that were read to their end.
     before: u64,
+}
+
+/// What was taken of the messages.
+struct Taken {
+    /// The topic that is asked for.
+    asked: Option<String>,
+    /// Topics with depth. The images are of the first.
+    topics: Vec<String>,
+    waiting: VecDeque<BagImage>,
+    images: Images,
+    faults: Faults,
 }
 
 impl Ros2Images {
     /// The next image; `None` behind the last.
     pub(crate) fn next_image(&mut self) -> Result<Option<BagImage>, Ros2Error> {
         loop {
-            if let Some(image) = self.waiting.pop_front() {
+            if let Some(image) = self.taken.waiting.pop_front() {
                 return Ok(Some(image));
             }
-            let Some((path, chunks)) = &mut self.chunks else {
+            let Some((path, messages)) = &mut self.open else {
                 let Some(path) = self.files.pop_front() else {
-                    return match self.topic {
-                        Some(_) => Ok(None),
-                        None => Err(Ros2Error::NoImages {
+                    return match self.taken.topics.is_empty() {
+                        false => Ok(None),
+                        true => Err(Ros2Error::NoImages {
                             path: self.path.clone(),
                         }),
                     };
                 };
-                let chunks = Chunks::open(&path).map_err(|error| Ros2Error::Io {
+                let messages = Messages::open(&path).map_err(|error| Ros2Error::Io {
                     path: path.clone(),
                     error,
                 })?;
-                self.channels.clear();
-                self.chunks = Some((path, chunks));
+                self.open = Some((path, messages));
                 continue;
             };
-            let next = match chunks.next_packed() {
-                Ok(next) => next,
-                Err(_) if chunks.data_complete() => None,
-                Err(error) => {
-                    let at = chunks.position();
-                    self.faults
-                        .add(format!("{} ends at byte {at}: {error}", path.display()));
-                    None
+            let taken = &mut self.taken;
+            match messages.next_chunk(|message| taken.take(&message)) {
+                Ok(Next::Given) if self.taken.topics.len() > 1 => {
+                    return Err(Ros2Error::SeveralTopics {
+                        path: self.path.clone(),
+                        topics: self.taken.topics.clone(),
+                    });
                 }
-            };
-            match next.map(|packed| packed.unpack(std::mem::take(&mut self.memory))) {
-                Some(Ok(chunk)) => {
-                    let taken = self.take(&chunk);
-                    self.memory = chunk.into_memory();
-                    taken?;
+                Ok(Next::Given) => {}
+                Ok(Next::LeftOut(why)) => {
+                    let what = format!("a chunk is left out: {why}");
+                    self.taken.faults.add(what);
                 }
-                Some(Err(why)) => self.faults.add(format!("a chunk is left out: {why}")),
-                None => {
-                    self.before += chunks.position();
-                    self.chunks = None;
+                ended => {
+                    let at = messages.position();
+                    if let Err(error) = ended {
+                        let what = format!("{} ends at byte {at}: {error}", path.display());
+                        self.taken.faults.add(what);
+                    }
+                    self.before += at;
+                    self.open = None;
                 }
             }
         }
@@ -207,49 +209,34 @@ impl Ros2Images {
 
     /// What could not be read so far, in words.
     pub(crate) fn damage(&self) -> Vec<String> {
-        self.faults.words("faults of the bag")
+        self.taken.faults.words("faults of the bag")
     }
 
     /// Bytes read so far.
     pub(crate) fn position(&self) -> u64 {
-        let chunks = self.chunks.as_ref();
-        self.before + chunks.map_or(0, |(_, chunks)| chunks.position())
+        let open = self.open.as_ref();
+        self.before + open.map_or(0, |(_, messages)| messages.position())
     }
+}
 
-    fn take(&mut self, chunk: &Chunk) -> Result<(), Ros2Error> {
-        for (opcode, body) in chunk.records() {
-            match parse(opcode, body) {
-                Some(Record::Channel(channel)) => {
-                    let is_it = match &self.asked {
-                        Some(asked) => *asked == channel.topic,
-                        None => may_be_depth(&channel.topic),
-                    };
-                    if is_it && channel.message_encoding == "cdr" {
-                        self.channels.insert(channel.id, channel.topic);
-                    }
-                }
-                Some(Record::Message { header, data }) => {
-                    if let Some(topic) = self.channels.get(&header.channel_id) {
-                        match &self.topic {
-                            Some(known) if known != topic => {
-                                return Err(Ros2Error::SeveralTopics {
-                                    path: self.path.clone(),
-                                    topics: vec![known.clone(), topic.clone()],
-                                });
-                            }
-                            Some(_) => {}
-                            None => self.topic = Some(topic.clone()),
-                        }
-                        self.message(&data);
-                    }
-                }
-                _ => {}
-            }
+impl Taken {
+    fn take(&mut self, message: &Message<'_>) {
+        let is_asked = match &self.asked {
+            Some(asked) => asked == message.topic,
+            None => may_be_depth(message.topic),
+        };
+        if !is_asked || message.kind != KIND || message.encoding != "cdr" {
+            return;
         }
-        Ok(())
+        if !self.topics.iter().any(|topic| topic == message.topic) {
+            self.topics.push(message.topic.to_owned());
+        }
+        if self.topics.len() == 1 {
+            self.image(message.data);
+        }
     }
 
-    fn message(&mut self, data: &[u8]) {
+    fn image(&mut self, data: &[u8]) {
         let Ok(image) = from_cdr::<RosImage>(data) else {
             return self
                 .faults

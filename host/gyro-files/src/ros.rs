@@ -1,25 +1,22 @@
 //! IMU messages of MCAP files and ROS 1 bags.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::io::BufReader;
 use std::path::Path;
 
 use extract::bag::messages::Imu as BagImu;
 use extract::bag::reader::{Bag, BagError};
-use mcap::records::{Record, op};
-use recording::chunks::{Chunks, ChunksError};
+use recording::chunks::ChunksError;
+use recording::foreign::{Messages, Next};
 use recording::messages::{Imu, RosMessage, from_cdr};
 
 use crate::{GyroFileError, GyroRecording};
-
-/// Channel, sequence, log time and publish time in front of a message.
-const MESSAGE_HEAD: usize = 22;
 
 /// Samples of each topic with a gyroscope.
 #[derive(Default)]
 struct Topics {
     samples: BTreeMap<String, (Vec<i64>, Vec<[f64; 3]>)>,
-    /// Topics of other types.
+    /// Topics of other types; those with a gyroscope may be among them.
     others: Vec<String>,
     broken: u64,
     damage: Vec<String>,
@@ -74,93 +71,44 @@ impl Topics {
     }
 }
 
-/// Topics of an MCAP file by channel, types by schema.
-#[derive(Default)]
-struct Channels {
-    schemas: HashMap<u16, String>,
-    channels: HashMap<u16, (String, u16)>,
-}
-
-impl Channels {
-    /// The topic of a channel whose messages are of an IMU.
-    fn imu(&self, channel: u16) -> Option<&str> {
-        let (topic, schema) = self.channels.get(&channel)?;
-        let is_imu = self
-            .schemas
-            .get(schema)
-            .is_some_and(|name| name == Imu::TYPE);
-        is_imu.then_some(topic.as_str())
-    }
-}
-
 pub(crate) fn mcap(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    let mut chunks = Chunks::open(path)?;
-    let (mut known, mut out) = (Channels::default(), Topics::default());
-    let mut memory = Vec::new();
+    let mut messages = Messages::open(path)?;
+    let mut out = Topics::default();
     loop {
-        let packed = match chunks.next_packed() {
-            Ok(Some(packed)) => packed,
-            Ok(None) => break,
-            // Only an index and statistics are missing.
-            Err(_) if chunks.data_complete() => break,
+        let next = messages.next_chunk(|message| {
+            if message.kind != Imu::TYPE {
+                return;
+            }
+            match from_cdr::<Imu>(message.data) {
+                Ok(imu) => out.add(
+                    message.topic,
+                    imu.header.stamp.nanos(),
+                    imu.angular_velocity.into(),
+                ),
+                Err(_) => out.broken += 1,
+            }
+        });
+        match next {
+            Ok(Next::Given) => {}
+            Ok(Next::LeftOut(why)) => out.damage.push(format!("a chunk is left out: {why}")),
+            Ok(Next::End) => break,
             Err(ChunksError::Read(error)) => return Err(error.into()),
             Err(error) if out.samples.is_empty() => {
                 return Err(GyroFileError::Mcap(error.to_string()));
             }
             Err(error) => {
-                let at = chunks.position();
+                let at = messages.position();
                 out.damage
                     .push(format!("it cannot be read beyond byte {at}: {error}"));
                 break;
             }
-        };
-        let chunk = match packed.unpack(memory) {
-            Ok(chunk) => chunk,
-            Err(why) => {
-                out.damage.push(format!("a chunk is left out: {why}"));
-                memory = Vec::new();
-                continue;
-            }
-        };
-        for (opcode, body) in chunk.records() {
-            record(opcode, body, &mut known, &mut out);
         }
-        memory = chunk.into_memory();
     }
+    out.others = messages.topics().map(str::to_owned).collect();
     // Of a file whose chunks cannot be unpacked, that is the reason.
     match out.damage.first() {
-        Some(damage) if known.channels.is_empty() => Err(GyroFileError::Mcap(damage.clone())),
+        Some(damage) if out.others.is_empty() => Err(GyroFileError::Mcap(damage.clone())),
         _ => out.chosen("MCAP", topic),
-    }
-}
-
-fn record(opcode: u8, body: &[u8], known: &mut Channels, out: &mut Topics) {
-    match opcode {
-        op::MESSAGE => {
-            let Some((head, data)) = body.split_first_chunk::<MESSAGE_HEAD>() else {
-                out.broken += 1;
-                return;
-            };
-            let Some(topic) = known.imu(u16::from_le_bytes([head[0], head[1]])) else {
-                return;
-            };
-            match from_cdr::<Imu>(data) {
-                Ok(imu) => out.add(topic, imu.header.stamp.nanos(), imu.angular_velocity.into()),
-                Err(_) => out.broken += 1,
-            }
-        }
-        op::SCHEMA | op::CHANNEL => match recording::chunks::parse(opcode, body) {
-            Some(Record::Schema { header, .. }) => {
-                known.schemas.insert(header.id, header.name);
-            }
-            Some(Record::Channel(channel)) => {
-                out.others.push(channel.topic.clone());
-                let of = (channel.topic, channel.schema_id);
-                known.channels.insert(channel.id, of);
-            }
-            _ => {}
-        },
-        _ => {}
     }
 }
 

@@ -203,7 +203,7 @@ impl Chunks {
         self.data_complete
     }
 
-    /// The next chunk; `None` behind the last. A topic or message outside of chunks
+    /// The next chunk; `None` behind the last. A type, topic or message outside of chunks
     /// comes as a chunk of its own.
     ///
     /// # Errors
@@ -238,7 +238,7 @@ impl Chunks {
                         let content = content_of(data, &mut self.budget, self.position);
                         return Ok(Some(Packed(content)));
                     }
-                    op::CHANNEL | op::MESSAGE => {
+                    op::SCHEMA | op::CHANNEL | op::MESSAGE => {
                         let record = Content::Record(whole_record(opcode, data));
                         return Ok(Some(Packed(record)));
                     }
@@ -323,7 +323,7 @@ impl Chunk {
 }
 
 /// A record by its opcode; `None` if it is no such.
-pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     strings_fit(opcode, body)?;
     mcap::parse_record(opcode, body).ok()
 }

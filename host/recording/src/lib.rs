@@ -17,6 +17,7 @@
 //! - [`reader`]: reads it, whole or broken off.
 //! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
 //! - [`scan`]: walks its records over any damage.
+//! - [`foreign`]: the messages of any program's MCAP file, with topic and type.
 //! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
 //!
@@ -26,6 +27,7 @@ pub mod camera;
 pub mod chunks;
 mod diagnostics;
 pub mod folder;
+pub mod foreign;
 pub mod kalibr;
 pub mod messages;
 pub mod profile;
