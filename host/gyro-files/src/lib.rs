@@ -15,7 +15,6 @@
 
 mod ros;
 
-use std::fmt::Write as _;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
@@ -174,15 +173,7 @@ fn kinect(path: &Path) -> Result<GyroRecording, GyroFileError> {
             out.rates.push(sample.gyro.map(f64::from));
         }
     }
-    for damage in file.damage() {
-        let mut text = String::new();
-        let _ = write!(
-            text,
-            "{} bytes at {}: {}",
-            damage.bytes, damage.at, damage.what
-        );
-        out.damage.push(text);
-    }
+    out.damage = file.damage().iter().map(ToString::to_string).collect();
     if out.times.is_empty() {
         return Err(GyroFileError::None {
             form: "an Azure Kinect recording",

@@ -134,10 +134,6 @@ pub(crate) fn bag(path: &Path, topic: Option<&str>) -> Result<GyroRecording, Gyr
         }
     }
     out.others = others.into_iter().collect();
-    let damage = bag
-        .damage()
-        .iter()
-        .map(|d| format!("at byte {}: {}", d.at, d.what));
-    out.damage = damage.collect();
+    out.damage = bag.damage().iter().map(ToString::to_string).collect();
     out.chosen("ROS 1 bag", topic)
 }

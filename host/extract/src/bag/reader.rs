@@ -81,6 +81,12 @@ pub struct Damage {
     pub what: String,
 }
 
+impl std::fmt::Display for Damage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "byte {}: {}", self.at, self.what)
+    }
+}
+
 /// An open bag.
 pub struct Bag<R> {
     reader: R,

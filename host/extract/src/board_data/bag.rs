@@ -107,9 +107,7 @@ impl BoardStream for BagStream {
 
     fn damage(&self) -> Vec<String> {
         let damage = self.bag.damage().iter();
-        let mut all: Vec<String> = damage
-            .map(|damage| format!("byte {}: {}", damage.at, damage.what))
-            .collect();
+        let mut all: Vec<String> = damage.map(ToString::to_string).collect();
         all.extend(self.sorter.faults.words("messages that cannot be read"));
         all
     }

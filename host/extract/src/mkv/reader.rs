@@ -97,6 +97,12 @@ pub struct Damage {
     pub what: String,
 }
 
+impl std::fmt::Display for Damage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "byte {}, {} bytes: {}", self.at, self.bytes, self.what)
+    }
+}
+
 /// Whose bytes are wanted; of other tracks only time and size are given.
 pub(crate) type Wanted<'a> = &'a dyn Fn(u64) -> bool;
 
