@@ -57,25 +57,15 @@ pub enum Wrong {
     Version(u32),
 }
 
-fn four(bytes: &[u8], at: usize) -> [u8; 4] {
-    let mut four = [0; 4];
-    if let Some(part) = bytes.get(at..at + 4) {
-        four.copy_from_slice(part);
-    }
-    four
-}
-
-fn eight(bytes: &[u8], at: usize) -> [u8; 8] {
-    let mut eight = [0; 8];
-    if let Some(part) = bytes.get(at..at + 8) {
-        eight.copy_from_slice(part);
-    }
-    eight
+/// So many bytes from a place on; zeros if they are not there.
+fn part<const N: usize>(bytes: &[u8], at: usize) -> [u8; N] {
+    let part = bytes.get(at..).and_then(|rest| rest.first_chunk::<N>());
+    part.copied().unwrap_or([0; N])
 }
 
 fn check(bytes: &[u8]) -> Result<(), Wrong> {
-    let version = u32::from_le_bytes(four(bytes, 4));
-    match four(bytes, 0) == MAGIC {
+    let version = u32::from_le_bytes(part(bytes, 4));
+    match part::<4>(bytes, 0) == MAGIC {
         false => Err(Wrong::Magic),
         true if version != VERSION => Err(Wrong::Version(version)),
         true => Ok(()),
@@ -100,7 +90,7 @@ pub fn question(nonce: u64) -> [u8; QUESTION] {
 pub fn read_question(bytes: &[u8; QUESTION]) -> Result<u64, Wrong> {
     match check(bytes) {
         Err(Wrong::Magic) => Err(Wrong::Magic),
-        Ok(()) | Err(Wrong::Version(_)) => Ok(u64::from_le_bytes(eight(bytes, 8))),
+        Ok(()) | Err(Wrong::Version(_)) => Ok(u64::from_le_bytes(part(bytes, 8))),
     }
 }
 
@@ -126,11 +116,11 @@ impl Answer {
     /// It is none, or another version's.
     pub fn read(bytes: &[u8; ANSWER]) -> Result<Self, Wrong> {
         check(bytes)?;
-        let temperature = i32::from_le_bytes(four(bytes, 32));
+        let temperature = i32::from_le_bytes(part(bytes, 32));
         Ok(Self {
-            nonce: u64::from_le_bytes(eight(bytes, 8)),
-            boot_ns: i64::from_le_bytes(eight(bytes, 16)),
-            monotonic_ns: i64::from_le_bytes(eight(bytes, 24)),
+            nonce: u64::from_le_bytes(part(bytes, 8)),
+            boot_ns: i64::from_le_bytes(part(bytes, 16)),
+            monotonic_ns: i64::from_le_bytes(part(bytes, 24)),
             temperature: Some(temperature).filter(|&celsius| celsius != NO_TEMPERATURE),
         })
     }
