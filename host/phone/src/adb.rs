@@ -237,13 +237,10 @@ impl<'a> Adb<'a> {
 
     /// The one phone that is ready.
     pub(crate) fn only_device(&self) -> Result<String, AdbError> {
-        let mut devices = ready(&self.run(&["devices"], Some(PATIENCE))?)?;
-        match devices.pop() {
-            Some(device) if devices.is_empty() => Ok(device),
-            last => {
-                devices.extend(last);
-                Err(AdbError::SeveralDevices { devices })
-            }
+        let devices = ready(&self.run(&["devices"], Some(PATIENCE))?)?;
+        match <[String; 1]>::try_from(devices) {
+            Ok([device]) => Ok(device),
+            Err(devices) => Err(AdbError::SeveralDevices { devices }),
         }
     }
 

@@ -54,7 +54,8 @@ pub struct PhoneExchange {
     pub answer: Answer,
 }
 
-/// A program on the phone that tells its clocks. It ends when this is dropped.
+/// A program on the phone that tells its clocks. It ends by itself soon after this is
+/// dropped ([`phone_agent::PATIENCE_S`]).
 pub struct Agent {
     adb: PathBuf,
     device: String,
