@@ -489,13 +489,6 @@ impl Tracker {
         })
     }
 
-    /// Clock a at a time of the computer.
-    #[must_use]
-    pub fn a_at(&self, computer: f64) -> Option<f64> {
-        let (mean, _) = self.at(computer)?;
-        Some(computer + mean[X] + self.base[0]?)
-    }
-
     /// When a window of the clock was last taken, by the computer's clock.
     #[must_use]
     pub fn last_of(&self, asked: Asked) -> Option<f64> {
