@@ -194,18 +194,20 @@ struct Seen {
 }
 
 impl Leg {
-    /// Takes an exchange; gives the window that it ends, if it ends one.
-    fn take(&mut self, exchange: Exchange, base: f64, rate: f64) -> Option<Seen> {
-        let ended = match &mut self.window {
+    /// Takes an exchange; gives the best one of the window that it ends, if it ends one.
+    fn take(&mut self, exchange: Exchange) -> Option<Exchange> {
+        match &mut self.window {
             Some((end, best)) if exchange.sent < *end => {
                 if exchange.round_trip() < best.round_trip() {
                     *best = exchange;
                 }
-                return None;
+                None
             }
-            window => window.replace((exchange.sent + WINDOW_S, exchange)),
-        };
-        Some(self.end(ended?.1, base, rate))
+            window => {
+                let ended = window.replace((exchange.sent + WINDOW_S, exchange));
+                ended.map(|(_, best)| best)
+            }
+        }
     }
 
     fn end(&mut self, best: Exchange, base: f64, rate: f64) -> Seen {
@@ -367,10 +369,11 @@ impl Tracker {
         }
         let place = asked as usize;
         let base = *self.base[place].get_or_insert(exchange.stamp - exchange.middle());
-        let rate = self.rate_of(asked);
-        let Some(seen) = self.legs[place].take(exchange, base, rate) else {
+        let Some(best) = self.legs[place].take(exchange) else {
             return Taken::Kept;
         };
+        let rate = self.rate_of(asked);
+        let seen = self.legs[place].end(best, base, rate);
         self.see(asked, &seen)
     }
 
