@@ -29,10 +29,10 @@ const CATCH_UP_S: f64 = 10.0;
 
 /// The period changes by no more in a second, of itself. A crystal that warms up by 5 ppm in
 /// ten minutes moves by 0.04 ppm a second at most.
-pub const MOST_A_SECOND: f64 = 0.2e-6;
+const MOST_A_SECOND: f64 = 0.2e-6;
 
 /// And is never farther from the alignment's, of itself.
-pub const MOST_AWAY: f64 = 50e-6;
+const MOST_AWAY: f64 = 50e-6;
 
 /// The period follows so often, s.
 pub const STEP_EVERY_S: f64 = 2.0;
@@ -115,10 +115,7 @@ impl Steering {
     /// clocks.
     #[must_use]
     pub fn phase_s(&self, clock: &ClockModel, at: Ticks) -> f64 {
-        self.phase_of(clock, self.edge_from(at))
-    }
-
-    fn phase_of(&self, clock: &ClockModel, (number, position): (u64, u128)) -> f64 {
+        let (number, position) = self.edge_from(at);
         let ticks = position as f64 / Q32;
         let at = clock.to_phone(BoardSeconds(ticks / f64::from(TICK_HZ)));
         (at.0 - self.begin.0) - number as f64 * self.frame_s
