@@ -172,11 +172,7 @@ pub fn course_of_tracks(
     let between = b.epoch_s - a.epoch_s;
     let prior = prior.map(|prior| match prior {
         Prior::Offset(offset, margin) => Prior::Offset(offset - between, margin),
-        Prior::Relation(relation) => Prior::Relation(ClockRelation {
-            reference: relation.reference - a.epoch_s,
-            offset: relation.offset - between,
-            ..relation
-        }),
+        Prior::Relation(relation) => Prior::Relation(relation.moved(-a.epoch_s, -between)),
     });
     let (a_opened, b_opened) = (|| Ok(a.stream()), || Ok(b.stream()));
     let mut clock = estimate_course(&a_opened, &b_opened, prior, options, 1, &|_| {})?;
