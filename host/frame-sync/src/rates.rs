@@ -19,11 +19,9 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use recording::session_file::RateChange;
 use timebase::{BoardSeconds, ClockModel, Wander};
+use twist_sync::tracker::WARMING_S;
 
-/// Time in which a rig warms up, s. A guess.
-const WARMING_S: f64 = 300.0;
-
-/// 1-sigma of its logarithm: a factor of two.
+/// 1-sigma of the logarithm of [`WARMING_S`]: a factor of two.
 const WARMING_FACTOR_LN: f64 = std::f64::consts::LN_2;
 
 /// The time that a warming is stated of, s.

@@ -136,7 +136,7 @@ const RATES: f64 = 1e-4;
 const COMPUTER_WALK: f64 = 1e-6;
 
 /// Time in which a rig warms up, s. A guess.
-const WARMING_S: f64 = 300.0;
+pub const WARMING_S: f64 = 300.0;
 
 /// How the rate between the two clocks moves: its walk in one second, and the 1-sigma of
 /// its change, 1/s; equally likely at first. Plain crystals at rest, a rig that warms up by
