@@ -9,7 +9,7 @@
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use twist_sync::{
-    ClockCourse, ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, Report, Wander,
+    ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, RecordingClock, Report, Wander,
     Why, course_of_tracks, estimate_offset,
 };
 
@@ -250,39 +250,38 @@ fn estimate(
 
 /// The relation over whole recordings.
 #[pyclass(frozen)]
-struct Course {
-    course: ClockCourse,
-    estimates: Vec<ClockRelation>,
-    #[pyo3(get)]
-    windows: usize,
-}
+struct Course(RecordingClock);
 
 #[pymethods]
 impl Course {
     /// The relation at each of these times of clock a.
     fn at(&self, times: Vec<f64>) -> Vec<ClockOut> {
-        let there = times.iter().map(|&t| self.course.at(t));
+        let there = times.iter().map(|&t| self.0.course.at(t));
         there.map(|relation| ClockOut::from(&relation)).collect()
     }
 
     fn b_to_a(&self, times: Vec<f64>) -> Vec<f64> {
-        times.iter().map(|&t| self.course.b_to_a(t)).collect()
+        times.iter().map(|&t| self.0.course.b_to_a(t)).collect()
     }
 
     fn span(&self) -> (f64, f64) {
-        self.course.span()
+        self.0.course.span()
+    }
+
+    fn windows(&self) -> usize {
+        self.0.windows
     }
 
     fn used(&self) -> usize {
-        self.course.used
+        self.0.course.used
     }
 
     fn contradicting(&self) -> usize {
-        self.course.contradicting
+        self.0.course.contradicting
     }
 
     fn estimates(&self) -> Vec<ClockOut> {
-        self.estimates.iter().map(ClockOut::from).collect()
+        self.0.estimates.iter().map(ClockOut::from).collect()
     }
 }
 
@@ -301,14 +300,7 @@ fn course(
         .map(|(offset, width)| Prior::Offset(offset, width));
     let found = py.detach(|| course_of_tracks(&a, &b, prior, &options));
     Ok(match found {
-        Ok(clock) => {
-            let course = Course {
-                course: clock.course,
-                estimates: clock.estimates,
-                windows: clock.windows,
-            };
-            (Some(course), String::new())
-        }
+        Ok(clock) => (Some(Course(clock)), String::new()),
         Err(error) => (None, error.to_string()),
     })
 }

@@ -251,7 +251,7 @@ class Course:
         #: The estimates of the windows.
         self.estimates: list[Clock] = [_clock(e) for e in found.estimates()]
         #: Windows of a that were looked at, used, and left out as contradicting the rest.
-        self.windows: int = found.windows
+        self.windows: int = found.windows()
         self.used: int = found.used()
         self.contradicting: int = found.contradicting()
         #: First and last time of clock a with data, s.
