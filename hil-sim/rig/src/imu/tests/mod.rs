@@ -2,12 +2,16 @@ mod behaviour;
 mod families;
 mod other_driver;
 
+use super::config::DEGREES;
 use super::mpu::PULSE;
 use super::mpu::address::*;
 use super::*;
 use crate::motion::MotionSpec;
+use crate::oscillator::OscillatorConfig;
+use crate::random::Stream;
 use stm32f4_sim::i2c::{Ack, Direction, I2cTarget as _};
 use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::time::SimDuration;
 
 /// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
 /// at 500 Hz, low-pass 1, interrupt as a pulse.
