@@ -34,15 +34,6 @@ pub enum SensorModel {
 }
 
 impl SensorModel {
-    /// All of them.
-    pub const ALL: [Self; 5] = [
-        Self::Mpu9150,
-        Self::Mpu6050,
-        Self::Mpu6500,
-        Self::Mpu9250,
-        Self::Icm42688P,
-    ];
-
     /// What its maker calls it.
     #[must_use]
     pub const fn name(self) -> &'static str {
