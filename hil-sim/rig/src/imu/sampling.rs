@@ -291,7 +291,7 @@ impl Sampling {
                 self.last.gyro[axis] = quantise(rate, per_rad);
             }
         }
-        // The accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
+        // An MPU's accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
         let ratio = self.path.gyro_hz / self.path.accel_hz;
         let accel_tick = self.tick / ratio;
         if self.last_accel_tick != Some(accel_tick) {
