@@ -340,8 +340,12 @@ impl PinModel for SimImu {
     }
 
     fn inputs(&self) -> Vec<(Pin, f64)> {
-        // Inputs: 0.7 · VLOGIC and more (product specification, 6.4), of a breakout at 3.3 V.
-        vec![(wiring::IMU_CLOCK, 0.7 * 3.3)]
+        // 0.7 · VLOGIC and more (product specification, 6.4), of a breakout at 3.3 V.
+        let high = 0.7 * 3.3;
+        self.watched_pins()
+            .into_iter()
+            .map(|pin| (pin, high))
+            .collect()
     }
 
     fn power_on(&mut self, io: &mut PinIo<'_>) {
