@@ -6,9 +6,6 @@
 //! phone's frames.
 
 use std::fmt::Write as _;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context as _, Result};
 use evaluate::stats::{mean, quantile};
@@ -24,6 +21,8 @@ use rig::random::{Random, Seed, Stream};
 use stm32f4_sim::time::UNITS_PER_SECOND;
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
+
+use crate::workers;
 
 /// Board and phone are asked so often, s; at times that scatter by half of it.
 const ASKED_EVERY_S: [f64; 2] = [0.04, 0.02];
@@ -94,24 +93,13 @@ pub struct Study(Vec<(Arm, Session)>);
 ///
 /// A session has no alignment.
 pub fn study(options: &StudyOptions) -> Result<Study> {
-    let next = AtomicUsize::new(0);
-    let results = Mutex::new(Vec::new());
     let seeds = 0..u64::from(options.rigs);
     let seeds = seeds.map(|n| options.first_seed.wrapping_add(n));
     let plans: Vec<_> = seeds.flat_map(|seed| ARMS.map(|arm| (seed, arm))).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..options.jobs.max(1) {
-            scope.spawn(|| {
-                while let Some(&(seed, arm)) = plans.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let session = session(seed, arm, f64::from(options.seconds));
-                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    results.push(session.map(|session| (arm, session)));
-                }
-            });
-        }
+    let sessions = workers::each(&plans, options.jobs as usize, |&(seed, arm)| {
+        session(seed, arm, f64::from(options.seconds)).map(|session| (arm, session))
     });
-    let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.into_iter().collect::<Result<_>>().map(Study)
+    sessions.into_iter().collect::<Result<_>>().map(Study)
 }
 
 impl Study {
