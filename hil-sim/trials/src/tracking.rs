@@ -12,16 +12,17 @@ use evaluate::stats::{mean, quantile};
 use frame_sync::alignment::{phase_sigma_us_at, plan};
 use frame_sync::steering::{Link as Kind, STEP_EVERY_S, Steering, has_lock};
 use frame_sync::twists::Twists;
-use protocol::{TICK_HZ, Ticks};
+use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
 use rig::link_delay::{Link, LinkBeliefs};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
 use rig::random::{Random, Seed, Stream};
-use stm32f4_sim::time::UNITS_PER_SECOND;
+use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
+use crate::board_truth::UNITS_PER_TICK;
 use crate::workers;
 
 /// Board and phone are asked so often, s; at times that scatter by half of it.
@@ -52,7 +53,7 @@ pub struct StudyOptions {
 
 /// How the phone is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arm {
+enum Arm {
     /// Not at all: the period stays.
     None,
     /// By USB.
@@ -65,22 +66,22 @@ const ARMS: [Arm; 3] = [Arm::None, Arm::Usb, Arm::Wifi];
 
 /// One look at a phase.
 #[derive(Clone, Copy, Debug)]
-pub struct Look {
+struct Look {
     /// Depth less phone, µs.
-    pub error_us: f64,
+    error_us: f64,
     /// As stated, µs.
-    pub sigma_us: f64,
+    sigma_us: f64,
 }
 
 /// One session.
 #[derive(Clone, Debug)]
-pub struct Session {
+struct Session {
     /// Looks at its phase, in order.
-    pub looks: Vec<Look>,
+    looks: Vec<Look>,
     /// The largest change of the period in a step, ppm.
-    pub largest_step_ppm: f64,
+    largest_step_ppm: f64,
     /// After the phone was cut off for good: when that was told, s.
-    pub told_after_s: Option<f64>,
+    told_after_s: Option<f64>,
 }
 
 /// All sessions, of each arm.
@@ -111,16 +112,14 @@ impl Study {
     }
 
     /// 95th percentile of the size of the phase at any time, µs.
-    #[must_use]
-    pub fn phase_95_us(&self, arm: Arm) -> f64 {
+    fn phase_95_us(&self, arm: Arm) -> f64 {
         let looks = self.of(arm).flat_map(|session| &session.looks);
         let sizes: Vec<f64> = looks.map(|look| look.error_us.abs()).collect();
         quantile(&sizes, 0.95).unwrap_or(f64::NAN)
     }
 
     /// RMS of errors over their stated sigmas: 1 if those are honest.
-    #[must_use]
-    pub fn error_over_sigma(&self, arm: Arm) -> f64 {
+    fn error_over_sigma(&self, arm: Arm) -> f64 {
         let looks = self.of(arm).flat_map(|session| &session.looks);
         let squares: Vec<f64> = looks
             .map(|look| (look.error_us / look.sigma_us).powi(2))
@@ -129,8 +128,7 @@ impl Study {
     }
 
     /// The longest that a phone that was cut off was not missed, s.
-    #[must_use]
-    pub fn told_after_s(&self, arm: Arm) -> Option<f64> {
+    fn told_after_s(&self, arm: Arm) -> Option<f64> {
         let told: Option<Vec<f64>> = self.of(arm).map(|session| session.told_after_s).collect();
         told?.into_iter().reduce(f64::max)
     }
@@ -182,7 +180,7 @@ fn clock(seed: Seed, stream: Stream, rates_ppm: f64, random: &mut Random) -> Osc
 }
 
 fn true_time(seconds: f64) -> TrueTime {
-    TrueTime::from_units((seconds * UNITS_PER_SECOND as f64) as u64)
+    TrueTime::from_units(SimDuration::from_secs_f64(seconds).units())
 }
 
 fn read(clock: &Oscillator, at: f64) -> f64 {
@@ -307,8 +305,8 @@ fn align(
 impl Frames {
     /// The nearest edge's time less that of its frame, µs, in the phone's true time.
     fn error_us(&self, clocks: &Clocks, edge: (u64, u128)) -> Result<f64> {
-        let per_tick = u128::from(UNITS_PER_SECOND / u64::from(TICK_HZ));
-        let units = u64::try_from((edge.1 * per_tick) >> 32).context("an edge beyond all time")?;
+        let units = (edge.1 * u128::from(UNITS_PER_TICK)) >> 32;
+        let units = u64::try_from(units).context("an edge beyond all time")?;
         let at = clocks.board.when_elapsed(units);
         let phone = clocks.phone.elapsed_at(at) as f64 / UNITS_PER_SECOND as f64;
         Ok((phone - self.first - edge.0 as f64 * self.period_ns * 1e-9) * 1e6)

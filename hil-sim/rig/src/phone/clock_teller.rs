@@ -16,7 +16,7 @@ use super::app::App;
 use crate::link_delay::{Link, LinkBeliefs};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
-use stm32f4_sim::time::UNITS_PER_SECOND;
+use stm32f4_sim::time::SimDuration;
 
 /// Tells the clocks until it is dropped.
 #[derive(Debug)]
@@ -100,8 +100,8 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
             continue;
         };
         let later = |from: TrueTime, by: f64| {
-            let units = (by * UNITS_PER_SECOND as f64) as u64;
-            TrueTime::from_units(from.units().saturating_add(units))
+            let by = SimDuration::from_secs_f64(by).units();
+            TrueTime::from_units(from.units().saturating_add(by))
         };
         let read_at = later(asked, there);
         if clock.wait_until(later(read_at, back)).is_err() {
