@@ -75,11 +75,14 @@ fn serve(
     open: &Mutex<Option<TcpStream>>,
 ) {
     for stream in listener.incoming() {
+        if let Ok(stream) = &stream {
+            *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
+        }
+        // Looked at behind that: whoever stops it shuts what is open by then.
         if stop.load(Ordering::SeqCst) {
             return;
         }
         let Ok(stream) = stream else { continue };
-        *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
         // A host that has gone is no reason to end.
         let _ = answer(stream, app, &mut link);
     }
