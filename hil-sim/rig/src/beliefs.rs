@@ -9,7 +9,7 @@
 
 use crate::oscillator::{OscillatorConfig, Warming};
 use crate::phone::PhoneConfig;
-use crate::random::{Random, Seed, Stream};
+use crate::random::{Random, Seed, Stream, log_uniform};
 use crate::rig_config::RigConfig;
 use stm32f4_sim::time::SimDuration;
 
@@ -344,9 +344,9 @@ impl Belief {
         let (least, most) = self.range;
         match self.draw {
             Draw::Even => random.uniform(least, most),
-            Draw::Log => random.uniform(least.ln(), most.ln()).exp(),
+            Draw::Log => log_uniform(random, self.range),
             Draw::EitherSign => {
-                let size = random.uniform(least.ln(), most.ln()).exp();
+                let size = log_uniform(random, self.range);
                 if random.chance(0.5) { size } else { -size }
             }
             Draw::Whole => random.uniform(least, most + 1.0).floor().min(most),

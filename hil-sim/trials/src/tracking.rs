@@ -17,7 +17,7 @@ use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
 use rig::link_delay::{Link, LinkBeliefs};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
-use rig::random::{Random, Seed, Stream};
+use rig::random::{Random, Seed, Stream, log_uniform};
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
@@ -160,20 +160,16 @@ impl Study {
     }
 }
 
-fn log(random: &mut Random, from: f64, to: f64) -> f64 {
-    random.uniform(from.ln(), to.ln()).exp()
-}
-
 /// A clock of a rig that warms up, drawn from the ranges of the page of beliefs.
 fn clock(seed: Seed, stream: Stream, rates_ppm: f64, random: &mut Random) -> Oscillator {
     let sign = if random.chance(0.5) { 1.0 } else { -1.0 };
     let config = OscillatorConfig {
         offset_ns: 0,
         rate_ppm: random.uniform(-rates_ppm, rates_ppm),
-        wander: log(random, 0.0005e-6, 0.01e-6),
+        wander: log_uniform(random, (0.0005e-6, 0.01e-6)),
         warming: Warming {
-            ppm: sign * log(random, 0.1, 5.0),
-            time_s: log(random, 120.0, 1_200.0),
+            ppm: sign * log_uniform(random, (0.1, 5.0)),
+            time_s: log_uniform(random, (120.0, 1_200.0)),
         },
     };
     Oscillator::new(config, seed.stream(stream))
@@ -202,12 +198,12 @@ impl Clocks {
         let board = clock(seed, Stream::BoardClock, 30.0, random);
         let phone = clock(seed, Stream::PhoneClock, 50.0, random);
         let computer = clock(seed, Stream::ComputerClock, 50.0, random);
-        let ppm = log(random, 0.1, 10.0);
+        let ppm = log_uniform(random, (0.1, 10.0));
         let mut steered = vec![(0.0, 0.0, 0.0)];
         let (mut at, mut made) = (0.0, 0.0);
         while at < until {
             let before = steered[steered.len() - 1].1;
-            let length = log(random, 32.0, 1_024.0);
+            let length = log_uniform(random, (32.0, 1_024.0));
             (at, made) = (at + length, made + before * length);
             steered.push((at, ppm * 1e-6 * random.normal(), made));
         }
@@ -252,8 +248,8 @@ struct Frames {
 fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockModel {
     let reference = read(&clocks.board, at);
     let offset = |at| read(&clocks.phone, at) - read(&clocks.board, at);
-    let sigma = log(random, 2e-6, 6e-6);
-    let skew_sigma = log(random, 0.3e-6, 0.9e-6);
+    let sigma = log_uniform(random, (2e-6, 6e-6));
+    let skew_sigma = log_uniform(random, (0.3e-6, 0.9e-6));
     ClockModel {
         reference: BoardSeconds(reference),
         offset: offset(at) + sigma * random.normal(),
@@ -271,7 +267,7 @@ fn align(
     random: &mut Random,
 ) -> Result<(Alignment, Frames)> {
     let period_ns = 1e9 / 30.0 * (1.0 + 1e-4 * random.uniform(-1.0, 1.0));
-    let sigma_ns = log(random, 0.005, 0.05);
+    let sigma_ns = log_uniform(random, (0.005, 0.05));
     let mut profile = Profile::published()?;
     profile.phone.learnt = Some(Learnt {
         frame_period_ns: period_ns + sigma_ns * random.normal(),
