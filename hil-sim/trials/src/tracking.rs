@@ -15,6 +15,7 @@ use frame_sync::twists::Twists;
 use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
+use rig::beliefs::{WANDER_PPM, WARMING_PPM, WARMING_S};
 use rig::link_delay::{Link, LinkBeliefs};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
 use rig::random::{Random, Seed, Stream, log_uniform};
@@ -166,10 +167,10 @@ fn clock(seed: Seed, stream: Stream, rates_ppm: f64, random: &mut Random) -> Osc
     let config = OscillatorConfig {
         offset_ns: 0,
         rate_ppm: random.uniform(-rates_ppm, rates_ppm),
-        wander: log_uniform(random, (0.0005e-6, 0.01e-6)),
+        wander: 1e-6 * log_uniform(random, WANDER_PPM),
         warming: Warming {
-            ppm: sign * log_uniform(random, (0.1, 5.0)),
-            time_s: log_uniform(random, (120.0, 1_200.0)),
+            ppm: sign * log_uniform(random, WARMING_PPM),
+            time_s: log_uniform(random, WARMING_S),
         },
     };
     Oscillator::new(config, seed.stream(stream))
