@@ -9,7 +9,7 @@
 
 use crate::oscillator::{OscillatorConfig, Warming};
 use crate::phone::PhoneConfig;
-use crate::random::{Random, Seed, Stream};
+use crate::random::{Random, Seed, Stream, log_uniform};
 use crate::rig_config::RigConfig;
 use stm32f4_sim::time::SimDuration;
 
@@ -44,25 +44,34 @@ pub struct Belief {
 
 const LONGEST_EXPOSURE: &str = "longest exposure";
 
+/// By how much a clock warms up, ppm in 10 min, with either sign.
+pub const WARMING_PPM: (f64, f64) = (0.1, 5.0);
+
+/// In what time, s.
+pub const WARMING_S: (f64, f64) = (120.0, 1_200.0);
+
+/// How a clock wanders, ppm per √s.
+pub const WANDER_PPM: (f64, f64) = (0.0005, 0.01);
+
 /// All of them.
 pub const BELIEFS: [Belief; 25] = [
     either_sign(
         "warming of the board's crystal",
-        (0.1, 5.0),
+        WARMING_PPM,
         |ppm, rig, _| {
             rig.board_clock.warming.ppm = ppm;
         },
     ),
     either_sign(
         "warming of the phone's clock",
-        (0.1, 5.0),
+        WARMING_PPM,
         |ppm, _, phone| {
             phone.clock.warming.ppm = ppm;
         },
     ),
     either_sign(
         "warming of the camera's clock",
-        (0.1, 5.0),
+        WARMING_PPM,
         |ppm, rig, _| {
             camera(rig, |camera| camera.clock.warming.ppm = ppm);
         },
@@ -71,7 +80,7 @@ pub const BELIEFS: [Belief; 25] = [
         "time in which a rig warms up",
         "s",
         Warming::SPAN_S,
-        (120.0, 1_200.0),
+        WARMING_S,
         |time_s, rig, phone| {
             each_clock(rig, phone, |clock| clock.warming.time_s = time_s);
         },
@@ -80,7 +89,7 @@ pub const BELIEFS: [Belief; 25] = [
         "wander of a clock",
         "ppm per √s",
         0.001,
-        (0.0005, 0.01),
+        WANDER_PPM,
         |ppm, rig, phone| {
             each_clock(rig, phone, |clock| clock.wander = ppm * 1e-6);
         },
@@ -344,9 +353,9 @@ impl Belief {
         let (least, most) = self.range;
         match self.draw {
             Draw::Even => random.uniform(least, most),
-            Draw::Log => random.uniform(least.ln(), most.ln()).exp(),
+            Draw::Log => log_uniform(random, self.range),
             Draw::EitherSign => {
-                let size = random.uniform(least.ln(), most.ln()).exp();
+                let size = log_uniform(random, self.range);
                 if random.chance(0.5) { size } else { -size }
             }
             Draw::Whole => random.uniform(least, most + 1.0).floor().min(most),

@@ -7,7 +7,9 @@
 //! # What is modelled, and from where
 //!
 //! The vendor documents the electrical side and the nominal timing; the rest is
-//! from reports of users, or not known and therefore a setting.
+//! from reports of users, or not known and therefore a setting. What follows is the Azure
+//! Kinect's; what other cameras ([`Family`]) do otherwise is in their settings: the pulse, the
+//! delay, a shutter, and whether they go on when the pulses stop.
 //!
 //! - A pulse counts if it is high for *longer* than 8 µs (vendor). It is known
 //!   to be one at the moment it exceeds that.

@@ -7,7 +7,7 @@
 //! it is drawn from ranges: nobody has measured it with a rig like this one, and the page of
 //! beliefs has a row for each.
 
-use crate::random::Random;
+use crate::random::{Random, log_uniform};
 
 /// What a link is like.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,10 +102,6 @@ fn even(random: &mut Random, (from, to): (f64, f64)) -> f64 {
     random.uniform(from, to)
 }
 
-fn log(random: &mut Random, (from, to): (f64, f64)) -> f64 {
-    (even(random, (from.ln(), to.ln()))).exp()
-}
-
 /// How long until something happens that happens so often.
 fn waiting(random: &mut Random, between: f64) -> f64 {
     -between * (1.0 - random.uniform(0.0, 1.0)).ln()
@@ -116,10 +112,10 @@ impl Link {
     #[must_use]
     pub fn drawn(beliefs: &LinkBeliefs, mut random: Random) -> Self {
         let r = &mut random;
-        let median = log(r, beliefs.median);
+        let median = log_uniform(r, beliefs.median);
         let least = median * even(r, beliefs.least);
         let there = even(r, beliefs.there);
-        let jitter = log(r, beliefs.jitter);
+        let jitter = log_uniform(r, beliefs.jitter);
         let between = |per_hour: f64| 3_600.0 / per_hour.max(1e-6);
         let between = (
             between(even(r, beliefs.steps)),
@@ -131,9 +127,9 @@ impl Link {
             jitter,
             body: ((median - least) / 2.0, even(r, (0.4, 1.0))),
             waits: even(r, (0.5, 0.9)),
-            tailed: log(r, beliefs.tailed),
-            tail: log(r, beliefs.tail),
-            wander: ([0.0; 2], wander, log(r, (30.0, 600.0))),
+            tailed: log_uniform(r, beliefs.tailed),
+            tail: log_uniform(r, beliefs.tail),
+            wander: ([0.0; 2], wander, log_uniform(r, (30.0, 600.0))),
             between,
             step: beliefs.step,
             silence: beliefs.silence,
@@ -148,7 +144,7 @@ impl Link {
 
     fn next_silence(&mut self, after: f64) -> (f64, f64) {
         let from = after + waiting(&mut self.random, self.between.1);
-        (from, from + log(&mut self.random, self.silence))
+        (from, from + log_uniform(&mut self.random, self.silence))
     }
 
     /// The way there and back of a question that is asked at this time, s; nothing if it
@@ -167,7 +163,7 @@ impl Link {
 
     /// The least of both ways becomes another: of one, of the other or of both.
     fn step(&mut self) {
-        let factor = log(&mut self.random, self.step);
+        let factor = log_uniform(&mut self.random, self.step);
         let round = self.least[0] + self.least[1];
         let longer = match self.random.chance(0.5) {
             true => round * (factor - 1.0),

@@ -73,6 +73,11 @@ pub fn rotation(random: &mut Random) -> nalgebra::Rotation3<f64> {
         .to_rotation_matrix()
 }
 
+/// Between two numbers, even in its logarithm.
+pub fn log_uniform(random: &mut Random, (from, to): (f64, f64)) -> f64 {
+    random.uniform(from.ln(), to.ln()).exp()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

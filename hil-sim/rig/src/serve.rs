@@ -141,11 +141,12 @@ pub fn run(args: &Args) -> Result<()> {
     let mut config = RigConfig::published(Seed(args.seed))
         .with_motion(args.motion.clone())
         .with_imu(args.imu);
+    config.board = args.board;
     if args.bring_up {
         config.depth_camera = None;
     }
     let parts = config.build()?;
-    let mut builder = parts.wire(wiring::board_of(args.board));
+    let mut builder = parts.wire(wiring::board_of(parts.config.board));
     if args.bring_up {
         let jumpers = Arc::new(Mutex::new(Jumpers::default()));
         builder = builder.model(Arc::clone(&jumpers));

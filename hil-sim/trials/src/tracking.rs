@@ -6,24 +6,25 @@
 //! phone's frames.
 
 use std::fmt::Write as _;
-use std::sync::Mutex;
-use std::sync::PoisonError;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context as _, Result};
 use evaluate::stats::{mean, quantile};
 use frame_sync::alignment::{phase_sigma_us_at, plan};
 use frame_sync::steering::{Link as Kind, STEP_EVERY_S, Steering, has_lock};
 use frame_sync::twists::Twists;
-use protocol::{TICK_HZ, Ticks};
+use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
 use recording::session_file::{Alignment, Video};
+use rig::beliefs::{WANDER_PPM, WARMING_PPM, WARMING_S};
 use rig::link_delay::{Link, LinkBeliefs};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
-use rig::random::{Random, Seed, Stream};
-use stm32f4_sim::time::UNITS_PER_SECOND;
+use rig::random::{Random, Seed, Stream, log_uniform};
+use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
+
+use crate::board_truth::UNITS_PER_TICK;
+use crate::workers;
 
 /// Board and phone are asked so often, s; at times that scatter by half of it.
 const ASKED_EVERY_S: [f64; 2] = [0.04, 0.02];
@@ -53,7 +54,7 @@ pub struct StudyOptions {
 
 /// How the phone is reached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Arm {
+enum Arm {
     /// Not at all: the period stays.
     None,
     /// By USB.
@@ -66,22 +67,22 @@ const ARMS: [Arm; 3] = [Arm::None, Arm::Usb, Arm::Wifi];
 
 /// One look at a phase.
 #[derive(Clone, Copy, Debug)]
-pub struct Look {
+struct Look {
     /// Depth less phone, µs.
-    pub error_us: f64,
+    error_us: f64,
     /// As stated, µs.
-    pub sigma_us: f64,
+    sigma_us: f64,
 }
 
 /// One session.
 #[derive(Clone, Debug)]
-pub struct Session {
+struct Session {
     /// Looks at its phase, in order.
-    pub looks: Vec<Look>,
+    looks: Vec<Look>,
     /// The largest change of the period in a step, ppm.
-    pub largest_step_ppm: f64,
+    largest_step_ppm: f64,
     /// After the phone was cut off for good: when that was told, s.
-    pub told_after_s: Option<f64>,
+    told_after_s: Option<f64>,
 }
 
 /// All sessions, of each arm.
@@ -94,24 +95,13 @@ pub struct Study(Vec<(Arm, Session)>);
 ///
 /// A session has no alignment.
 pub fn study(options: &StudyOptions) -> Result<Study> {
-    let next = AtomicUsize::new(0);
-    let results = Mutex::new(Vec::new());
     let seeds = 0..u64::from(options.rigs);
     let seeds = seeds.map(|n| options.first_seed.wrapping_add(n));
     let plans: Vec<_> = seeds.flat_map(|seed| ARMS.map(|arm| (seed, arm))).collect();
-    std::thread::scope(|scope| {
-        for _ in 0..options.jobs.max(1) {
-            scope.spawn(|| {
-                while let Some(&(seed, arm)) = plans.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let session = session(seed, arm, f64::from(options.seconds));
-                    let mut results = results.lock().unwrap_or_else(PoisonError::into_inner);
-                    results.push(session.map(|session| (arm, session)));
-                }
-            });
-        }
+    let sessions = workers::each(&plans, options.jobs as usize, |&(seed, arm)| {
+        session(seed, arm, f64::from(options.seconds)).map(|session| (arm, session))
     });
-    let results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
-    results.into_iter().collect::<Result<_>>().map(Study)
+    sessions.into_iter().collect::<Result<_>>().map(Study)
 }
 
 impl Study {
@@ -123,16 +113,14 @@ impl Study {
     }
 
     /// 95th percentile of the size of the phase at any time, µs.
-    #[must_use]
-    pub fn phase_95_us(&self, arm: Arm) -> f64 {
+    fn phase_95_us(&self, arm: Arm) -> f64 {
         let looks = self.of(arm).flat_map(|session| &session.looks);
         let sizes: Vec<f64> = looks.map(|look| look.error_us.abs()).collect();
         quantile(&sizes, 0.95).unwrap_or(f64::NAN)
     }
 
     /// RMS of errors over their stated sigmas: 1 if those are honest.
-    #[must_use]
-    pub fn error_over_sigma(&self, arm: Arm) -> f64 {
+    fn error_over_sigma(&self, arm: Arm) -> f64 {
         let looks = self.of(arm).flat_map(|session| &session.looks);
         let squares: Vec<f64> = looks
             .map(|look| (look.error_us / look.sigma_us).powi(2))
@@ -141,8 +129,7 @@ impl Study {
     }
 
     /// The longest that a phone that was cut off was not missed, s.
-    #[must_use]
-    pub fn told_after_s(&self, arm: Arm) -> Option<f64> {
+    fn told_after_s(&self, arm: Arm) -> Option<f64> {
         let told: Option<Vec<f64>> = self.of(arm).map(|session| session.told_after_s).collect();
         told?.into_iter().reduce(f64::max)
     }
@@ -174,27 +161,23 @@ impl Study {
     }
 }
 
-fn log(random: &mut Random, from: f64, to: f64) -> f64 {
-    random.uniform(from.ln(), to.ln()).exp()
-}
-
 /// A clock of a rig that warms up, drawn from the ranges of the page of beliefs.
 fn clock(seed: Seed, stream: Stream, rates_ppm: f64, random: &mut Random) -> Oscillator {
     let sign = if random.chance(0.5) { 1.0 } else { -1.0 };
     let config = OscillatorConfig {
         offset_ns: 0,
         rate_ppm: random.uniform(-rates_ppm, rates_ppm),
-        wander: log(random, 0.0005e-6, 0.01e-6),
+        wander: 1e-6 * log_uniform(random, WANDER_PPM),
         warming: Warming {
-            ppm: sign * log(random, 0.1, 5.0),
-            time_s: log(random, 120.0, 1_200.0),
+            ppm: sign * log_uniform(random, WARMING_PPM),
+            time_s: log_uniform(random, WARMING_S),
         },
     };
     Oscillator::new(config, seed.stream(stream))
 }
 
 fn true_time(seconds: f64) -> TrueTime {
-    TrueTime::from_units((seconds * UNITS_PER_SECOND as f64) as u64)
+    TrueTime::from_units(SimDuration::from_secs_f64(seconds).units())
 }
 
 fn read(clock: &Oscillator, at: f64) -> f64 {
@@ -216,12 +199,12 @@ impl Clocks {
         let board = clock(seed, Stream::BoardClock, 30.0, random);
         let phone = clock(seed, Stream::PhoneClock, 50.0, random);
         let computer = clock(seed, Stream::ComputerClock, 50.0, random);
-        let ppm = log(random, 0.1, 10.0);
+        let ppm = log_uniform(random, (0.1, 10.0));
         let mut steered = vec![(0.0, 0.0, 0.0)];
         let (mut at, mut made) = (0.0, 0.0);
         while at < until {
             let before = steered[steered.len() - 1].1;
-            let length = log(random, 32.0, 1_024.0);
+            let length = log_uniform(random, (32.0, 1_024.0));
             (at, made) = (at + length, made + before * length);
             steered.push((at, ppm * 1e-6 * random.normal(), made));
         }
@@ -266,8 +249,8 @@ struct Frames {
 fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockModel {
     let reference = read(&clocks.board, at);
     let offset = |at| read(&clocks.phone, at) - read(&clocks.board, at);
-    let sigma = log(random, 2e-6, 6e-6);
-    let skew_sigma = log(random, 0.3e-6, 0.9e-6);
+    let sigma = log_uniform(random, (2e-6, 6e-6));
+    let skew_sigma = log_uniform(random, (0.3e-6, 0.9e-6));
     ClockModel {
         reference: BoardSeconds(reference),
         offset: offset(at) + sigma * random.normal(),
@@ -285,7 +268,7 @@ fn align(
     random: &mut Random,
 ) -> Result<(Alignment, Frames)> {
     let period_ns = 1e9 / 30.0 * (1.0 + 1e-4 * random.uniform(-1.0, 1.0));
-    let sigma_ns = log(random, 0.005, 0.05);
+    let sigma_ns = log_uniform(random, (0.005, 0.05));
     let mut profile = Profile::published()?;
     profile.phone.learnt = Some(Learnt {
         frame_period_ns: period_ns + sigma_ns * random.normal(),
@@ -319,8 +302,8 @@ fn align(
 impl Frames {
     /// The nearest edge's time less that of its frame, µs, in the phone's true time.
     fn error_us(&self, clocks: &Clocks, edge: (u64, u128)) -> Result<f64> {
-        let per_tick = u128::from(UNITS_PER_SECOND / u64::from(TICK_HZ));
-        let units = u64::try_from((edge.1 * per_tick) >> 32).context("an edge beyond all time")?;
+        let units = (edge.1 * u128::from(UNITS_PER_TICK)) >> 32;
+        let units = u64::try_from(units).context("an edge beyond all time")?;
         let at = clocks.board.when_elapsed(units);
         let phone = clocks.phone.elapsed_at(at) as f64 / UNITS_PER_SECOND as f64;
         Ok((phone - self.first - edge.0 as f64 * self.period_ns * 1e-9) * 1e6)

@@ -3,7 +3,7 @@
 //! so that nothing can rely on it.
 
 use super::{DepthCameraConfig, DepthMode};
-use crate::random::{Random, Seed, Stream};
+use crate::random::{Seed, Stream};
 use stm32f4_sim::time::SimDuration;
 
 /// A family.
@@ -53,14 +53,12 @@ impl Family {
     /// Such a camera instead of another: its clock and losses stay.
     #[must_use]
     pub fn of(self, camera: DepthCameraConfig, seed: Seed) -> DepthCameraConfig {
-        if self == Self::AzureKinect {
-            return camera;
-        }
         let mut random = seed.stream(Stream::DepthFamily);
+        let mut draw = |(from, to): (f64, f64)| random.uniform(from, to);
         let other = DepthCameraConfig {
             // 100 µs by all makers; what they see below that is not known.
-            shortest_pulse: micros(&mut random, 60.0, 99.0),
-            first_frame: random.uniform(1.0, 5.0) as u32,
+            shortest_pulse: micros(draw((60.0, 99.0))),
+            first_frame: draw((1.0, 5.0)) as u32,
             photodiode: false,
             ..camera
         };
@@ -68,46 +66,38 @@ impl Family {
             Self::AzureKinect => camera,
             // When its first flash comes is not published.
             Self::Femto => DepthCameraConfig {
-                flash_delay: micros(&mut random, 350.0, 4_000.0),
+                flash_delay: micros(draw((350.0, 4_000.0))),
                 ..other
             },
-            Self::Gemini330 => stereo(other, micros(&mut random, 150.0, 1_500.0), &mut random),
+            Self::Gemini330 => shutter(other, draw((150.0, 1_500.0)), draw(EXPOSURE_US)),
             // 790 µs (librealsense #9220).
-            Self::RealSense => stereo(other, micros(&mut random, 740.0, 840.0), &mut random),
+            Self::RealSense => shutter(other, draw((740.0, 840.0)), draw(EXPOSURE_US)),
             // The exposure ends with the next pulse, more or less.
             Self::Oak => {
-                let exposure_us = random.uniform(2_000.0, 12_000.0);
-                let before_us = random.uniform(50.0, 1_000.0);
+                let exposure_us = draw(EXPOSURE_US);
+                let before_us = draw((50.0, 1_000.0));
                 let begins_us = 1e6 / f64::from(camera.fps) - before_us - exposure_us;
-                DepthCameraConfig {
-                    mode: DepthMode::Shutter {
-                        exposure: SimDuration::from_nanos((exposure_us * 1e3) as u64),
-                    },
-                    flash_delay: SimDuration::from_nanos((begins_us * 1e3) as u64),
-                    free_runs: false,
-                    ..other
-                }
+                shutter(other, begins_us, exposure_us)
             }
         }
     }
 }
 
+/// How long a shutter is open, µs.
+const EXPOSURE_US: (f64, f64) = (2_000.0, 12_000.0);
+
 /// One that waits for each pulse, and whose exposure is set.
-fn stereo(
-    camera: DepthCameraConfig,
-    begins: SimDuration,
-    random: &mut Random,
-) -> DepthCameraConfig {
+fn shutter(camera: DepthCameraConfig, begins_us: f64, exposure_us: f64) -> DepthCameraConfig {
     DepthCameraConfig {
         mode: DepthMode::Shutter {
-            exposure: micros(random, 2_000.0, 12_000.0),
+            exposure: micros(exposure_us),
         },
-        flash_delay: begins,
+        flash_delay: micros(begins_us),
         free_runs: false,
         ..camera
     }
 }
 
-fn micros(random: &mut Random, from: f64, to: f64) -> SimDuration {
-    SimDuration::from_nanos((random.uniform(from, to) * 1e3) as u64)
+fn micros(us: f64) -> SimDuration {
+    SimDuration::from_nanos((us * 1e3) as u64)
 }

@@ -6,7 +6,7 @@
 //! frequency of the table in 5.5, which the data sheet gives to 0.1 ms; notch and anti-alias
 //! filter, whose delays it does not give, add nothing.
 
-use super::log::Values;
+use super::log::{Values, bytes_of};
 use super::map::{InterruptPin, Measuring, RegisterMap, SignalPath, Source, Stored};
 use crate::inertial_channel::LowPass;
 use stm32f4_sim::time::SimDuration;
@@ -313,12 +313,7 @@ impl RegisterMap for IcmRegisters {
         let kept = |value: i16| if all { value } else { value.max(-32_766) };
         let [ax, ay, az] = values.accel.map(kept);
         let [gx, gy, gz] = values.gyro.map(kept);
-        let mut bytes = [0; 14];
-        let words = [values.temperature, ax, ay, az, gx, gy, gz];
-        for (pair, word) in bytes.chunks_exact_mut(2).zip(words) {
-            pair.copy_from_slice(&word.to_be_bytes());
-        }
-        bytes
+        bytes_of([values.temperature, ax, ay, az, gx, gy, gz])
     }
 
     fn no_data(&self) -> [u8; 14] {

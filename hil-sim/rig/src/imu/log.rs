@@ -20,7 +20,7 @@ pub struct SampleRecord {
     pub values: Values,
 }
 
-/// The 14 bytes from ACCEL_XOUT_H on, as seven numbers.
+/// What a sample measured, as seven numbers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Values {
     /// Acceleration, in counts.
@@ -32,18 +32,22 @@ pub struct Values {
 }
 
 impl Values {
-    /// As the registers hold them: high byte first.
+    /// The 14 bytes from ACCEL_XOUT_H of an MPU on.
     #[must_use]
     pub fn bytes(&self) -> [u8; 14] {
         let [ax, ay, az] = self.accel;
         let [gx, gy, gz] = self.gyro;
-        let mut bytes = [0; 14];
-        let words = [ax, ay, az, self.temperature, gx, gy, gz];
-        for (pair, word) in bytes.chunks_exact_mut(2).zip(words) {
-            pair.copy_from_slice(&word.to_be_bytes());
-        }
-        bytes
+        bytes_of([ax, ay, az, self.temperature, gx, gy, gz])
     }
+}
+
+/// Numbers as registers hold them: high byte first.
+pub(super) fn bytes_of(words: [i16; 7]) -> [u8; 14] {
+    let mut bytes = [0; 14];
+    for (pair, word) in bytes.chunks_exact_mut(2).zip(words) {
+        pair.copy_from_slice(&word.to_be_bytes());
+    }
+    bytes
 }
 
 /// Samples that were logged, oldest first.

@@ -50,45 +50,45 @@ pub mod address {
 }
 
 /// Bits of INT_PIN_CFG (register 55).
-pub(crate) mod int_pin {
+mod int_pin {
     /// Active low.
-    pub(crate) const INT_LEVEL: u8 = 0x80;
+    pub(super) const INT_LEVEL: u8 = 0x80;
     /// Open drain.
-    pub(crate) const INT_OPEN: u8 = 0x40;
+    pub(super) const INT_OPEN: u8 = 0x40;
     /// Held until cleared, instead of a pulse of 50 µs.
-    pub(crate) const LATCH_INT_EN: u8 = 0x20;
+    pub(super) const LATCH_INT_EN: u8 = 0x20;
     /// Any read clears, instead of a read of INT_STATUS only.
-    pub(crate) const INT_RD_CLEAR: u8 = 0x10;
+    pub(super) const INT_RD_CLEAR: u8 = 0x10;
 }
 
 /// DATA_RDY_EN of INT_ENABLE and DATA_RDY_INT of INT_STATUS.
-pub(crate) const DATA_RDY: u8 = 0x01;
+const DATA_RDY: u8 = 0x01;
 
 /// Bits of PWR_MGMT_1 (register 107).
-pub mod power {
+mod power {
     /// Resets all registers; clears itself.
-    pub(crate) const DEVICE_RESET: u8 = 0x80;
+    pub(super) const DEVICE_RESET: u8 = 0x80;
     /// Low-power sleep.
-    pub(crate) const SLEEP: u8 = 0x40;
+    pub(super) const SLEEP: u8 = 0x40;
     /// Wakes from time to time.
-    pub(crate) const CYCLE: u8 = 0x20;
+    pub(super) const CYCLE: u8 = 0x20;
     /// Temperature sensor off.
-    pub(crate) const TEMP_DIS: u8 = 0x08;
+    pub(super) const TEMP_DIS: u8 = 0x08;
     /// Clock source.
-    pub(crate) const CLKSEL: u8 = 0x07;
+    pub(super) const CLKSEL: u8 = 0x07;
 }
 
 /// SIG_COND_RESET of USER_CTRL (register 106): resets signal paths and sensor registers.
-pub(crate) const SIG_COND_RESET: u8 = 0x01;
+const SIG_COND_RESET: u8 = 0x01;
 
 /// Number of registers that have an address.
-pub(crate) const REGISTERS: usize = 128;
+const REGISTERS: usize = 128;
 
 /// Length of the data-ready pulse if it is not latched (register 55).
-pub const PULSE: SimDuration = SimDuration::from_micros(50);
+pub(super) const PULSE: SimDuration = SimDuration::from_micros(50);
 
 /// Nominal frequency of the external reference, in Hz (register 107).
-pub(super) const REFERENCE_HZ: u64 = 19_200_000;
+const REFERENCE_HZ: u64 = 19_200_000;
 
 /// Internal samples of the accelerometer a second (4.2): always 1 kHz.
 const ACCEL_HZ: u64 = 1000;
@@ -158,8 +158,7 @@ fn accel_pass_9250(config_2: u8) -> Pass {
 }
 
 /// Counts per degree a second at a GYRO_CONFIG (4.4).
-#[must_use]
-pub(crate) fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
+fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
     match gyro_config >> 3 & 3 {
         0 => 131.0,
         1 => 65.5,
@@ -169,8 +168,7 @@ pub(crate) fn gyro_counts_per_dps(gyro_config: u8) -> f64 {
 }
 
 /// Counts per g at an ACCEL_CONFIG (4.5).
-#[must_use]
-pub(crate) fn accel_counts_per_g(accel_config: u8) -> f64 {
+fn accel_counts_per_g(accel_config: u8) -> f64 {
     match accel_config >> 3 & 3 {
         0 => 16_384.0,
         1 => 8_192.0,

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::SimImuConfig;
+use super::config::DEGREES;
 use super::log::Values;
 use super::map::{Measuring, SignalPath, Source};
 use crate::inertial_channel::{Channel, quantise};
@@ -279,7 +280,7 @@ impl Sampling {
     pub(super) fn take(&mut self, at: SimTime, measuring: &Measuring) -> Values {
         let now = self.board.true_at(at).as_secs_f64();
         let length = self.tick_length();
-        let per_rad = measuring.gyro_counts_per_dps * super::DEGREES;
+        let per_rad = measuring.gyro_counts_per_dps * DEGREES;
         let rate = self
             .gyro
             .sample(now, self.tick, length, |t| self.motion.angular_rate(t));
@@ -290,7 +291,7 @@ impl Sampling {
                 self.last.gyro[axis] = quantise(rate, per_rad);
             }
         }
-        // The accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
+        // An MPU's accelerometer has 1 kHz: at 8 kHz its value stays for 8 samples.
         let ratio = self.path.gyro_hz / self.path.accel_hz;
         let accel_tick = self.tick / ratio;
         if self.last_accel_tick != Some(accel_tick) {

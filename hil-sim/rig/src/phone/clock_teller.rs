@@ -16,7 +16,7 @@ use super::app::App;
 use crate::link_delay::{Link, LinkBeliefs};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
-use stm32f4_sim::time::UNITS_PER_SECOND;
+use stm32f4_sim::time::SimDuration;
 
 /// Tells the clocks until it is dropped.
 #[derive(Debug)]
@@ -75,11 +75,14 @@ fn serve(
     open: &Mutex<Option<TcpStream>>,
 ) {
     for stream in listener.incoming() {
+        if let Ok(stream) = &stream {
+            *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
+        }
+        // Looked at behind that: whoever stops it shuts what is open by then.
         if stop.load(Ordering::SeqCst) {
             return;
         }
         let Ok(stream) = stream else { continue };
-        *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
         // A host that has gone is no reason to end.
         let _ = answer(stream, app, &mut link);
     }
@@ -100,8 +103,8 @@ fn answer(mut stream: TcpStream, app: &App, link: &mut Link) -> std::io::Result<
             continue;
         };
         let later = |from: TrueTime, by: f64| {
-            let units = (by * UNITS_PER_SECOND as f64) as u64;
-            TrueTime::from_units(from.units().saturating_add(units))
+            let by = SimDuration::from_secs_f64(by).units();
+            TrueTime::from_units(from.units().saturating_add(by))
         };
         let read_at = later(asked, there);
         if clock.wait_until(later(read_at, back)).is_err() {

@@ -2,15 +2,13 @@
 //! STM32F4DISCOVERY hold in length, in short.
 
 use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use crate::imu_bench::Bench;
 use protocol::*;
-use rig::imu::{SensorModel, SimImu, SimImuConfig};
+use rig::imu::SensorModel;
 use rig::motion::Motion;
-use rig::oscillator::{BoardTime, OscillatorConfig};
-use rig::random::{Seed, Stream};
 use rig::wiring::{self, BoardKind};
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Part, SimBuilder, SimError};
+use stm32f4_sim::sim::{Part, SimBuilder, SimError};
 use stm32f4_sim::time::SimDuration;
 
 fn black_pill() -> SimBuilder {
@@ -80,48 +78,26 @@ fn its_trigger_is_exact_and_its_light_is_a_fault() {
 
 #[test]
 fn each_imu_is_as_exact_on_it_as_on_the_discovery() {
-    let seed = Seed(7);
     for (model, found) in [
         (SensorModel::Mpu6050, ImuModel::Mpu6050),
         (SensorModel::Icm42688P, ImuModel::Icm42688P),
     ] {
-        let time = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let config = SimImuConfig::typical(seed).of(model);
-        let sensor = SimImu::new(config, Motion::rest(), time, seed).shared();
-        let builder = black_pill()
-            .model(sensor.clone())
-            .i2c_target(sensor.clone());
-        let mut board = Board::boot(builder);
-        board.run(500);
-        board.samples.clear();
-        board.run(1_000);
-        let Ok(setup) = board.ask(QueryImu) else {
+        let mut bench = Bench::on(black_pill(), model, Motion::rest(), &[]);
+        bench.board.run(500);
+        bench.check_samples();
+        bench.board.run(1_000);
+        let Ok(setup) = bench.board.ask(QueryImu) else {
             panic!("{model:?} does not answer");
         };
         assert_eq!(setup.sensor.model, found);
         assert_eq!(setup.status.clock, ImuClock::External);
         assert_eq!(setup.status.last_fault, None);
-        assert!(board.samples.len() >= 499, "{}", board.samples.len());
         // Ticks of data-ready and values of the registers, against the sensor's own log.
-        let records = lock(&sensor).log_mut().take();
-        let same = |sample: &ImuSample| {
-            let values = (sample.accel, sample.temperature, sample.gyro);
-            records.iter().find(|record| {
-                let told = record.values;
-                (told.accel, told.temperature, told.gyro) == values
-            })
-        };
-        let first = board.samples[0];
-        let zero = same(&first).unwrap().at.units() + INPUT_SYNCHRONISER * UNITS_PER_TICK;
-        for (n, sample) in board.samples.iter().enumerate() {
-            assert_eq!(sample.at - first.at, TickDelta(96_000 * n as i64));
-            let at = zero + (sample.at - first.at).unsigned_abs() * UNITS_PER_TICK;
-            let taken = at - INPUT_SYNCHRONISER * UNITS_PER_TICK;
-            assert!(records.iter().any(|record| record.at.units() == taken));
-            assert!(
-                same(sample).is_some(),
-                "sample {n} was never in the registers"
-            );
+        let samples = bench.check_samples();
+        assert!(samples.len() >= 499, "{}", samples.len());
+        for (n, sample) in samples.iter().enumerate() {
+            assert!(!sample.flags.has(ImuFlags::LATE), "{sample:?}");
+            assert_eq!(sample.at - samples[0].at, TickDelta(96_000 * n as i64));
         }
     }
 }

@@ -1,176 +1,17 @@
 //! The IMU of the real firmware on the simulated board, against the model of the
 //! sensor: every sample's time and value, every fault.
 
-use std::collections::VecDeque;
-
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use crate::board_host::UNITS_PER_TICK;
+use crate::imu_bench::Bench;
 use protocol::*;
-use rig::imu::{Fault, SampleRecord, SensorModel, SimImu, SimImuConfig};
+use rig::imu::{Fault, SensorModel};
 use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
-use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
-use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
-use stm32f4_sim::sim::{INPUT_SYNCHRONISER, SimBuilder};
-use stm32f4_sim::time::{SimDuration, SimTime};
-
-/// A board with a sensor, and the time of tick 0.
-struct Bench {
-    board: Board,
-    sensor: Shared<SimImu>,
-    zero: u64,
-    /// What the sensor measured and no sample was compared with yet.
-    records: VecDeque<SampleRecord>,
-}
-
-impl Bench {
-    /// Boots with a sensor that sees `motion` and has these `faults` from the start.
-    fn new(motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
-        Self::on(wiring::board(), SensorModel::Mpu9150, motion, faults)
-    }
-
-    /// The same with another sensor.
-    fn of(model: SensorModel, motion: std::sync::Arc<Motion>, faults: &[Fault]) -> Self {
-        Self::on(wiring::board(), model, motion, faults)
-    }
-
-    fn on(
-        builder: SimBuilder,
-        model: SensorModel,
-        motion: std::sync::Arc<Motion>,
-        faults: &[Fault],
-    ) -> Self {
-        let seed = Seed(7);
-        let board_time =
-            BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
-        let config = SimImuConfig::typical(seed).of(model);
-        let mut sensor = SimImu::new(config, motion, board_time, seed);
-        for &fault in faults {
-            sensor.schedule(SimTime::ZERO, fault);
-        }
-        let sensor = sensor.shared();
-        let builder = builder.model(sensor.clone()).i2c_target(sensor.clone());
-        let mut board = Board::boot(builder);
-        // A train: its edges relate the rig's time to the board's.
-        board.rig.log_pin(Pin::PA5);
-        let start = TriggerStart {
-            period: Period::from_picos(33_330_652_540).unwrap(),
-            width: 576,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        board.start(start);
-        board.run(100);
-        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
-        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
-        Self {
-            board,
-            sensor,
-            zero,
-            records: VecDeque::new(),
-        }
-    }
-
-    fn at_rest() -> Self {
-        Self::new(Motion::rest(), &[])
-    }
-
-    /// Makes a fault happen within some virtual milliseconds, between two
-    /// transfers: 1.5 ms after a data-ready. (In the middle of one it may damage
-    /// a byte unnoticed: the bus has no checksum.)
-    fn fault(&mut self, fault: Fault) {
-        self.board.run(4);
-        let soon = (self.board.rig.now() + SimDuration::from_millis(1)).units();
-        let edge = lock(&self.sensor)
-            .log()
-            .iter()
-            .last()
-            .map(|record| record.at);
-        let interval = SimDuration::from_millis(2).units();
-        let at = edge.map_or(soon, |edge| {
-            let first = (edge + SimDuration::from_micros(1_500)).units();
-            first + soon.saturating_sub(first).div_ceil(interval) * interval
-        });
-        let at = SimTime::from_units(at);
-        lock(&self.sensor).schedule(at, fault);
-        self.board.rig.models_changed();
-    }
-
-    /// The tick at which an edge at `at` is captured: behind the synchroniser. The filter
-    /// is taken off by the firmware.
-    fn tick_of(&self, at: SimTime) -> Ticks {
-        Ticks((at.units() - self.zero) / UNITS_PER_TICK + INPUT_SYNCHRONISER)
-    }
-
-    /// Checks all samples so far against what the sensor put into its registers,
-    /// and forgets them. Samples may be missing, but none may be wrong.
-    fn check_samples(&mut self) -> Vec<ImuSample> {
-        self.records.extend(lock(&self.sensor).log_mut().take());
-        let samples = std::mem::take(&mut self.board.samples);
-        for sample in &samples {
-            let record = loop {
-                let record = self.records.pop_front();
-                let record = record.unwrap_or_else(|| panic!("no data-ready at {sample:?}"));
-                if self.tick_of(record.at) == sample.at {
-                    break record;
-                }
-            };
-            let values = record.values;
-            let read = (sample.accel, sample.temperature, sample.gyro);
-            if !sample.flags.has(ImuFlags::LATE) {
-                assert_eq!(read, (values.accel, values.temperature, values.gyro));
-            }
-        }
-        samples
-    }
-
-    /// Waits until samples come without a gap for 50 ms; fails after `ms`.
-    fn wait_for_good_samples(&mut self, ms: u64) {
-        let mut good_from = None;
-        let begin = self.board.rig.now();
-        loop {
-            let before = self.board.samples.len();
-            self.board.run(10);
-            let waited = (self.board.rig.now().units() - begin.units())
-                / SimDuration::from_millis(1).units();
-            if self.board.samples.len() >= before + 4 {
-                let from = *good_from.get_or_insert(waited);
-                if waited >= from + 50 {
-                    return;
-                }
-            } else {
-                good_from = None;
-            }
-            assert!(
-                waited < ms + 60,
-                "no good samples within {ms} ms: {:?}",
-                self.board.statuses.last().map(|status| status.imu)
-            );
-        }
-    }
-
-    fn status(&mut self) -> ImuStatus {
-        match self.board.ask(QueryImu) {
-            Ok(setup) => setup.status,
-            other => panic!("{other:?}"),
-        }
-    }
-}
-
-/// Looked at in every test, whatever went wrong in it.
-impl Drop for Bench {
-    fn drop(&mut self) {
-        if !std::thread::panicking() {
-            let ignored = lock(&self.sensor).unmodelled().clone();
-            assert!(
-                ignored.is_empty(),
-                "the firmware gave registers {ignored:02x?} values that the model ignores"
-            );
-        }
-    }
-}
+use stm32f4_sim::time::SimDuration;
 
 /// One byte in ten with a bus error that is none: each sample comes, and is right.
 #[test]
@@ -483,8 +324,6 @@ fn every_family_is_found_and_is_exact_in_time_on_any_clock() {
                 assert_eq!(interval == 96_000, on_boards, "{model:?}: {interval}");
                 assert!((94_000..=98_000).contains(&interval), "{interval}");
             }
-            let ignored = lock(&bench.sensor).unmodelled().clone();
-            assert!(ignored.is_empty(), "{model:?} ignores {ignored:x?}");
             // The clock for an ICM-42688-P is there for that alone.
             let level = |bench: &Bench| bench.board.rig.level(Pin::PB0);
             let before = level(&bench);

@@ -7,6 +7,7 @@ mod board_host;
 mod depth_camera;
 mod gnss;
 mod imu;
+mod imu_bench;
 mod outputs;
 mod phone_app;
 mod phone_bench;

@@ -152,26 +152,26 @@ mod tests {
     fn what_leads_out_of_the_folder_is_named() {
         let log = r#"
 7 execve("/opt/tool", ["/opt/tool", "verify", "/case/bait/x"], 0x7ffc /* 9 vars */) = 0
-7 openat(AT_FDCWD</case/work>, "/etc/ld.so.cache", O_RDONLY|O_CLOEXEC) = 3</etc/ld.so.cache>
-7 openat(AT_FDCWD</case/work>, "walk/recording.mcap", O_RDONLY) = 4</case/work/walk/recording.mcap>
-8 openat(AT_FDCWD</case/work>, "out/a", O_WRONLY|O_CREAT, 0666) = 4</case/work/out/a>
-8 openat(5</case/work/out>, "../b", O_RDONLY <unfinished ...>
-8 <... openat resumed>)             = 5</case/work/b>
+7 openat(AT_FDCWD</case/inside>, "/etc/ld.so.cache", O_RDONLY|O_CLOEXEC) = 3</etc/ld.so.cache>
+7 openat(AT_FDCWD</case/inside>, "walk/recording.mcap", O_RDONLY) = 4</case/inside/walk/recording.mcap>
+8 openat(AT_FDCWD</case/inside>, "out/a", O_WRONLY|O_CREAT, 0666) = 4</case/inside/out/a>
+8 openat(5</case/inside/out>, "../b", O_RDONLY <unfinished ...>
+8 <... openat resumed>)             = 5</case/inside/b>
 7 +++ exited with 0 +++
 "#;
-        let (folder, program) = (Path::new("/case/work"), Path::new("/opt/tool"));
+        let (folder, program) = (Path::new("/case/inside"), Path::new("/opt/tool"));
         assert_eq!(strays(log, folder, program), Vec::<String>::new());
         for (line, told) in [
             (
-                r#"7 openat(AT_FDCWD</case/work>, "walk/link", O_RDONLY) = 3</case/bait/x>"#,
+                r#"7 openat(AT_FDCWD</case/inside>, "walk/link", O_RDONLY) = 3</case/bait/x>"#,
                 "Read /case/bait/x",
             ),
             (
-                r#"7 openat(AT_FDCWD</case/work>, "../bait/x", O_RDONLY) = -1 ENOENT (No such file)"#,
+                r#"7 openat(AT_FDCWD</case/inside>, "../bait/x", O_RDONLY) = -1 ENOENT (No such file)"#,
                 "Read /case/bait/x",
             ),
             (
-                r#"7 openat(5</case/work/out>, "../../n\"e", O_RDONLY <unfinished ...>"#,
+                r#"7 openat(5</case/inside/out>, "../../n\"e", O_RDONLY <unfinished ...>"#,
                 "Read /case/n\"e",
             ),
             (
@@ -182,9 +182,9 @@ mod tests {
                 r#"7 mkdir("/case/bait/new", 0777) = 0"#,
                 "Write /case/bait/new",
             ),
-            (r#"7 rename("/case/work/a", "../../a") = 0"#, "Write /a"),
+            (r#"7 rename("/case/inside/a", "../../a") = 0"#, "Write /a"),
             (
-                r#"7 openat(AT_FDCWD</case/work>, "/usr/x", O_RDWR) = -1 EACCES (Permission denied)"#,
+                r#"7 openat(AT_FDCWD</case/inside>, "/usr/x", O_RDWR) = -1 EACCES (Permission denied)"#,
                 "Write /usr/x",
             ),
             (r#"7 execve("/bin/sh", ["sh"], 0x1) = 0"#, "Run /bin/sh"),

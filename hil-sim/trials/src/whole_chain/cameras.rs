@@ -4,9 +4,8 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
-use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::Result;
 use mcap::records::MessageHeader;
 use recording::messages::camera::Image;
 use recording::messages::{Header, RosMessage, Time, to_cdr};
@@ -14,7 +13,7 @@ use recording::profile::Profile;
 use rig::depth_camera::{Family, FrameRecord};
 use rig::k4a_mkv::device_us;
 
-use super::{Programs, cannot_start, said};
+use super::{Programs, ask};
 
 /// Size of an image.
 const SIZE: (u32, u32) = (16, 12);
@@ -26,14 +25,11 @@ pub(super) fn profile_lines(family: Family, programs: &Programs, folder: &Path) 
         return Ok(String::new());
     }
     let path = folder.join("init.toml");
-    let output = Command::new(&programs.smartdepthsync)
-        .args(["profile", "init", "--camera", family.word()])
-        .arg(&path)
-        .output()
-        .with_context(|| cannot_start(&programs.smartdepthsync))?;
-    if !output.status.success() {
-        bail!("profile init failed: {}", said(&output));
-    }
+    ask(
+        programs,
+        &["profile", "init", "--camera", family.word()],
+        &[&path],
+    )?;
     let depth = Profile::load(&path)?.depth;
     Ok(format!(
         "camera = \"{}\"\nmode = \"{}\"\npulse_width_us = {}\n",

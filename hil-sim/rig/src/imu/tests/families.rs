@@ -5,19 +5,7 @@ use stm32f4_sim::pin::Level;
 
 /// Awake on its own clock at 500 Hz, low-pass 1, with CLKIN at 19.2 MHz all the same.
 fn mpu(model: SensorModel, config: SimImuConfig) -> Bench<SimImu> {
-    let mut bench = asleep(config.of(model), "rest");
-    bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
-    bench.run(SimDuration::from_millis(20));
-    for (register, value) in [
-        (PWR_MGMT_1, 1),
-        (SMPLRT_DIV, 1),
-        (CONFIG, 1),
-        (INT_PIN_CFG, 0),
-        (INT_ENABLE, 1),
-    ] {
-        bench.write(ADDRESS, register, &[value]).unwrap();
-    }
-    bench
+    running_on(1, config.of(model), "rest")
 }
 
 #[test]
@@ -76,9 +64,7 @@ const ICM: SensorModel = SensorModel::Icm42688P;
 fn icm(config: SimImuConfig, writes: &[(u8, u8)]) -> Bench<SimImu> {
     let mut bench = asleep(config.of(ICM), "rest");
     bench.run(SimDuration::from_millis(2));
-    for &(register, value) in writes {
-        bench.write(ADDRESS, register, &[value]).unwrap();
-    }
+    write_all(&mut bench, writes);
     bench
 }
 
@@ -174,9 +160,7 @@ fn banks_reset_and_data_of_an_icm_42688_p() {
         let writes = [&SET_UP[..], &[write, ON]].concat();
         bench.write(ADDRESS, 0x11, &[1]).unwrap();
         bench.run(SimDuration::from_millis(2));
-        for (register, value) in writes {
-            bench.write(ADDRESS, register, &[value]).unwrap();
-        }
+        write_all(&mut bench, &writes);
         bench.run(SimDuration::from_millis(500));
         let bytes = bench.read(ADDRESS, 0x1d, 14).unwrap();
         let words: Vec<_> = bytes
@@ -222,9 +206,7 @@ fn motion_comes_later_by_the_filters_delay() {
             ]
             .to_vec()
         };
-        for (register, value) in writes {
-            bench.write(ADDRESS, register, &[value]).unwrap();
-        }
+        write_all(&mut bench, &writes);
         bench.run(SimDuration::from_secs(8));
         let per_dps = if model == ICM { 65.5 } else { 131.0 };
         let per_rad = per_dps * DEGREES;

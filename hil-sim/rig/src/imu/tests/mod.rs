@@ -2,29 +2,46 @@ mod behaviour;
 mod families;
 mod other_driver;
 
+use super::config::DEGREES;
 use super::mpu::PULSE;
 use super::mpu::address::*;
 use super::*;
 use crate::motion::MotionSpec;
+use crate::oscillator::OscillatorConfig;
+use crate::random::Stream;
 use stm32f4_sim::i2c::{Ack, Direction, I2cTarget as _};
 use stm32f4_sim::model_bench::Bench;
+use stm32f4_sim::time::SimDuration;
 
 /// A reference clock of 19.2 MHz on PA8 from power-on, the sensor awake on it
 /// at 500 Hz, low-pass 1, interrupt as a pulse.
 fn running(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
+    running_on(5, config, motion)
+}
+
+/// The same on the clock of another CLKSEL.
+fn running_on(source: u8, config: SimImuConfig, motion: &str) -> Bench<SimImu> {
     let mut bench = asleep(config, motion);
     bench.set_clock(Pin::PA8, Some(Rate::hz(19_200_000)));
     bench.run(SimDuration::from_millis(20));
-    for (register, value) in [
-        (PWR_MGMT_1, 5),
-        (SMPLRT_DIV, 1),
-        (CONFIG, 1),
-        (INT_PIN_CFG, 0),
-        (INT_ENABLE, 1),
-    ] {
+    write_all(
+        &mut bench,
+        &[
+            (PWR_MGMT_1, source),
+            (SMPLRT_DIV, 1),
+            (CONFIG, 1),
+            (INT_PIN_CFG, 0),
+            (INT_ENABLE, 1),
+        ],
+    );
+    bench
+}
+
+/// Writes registers, one after the other.
+fn write_all(bench: &mut Bench<SimImu>, writes: &[(u8, u8)]) {
+    for &(register, value) in writes {
         bench.write(ADDRESS, register, &[value]).unwrap();
     }
-    bench
 }
 
 fn asleep(config: SimImuConfig, motion: &str) -> Bench<SimImu> {
