@@ -26,7 +26,7 @@ use self::stats::Stats;
 use self::table::{Kind, Table, Values};
 use super::euroc::IMU_HEADER;
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
-use crate::image::{Decoded, read_png, write_whole};
+use crate::image::{Decoded, decode_png, read_png, write_whole};
 use crate::time::BoardNanos;
 
 pub(super) struct Lerobot;
@@ -183,12 +183,12 @@ fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, 
         let images: Vec<io::Result<(Vec<u8>, Size, Stats)>> = pairs
             .par_iter()
             .map(|(_, depth)| {
-                let path = folder.join(&depth.path);
-                let image = read_png(&path)?;
+                let file = fs::read(folder.join(&depth.path))?;
+                let image = decode_png(io::Cursor::new(&file))?;
                 let pixels = image.pixels.chunks_exact(2);
                 let millimetres = pixels.map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
                 let stats = Stats::of_image(1, 1.0, millimetres);
-                Ok((fs::read(path)?, image.size, stats))
+                Ok((file, image.size, stats))
             })
             .collect();
         let mut bytes = Vec::with_capacity(pairs.len());
