@@ -25,6 +25,7 @@ use video::Encoder;
 use self::stats::Stats;
 use self::table::{Kind, Table, Values};
 use super::euroc::IMU_HEADER;
+use super::ros::IMAGES_AT_A_TIME;
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::image::{Decoded, decode_png, read_png, write_whole};
 use crate::time::BoardNanos;
@@ -134,7 +135,7 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
     let partial = path.with_extension("partial");
     let mut video: Option<(Encoder, Size)> = None;
     let mut stats = Stats::new(3);
-    for pairs in pairs.chunks(ROWS_AT_A_TIME) {
+    for pairs in pairs.chunks(IMAGES_AT_A_TIME) {
         let images: Vec<io::Result<(Decoded, Stats)>> = pairs
             .par_iter()
             .map(|(image, _)| {
