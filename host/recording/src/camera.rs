@@ -46,10 +46,6 @@ pub struct Model {
     pub rates: &'static [u32],
     /// Its own frame rate, by the pulses that it is given.
     pub own_rate: &'static str,
-    /// Pulses, counted from 1, on which its first frame may come; none is known for most.
-    pub first_frame: Option<(u32, u32)>,
-    /// What is known of its clock.
-    pub clock: &'static str,
     /// What records it.
     pub recording: Recording,
     /// Its depth modes, the default first.
