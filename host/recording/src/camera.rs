@@ -48,7 +48,7 @@ pub struct Model {
     pub own_rate: &'static str,
     /// What records it.
     pub recording: Recording,
-    /// Its depth modes, the default first.
+    /// Its depth modes, the default first; there is one at least.
     pub modes: &'static [Mode],
     /// What has gone wrong for others.
     pub traps: &'static [Trap],
@@ -189,10 +189,7 @@ impl Model {
     /// The mode that it has unless another is chosen.
     #[must_use]
     pub const fn default_mode(&self) -> &'static Mode {
-        let [first, ..] = self.modes else {
-            return azure_kinect_dk::NFOV_UNBINNED;
-        };
-        first
+        &self.modes[0]
     }
 }
 

@@ -79,5 +79,3 @@ const MODES: [Mode; 4] = modes(
     Basis::Maker,
     "maker's table of multi-camera delays; the delay before the first pulse is not published",
 );
-
-pub(super) const NFOV_UNBINNED: &Mode = &MODES[0];
