@@ -13,6 +13,7 @@ use mcap::records::Record;
 use recording::chunks::{Chunk, Chunks};
 use recording::messages::camera::Image as RosImage;
 use recording::messages::from_cdr;
+use recording::rosbag2::METADATA_FILE;
 use recording::scan::parse;
 
 use crate::bag::messages::{Header, Image};
@@ -102,7 +103,7 @@ impl Ros2Bag {
 /// Whether a path may be a bag: a folder with the bag's files, or one of them.
 pub(crate) fn is_bag(path: &Path) -> bool {
     match path.is_dir() {
-        true => path.join("metadata.yaml").is_file() && !path.join(recording::MCAP_FILE).is_file(),
+        true => path.join(METADATA_FILE).is_file() && !path.join(recording::MCAP_FILE).is_file(),
         false => path
             .extension()
             .is_some_and(|extension| extension == "mcap"),
