@@ -532,7 +532,10 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
     if ends_with(path, &MKV) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else if is_bag(path) {
-        Ok(ros2(path.to_owned(), topic))
+        Ok(DepthInput::Ros2(Ros2Bag {
+            path: path.to_owned(),
+            topic: topic.map(str::to_owned),
+        }))
     } else {
         Err(InputsError::NotDepth {
             path: path.to_owned(),
@@ -540,17 +543,9 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
     }
 }
 
-fn ros2(path: PathBuf, topic: Option<&str>) -> DepthInput {
-    DepthInput::Ros2(Ros2Bag {
-        path,
-        topic: topic.map(str::to_owned),
-    })
-}
-
 /// The depth recording in a recording's folder: an MKV file, or the folder of a bag.
 fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, InputsError> {
     let mut found = files_in(folder, &MKV)?;
-    let files = found.len();
     let fail = |error| InputsError::Io {
         path: folder.to_owned(),
         error,
@@ -563,8 +558,7 @@ fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, 
     }
     match found.as_slice() {
         [] => Ok(None),
-        [file] if files == 1 => Ok(Some(DepthInput::Mkv(file.clone()))),
-        [bag] => Ok(Some(ros2(bag.clone(), topic))),
+        [one] => depth_file(one, topic).map(Some),
         several => Err(InputsError::SeveralDepth {
             path: folder.to_owned(),
             names: names(several),

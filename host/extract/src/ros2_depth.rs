@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use recording::foreign::{Message, Messages, Next};
 use recording::messages::camera::Image as RosImage;
 use recording::messages::{RosMessage as _, from_cdr};
+use recording::rosbag2::METADATA_FILE;
 
 use crate::bag::messages::{Header, Image};
 use crate::board_data::{BagImage, Images, millimetres};
@@ -100,7 +101,7 @@ impl Ros2Bag {
 /// Whether a path may be a bag: a folder with the bag's files, or one of them.
 pub(crate) fn is_bag(path: &Path) -> bool {
     match path.is_dir() {
-        true => path.join("metadata.yaml").is_file() && !path.join(recording::MCAP_FILE).is_file(),
+        true => path.join(METADATA_FILE).is_file() && !path.join(recording::MCAP_FILE).is_file(),
         false => path
             .extension()
             .is_some_and(|extension| extension == "mcap"),

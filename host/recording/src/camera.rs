@@ -46,13 +46,9 @@ pub struct Model {
     pub rates: &'static [u32],
     /// Its own frame rate, by the pulses that it is given.
     pub own_rate: &'static str,
-    /// Pulses, counted from 1, on which its first frame may come; none is known for most.
-    pub first_frame: Option<(u32, u32)>,
-    /// What is known of its clock.
-    pub clock: &'static str,
     /// What records it.
     pub recording: Recording,
-    /// Its depth modes, the default first.
+    /// Its depth modes, the default first; there is one at least.
     pub modes: &'static [Mode],
     /// What has gone wrong for others.
     pub traps: &'static [Trap],
@@ -193,10 +189,7 @@ impl Model {
     /// The mode that it has unless another is chosen.
     #[must_use]
     pub const fn default_mode(&self) -> &'static Mode {
-        let [first, ..] = self.modes else {
-            return azure_kinect_dk::NFOV_UNBINNED;
-        };
-        first
+        &self.modes[0]
     }
 }
 

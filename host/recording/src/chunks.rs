@@ -392,7 +392,7 @@ fn is_end(error: &McapError) -> bool {
 pub(crate) fn unpack(
     header: &ChunkHeader,
     packed: Cow<'_, [u8]>,
-    mut memory: Vec<u8>,
+    memory: Vec<u8>,
 ) -> Result<Chunk, BadChunk> {
     let expected = header.uncompressed_size;
     if expected > MAX_CHUNK {
@@ -401,23 +401,13 @@ pub(crate) fn unpack(
     let records = match header.compression.as_str() {
         "" => packed.into_owned(),
         "lz4" => {
-            memory.clear();
-            lz4_flex::frame::FrameDecoder::new(packed.as_ref())
-                .take(expected + 1)
-                .read_to_end(&mut memory)
-                .map_err(BadChunk::Packing)?;
-            memory
+            let decoder = lz4_flex::frame::FrameDecoder::new(packed.as_ref());
+            read_all(decoder, expected, memory).map_err(BadChunk::Packing)?
         }
-        "zstd" => {
-            memory.clear();
-            let broken = |error| BadChunk::Packing(io::Error::other(error));
-            ruzstd::decoding::StreamingDecoder::new(packed.as_ref())
-                .map_err(broken)?
-                .take(expected + 1)
-                .read_to_end(&mut memory)
-                .map_err(BadChunk::Packing)?;
-            memory
-        }
+        "zstd" => ruzstd::decoding::StreamingDecoder::new(packed.as_ref())
+            .map_err(io::Error::other)
+            .and_then(|decoder| read_all(decoder, expected, memory))
+            .map_err(BadChunk::Packing)?,
         other => {
             let name = other.chars().take(SHOWN_NAME).collect();
             return Err(BadChunk::Compression(name));
@@ -432,6 +422,13 @@ pub(crate) fn unpack(
         return Err(BadChunk::Checksum);
     }
     Ok(Chunk(records))
+}
+
+/// What a decoder gives, in this memory; at most one byte more than is expected.
+fn read_all(decoder: impl Read, expected: u64, mut memory: Vec<u8>) -> io::Result<Vec<u8>> {
+    memory.clear();
+    decoder.take(expected + 1).read_to_end(&mut memory)?;
+    Ok(memory)
 }
 
 /// Opcode and body of the first of a chunk's records, and what follows; `None` if it

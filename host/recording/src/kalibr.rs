@@ -9,7 +9,7 @@ use std::path::Path;
 use serde::Deserialize;
 use toml_edit::{Array, InlineTable, Item, Value};
 
-use crate::profile::edit::{open, phone_table};
+use crate::profile::edit::{open, phone_table, table};
 use crate::profile::{DistortionModel, Intrinsics, Pose, Profile, ProfileError};
 
 /// Name of the phone in the file.
@@ -69,16 +69,11 @@ pub fn into_profile(
     let others = known.cameras.iter();
     let others = others.filter(|camera| camera.size() != imported.camera.size());
     let cameras: Array = others.chain([&imported.camera]).map(camera_value).collect();
-    let table = phone_table(&mut document, &profile, name, path)?;
-    table.insert("from_imu", pose_item(&imported.from_imu));
-    table.insert("cameras", toml_edit::value(cameras));
+    let phone = phone_table(&mut document, &profile, name, path)?;
+    phone.insert("from_imu", pose_item(&imported.from_imu));
+    phone.insert("cameras", toml_edit::value(cameras));
     if let Some(pose) = &imported.color_from_imu {
-        let depth = document.entry("depth").or_insert(toml_edit::table());
-        let depth = depth.as_table_mut().ok_or_else(|| ProfileError::Syntax {
-            path: Some(path.to_owned()),
-            reason: String::from("`depth` is no table"),
-        })?;
-        depth.insert("color_from_imu", pose_item(pose));
+        table(&mut document, "depth", path)?.insert("color_from_imu", pose_item(pose));
     }
     let text = document.to_string();
     Profile::parse(&text, Some(path))?;

@@ -11,8 +11,10 @@
 //! - [`folder`]: a readable name that never overwrites.
 //! - [`profile`]: what is fixed about one rig.
 //! - [`camera`]: models of depth cameras.
+//! - [`kalibr`]: what Kalibr found, into the profile.
 //! - [`topic`]: the table of topics.
 //! - [`messages`]: the ROS 2 types in the file.
+//! - [`grid`]: the grid that the trigger's pulses are on.
 //! - [`writer`]: writes it, so that a kill loses at most a second.
 //! - [`reader`]: reads it, whole or broken off.
 //! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
@@ -28,6 +30,7 @@ pub mod chunks;
 mod diagnostics;
 pub mod folder;
 pub mod foreign;
+pub mod grid;
 pub mod kalibr;
 pub mod messages;
 pub mod profile;

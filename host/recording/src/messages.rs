@@ -9,7 +9,6 @@
 
 pub mod camera;
 
-use protocol::{Period, TickDelta, Ticks};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -408,14 +407,6 @@ impl RosMessage for TriggerPeriod {
     const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 fraction\n\
         uint64 period_q32\nfloat64 phase_us\nfloat64 phase_sigma_us\n";
     const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
-}
-
-impl TriggerPeriod {
-    /// How far a pulse is off this grid, in ticks.
-    #[must_use]
-    pub fn phase_error(&self, at: Ticks) -> TickDelta {
-        Period(self.period_q32).phase_error_of(Ticks(self.ticks), self.fraction, at)
-    }
 }
 
 /// `smartdepthsync_msgs/msg/LinkFrame`: one frame of the link as it came.

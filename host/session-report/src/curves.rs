@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use protocol::{Period, Ticks};
+use protocol::Ticks;
 
 use super::MAX_LISTED;
 use page::chart::Envelope;
 use recording::RecordingError;
-use recording::messages::TriggerPeriod;
+use recording::grid::FollowedGrid;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 
@@ -29,8 +29,8 @@ pub(super) struct Curves {
     /// whether all tell one relation.
     pub(super) gnss: Option<Gnss>,
     pub(super) broken_off: bool,
-    /// The trigger's last change of its period.
-    followed: Option<TriggerPeriod>,
+    /// The grid of the alignment, from change to change of the trigger's period.
+    grid: Option<FollowedGrid>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -53,7 +53,11 @@ impl Curves {
         session: &SessionFile,
         stop: &dyn Fn() -> bool,
     ) -> Result<Self, RecordingError> {
-        let mut curves = Self::default();
+        let alignment = session.alignment.as_ref();
+        let mut curves = Self {
+            grid: alignment.map(|alignment| FollowedGrid::new(alignment.into())),
+            ..Self::default()
+        };
         let mut reader = Reader::open(recording)?;
         for entry in reader.by_ref() {
             if stop() {
@@ -78,21 +82,20 @@ impl Curves {
                     envelope.add(x, rate);
                 }
             }
-            Item::Period(period) => self.followed = Some(period.clone()),
+            Item::Period(period) => {
+                if let Some(grid) = &mut self.grid {
+                    grid.follow(period.into());
+                }
+            }
             Item::Temperature(value) => self.temperature.add(x, value.temperature),
             Item::Pulse(pulse) => {
                 if pulse.readback {
                     self.readback.add(x, f64::from(pulse.readback_ticks));
                 }
-                if let (Some(alignment), Some(span)) = (session.alignment, session.recorded)
+                if let (Some(grid), Some(span)) = (&self.grid, session.recorded)
                     && (span.from..=span.to).contains(&at)
                 {
-                    let holds = |period: &&TriggerPeriod| Ticks(period.ticks) <= at;
-                    let off = match self.followed.as_ref().filter(holds) {
-                        Some(period) => period.phase_error(at),
-                        None => Period(alignment.period_q32).phase_error(alignment.anchor, at),
-                    };
-                    self.off_grid.add(x, off.0 as f64);
+                    self.off_grid.add(x, grid.off(at).0 as f64);
                 }
             }
             Item::Output(pulse) => {

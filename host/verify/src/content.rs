@@ -440,7 +440,7 @@ impl Content {
             Item::Output(pulse) => self.in_own_frame(Stream::Outputs, &pulse.header, at, findings),
             Item::Gnss(pulse) => self.in_own_frame(Stream::Pps, &pulse.header, at, findings),
             Item::Run(mark) => self.recorded_run(mark, findings),
-            Item::Period(period) => self.pulses.follow(period.clone()),
+            Item::Period(period) => self.pulses.follow(period),
             Item::Marker(_) => self.markers += 1,
             Item::Temperature(_)
             | Item::Clock(_)

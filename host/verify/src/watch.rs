@@ -3,9 +3,11 @@
 //! A state that lasts (pulses stay away, the IMU gives nothing) is told once
 //! when it begins and once when it ends.
 
-use protocol::{ImuFlags, ImuSample, ImuState, Period, Pulse, Status, TICK_HZ, Ticks};
+use protocol::{ImuFlags, ImuSample, ImuState, Pulse, Status, TICK_HZ, Ticks};
 
 use board::Stream;
+use recording::grid::FollowedGrid;
+pub use recording::grid::Grid;
 use recording::writer::Severity;
 
 /// How long the IMU may give nothing, ticks: 0.1 s, 50 samples.
@@ -52,23 +54,6 @@ impl Finding {
     }
 }
 
-/// The grid that pulses must be on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Grid {
-    /// One edge.
-    pub anchor: Ticks,
-    /// Its fraction, in 2⁻³² ticks.
-    pub fraction: u32,
-    /// Distance of edges.
-    pub period: Period,
-}
-
-impl Grid {
-    fn off(&self, at: Ticks) -> i64 {
-        self.period.phase_error_of(self.anchor, self.fraction, at).0
-    }
-}
-
 /// The board's counters when the watch began.
 #[derive(Clone, Copy, Debug)]
 struct Baseline {
@@ -82,9 +67,7 @@ struct Baseline {
 /// The state of the watch.
 #[derive(Debug)]
 pub struct Watch {
-    grid: Grid,
-    /// The grid before this one, for pulses before its anchor.
-    before: Option<Grid>,
+    grid: FollowedGrid,
     next_number: Option<u64>,
     last_pulse: Ticks,
     pulses_away: bool,
@@ -101,8 +84,7 @@ impl Watch {
     #[must_use]
     pub const fn new(grid: Grid, now: Ticks) -> Self {
         Self {
-            grid,
-            before: None,
+            grid: FollowedGrid::new(grid),
             next_number: None,
             last_pulse: now,
             pulses_away: false,
@@ -117,13 +99,12 @@ impl Watch {
     /// The grid.
     #[must_use]
     pub const fn grid(&self) -> Grid {
-        self.grid
+        self.grid.last()
     }
 
     /// From its anchor on the train is on another grid.
     pub const fn follow(&mut self, grid: Grid) {
-        self.before = Some(self.grid);
-        self.grid = grid;
+        self.grid.follow(grid);
     }
 
     /// A pulse.
@@ -142,11 +123,7 @@ impl Watch {
         }
         self.next_number = Some(pulse.number.wrapping_add(1));
         self.last_pulse = pulse.at;
-        let grid = match self.before {
-            Some(before) if pulse.at < self.grid.anchor => before,
-            _ => self.grid,
-        };
-        let off = grid.off(pulse.at);
+        let off = self.grid.off(pulse.at).0;
         match (off != 0, self.off_grid) {
             (true, false) => findings.push(Finding::error(
                 "phase_off",
@@ -271,7 +248,7 @@ impl Watch {
 
     /// Board time goes on. Call it when all messages up to then were taken.
     pub fn time(&mut self, now: Ticks, findings: &mut Vec<Finding>) {
-        let patience = 3 * u64::from(self.grid.period.ticks());
+        let patience = 3 * u64::from(self.grid.last().period.ticks());
         if !self.pulses_away && now.0.saturating_sub(self.last_pulse.0) > patience {
             self.pulses_away = true;
             findings.push(Finding::error("pulses_missing", "pulses have stopped"));
@@ -293,6 +270,7 @@ impl Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::Period;
 
     const GRID: Grid = Grid {
         anchor: Ticks(1_000_000),

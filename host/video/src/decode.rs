@@ -1,15 +1,12 @@
 //! Raw pictures out of `ffmpeg`.
 
-use std::io::{self, Read};
+use std::io::Read;
 use std::path::Path;
-use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Command, Stdio};
 use std::sync::OnceLock;
-use std::thread::JoinHandle;
 
-use super::{Info, VideoError, file_url, probe, program, start_error};
-
-/// Bytes of ffmpeg's messages that are kept.
-const MAX_MESSAGES: u64 = 16 * 1024;
+use super::ffmpeg::{Ffmpeg, run_error};
+use super::{Info, VideoError, file_url, probe, program};
 
 /// What a frame is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,10 +23,9 @@ pub enum Pixels {
 pub struct Video {
     info: Info,
     frame_bytes: usize,
-    child: Child,
     /// `None` after the end.
     pipe: Option<ChildStdout>,
-    messages: Option<JoinHandle<String>>,
+    ffmpeg: Ffmpeg,
 }
 
 impl Video {
@@ -55,22 +51,16 @@ impl Video {
             }
             Pixels::Rgb => "rgb24",
         };
-        let mut child = command
+        command
             .args(["-pix_fmt", format, "pipe:1"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(|error| start_error("ffmpeg", error))?;
+            .stdout(Stdio::piped());
+        let mut ffmpeg = Ffmpeg::start(&mut command)?;
         let depth = if pixels == Pixels::Rgb { 3 } else { 1 };
         Ok(Self {
             frame_bytes: info.width as usize * info.height as usize * depth,
             info,
-            pipe: child.stdout.take(),
-            messages: child
-                .stderr
-                .take()
-                .map(|stderr| std::thread::spawn(move || keep_start(stderr))),
-            child,
+            pipe: ffmpeg.output(),
+            ffmpeg,
         })
     }
 
@@ -97,38 +87,13 @@ impl Video {
             return Ok(true);
         }
         self.pipe = None;
-        let run = |source| VideoError::Run {
-            program: "ffmpeg",
-            source,
-        };
-        let read = read.map_err(run)?;
-        let status = self.child.wait().map_err(run)?;
-        let messages = self.messages.take().and_then(|thread| thread.join().ok());
-        // The first line names the cause; with `-v error` there is little else.
-        match messages.unwrap_or_default().lines().next() {
-            Some(first) => Err(VideoError::Decode(first.to_owned())),
-            None if !status.success() => Err(VideoError::Decode("no message".to_owned())),
+        let read = read.map_err(run_error)?;
+        match self.ffmpeg.end()? {
+            Some(complaint) => Err(VideoError::Decode(complaint)),
             None if read > 0 => Err(VideoError::Decode("it ends within a frame".to_owned())),
             None => Ok(false),
         }
     }
-}
-
-impl Drop for Video {
-    fn drop(&mut self) {
-        self.pipe = None;
-        // Both calls may find that it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// Reads everything, so that the decoder never waits, and keeps the beginning.
-pub(super) fn keep_start(mut stderr: ChildStderr) -> String {
-    let mut kept = Vec::new();
-    let _ = stderr.by_ref().take(MAX_MESSAGES).read_to_end(&mut kept);
-    let _ = io::copy(&mut stderr, &mut io::sink());
-    String::from_utf8_lossy(&kept).trim().to_owned()
 }
 
 /// The option that passes every frame once: renamed in ffmpeg 5.1, and the old name

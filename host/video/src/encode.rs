@@ -2,11 +2,10 @@
 
 use std::io::Write as _;
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
-use std::thread::JoinHandle;
+use std::process::{ChildStdin, Command, Stdio};
 
-use super::decode::keep_start;
-use super::{VideoError, file_url, start_error};
+use super::ffmpeg::Ffmpeg;
+use super::{VideoError, file_url};
 
 /// Frames from one that stands by itself to the next: each is found fast.
 const KEY_FRAMES: &str = "2";
@@ -14,10 +13,9 @@ const KEY_FRAMES: &str = "2";
 /// An MP4 file of H.264 that is being written, of frames at one distance.
 #[derive(Debug)]
 pub struct Encoder {
-    child: Child,
     /// `None` after the end.
     pipe: Option<ChildStdin>,
-    messages: Option<JoinHandle<String>>,
+    ffmpeg: Ffmpeg,
 }
 
 impl Encoder {
@@ -34,7 +32,8 @@ impl Encoder {
             0 => "yuv420p",
             _ => "yuv444p",
         };
-        let mut child = Command::new("ffmpeg")
+        let mut command = Command::new("ffmpeg");
+        command
             .args(["-v", "error", "-nostdin", "-y"])
             .args(["-f", "rawvideo", "-pix_fmt", "rgb24"])
             .args(["-video_size", &format!("{width}x{height}")])
@@ -43,17 +42,11 @@ impl Encoder {
             .args(["-pix_fmt", format, "-fflags", "+bitexact", "-f", "mp4"])
             .arg(file_url(path))
             .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(|error| start_error("ffmpeg", error))?;
+            .stdout(Stdio::null());
+        let mut ffmpeg = Ffmpeg::start(&mut command)?;
         Ok(Self {
-            pipe: child.stdin.take(),
-            messages: child
-                .stderr
-                .take()
-                .map(|stderr| std::thread::spawn(move || keep_start(stderr))),
-            child,
+            pipe: ffmpeg.input(),
+            ffmpeg,
         })
     }
 
@@ -81,24 +74,9 @@ impl Encoder {
 
     fn end(&mut self) -> Result<(), VideoError> {
         self.pipe = None;
-        let status = self.child.wait().map_err(|source| VideoError::Run {
-            program: "ffmpeg",
-            source,
-        })?;
-        let messages = self.messages.take().and_then(|thread| thread.join().ok());
-        match messages.unwrap_or_default().lines().next() {
-            Some(first) => Err(VideoError::Encode(first.to_owned())),
-            None if !status.success() => Err(VideoError::Encode("no message".to_owned())),
+        match self.ffmpeg.end()? {
+            Some(complaint) => Err(VideoError::Encode(complaint)),
             None => Ok(()),
         }
-    }
-}
-
-impl Drop for Encoder {
-    fn drop(&mut self) {
-        self.pipe = None;
-        // Both calls may find that it has ended already.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }

@@ -9,6 +9,7 @@
 
 mod decode;
 mod encode;
+mod ffmpeg;
 mod probe;
 
 use std::ffi::OsString;

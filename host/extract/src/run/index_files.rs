@@ -42,6 +42,7 @@ impl Extraction<'_> {
             ));
         }
         let mut reports = Vec::new();
+        let mut drawn_from = 0;
         for sequence in 0..sequences.count() {
             let mut tables = self.tables_of(sequence, sequences, written);
             let here = |topic: &str| tables.times.iter().any(|pair| &*pair.topic == topic);
@@ -49,7 +50,10 @@ impl Extraction<'_> {
             tables.names = here.map(|(&topic, name)| (topic, name.clone())).collect();
             let folder = sequences.folder(sequence);
             let data = self.place.out.join(below).join(&folder);
-            self.draw_samples(&data, &tables)?;
+            // Before the format may do away with the images, and of the sequence that has most.
+            if tables.pairs.len() > drawn_from && self.draw_samples(&data, &tables)? {
+                drawn_from = tables.pairs.len();
+            }
             layout
                 .finish(&data, &tables, facts)
                 .map_err(|error| self.failed(error))?;
@@ -68,30 +72,24 @@ impl Extraction<'_> {
         Ok(reports)
     }
 
-    /// Draws sample pairs for the report, of the sequence that has most; once, for some
-    /// formats do not keep the images.
+    /// Draws sample pairs for the report, if the images are there; returns whether they are.
     fn draw_samples(
         &mut self,
         data: &Path,
         tables: &SequenceTables<'_>,
-    ) -> Result<(), ExtractError> {
-        if tables.pairs.len() <= self.drawn_from {
-            return Ok(());
-        }
+    ) -> Result<bool, ExtractError> {
         let pairs = strip::samples(data, tables);
         if pairs.iter().any(|(color, _)| !color.exists()) {
-            return Ok(());
+            return Ok(false);
         }
-        self.drawn_from = tables.pairs.len();
         match strip::draw(&pairs) {
-            Ok(svg) => self.write(strip::FILE, svg.as_bytes()),
+            Ok(svg) => self.write(strip::FILE, svg.as_bytes())?,
             // The images are right or wrong by themselves; the report does without.
-            Err(error) => {
-                self.remarks
-                    .push(format!("the report has no sample pairs: {error}"));
-                Ok(())
-            }
+            Err(error) => self
+                .remarks
+                .push(format!("the report has no sample pairs: {error}")),
         }
+        Ok(true)
     }
 
     fn tables_of<'a>(

@@ -131,8 +131,6 @@ struct Extraction<'a> {
     remarks: Vec<String>,
     /// Images are missing that the next run may write.
     unfinished: bool,
-    /// Pairs of the sequence of which samples are drawn.
-    drawn_from: usize,
 }
 
 /// Extracts.
@@ -268,7 +266,6 @@ impl<'a> Extraction<'a> {
             progress,
             losses: Vec::new(),
             unfinished: false,
-            drawn_from: 0,
         })
     }
 }

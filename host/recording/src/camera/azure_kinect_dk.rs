@@ -1,4 +1,7 @@
 //! Azure Kinect DK. End of life; its SDK's issue 1971 names Orbbec as the successor.
+//!
+//! Its first frame comes on pulse 2 or 3. Its clock runs at 90 kHz, hundreds of ppm off
+//! (SDK #1384), and older firmware sets it to zero at the first pulse (#1240).
 
 use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
 
@@ -43,8 +46,6 @@ pub(super) const MODEL: Model = Model {
     },
     rates: &[30, 15, 5],
     own_rate: "the same",
-    first_frame: Some((2, 3)),
-    clock: "90 kHz, hundreds of ppm off (SDK #1384); zeroed at the first pulse by older firmware (#1240)",
     recording: Recording::Mkv,
     modes: &MODES,
     traps: &[
@@ -78,5 +79,3 @@ const MODES: [Mode; 4] = modes(
     Basis::Maker,
     "maker's table of multi-camera delays; the delay before the first pulse is not published",
 );
-
-pub(super) const NFOV_UNBINNED: &Mode = &MODES[0];

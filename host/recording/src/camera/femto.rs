@@ -42,8 +42,6 @@ pub(super) const BOLT: Model = Model {
     pulse: PULSE,
     rates: &[30, 15, 5],
     own_rate: "the same",
-    first_frame: None,
-    clock: "not published",
     recording: Recording::Mkv,
     modes: &MODES,
     traps: &[

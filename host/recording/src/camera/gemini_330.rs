@@ -15,8 +15,6 @@ pub(super) const MODEL: Model = Model {
     },
     rates: &[30, 15, 10, 5],
     own_rate: "the same; in HARDWARE_TRIGGERING more than the pulses times framesPerTrigger",
-    first_frame: None,
-    clock: "not published",
     recording: Recording::Ros2Bag,
     modes: &[
         Mode {

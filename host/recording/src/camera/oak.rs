@@ -1,4 +1,6 @@
 //! Luxonis OAK with global-shutter sensors (OV9282, OV9782), frame sync as input.
+//!
+//! Its clock runs at 1 MHz; the stamp is the begin of the read-out (maker's timing drawing).
 
 use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
 
@@ -25,8 +27,6 @@ pub(super) const MODEL: Model = Model {
     },
     rates: &[30, 15, 10, 5],
     own_rate: "the same",
-    first_frame: None,
-    clock: "1 MHz; the stamp is the begin of the read-out (maker's timing drawing)",
     recording: Recording::Ros2Bag,
     modes: &[
         ENDS,

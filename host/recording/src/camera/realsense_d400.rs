@@ -1,5 +1,8 @@
 //! RealSense D400 series (D435, D455 and kin): stereo with a global shutter. Its maker no
 //! longer supports an external trigger; what is here is from users.
+//!
+//! Its clock runs at 1 MHz; the stamp is taken when the frame's transfer begins
+//! (librealsense #15188).
 
 use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
 
@@ -24,8 +27,6 @@ pub(super) const MODEL: Model = Model {
     },
     rates: &[30, 15, 5],
     own_rate: "twice the pulses or more (60 for 30): the camera waits for each",
-    first_frame: None,
-    clock: "1 MHz; the stamp is taken when the frame's transfer begins (librealsense #15188)",
     recording: Recording::Ros2Bag,
     modes: &[
         BEGIN,

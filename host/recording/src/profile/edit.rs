@@ -45,15 +45,29 @@ pub fn phone_table<'a>(
         .and_then(|phones| phones.as_array_of_tables())
         .filter(|_| name.is_some())
         .and_then(|phones| phones.iter().position(is_it));
-    let table = match place {
+    match place {
         Some(place) => document
             .get_mut("phones")
             .and_then(|phones| phones.as_array_of_tables_mut())
-            .and_then(|phones| phones.get_mut(place)),
-        None => document
-            .entry("phone")
-            .or_insert(toml_edit::table())
-            .as_table_mut(),
-    };
-    table.ok_or_else(|| syntax(path, String::from("`phone` is no table")))
+            .and_then(|phones| phones.get_mut(place))
+            .ok_or_else(|| syntax(path, String::from("`phones` is no list of tables"))),
+        None => table(document, "phone", path),
+    }
+}
+
+/// The table of this name, which is added if it is missing.
+///
+/// # Errors
+///
+/// It is no table.
+pub(crate) fn table<'a>(
+    document: &'a mut DocumentMut,
+    name: &str,
+    path: &Path,
+) -> Result<&'a mut Table, ProfileError> {
+    document
+        .entry(name)
+        .or_insert(toml_edit::table())
+        .as_table_mut()
+        .ok_or_else(|| syntax(path, format!("`{name}` is no table")))
 }

@@ -1,8 +1,9 @@
 //! The pulses of the trigger: numbers without a gap, on the grid of the alignment.
 
-use protocol::{Period, Status, Ticks};
+use protocol::{Status, Ticks};
 
 use crate::{Findings, Grade, GridReport};
+use recording::grid::{FollowedGrid, Grid};
 use recording::messages::{Pulse, TriggerPeriod};
 use recording::session_file::{Alignment, SessionFile};
 
@@ -38,8 +39,12 @@ pub(super) struct Pulses {
     /// The shortest and the longest step on a grid that is not known, ticks.
     steps: Option<(u64, u64)>,
     grid: GridReport,
-    /// The last change of the period, and the one before it, which holds until then.
-    followed: [Option<TriggerPeriod>; 2],
+    /// That of the alignment, from change to change of the period.
+    followed: Option<FollowedGrid>,
+}
+
+fn followed(alignment: &Alignment) -> FollowedGrid {
+    FollowedGrid::new(Grid::from(alignment))
 }
 
 impl Pulses {
@@ -48,32 +53,23 @@ impl Pulses {
             .filter(|session| session.outcome.is_some())
             .and_then(|session| session.recorded)
             .map(|span| span.to);
+        let alignment = session.and_then(|session| session.alignment);
         Self {
-            alignment: session.and_then(|session| session.alignment),
+            alignment,
             session_to: recorded_to,
             recorded_to,
             last: None,
             steps: None,
             grid: GridReport::default(),
-            followed: [None, None],
+            followed: alignment.as_ref().map(followed),
         }
     }
 
     /// The trigger has another period from an edge on.
-    pub(super) fn follow(&mut self, period: TriggerPeriod) {
-        let [last, before] = &mut self.followed;
-        *before = last.replace(period);
-    }
-
-    /// How far a pulse is off the grid, ticks.
-    fn off(&self, alignment: &Alignment, at: Ticks) -> u64 {
-        let holds = |period: &&TriggerPeriod| Ticks(period.ticks) <= at;
-        let followed = self.followed.iter().flatten().find(holds);
-        let off = match followed {
-            Some(period) => period.phase_error(at),
-            None => Period(alignment.period_q32).phase_error(alignment.anchor, at),
-        };
-        off.0.unsigned_abs()
+    pub(super) fn follow(&mut self, period: &TriggerPeriod) {
+        if let Some(followed) = &mut self.followed {
+            followed.follow(period.into());
+        }
     }
 
     /// Something is missing here: what follows is not compared with what was before.
@@ -85,7 +81,7 @@ impl Pulses {
     /// The board was reset: the alignment in the session file is of one run only.
     pub(super) fn begin_run(&mut self) {
         self.forget();
-        self.followed = [None, None];
+        self.followed = self.alignment.as_ref().map(followed);
         self.recorded_to = Some(Ticks(0));
     }
 
@@ -94,6 +90,7 @@ impl Pulses {
         if let (Some(alignment), Some(anchor)) = (&mut self.alignment, anchor) {
             alignment.anchor = anchor;
             alignment.arrival = Some(anchor);
+            self.followed = Some(followed(alignment));
             self.recorded_to = self.session_to;
         } else {
             self.recorded_to = Some(Ticks(0));
@@ -174,14 +171,14 @@ impl Pulses {
     }
 
     fn hold_against_grid(&mut self, pulse: &Pulse, at: Ticks, findings: &mut Findings) {
-        let Some(alignment) = self.alignment else {
+        let (Some(alignment), Some(followed)) = (self.alignment, self.followed) else {
             return;
         };
         let arrived = alignment.arrival.unwrap_or(alignment.anchor);
         if at < arrived || self.recorded_to.is_some_and(|to| at > to) {
             return;
         }
-        let off = self.off(&alignment, at);
+        let off = followed.off(at).0.unsigned_abs();
         self.grid.checked += 1;
         if off != 0 {
             self.grid.off += 1;

@@ -25,8 +25,9 @@ use video::Encoder;
 use self::stats::Stats;
 use self::table::{Kind, Table, Values};
 use super::euroc::IMU_HEADER;
+use super::ros::IMAGES_AT_A_TIME;
 use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
-use crate::image::{Decoded, read_png, write_whole};
+use crate::image::{Decoded, decode_png, read_png, write_whole};
 use crate::time::BoardNanos;
 
 pub(super) struct Lerobot;
@@ -134,7 +135,7 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
     let partial = path.with_extension("partial");
     let mut video: Option<(Encoder, Size)> = None;
     let mut stats = Stats::new(3);
-    for pairs in pairs.chunks(ROWS_AT_A_TIME) {
+    for pairs in pairs.chunks(IMAGES_AT_A_TIME) {
         let images: Vec<io::Result<(Decoded, Stats)>> = pairs
             .par_iter()
             .map(|(image, _)| {
@@ -183,12 +184,12 @@ fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, 
         let images: Vec<io::Result<(Vec<u8>, Size, Stats)>> = pairs
             .par_iter()
             .map(|(_, depth)| {
-                let path = folder.join(&depth.path);
-                let image = read_png(&path)?;
+                let file = fs::read(folder.join(&depth.path))?;
+                let image = decode_png(io::Cursor::new(&file))?;
                 let pixels = image.pixels.chunks_exact(2);
                 let millimetres = pixels.map(|pixel| u16::from_le_bytes([pixel[0], pixel[1]]));
                 let stats = Stats::of_image(1, 1.0, millimetres);
-                Ok((fs::read(path)?, image.size, stats))
+                Ok((file, image.size, stats))
             })
             .collect();
         let mut bytes = Vec::with_capacity(pairs.len());
