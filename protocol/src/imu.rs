@@ -115,6 +115,20 @@ pub enum AccelRange {
 }
 
 impl LowPass {
+    /// Bandwidth of the gyroscope's low-pass in the MPU-6050 and MPU-9150, in 0.1 Hz
+    /// (their register maps, 4.3).
+    #[must_use]
+    pub const fn gyro_bandwidth_hz_times_10(self) -> u16 {
+        match self {
+            Self::Hz188 => 1_880,
+            Self::Hz98 => 980,
+            Self::Hz42 => 420,
+            Self::Hz20 => 200,
+            Self::Hz10 => 100,
+            Self::Hz5 => 50,
+        }
+    }
+
     /// Group delay of the gyroscope's low-pass in the MPU-6050 and MPU-9150, in µs
     /// (their register maps, 4.3).
     #[must_use]

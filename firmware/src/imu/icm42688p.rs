@@ -121,14 +121,7 @@ const fn at(config: &ImuConfig) -> Option<&'static Rate> {
 /// Number of the filter next to the one that is asked for, as a ratio, and not above half
 /// of the rate.
 const fn nearest(rate: &Rate, low_pass: LowPass) -> u8 {
-    let asked = match low_pass {
-        LowPass::Hz188 => 1_880,
-        LowPass::Hz98 => 980,
-        LowPass::Hz42 => 420,
-        LowPass::Hz20 => 200,
-        LowPass::Hz10 => 100,
-        LowPass::Hz5 => 50,
-    };
+    let asked = low_pass.gyro_bandwidth_hz_times_10();
     // ODR/2, which is the widest.
     let most = rate.filters[0].bandwidth;
     let (mut best, mut n) = (0, 1);

@@ -59,28 +59,20 @@ const fn after_reset(model: ImuModel) -> u8 {
 /// Bandwidth of the gyroscope in 0.1 Hz, its delay and the accelerometer's in µs, at
 /// [`dlpf_cfg`] (4.3; RM-MPU-6500A-00, 4.5 and 4.8; RM-MPU-9250A-00, registers 26 and 29).
 const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
-    match (model, low_pass) {
-        (ImuModel::Mpu6500, LowPass::Hz188) => (1_840, 2_900, 5_800),
-        (ImuModel::Mpu6500, LowPass::Hz98) => (920, 3_900, 7_800),
-        (ImuModel::Mpu6500, LowPass::Hz42) => (410, 5_900, 11_800),
-        (ImuModel::Mpu6500, LowPass::Hz20) => (200, 9_900, 19_800),
-        (ImuModel::Mpu6500, LowPass::Hz10) => (100, 17_850, 35_700),
-        (ImuModel::Mpu6500, LowPass::Hz5) => (50, 33_480, 66_960),
-        (ImuModel::Mpu9250, LowPass::Hz188) => (1_840, 2_900, 1_880),
-        (ImuModel::Mpu9250, LowPass::Hz98) => (920, 3_900, 2_880),
-        (ImuModel::Mpu9250, LowPass::Hz42) => (410, 5_900, 4_880),
-        (ImuModel::Mpu9250, LowPass::Hz20) => (200, 9_900, 8_870),
-        (ImuModel::Mpu9250, LowPass::Hz10) => (100, 17_850, 16_830),
-        (ImuModel::Mpu9250, LowPass::Hz5) => (50, 33_480, 32_480),
-        (_, low_pass) => (
-            match low_pass {
-                LowPass::Hz188 => 1_880,
-                LowPass::Hz98 => 980,
-                LowPass::Hz42 => 420,
-                LowPass::Hz20 => 200,
-                LowPass::Hz10 => 100,
-                LowPass::Hz5 => 50,
-            },
+    // The later two have one gyroscope, and accelerometers with delays of their own.
+    let (bandwidth, gyro_us, of_6500_us, of_9250_us) = match low_pass {
+        LowPass::Hz188 => (1_840, 2_900, 5_800, 1_880),
+        LowPass::Hz98 => (920, 3_900, 7_800, 2_880),
+        LowPass::Hz42 => (410, 5_900, 11_800, 4_880),
+        LowPass::Hz20 => (200, 9_900, 19_800, 8_870),
+        LowPass::Hz10 => (100, 17_850, 35_700, 16_830),
+        LowPass::Hz5 => (50, 33_480, 66_960, 32_480),
+    };
+    match model {
+        ImuModel::Mpu6500 => (bandwidth, gyro_us, of_6500_us),
+        ImuModel::Mpu9250 => (bandwidth, gyro_us, of_9250_us),
+        _ => (
+            low_pass.gyro_bandwidth_hz_times_10(),
             low_pass.gyro_delay_us(),
             low_pass.accel_delay_us(),
         ),
