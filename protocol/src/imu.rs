@@ -268,17 +268,22 @@ pub struct ImuSensor {
     pub temperature_at_zero_centidegrees: i16,
 }
 
+impl ImuSensor {
+    /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18), its bandwidth
+    /// not told.
+    pub const MPU_9150: Self = Self {
+        model: ImuModel::Mpu6050,
+        gyro_bandwidth_hz_times_10: 0,
+        gyro_noise_udps: 5_000,
+        accel_noise_ug: 400,
+        temperature_lsb_per_c_times_100: 34_000,
+        temperature_at_zero_centidegrees: 3_500,
+    };
+}
+
 impl Default for ImuSensor {
-    /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18).
     fn default() -> Self {
-        Self {
-            model: ImuModel::Mpu6050,
-            gyro_bandwidth_hz_times_10: 0,
-            gyro_noise_udps: 5_000,
-            accel_noise_ug: 400,
-            temperature_lsb_per_c_times_100: 34_000,
-            temperature_at_zero_centidegrees: 3_500,
-        }
+        Self::MPU_9150
     }
 }
 

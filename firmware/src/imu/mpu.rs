@@ -81,12 +81,18 @@ const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
 
 pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description {
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
-    let (gyro_noise_udps, accel_noise_ug, per_degree, at_zero) = match model {
+    let sensor = match model {
         // PS-MPU-6500A-01 revision 1.1 and PS-MPU-9250A-01 revision 1.1: 3.1 to 3.3.
-        ImuModel::Mpu6500 | ImuModel::Mpu9250 => (10_000, 300, 33_387, 2_100),
-        // PS-MPU-9150A-00, 6.1 and 6.2; 4.18. The MPU-6050 has the same noise
-        // (PS-MPU-6000A-00, 6.1 and 6.2) and is at 36.53 °C then.
-        _ => (5_000, 400, 34_000, 3_500),
+        ImuModel::Mpu6500 | ImuModel::Mpu9250 => ImuSensor {
+            gyro_noise_udps: 10_000,
+            accel_noise_ug: 300,
+            temperature_lsb_per_c_times_100: 33_387,
+            temperature_at_zero_centidegrees: 2_100,
+            ..ImuSensor::MPU_9150
+        },
+        // The MPU-6050 has the same noise (PS-MPU-6000A-00, 6.1 and 6.2) and is at
+        // 36.53 °C at a count of 0.
+        _ => ImuSensor::MPU_9150,
     };
     Description {
         gyro_delay_us,
@@ -94,10 +100,7 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description
         sensor: ImuSensor {
             model,
             gyro_bandwidth_hz_times_10: bandwidth,
-            gyro_noise_udps,
-            accel_noise_ug,
-            temperature_lsb_per_c_times_100: per_degree,
-            temperature_at_zero_centidegrees: at_zero,
+            ..sensor
         },
     }
 }
