@@ -21,13 +21,10 @@ pub(crate) mod mpu;
 use embedded_hal::i2c::{Error, ErrorKind};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
-use protocol::mpu9150::ADDRESS;
+use protocol::mpu9150::{ADDRESS, WHO_AM_I};
 use protocol::{
     ImuClock, ImuConfig, ImuFault, ImuModel, ImuSensor, ImuSetup, ImuStatus, Refusal, TICK_HZ,
 };
-
-/// Identity, in all families.
-const WHO_AM_I: u8 = 0x75;
 
 /// Highest rate, in Hz: what [`ImuConfig::divider`] divides.
 const BASE_RATE_HZ: u32 = 1_000;
