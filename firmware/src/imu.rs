@@ -6,9 +6,9 @@
 //!
 //! A family is a file with the same five functions: [`mpu`] (MPU-6050, 9150, 6500, 9250)
 //! and [`icm42688p`]. [`Imu`] finds out which it is, by WHO_AM_I, which is register 0x75 at
-//! address 0x68 in all of them, and calls the right one. It is an enum and not a trait
-//! object: `no_std` has no boxed futures, and the compiler names every place where a new
-//! family is missing.
+//! address 0x68 in all of them, and calls the right one. Families are an enum and not trait
+//! objects: `no_std` has no boxed futures, and the compiler names every place where a new
+//! one is missing.
 //!
 //! The interrupt pin gives a short pulse for each sample, whether the last
 //! one was read or not, so that a sample that is not read in time is seen as an
@@ -49,6 +49,23 @@ impl RawSample {
     }
 }
 
+/// Which file drives a sensor.
+#[derive(Clone, Copy)]
+enum Family {
+    Mpu,
+    Icm42688P,
+}
+
+/// The family of a sensor; one that is not found yet counts as an MPU-6050.
+const fn family(model: ImuModel) -> Family {
+    match model {
+        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
+            Family::Mpu
+        }
+        ImuModel::Icm42688P => Family::Icm42688P,
+    }
+}
+
 /// What a family says of one setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Description {
@@ -73,11 +90,9 @@ pub const fn interval_ms(config: &ImuConfig) -> u32 {
 ///
 /// The divider is above [`ImuConfig::MAX_DIVIDER`], or the sensor has no such rate.
 pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
-    let has = match model {
-        ImuModel::Icm42688P => icm42688p::has(config),
-        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
-            mpu::has(config)
-        }
+    let has = match family(model) {
+        Family::Mpu => mpu::has(config),
+        Family::Icm42688P => icm42688p::has(config),
     };
     if has {
         Ok(())
@@ -90,11 +105,9 @@ pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
 /// found yet is described as an MPU-6050.
 #[must_use]
 pub const fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
-    let description = match model {
-        ImuModel::Icm42688P => icm42688p::describe(&config),
-        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
-            mpu::describe(model, &config)
-        }
+    let description = match family(model) {
+        Family::Mpu => mpu::describe(model, &config),
+        Family::Icm42688P => icm42688p::describe(&config),
     };
     ImuSetup {
         config,
@@ -163,9 +176,9 @@ impl<B: I2c> Imu<B> {
             return Err(ImuFault::NoSuchSetting);
         }
         let registers = &mut self.registers;
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::set_up(registers, config, delay).await,
-            model => mpu::set_up(registers, model, config, delay).await,
+        match family(self.model) {
+            Family::Mpu => mpu::set_up(registers, self.model, config, delay).await,
+            Family::Icm42688P => icm42688p::set_up(registers, config, delay).await,
         }
     }
 
@@ -183,9 +196,9 @@ impl<B: I2c> Imu<B> {
     ) -> Result<(), ImuFault> {
         let external = matches!(clock, ImuClock::External);
         let registers = &mut self.registers;
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::start(registers, external, delay).await,
-            _ => mpu::start(registers, external).await,
+        match family(self.model) {
+            Family::Mpu => mpu::start(registers, external).await,
+            Family::Icm42688P => icm42688p::start(registers, external, delay).await,
         }
     }
 
@@ -196,9 +209,9 @@ impl<B: I2c> Imu<B> {
     ///
     /// Faults of the bus.
     pub async fn read_sample(&mut self) -> Result<RawSample, ImuFault> {
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
-            _ => mpu::read_sample(&mut self.registers).await,
+        match family(self.model) {
+            Family::Mpu => mpu::read_sample(&mut self.registers).await,
+            Family::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
         }
     }
 
