@@ -18,6 +18,8 @@
 pub(crate) mod icm42688p;
 pub(crate) mod mpu;
 
+use core::array;
+
 use embedded_hal::i2c::{Error, ErrorKind};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -269,6 +271,14 @@ impl<B: I2c> Registers<B> {
         Ok(bytes)
     }
 
+    /// Reads the seven words of a sample from `register` on, high byte first.
+    async fn read_words(&mut self, register: u8) -> Result<[i16; 7], ImuFault> {
+        let bytes: [u8; 14] = self.read_all(register).await?;
+        Ok(array::from_fn(|word| {
+            i16::from_be_bytes([bytes[2 * word], bytes[2 * word + 1]])
+        }))
+    }
+
     async fn expect(&mut self, register: u8, wrote: u8, expected: u8) -> Result<(), ImuFault> {
         let read = self.read(register).await?;
         if read != expected {
@@ -280,22 +290,6 @@ impl<B: I2c> Registers<B> {
         }
         Ok(())
     }
-}
-
-/// Seven words, high byte first.
-const fn words(bytes: &[u8; 14]) -> [i16; 7] {
-    const fn word(bytes: &[u8; 14], index: usize) -> i16 {
-        i16::from_be_bytes([bytes[2 * index], bytes[2 * index + 1]])
-    }
-    [
-        word(bytes, 0),
-        word(bytes, 1),
-        word(bytes, 2),
-        word(bytes, 3),
-        word(bytes, 4),
-        word(bytes, 5),
-        word(bytes, 6),
-    ]
 }
 
 /// What an error of the bus is called in messages.

@@ -19,7 +19,7 @@ use protocol::icm42688p::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers, words};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I (14.58).
 pub(super) const IDENTITY: u8 = 0x47;
@@ -246,8 +246,7 @@ pub(super) async fn start<B: I2c>(
 pub(super) async fn read_sample<B: I2c>(
     registers: &mut Registers<B>,
 ) -> Result<RawSample, ImuFault> {
-    let bytes = registers.read_all(TEMP_DATA1).await?;
-    let [temperature, ax, ay, az, gx, gy, gz] = words(&bytes);
+    let [temperature, ax, ay, az, gx, gy, gz] = registers.read_words(TEMP_DATA1).await?;
     Ok(RawSample {
         accel: [ax, ay, az],
         temperature,

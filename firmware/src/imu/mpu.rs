@@ -13,7 +13,7 @@ use protocol::mpu9150::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers, words};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I of the MPU-6050 and MPU-9150.
 pub(super) const IDENTITY_6050: u8 = 0x68;
@@ -180,8 +180,7 @@ pub(super) async fn start<B: I2c>(
 pub(super) async fn read_sample<B: I2c>(
     registers: &mut Registers<B>,
 ) -> Result<RawSample, ImuFault> {
-    let bytes = registers.read_all(ACCEL_XOUT_H).await?;
-    let [ax, ay, az, temperature, gx, gy, gz] = words(&bytes);
+    let [ax, ay, az, temperature, gx, gy, gz] = registers.read_words(ACCEL_XOUT_H).await?;
     Ok(RawSample {
         accel: [ax, ay, az],
         temperature,
