@@ -22,10 +22,9 @@ pub struct Board {
     pub pll_factor: u16,
     /// Interrupts of the chip.
     pub interrupts: usize,
-    /// DBGMCU_IDCODE of the chips whose flash cannot prefetch: device and revision.
+    /// Where the chip's first revision cannot prefetch from the flash: the device ID of all
+    /// later ones, and that revision's ID (DBGMCU_IDCODE).
     pub cannot_prefetch: Option<(u16, u16)>,
-    /// Device ID of all others.
-    pub device_id: u16,
     /// Channel of the ADC that has the temperature sensor.
     pub temperature_channel: u8,
     /// The computer's 5 V are at PA9. Without that wire a cable that is unplugged shows as a
