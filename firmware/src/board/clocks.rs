@@ -52,7 +52,7 @@ pub(crate) fn config() -> Config {
 }
 
 /// Starts the crystal, for which the HAL would wait for ever. If it does not come, lights
-/// the red LED and waits for the watchdog, which must run: the next run tries again.
+/// the LED of faults and waits for the watchdog, which must run: the next run tries again.
 pub(crate) fn start_crystal() {
     pac::RCC.cr().modify(|w| w.set_hseon(true));
     for _ in 0..CRYSTAL_LOOKS {
