@@ -11,9 +11,6 @@ use anyhow::{Context, Result, bail};
 
 use crate::{demo, firmware, process, tools};
 
-/// What the plots are drawn with, beyond the packages of the tests.
-const PLOTTING: &str = "matplotlib==3.11.2";
-
 /// Size of the terminal of the live view.
 const TERMINAL: (u16, u16) = (80, 24);
 
@@ -24,14 +21,6 @@ const PATIENCE: Duration = Duration::from_secs(120);
 pub(crate) fn make() -> Result<()> {
     let elf = firmware::build_rig()?;
     let python = tools::ensure_python()?;
-    process::run(process::command(&python).args([
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        PLOTTING,
-    ]))?;
     let figures = process::root().join("docs/figures");
     fs::create_dir_all(&figures).with_context(|| format!("cannot make {}", figures.display()))?;
     imu_twist(&elf, &python, &figures.join("imu-twist.svg"))?;

@@ -10,7 +10,7 @@ use crate::{process, sync_bench, tools};
 const TRIALS: &str = "2";
 
 /// Builds the wheel and gives its path.
-pub(crate) fn build(python: &Path) -> Result<PathBuf> {
+fn build(python: &Path) -> Result<PathBuf> {
     let folder = process::target_dir().join("wheels");
     if folder.exists() {
         std::fs::remove_dir_all(&folder)
@@ -38,18 +38,7 @@ pub(crate) fn build(python: &Path) -> Result<PathBuf> {
 pub(crate) fn installed() -> Result<PathBuf> {
     let python = tools::ensure_python()?;
     let wheel = build(&python)?;
-    process::run(
-        process::command(&python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ])
-            .args(["--no-deps", "--force-reinstall"])
-            .arg(&wheel),
-    )?;
+    tools::pip_install(&python, &["--no-deps", "--force-reinstall"], &wheel)?;
     println!("wheel: {}", wheel.display());
     Ok(python)
 }
