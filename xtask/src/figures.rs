@@ -30,7 +30,7 @@ pub(crate) fn make() -> Result<()> {
 
 /// The live view of a recording on the simulated rig.
 fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let place = fresh_folder("figures")?;
+    let place = process::fresh_folder("figures")?;
     let profile = place.join("rig.toml");
     let written = profile.display().to_string();
     let rig = Rig::start(
@@ -88,7 +88,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
 
 /// The report of the demo's data set, as a browser shows its beginning.
 fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let place = fresh_folder("figures-demo")?;
+    let place = process::fresh_folder("figures-demo")?;
     demo::run(&demo::Args::into_folder(place.clone()), elf)?;
     let shot = place.join("report.png");
     let mut browser = process::command("chromium");
@@ -118,14 +118,6 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     )?;
     println!("{}", figure.display());
     Ok(())
-}
-
-fn fresh_folder(name: &str) -> Result<PathBuf> {
-    let place = process::target_dir().join(name);
-    // It may not be there.
-    let _ = fs::remove_dir_all(&place);
-    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
-    Ok(place)
 }
 
 /// A terminal of a tmux server of its own, by the server's socket.

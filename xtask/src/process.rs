@@ -2,6 +2,7 @@
 
 use std::env;
 use std::ffi::OsStr;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -35,6 +36,16 @@ pub(crate) fn target_dir() -> PathBuf {
             }
         },
     )
+}
+
+/// An empty folder of this name in cargo's target folder.
+pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
+    let place = target_dir().join(name);
+    if place.exists() {
+        fs::remove_dir_all(&place).with_context(|| format!("cannot empty {}", place.display()))?;
+    }
+    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
+    Ok(place)
 }
 
 /// A command at the root of the workspace, without the variables that the

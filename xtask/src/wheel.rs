@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::{process, sync_bench, tools};
 
@@ -11,11 +11,7 @@ const TRIALS: &str = "2";
 
 /// Builds the wheel and gives its path.
 fn build(python: &Path) -> Result<PathBuf> {
-    let folder = process::target_dir().join("wheels");
-    if folder.exists() {
-        std::fs::remove_dir_all(&folder)
-            .with_context(|| format!("cannot empty {}", folder.display()))?;
-    }
+    let folder = process::fresh_folder("wheels")?;
     process::run(
         process::command(python)
             .args(["-m", "maturin", "build", "--release", "--quiet"])
