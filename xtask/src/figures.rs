@@ -1,6 +1,5 @@
 //! Figures of the book and of the README that are made from simulated runs.
 
-use std::env;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -39,7 +38,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     )?;
     let terminal = Terminal(place.join("tmux"));
     let (width, height) = (TERMINAL.0.to_string(), TERMINAL.1.to_string());
-    let program = program("smartdepthsync").display().to_string();
+    let program = process::program("smartdepthsync").display().to_string();
     let out = place.join("recordings").display().to_string();
     let record = [
         "record",
@@ -150,7 +149,7 @@ fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     let csv = process::target_dir().join("imu-twist.csv");
     let rig = Rig::start(elf, &["--motion", "rest:3.5,twist:8,rest"])?;
     process::run(
-        process::command(program("smartdepthsync"))
+        process::command(process::program("smartdepthsync"))
             .args(["imu", "--port", &rig.port, "--seconds", "12", "--csv"])
             .arg(&csv),
     )?;
@@ -165,13 +164,6 @@ fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A program that cargo has built in the release profile.
-fn program(name: &str) -> PathBuf {
-    process::target_dir()
-        .join("release")
-        .join(format!("{name}{}", env::consts::EXE_SUFFIX))
-}
-
 /// A running `hil-sim serve`, which ends with this value.
 struct Rig {
     child: Child,
@@ -180,7 +172,7 @@ struct Rig {
 
 impl Rig {
     fn start(elf: &Path, arguments: &[&str]) -> Result<Self> {
-        let mut child = process::command(program("hil-sim"))
+        let mut child = process::command(process::program("hil-sim"))
             .arg("serve")
             .args(arguments)
             .args(["--wait-for-host", "--quiet", "--speed", "4"])

@@ -52,14 +52,7 @@ enum Route {
 pub(crate) fn build_rig() -> Result<PathBuf> {
     let elf = build()?;
     build_agent()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    process::build_programs()?;
     Ok(elf)
 }
 

@@ -42,15 +42,7 @@ pub(crate) fn installed() -> Result<PathBuf> {
 /// `cargo xtask wheel`.
 pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
-    // Both together, as the demo and the tests build them: nothing is compiled twice.
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    process::build_programs()?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
     sync_bench::example(
@@ -66,10 +58,7 @@ pub(crate) fn build_and_test() -> Result<()> {
                 "-s",
                 "host/twist-sync-python/tests",
             ])
-            .env(
-                "SMARTDEPTHSYNC",
-                process::target_dir().join("release/smartdepthsync"),
-            )
+            .env("SMARTDEPTHSYNC", process::program("smartdepthsync"))
             .env("SYNC_BENCH", &twists),
     )
 }
