@@ -18,6 +18,9 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Makes the figures anew, into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
+    tools::ensure_program("ffmpeg", "ffmpeg")?;
+    tools::ensure_program("tmux", "tmux")?;
+    tools::ensure_program("chromium", "chromium")?;
     let elf = firmware::build_rig()?;
     let python = tools::ensure_python()?;
     let figures = process::root().join("docs/figures");
@@ -129,7 +132,7 @@ impl Terminal {
             .arg(&self.0)
             .args(arguments)
             .output()
-            .context("cannot run tmux: sudo apt-get install tmux")?;
+            .context("cannot start tmux")?;
         if !output.status.success() {
             bail!("tmux: {}", String::from_utf8_lossy(&output.stderr).trim());
         }
