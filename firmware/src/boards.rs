@@ -22,10 +22,9 @@ pub struct Board {
     pub pll_factor: u16,
     /// Interrupts of the chip.
     pub interrupts: usize,
-    /// DBGMCU_IDCODE of the chips whose flash cannot prefetch: device and revision.
+    /// Where the chip's first revision cannot prefetch from the flash: the device ID of all
+    /// later ones, and that revision's ID (DBGMCU_IDCODE).
     pub cannot_prefetch: Option<(u16, u16)>,
-    /// Device ID of all others.
-    pub device_id: u16,
     /// Channel of the ADC that has the temperature sensor.
     pub temperature_channel: u8,
     /// The computer's 5 V are at PA9. Without that wire a cable that is unplugged shows as a
@@ -77,13 +76,14 @@ mod tests {
 
     #[test]
     fn no_led_is_on_a_pin_of_a_signal() {
-        // Of ports A and B, as in the module's header.
-        let taken = [(0, 0x980F | 0x0020), (1, 0x00C1)];
+        // Pins of ports A and B, as in the module's header, and PA0, where both have a key.
+        let signals: [(u8, &[u8]); 2] = [(0, &[0, 1, 2, 3, 5, 8, 11, 12]), (1, &[0, 6, 7])];
         for board in [discovery::BOARD, black_pill::BOARD] {
             for (n, led) in board.leds.iter().enumerate() {
-                let clash =
-                    |&(port, pins): &(u8, u32)| led.port == port && pins & (1 << led.pin) != 0;
-                assert!(!taken.iter().any(clash), "{led:?}");
+                let clash = signals
+                    .iter()
+                    .any(|(port, pins)| led.port == *port && pins.contains(&led.pin));
+                assert!(!clash, "{led:?}");
                 assert!(!board.leds[..n].contains(led));
             }
         }

@@ -186,7 +186,7 @@ pub const IMU_POWER_UP_MS: u64 = 100;
 /// sheet, 12.5). 1,500 ticks of TIM3.
 pub const IMU_RTC_HZ: u32 = 32_000;
 
-/// Longest time for starting a sensor that is set up, in ms: eleven transfers of at most
+/// Longest time for starting a sensor that is set up, in ms: twelve transfers of at most
 /// 0.1 ms, a pause of 0.2, and time for a bus with a hiccup.
 pub const IMU_START_MS: u64 = 10;
 
@@ -200,7 +200,7 @@ pub const FIRST_DATA_READY_MS: u64 = 100;
 /// neither clock.
 pub const IMU_CLOCK_SETTLING_MS: u64 = 10;
 
-/// Longest time for setting the sensor up, in ms: 100 ms for its reset, 50
+/// Longest time for setting the sensor up, in ms: 100 ms for its reset, 51
 /// transfers of at most 0.1 ms, and time for a bus with a hiccup.
 pub const SET_UP_MS: u64 = 150;
 

@@ -6,9 +6,9 @@
 //!
 //! A family is a file with the same five functions: [`mpu`] (MPU-6050, 9150, 6500, 9250)
 //! and [`icm42688p`]. [`Imu`] finds out which it is, by WHO_AM_I, which is register 0x75 at
-//! address 0x68 in all of them, and calls the right one. It is an enum and not a trait
-//! object: `no_std` has no boxed futures, and the compiler names every place where a new
-//! family is missing.
+//! address 0x68 in all of them, and calls the right one. Families are an enum and not trait
+//! objects: `no_std` has no boxed futures, and the compiler names every place where a new
+//! one is missing.
 //!
 //! The interrupt pin gives a short pulse for each sample, whether the last
 //! one was read or not, so that a sample that is not read in time is seen as an
@@ -18,16 +18,15 @@
 pub(crate) mod icm42688p;
 pub(crate) mod mpu;
 
+use core::array;
+
 use embedded_hal::i2c::{Error, ErrorKind};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
-use protocol::mpu9150::ADDRESS;
+use protocol::mpu9150::{ADDRESS, WHO_AM_I};
 use protocol::{
     ImuClock, ImuConfig, ImuFault, ImuModel, ImuSensor, ImuSetup, ImuStatus, Refusal, TICK_HZ,
 };
-
-/// Identity, in all families.
-const WHO_AM_I: u8 = 0x75;
 
 /// Highest rate, in Hz: what [`ImuConfig::divider`] divides.
 const BASE_RATE_HZ: u32 = 1_000;
@@ -49,6 +48,23 @@ impl RawSample {
     pub fn is_saturated(&self) -> bool {
         let at_end = |&value: &i16| value == i16::MIN || value == i16::MAX;
         self.accel.iter().any(at_end) || self.gyro.iter().any(at_end)
+    }
+}
+
+/// Which file drives a sensor.
+#[derive(Clone, Copy)]
+enum Family {
+    Mpu,
+    Icm42688P,
+}
+
+/// The family of a sensor; one that is not found yet counts as an MPU-6050.
+const fn family(model: ImuModel) -> Family {
+    match model {
+        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
+            Family::Mpu
+        }
+        ImuModel::Icm42688P => Family::Icm42688P,
     }
 }
 
@@ -76,11 +92,9 @@ pub const fn interval_ms(config: &ImuConfig) -> u32 {
 ///
 /// The divider is above [`ImuConfig::MAX_DIVIDER`], or the sensor has no such rate.
 pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
-    let has = match model {
-        ImuModel::Icm42688P => icm42688p::has(config),
-        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
-            mpu::has(config)
-        }
+    let has = match family(model) {
+        Family::Mpu => mpu::has(config),
+        Family::Icm42688P => icm42688p::has(config),
     };
     if has {
         Ok(())
@@ -93,11 +107,9 @@ pub const fn check(model: ImuModel, config: &ImuConfig) -> Result<(), Refusal> {
 /// found yet is described as an MPU-6050.
 #[must_use]
 pub const fn describe(model: ImuModel, config: ImuConfig, status: ImuStatus) -> ImuSetup {
-    let description = match model {
-        ImuModel::Icm42688P => icm42688p::describe(&config),
-        ImuModel::Unknown | ImuModel::Mpu6050 | ImuModel::Mpu6500 | ImuModel::Mpu9250 => {
-            mpu::describe(model, &config)
-        }
+    let description = match family(model) {
+        Family::Mpu => mpu::describe(model, &config),
+        Family::Icm42688P => icm42688p::describe(&config),
     };
     ImuSetup {
         config,
@@ -166,9 +178,9 @@ impl<B: I2c> Imu<B> {
             return Err(ImuFault::NoSuchSetting);
         }
         let registers = &mut self.registers;
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::set_up(registers, config, delay).await,
-            model => mpu::set_up(registers, model, config, delay).await,
+        match family(self.model) {
+            Family::Mpu => mpu::set_up(registers, self.model, config, delay).await,
+            Family::Icm42688P => icm42688p::set_up(registers, config, delay).await,
         }
     }
 
@@ -186,9 +198,9 @@ impl<B: I2c> Imu<B> {
     ) -> Result<(), ImuFault> {
         let external = matches!(clock, ImuClock::External);
         let registers = &mut self.registers;
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::start(registers, external, delay).await,
-            _ => mpu::start(registers, external).await,
+        match family(self.model) {
+            Family::Mpu => mpu::start(registers, external).await,
+            Family::Icm42688P => icm42688p::start(registers, external, delay).await,
         }
     }
 
@@ -199,9 +211,9 @@ impl<B: I2c> Imu<B> {
     ///
     /// Faults of the bus.
     pub async fn read_sample(&mut self) -> Result<RawSample, ImuFault> {
-        match self.model {
-            ImuModel::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
-            _ => mpu::read_sample(&mut self.registers).await,
+        match family(self.model) {
+            Family::Mpu => mpu::read_sample(&mut self.registers).await,
+            Family::Icm42688P => icm42688p::read_sample(&mut self.registers).await,
         }
     }
 
@@ -259,6 +271,14 @@ impl<B: I2c> Registers<B> {
         Ok(bytes)
     }
 
+    /// Reads the seven words of a sample from `register` on, high byte first.
+    async fn read_words(&mut self, register: u8) -> Result<[i16; 7], ImuFault> {
+        let bytes: [u8; 14] = self.read_all(register).await?;
+        Ok(array::from_fn(|word| {
+            i16::from_be_bytes([bytes[2 * word], bytes[2 * word + 1]])
+        }))
+    }
+
     async fn expect(&mut self, register: u8, wrote: u8, expected: u8) -> Result<(), ImuFault> {
         let read = self.read(register).await?;
         if read != expected {
@@ -270,22 +290,6 @@ impl<B: I2c> Registers<B> {
         }
         Ok(())
     }
-}
-
-/// Seven words, high byte first.
-const fn words(bytes: &[u8; 14]) -> [i16; 7] {
-    const fn word(bytes: &[u8; 14], index: usize) -> i16 {
-        i16::from_be_bytes([bytes[2 * index], bytes[2 * index + 1]])
-    }
-    [
-        word(bytes, 0),
-        word(bytes, 1),
-        word(bytes, 2),
-        word(bytes, 3),
-        word(bytes, 4),
-        word(bytes, 5),
-        word(bytes, 6),
-    ]
 }
 
 /// What an error of the bus is called in messages.

@@ -115,6 +115,20 @@ pub enum AccelRange {
 }
 
 impl LowPass {
+    /// Bandwidth of the gyroscope's low-pass in the MPU-6050 and MPU-9150, in 0.1 Hz
+    /// (their register maps, 4.3).
+    #[must_use]
+    pub const fn gyro_bandwidth_hz_times_10(self) -> u16 {
+        match self {
+            Self::Hz188 => 1_880,
+            Self::Hz98 => 980,
+            Self::Hz42 => 420,
+            Self::Hz20 => 200,
+            Self::Hz10 => 100,
+            Self::Hz5 => 50,
+        }
+    }
+
     /// Group delay of the gyroscope's low-pass in the MPU-6050 and MPU-9150, in µs
     /// (their register maps, 4.3).
     #[must_use]
@@ -254,17 +268,22 @@ pub struct ImuSensor {
     pub temperature_at_zero_centidegrees: i16,
 }
 
+impl ImuSensor {
+    /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18), its bandwidth
+    /// not told.
+    pub const MPU_9150: Self = Self {
+        model: ImuModel::Mpu6050,
+        gyro_bandwidth_hz_times_10: 0,
+        gyro_noise_udps: 5_000,
+        accel_noise_ug: 400,
+        temperature_lsb_per_c_times_100: 34_000,
+        temperature_at_zero_centidegrees: 3_500,
+    };
+}
+
 impl Default for ImuSensor {
-    /// The MPU-9150 (product specification 6.1 and 6.2, register map 4.18).
     fn default() -> Self {
-        Self {
-            model: ImuModel::Mpu6050,
-            gyro_bandwidth_hz_times_10: 0,
-            gyro_noise_udps: 5_000,
-            accel_noise_ug: 400,
-            temperature_lsb_per_c_times_100: 34_000,
-            temperature_at_zero_centidegrees: 3_500,
-        }
+        Self::MPU_9150
     }
 }
 

@@ -75,11 +75,6 @@ fn imu_setup(config: ImuConfig, status: ImuStatus) -> ImuSetup {
     }
 }
 
-fn of_model(mut setup: ImuSetup, model: ImuModel) -> ImuSetup {
-    setup.sensor.model = model;
-    setup
-}
-
 fn hello(reset_cause: ResetCause, last_panic: Option<&str>) -> Hello {
     Hello {
         protocol_version: PROTOCOL_VERSION,
@@ -378,6 +373,13 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         arrival: Ticks(9_999_999_999),
     };
     let imu = imu_setup(imu_config(), imu_status(None));
+    let imu_of = |model| {
+        let sensor = ImuSensor {
+            model,
+            ..imu.sensor
+        };
+        QueryImu::wrap(ImuSetup { sensor, ..imu })
+    };
     let gnss = GnssReport {
         settings: Some(gnss_settings()),
         status: gnss_status(),
@@ -396,22 +398,10 @@ fn messages() -> std::vec::Vec<(std::string::String, DeviceToHost)> {
         ("trigger-query", QueryTrigger::wrap(trigger_status())),
         ("imu-configure", ConfigureImu::wrap(imu)),
         ("imu-query", QueryImu::wrap(imu)),
-        (
-            "imu-unknown",
-            QueryImu::wrap(of_model(imu, ImuModel::Unknown)),
-        ),
-        (
-            "imu-mpu-6050",
-            QueryImu::wrap(of_model(imu, ImuModel::Mpu6050)),
-        ),
-        (
-            "imu-mpu-6500",
-            QueryImu::wrap(of_model(imu, ImuModel::Mpu6500)),
-        ),
-        (
-            "imu-mpu-9250",
-            QueryImu::wrap(of_model(imu, ImuModel::Mpu9250)),
-        ),
+        ("imu-unknown", imu_of(ImuModel::Unknown)),
+        ("imu-mpu-6050", imu_of(ImuModel::Mpu6050)),
+        ("imu-mpu-6500", imu_of(ImuModel::Mpu6500)),
+        ("imu-mpu-9250", imu_of(ImuModel::Mpu9250)),
         ("gnss-start", StartGnss::wrap(gnss)),
         ("gnss-stop", StopGnss::wrap(gnss_off)),
         ("gnss-query", QueryGnss::wrap(gnss)),

@@ -37,9 +37,7 @@ pub(crate) fn run(depth_minutes: u32) -> Result<()> {
         "--bin",
         "smartdepthsync",
     ])?;
-    let place = process::target_dir().join("extract-bench");
-    let _ = fs::remove_dir_all(&place);
-    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
+    let place = process::fresh_folder("extract-bench")?;
     let result = board(&place, &python).and_then(|()| depth(&place, depth_minutes));
     // The recordings are large.
     let _ = fs::remove_dir_all(&place);

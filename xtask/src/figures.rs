@@ -1,6 +1,5 @@
 //! Figures of the book and of the README that are made from simulated runs.
 
-use std::env;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -11,9 +10,6 @@ use anyhow::{Context, Result, bail};
 
 use crate::{demo, firmware, process, tools};
 
-/// What the plots are drawn with, beyond the packages of the tests.
-const PLOTTING: &str = "matplotlib==3.11.2";
-
 /// Size of the terminal of the live view.
 const TERMINAL: (u16, u16) = (80, 24);
 
@@ -22,16 +18,11 @@ const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Makes the figures anew, into `docs/figures`.
 pub(crate) fn make() -> Result<()> {
+    tools::ensure_program("ffmpeg", "ffmpeg")?;
+    tools::ensure_program("tmux", "tmux")?;
+    tools::ensure_program("chromium", "chromium")?;
     let elf = firmware::build_rig()?;
     let python = tools::ensure_python()?;
-    process::run(process::command(&python).args([
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        PLOTTING,
-    ]))?;
     let figures = process::root().join("docs/figures");
     fs::create_dir_all(&figures).with_context(|| format!("cannot make {}", figures.display()))?;
     imu_twist(&elf, &python, &figures.join("imu-twist.svg"))?;
@@ -41,7 +32,7 @@ pub(crate) fn make() -> Result<()> {
 
 /// The live view of a recording on the simulated rig.
 fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let place = fresh_folder("figures")?;
+    let place = process::fresh_folder("figures")?;
     let profile = place.join("rig.toml");
     let written = profile.display().to_string();
     let rig = Rig::start(
@@ -50,7 +41,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     )?;
     let terminal = Terminal(place.join("tmux"));
     let (width, height) = (TERMINAL.0.to_string(), TERMINAL.1.to_string());
-    let program = program("smartdepthsync").display().to_string();
+    let program = process::program("smartdepthsync").display().to_string();
     let out = place.join("recordings").display().to_string();
     let record = [
         "record",
@@ -99,7 +90,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
 
 /// The report of the demo's data set, as a browser shows its beginning.
 fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
-    let place = fresh_folder("figures-demo")?;
+    let place = process::fresh_folder("figures-demo")?;
     demo::run(&demo::Args::into_folder(place.clone()), elf)?;
     let shot = place.join("report.png");
     let mut browser = process::command("chromium");
@@ -131,14 +122,6 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     Ok(())
 }
 
-fn fresh_folder(name: &str) -> Result<PathBuf> {
-    let place = process::target_dir().join(name);
-    // It may not be there.
-    let _ = fs::remove_dir_all(&place);
-    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
-    Ok(place)
-}
-
 /// A terminal of a tmux server of its own, by the server's socket.
 struct Terminal(PathBuf);
 
@@ -149,7 +132,7 @@ impl Terminal {
             .arg(&self.0)
             .args(arguments)
             .output()
-            .context("cannot run tmux: sudo apt-get install tmux")?;
+            .context("cannot start tmux")?;
         if !output.status.success() {
             bail!("tmux: {}", String::from_utf8_lossy(&output.stderr).trim());
         }
@@ -169,7 +152,7 @@ fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     let csv = process::target_dir().join("imu-twist.csv");
     let rig = Rig::start(elf, &["--motion", "rest:3.5,twist:8,rest"])?;
     process::run(
-        process::command(program("smartdepthsync"))
+        process::command(process::program("smartdepthsync"))
             .args(["imu", "--port", &rig.port, "--seconds", "12", "--csv"])
             .arg(&csv),
     )?;
@@ -184,13 +167,6 @@ fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A program that cargo has built in the release profile.
-fn program(name: &str) -> PathBuf {
-    process::target_dir()
-        .join("release")
-        .join(format!("{name}{}", env::consts::EXE_SUFFIX))
-}
-
 /// A running `hil-sim serve`, which ends with this value.
 struct Rig {
     child: Child,
@@ -199,7 +175,7 @@ struct Rig {
 
 impl Rig {
     fn start(elf: &Path, arguments: &[&str]) -> Result<Self> {
-        let mut child = process::command(program("hil-sim"))
+        let mut child = process::command(process::program("hil-sim"))
             .arg("serve")
             .args(arguments)
             .args(["--wait-for-host", "--quiet", "--speed", "4"])

@@ -20,6 +20,7 @@ use crate::{process, tools};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 const FIRMWARE: &str = "firmware";
+const BLACK_PILL: [&str; 3] = ["--no-default-features", "--features", "black-pill"];
 const AGENT: &str = "host/phone-agent";
 const AGENT_PROGRAM: &str = "smartdepthsync-phone-agent";
 /// Targets of the agent, and what its files are called: by Android's names of processors.
@@ -52,14 +53,7 @@ enum Route {
 pub(crate) fn build_rig() -> Result<PathBuf> {
     let elf = build()?;
     build_agent()?;
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    process::build_programs()?;
     Ok(elf)
 }
 
@@ -91,8 +85,7 @@ pub(crate) fn flash(board: Board) -> Result<()> {
 /// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its
 /// ELF ends in `-black-pill`. To be called before [`build`].
 pub(crate) fn build_black_pill() -> Result<()> {
-    let features = ["--no-default-features", "--features", "black-pill"];
-    let elf = built(&[&["build", "--release"], &features[..]].concat())?;
+    let elf = built(&[&["build", "--release"], &BLACK_PILL[..]].concat())?;
     keep(&elf, "-black-pill")
 }
 
@@ -179,8 +172,7 @@ pub(crate) fn clippy() -> Result<()> {
     match route(TARGET)? {
         Route::Toolchain => {
             cargo_for_target(FIRMWARE, TARGET, &[&clippy[..], &strictly].concat())?;
-            let other = ["--no-default-features", "--features", "black-pill"];
-            let args = [&clippy[..], &other, &strictly].concat();
+            let args = [&clippy[..], &BLACK_PILL, &strictly].concat();
             cargo_for_target(FIRMWARE, TARGET, &args)?;
             cargo_for_target(
                 FOREIGN,
@@ -195,14 +187,12 @@ pub(crate) fn clippy() -> Result<()> {
         }
     }
     for (target, _) in AGENT_TARGETS {
-        match route(target)? {
-            Route::Toolchain => {
-                let target_args = ["--target", target];
-                let args = [&clippy[..], &target_args, &strictly].concat();
-                cargo_for_target(AGENT, target, &args)?;
-            }
-            Route::Debian { .. } => build_agent()?,
-        }
+        let target_args = ["--target", target];
+        let args = match route(target)? {
+            Route::Toolchain => [&clippy[..], &target_args, &strictly].concat(),
+            Route::Debian { .. } => [&["build", "--release"], &target_args[..]].concat(),
+        };
+        cargo_for_target(AGENT, target, &args)?;
     }
     Ok(())
 }

@@ -21,11 +21,8 @@ const FLASH: u64 = 0x0800_0000;
 /// and tries it.
 pub(crate) fn build(elf: &Path) -> Result<()> {
     let program = process::target_dir().join("release").join(NAME);
-    let base = process::target_dir().join("package");
+    let base = process::fresh_folder("package")?;
     let tree = base.join("tree");
-    if base.exists() {
-        fs::remove_dir_all(&base).with_context(|| format!("cannot empty {}", base.display()))?;
-    }
     let version = env!("CARGO_PKG_VERSION");
     let arch = text(Command::new("dpkg").arg("--print-architecture"))
         .context("dpkg is missing: packages are built on Debian")?;

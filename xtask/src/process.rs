@@ -2,6 +2,7 @@
 
 use std::env;
 use std::ffi::OsStr;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -35,6 +36,16 @@ pub(crate) fn target_dir() -> PathBuf {
             }
         },
     )
+}
+
+/// An empty folder of this name in cargo's target folder.
+pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
+    let place = target_dir().join(name);
+    if place.exists() {
+        fs::remove_dir_all(&place).with_context(|| format!("cannot empty {}", place.display()))?;
+    }
+    fs::create_dir_all(&place).with_context(|| format!("cannot make {}", place.display()))?;
+    Ok(place)
 }
 
 /// A command at the root of the workspace, without the variables that the
@@ -98,10 +109,29 @@ pub(crate) fn cargo_with_elf(args: &[String], elf: &Path) -> Result<()> {
     run(cargo.args(args).env(ELF_VARIABLE, elf).env(ADB_PORT, "9"))
 }
 
+/// A program that cargo has built in the release profile.
+pub(crate) fn program(name: &str) -> PathBuf {
+    target_dir()
+        .join("release")
+        .join(format!("{name}{}", env::consts::EXE_SUFFIX))
+}
+
+/// Builds the host tool and the simulator, always in one call of cargo: what both depend on
+/// has the same features each time, and is not compiled twice.
+pub(crate) fn build_programs() -> Result<()> {
+    cargo([
+        "build",
+        "--release",
+        "-p",
+        "smartdepthsync",
+        "-p",
+        "hil-sim",
+    ])
+}
+
 /// Runs the simulator that cargo has built in the release profile.
 pub(crate) fn run_hil_sim(args: &[String], elf: &Path) -> Result<()> {
-    let program = target_dir()
-        .join("release")
-        .join(format!("hil-sim{}", env::consts::EXE_SUFFIX));
-    run(command(program).args(args).env(ELF_VARIABLE, elf))
+    run(command(program("hil-sim"))
+        .args(args)
+        .env(ELF_VARIABLE, elf))
 }

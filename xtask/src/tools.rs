@@ -103,20 +103,20 @@ pub(crate) fn ensure_python() -> Result<PathBuf> {
             bail!("python3 -m venv {} fails", venv.display());
         }
     }
-    process::run(
-        process::command(&python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-                "-r",
-            ])
-            .arg(&requirements),
-    )?;
+    pip_install(&python, &["-r"], &requirements)?;
     fs::write(&stamp, wanted).with_context(|| format!("cannot write {}", stamp.display()))?;
     Ok(python)
+}
+
+/// Installs into a Python environment what a file has or names.
+pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Result<()> {
+    process::run(
+        process::command(python)
+            .args(["-m", "pip", "install", "--quiet"])
+            .arg("--disable-pip-version-check")
+            .args(options)
+            .arg(file),
+    )
 }
 
 fn make_venv(venv: &Path) -> bool {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::{process, sync_bench, tools};
 
@@ -10,12 +10,8 @@ use crate::{process, sync_bench, tools};
 const TRIALS: &str = "2";
 
 /// Builds the wheel and gives its path.
-pub(crate) fn build(python: &Path) -> Result<PathBuf> {
-    let folder = process::target_dir().join("wheels");
-    if folder.exists() {
-        std::fs::remove_dir_all(&folder)
-            .with_context(|| format!("cannot empty {}", folder.display()))?;
-    }
+fn build(python: &Path) -> Result<PathBuf> {
+    let folder = process::fresh_folder("wheels")?;
     process::run(
         process::command(python)
             .args(["-m", "maturin", "build", "--release", "--quiet"])
@@ -38,18 +34,7 @@ pub(crate) fn build(python: &Path) -> Result<PathBuf> {
 pub(crate) fn installed() -> Result<PathBuf> {
     let python = tools::ensure_python()?;
     let wheel = build(&python)?;
-    process::run(
-        process::command(&python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ])
-            .args(["--no-deps", "--force-reinstall"])
-            .arg(&wheel),
-    )?;
+    tools::pip_install(&python, &["--no-deps", "--force-reinstall"], &wheel)?;
     println!("wheel: {}", wheel.display());
     Ok(python)
 }
@@ -57,15 +42,7 @@ pub(crate) fn installed() -> Result<PathBuf> {
 /// `cargo xtask wheel`.
 pub(crate) fn build_and_test() -> Result<()> {
     let python = installed()?;
-    // Both together, as the demo and the tests build them: nothing is compiled twice.
-    process::cargo([
-        "build",
-        "--release",
-        "-p",
-        "smartdepthsync",
-        "-p",
-        "hil-sim",
-    ])?;
+    process::build_programs()?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
     sync_bench::example(
@@ -81,10 +58,7 @@ pub(crate) fn build_and_test() -> Result<()> {
                 "-s",
                 "host/twist-sync-python/tests",
             ])
-            .env(
-                "SMARTDEPTHSYNC",
-                process::target_dir().join("release/smartdepthsync"),
-            )
+            .env("SMARTDEPTHSYNC", process::program("smartdepthsync"))
             .env("SYNC_BENCH", &twists),
     )
 }

@@ -52,7 +52,7 @@ pub(crate) fn config() -> Config {
 }
 
 /// Starts the crystal, for which the HAL would wait for ever. If it does not come, lights
-/// the red LED and waits for the watchdog, which must run: the next run tries again.
+/// the LED of faults and waits for the watchdog, which must run: the next run tries again.
 pub(crate) fn start_crystal() {
     pac::RCC.cr().modify(|w| w.set_hseon(true));
     for _ in 0..CRYSTAL_LOOKS {
@@ -99,9 +99,9 @@ pub(crate) fn enable_peripherals() {
 /// revision of some chips cannot prefetch, and gives another device ID.
 pub(crate) fn enable_flash_accelerator() {
     let id = pac::DBGMCU.idcode().read();
-    let found = (id.dev_id(), id.rev_id());
-    let cannot = |which| found == which || found.0 != BOARD.device_id;
-    let prefetches = !BOARD.cannot_prefetch.is_some_and(cannot);
+    let prefetches = BOARD
+        .cannot_prefetch
+        .is_none_or(|(later, first)| id.dev_id() == later && id.rev_id() != first);
     pac::FLASH.acr().modify(|w| {
         w.set_icen(true);
         w.set_dcen(true);

@@ -2,8 +2,8 @@
 //!
 //! Those handlers may not touch what critical sections protect. They leave events
 //! in lock-free queues and pend an interrupt of normal priority, whose handler puts
-//! them where they belong ([`super::handover`]). It is DCMI's: the camera interface
-//! is not used on this board.
+//! them where they belong ([`super::handover`]). It is SPI3's, which every chip has and no
+//! board uses.
 
 use core::sync::atomic::AtomicU32;
 

@@ -15,7 +15,7 @@ const COMMON: pac::adccommon::AdcCommon = pac::ADC123_COMMON;
 #[cfg(not(feature = "discovery"))]
 const COMMON: pac::adccommon::AdcCommon = pac::ADC1_COMMON;
 
-/// Channels of the sensor and of the reference (RM0090 13.10, 13.11).
+/// Channels of the sensor and of the reference (RM0090 13.11).
 const SENSOR: u8 = BOARD.temperature_channel;
 const REFERENCE: u8 = 17;
 

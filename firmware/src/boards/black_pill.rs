@@ -25,8 +25,6 @@ pub(super) const BOARD: Board = Board {
     // RM0383 table 37.
     interrupts: 86,
     cannot_prefetch: None,
-    // RM0383 23.6.1.
-    device_id: 0x431,
     // RM0383 11.9.
     temperature_channel: 18,
     // PA9 is on the header alone.

@@ -20,10 +20,8 @@ pub(super) const BOARD: Board = Board {
     pll_factor: 96,
     // RM0090 table 61.
     interrupts: 82,
-    // Revision A gives the STM32F2's device ID (ES0182).
+    // RM0090 38.6.1; revision A gives the STM32F2's device ID (ES0182).
     cannot_prefetch: Some((0x413, 0x1000)),
-    // RM0090 38.6.1.
-    device_id: 0x413,
     // RM0090 13.10.
     temperature_channel: 16,
     // Powered through its other connector (UM1472, 6.10).

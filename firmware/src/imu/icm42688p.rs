@@ -19,7 +19,7 @@ use protocol::icm42688p::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers, words};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I (14.58).
 pub(super) const IDENTITY: u8 = 0x47;
@@ -36,70 +36,42 @@ const BOTH_ON: u8 = 0x0F;
 /// How long after that no register may be written, in µs (14.36).
 const QUIET_US: u32 = 200;
 
-/// A filter of the second order.
-#[derive(Clone, Copy)]
-struct Filter {
-    /// Of the 3 dB point, in 0.1 Hz.
-    bandwidth: u16,
-    delay_us: u16,
-}
-
-/// What the sensor does at one rate.
+/// What the sensor does at one rate: its filters of the second order, by GYRO_UI_FILT_BW and
+/// ACCEL_UI_FILT_BW (5.5).
 struct Rate {
     /// Of [`ImuConfig`].
     divider: u8,
     /// GYRO_ODR and ACCEL_ODR (14.37, 14.38).
     code: u8,
-    /// By GYRO_UI_FILT_BW and ACCEL_UI_FILT_BW, 0 to 7 (5.5, second order).
-    filters: [Filter; 8],
+    /// Of the 3 dB point, in 0.1 Hz.
+    bandwidths: [u16; 8],
+    /// In 0.1 ms.
+    delays: [u16; 8],
 }
 
-const fn rate(divider: u8, code: u8, bandwidths: [u16; 8], tenths_of_ms: [u16; 8]) -> Rate {
-    let mut filters = [Filter {
-        bandwidth: 0,
-        delay_us: 0,
-    }; 8];
-    let mut n = 0;
-    while n < 8 {
-        filters[n] = Filter {
-            bandwidth: bandwidths[n],
-            delay_us: tenths_of_ms[n] * 100,
-        };
-        n += 1;
-    }
+/// From 200 Hz down: but for the first, the filter runs at 400 Hz there.
+const fn slow(divider: u8, code: u8, bandwidth: u16, delay: u16) -> Rate {
     Rate {
         divider,
         code,
-        filters,
+        bandwidths: [bandwidth, 923, 766, 470, 388, 238, 192, 85],
+        delays: [delay, 51, 58, 80, 91, 129, 153, 300],
     }
 }
 
-/// Delays from 200 Hz down but for the first: the filter runs at 400 Hz there.
-const SLOW: [u16; 7] = [51, 58, 80, 91, 129, 153, 300];
-
-const fn slow(divider: u8, code: u8, bandwidth: u16, tenths_of_ms: u16) -> Rate {
-    let [a, b, c, d, e, f, g] = SLOW;
-    rate(
-        divider,
-        code,
-        [bandwidth, 923, 766, 470, 388, 238, 192, 85],
-        [tenths_of_ms, a, b, c, d, e, f, g],
-    )
-}
-
 const RATES: [Rate; 6] = [
-    rate(
-        0,
-        6,
-        [4933, 2307, 1916, 1175, 971, 596, 480, 213],
-        [7, 21, 24, 32, 37, 52, 61, 120],
-    ),
-    rate(
-        1,
-        15,
-        [2467, 1153, 958, 588, 485, 298, 240, 106],
-        [13, 41, 47, 64, 73, 104, 122, 240],
-    ),
+    Rate {
+        divider: 0,
+        code: 6,
+        bandwidths: [4933, 2307, 1916, 1175, 971, 596, 480, 213],
+        delays: [7, 21, 24, 32, 37, 52, 61, 120],
+    },
+    Rate {
+        divider: 1,
+        code: 15,
+        bandwidths: [2467, 1153, 958, 588, 485, 298, 240, 106],
+        delays: [13, 41, 47, 64, 73, 104, 122, 240],
+    },
     slow(4, 7, 987, 33),
     slow(9, 8, 493, 65),
     slow(19, 9, 247, 129),
@@ -121,19 +93,12 @@ const fn at(config: &ImuConfig) -> Option<&'static Rate> {
 /// Number of the filter next to the one that is asked for, as a ratio, and not above half
 /// of the rate.
 const fn nearest(rate: &Rate, low_pass: LowPass) -> u8 {
-    let asked = match low_pass {
-        LowPass::Hz188 => 1_880,
-        LowPass::Hz98 => 980,
-        LowPass::Hz42 => 420,
-        LowPass::Hz20 => 200,
-        LowPass::Hz10 => 100,
-        LowPass::Hz5 => 50,
-    };
+    let asked = low_pass.gyro_bandwidth_hz_times_10();
     // ODR/2, which is the widest.
-    let most = rate.filters[0].bandwidth;
+    let most = rate.bandwidths[0];
     let (mut best, mut n) = (0, 1);
-    while n < rate.filters.len() {
-        let (width, found) = (rate.filters[n].bandwidth, rate.filters[best].bandwidth);
+    while n < rate.bandwidths.len() {
+        let (width, found) = (rate.bandwidths[n], rate.bandwidths[best]);
         if width <= most && is_nearer(width, found, asked) {
             best = n;
         }
@@ -160,18 +125,21 @@ pub(super) const fn has(config: &ImuConfig) -> bool {
 }
 
 pub(super) const fn describe(config: &ImuConfig) -> Description {
-    let filter = match at(config) {
-        Some(rate) => rate.filters[nearest(rate, config.low_pass) as usize],
+    let (bandwidth, delay) = match at(config) {
+        Some(rate) => {
+            let filter = nearest(rate, config.low_pass) as usize;
+            (rate.bandwidths[filter], rate.delays[filter])
+        }
         // It is refused.
-        None => RATES[0].filters[0],
+        None => (RATES[0].bandwidths[0], RATES[0].delays[0]),
     };
-    let delay_us = filter.delay_us as u32;
+    let delay_us = delay as u32 * 100;
     Description {
         gyro_delay_us: delay_us,
         accel_delay_us: delay_us,
         sensor: ImuSensor {
             model: ImuModel::Icm42688P,
-            gyro_bandwidth_hz_times_10: filter.bandwidth,
+            gyro_bandwidth_hz_times_10: bandwidth,
             // 3.1, 3.2 (z) and 14.6.
             gyro_noise_udps: 2_800,
             accel_noise_ug: 70,
@@ -278,8 +246,7 @@ pub(super) async fn start<B: I2c>(
 pub(super) async fn read_sample<B: I2c>(
     registers: &mut Registers<B>,
 ) -> Result<RawSample, ImuFault> {
-    let bytes = registers.read_all(TEMP_DATA1).await?;
-    let [temperature, ax, ay, az, gx, gy, gz] = words(&bytes);
+    let [temperature, ax, ay, az, gx, gy, gz] = registers.read_words(TEMP_DATA1).await?;
     Ok(RawSample {
         accel: [ax, ay, az],
         temperature,

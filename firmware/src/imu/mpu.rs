@@ -13,7 +13,7 @@ use protocol::mpu9150::{
 };
 use protocol::{AccelRange, GyroRange, ImuConfig, ImuFault, ImuModel, ImuSensor, LowPass};
 
-use super::{Description, RawSample, Registers, words};
+use super::{Description, RawSample, Registers};
 
 /// WHO_AM_I of the MPU-6050 and MPU-9150.
 pub(super) const IDENTITY_6050: u8 = 0x68;
@@ -59,28 +59,20 @@ const fn after_reset(model: ImuModel) -> u8 {
 /// Bandwidth of the gyroscope in 0.1 Hz, its delay and the accelerometer's in µs, at
 /// [`dlpf_cfg`] (4.3; RM-MPU-6500A-00, 4.5 and 4.8; RM-MPU-9250A-00, registers 26 and 29).
 const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
-    match (model, low_pass) {
-        (ImuModel::Mpu6500, LowPass::Hz188) => (1_840, 2_900, 5_800),
-        (ImuModel::Mpu6500, LowPass::Hz98) => (920, 3_900, 7_800),
-        (ImuModel::Mpu6500, LowPass::Hz42) => (410, 5_900, 11_800),
-        (ImuModel::Mpu6500, LowPass::Hz20) => (200, 9_900, 19_800),
-        (ImuModel::Mpu6500, LowPass::Hz10) => (100, 17_850, 35_700),
-        (ImuModel::Mpu6500, LowPass::Hz5) => (50, 33_480, 66_960),
-        (ImuModel::Mpu9250, LowPass::Hz188) => (1_840, 2_900, 1_880),
-        (ImuModel::Mpu9250, LowPass::Hz98) => (920, 3_900, 2_880),
-        (ImuModel::Mpu9250, LowPass::Hz42) => (410, 5_900, 4_880),
-        (ImuModel::Mpu9250, LowPass::Hz20) => (200, 9_900, 8_870),
-        (ImuModel::Mpu9250, LowPass::Hz10) => (100, 17_850, 16_830),
-        (ImuModel::Mpu9250, LowPass::Hz5) => (50, 33_480, 32_480),
-        (_, low_pass) => (
-            match low_pass {
-                LowPass::Hz188 => 1_880,
-                LowPass::Hz98 => 980,
-                LowPass::Hz42 => 420,
-                LowPass::Hz20 => 200,
-                LowPass::Hz10 => 100,
-                LowPass::Hz5 => 50,
-            },
+    // The later two have one gyroscope, and accelerometers with delays of their own.
+    let (bandwidth, gyro_us, of_6500_us, of_9250_us) = match low_pass {
+        LowPass::Hz188 => (1_840, 2_900, 5_800, 1_880),
+        LowPass::Hz98 => (920, 3_900, 7_800, 2_880),
+        LowPass::Hz42 => (410, 5_900, 11_800, 4_880),
+        LowPass::Hz20 => (200, 9_900, 19_800, 8_870),
+        LowPass::Hz10 => (100, 17_850, 35_700, 16_830),
+        LowPass::Hz5 => (50, 33_480, 66_960, 32_480),
+    };
+    match model {
+        ImuModel::Mpu6500 => (bandwidth, gyro_us, of_6500_us),
+        ImuModel::Mpu9250 => (bandwidth, gyro_us, of_9250_us),
+        _ => (
+            low_pass.gyro_bandwidth_hz_times_10(),
             low_pass.gyro_delay_us(),
             low_pass.accel_delay_us(),
         ),
@@ -89,12 +81,18 @@ const fn filter(model: ImuModel, low_pass: LowPass) -> (u16, u32, u32) {
 
 pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description {
     let (bandwidth, gyro_delay_us, accel_delay_us) = filter(model, config.low_pass);
-    let (gyro_noise_udps, accel_noise_ug, per_degree, at_zero) = match model {
+    let sensor = match model {
         // PS-MPU-6500A-01 revision 1.1 and PS-MPU-9250A-01 revision 1.1: 3.1 to 3.3.
-        ImuModel::Mpu6500 | ImuModel::Mpu9250 => (10_000, 300, 33_387, 2_100),
-        // PS-MPU-9150A-00, 6.1 and 6.2; 4.18. The MPU-6050 has the same noise
-        // (PS-MPU-6000A-00, 6.1 and 6.2) and is at 36.53 °C then.
-        _ => (5_000, 400, 34_000, 3_500),
+        ImuModel::Mpu6500 | ImuModel::Mpu9250 => ImuSensor {
+            gyro_noise_udps: 10_000,
+            accel_noise_ug: 300,
+            temperature_lsb_per_c_times_100: 33_387,
+            temperature_at_zero_centidegrees: 2_100,
+            ..ImuSensor::MPU_9150
+        },
+        // The MPU-6050 has the same noise (PS-MPU-6000A-00, 6.1 and 6.2) and is at
+        // 36.53 °C at a count of 0.
+        _ => ImuSensor::MPU_9150,
     };
     Description {
         gyro_delay_us,
@@ -102,10 +100,7 @@ pub(super) const fn describe(model: ImuModel, config: &ImuConfig) -> Description
         sensor: ImuSensor {
             model,
             gyro_bandwidth_hz_times_10: bandwidth,
-            gyro_noise_udps,
-            accel_noise_ug,
-            temperature_lsb_per_c_times_100: per_degree,
-            temperature_at_zero_centidegrees: at_zero,
+            ..sensor
         },
     }
 }
@@ -185,8 +180,7 @@ pub(super) async fn start<B: I2c>(
 pub(super) async fn read_sample<B: I2c>(
     registers: &mut Registers<B>,
 ) -> Result<RawSample, ImuFault> {
-    let bytes = registers.read_all(ACCEL_XOUT_H).await?;
-    let [ax, ay, az, temperature, gx, gy, gz] = words(&bytes);
+    let [ax, ay, az, temperature, gx, gy, gz] = registers.read_words(ACCEL_XOUT_H).await?;
     Ok(RawSample {
         accel: [ax, ay, az],
         temperature,

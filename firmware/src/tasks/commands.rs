@@ -28,22 +28,19 @@ pub(crate) fn carry_out(message: HostToDevice, received: Ticks) {
                 sent: tim2::now(),
             })
         }),
-        Command::StartTrigger(command) => answer(command, start),
-        Command::AlignTrigger(command) => answer(command, |align| {
-            on_this_board(align.output)?;
+        Command::StartTrigger(command) => answer_of(command.output, command, start),
+        Command::AlignTrigger(command) => answer_of(command.output, command, |align| {
             triggers::align(align.output, id, &align.to)
         }),
-        Command::SetPeriod(command) => answer(command, |set| {
-            on_this_board(set.output)?;
+        Command::SetPeriod(command) => answer_of(command.output, command, |set| {
             triggers::with_pulser(set.output, |pulser, _, _| pulser.set_period(set.period))?;
             state_of(set.output)
         }),
-        Command::StopTrigger(command) => answer(command, |stop| {
-            on_this_board(stop.0)?;
+        Command::StopTrigger(command) => answer_of(command.0, command, |stop| {
             triggers::with_pulser(stop.0, |pulser, output, time| pulser.stop(output, time));
             state_of(stop.0)
         }),
-        Command::QueryTrigger(command) => answer(command, |query| state_of(query.0)),
+        Command::QueryTrigger(command) => answer_of(command.0, command, |query| state_of(query.0)),
         Command::ConfigureImu(command) => answer(command, |configure| imu::configure(configure.0)),
         Command::QueryImu(command) => answer(command, |_| Ok(imu::setup())),
         Command::StartGnss(command) => answer(command, |start| gnss::start(start.0)),
@@ -75,17 +72,19 @@ fn answer<R: Request>(
     carry_out(command).map(R::wrap)
 }
 
-/// Refuses outputs that this board does not have.
-fn on_this_board(output: Output) -> Result<(), Refusal> {
-    if output == Output::Camera || BOARD.model.has_outputs() {
-        Ok(())
-    } else {
-        Err(Refusal::NotOnThisBoard)
+/// The same of a command to an output, which this board may not have.
+fn answer_of<R: Request>(
+    output: Output,
+    command: R,
+    carry_out: impl FnOnce(R) -> Result<R::Reply, Refusal>,
+) -> Result<Reply, Refusal> {
+    if output != Output::Camera && !BOARD.model.has_outputs() {
+        return Err(Refusal::NotOnThisBoard);
     }
+    answer(command, carry_out)
 }
 
 fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {
-    on_this_board(command.output)?;
     triggers::with_pulser(command.output, |pulser, output, time| {
         pulser.start(output, time, command.start)
     })?;
@@ -93,6 +92,5 @@ fn start(command: StartTrigger) -> Result<TriggerStatus, Refusal> {
 }
 
 fn state_of(output: Output) -> Result<TriggerStatus, Refusal> {
-    on_this_board(output)?;
     Ok(triggers::status(output))
 }

@@ -168,10 +168,10 @@ impl Sampler {
         self.flags = ImuFlags::FIRST;
         update(|status| status.clock = clock);
         show(ImuState::Running);
-        defmt::info!("imu runs, {}, clock {}", MODEL.lock(Cell::get), clock);
+        let model = MODEL.lock(Cell::get);
+        defmt::info!("imu runs, {}, clock {}", model, clock);
 
         let patience = self.patience();
-        let model = MODEL.lock(Cell::get);
         let mut sensor = Imu::new(bus.open(), model);
         let mut one_failed = false;
         loop {

@@ -1,8 +1,8 @@
 //! The USB device: a CDC-ACM serial port under the project's own name.
 //!
 //! A host counts as linked while the device is configured, not suspended, and
-//! the host has its terminal ready (DTR, which opening the port sets). Where it can be, VBUS is
-//! sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
+//! the host has its terminal ready (DTR, which opening the port sets). Where it can be,
+//! VBUS is sensed on PA9: the STM32F4DISCOVERY is powered through its other connector
 //! and so survives an unplugged cable, which it must notice (RM0090 34.3.3).
 
 use core::sync::atomic::{AtomicU8, Ordering};

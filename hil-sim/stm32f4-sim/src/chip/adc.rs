@@ -44,8 +44,6 @@ pub(crate) struct Die {
     pub(crate) celsius: f64,
     /// Analogue supply, in V.
     pub(crate) supply: f64,
-    /// The sensor's channel.
-    pub(crate) channel: u32,
 }
 
 impl Default for Die {
@@ -54,23 +52,6 @@ impl Default for Die {
         Self {
             celsius: 36.0,
             supply: 2.9,
-            channel: 16,
-        }
-    }
-}
-
-impl Die {
-    /// The voltage of a channel.
-    fn volts(self, channel: u32) -> Option<f64> {
-        let calibrated = |code: u32| f64::from(code) / FULL_SCALE * CAL_SUPPLY;
-        let [cold, hot] = TS_CAL.map(calibrated);
-        let [from, to] = CAL_CELSIUS;
-        match channel {
-            _ if channel == self.channel => {
-                Some(cold + (hot - cold) * (self.celsius - from) / (to - from))
-            }
-            REFERENCE => Some(calibrated(VREFINT_CAL)),
-            _ => None,
         }
     }
 }
@@ -78,6 +59,8 @@ impl Die {
 #[derive(Debug, Default)]
 pub(crate) struct Adc {
     die: Die,
+    /// The temperature sensor's channel.
+    sensor: u32,
     cr1: u32,
     cr2: u32,
     smpr1: u32,
@@ -92,15 +75,16 @@ pub(crate) struct Adc {
 }
 
 impl Adc {
-    pub(crate) fn new(die: Die) -> Self {
+    pub(crate) fn new(die: Die, sensor: u32) -> Self {
         Self {
             die,
+            sensor,
             ..Self::default()
         }
     }
 
     pub(crate) fn reset(&mut self) {
-        *self = Self::new(self.die);
+        *self = Self::new(self.die, self.sensor);
     }
 
     pub(crate) fn read(&mut self, offset: u32, now: SimTime) -> Option<u32> {
@@ -151,8 +135,22 @@ impl Adc {
         true
     }
 
+    /// The voltage of a channel.
+    fn volts(&self, channel: u32) -> Option<f64> {
+        let calibrated = |code: u32| f64::from(code) / FULL_SCALE * CAL_SUPPLY;
+        let [cold, hot] = TS_CAL.map(calibrated);
+        let [from, to] = CAL_CELSIUS;
+        match channel {
+            _ if channel == self.sensor => {
+                Some(cold + (hot - cold) * (self.die.celsius - from) / (to - from))
+            }
+            REFERENCE => Some(calibrated(VREFINT_CAL)),
+            _ => None,
+        }
+    }
+
     fn convert(&mut self, now: SimTime, pclk2: Rate) -> bool {
-        let Some(volts) = self.die.volts(self.sqr3) else {
+        let Some(volts) = self.volts(self.sqr3) else {
             return false;
         };
         // Channel 10 is in the lowest bits of SMPR1.

@@ -73,8 +73,13 @@ fn block(addr: u32) -> Option<(Block, Option<(u32, u32)>)> {
 }
 
 impl Soc {
-    /// Whether a peripheral that is touched has its clock, and holds software to it.
-    fn clocked(&mut self, enable: Option<(u32, u32)>, address: u32) -> bool {
+    /// Whether a peripheral that is touched is there and has its clock, and holds software
+    /// to it.
+    fn usable(&mut self, enable: Option<(u32, u32)>, address: u32) -> bool {
+        if self.part.lacks(address) {
+            self.end(End::Absent { address });
+            return false;
+        }
         let Some((offset, bit)) = enable else {
             return true;
         };
@@ -99,11 +104,7 @@ impl Soc {
     /// Reads a peripheral's register as of now; nothing if there is no peripheral.
     pub(super) fn read_register(&mut self, addr: u32) -> Option<u32> {
         let (block, enable) = block(addr)?;
-        if self.part.lacks(addr) {
-            self.end(End::Absent { address: addr });
-            return Some(0);
-        }
-        if !self.clocked(enable, addr) {
+        if !self.usable(enable, addr) {
             return Some(0);
         }
         let value = self.read_modelled(block, addr);
@@ -172,11 +173,7 @@ impl Soc {
         let Some((block, enable)) = block(addr) else {
             return false;
         };
-        if self.part.lacks(addr) {
-            self.end(End::Absent { address: addr });
-            return true;
-        }
-        let done = !self.clocked(enable, addr)
+        let done = !self.usable(enable, addr)
             || self.write_modelled(block, addr, value)
             || self.cells.write(addr, value);
         if !done {

@@ -210,10 +210,7 @@ impl Soc {
             iwdg: Iwdg::new(config.low_speed),
             uart: std::array::from_fn(|_| Uart::new()),
             rng: Rng::new(seed.stream(RNG_STREAM)),
-            adc: Adc::new(Die {
-                channel: config.part.temperature_channel(),
-                ..config.die
-            }),
+            adc: Adc::new(config.die, config.part.temperature_channel()),
             revision: config.revision,
             otg: Otg::new(),
             usb: UsbHost::new(seed),

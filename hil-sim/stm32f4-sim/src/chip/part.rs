@@ -100,7 +100,6 @@ mod tests {
             assert!(small.lacks(absent), "{absent:#x}");
             assert!(!Part::Stm32f407vg.lacks(absent));
         }
-        let names: Vec<_> = NOT_ON_F411.to_vec();
-        assert!(names.iter().all(|name| names::is_name(name)));
+        assert!(NOT_ON_F411.iter().all(|name| names::is_name(name)));
     }
 }

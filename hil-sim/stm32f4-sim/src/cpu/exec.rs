@@ -228,17 +228,13 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             Op::Table { rn, rm, half, base } => {
                 let base = if base != 0 { base } else { st.reg(rn) };
                 let mem = bus.memory();
-                let entry = if half {
-                    let at = base.wrapping_add(st.reg(rm).wrapping_mul(2));
-                    if at & 1 != 0 {
-                        slow!();
-                    }
-                    mem.read16(at)
-                } else {
-                    mem.read8(base.wrapping_add(st.reg(rm)))
-                };
+                let at = base.wrapping_add(st.reg(rm) << u32::from(half));
+                if half && at & 1 != 0 {
+                    slow!();
+                }
+                let entry = if half { mem.read16(at) } else { mem.read8(at) };
                 let Some(entry) = entry else { slow!() };
-                now += flash_waits * flash_lines(base.wrapping_add(st.reg(rm)), 1);
+                now += flash_waits * flash_lines(at, 1);
                 next = pc.wrapping_add(4).wrapping_add(entry * 2);
                 now += 4;
             }

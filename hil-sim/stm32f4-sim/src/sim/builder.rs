@@ -159,8 +159,7 @@ impl SimBuilder {
     /// feeds it 3.3 V through a diode): what its ADC finds, and what its outputs reach.
     #[must_use]
     pub fn die(mut self, celsius: f64, supply: f64) -> Self {
-        self.chip.die.celsius = celsius;
-        self.chip.die.supply = supply;
+        self.chip.die = Die { celsius, supply };
         self
     }
 
