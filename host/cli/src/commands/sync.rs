@@ -116,11 +116,11 @@ struct LoopOutput {
 /// A file cannot be read or written, or has no gyroscope. Recordings that cannot be
 /// related are no error but [`Outcome::Refused`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let files: Vec<_> = args.recordings.iter().map(|path| topic_of(path)).collect();
     let mut recordings: Vec<GyroRecording> = Vec::new();
-    for path in &args.recordings {
-        let (file, topic) = topic_of(path);
-        let read = gyro_files::read(&file, topic.as_deref());
-        recordings.push(read.map_err(|error| advice::gyro_file(&file, error))?);
+    for (file, topic) in &files {
+        let read = gyro_files::read(file, topic.as_deref());
+        recordings.push(read.map_err(|error| advice::gyro_file(file, error))?);
     }
     let mut tracks: Vec<_> = recordings.iter().map(GyroRecording::track).collect();
     let mut warnings = Vec::new();
@@ -198,7 +198,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         let length_s = tracks[0].t.last().copied().unwrap_or(0.0);
         (output.clocks, output.loops) = solution(network, length_s, &recordings);
         if let Some(folder) = &args.write {
-            let names: Vec<PathBuf> = args.recordings.iter().map(|p| topic_of(p).0).collect();
+            let names: Vec<&Path> = files.iter().map(|(file, _)| file.as_path()).collect();
             write::timestamps(folder, network, &recordings, &names)?;
             context.say(format!("written: {}", folder.display()));
         }
