@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::fault_found;
-use crate::sync_report::SyncReport;
+use crate::sync_report::DeviceFault;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
 use twist_sync::{
@@ -102,11 +102,12 @@ fn reasons(report: &Report, names: [&str; 2]) -> String {
             FaultKind::NotOneBody | FaultKind::Slipped | FaultKind::TimestampStep
         )
     };
-    let faults = SyncReport::from(report).faults;
-    let of_samples = faults.iter().filter(|fault| {
+    let of_samples = report.faults.iter().filter(|fault| {
         fault.action == Action::LeftOut && (report.left_out.is_empty() || !is_stretch(fault.kind))
     });
-    let of_samples: Vec<String> = of_samples.map(|fault| fault_found(fault, names)).collect();
+    let of_samples: Vec<String> = of_samples
+        .map(|fault| fault_found(&DeviceFault::from(fault), names))
+        .collect();
     let stretches = report.left_out.iter().map(LeftOut::to_string);
     let mut all: Vec<String> = stretches.collect();
     if !of_samples.is_empty() {
