@@ -191,8 +191,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             }
             _ => plot::svg(&pairs),
         };
-        std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
-        context.say(format!("plot: {}", path.display()));
+        twist_plot::write(path, &svg, context)?;
     }
     if let Ok(network) = &network {
         let length_s = tracks[0].t.last().copied().unwrap_or(0.0);

@@ -2,8 +2,11 @@
 //! drawings of [`page::chart`], one below the other.
 
 use std::ops::Range;
+use std::path::Path;
 
 use super::fault_found;
+use crate::cli::Context;
+use crate::outcome::Failure;
 use crate::sync_report::DeviceFault;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
@@ -92,6 +95,13 @@ pub(in crate::commands) fn svg(
         .map(|panel| panel.xs(shown.clone()))
         .collect();
     stack(SIZE, &panels)
+}
+
+/// Writes a plot, and says where it is.
+pub(in crate::commands) fn write(path: &Path, svg: &str, context: &Context) -> Result<(), Failure> {
+    std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
+    context.say(format!("plot: {}", path.display()));
+    Ok(())
 }
 
 /// What was left out and why, in words; empty where nothing was.
