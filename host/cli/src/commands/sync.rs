@@ -15,6 +15,7 @@ use twist_sync::{GyroTrack, WithSigma};
 use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
 use crate::cli::Context;
+use crate::decimal::seconds;
 use crate::outcome::{Failure, Outcome};
 use related::{Related, Whole};
 
@@ -380,26 +381,9 @@ fn text(output: &Output) -> String {
     out
 }
 
-/// Nanoseconds as seconds with all their digits.
-fn seconds(nanos: i64) -> String {
-    let sign = if nanos < 0 { "-" } else { "" };
-    let nanos = nanos.unsigned_abs();
-    format!(
-        "{sign}{}.{:09}",
-        nanos / 1_000_000_000,
-        nanos % 1_000_000_000
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn nanoseconds_keep_all_digits() {
-        assert_eq!(seconds(-1_000_000_001), "-1.000000001");
-        assert_eq!(seconds(1_403_636_579_758_555_392), "1403636579.758555392");
-    }
 
     #[test]
     fn a_topic_stands_behind_the_file() {
