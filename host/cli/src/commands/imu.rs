@@ -17,6 +17,7 @@ use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
+use crate::record::preflight::IMU_WIRING;
 use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
 use board::{Board, BoardError};
 use board::{Event, Stream};
@@ -248,7 +249,7 @@ fn no_samples(board: &mut Board) -> Failure {
         ExitStatus::Error,
         format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
     )
-    .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V")
+    .next_step(IMU_WIRING)
 }
 
 fn show(bar: &ProgressBar, summary: &Summary) {
