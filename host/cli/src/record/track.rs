@@ -31,6 +31,7 @@ use recording::profile::Profile;
 use recording::session_file::TrackInfo;
 use recording::writer::Severity;
 use timebase::ClockModel;
+use timebase::runs::Asking;
 use verify::watch::Grid;
 
 /// The board is asked so often.
@@ -78,9 +79,8 @@ pub(super) struct Tracking {
     link: Link,
     phone: String,
     tracker: Tracker,
-    /// The question to the board, and when it was asked.
-    asked: Option<(u32, Duration)>,
-    last_asked: Duration,
+    /// The questions to the board.
+    asking: Asking,
     /// What the tracker was told of the clocks.
     known: Option<ClockModel>,
     temperature: Option<f64>,
@@ -132,8 +132,7 @@ pub(super) fn start(
         link,
         phone: profile.phone.name.clone(),
         tracker: Tracker::new(),
-        asked: None,
-        last_asked: Duration::ZERO,
+        asking: Asking::default(),
         known: None,
         temperature: None,
         following: None,
@@ -161,9 +160,8 @@ impl Tracking {
             )?;
         }
         let now = board.board.now();
-        if self.asked.is_none() && now.saturating_sub(self.last_asked) >= ASK_EVERY {
-            self.asked = Some((board.board.ask_time(), now));
-            self.last_asked = now;
+        if self.asking.is_due(now, ASK_EVERY) {
+            self.asking.asked(board.board.ask_time(), now);
         }
         if let Some(clock) = journal
             .file
@@ -185,7 +183,7 @@ impl Tracking {
         now: Duration,
         at: Ticks,
     ) -> Result<(), Stop> {
-        let Some((_, sent)) = self.asked.take_if(|(asked, _)| *asked == id) else {
+        let Some(sent) = self.asking.ended(id) else {
             return Ok(());
         };
         let nanos = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
@@ -194,7 +192,7 @@ impl Tracking {
 
     /// No answer to this question will come.
     pub(super) fn expired(&mut self, id: u32) {
-        self.asked.take_if(|(asked, _)| *asked == id);
+        self.asking.ended(id);
     }
 
     fn take(
