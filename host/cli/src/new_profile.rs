@@ -175,7 +175,7 @@ pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
         Basis::Maker | Basis::Measured => "",
     });
     format!(
-        "{}, {}: pulses of {} µs ({}), middle of exposure {} ± {} µs after the edge{basis}",
+        "{}, {}: pulses of {} µs through: {}; middle of exposure {} ± {} µs after the edge{basis}",
         model.name,
         depth.mode,
         depth.pulse_width_us,

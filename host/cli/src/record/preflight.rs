@@ -161,7 +161,7 @@ impl Checks {
             None => self.warn(
                 CHECK_BIAS,
                 format!(
-                    "not measured: there may be ms between the cameras (of it, ± {} µs are from the \
+                    "not measured: there may be ms between the cameras (± {} µs of that from the \
                      trigger to the middle of the depth exposure)",
                     profile.depth.center_offset_sigma_us
                 ),

@@ -52,7 +52,7 @@ pub enum Track {
 /// What the live view shows of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Tracked {
-    /// By how much the trigger is late on the phone's frames, µs, and the 1-sigma.
+    /// By how much the trigger is late on the phone's frames, µs.
     pub(crate) phase_us: f64,
     /// 1-sigma of it, µs.
     pub(crate) sigma_us: f64,
@@ -337,7 +337,7 @@ fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
         Some(String::from("phone's clock lost")),
     )?;
     let text = "the phone's clock is not heard any more: the trigger's period stays, and the \
-                phase drifts as without tracking; look after its cable, or `adb devices`";
+                phase drifts as without tracking; check the phone's cable and `adb devices`";
     rig.journal.live.gauge.warning("track_lost", text);
     rig.journal.tell(Severity::Warning, "track_lost", text)
 }
