@@ -338,8 +338,7 @@ fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
     )?;
     let text = "the phone's clock is not heard any more: the trigger's period stays, and the \
                 phase drifts as without tracking; check the phone's cable and `adb devices`";
-    rig.journal.live.gauge.warning("track_lost", text);
-    rig.journal.tell(Severity::Warning, "track_lost", text)
+    rig.journal.warn("track_lost", text)
 }
 
 /// The board was reset: its time goes on by the computer's clock, which the tracker's
