@@ -1,4 +1,5 @@
-//! Decimal numbers of the command line as exact times of the board.
+//! Decimal numbers of the command line as exact times of the board, and exact times as
+//! decimal numbers.
 //!
 //! `33330.652` µs is 1,599,871.296 ticks, and a period must be exactly that: no
 //! number here ever becomes a float.
@@ -143,9 +144,22 @@ pub(crate) fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
     text.parse::<Decimal>()?.micros_ticks()
 }
 
+/// Nanoseconds as seconds with all their digits.
+pub(crate) fn seconds(nanos: impl Into<i128>) -> String {
+    let nanos: i128 = nanos.into();
+    let sign = if nanos < 0 { "-" } else { "" };
+    let nanos = nanos.unsigned_abs();
+    format!(
+        "{sign}{}.{:09}",
+        nanos / 1_000_000_000,
+        nanos % 1_000_000_000
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use protocol::Ticks;
 
     use super::*;
 
@@ -202,6 +216,23 @@ mod tests {
         assert_eq!(parse_us_ticks("12"), Ok(576));
         assert_eq!(parse_us_ticks("0.0104"), Ok(0));
         assert_eq!(parse_us_ticks("0.0105"), Ok(1));
+    }
+
+    #[test]
+    fn nanoseconds_keep_all_digits() {
+        assert_eq!(seconds(-1_000_000_001_i64), "-1.000000001");
+        assert_eq!(
+            seconds(1_403_636_579_758_555_392_i64),
+            "1403636579.758555392"
+        );
+    }
+
+    #[test]
+    fn board_time_in_seconds_keeps_every_tick() {
+        let of = |ticks| seconds(Ticks(ticks).as_nanos());
+        assert_eq!(of(48_000_000 * 90), "90.000000000");
+        assert_eq!(of(1), "0.000000021");
+        assert_ne!(of(1 << 50), of((1 << 50) + 1));
     }
 
     proptest! {

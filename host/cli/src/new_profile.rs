@@ -8,7 +8,7 @@ use recording::profile::{DEFAULT, Profile};
 
 /// The Azure Kinect maker's recorder; the K4A wrapper for Femto cameras has one of the same
 /// name and options.
-pub(crate) const K4A_RECORDER: &str = "k4arecorder";
+const K4A_RECORDER: &str = "k4arecorder";
 
 /// Exposure of a camera whose exposure is set, where nobody says it, µs.
 const USUAL_EXPOSURE_US: f64 = 8_000.0;
@@ -175,7 +175,7 @@ pub(crate) fn summary(model: &Model, profile: &Profile) -> String {
         Basis::Maker | Basis::Measured => "",
     });
     format!(
-        "{}, {}: pulses of {} µs ({}), middle of exposure {} ± {} µs after the edge{basis}",
+        "{}, {}: pulses of {} µs through: {}; middle of exposure {} ± {} µs after the edge{basis}",
         model.name,
         depth.mode,
         depth.pulse_width_us,

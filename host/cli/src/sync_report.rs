@@ -13,7 +13,7 @@ pub(crate) enum Device {
 }
 
 impl Device {
-    pub(crate) fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Mcu => "board",
             Self::Phone => "phone",

@@ -186,6 +186,13 @@ impl Model {
             .find(|mode| mode.name.eq_ignore_ascii_case(name))
     }
 
+    /// The names of its modes, for messages.
+    #[must_use]
+    pub fn mode_names(&self) -> String {
+        let names: Vec<&str> = self.modes.iter().map(|mode| mode.name).collect();
+        names.join(", ")
+    }
+
     /// The mode that it has unless another is chosen.
     #[must_use]
     pub const fn default_mode(&self) -> &'static Mode {
@@ -249,10 +256,9 @@ impl Model {
             );
         }
         let Some(mode) = self.mode(&depth.mode) else {
-            let modes: Vec<&str> = self.modes.iter().map(|mode| mode.name).collect();
             object(
                 format!("{} has no mode {:?}", self.name, depth.mode),
-                format!("set depth.mode to one of {}", modes.join(", ")),
+                format!("set depth.mode to one of {}", self.mode_names()),
             );
             return objections;
         };

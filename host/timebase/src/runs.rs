@@ -60,6 +60,35 @@ impl Pair {
     }
 }
 
+/// A question that is asked again and again, one at a time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Asking {
+    /// The one that is out, and when it was asked.
+    out: Option<(u32, Duration)>,
+    last: Duration,
+}
+
+impl Asking {
+    /// Whether it is time to ask again.
+    #[must_use]
+    pub fn is_due(&self, now: Duration, every: Duration) -> bool {
+        self.out.is_none() && now.saturating_sub(self.last) >= every
+    }
+
+    /// It was asked by this command.
+    pub const fn asked(&mut self, id: u32, now: Duration) {
+        self.out = Some((id, now));
+        self.last = now;
+    }
+
+    /// This command has its answer, or none will come: when it was asked, if it was this
+    /// question.
+    pub fn ended(&mut self, id: u32) -> Option<Duration> {
+        let (_, asked) = self.out.take_if(|(out, _)| *out == id)?;
+        Some(asked)
+    }
+}
+
 /// How a run joins the one before it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joint {
@@ -77,8 +106,7 @@ pub struct Axis {
     shift: u64,
     first: Option<Pair>,
     best: Option<Pair>,
-    asked: Option<(u32, Duration)>,
-    last_asked: Duration,
+    asking: Asking,
 }
 
 impl Axis {
@@ -97,23 +125,22 @@ impl Axis {
     /// Whether it is time to ask the board for its time.
     #[must_use]
     pub fn wants_to_ask(&self, now: Duration) -> bool {
-        self.asked.is_none() && now.saturating_sub(self.last_asked) >= ASK_EVERY
+        self.asking.is_due(now, ASK_EVERY)
     }
 
     /// It was asked by this command.
     pub const fn asked(&mut self, id: u32, now: Duration) {
-        self.asked = Some((id, now));
-        self.last_asked = now;
+        self.asking.asked(id, now);
     }
 
     /// No answer to this command will come.
     pub fn expired(&mut self, id: u32) {
-        self.asked.take_if(|(asked, _)| *asked == id);
+        self.asking.ended(id);
     }
 
     /// The board has answered.
     pub fn answered(&mut self, id: u32, now: Duration, board: Ticks) {
-        if let Some((_, asked)) = self.asked.take_if(|(asked, _)| *asked == id) {
+        if let Some(asked) = self.asking.ended(id) {
             self.heard(Pair::of_round_trip(asked, now, board));
         }
     }
@@ -159,7 +186,7 @@ impl Axis {
         self.shift = shift.saturating_add(late);
         self.first = Some(now);
         self.best = Some(now);
-        self.asked = None;
+        self.asking.out = None;
         let uniform = |within: Duration| within.as_secs_f64().powi(2) / 3.0;
         let drift = rates * gap.as_secs_f64();
         let forced = late as f64 / f64::from(TICK_HZ);

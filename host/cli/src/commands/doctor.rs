@@ -131,7 +131,8 @@ fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Resul
     Ok(())
 }
 
-/// Tries the trigger as the profile's camera has it.
+/// Tries the trigger as the profile's camera has it; without a profile that can be read, as
+/// the published rig's.
 fn check_trigger(
     args: &Args,
     profile: Option<&Profile>,
@@ -141,11 +142,11 @@ fn check_trigger(
 ) -> Result<(), Failure> {
     let before = board.trigger()?;
     let after = if before.state == TrainState::Stopped && !args.no_trigger {
-        let fps = profile.map_or(30, |profile| profile.depth.fps);
-        let usual = 12 * TICK_HZ / 1_000_000;
+        let published = Profile::published()?;
+        let profile = profile.unwrap_or(&published);
         let start = TriggerStart {
-            period: Period::from_ticks(TICK_HZ / fps),
-            width: profile.map_or(usual, Profile::pulse_width),
+            period: Period::from_ticks(TICK_HZ / profile.depth.fps),
+            width: profile.pulse_width(),
             first_edge: None,
             first_fraction: 0,
         };

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 
 use indicatif::ProgressBar;
 use protocol::{
-    AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuSensor, ImuState, LowPass,
-    TICK_HZ, Ticks,
+    AccelRange, DeviceToHost, GyroRange, ImuClock, ImuConfig, ImuSensor, ImuState, LowPass, TICK_HZ,
 };
 use serde::Serialize;
 
@@ -16,7 +15,9 @@ use super::PortArg;
 use super::listen::{Heard, Listened, listen};
 use crate::advice::imu_scale;
 use crate::cli::Context;
+use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
+use crate::record::preflight::IMU_WIRING;
 use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
 use board::{Board, BoardError};
 use board::{Event, Stream};
@@ -248,7 +249,7 @@ fn no_samples(board: &mut Board) -> Failure {
         ExitStatus::Error,
         format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
     )
-    .next_step("check the IMU's wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V")
+    .next_step(IMU_WIRING)
 }
 
 fn show(bar: &ProgressBar, summary: &Summary) {
@@ -364,7 +365,7 @@ impl Csv {
     fn write(&mut self, sample: &Sample) -> Result<(), Failure> {
         let [gx, gy, gz] = sample.gyro;
         let [ax, ay, az] = sample.accel;
-        let mut record = vec![sample.at.0.to_string(), seconds(sample.at)];
+        let mut record = vec![sample.at.0.to_string(), seconds(sample.at.as_nanos())];
         record.extend([gx, gy, gz].map(|value| format!("{value:.9}")));
         record.extend([ax, ay, az].map(|value| format!("{value:.7}")));
         record.push(format!("{:.3}", sample.temperature));
@@ -396,12 +397,6 @@ fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> Failure {
     .next_step("check the folder, its rights and the free space")
 }
 
-/// Board time in seconds with nine places, from integers.
-fn seconds(at: Ticks) -> String {
-    let nanos = at.as_nanos();
-    format!("{}.{:09}", nanos / 1_000_000_000, nanos % 1_000_000_000)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -414,13 +409,6 @@ mod tests {
         for text in ["0", "300", "2", "1001", "-5", ""] {
             assert!(parse_rate(text).is_err(), "{text}");
         }
-    }
-
-    #[test]
-    fn board_time_in_seconds_keeps_every_tick() {
-        assert_eq!(seconds(Ticks(48_000_000 * 90)), "90.000000000");
-        assert_eq!(seconds(Ticks(1)), "0.000000021");
-        assert_ne!(seconds(Ticks(1 << 50)), seconds(Ticks((1 << 50) + 1)));
     }
 
     #[test]

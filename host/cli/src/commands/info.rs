@@ -165,7 +165,7 @@ impl PrintedInfo {
         let outputs = if self.has_outputs {
             "four trigger outputs, and a pulse per second for a lidar"
         } else {
-            "the camera's trigger output alone: no outputs 2 to 4, nothing for a lidar"
+            "the camera's trigger output alone, no outputs 2 to 4 and nothing for a lidar"
         };
         let _ = writeln!(text, "model       {}: {outputs}", self.board_model.name());
         let _ = writeln!(

@@ -230,8 +230,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let result = estimate_offset(&mcu.track, &phone.track, &options);
     if let Some(path) = &args.plot {
         let svg = plot::svg(NAMES, [&mcu.track, &phone.track], &result, &options);
-        std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
-        context.say(format!("plot: {}", path.display()));
+        plot::write(path, &svg, context)?;
     }
     let inputs = [Input::new(&args.mcu, &mcu), Input::new(&args.phone, &phone)];
     let mut output = Output::new(&result, &options, inputs);
@@ -314,7 +313,7 @@ fn text(output: &Output) -> String {
 }
 
 /// The two recordings in words.
-const NAMES: [&str; 2] = ["board", "phone"];
+const NAMES: [&str; 2] = [Device::Mcu.name(), Device::Phone.name()];
 
 /// A fault of one of two recordings with these names.
 pub(super) fn fault_text(fault: &DeviceFault, names: [&str; 2]) -> String {

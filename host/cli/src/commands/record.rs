@@ -80,11 +80,11 @@ pub(crate) struct Args {
     #[arg(long)]
     fetch_video: bool,
     /// Follow the phone's clock through adb while it records, so that the trigger stays on
-    /// its frames for hours; by itself where an adb server runs and has the phone. It is an
-    /// error if it cannot be
+    /// its frames for hours; an error if that cannot be. Unless given, it is followed where an
+    /// adb server runs and has the phone
     #[arg(long)]
     track: bool,
-    /// Do not: nothing is started on the phone
+    /// Do not follow the phone's clock: nothing is started on the phone
     #[arg(long, conflicts_with = "track")]
     no_track: bool,
     #[command(flatten)]

@@ -17,7 +17,7 @@ use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
 use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
-use recording::camera::{DEFAULT_CAMERA, MODELS, Mode, Model};
+use recording::camera::{DEFAULT_CAMERA, Mode, Model};
 
 /// Make the profile of a rig: asks what it must know, writes `rig.toml`, checks the rig as
 /// `doctor` does, and names the next command.
@@ -95,10 +95,9 @@ fn parse_model(text: &str) -> Result<&'static Model, String> {
 }
 
 fn parse_mode(model: &'static Model, text: &str) -> Result<&'static Mode, String> {
-    model.mode(text.trim()).ok_or_else(|| {
-        let names: Vec<&str> = model.modes.iter().map(|mode| mode.name).collect();
-        format!("{} has {}", model.name, names.join(", "))
-    })
+    model
+        .mode(text.trim())
+        .ok_or_else(|| format!("{} has {}", model.name, model.mode_names()))
 }
 
 fn parse_exposure(text: &str) -> Result<f64, &'static str> {
@@ -299,16 +298,14 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
     let model = match given.camera {
         Some(model) => model,
         None => {
-            let known = MODELS.map(|model| model.id).join(", ");
-            let question = format!("Which depth camera ({known})?");
+            let question = format!("Which depth camera ({})?", Model::ids());
             asker.ask(&question, DEFAULT_CAMERA, |text| parse_model(text.trim()))?
         }
     };
     let mode = match given.mode(model)? {
         Some(mode) => mode,
         None => {
-            let names: Vec<&str> = model.modes.iter().map(|mode| mode.name).collect();
-            let question = format!("Mode of the depth camera ({})?", names.join(", "));
+            let question = format!("Mode of the depth camera ({})?", model.mode_names());
             let default = model.default_mode().name;
             asker.ask(&question, default, |text| parse_mode(model, text))?
         }

@@ -15,6 +15,7 @@ use twist_sync::{GyroTrack, WithSigma};
 use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
 use crate::cli::Context;
+use crate::decimal::seconds;
 use crate::outcome::{Failure, Outcome};
 use related::{Related, Whole};
 
@@ -116,11 +117,11 @@ struct LoopOutput {
 /// A file cannot be read or written, or has no gyroscope. Recordings that cannot be
 /// related are no error but [`Outcome::Refused`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    let files: Vec<_> = args.recordings.iter().map(|path| topic_of(path)).collect();
     let mut recordings: Vec<GyroRecording> = Vec::new();
-    for path in &args.recordings {
-        let (file, topic) = topic_of(path);
-        let read = gyro_files::read(&file, topic.as_deref());
-        recordings.push(read.map_err(|error| advice::gyro_file(&file, error))?);
+    for (file, topic) in &files {
+        let read = gyro_files::read(file, topic.as_deref());
+        recordings.push(read.map_err(|error| advice::gyro_file(file, error))?);
     }
     let mut tracks: Vec<_> = recordings.iter().map(GyroRecording::track).collect();
     let mut warnings = Vec::new();
@@ -191,14 +192,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             }
             _ => plot::svg(&pairs),
         };
-        std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
-        context.say(format!("plot: {}", path.display()));
+        twist_plot::write(path, &svg, context)?;
     }
     if let Ok(network) = &network {
         let length_s = tracks[0].t.last().copied().unwrap_or(0.0);
         (output.clocks, output.loops) = solution(network, length_s, &recordings);
         if let Some(folder) = &args.write {
-            let names: Vec<PathBuf> = args.recordings.iter().map(|p| topic_of(p).0).collect();
+            let names: Vec<&Path> = files.iter().map(|(file, _)| file.as_path()).collect();
             write::timestamps(folder, network, &recordings, &names)?;
             context.say(format!("written: {}", folder.display()));
         }
@@ -260,9 +260,9 @@ fn pair(
         refusal: related.course.as_ref().err().cloned(),
         reference_ns: middle.map(|m| nanos_from(of_a.first(), m.reference)),
         offset_ns: middle.map(|m| nanos_from(between, m.offset)),
-        offset_sigma_us: middle.map(|m| m.covariance[0][0].max(0.0).sqrt() * 1e6),
+        offset_sigma_us: middle.map(|m| m.offset_at(m.reference).sigma * 1e6),
         skew_ppm: middle.map(|m| m.skew * 1e6),
-        skew_sigma_ppm: middle.map(|m| m.covariance[1][1].max(0.0).sqrt() * 1e6),
+        skew_sigma_ppm: middle.map(|m| m.skew_sigma_at(m.reference) * 1e6),
         windows: related.windows,
         used: course.map_or(0, |course| course.used),
         contradicting: course.map_or(0, |course| course.contradicting),
@@ -381,26 +381,9 @@ fn text(output: &Output) -> String {
     out
 }
 
-/// Nanoseconds as seconds with all their digits.
-fn seconds(nanos: i64) -> String {
-    let sign = if nanos < 0 { "-" } else { "" };
-    let nanos = nanos.unsigned_abs();
-    format!(
-        "{sign}{}.{:09}",
-        nanos / 1_000_000_000,
-        nanos % 1_000_000_000
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn nanoseconds_keep_all_digits() {
-        assert_eq!(seconds(-1_000_000_001), "-1.000000001");
-        assert_eq!(seconds(1_403_636_579_758_555_392), "1403636579.758555392");
-    }
 
     #[test]
     fn a_topic_stands_behind_the_file() {

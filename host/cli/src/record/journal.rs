@@ -119,6 +119,12 @@ impl<'a> Journal<'a> {
         self.tell(Severity::Info, kind, text)
     }
 
+    /// Warns, in the live view too; the outcome stays as it is.
+    pub(super) fn warn(&mut self, kind: &str, text: &str) -> Result<(), Stop> {
+        self.live.gauge.warning(kind, text);
+        self.tell(Severity::Warning, kind, text)
+    }
+
     /// Something went wrong: says it, and keeps it in the session file too. It
     /// makes the outcome "with loss".
     pub(super) fn problem(&mut self, finding: Finding) -> Result<(), Stop> {

@@ -46,7 +46,9 @@ const OLD_DAYS: i32 = 90;
 /// Name of the check of the depth camera's settings.
 const CHECK_CAMERA: &str = "depth camera";
 
-const IMU_WIRING: &str = "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V";
+/// What to do about an IMU from which nothing comes.
+pub(crate) const IMU_WIRING: &str =
+    "check its wiring: PB6/PB7 I2C, PA1 data-ready, PA8 or PB0 clock, 3.3 V";
 
 /// The version of a board's firmware, as people write it.
 pub(crate) fn firmware_version(hello: &Hello) -> String {
@@ -159,7 +161,7 @@ impl Checks {
             None => self.warn(
                 CHECK_BIAS,
                 format!(
-                    "not measured: there may be ms between the cameras (of it, ± {} µs are from the \
+                    "not measured: there may be ms between the cameras (± {} µs of that from the \
                      trigger to the middle of the depth exposure)",
                     profile.depth.center_offset_sigma_us
                 ),

@@ -20,7 +20,6 @@ use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use frame_sync::alignment::{phase_sigma_us_at, plan};
 use recording::session_file::{Alignment, Marker, Span, Twist, Video};
-use recording::writer::Severity;
 use timebase::ClockModel;
 use verify::watch::{Finding, Grid, Watch};
 
@@ -273,8 +272,7 @@ fn tell_due_twist(rig: &mut Rig<'_>) -> Result<(), Stop> {
          {:.0} µs (1-sigma) no more; stop, and record again when it matters",
         rig.profile.align.max_offset_sigma_us
     );
-    rig.journal.live.gauge.warning("twist_due", &text);
-    rig.journal.tell(Severity::Warning, "twist_due", &text)
+    rig.journal.warn("twist_due", &text)
 }
 
 pub(super) fn mark(

@@ -31,6 +31,7 @@ use recording::profile::Profile;
 use recording::session_file::TrackInfo;
 use recording::writer::Severity;
 use timebase::ClockModel;
+use timebase::runs::Asking;
 use verify::watch::Grid;
 
 /// The board is asked so often.
@@ -51,7 +52,7 @@ pub enum Track {
 /// What the live view shows of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Tracked {
-    /// By how much the trigger is late on the phone's frames, µs, and the 1-sigma.
+    /// By how much the trigger is late on the phone's frames, µs.
     pub(crate) phase_us: f64,
     /// 1-sigma of it, µs.
     pub(crate) sigma_us: f64,
@@ -78,9 +79,8 @@ pub(super) struct Tracking {
     link: Link,
     phone: String,
     tracker: Tracker,
-    /// The question to the board, and when it was asked.
-    asked: Option<(u32, Duration)>,
-    last_asked: Duration,
+    /// The questions to the board.
+    asking: Asking,
     /// What the tracker was told of the clocks.
     known: Option<ClockModel>,
     temperature: Option<f64>,
@@ -132,8 +132,7 @@ pub(super) fn start(
         link,
         phone: profile.phone.name.clone(),
         tracker: Tracker::new(),
-        asked: None,
-        last_asked: Duration::ZERO,
+        asking: Asking::default(),
         known: None,
         temperature: None,
         following: None,
@@ -161,9 +160,8 @@ impl Tracking {
             )?;
         }
         let now = board.board.now();
-        if self.asked.is_none() && now.saturating_sub(self.last_asked) >= ASK_EVERY {
-            self.asked = Some((board.board.ask_time(), now));
-            self.last_asked = now;
+        if self.asking.is_due(now, ASK_EVERY) {
+            self.asking.asked(board.board.ask_time(), now);
         }
         if let Some(clock) = journal
             .file
@@ -185,7 +183,7 @@ impl Tracking {
         now: Duration,
         at: Ticks,
     ) -> Result<(), Stop> {
-        let Some((_, sent)) = self.asked.take_if(|(asked, _)| *asked == id) else {
+        let Some(sent) = self.asking.ended(id) else {
             return Ok(());
         };
         let nanos = i64::try_from(at.as_nanos()).unwrap_or(i64::MAX);
@@ -194,7 +192,7 @@ impl Tracking {
 
     /// No answer to this question will come.
     pub(super) fn expired(&mut self, id: u32) {
-        self.asked.take_if(|(asked, _)| *asked == id);
+        self.asking.ended(id);
     }
 
     fn take(
@@ -339,9 +337,8 @@ fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
         Some(String::from("phone's clock lost")),
     )?;
     let text = "the phone's clock is not heard any more: the trigger's period stays, and the \
-                phase drifts as without tracking; look after its cable, or `adb devices`";
-    rig.journal.live.gauge.warning("track_lost", text);
-    rig.journal.tell(Severity::Warning, "track_lost", text)
+                phase drifts as without tracking; check the phone's cable and `adb devices`";
+    rig.journal.warn("track_lost", text)
 }
 
 /// The board was reset: its time goes on by the computer's clock, which the tracker's

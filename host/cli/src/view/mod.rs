@@ -281,7 +281,7 @@ pub(crate) fn todo_for(kind: &str) -> &'static str {
         "depth_recorder_gone" => "look at depth_recorder.log; start the recording again",
         "phone_lost" => "check the phone: app in the foreground, same network",
         "disk_nearly_full" => "free some space",
-        "track_lost" => "look after the phone's cable, or `adb devices`",
+        "track_lost" => "check the phone's cable and `adb devices`",
         "twist_due" => "stop, and record again when the phase matters",
         "twist_refused" => "twist again, faster, about all axes",
         _ => "see the recording's report",

@@ -8,7 +8,7 @@ use serde_json::Value;
 use twist_sync::GyroTrack;
 use twist_sync::simulate::{self, Twist, TwistSpec};
 
-use crate::support::objects;
+use crate::support::{objects, phone_app};
 
 fn offset(mcu: &Path, phone: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -26,15 +26,6 @@ fn with_header(track: &GyroTrack) -> String {
     let mut out = String::from("mcu_time,mcu_x,mcu_y,mcu_z\n");
     for (t, w) in track.t.iter().zip(&track.w) {
         let _ = writeln!(out, "{:.9},{},{},{}", track.epoch_s + t, w[0], w[1], w[2]);
-    }
-    out
-}
-
-fn phone_app(track: &GyroTrack) -> String {
-    let mut out = String::new();
-    for (t, w) in track.t.iter().zip(&track.w) {
-        let nanos = ((track.epoch_s + t) * 1e9).round() as i64;
-        let _ = writeln!(out, "{},{},{},{nanos}", w[0], w[1], w[2]);
     }
     out
 }

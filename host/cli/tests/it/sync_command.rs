@@ -10,7 +10,7 @@ use serde_json::Value;
 use twist_sync::GyroTrack;
 use twist_sync::simulate::{self, Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 
-use crate::support::objects;
+use crate::support::{nanos, objects, phone_app};
 
 fn sync(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -25,11 +25,6 @@ fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
-fn nanos(track: &GyroTrack) -> impl Iterator<Item = i64> {
-    let at = |t: &f64| ((track.epoch_s + t) * 1e9).round() as i64;
-    track.t.iter().map(at)
-}
-
 /// As EuRoC has it, with an accelerometer.
 fn euroc(path: PathBuf, track: &GyroTrack) {
     let mut out = String::from(
@@ -42,13 +37,8 @@ fn euroc(path: PathBuf, track: &GyroTrack) {
     std::fs::write(path, out).unwrap();
 }
 
-/// As the phone's app writes it.
 fn app(path: PathBuf, track: &GyroTrack) {
-    let mut out = String::new();
-    for (at, w) in nanos(track).zip(&track.w) {
-        writeln!(out, "{},{},{},{at}", w[0], w[1], w[2]).unwrap();
-    }
-    std::fs::write(path, out).unwrap();
+    std::fs::write(path, phone_app(track)).unwrap();
 }
 
 /// A ROS 2 bag with two IMUs, the second at rest.

@@ -4,12 +4,11 @@
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-use crate::support::{Behaviour, StandIn, code, frame, polite, run, text};
+use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run, text};
 use protocol::{
-    AccelRange, AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost,
-    GyroRange, HostToDevice, ImuClock, ImuConfig, ImuFlags, ImuSample, ImuSensor, ImuSetup,
-    ImuState, ImuStatus, LowPass, Output, Period, QueryImu, QueryTrigger, Readback, Refusal, Reply,
-    Request, StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
+    AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost, HostToDevice,
+    ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuStatus, Output, Period, QueryImu, QueryTrigger,
+    Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
 };
 use serde_json::Value;
 
@@ -229,28 +228,16 @@ struct ImuStandIn {
 
 impl ImuStandIn {
     fn setup(&self) -> ImuSetup {
+        let setup = imu_setup();
         ImuSetup {
-            config: ImuConfig {
-                divider: 1,
-                low_pass: LowPass::Hz188,
-                gyro_range: GyroRange::Dps500,
-                accel_range: AccelRange::G4,
-            },
-            interval: 96_000,
-            gyro_lsb_per_dps_times_10: 655,
-            accel_lsb_per_g: 8_192,
             gyro_delay_us: 1_900,
             accel_delay_us: 2_000,
             status: ImuStatus {
-                state: ImuState::Running,
-                clock: ImuClock::External,
                 samples: self.next,
-                late: 0,
-                overcaptures: 0,
-                recoveries: 0,
-                last_fault: None,
+                ..setup.status
             },
             sensor: ImuSensor::default(),
+            ..setup
         }
     }
 }

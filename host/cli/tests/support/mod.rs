@@ -6,6 +6,7 @@ pub(crate) mod documents;
 pub(crate) mod objects;
 pub(crate) mod synthetic;
 
+use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::process::{Command, Output};
@@ -20,6 +21,7 @@ use protocol::{
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use twist_sync::GyroTrack;
 
 /// What the stand-in does with a command, and with every 10 ms that pass.
 pub(crate) trait Behaviour: Send + 'static {
@@ -180,6 +182,21 @@ pub(crate) fn imu_setup() -> ImuSetup {
             temperature_at_zero_centidegrees: 2_500,
         },
     }
+}
+
+/// Times of a track in nanoseconds.
+pub(crate) fn nanos(track: &GyroTrack) -> impl Iterator<Item = i64> {
+    let at = |t: &f64| ((track.epoch_s + t) * 1e9).round() as i64;
+    track.t.iter().map(at)
+}
+
+/// A gyroscope's recording as the phone's app writes it.
+pub(crate) fn phone_app(track: &GyroTrack) -> String {
+    let mut out = String::new();
+    for (at, w) in nanos(track).zip(&track.w) {
+        let _ = writeln!(out, "{},{},{},{at}", w[0], w[1], w[2]);
+    }
+    out
 }
 
 /// Runs the program to its end.

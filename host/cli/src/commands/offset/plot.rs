@@ -2,9 +2,12 @@
 //! drawings of [`page::chart`], one below the other.
 
 use std::ops::Range;
+use std::path::Path;
 
 use super::fault_found;
-use crate::sync_report::SyncReport;
+use crate::cli::Context;
+use crate::outcome::Failure;
+use crate::sync_report::DeviceFault;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
 use twist_sync::{
@@ -94,6 +97,13 @@ pub(in crate::commands) fn svg(
     stack(SIZE, &panels)
 }
 
+/// Writes a plot, and says where it is.
+pub(in crate::commands) fn write(path: &Path, svg: &str, context: &Context) -> Result<(), Failure> {
+    std::fs::write(path, svg).map_err(|error| Failure::file("write", path, &error))?;
+    context.say(format!("plot: {}", path.display()));
+    Ok(())
+}
+
 /// What was left out and why, in words; empty where nothing was.
 fn reasons(report: &Report, names: [&str; 2]) -> String {
     let is_stretch = |kind| {
@@ -102,11 +112,12 @@ fn reasons(report: &Report, names: [&str; 2]) -> String {
             FaultKind::NotOneBody | FaultKind::Slipped | FaultKind::TimestampStep
         )
     };
-    let faults = SyncReport::from(report).faults;
-    let of_samples = faults.iter().filter(|fault| {
+    let of_samples = report.faults.iter().filter(|fault| {
         fault.action == Action::LeftOut && (report.left_out.is_empty() || !is_stretch(fault.kind))
     });
-    let of_samples: Vec<String> = of_samples.map(|fault| fault_found(fault, names)).collect();
+    let of_samples: Vec<String> = of_samples
+        .map(|fault| fault_found(&DeviceFault::from(fault), names))
+        .collect();
     let stretches = report.left_out.iter().map(LeftOut::to_string);
     let mut all: Vec<String> = stretches.collect();
     if !of_samples.is_empty() {

@@ -34,16 +34,16 @@ fn chart((a, b): (usize, usize), related: &Related) -> Chart {
     let line = |t: f64| first.offset + slope * (t - from);
     let bar = |estimate: &twist_sync::ClockRelation| {
         let t = estimate.reference;
-        let sigma = estimate.covariance[0][0].max(0.0).sqrt();
+        let sigma = estimate.offset_at(t).sigma;
         (t, (estimate.offset - line(t)) * 1e6, sigma * 1e6)
     };
     let points = (0..=POINTS).map(|k| from + (to - from) * f64::from(k) / f64::from(POINTS));
     let curve = points.map(|t| (t, (course.at(t).offset - line(t)) * 1e6));
-    let middle = course.at(0.5 * (from + to));
+    let middle_s = 0.5 * (from + to);
     let title = format!(
         "Clock {b} − clock {a}, less a line of {:+.3} ppm: ± {:.2} µs in the middle, {} of {} windows",
         slope * 1e6,
-        middle.covariance[0][0].max(0.0).sqrt() * 1e6,
+        course.at(middle_s).offset_at(middle_s).sigma * 1e6,
         course.used,
         related.windows
     );

@@ -6,7 +6,7 @@ use twist_sync::{
 };
 
 use crate::commands::offset::fault_text;
-use crate::sync_report::SyncReport;
+use crate::sync_report::DeviceFault;
 
 /// A recording up to this length is taken as a whole, seconds: a twist.
 const LONGEST_TWIST_S: f64 = 60.0;
@@ -51,14 +51,13 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
     };
     let course = ClockCourse::from_estimates(&estimates, options.wander);
     let names = ["the first", "the second"];
-    let faults = SyncReport::from(report).faults;
+    let faults = report.faults.iter();
     Related {
         course: course.ok_or_else(|| report.failures()),
         estimates,
         windows: 1,
         faults: faults
-            .iter()
-            .map(|fault| fault_text(fault, names))
+            .map(|fault| fault_text(&DeviceFault::from(fault), names))
             .collect(),
         left_out: report.left_out.iter().map(ToString::to_string).collect(),
         whole: Some(Box::new(Whole { result, options })),

@@ -1,7 +1,7 @@
 //! The timestamps of the other recordings in the time of the first one's clock.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use gyro_files::GyroRecording;
 use twist_sync::WithSigma;
@@ -21,7 +21,7 @@ pub(super) fn timestamps(
     folder: &Path,
     network: &Network,
     recordings: &[GyroRecording],
-    names: &[PathBuf],
+    names: &[&Path],
 ) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| Failure::file("create", folder, &error))?;
     let first = recordings[0].first();
