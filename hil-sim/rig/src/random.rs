@@ -3,7 +3,8 @@
 pub use stm32f4_sim::random::{ALGORITHM, Random, Seed};
 
 /// What a stream of random numbers is for. The numbers are part of what a seed
-/// means: they are never given to something else. 19 and 20 are the simulated chip's.
+/// means: they are never given to something else. 19, 20, 28 and 29 are the
+/// simulated chip's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u64)]
 pub enum Stream {

@@ -35,7 +35,7 @@ const PERIOD_PICOS: u64 = 33_330_652_540;
 const INTERRUPTS: [(usize, &str); 9] = [
     (28, "TIM2: captures"),
     (16, "DMA1 stream 5: end of a trigger pulse"),
-    (78, "DCMI: what TIM2 leaves behind"),
+    (51, "SPI3: what TIM2 leaves behind"),
     (67, "OTG_FS: USB"),
     (30, "TIM4: the tasks' clock"),
     (31, "I2C1 events"),

@@ -23,7 +23,7 @@ use super::rig::Rig;
 use super::steps::mark;
 use crate::cli::Context;
 use crate::outcome::Failure;
-use board::Board;
+use board::BoardError;
 use board::transport::serial::program_time;
 use frame_sync::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use recording::messages::{ClockExchange, Header};
@@ -295,7 +295,18 @@ pub(super) fn steer(rig: &mut Rig<'_>) -> Result<(), Stop> {
     let Some(period) = steering.wanted(&relation, board_now, since_s) else {
         return Ok(());
     };
-    let status = rig.call(|board: &mut Board| board.set_period(Output::Camera, period))?;
+    let status = match rig.link.board.set_period(Output::Camera, period) {
+        Ok(status) => status,
+        // The link is taken up again by whoever pumps, and a reset board's trigger is
+        // started again; the period is set anew with the next step.
+        Err(
+            BoardError::Link(_)
+            | BoardError::NoAnswer { .. }
+            | BoardError::Silent
+            | BoardError::Refused { .. },
+        ) => return Ok(()),
+        Err(error) => return Err(error.into()),
+    };
     let edge = rig.link.axis.recorded(status.next_edge);
     let fraction = status.next_fraction;
     if let Some(following) = rig.tracking.as_mut().and_then(|t| t.following.as_mut()) {
