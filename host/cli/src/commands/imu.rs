@@ -79,7 +79,8 @@ fn parse_rate(text: &str) -> Result<u8, String> {
         .ok()
         .filter(|&rate| rate > 0 && 1_000 % rate == 0)
         .and_then(|rate| u8::try_from(1_000 / rate - 1).ok())
-        .ok_or_else(|| String::from("expected 1000 divided by a whole number up to 256: 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10, 8, 5 or 4"))
+        .filter(|&divider| divider <= ImuConfig::MAX_DIVIDER)
+        .ok_or_else(|| String::from("expected a divisor of 1000 from 5 to 1000: 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10, 8 or 5"))
 }
 
 fn parse_low_pass(text: &str) -> Result<LowPass, &'static str> {

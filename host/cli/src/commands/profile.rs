@@ -172,7 +172,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<Outcome, Fa
     let text = match model {
         Some(model) if *given != CameraArg::default() => {
             let mut camera = Camera::new(model, given.mode(model)?);
-            camera.exposure_us = given.depth_exposure_us;
+            camera.exposure_us = given.exposure_us(camera.mode)?;
             new_profile::text(&camera, &[])?
         }
         _ => DEFAULT.to_owned(),

@@ -88,6 +88,26 @@ impl CameraArg {
             })
             .transpose()
     }
+
+    /// The exposure that is given, of this mode.
+    ///
+    /// # Errors
+    ///
+    /// The mode's exposure cannot be set.
+    pub(crate) fn exposure_us(&self, mode: &Mode) -> Result<Option<f64>, Failure> {
+        match self.depth_exposure_us {
+            Some(_) if !mode.follows_exposure() => Err(Failure::new(
+                ExitStatus::Usage,
+                format!(
+                    "--depth-exposure-us: the exposure of {} cannot be set; the middle of its \
+                     frames is known without it",
+                    mode.name
+                ),
+            )
+            .next_step("leave the option out")),
+            given => Ok(given),
+        }
+    }
 }
 
 fn parse_model(text: &str) -> Result<&'static Model, String> {
@@ -311,7 +331,7 @@ fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camer
         }
     };
     let mut camera = Camera::new(model, Some(mode));
-    camera.exposure_us = given.depth_exposure_us;
+    camera.exposure_us = given.exposure_us(mode)?;
     let fits = |fps: u32| match mode.rates.contains(&fps) {
         true => Ok(fps),
         false => Err(format!(

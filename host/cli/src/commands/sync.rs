@@ -16,7 +16,7 @@ use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
 use crate::cli::Context;
 use crate::decimal::seconds;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome};
 use related::{Related, Whole};
 
 /// Loops and clocks are looked at so often over a recording.
@@ -117,6 +117,17 @@ struct LoopOutput {
 /// A file cannot be read or written, or has no gyroscope. Recordings that cannot be
 /// related are no error but [`Outcome::Refused`].
 pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+    if args.delay_us.len() > args.recordings.len() {
+        return Err(Failure::new(
+            ExitStatus::Usage,
+            format!(
+                "--delay-us has {} values for {} recordings",
+                args.delay_us.len(),
+                args.recordings.len()
+            ),
+        )
+        .next_step("give one for each recording, in their order"));
+    }
     let files: Vec<_> = args.recordings.iter().map(|path| topic_of(path)).collect();
     let mut recordings: Vec<GyroRecording> = Vec::new();
     for (file, topic) in &files {

@@ -207,6 +207,19 @@ const CASES: &[Case] = &[
     ),
     ("sync gyro.csv text.txt", 2, "text.txt", "x,y,z,nanoseconds"),
     ("sync gyro.csv", 2, "2 values required", "help COMMAND"),
+    (
+        "sync gyro.csv gyro.csv --delay-us 1,2,3",
+        2,
+        "3 values for 2 recordings",
+        "one for each",
+    ),
+    ("imu --rate 4", 2, "from 5 to 1000", "help COMMAND"),
+    (
+        "profile init new.toml --camera azure-kinect-dk --depth-exposure-us 5000",
+        2,
+        "cannot be set",
+        "leave the option out",
+    ),
     // Videos.
     (
         "evaluate precision nothing.mp4",

@@ -151,9 +151,14 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
                 let encoder = Encoder::create(&partial, image.size, fps);
                 video = Some((encoder.map_err(io::Error::other)?, image.size));
             }
-            if let Some((encoder, size)) = &mut video
-                && *size == image.size
-            {
+            if let Some((encoder, size)) = &mut video {
+                if *size != image.size {
+                    return Err(io::Error::other(format!(
+                        "the phone's images have two sizes, {} x {} and {} x {}: a LeRobot video \
+                         has one; choose another --format",
+                        size.0, size.1, image.size.0, image.size.1
+                    )));
+                }
                 encoder.write(&image.pixels).map_err(io::Error::other)?;
             }
         }
