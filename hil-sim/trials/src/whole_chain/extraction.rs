@@ -201,14 +201,16 @@ pub(super) fn phone_frames(
     frames: &Path,
 ) -> Result<(Times, Times)> {
     let rows = table(frames, &[2, 3])?;
+    let count = video.count.context("the video has no end")?;
+    let numbers = video.frames.delivered_of(count);
     ensure!(
-        Some(rows.len()) == video.count,
-        "{} phone frames were extracted, {:?} were recorded",
+        rows.len() == numbers.len(),
+        "{} phone frames were extracted, {} were recorded",
         rows.len(),
-        video.count
+        numbers.len()
     );
     let (mut starts, mut middles) = (Vec::new(), Vec::new());
-    for (n, row) in rows.iter().enumerate() {
+    for (n, row) in numbers.into_iter().zip(&rows) {
         let start = recorded.nanos_of_phone(phone, video.frames.start_ns(n))?;
         let middle = recorded.nanos_of_phone(phone, video.frames.middle_ns(n))?;
         starts.push((whole(row[0])?, start));
@@ -328,10 +330,13 @@ fn check_pairs(
         if depth_rows.get(depth).is_some_and(|r| r[1].is_none()) {
             continue;
         }
+        // Either one of a frame that the app got twice.
+        let middle = middles.get(phone).context("a pair without a phone frame")?;
+        let first = middles.partition_point(|m| m.1 < middle.1);
         ensure!(
-            expected.get(&phone) == Some(&depth),
+            expected.get(&first) == Some(&depth),
             "phone frame {phone} is paired with depth frame {depth}, its neighbour is {:?}",
-            expected.get(&phone)
+            expected.get(&first)
         );
         found += 1;
     }

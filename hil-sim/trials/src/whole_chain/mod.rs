@@ -10,6 +10,7 @@
 //!
 //! All figures that come out of here are of simulated recordings.
 
+pub mod believed;
 pub mod calibration;
 mod cameras;
 pub mod evaluation;
