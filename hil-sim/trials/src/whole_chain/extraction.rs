@@ -121,6 +121,15 @@ impl ExtractionFigures {
 /// A step fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
 /// is not named or one is named that was not dropped.
 pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionFigures> {
+    Ok(recorded(plan, programs, out)?.1)
+}
+
+/// The same, with the recording.
+pub(super) fn recorded(
+    plan: &Plan,
+    programs: &Programs,
+    out: &Path,
+) -> Result<(Recorded, ExtractionFigures)> {
     let recorded = record(plan, programs, out)?;
     let data = out.join(&plan.name).join("data");
     let phone = recorded.phone.to_string_lossy().into_owned();
@@ -130,7 +139,8 @@ pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionF
         &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
-    judge(&recorded, &data, &report)
+    let figures = judge(&recorded, &data, &report)?;
+    Ok((recorded, figures))
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.
