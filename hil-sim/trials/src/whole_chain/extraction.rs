@@ -210,17 +210,25 @@ pub(super) fn phone_frames(
     video: &VideoTruth,
     frames: &Path,
 ) -> Result<(Times, Times)> {
-    let rows = table(frames, &[2, 3])?;
+    let rows = table(frames, &[2, 3, 4])?;
     let count = video.count.context("the video has no end")?;
-    let numbers = video.frames.delivered_of(count);
+    // Of a frame that the app got twice, the second timestamp is left out.
+    let numbers = video.frames.delivered_of(count).into_iter();
+    let mut recorded_frames: Vec<(i64, usize)> = (0..).zip(numbers).collect();
+    recorded_frames.dedup_by_key(|(_, n)| *n);
     ensure!(
-        rows.len() == numbers.len(),
+        rows.len() == recorded_frames.len(),
         "{} phone frames were extracted, {} were recorded",
         rows.len(),
-        numbers.len()
+        recorded_frames.len()
     );
     let (mut starts, mut middles) = (Vec::new(), Vec::new());
-    for (n, row) in numbers.into_iter().zip(&rows) {
+    for ((image, n), row) in recorded_frames.into_iter().zip(&rows) {
+        ensure!(
+            row[2].is_none_or(|found| found == image),
+            "frame {n} of the phone is image {image} of its video, but is said to be {:?}",
+            row[2]
+        );
         let start = recorded.nanos_of_phone(phone, video.frames.start_ns(n))?;
         let middle = recorded.nanos_of_phone(phone, video.frames.middle_ns(n))?;
         starts.push((whole(row[0])?, start));
@@ -340,13 +348,10 @@ fn check_pairs(
         if depth_rows.get(depth).is_some_and(|r| r[1].is_none()) {
             continue;
         }
-        // Either one of a frame that the app got twice.
-        let middle = middles.get(phone).context("a pair without a phone frame")?;
-        let first = middles.partition_point(|m| m.1 < middle.1);
         ensure!(
-            expected.get(&first) == Some(&depth),
+            expected.get(&phone) == Some(&depth),
             "phone frame {phone} is paired with depth frame {depth}, its neighbour is {:?}",
-            expected.get(&first)
+            expected.get(&phone)
         );
         found += 1;
     }
