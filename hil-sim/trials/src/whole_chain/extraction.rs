@@ -179,6 +179,9 @@ pub(crate) fn judge(
     let (starts, middles) = phone_frames(recorded, &recorded.truth.phone, video, &table_of_frames)?;
 
     // The depth camera.
+    if let Some(why) = report["depth"]["not_matched"].as_str() {
+        bail!("extract does not say which pulse made which depth frame: {why}");
+    }
     let (depth, center_of, rows, free_running) = depth_frames(recorded, data)?;
     let dropped = dropped_frames(recorded, |frame| pulse_of(recorded, frame), report)?;
     let pairs = check_pairs(data, &middles, &center_of, &rows)?;
