@@ -100,7 +100,11 @@ impl Sessions {
         ];
         let figures = sessions.map(|(session, j)| {
             let figures = [
-                ("phase at the start (µs)", j.phase_us, Some(j.phase_sigma_us)),
+                (
+                    "phase at the start (µs)",
+                    j.phase_us,
+                    Some(j.phase_sigma_us),
+                ),
                 ("drift, first minute (µs/min)", j.drift_1_us_per_min, None),
                 (
                     "drift, five minutes (µs/min)",
