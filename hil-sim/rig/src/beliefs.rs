@@ -546,22 +546,4 @@ mod tests {
         let longest = |beliefs| made(&beliefs).1.camera.longest_exposure_ns;
         assert!(longest(drawn) > 500_000 && longest(locked) <= 500_000);
     }
-
-    /// The rows of the page that a seed draws are marked with a star, and are these.
-    #[test]
-    fn the_page_has_the_same_names_values_and_ranges() {
-        let page = include_str!("../../../docs/beliefs.md");
-        let mut rows = 0;
-        for line in page.lines().filter(|line| line.starts_with("| * ")) {
-            rows += 1;
-            let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-            let name = cells[1].trim_start_matches("* ");
-            let belief = BELIEFS.iter().find(|belief| belief.name == name);
-            let belief = belief.unwrap_or_else(|| panic!("nothing draws {name:?}"));
-            assert_eq!(cells[5], belief.range_text(), "{name}: the range");
-            let nominal = format!("{} {}", belief.nominal, belief.unit);
-            assert_eq!(cells[3], nominal.trim_end(), "{name}: the value");
-        }
-        assert_eq!(rows, BELIEFS.len(), "rows of the page with a star");
-    }
 }

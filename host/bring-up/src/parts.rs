@@ -33,8 +33,8 @@ const SLEW: u32 = TICK_HZ / 10_000;
 /// input is sampled is seen a tick later.
 const TICK_OF_DOUBT: i64 = 1;
 
-/// The longest plausible way from an edge to its capture: 0.5 µs. Two to three clocks
-/// of synchroniser and eight of filter are 0.2 µs (RM0090 18.3.5, 18.4.7).
+/// The longest plausible way from an edge to its capture: 0.5 µs. Some three clocks of
+/// synchroniser and eight of filter (RM0090 18.4.7) are 0.2 µs.
 const MAX_DELAY: i64 = (TICK_HZ / 2_000_000) as i64;
 
 /// How long somebody may take to do something at the board.

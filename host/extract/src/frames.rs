@@ -2,7 +2,8 @@
 //! middle of the middle row was exposed.
 //!
 //! The app writes one timestamp a frame, and the encoder one image a frame. Where
-//! the counts agree, they belong together in order. Where they do not, rows and
+//! the counts agree, they belong together in order; a row that is left out (a frame that
+//! the app got twice has one timestamp twice) takes its image along. Where they do not, rows and
 //! images are matched by time: the images' presentation times in the video
 //! repeat the distances of the timestamps (both come from the sensor). If the
 //! video is too regular to tell which end is missing, that is said, and both are
@@ -54,6 +55,16 @@ impl Alignment {
             rows: (0..images)
                 .map(|image| (image < rows).then_some(image))
                 .collect(),
+            remark: None,
+        }
+    }
+
+    /// An image for each row of the timestamps' file, also for one that was left out.
+    pub(crate) fn of_rows(rows: &[Option<PhoneNanos>]) -> Self {
+        let mut kept = 0..;
+        let place = |row: &Option<PhoneNanos>| row.and_then(|_| kept.next());
+        Self {
+            rows: rows.iter().map(place).collect(),
             remark: None,
         }
     }
@@ -214,6 +225,14 @@ mod tests {
         let rows = stamps(100);
         let found = align(&presentation(&rows), &rows);
         assert_eq!(found, Alignment::in_order(100, 100));
+    }
+
+    #[test]
+    fn a_row_that_was_left_out_has_its_image() {
+        let mut rows: Vec<Option<PhoneNanos>> = stamps(4).into_iter().map(Some).collect();
+        rows[1] = None;
+        let found = Alignment::of_rows(&rows);
+        assert_eq!(found.rows, [Some(0), None, Some(1), Some(2)]);
     }
 
     #[test]

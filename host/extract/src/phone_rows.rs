@@ -31,28 +31,38 @@ impl PhoneRows {
 
     /// The next sample of a gyroscope or accelerometer; `None` at the end.
     pub(crate) fn next_sample(&mut self) -> io::Result<Option<PhoneSample>> {
-        self.next_whole(Rows::next_sample)
+        loop {
+            if let Some(sample) = self.next(Rows::next_sample)? {
+                return Ok(sample);
+            }
+        }
     }
 
-    /// All timestamps of frames.
-    pub(crate) fn timestamps(&mut self) -> io::Result<Vec<PhoneNanos>> {
-        std::iter::from_fn(|| self.next_whole(Rows::next_timestamp).transpose()).collect()
+    /// The timestamps of all frames, in the order of the rows; nothing for a damaged row.
+    pub(crate) fn timestamps(&mut self) -> io::Result<Vec<Option<PhoneNanos>>> {
+        let mut stamps = Vec::new();
+        loop {
+            match self.next(Rows::next_timestamp)? {
+                Some(None) => return Ok(stamps),
+                Some(stamp) => stamps.push(stamp),
+                None => stamps.push(None),
+            }
+        }
     }
 
     pub(crate) fn faults(&self) -> &Faults {
         &self.faults
     }
 
-    fn next_whole<T>(
-        &mut self,
-        next: fn(&mut FileRows) -> Result<Option<T>, RowError>,
-    ) -> io::Result<Option<T>> {
-        loop {
-            match next(&mut self.rows) {
-                Ok(row) => return Ok(row),
-                Err(RowError::Bad(row)) => self.faults.add(row.to_string()),
-                Err(RowError::Io(error)) => return Err(error),
+    /// What `next` gives; nothing for a damaged row, which is kept among the faults.
+    fn next<T>(&mut self, next: fn(&mut FileRows) -> Result<T, RowError>) -> io::Result<Option<T>> {
+        match next(&mut self.rows) {
+            Ok(row) => Ok(Some(row)),
+            Err(RowError::Bad(row)) => {
+                self.faults.add(row.to_string());
+                Ok(None)
             }
+            Err(RowError::Io(error)) => Err(error),
         }
     }
 }

@@ -79,6 +79,13 @@ impl FrameTimes {
         })
     }
 
+    /// Numbers of the frames, of the first `count`, that the app gets, in its order: those of
+    /// its timestamps and of its video.
+    #[must_use]
+    pub fn delivered_of(&self, count: usize) -> Vec<usize> {
+        self.delivered().take_while(|&n| n < count).collect()
+    }
+
     /// The frame whose timestamp is the phase.
     pub(super) fn phase_frame(&self) -> usize {
         self.delivered().nth(PHASE_FRAME).unwrap_or_default()
@@ -140,7 +147,7 @@ impl FrameTimes {
                 self.start_ns(n).saturating_add(jitter.round() as i64)
             })
             .collect();
-        let delivered = self.delivered().take_while(|&n| n < count);
+        let delivered = self.delivered_of(count).into_iter();
         delivered.map(|n| stamps[n]).collect()
     }
 
@@ -189,7 +196,7 @@ pub(super) fn write_video(
     };
     let mut writer = Mp4Writer::create(path, settings)?;
     let at = |ns| oscillator.when_nanos(ns).unwrap_or(TrueTime::ZERO);
-    let numbers: Vec<usize> = frames.delivered().take_while(|&n| n < count).collect();
+    let numbers = frames.delivered_of(count);
     for batch in numbers.chunks(BATCH) {
         let images: Vec<GreyImage> = batch
             .par_iter()

@@ -1,6 +1,7 @@
 //! The rig with the firmware of the product, and its models alone.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod beliefs_page;
 mod black_pill;
 mod board;
 mod board_host;

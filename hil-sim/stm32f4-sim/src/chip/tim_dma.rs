@@ -4,9 +4,10 @@ use super::events::Source;
 use super::{Soc, TIM1, TIM2, TIM3, TIM4, TIM5};
 use crate::time::{SimDuration, SimTime};
 
-/// From a request to the write into the peripheral's register: more than the chip takes
-/// for arbitration and one access of APB1 behind the core's and another stream's, a
-/// dozen cycles each (AN4031, 3).
+/// From a request to the write into the peripheral's register. On an idle bus that is 11
+/// clocks of the core at a quarter of it for APB1: arbitration, address, two of APB1,
+/// synchronisation (AN4031 table 4). Behind the core's access and those of two other
+/// streams, some 45: half of this.
 const LATENCY: SimDuration = SimDuration::from_micros(1);
 
 /// Timer and channel, and the controller, stream and channel that serve it (RM0090

@@ -1,12 +1,13 @@
 //! How long an access of the core takes beyond the one clock that every access takes:
-//! always the longest that the manuals allow, so that what the firmware does in time here
-//! it does in time on the chip.
+//! always the longest that the sources allow, so that what the firmware does in time here
+//! it does in time on the chip. No manual gives the core's waits for a peripheral: AN4031
+//! (table 4) gives those of a DMA controller, which are taken for it.
 //!
 //! | access | waits, in clocks of the core | source |
 //! |---|---|---|
-//! | APB1, APB2 | 3 clocks of the bus: up to one for the bridge to meet an edge of the bus, two for the transfer (setup and access, AMBA APB, IHI 0024, 2.1), with one clock of synchronisation in the first | AN4031, 2.2 |
-//! | AHB | 2: one of arbitration in the matrix, one of the peripheral | AN4031, 2.2 |
-//! | a line of 16 bytes of the flash, for code or a constant | the wait states in FLASH_ACR | RM0090 3.4.1 |
+//! | APB1, APB2 | 3 clocks of the bus: up to one for the bridge to meet an edge of the bus, with one clock of AHB to synchronise in it, two for the transfer | AN4031 table 4 |
+//! | AHB | 2: one of arbitration in the matrix, one of the peripheral | AN4031 table 4 |
+//! | a line of 16 bytes of the flash, for code or a constant | the wait states in FLASH_ACR | RM0090 table 10 |
 //!
 //! The flash is taken as its accelerator is when it is cold: no line is in its cache, and
 //! none was prefetched. The chip has 64 lines of code and 8 of constants, and reads the

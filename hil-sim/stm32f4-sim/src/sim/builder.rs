@@ -19,7 +19,7 @@ use crate::rtt::{LogLine, Rtt};
 /// The low-speed oscillator's typical rate (DS8626 table 42).
 const LSI_HZ: u64 = 32_000;
 /// Clocks that the synchroniser of a timer's input takes, unless the builder is told
-/// otherwise: the more of the two to three of RM0090 (18.3.5).
+/// otherwise: two flip-flops and the detector of the edge. A guess, no manual has it.
 pub const INPUT_SYNCHRONISER: u64 = 3;
 /// How probable it is for each byte on the I2C bus that the chip reports a bus error where
 /// there is none (ES0182 2.10.1, which says no more than that it happens), unless the

@@ -1,21 +1,23 @@
 //! The figures of frame sync over what may be true instead of what is believed.
 //!
 //! Rigs as believed, rigs drawn from the ranges of all beliefs at once, and rigs with one
-//! belief at an end of its range: each does [`sessions`](session::sessions) on the models.
+//! belief at an end of its range: each does [`sessions`](session::sessions) on the models,
+//! or one of the [whole chain](crate::whole_chain::believed).
 //! A figure is given three times: nominal and over the draws as the 95th percentile of its
 //! size, and as the largest where one belief alone is moved, with that belief.
 
 pub mod session;
 
+use std::fmt;
 use std::fmt::Write as _;
 
+use anyhow::Result;
 use evaluate::stats::{mean, quantile};
 use rig::beliefs::{BELIEFS, Beliefs};
 use rig::random::Seed;
 use serde::Serialize;
 
 use crate::workers;
-use session::{Judged, Sessions, sessions};
 
 /// What is to be studied.
 #[derive(Clone, Copy, Debug)]
@@ -45,15 +47,60 @@ pub enum Kind {
     Extreme(String),
 }
 
-/// One rig.
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Nominal => f.write_str("as believed"),
+            Self::Drawn => f.write_str("drawn"),
+            Self::Extreme(belief) => f.write_str(belief),
+        }
+    }
+}
+
+/// One rig of the study.
+#[derive(Clone, Debug)]
+pub struct Specimen {
+    /// Its seed.
+    pub seed: u64,
+    /// Which.
+    pub kind: Kind,
+    /// What is true of it.
+    pub beliefs: Beliefs,
+}
+
+/// A figure of a rig's sessions, the same ones in the same order for each rig.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// What it is, with its unit.
+    pub name: String,
+    /// How wrong it is, by the truth.
+    pub error: f64,
+    /// The stated 1-sigma, where there is one.
+    pub sigma: Option<f64>,
+}
+
+/// What came out of one rig.
 #[derive(Clone, Debug, Serialize)]
 pub struct RigResult {
     /// Its seed.
     pub seed: u64,
     /// Which.
     pub kind: Kind,
-    /// Its sessions, or why there are none.
-    pub sessions: Result<Sessions, String>,
+    /// The figures of its sessions, or why there are none.
+    pub figures: Result<Vec<Figure>, String>,
+}
+
+impl fmt::Display for RigResult {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "seed {} ({})", self.seed, self.kind)?;
+        match &self.figures {
+            Ok(figures) => figures.iter().try_for_each(|figure| {
+                write!(f, "; {}: {:.1}", figure.name, figure.error)?;
+                figure.sigma.map_or(Ok(()), |s| write!(f, " ± {s:.1}"))
+            }),
+            Err(reason) => write!(f, ": {reason}"),
+        }
+    }
 }
 
 /// All rigs.
@@ -63,10 +110,22 @@ pub struct BeliefStudy {
     pub rigs: Vec<RigResult>,
 }
 
-/// Runs the study; `done` is called for every rig that is ready.
-pub fn run(options: &BeliefOptions, done: impl Fn(&RigResult) + Sync) -> BeliefStudy {
+/// Runs the study with these sessions of each rig; `done` is called for every rig that is
+/// ready.
+pub fn run(
+    options: &BeliefOptions,
+    sessions: impl Fn(&Specimen) -> Result<Vec<Figure>> + Sync,
+    done: impl Fn(&RigResult) + Sync,
+) -> BeliefStudy {
     let seeds = |count: u32| (0..count).map(|n| options.first_seed.wrapping_add(n.into()));
-    let mut plans: Vec<(u64, Kind, Beliefs)> = Vec::new();
+    let mut specimens = Vec::new();
+    let mut add = |seed, kind, beliefs| {
+        specimens.push(Specimen {
+            seed,
+            kind,
+            beliefs,
+        });
+    };
     for seed in seeds(options.rigs) {
         let drawn = Beliefs::drawn(Seed(seed));
         let drawn = match options.most_warming_ppm {
@@ -78,22 +137,22 @@ pub fn run(options: &BeliefOptions, done: impl Fn(&RigResult) + Sync) -> BeliefS
         } else {
             drawn
         };
-        plans.push((seed, Kind::Nominal, Beliefs::default()));
-        plans.push((seed, Kind::Drawn, drawn));
+        add(seed, Kind::Nominal, Beliefs::default());
+        add(seed, Kind::Drawn, drawn);
     }
     for (place, belief) in BELIEFS.iter().enumerate() {
         for end in belief.extremes() {
             let kind = Kind::Extreme(format!("{}: {end} {}", belief.name, belief.unit));
             for seed in seeds(options.rigs_an_end) {
-                plans.push((seed, kind.clone(), Beliefs::default().with(place, end)));
+                add(seed, kind.clone(), Beliefs::default().with(place, end));
             }
         }
     }
-    let rigs = workers::each(&plans, options.jobs as usize, |(seed, kind, beliefs)| {
+    let rigs = workers::each(&specimens, options.jobs as usize, |specimen| {
         let result = RigResult {
-            seed: *seed,
-            kind: kind.clone(),
-            sessions: sessions(*seed, beliefs).map_err(|error| format!("{error:#}")),
+            seed: specimen.seed,
+            kind: specimen.kind.clone(),
+            figures: sessions(specimen).map_err(|error| format!("{error:#}")),
         };
         done(&result);
         result
@@ -101,39 +160,13 @@ pub fn run(options: &BeliefOptions, done: impl Fn(&RigResult) + Sync) -> BeliefS
     BeliefStudy { rigs }
 }
 
-/// A session of a rig.
-type Which = (&'static str, fn(&Sessions) -> &Judged);
-
-/// A figure, and its stated 1-sigma where there is one.
-type Figure = (&'static str, fn(&Judged) -> (f64, Option<f64>));
-
-const SESSIONS: [Which; 5] = [
-    ("one twist, nothing learnt", |s| &s.fresh),
-    ("one twist, learnt minutes ago", |s| &s.learnt),
-    ("two twists, cold rig", |s| &s.two_twists),
-    ("three twists, cold rig", |s| &s.three_twists),
-    ("three twists, 2 min apart, cold rig", |s| &s.wide_twists),
-];
-
-const FIGURES: [Figure; 4] = [
-    ("phase at the start (µs)", |j| {
-        (j.phase_us, Some(j.phase_sigma_us))
-    }),
-    ("drift, first minute (µs/min)", |j| {
-        (j.drift_1_us_per_min, None)
-    }),
-    ("drift, five minutes (µs/min)", |j| {
-        (j.drift_5_us_per_min, Some(j.drift_sigma_us_per_min))
-    }),
-    ("clock offset (µs)", |j| {
-        (j.offset_us, Some(j.offset_sigma_us))
-    }),
-];
-
 impl BeliefStudy {
-    fn of<'a>(&'a self, kind: &'a Kind) -> impl Iterator<Item = &'a Sessions> {
-        let rigs = self.rigs.iter().filter(move |rig| rig.kind == *kind);
-        rigs.filter_map(|rig| rig.sessions.as_ref().ok())
+    /// The figure at a place, of each rig that has one.
+    fn at(&self, place: usize) -> impl Iterator<Item = (&Kind, &Figure)> {
+        self.rigs.iter().filter_map(move |rig| {
+            let figures = rig.figures.as_ref().ok()?;
+            Some((&rig.kind, figures.get(place)?))
+        })
     }
 
     /// The table for the terminal and the book.
@@ -143,46 +176,50 @@ impl BeliefStudy {
             "| session, figure | nominal, 95 % | drawn, 95 % | drawn: error over sigma | worst | with |\n\
              |---|---|---|---|---|---|\n",
         );
-        for (name, of) in SESSIONS {
-            for (figure, value) in FIGURES {
-                let values = |kind: &Kind| -> Vec<(f64, Option<f64>)> {
-                    self.of(kind).map(|sessions| value(of(sessions))).collect()
-                };
-                let size = |values: &[(f64, Option<f64>)]| {
-                    let sizes: Vec<f64> = values.iter().map(|(error, _)| error.abs()).collect();
-                    quantile(&sizes, 0.95).map_or("-".to_owned(), |size| format!("{size:.1}"))
-                };
-                let drawn = values(&Kind::Drawn);
-                let (worst, with) = self.worst(|sessions| value(of(sessions)).0);
-                let _ = writeln!(
-                    out,
-                    "| {name}: {figure} | {} | {} | {} | {worst:.1} | {with} |",
-                    size(&values(&Kind::Nominal)),
-                    size(&drawn),
-                    over_sigma(&drawn),
-                );
-            }
+        let mut place = 0;
+        while let Some((_, Figure { name, .. })) = self.at(place).next() {
+            let of = |wanted: &Kind| -> Vec<&Figure> {
+                let all = self.at(place).filter(|(kind, _)| *kind == wanted);
+                all.map(|(_, figure)| figure).collect()
+            };
+            let size = |figures: &[&Figure]| {
+                let sizes: Vec<f64> = figures.iter().map(|figure| figure.error.abs()).collect();
+                quantile(&sizes, 0.95).map_or("-".to_owned(), |size| format!("{size:.1}"))
+            };
+            let drawn = of(&Kind::Drawn);
+            let (worst, with) = match self.worst(place) {
+                Some((worst, with)) => (format!("{worst:.1}"), with),
+                None => ("-".to_owned(), "-"),
+            };
+            let _ = writeln!(
+                out,
+                "| {name} | {} | {} | {} | {worst} | {with} |",
+                size(&of(&Kind::Nominal)),
+                size(&drawn),
+                over_sigma(&drawn),
+            );
+            place += 1;
         }
+        let (failed, all) = (self.failed().count(), self.rigs.len());
+        let _ = writeln!(
+            out,
+            "\n{failed} of {all} rigs had no session: they are in none of the figures"
+        );
         out
     }
 
     /// The largest error where one belief is at an end of its range, and that belief.
-    fn worst(&self, error: impl Fn(&Sessions) -> f64) -> (f64, &str) {
-        let mut worst = (0.0, "-");
-        for rig in &self.rigs {
-            if let (Kind::Extreme(belief), Ok(sessions)) = (&rig.kind, &rig.sessions) {
-                let size = error(sessions).abs();
-                if size > worst.0 {
-                    worst = (size, belief);
-                }
-            }
-        }
-        worst
+    fn worst(&self, place: usize) -> Option<(f64, &str)> {
+        let sizes = self.at(place).filter_map(|(kind, figure)| match kind {
+            Kind::Extreme(belief) => Some((figure.error.abs(), belief.as_str())),
+            Kind::Nominal | Kind::Drawn => None,
+        });
+        sizes.max_by(|a, b| a.0.total_cmp(&b.0))
     }
 
     /// Rigs without sessions, and why.
     pub fn failed(&self) -> impl Iterator<Item = (&RigResult, &str)> {
-        self.rigs.iter().filter_map(|rig| match &rig.sessions {
+        self.rigs.iter().filter_map(|rig| match &rig.figures {
             Ok(_) => None,
             Err(reason) => Some((rig, reason.as_str())),
         })
@@ -190,10 +227,10 @@ impl BeliefStudy {
 }
 
 /// RMS of errors over their stated sigmas: 1 if those are honest.
-fn over_sigma(values: &[(f64, Option<f64>)]) -> String {
-    let squares: Vec<f64> = values
+fn over_sigma(figures: &[&Figure]) -> String {
+    let squares: Vec<f64> = figures
         .iter()
-        .filter_map(|(error, sigma)| sigma.map(|sigma| (error / sigma).powi(2)))
+        .filter_map(|figure| Some((figure.error / figure.sigma?).powi(2)))
         .collect();
     if squares.is_empty() {
         return "-".to_owned();
@@ -203,6 +240,7 @@ fn over_sigma(values: &[(f64, Option<f64>)]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::session::sessions;
     use super::*;
 
     #[test]
@@ -212,21 +250,9 @@ mod tests {
             .position(|b| b.name.contains("phone's clock"))
             .unwrap();
         let kind = Kind::Extreme(format!("{}: 5", BELIEFS[warming].name));
-        let rig = |kind: &Kind, beliefs: &Beliefs| RigResult {
-            seed: 1,
-            kind: kind.clone(),
-            sessions: sessions(1, beliefs).map_err(|error| error.to_string()),
-        };
         let nominal = Beliefs::default();
-        let study = BeliefStudy {
-            rigs: vec![
-                rig(&Kind::Nominal, &nominal),
-                rig(&kind, &nominal.with(warming, 5.0)),
-            ],
-        };
-        assert_eq!(study.failed().count(), 0, "{:?}", study.rigs);
-        let of = |kind: &Kind| *study.of(kind).next().unwrap();
-        let (usual, warm) = (of(&Kind::Nominal), of(&kind));
+        let usual = sessions(1, &nominal).unwrap();
+        let warm = sessions(1, &nominal.with(warming, 5.0)).unwrap();
         // Some µs of phase; what was learnt allows for warming since, three twists do not
         // take their noise for it.
         assert!(usual.learnt.phase_us.abs() < 15.0, "{usual:?}");
@@ -247,15 +273,26 @@ mod tests {
         let three = warm.three_twists.drift_5_us_per_min.abs();
         assert!((40.0..200.0).contains(&two), "{warm:?}");
         assert!(three < two, "{warm:?}");
-        let (worst, with) = study.worst(|sessions| sessions.two_twists.drift_5_us_per_min);
-        assert_eq!(
-            (worst, with),
-            (two, format!("{}: 5", BELIEFS[warming].name).as_str())
-        );
-        assert!(
-            study
-                .table()
-                .contains("two twists, cold rig: drift, five minutes")
-        );
+        let rig = |kind: &Kind, figures| RigResult {
+            seed: 1,
+            kind: kind.clone(),
+            figures,
+        };
+        let study = BeliefStudy {
+            rigs: vec![
+                rig(&Kind::Nominal, Ok(usual.figures())),
+                rig(&kind, Ok(warm.figures())),
+                rig(&Kind::Drawn, Err("no twist".to_owned())),
+            ],
+        };
+        let table = study.table();
+        let name = "two twists, cold rig: drift, five minutes (µs/min)";
+        let place = usual.figures().iter().position(|f| f.name == name);
+        let worst = study.worst(place.unwrap()).unwrap();
+        assert_eq!(worst, (two, kind.to_string().as_str()));
+        let row = format!("| {two:.1} | {kind} |");
+        let rows = |line: &&str| line.starts_with(&format!("| {name} |")) && line.ends_with(&row);
+        assert_eq!(table.lines().filter(rows).count(), 1, "{table}");
+        assert!(table.contains("1 of 3 rigs had no session"), "{table}");
     }
 }

@@ -33,6 +33,7 @@ use stm32f4_sim::time::{SimTime, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use twist_sync::{Options, estimate_offset};
 
+use super::Figure;
 use crate::board_truth::UNITS_PER_TICK;
 
 /// Length of a twist, and how much longer the board listens, seconds.
@@ -84,6 +85,42 @@ pub struct Sessions {
     pub three_twists: Judged,
     /// Three twists, with twice the time between them.
     pub wide_twists: Judged,
+}
+
+impl Sessions {
+    /// All figures of them, by name.
+    #[must_use]
+    pub fn figures(&self) -> Vec<Figure> {
+        let sessions = [
+            ("one twist, nothing learnt", self.fresh),
+            ("one twist, learnt minutes ago", self.learnt),
+            ("two twists, cold rig", self.two_twists),
+            ("three twists, cold rig", self.three_twists),
+            ("three twists, 2 min apart, cold rig", self.wide_twists),
+        ];
+        let figures = sessions.map(|(session, j)| {
+            let figures = [
+                (
+                    "phase at the start (µs)",
+                    j.phase_us,
+                    Some(j.phase_sigma_us),
+                ),
+                ("drift, first minute (µs/min)", j.drift_1_us_per_min, None),
+                (
+                    "drift, five minutes (µs/min)",
+                    j.drift_5_us_per_min,
+                    Some(j.drift_sigma_us_per_min),
+                ),
+                ("clock offset (µs)", j.offset_us, Some(j.offset_sigma_us)),
+            ];
+            figures.map(|(name, error, sigma)| Figure {
+                name: format!("{session}: {name}"),
+                error,
+                sigma,
+            })
+        });
+        figures.into_iter().flatten().collect()
+    }
 }
 
 /// A rig that is switched on, as its models.

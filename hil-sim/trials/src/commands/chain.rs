@@ -7,8 +7,9 @@ use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use serde::Serialize;
 use stm32f4_sim::time::SimDuration;
+use trials::beliefs::{self, BeliefOptions, Specimen};
 use trials::whole_chain::evaluation::EvaluationFigures;
-use trials::whole_chain::{Plan, Programs, calibration, evaluation, extraction};
+use trials::whole_chain::{Plan, Programs, believed, calibration, evaluation, extraction};
 
 /// Options of `chain`.
 #[derive(clap::Args)]
@@ -61,6 +62,23 @@ enum What {
         #[arg(long, value_name = "SECONDS", default_value_t = 10)]
         seconds: u32,
     },
+    /// Record on rigs as believed, on rigs drawn from what may be true instead, and on rigs
+    /// with one belief at an end of its range; extract, and compare with what the session
+    /// and the extraction state of themselves.
+    Beliefs {
+        /// Rigs as believed, and rigs that are drawn.
+        #[arg(long, default_value_t = 10)]
+        rigs: u32,
+        /// Rigs with each belief at each end of its range.
+        #[arg(long, value_name = "RIGS", default_value_t = 1)]
+        rigs_an_end: u32,
+        /// Seconds of board time to record with each.
+        #[arg(long, value_name = "SECONDS", default_value_t = 30)]
+        seconds: u32,
+        /// How many rigs run at the same time.
+        #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
+        jobs: u32,
+    },
     /// Record with a constant hidden in the camera, calibrate, and record again.
     Calibrate {
         /// By how much the camera flashes later than the profile says, ms.
@@ -71,14 +89,8 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let smartdepthsync = match &args.program {
-        Some(program) => program.clone(),
-        None => std::env::current_exe()
-            .context("cannot find this program's folder")?
-            .with_file_name(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX)),
-    };
     let programs = Programs {
-        smartdepthsync,
+        smartdepthsync: super::session_program(args.program.as_deref())?,
         elf: args.elf.clone(),
         speed: args.speed,
     };
@@ -112,6 +124,29 @@ pub(crate) fn run(args: &Args) -> Result<()> {
                 figures.seeds.push(found);
             }
             args.finish(&figures, &figures.table(), figures.good())
+        }
+        What::Beliefs {
+            rigs,
+            rigs_an_end,
+            seconds,
+            jobs,
+        } => {
+            let options = BeliefOptions {
+                first_seed: args.seed,
+                rigs: *rigs,
+                rigs_an_end: *rigs_an_end,
+                most_warming_ppm: None,
+                exposure_locked: false,
+                jobs: *jobs,
+            };
+            let session = |rig: &Specimen| {
+                let plan = believed::plan(rig, *seconds);
+                let figures = believed::figures(&plan, &programs, &args.out)?;
+                args.discard(&plan.name);
+                Ok(figures)
+            };
+            let study = beliefs::run(&options, session, |rig| println!("{rig}"));
+            args.finish(&study, &study.table(), study.failed().next().is_none())
         }
         What::Calibrate { hidden_ms } => {
             let plan = Plan {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use trials::beliefs::{self, BeliefOptions};
+use trials::beliefs::{self, BeliefOptions, Specimen, session};
 use trials::demo::frame_sync::{self, FrameSyncOptions};
 
 /// Options of `frame-sync`.
@@ -72,19 +72,14 @@ fn over_beliefs(args: &Args) -> Result<()> {
         exposure_locked: args.exposure_locked,
         jobs: args.jobs,
     };
-    let study = beliefs::run(&options, |rig| {
-        if let Err(reason) = &rig.sessions {
-            println!("seed {} ({:?}): {reason}", rig.seed, rig.kind);
+    let sessions = |rig: &Specimen| Ok(session::sessions(rig.seed, &rig.beliefs)?.figures());
+    let study = beliefs::run(&options, sessions, |rig| {
+        if rig.figures.is_err() {
+            println!("{rig}");
         }
     });
     println!("\n{}", study.table());
-    write_json(args, &study)?;
-    let failed = study.failed().count();
-    println!(
-        "{failed} of {} rigs had no session: they are in none of the figures",
-        study.rigs.len()
-    );
-    Ok(())
+    write_json(args, &study)
 }
 
 fn write_json(args: &Args, what: &impl serde::Serialize) -> Result<()> {

@@ -121,6 +121,15 @@ impl ExtractionFigures {
 /// A step fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
 /// is not named or one is named that was not dropped.
 pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionFigures> {
+    Ok(recorded(plan, programs, out)?.1)
+}
+
+/// The same, with the recording.
+pub(super) fn recorded(
+    plan: &Plan,
+    programs: &Programs,
+    out: &Path,
+) -> Result<(Recorded, ExtractionFigures)> {
     let recorded = record(plan, programs, out)?;
     let data = out.join(&plan.name).join("data");
     let phone = recorded.phone.to_string_lossy().into_owned();
@@ -130,7 +139,8 @@ pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionF
         &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
-    judge(&recorded, &data, &report)
+    let figures = judge(&recorded, &data, &report)?;
+    Ok((recorded, figures))
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.
@@ -169,6 +179,9 @@ pub(crate) fn judge(
     let (starts, middles) = phone_frames(recorded, &recorded.truth.phone, video, &table_of_frames)?;
 
     // The depth camera.
+    if let Some(why) = report["depth"]["not_matched"].as_str() {
+        bail!("extract does not say which pulse made which depth frame: {why}");
+    }
     let (depth, center_of, rows, free_running) = depth_frames(recorded, data)?;
     let dropped = dropped_frames(recorded, |frame| pulse_of(recorded, frame), report)?;
     let pairs = check_pairs(data, &middles, &center_of, &rows)?;
@@ -200,15 +213,25 @@ pub(super) fn phone_frames(
     video: &VideoTruth,
     frames: &Path,
 ) -> Result<(Times, Times)> {
-    let rows = table(frames, &[2, 3])?;
+    let rows = table(frames, &[2, 3, 4])?;
+    let count = video.count.context("the video has no end")?;
+    // Of a frame that the app got twice, the second timestamp is left out.
+    let numbers = video.frames.delivered_of(count).into_iter();
+    let mut recorded_frames: Vec<(i64, usize)> = (0..).zip(numbers).collect();
+    recorded_frames.dedup_by_key(|(_, n)| *n);
     ensure!(
-        Some(rows.len()) == video.count,
-        "{} phone frames were extracted, {:?} were recorded",
+        rows.len() == recorded_frames.len(),
+        "{} phone frames were extracted, {} were recorded",
         rows.len(),
-        video.count
+        recorded_frames.len()
     );
     let (mut starts, mut middles) = (Vec::new(), Vec::new());
-    for (n, row) in rows.iter().enumerate() {
+    for ((image, n), row) in recorded_frames.into_iter().zip(&rows) {
+        ensure!(
+            row[2].is_none_or(|found| found == image),
+            "frame {n} of the phone is image {image} of its video, but is said to be {:?}",
+            row[2]
+        );
         let start = recorded.nanos_of_phone(phone, video.frames.start_ns(n))?;
         let middle = recorded.nanos_of_phone(phone, video.frames.middle_ns(n))?;
         starts.push((whole(row[0])?, start));

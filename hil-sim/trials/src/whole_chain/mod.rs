@@ -10,6 +10,7 @@
 //!
 //! All figures that come out of here are of simulated recordings.
 
+pub mod believed;
 pub mod calibration;
 mod cameras;
 pub mod evaluation;
@@ -28,6 +29,7 @@ use recording::session_file::SessionFile;
 use serde_json::Value;
 
 use crate::demo::judge::{Timebase, Truth};
+use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
 use rig::k4a_mkv::{self, K4aSettings};
 use rig::motion::gesture::Gesture;
@@ -76,6 +78,8 @@ pub struct Plan {
     pub twists: u32,
     /// Which depth camera.
     pub camera: Family,
+    /// What is true of the rig.
+    pub beliefs: Beliefs,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.
     pub profile: Option<PathBuf>,
@@ -93,6 +97,7 @@ impl Plan {
             hidden_delay: SimDuration::ZERO,
             twists: 1,
             camera: Family::default(),
+            beliefs: Beliefs::default(),
             profile: None,
         }
     }
@@ -111,7 +116,9 @@ impl Plan {
             camera.drop_probability = self.drop_probability;
             *camera = self.camera.of(*camera, seed);
         }
-        (rig, PhoneConfig::draw(seed))
+        let mut phone = PhoneConfig::draw(seed);
+        self.beliefs.apply(&mut rig, &mut phone);
+        (rig, phone)
     }
 }
 

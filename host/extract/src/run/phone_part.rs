@@ -24,7 +24,8 @@ use crate::time::PhoneNanos;
 /// The phone's part after reading.
 pub(super) struct Phone {
     name: String,
-    /// Rows of timestamps.
+    /// Rows of the frames' timestamps, and those of them that are not left out.
+    rows: usize,
     stamps: usize,
     pub(super) frames: Vec<ColorFrame>,
     pub(super) clock: Option<PhoneClock>,
@@ -60,12 +61,12 @@ impl Extraction<'_> {
         for what in files.missing() {
             self.lose("phone", input.about(&format!("there is no {what}")));
         }
-        let mut stamps = Vec::new();
+        let mut rows_of_frames = Vec::new();
         if let Some(path) = &files.frames {
             let read = PhoneRows::open(path).and_then(|mut rows| Ok((rows.timestamps()?, rows)));
             match read {
                 Ok((read, rows)) => {
-                    stamps = read;
+                    rows_of_frames = read;
                     self.note_faults(input, "frame timestamps", rows.faults());
                 }
                 Err(error) => {
@@ -74,6 +75,7 @@ impl Extraction<'_> {
                 }
             }
         }
+        let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
         let moved = match board {
             BoardInput::Mcap(_, moves) => moves.last(),
@@ -106,7 +108,7 @@ impl Extraction<'_> {
                  middle of exposure by half of what is missing; give --exposure-us and --readout-us",
             ));
         }
-        let alignment = self.align_video(input, &files, &stamps);
+        let alignment = self.align_video(input, &files, &rows_of_frames);
         let mut images = vec![None; stamps.len()];
         for (image, row) in alignment.rows.iter().enumerate() {
             if let Some(slot) = row.and_then(|row| images.get_mut(row)) {
@@ -118,6 +120,7 @@ impl Extraction<'_> {
         });
         Ok(Some(Phone {
             name: files.name.clone(),
+            rows: rows_of_frames.len(),
             stamps: stamps.len(),
             frames,
             clock,
@@ -129,22 +132,23 @@ impl Extraction<'_> {
         &mut self,
         input: &PhoneInput,
         files: &VideoFiles,
-        stamps: &[PhoneNanos],
+        rows: &[Option<PhoneNanos>],
     ) -> Alignment {
         let Some(video) = &files.video else {
             return Alignment::default();
         };
         match presentation_times(video) {
-            Some(times) => {
-                let alignment = align(&times, stamps);
+            Some(times) if times.len() != rows.len() => {
+                let stamps: Vec<PhoneNanos> = rows.iter().flatten().copied().collect();
+                let alignment = align(&times, &stamps);
                 if let Some(remark) = &alignment.remark {
                     self.lose("video", input.about(remark));
                 }
                 alignment
             }
-            // Without ffprobe, or without times in the file: in order, and the
-            // count is compared when the frames are decoded.
-            None => Alignment::in_order(stamps.len(), stamps.len()),
+            // Or without ffprobe, or without times in the file: then the count is
+            // compared when the frames are decoded.
+            _ => Alignment::of_rows(rows),
         }
     }
 
@@ -219,9 +223,10 @@ impl Extraction<'_> {
             self.lose("video", input.about(error));
         }
         let expected = phone.stamps as u64;
+        let is_complete = [expected, phone.rows as u64].contains(&outcome.decoded);
         let own = input.about("");
         let told = |loss: &Loss| loss.part == "video" && loss.what.starts_with(&own);
-        if outcome.decoded != expected && !self.losses.iter().any(told) {
+        if !is_complete && !self.losses.iter().any(told) {
             let what = format!(
                 "{} frames were decoded and there are {expected} timestamps",
                 outcome.decoded

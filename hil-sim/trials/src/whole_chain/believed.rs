@@ -1,0 +1,78 @@
+//! Sessions on rigs of which other things may be true than what is believed, from the twist
+//! to the data set: phase, drift and clocks against what the session states of them, the
+//! times of the data set against what `extract` states.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use frame_sync::alignment::phase_sigma_us_at;
+use timebase::BoardSeconds;
+
+use super::{Plan, Programs, extraction};
+use crate::beliefs::{Figure, Specimen};
+
+/// The recording of so many seconds on a rig of the study.
+#[must_use]
+pub fn plan(rig: &Specimen, seconds: u32) -> Plan {
+    let name = format!("{} {}", rig.seed, rig.kind);
+    Plan {
+        beliefs: rig.beliefs,
+        // A folder: no unit may divide it.
+        name: name.replace('/', " per "),
+        ..Plan::new(rig.seed, seconds)
+    }
+}
+
+/// Makes the recording, extracts it, and compares.
+///
+/// # Errors
+///
+/// A step fails, or what is exact on any rig is not: a frame has a wrong pulse, a pair is
+/// wrong, a dropped frame is not named.
+pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figure>> {
+    let (_, phone) = plan.parts();
+    let (recorded, extraction) = extraction::recorded(plan, programs, out)?;
+    let verdict = recorded.truth.judge(&recorded.folder)?;
+    let session = &recorded.session;
+    let alignment = session.alignment.as_ref().context("it was not aligned")?;
+    let span = session.recorded.context("nothing was recorded")?;
+    let start = BoardSeconds(span.from.as_secs_f64());
+    // What the truth's own line through its points knows: its start, and its slope.
+    let phase = &verdict.phase;
+    let of_mean = phase.residual_us / (phase.pairs.max(1) as f64).sqrt();
+    let of_slope = 12.0_f64.sqrt() * of_mean * 60.0 / verdict.recorded_s;
+    let jitter_us = phone.camera.timestamp_jitter_ns * 1e-3;
+    let figure = |name: &str, error, sigma| Figure {
+        name: name.to_owned(),
+        error,
+        sigma,
+    };
+    Ok(vec![
+        figure(
+            "phase at the start (µs)",
+            phase.start_us,
+            Some(phase_sigma_us_at(alignment, start).hypot(2.0 * of_mean)),
+        ),
+        figure(
+            "drift (µs/min)",
+            phase.drift_us_per_min,
+            Some(alignment.drift_sigma_us_per_min.hypot(of_slope)),
+        ),
+        figure(
+            "clock offset (µs)",
+            verdict.offset_start.error_us,
+            Some(verdict.offset_start.sigma_us),
+        ),
+        // Nothing tells the jitter of a timestamp from the rest.
+        figure(
+            "phone's times in the data set, rms (µs)",
+            extraction.phone_middle.rms_us,
+            Some(extraction.phone_sigma_us.hypot(jitter_us)),
+        ),
+        figure(
+            "depth times in the data set, rms (µs)",
+            extraction.depth.rms_us,
+            None,
+        ),
+    ])
+}
