@@ -26,6 +26,7 @@ mod json_objects;
 mod lies;
 mod live_view;
 mod long_run;
+mod moving_thing;
 #[path = "../../../../host/cli/tests/support/objects.rs"]
 mod objects;
 #[path = "../../../rig/tests/it/phone_bench.rs"]
