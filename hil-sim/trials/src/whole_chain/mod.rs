@@ -76,6 +76,8 @@ pub struct Plan {
     pub twists: u32,
     /// Which depth camera.
     pub camera: Family,
+    /// Whether a [`ball`](rig::ball) swings before the phone's camera.
+    pub ball: bool,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.
     pub profile: Option<PathBuf>,
@@ -93,6 +95,7 @@ impl Plan {
             hidden_delay: SimDuration::ZERO,
             twists: 1,
             camera: Family::default(),
+            ball: false,
             profile: None,
         }
     }
@@ -111,7 +114,11 @@ impl Plan {
             camera.drop_probability = self.drop_probability;
             *camera = self.camera.of(*camera, seed);
         }
-        (rig, PhoneConfig::draw(seed))
+        let mut phone = PhoneConfig::draw(seed);
+        if self.ball {
+            phone.camera.show_ball();
+        }
+        (rig, phone)
     }
 }
 

@@ -37,6 +37,7 @@ mod phone_rude;
 mod phone_twist;
 #[path = "../../../../host/cli/tests/support/python.rs"]
 mod python;
+mod readers;
 mod record;
 mod record_boards;
 mod record_faults;

@@ -49,7 +49,10 @@ fn rows(pixel_mm: f64, step: usize) -> impl Iterator<Item = (f64, f64)> {
     let most = (RADIUS_MM / pixel_mm) as i32;
     (-most..=most).step_by(step).map(move |row| {
         let y = f64::from(row) * pixel_mm;
-        (f64::from(row), (RADIUS_MM * RADIUS_MM - y * y).max(0.0).sqrt())
+        (
+            f64::from(row),
+            (RADIUS_MM * RADIUS_MM - y * y).max(0.0).sqrt(),
+        )
     })
 }
 
@@ -84,17 +87,24 @@ fn phone_track(ball: &Ball, random: &mut Random) -> Vec<f64> {
         let at = frame as f64 * PERIOD_S;
         let places = |row: f64| {
             let into = |n: u8| PHONE_EXPOSURE_S * (f64::from(n) - 3.5) / 8.0;
-            (0..8).map(|n| ball.at(at + row * row_s + into(n))).collect()
+            (0..8)
+                .map(|n| ball.at(at + row * row_s + into(n)))
+                .collect()
         };
-        centroid(PHONE_PIXEL_MM, PHONE_ROWS, places, |middle, half, places| {
-            let part = |place: &f64| {
-                (0.5 + (half - (middle - place).abs()) / PHONE_PIXEL_MM).clamp(0.0, 1.0)
-            };
-            let covered = places.iter().map(part).sum::<f64>() / places.len() as f64;
-            let seen = (grey(covered) + PHONE_NOISE * random.normal()).round();
-            let part = (seen - wall) / (bright - wall);
-            if part < LEAST { 0.0 } else { part.min(1.0) }
-        })
+        centroid(
+            PHONE_PIXEL_MM,
+            PHONE_ROWS,
+            places,
+            |middle, half, places| {
+                let part = |place: &f64| {
+                    (0.5 + (half - (middle - place).abs()) / PHONE_PIXEL_MM).clamp(0.0, 1.0)
+                };
+                let covered = places.iter().map(part).sum::<f64>() / places.len() as f64;
+                let seen = (grey(covered) + PHONE_NOISE * random.normal()).round();
+                let part = (seen - wall) / (bright - wall);
+                if part < LEAST { 0.0 } else { part.min(1.0) }
+            },
+        )
     };
     (0..FRAMES).map(|frame| place(frame, random)).collect()
 }
@@ -114,12 +124,17 @@ fn depth_track(
             let into = |n: usize| PITCH_S * (n as f64 - 4.0);
             (0..FLASHES).map(|n| ball.at(at + into(n))).collect()
         };
-        centroid(DEPTH_PIXEL_MM, DEPTH_ROWS, places, |middle, half, places| {
-            let met = places.iter().zip(weights);
-            let met = met.filter(|(place, _)| (middle - *place).abs() < half);
-            let met = met.map(|(_, weight)| weight).sum::<f64>() / total;
-            f64::from(u8::from(met + DEPTH_NOISE * random.normal() > enough))
-        })
+        centroid(
+            DEPTH_PIXEL_MM,
+            DEPTH_ROWS,
+            places,
+            |middle, half, places| {
+                let met = places.iter().zip(weights);
+                let met = met.filter(|(place, _)| (middle - *place).abs() < half);
+                let met = met.map(|(_, weight)| weight).sum::<f64>() / total;
+                f64::from(u8::from(met + DEPTH_NOISE * random.normal() > enough))
+            },
+        )
     };
     (0..FRAMES).map(|frame| place(frame, random)).collect()
 }
@@ -205,6 +220,9 @@ fn a_moving_thing_does_not_bound_the_bias_to_200_microseconds() {
         let [alike, unknown, groups] = errors.map(|errors| figures(&errors));
         // The pictures are good enough; what the camera does with its flashes is not known.
         assert!(speed < 1.0 || alike[1] < 0.2, "{alike:?}");
-        assert!(unknown[1] > 0.5 && groups[1] > 2.0, "{unknown:?} {groups:?}");
+        assert!(
+            unknown[1] > 0.5 && groups[1] > 2.0,
+            "{unknown:?} {groups:?}"
+        );
     }
 }

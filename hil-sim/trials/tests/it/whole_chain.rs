@@ -19,7 +19,7 @@ use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 use trials::whole_chain::{Plan, Programs, calibration, evaluation, extraction};
 
-fn programs() -> Programs {
+pub(crate) fn programs() -> Programs {
     Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),
         elf: None,
