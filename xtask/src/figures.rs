@@ -111,7 +111,7 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
             "--hide-scrollbars",
             "--log-level=3",
         ])
-        .args(["--window-size=900,2150", "--virtual-time-budget=4000"])
+        .args(["--window-size=900,1905", "--virtual-time-budget=4000"])
         .arg(format!(
             "--user-data-dir={}",
             place.join("browser").display()
