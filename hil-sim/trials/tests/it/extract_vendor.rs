@@ -15,7 +15,6 @@ use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
-use trials::demo::judge::Truth;
 use trials::whole_chain::{self, Plan};
 
 /// Numbers of the maker's enumerations (k4atypes.h).
@@ -39,13 +38,13 @@ impl Case {
     }
 
     /// A recording of the whole chain, with the phone's files in its folder.
-    pub(crate) fn of_chain(plan: &Plan) -> (Self, Truth) {
+    pub(crate) fn of_chain(plan: &Plan) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let recorded = whole_chain::record(plan, &programs(), folder.path()).unwrap();
         let case = Self { folder };
         std::fs::rename(recorded.phone, recorded.folder.join("phone")).unwrap();
         std::fs::rename(recorded.folder, case.path("recording")).unwrap();
-        (case, recorded.truth)
+        case
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {

@@ -17,7 +17,6 @@ use extract::inputs::Options;
 use extract::layout::Format;
 use recording::profile::{DistortionModel, Intrinsics, Pose};
 use recording::session_file::SessionFile;
-use rig::k4a_mkv::device_us;
 use trials::whole_chain::Plan;
 
 fn check(script: &str, arguments: &[&Path]) {
@@ -33,13 +32,21 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
         ball: true,
         ..Plan::new(12, 6)
     };
-    let (case, truth) = Case::of_chain(&plan);
-    let frames = truth.depth.iter().filter(|frame| frame.delivered);
-    let device = |ticks| i64::try_from(device_us(ticks)).unwrap();
-    let device: Vec<i64> = frames.map(|frame| device(frame.device_ticks)).collect();
-    let video = truth.videos.last().unwrap().count.unwrap();
-    bags_and_tables(&case, &device, video);
-    registered(&case, video);
+    let case = Case::of_chain(&plan);
+    // With the small pictures of the chain's own depth recording.
+    case.extract(None, "times", Options::default());
+    let begin = case.table("times/phone_frames.csv", &[3])[0][0];
+    let rows = case.table("times/depth_frames.csv", &[1, 2, 3]);
+    // The video's part is enough to read. It may not have the pattern of the pulses.
+    let rows: Vec<_> = rows.iter().filter(|row| row[1] >= begin).collect();
+    let device: Vec<i64> = rows.iter().map(|row| row[0].unwrap() / 1000).collect();
+    let options = Options {
+        first_pulse: rows[0][2].map(|pulse| pulse as usize),
+        ..Options::default()
+    };
+    let video = case.table("times/phone_frames.csv", &[0]).len();
+    bags_and_tables(&case, &device, video, &options);
+    registered(&case, &device[..120], video, &options);
 }
 
 /// A depth recording of full size with these device times, beside colour.
@@ -52,7 +59,7 @@ fn full_size(case: &Case, name: &str, device: &[i64]) -> PathBuf {
     case.vendor(name, device, more)
 }
 
-fn bags_and_tables(case: &Case, device: &[i64], video: usize) {
+fn bags_and_tables(case: &Case, device: &[i64], video: usize, options: &Options) {
     let depth = full_size(case, "depth", device);
     let mut session = SessionFile::load(&case.path("recording")).unwrap();
     session.profile.phone.cameras = vec![Intrinsics {
@@ -72,7 +79,7 @@ fn bags_and_tables(case: &Case, device: &[i64], video: usize) {
         (Format::Lerobot, "lerobot"),
     ];
     for (format, out) in formats {
-        let report = case.extract_as(format, Some(&depth), out, Options::default());
+        let report = case.extract_as(format, Some(&depth), out, options.clone());
         let phone = report.phone.unwrap();
         assert_eq!(phone.images, video as u64, "{:#?}", report.losses);
         let colored = report.depth.unwrap().color;
@@ -88,7 +95,7 @@ fn bags_and_tables(case: &Case, device: &[i64], video: usize) {
     let bag = case.path("one/data.bag");
     let written = || bag.metadata().unwrap().modified().unwrap();
     let before = written();
-    case.extract_as(Format::Ros1, Some(&depth), "one", Options::default());
+    case.extract_as(Format::Ros1, Some(&depth), "one", options.clone());
     assert_eq!(written(), before);
     for out in [one, two, lerobot] {
         assert!(!out.join(".parts").exists());
@@ -101,34 +108,22 @@ fn bags_and_tables(case: &Case, device: &[i64], video: usize) {
     browser::check(&page, "sample_pairs", &["Some pairs from the middle"]);
     std::fs::remove_file(&bag).unwrap();
     let error = case
-        .try_extract(Format::Ros1, Some(&depth), "one", Options::default())
+        .try_extract(Format::Ros1, Some(&depth), "one", options.clone())
         .unwrap_err()
         .to_string();
     assert!(error.contains("--overwrite"), "{error}");
 }
 
 /// Depth registered to colour and to the phone, as the maker's library has it.
-fn registered(case: &Case, video: usize) {
+fn registered(case: &Case, device: &[i64], video: usize, options: &Options) {
     // Without registration the two images do not lie over one another: no associations.
-    let small = Some(case.path("recording/depth.mkv"));
-    let plain = case.extract_as(Format::Tum, small.as_deref(), "plain", Options::default());
+    let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
     said(&plain, "no associations.txt");
     assert!(!case.path("plain/associations.txt").exists());
-    // Some seconds are enough to look at. They may not have the pattern of the pulses.
-    let begin = case.table("euroc/phone_frames.csv", &[3])[0][0];
-    let rows = case.table("euroc/depth_frames.csv", &[1, 2, 3]);
-    let rows: Vec<_> = rows
-        .iter()
-        .filter(|row| row[1] >= begin)
-        .take(120)
-        .collect();
-    let device: Vec<i64> = rows.iter().map(|row| row[0].unwrap() / 1000).collect();
-    let first = rows[0][2].map(|pulse| pulse as usize);
-    let depth = full_size(case, "part", &device);
+    let depth = full_size(case, "part", device);
     let to = |view| Options {
         view: Some(view),
-        first_pulse: first,
-        ..Options::default()
+        ..options.clone()
     };
     let report = case.extract_as(Format::Tum, Some(&depth), "color", to(View::Color));
     let images = report.depth.as_ref().unwrap().images;

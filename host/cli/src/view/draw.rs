@@ -541,7 +541,11 @@ mod tests {
         snapshot.said = vec![long, String::from("recording")];
         let text = screen(80, 24, &snapshot, false);
         assert!(text.contains("\n recording"), "{text}");
-        assert_eq!(text.contains("aligned"), text.contains("(1-sigma)"), "{text}");
+        assert_eq!(
+            text.contains("aligned"),
+            text.contains("(1-sigma)"),
+            "{text}"
+        );
     }
 
     #[test]
