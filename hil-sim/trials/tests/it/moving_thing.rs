@@ -32,6 +32,9 @@ const FLASHES: usize = 9;
 const PITCH_S: f64 = 1.575e-3;
 const DEPTH_NOISE: f64 = 0.05;
 
+/// How a camera weighs its flashes.
+type Weigh = fn(&mut Random) -> [f64; FLASHES];
+
 struct Ball {
     turns_hz: f64,
     phase: f64,
@@ -185,7 +188,7 @@ fn figures(errors: &[f64]) -> [f64; 2] {
 
 #[test]
 fn a_moving_thing_does_not_bound_the_bias_to_200_microseconds() {
-    let weighings: [(&str, fn(&mut Random) -> [f64; FLASHES]); 3] = [
+    let weighings: [(&str, Weigh); 3] = [
         ("all flashes alike", |_| [1.0; FLASHES]),
         ("each flash by 0 to 1", |random| {
             std::array::from_fn(|_| random.uniform(0.0, 1.0))
