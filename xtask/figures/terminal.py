@@ -57,8 +57,9 @@ width, height = columns * WIDTH + 16, len(lines) * HEIGHT + 16
 out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height}" '
        f'font-family="DejaVu Sans Mono, Menlo, Consolas, monospace" font-size="13">',
        f'<rect width="100%" height="100%" rx="6" fill="{PAPER}"/>']
+pen = Pen()
 for row, line in enumerate(lines):
-    pen, column = Pen(), 0
+    column = 0
     y = 8 + row * HEIGHT
     for part in re.split(r"(\x1b\[[0-9;]*m)", line):
         if part.startswith("\x1b"):

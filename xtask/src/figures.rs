@@ -85,6 +85,15 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
             .arg(figure),
     )?;
     println!("{}", figure.display());
+    // A session that still looked for its board would take the next rig's.
+    terminal.run(&["send-keys", "q"])?;
+    let begun = Instant::now();
+    while terminal.run(&["list-sessions"]).is_ok() {
+        if begun.elapsed() > PATIENCE {
+            bail!("the recording does not end");
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
     Ok(())
 }
 
@@ -100,8 +109,9 @@ fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
             "--no-sandbox",
             "--disable-gpu",
             "--hide-scrollbars",
+            "--log-level=3",
         ])
-        .args(["--window-size=900,2150", "--virtual-time-budget=4000"])
+        .args(["--window-size=900,1905", "--virtual-time-budget=4000"])
         .arg(format!(
             "--user-data-dir={}",
             place.join("browser").display()
@@ -153,7 +163,8 @@ fn imu_twist(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     let rig = Rig::start(elf, &["--motion", "rest:3.5,twist:8,rest"])?;
     process::run(
         process::command(process::program("smartdepthsync"))
-            .args(["imu", "--port", &rig.port, "--seconds", "12", "--csv"])
+            .args(["imu", "--port", &rig.port, "--seconds", "12"])
+            .args(["--overwrite", "--csv"])
             .arg(&csv),
     )?;
     drop(rig);
@@ -184,7 +195,8 @@ impl Rig {
             .spawn()
             .context("cannot start hil-sim serve")?;
         let mut line = String::new();
-        if let Some(output) = child.stdout.take() {
+        // The pipe stays open: there are more lines than the first.
+        if let Some(output) = &mut child.stdout {
             BufReader::new(output).read_line(&mut line)?;
         }
         let mut rig = Self {

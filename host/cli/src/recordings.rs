@@ -53,7 +53,7 @@ fn check(path: &Path) -> Result<(), Failure> {
         let below = inside(path);
         let (found, next) = match below.first() {
             Some(one) => (
-                format!("it holds {} recordings", below.len()),
+                format!("it holds recordings ({})", below.len()),
                 format!("give one of them, such as {}", one.display()),
             ),
             None => (

@@ -39,10 +39,7 @@ pub enum WorkplaceError {
         path: PathBuf,
     },
     /// It holds another extraction.
-    #[error(
-        "the output folder {path} holds an extraction of other inputs or with other options; \
-         replace it with --overwrite, or give another with --out"
-    )]
+    #[error("the output folder {path} holds an extraction of other inputs or with other options")]
     Other {
         /// Which.
         path: PathBuf,

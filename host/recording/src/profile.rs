@@ -358,7 +358,8 @@ fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) -> ProfileE
     let line = line.map_or(String::new(), |line| format!("line {line}: "));
     ProfileError::Syntax {
         path: path.map(Path::to_owned),
-        reason: format!("{line}{reason}"),
+        // The parser puts the table on a line of its own.
+        reason: format!("{line}{}", reason.replace('\n', " ")),
     }
 }
 

@@ -80,6 +80,8 @@ pub struct Plan {
     pub camera: Family,
     /// What is true of the rig.
     pub beliefs: Beliefs,
+    /// Whether a [`ball`](rig::ball) swings before the phone's camera.
+    pub ball: bool,
     /// A profile of the same rig from an earlier session, with what was learnt
     /// and calibrated since; the owner's first one if not given.
     pub profile: Option<PathBuf>,
@@ -98,6 +100,7 @@ impl Plan {
             twists: 1,
             camera: Family::default(),
             beliefs: Beliefs::default(),
+            ball: false,
             profile: None,
         }
     }
@@ -118,6 +121,9 @@ impl Plan {
         }
         let mut phone = PhoneConfig::draw(seed);
         self.beliefs.apply(&mut rig, &mut phone);
+        if self.ball {
+            phone.camera.show_ball();
+        }
         (rig, phone)
     }
 }

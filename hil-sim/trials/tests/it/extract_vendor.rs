@@ -9,17 +9,17 @@ use serde_json::json;
 use crate::python;
 use crate::synthetic::{Synthetic, make};
 use crate::turn;
-use extract::geometry::View;
+use crate::whole_chain::programs;
 use extract::inputs::Options;
 use extract::layout::Format;
 use extract::progress::Silent;
 use extract::report::ExtractReport;
 use extract::run::{ExtractError, Job, run};
-use recording::profile::Pose;
-use recording::session_file::SessionFile;
+use trials::whole_chain::{self, Plan};
 
 /// Numbers of the maker's enumerations (k4atypes.h).
 const NFOV_2X2BINNED: u8 = 1;
+pub(crate) const NFOV_UNBINNED: u8 = 2;
 const WFOV_UNBINNED: u8 = 4;
 const STANDALONE: u8 = 0;
 const SUBORDINATE: u8 = 2;
@@ -35,6 +35,16 @@ impl Case {
         std::fs::create_dir(&recording).unwrap();
         make(&recording, config);
         Self { folder }
+    }
+
+    /// A recording of the whole chain, with the phone's files in its folder.
+    pub(crate) fn of_chain(plan: &Plan) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let recorded = whole_chain::record(plan, &programs(), folder.path()).unwrap();
+        let case = Self { folder };
+        std::fs::rename(recorded.phone, recorded.folder.join("phone")).unwrap();
+        std::fs::rename(recorded.folder, case.path("recording")).unwrap();
+        case
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
@@ -127,7 +137,7 @@ impl Case {
     }
 }
 
-fn said(report: &ExtractReport, what: &str) {
+pub(crate) fn said(report: &ExtractReport, what: &str) {
     let losses = report.losses.iter().map(|loss| &loss.what);
     let found = losses
         .chain(&report.remarks)
@@ -346,79 +356,4 @@ pub(crate) fn calibration() -> serde_json::Value {
         ],
         "InertialSensors": [imu("Gyro"), imu("Accelerometer")],
     } })
-}
-
-#[test]
-fn depth_is_registered_as_the_makers_library_has_it() {
-    let _turn = turn::beside_others();
-    let case = Case::new(&Synthetic {
-        seed: 8,
-        seconds: 25,
-        ..Synthetic::default()
-    });
-    // Without registration the two images do not lie over one another: no associations.
-    let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
-    said(&plain, "no associations.txt");
-    assert!(!case.path("plain/associations.txt").exists());
-    let device = case.table("plain/depth_frames.csv", &[1]);
-    // Eight seconds are enough to look at. They may not have the pattern of the pulses.
-    let device = device.iter().take(240);
-    let device: Vec<i64> = device.map(|row| row[0].unwrap() / 1000).collect();
-    let first = case.table("plain/depth_frames.csv", &[3])[0][0].map(|pulse| pulse as usize);
-    let calibration = calibration().to_string();
-    let jpeg = case.test_picture("color.jpg", "1280x720", 1);
-    let depth = case.vendor(
-        "depth",
-        &device,
-        json!({ "color": jpeg, "size": [320, 288], "calibration": calibration }),
-    );
-    let to = |view| Options {
-        view: Some(view),
-        first_pulse: first,
-        ..Options::default()
-    };
-    let report = case.extract_as(Format::Tum, Some(&depth), "color", to(View::Color));
-    let images = report.depth.as_ref().unwrap().images;
-    assert_eq!(images, device.len() as u64, "{:#?}", report.losses);
-    let path = case.path("calibration.json");
-    std::fs::write(&path, &calibration).unwrap();
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/check_registered.py");
-    let printed = python::run_script(&script, &[&path, &case.path("color")]);
-    assert_eq!(printed.trim(), "ok");
-
-    // To the phone it takes the profile.
-    let stamps = case.table("plain/phone_frames.csv", &[0]).len();
-    case.test_picture(
-        "recording/phone/VID_20260131_140327.mp4",
-        "1280x720",
-        stamps,
-    );
-    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to(View::Phone));
-    said(&refused, "phone.cameras");
-    assert_eq!(refused.depth.unwrap().images, 0);
-    // A phone that sees what the colour camera sees, from the same place.
-    let mut session = SessionFile::load(&case.path("recording")).unwrap();
-    let cameras = std::fs::read(case.path("color/cameras.json")).unwrap();
-    let cameras: serde_json::Value = serde_json::from_slice(&cameras).unwrap();
-    let same = serde_json::from_value(cameras["color"]["intrinsics"].clone()).unwrap();
-    let pose = Pose([
-        [0.0, -1.0, 0.0, 0.02],
-        [0.0, 0.0, -1.0, 0.03],
-        [1.0, 0.0, 0.0, -0.1],
-        [0.0, 0.0, 0.0, 1.0],
-    ]);
-    session.profile.phone.cameras = vec![same];
-    session.profile.phone.from_imu = Some(pose);
-    session.profile.depth.color_from_imu = Some(pose);
-    session.save(&case.path("recording")).unwrap();
-    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to(View::Phone));
-    assert_eq!(report.depth.unwrap().images, device.len() as u64);
-    let phone = case.path("phone/mav0/depth0/data");
-    let printed = python::run_script(&script, &[&path, &case.path("color"), &phone]);
-    assert_eq!(printed.trim(), "ok");
-    let yaml = std::fs::read_to_string(case.path("phone/mav0/cam0/sensor.yaml")).unwrap();
-    assert!(yaml.contains("distortion_model: rational"), "{yaml}");
-    // The camera in the frame of the board's IMU: the inverse of from_imu.
-    assert!(yaml.contains("data: [0, 0, 1, 0.1"), "{yaml}");
-    assert!(yaml.contains("direction: down}"), "{yaml}");
 }

@@ -26,6 +26,7 @@ mod json_objects;
 mod lies;
 mod live_view;
 mod long_run;
+mod moving_thing;
 #[path = "../../../../host/cli/tests/support/objects.rs"]
 mod objects;
 #[path = "../../../rig/tests/it/phone_bench.rs"]
@@ -36,6 +37,7 @@ mod phone_rude;
 mod phone_twist;
 #[path = "../../../../host/cli/tests/support/python.rs"]
 mod python;
+mod readers;
 mod record;
 mod record_boards;
 mod record_faults;

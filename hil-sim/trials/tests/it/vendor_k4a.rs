@@ -4,11 +4,12 @@
 //! `tests/python/vendor_k4a.py` drives it. No camera: the images are made up.
 
 use std::fs::File;
+use std::io::{Read, Seek};
 use std::path::Path;
 
 use crate::python::run_script;
 use crate::turn;
-use extract::mkv::k4a::{Content, K4aError, RawImage, Recording, StartOffset};
+use extract::mkv::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
 
@@ -54,6 +55,26 @@ fn told_imu(told: &Value) -> Vec<Sample> {
     told.as_array().unwrap().iter().map(sample).collect()
 }
 
+fn samples(imu: &[CameraImu]) -> Vec<Sample> {
+    let sample = |s: &CameraImu| (s.accel_at.0 / 1000, s.accel, s.gyro_at.0 / 1000, s.gyro);
+    imu.iter().map(sample).collect()
+}
+
+/// Everything in an undamaged recording.
+fn contents(recording: &mut Recording<impl Read + Seek>) -> Batch {
+    let mut all = Batch::default();
+    while let Some(batch) = recording.next_batch(Content::Pixels).unwrap() {
+        assert!(batch.intact, "a checksum");
+        all.depth.extend(batch.depth);
+        all.ir.extend(batch.ir);
+        all.color.extend(batch.color);
+        all.imu.extend(batch.imu);
+    }
+    let damage = recording.damage();
+    assert!(damage.is_empty(), "{damage:?}");
+    all
+}
+
 /// Everything in a recording of the library, against what the script told of it; of one
 /// that was not closed, what had come to the disk.
 fn holds(folder: &Path, told: &Value, closed: bool) {
@@ -79,15 +100,8 @@ fn holds(folder: &Path, told: &Value, closed: bool) {
         let offset = StartOffset::Imu(START_US * 1000);
         assert_eq!(recording.start_offset(), offset, "{name}");
     }
-    let (mut depth, mut ir, mut imu) = (Vec::new(), Vec::new(), Vec::new());
-    while let Some(batch) = recording.next_batch(Content::Pixels).unwrap() {
-        assert!(batch.intact, "{name}: a checksum");
-        depth.extend(batch.depth);
-        ir.extend(batch.ir);
-        imu.extend(batch.imu);
-    }
-    let damage: Vec<_> = recording.damage().iter().map(|d| &d.what).collect();
-    assert!(damage.is_empty(), "{name}: {damage:?}");
+    let all = contents(&mut recording);
+    let (depth, ir, imu) = (all.depth, all.ir, samples(&all.imu));
     let (mut told_depth, mut told_ir) = (told_stamps(&told["depth"]), told_stamps(&told["ir"]));
     let mut told_samples = told_imu(&told["imu"]);
     if !closed {
@@ -102,10 +116,6 @@ fn holds(folder: &Path, told: &Value, closed: bool) {
     }
     assert_eq!(stamps(&depth), told_depth, "{name}: depth");
     assert_eq!(stamps(&ir), told_ir, "{name}: infrared");
-    let imu: Vec<Sample> = imu
-        .iter()
-        .map(|s| (s.accel_at.0 / 1000, s.accel, s.gyro_at.0 / 1000, s.gyro))
-        .collect();
     assert!(imu == told_samples, "{name}: IMU");
 }
 
@@ -132,6 +142,49 @@ fn recordings_of_the_makers_library_are_read_exactly() {
         Err(other) => panic!("{other}"),
         Ok(_) => panic!("passive infrared has no depth"),
     }
+}
+
+/// A file that the library wrote elsewhere, from made-up pictures (NOTICE).
+#[test]
+fn a_recording_from_elsewhere_holds_what_the_library_finds_in_it() {
+    let _turn = turn::beside_others();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("elsewhere.mkv");
+    let packed = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/tests/data/k4arecord_1.4.2_colour_depth_ir_imu.mkv.bz2"
+    );
+    let mut packed = bzip2::read::BzDecoder::new(File::open(packed).unwrap());
+    std::io::copy(&mut packed, &mut File::create(&path).unwrap()).unwrap();
+    let told = run("read", &path);
+
+    let mut recording = Recording::open(&path).unwrap();
+    assert!(recording.was_closed() && recording.color().unwrap().is_jpeg());
+    assert_eq!(recording.size(), (320, 288));
+    assert_eq!(
+        recording.tag("K4A_DEPTH_MODE"),
+        told["K4A_DEPTH_MODE"].as_str()
+    );
+    let start = told["start_timestamp_offset_usec"].as_i64().unwrap();
+    assert_eq!(recording.start_offset(), StartOffset::Tag(start * 1000));
+    let delay = told["subordinate_delay_off_master_usec"].as_u64().unwrap() * 1000;
+    assert_eq!(
+        recording.tag("K4A_SUBORDINATE_DELAY_NS"),
+        Some(&*delay.to_string())
+    );
+    let mut all = contents(&mut recording);
+    // The library gives pixels little-endian.
+    for image in all.depth.iter_mut().chain(&mut all.ir) {
+        for pixel in image.bytes.chunks_exact_mut(2) {
+            pixel.swap(0, 1);
+        }
+    }
+    assert_eq!(all.depth.len(), 6);
+    assert_eq!(stamps(&all.depth), told_stamps(&told["depth"]));
+    assert_eq!(stamps(&all.ir), told_stamps(&told["ir"]));
+    assert_eq!(stamps(&all.color), told_stamps(&told["color"]));
+    let imu = samples(&all.imu);
+    assert!(imu.len() > 100 && imu == told_imu(&told["imu"]));
 }
 
 #[test]

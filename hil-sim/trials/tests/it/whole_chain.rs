@@ -21,7 +21,7 @@ use stm32f4_sim::time::SimDuration;
 use trials::beliefs::{Kind, Specimen};
 use trials::whole_chain::{Plan, Programs, believed, calibration, evaluation, extraction};
 
-fn programs() -> Programs {
+pub(crate) fn programs() -> Programs {
     Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),
         elf: None,

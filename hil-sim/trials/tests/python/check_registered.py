@@ -6,7 +6,7 @@ size, depth with 16 bits and 5,000 a metre.
 usage: check_registered.py CALIBRATION OUT [SAME]
 
 The depth camera saw a wall at 1,000 mm plus the number of the frame, in mode
-NFOV_2X2BINNED beside colour of 720p. SAME is a folder of depth images in mm that must show
+NFOV_UNBINNED beside colour of 720p. SAME is a folder of depth images in mm that must show
 the same.
 """
 
@@ -32,9 +32,9 @@ load("libudev*")
 k4a = load("libk4a-*")
 raw = calibration_path.read_bytes() + b"\0"
 calibration = C.create_string_buffer(16_384)
-NFOV_2X2BINNED, COLOR_720P = 1, 1
+NFOV_UNBINNED, COLOR_720P = 2, 1
 assert k4a.k4a_calibration_get_from_raw(
-    raw, C.c_size_t(len(raw)), NFOV_2X2BINNED, COLOR_720P, calibration) == 0
+    raw, C.c_size_t(len(raw)), NFOV_UNBINNED, COLOR_720P, calibration) == 0
 for name in ["k4a_calibration_2d_to_2d", "k4a_calibration_2d_to_3d"]:
     getattr(k4a, name).argtypes = [
         C.c_void_p, C.c_void_p, C.c_float, C.c_int, C.c_int, C.c_void_p, C.c_void_p]
@@ -62,8 +62,8 @@ for _, color_name, stamp, depth_name in lines[:: len(lines) // 4]:
     assert color.size == depth.size == (1280, 720), (color.size, depth.size)
     millimetres = np.array(depth).astype(float) / 5
     wall = 1_000 + number_of[stamp]
-    for column in range(4, 320, 12):
-        for row in range(4, 288, 12):
+    for column in range(8, 640, 24):
+        for row in range(8, 576, 24):
             seen = as_seen(column, row, wall)
             if seen is None:
                 continue

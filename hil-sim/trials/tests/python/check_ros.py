@@ -42,6 +42,10 @@ def either(message, name):
 def check(messages, what):
     images = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["cam0", "cam1", "depth0"]}
     images = {name: list(table.itertuples(index=False)) for name, table in images.items()}
+    for rows in images.values():
+        # Whoever sorts names has the images in order of time.
+        names = [file for _, file in rows]
+        assert names == sorted(names) and len({len(name) for name in names}) == 1, names[:3]
     tables = {name: pd.read_csv(euroc / f"mav0/{name}/data.csv") for name in ["imu0", "imu1"]}
     samples = {name: list(zip(table.iloc[:, 0].tolist(), table.iloc[:, 1:].to_numpy().tolist()))
                for name, table in tables.items()}

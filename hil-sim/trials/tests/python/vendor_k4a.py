@@ -84,6 +84,7 @@ for library, name, result in [
     (SENSOR, "k4a_image_get_buffer", c_void_p),
     (SENSOR, "k4a_image_get_size", c_size_t),
     (SENSOR, "k4a_image_get_device_timestamp_usec", c_uint64),
+    (SENSOR, "k4a_capture_get_color_image", c_void_p),
     (SENSOR, "k4a_capture_get_depth_image", c_void_p),
     (SENSOR, "k4a_capture_get_ir_image", c_void_p),
     (RECORD, "k4a_playback_get_recording_length_usec", c_uint64),
@@ -213,13 +214,13 @@ def read(path):
         count = c_size_t(256)
         result = RECORD.k4a_playback_get_tag(playback, tag.encode(), value, byref(count))
         told[tag] = value.value.decode() if result == 0 else None
-    told |= {"depth": [], "ir": [], "imu": []}
+    told |= {"color": [], "depth": [], "ir": [], "imu": []}
     capture = c_void_p()
     while True:
         result = RECORD.k4a_playback_get_next_capture(playback, byref(capture))
         if result != 0:
             break
-        for key in ["depth", "ir"]:
+        for key in ["color", "depth", "ir"]:
             picture = c_void_p(getattr(SENSOR, f"k4a_capture_get_{key}_image")(capture))
             if picture:
                 data = ctypes.string_at(

@@ -18,11 +18,6 @@ use extract::workplace::WorkplaceError;
 use phone::video_files::FilesError;
 use recording::session_file::SessionFile;
 
-/// Turn a recording into a data set whose timestamps are all in board time.
-///
-/// Reads the board's recording, the phone's files and the depth recording, and
-/// writes a folder in a format that people load. Inputs are never written to. A
-/// run that was stopped goes on where it was when it is repeated.
 /// The formats as the command line names them.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum FormatArg {

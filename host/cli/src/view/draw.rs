@@ -319,12 +319,16 @@ fn draw_warnings(frame: &mut Frame<'_>, warnings: Vec<Vec<Line<'static>>>, area:
 }
 
 fn draw_said(frame: &mut Frame<'_>, said: Vec<Vec<Line<'static>>>, area: Rect) {
-    let room = usize::from(area.height);
-    let newest = said.last().map_or(0, Vec::len);
-    let lines: Vec<Line<'_>> = said.into_iter().flatten().collect();
-    // Of one that is longer than the room, its beginning.
-    let from = lines.len().saturating_sub(room.max(newest));
-    let shown = lines.into_iter().skip(from).collect::<Vec<_>>();
+    let mut room = usize::from(area.height);
+    let mut shown = Vec::new();
+    // Whole ones; of the newest, if it is longer than the room, its beginning.
+    for lines in said.into_iter().rev() {
+        if lines.len() > room && !shown.is_empty() {
+            break;
+        }
+        room = room.saturating_sub(lines.len());
+        shown.splice(0..0, lines);
+    }
     frame.render_widget(Paragraph::new(shown), area);
 }
 
@@ -528,6 +532,20 @@ mod tests {
             }
             assert_eq!(twists, text.contains("rad/s rms"), "{text}");
         }
+    }
+
+    #[test]
+    fn what_was_said_is_not_shown_without_its_beginning() {
+        let mut snapshot = busy();
+        let long = format!("aligned {}(1-sigma)", "to the phone's frames ".repeat(4));
+        snapshot.said = vec![long, String::from("recording")];
+        let text = screen(80, 24, &snapshot, false);
+        assert!(text.contains("\n recording"), "{text}");
+        assert_eq!(
+            text.contains("aligned"),
+            text.contains("(1-sigma)"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! | `/cam1/image_raw/compressed` | the depth camera's colour images, as the camera's JPEG files |
 //! | `/depth0/image_raw` | depth in mm, `16UC1` |
 //! | `/ir0/image_raw` | infrared, `mono16` |
-//! | `/cam0/camera_info`, … | with each image |
+//! | `/cam0/camera_info`, … | with each image, where the intrinsics are known |
 //! | `/imu0`, `/imu1` | the IMUs of board and phone |
 //!
 //! Images are files first ([`parts`]).
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use recording::messages::camera::{CameraInfo, CompressedImage, Image};
 use recording::messages::{Header, Imu, Time, to_cdr};
-use recording::profile::DistortionModel;
+use recording::profile::{DistortionModel, Intrinsics};
 use recording::rosbag2;
 
 use super::noise::{self, Noise};
@@ -161,8 +161,14 @@ struct Camera<'a> {
     rows: &'a [ImageRow],
     size: Option<(u32, u32)>,
     facts: &'a CameraFacts,
-    /// Number of its first topic; the one behind it has its `CameraInfo`.
+    /// Number of its first topic; the one behind it has its `CameraInfo`, if that is known.
     topic: usize,
+}
+
+impl Camera<'_> {
+    fn topics(&self) -> usize {
+        1 + usize::from(self.facts.intrinsics.is_some())
+    }
 }
 
 /// An IMU of the bag.
@@ -198,7 +204,8 @@ fn fill<B: Bag>(
 ) -> io::Result<()> {
     let infrared = CameraFacts::default();
     let cameras = add_cameras(bag, tables, facts, &infrared)?;
-    let imus = add_imus(bag, 2 * cameras.len(), folder, facts)?;
+    let first = cameras.iter().map(Camera::topics).sum();
+    let imus = add_imus(bag, first, folder, facts)?;
     let mut streams: Vec<Peekable<Events<'_>>> = Vec::new();
     for camera in &cameras {
         let events = camera
@@ -230,7 +237,8 @@ fn fill<B: Bag>(
     }
 }
 
-/// Adds two topics for each camera that has images.
+/// Adds the topics of each camera that has images. Without intrinsics there is no
+/// `CameraInfo`: one of zeros keeps Rerun from showing the images.
 fn add_cameras<'a, B: Bag>(
     bag: &mut B,
     tables: &'a SequenceTables<'_>,
@@ -266,14 +274,18 @@ fn add_cameras<'a, B: Bag>(
         camera("ir0", gray, &tables.infrared, facts.infrared_size, infrared),
     ];
     cameras.retain(|camera| !camera.rows.is_empty());
-    for (index, camera) in cameras.iter_mut().enumerate() {
-        camera.topic = 2 * index;
+    let mut next = 0;
+    for camera in &mut cameras {
+        camera.topic = next;
+        next += camera.topics();
         let name = camera.name;
         match camera.gray {
             Some(_) => bag.add::<Image>(&format!("/{name}/image_raw"))?,
             None => bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?,
         }
-        bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+        if camera.facts.intrinsics.is_some() {
+            bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+        }
     }
     Ok(cameras)
 }
@@ -390,11 +402,12 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
         };
         (B::encode(&image)?, camera.size.unwrap_or_default())
     };
-    let info = camera_info(header, size, camera.facts);
-    Ok(vec![
-        (camera.topic, bytes),
-        (camera.topic + 1, B::encode(&info)?),
-    ])
+    let mut messages = vec![(camera.topic, bytes)];
+    if let Some(known) = &camera.facts.intrinsics {
+        let info = camera_info(header, size, known);
+        messages.push((camera.topic + 1, B::encode(&info)?));
+    }
+    Ok(messages)
 }
 
 fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
@@ -419,15 +432,12 @@ fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
     }
 }
 
-fn camera_info(header: Header, (width, height): (u32, u32), facts: &CameraFacts) -> CameraInfo {
+fn camera_info(header: Header, (width, height): (u32, u32), known: &Intrinsics) -> CameraInfo {
     let mut info = CameraInfo {
         header,
         height,
         width,
         ..CameraInfo::default()
-    };
-    let Some(known) = &facts.intrinsics else {
-        return info;
     };
     let ([fx, fy], [cx, cy]) = (known.focal, known.center);
     info.k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
