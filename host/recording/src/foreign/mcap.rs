@@ -68,10 +68,7 @@ impl Part {
                     };
                     each(Message {
                         topic: &channel.topic,
-                        kind: self
-                            .schemas
-                            .get(&channel.schema)
-                            .map_or("", String::as_str),
+                        kind: self.schemas.get(&channel.schema).map_or("", String::as_str),
                         encoding: &channel.encoding,
                         data: &data,
                     });

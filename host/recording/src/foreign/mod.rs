@@ -195,6 +195,10 @@ pub fn parts(path: &Path) -> io::Result<Vec<PathBuf>> {
 }
 
 #[cfg(test)]
+#[path = "../../../cli/tests/support/sqlite_bag.rs"]
+mod sqlite_bag;
+
+#[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
     use std::io::Cursor;
@@ -203,9 +207,6 @@ mod tests {
 
     use super::*;
     use crate::writer;
-
-    #[path = "../../../../cli/tests/support/sqlite_bag.rs"]
-    mod sqlite_bag;
 
     /// `ros2 bag record` does without chunks in its preset `fastwrite`: types, topics and
     /// messages stand one behind the other then.
@@ -260,7 +261,8 @@ mod tests {
         let (mut found, mut damage) = (Vec::new(), Vec::new());
         loop {
             let next = messages.next_chunk(|message| {
-                if [message.topic, message.kind, message.encoding] == ["/a", "a_msgs/msg/A", "cdr"] {
+                if [message.topic, message.kind, message.encoding] == ["/a", "a_msgs/msg/A", "cdr"]
+                {
                     found.push(message.data.first().copied().unwrap_or(0));
                 }
             });
@@ -314,7 +316,9 @@ mod tests {
                 "DROP TABLE messages; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, \
                  data AS (zeroblob(id * 1000000))); INSERT INTO messages VALUES (1, 1), (2, 1)",
             ),
-            String::from("DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(topic_id, data)"),
+            String::from(
+                "DROP TABLE messages; CREATE VIRTUAL TABLE messages USING fts5(topic_id, data)",
+            ),
             String::from("ALTER TABLE topics RENAME COLUMN type TO kind"),
         ] {
             let _ = std::fs::remove_file(&path);
@@ -326,8 +330,10 @@ mod tests {
         // A message of another kind, and one that is longer than any.
         for data in ["NULL", "'text'", "zeroblob(21 << 20)"] {
             std::fs::remove_file(&path).unwrap();
-            let put = format!("DROP TABLE messages; CREATE TABLE messages(topic_id, data); \
-                INSERT INTO messages VALUES (1, x'07'), (1, {data}), (1, x'08')");
+            let put = format!(
+                "DROP TABLE messages; CREATE TABLE messages(topic_id, data); \
+                INSERT INTO messages VALUES (1, x'07'), (1, {data}), (1, x'08')"
+            );
             sqlite(&path, 0, &put);
             let (found, damage) = read(&path);
             assert_eq!(found, [7], "{data}");

@@ -74,7 +74,9 @@ impl Part {
         let pending = ["-wal", "-journal"].into_iter().find(|ending| {
             let mut beside = path.as_os_str().to_owned();
             beside.push(ending);
-            Path::new(&beside).metadata().is_ok_and(|meta| meta.len() > 0)
+            Path::new(&beside)
+                .metadata()
+                .is_ok_and(|meta| meta.len() > 0)
         });
         Ok(Self {
             connection,
