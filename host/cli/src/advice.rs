@@ -354,19 +354,24 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
              app's x,y,z,nanoseconds",
         ),
         GyroFileError::Several(_) => (ExitStatus::Usage, "choose one with FILE@/TOPIC"),
-        GyroFileError::Bag(_) | GyroFileError::Kinect(_) | GyroFileError::Mcap(_) => (
+        GyroFileError::SeveralFiles(_) => (
             ExitStatus::Usage,
-            "give a whole recording: of ROS 2 an MCAP, of ROS 1 a bag of version 2.0, of an Azure \
-             Kinect an mkv with depth and IMU",
+            "give one of them; of a ROS 2 bag in several parts the folder, with its metadata.yaml (`ros2 bag \
+             reindex` makes that anew)",
+        ),
+        GyroFileError::Bag(_) | GyroFileError::Kinect(_) => (
+            ExitStatus::Usage,
+            "give a whole recording: of ROS 1 a bag of version 2.0, of an Azure Kinect an mkv with depth \
+             and IMU",
         ),
         GyroFileError::None { .. } => (
             ExitStatus::Usage,
-            "give a recording of a gyroscope: a message or track of an IMU must be in it",
+            "give a whole recording of a gyroscope: a message or track of an IMU must be in it",
         ),
         GyroFileError::NotRead(_) => (
             ExitStatus::Usage,
-            "convert it: `ros2 bag convert`, or `rosbags-convert --dst-storage mcap` without ROS, makes \
-             MCAP of a bag; of a video another program must first write the gyroscope as CSV",
+            "unpack an archive; of a video another program must first write the gyroscope as CSV (the book has \
+             one)",
         ),
     };
     Failure::new(status, format!("{}: {error}", path.display())).next_step(next)

@@ -2,7 +2,7 @@
 
 /// A list of limited length.
 #[derive(Clone, Debug)]
-pub(crate) struct Faults {
+pub struct Faults {
     first: Vec<String>,
     count: u64,
     limit: usize,
@@ -10,7 +10,8 @@ pub(crate) struct Faults {
 
 impl Faults {
     /// An empty list that keeps the words of at most `limit`.
-    pub(crate) fn new(limit: usize) -> Self {
+    #[must_use]
+    pub fn new(limit: usize) -> Self {
         Self {
             first: Vec::new(),
             count: 0,
@@ -18,7 +19,8 @@ impl Faults {
         }
     }
 
-    pub(crate) fn add(&mut self, what: String) {
+    /// One more.
+    pub fn add(&mut self, what: String) {
         self.count += 1;
         if self.first.len() < self.limit {
             self.first.push(what);
@@ -34,7 +36,8 @@ impl Faults {
     }
 
     /// The words of the first, and how many there are beyond them, of a `kind`.
-    pub(crate) fn words(&self, kind: &str) -> Vec<String> {
+    #[must_use]
+    pub fn words(&self, kind: &str) -> Vec<String> {
         let more = self.count - self.first.len() as u64;
         let more = (more > 0).then(|| format!("and {more} more {kind}"));
         self.first.iter().cloned().chain(more).collect()

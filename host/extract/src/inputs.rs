@@ -9,11 +9,12 @@ use super::depth::DepthInput;
 use super::geometry::{CameraFacts, View};
 use super::gyro_clock::prior;
 use super::later_runs::Moves;
-use super::ros2_depth::{Ros2Bag, is_bag};
+use super::ros2_depth::Ros2Bag;
 use phone::video_files::{self, FilesError, VideoFiles};
 use protocol::ImuSensor;
 use recording::MCAP_FILE;
 use recording::camera::{MODELS, Model};
+use recording::foreign::is_bag;
 use recording::profile::{Direction, Intrinsics, Phone, Pose};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
@@ -212,7 +213,7 @@ pub enum InputsError {
     },
     /// The file given as depth recording is of another kind.
     #[error(
-        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or an .mcap file)"
+        "{path} is no depth recording: expected a file that ends in .mkv, or a ROS 2 bag (its folder, or a file .mcap or .db3)"
     )]
     NotDepth {
         /// Which.

@@ -22,7 +22,7 @@ mod board_data;
 mod depth;
 mod depth_clock;
 mod depth_match;
-mod faults;
+pub mod faults;
 mod frames;
 pub mod geometry;
 mod grid;

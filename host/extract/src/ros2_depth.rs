@@ -1,18 +1,17 @@
-//! Depth images of a ROS 2 bag (MCAP), as the drivers of cameras publish them:
+//! Depth images of a ROS 2 bag (MCAP or sqlite3), as the drivers of cameras publish them:
 //! `sensor_msgs/msg/Image` on a topic with "depth" in its name.
 //!
 //! Times are those in the messages' headers, which must be the camera's own. When a message
 //! arrived at the computer says nothing about that and is not looked at.
 //!
-//! Limits: chunks are packed with LZ4, Zstandard or not at all; images are not compressed.
+//! Limits: those of [`foreign`]; images are not compressed.
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use recording::foreign::{Message, Messages, Next};
+use recording::foreign::{self, Message, Messages, Next};
 use recording::messages::camera::Image as RosImage;
 use recording::messages::{RosMessage as _, from_cdr};
-use recording::rosbag2::METADATA_FILE;
 
 use crate::bag::messages::{Header, Image};
 use crate::board_data::{BagImage, Images, millimetres};
@@ -26,7 +25,7 @@ const MAX_FAULTS: usize = 50;
 /// Why such a bag cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum Ros2Error {
-    /// A file of it cannot be read.
+    /// It cannot be read.
     #[error("reading {path}: {error}")]
     Io {
         /// Which.
@@ -34,25 +33,17 @@ pub enum Ros2Error {
         /// Why.
         error: std::io::Error,
     },
-    /// A folder without files that are known.
-    #[error(
-        "{path} is no ROS 2 bag in MCAP files{}",
-        if *.sqlite { ": it is in sqlite3; make one with `ros2 bag convert` and storage_id mcap" } else { "" }
-    )]
-    NoFiles {
-        /// Which.
-        path: PathBuf,
-        /// There is an sqlite3 file in it.
-        sqlite: bool,
-    },
     /// No image of depth is in it.
     #[error(
         "{path} has no depth images: expected {KIND} on a topic with \"depth\" in its name, or the one that \
-         --depth-topic names"
+         --depth-topic names{}",
+        .damage.iter().map(|damage| format!("; damaged: {damage}")).collect::<String>()
     )]
     NoImages {
         /// Which.
         path: PathBuf,
+        /// What could not be read of it.
+        damage: Vec<String>,
     },
     /// Several topics hold depth.
     #[error("{path} has depth on {}; choose one with --depth-topic", .topics.join(" and "))]
@@ -75,17 +66,20 @@ pub(crate) struct Ros2Bag {
 impl Ros2Bag {
     /// Bytes of its files.
     pub(crate) fn length(&self) -> u64 {
-        let files = files_of(&self.path).unwrap_or_default();
+        let files = foreign::parts(&self.path).unwrap_or_default();
         let lengths = files.iter().filter_map(|file| file.metadata().ok());
         lengths.map(|file| file.len()).sum()
     }
 
     /// Its images from the first on.
     pub(crate) fn open(&self, images: Images) -> Result<Ros2Images, Ros2Error> {
+        let messages = Messages::open(&self.path).map_err(|error| Ros2Error::Io {
+            path: self.path.clone(),
+            error,
+        })?;
         Ok(Ros2Images {
             path: self.path.clone(),
-            files: files_of(&self.path)?.into(),
-            open: None,
+            messages,
             taken: Taken {
                 asked: self.topic.clone(),
                 topics: Vec::new(),
@@ -93,59 +87,15 @@ impl Ros2Bag {
                 images,
                 faults: Faults::new(MAX_FAULTS),
             },
-            before: 0,
         })
     }
-}
-
-/// Whether a path may be a bag: a folder with the bag's files, or one of them.
-pub(crate) fn is_bag(path: &Path) -> bool {
-    match path.is_dir() {
-        true => path.join(METADATA_FILE).is_file() && !path.join(recording::MCAP_FILE).is_file(),
-        false => path
-            .extension()
-            .is_some_and(|extension| extension == "mcap"),
-    }
-}
-
-fn files_of(path: &Path) -> Result<Vec<PathBuf>, Ros2Error> {
-    if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
-    }
-    let fail = |error| Ros2Error::Io {
-        path: path.to_owned(),
-        error,
-    };
-    let mut paths = Vec::new();
-    let mut sqlite = false;
-    for entry in std::fs::read_dir(path).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        let extension = path.extension().unwrap_or_default();
-        sqlite |= extension == "db3";
-        if extension == "mcap" && path.is_file() {
-            paths.push(path);
-        }
-    }
-    if paths.is_empty() {
-        return Err(Ros2Error::NoFiles {
-            path: path.to_owned(),
-            sqlite,
-        });
-    }
-    // rosbag2 numbers them without leading zeros: `depth_0.mcap`, ..., `depth_10.mcap`.
-    paths.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
-    Ok(paths)
 }
 
 /// Images one after the other.
 pub(crate) struct Ros2Images {
     path: PathBuf,
-    files: VecDeque<PathBuf>,
-    /// The file that is being read.
-    open: Option<(PathBuf, Messages)>,
+    messages: Messages,
     taken: Taken,
-    /// Bytes of the files that were read to their end.
-    before: u64,
 }
 
 /// What was taken of the messages.
@@ -166,44 +116,23 @@ impl Ros2Images {
             if let Some(image) = self.taken.waiting.pop_front() {
                 return Ok(Some(image));
             }
-            let Some((path, messages)) = &mut self.open else {
-                let Some(path) = self.files.pop_front() else {
-                    return match self.taken.topics.is_empty() {
-                        false => Ok(None),
-                        true => Err(Ros2Error::NoImages {
-                            path: self.path.clone(),
-                        }),
-                    };
-                };
-                let messages = Messages::open(&path).map_err(|error| Ros2Error::Io {
-                    path: path.clone(),
-                    error,
-                })?;
-                self.open = Some((path, messages));
-                continue;
-            };
             let taken = &mut self.taken;
-            match messages.next_chunk(|message| taken.take(&message)) {
-                Ok(Next::Given) if self.taken.topics.len() > 1 => {
-                    return Err(Ros2Error::SeveralTopics {
+            match self.messages.next_chunk(|message| taken.take(&message)) {
+                Next::Given => {}
+                Next::Damaged(why) => taken.faults.add(why),
+                Next::End if taken.topics.is_empty() => {
+                    return Err(Ros2Error::NoImages {
                         path: self.path.clone(),
-                        topics: self.taken.topics.clone(),
+                        damage: self.damage(),
                     });
                 }
-                Ok(Next::Given) => {}
-                Ok(Next::LeftOut(why)) => {
-                    let what = format!("a chunk is left out: {why}");
-                    self.taken.faults.add(what);
-                }
-                ended => {
-                    let at = messages.position();
-                    if let Err(error) = ended {
-                        let what = format!("{} ends at byte {at}: {error}", path.display());
-                        self.taken.faults.add(what);
-                    }
-                    self.before += at;
-                    self.open = None;
-                }
+                Next::End => return Ok(None),
+            }
+            if self.taken.topics.len() > 1 {
+                return Err(Ros2Error::SeveralTopics {
+                    path: self.path.clone(),
+                    topics: self.taken.topics.clone(),
+                });
             }
         }
     }
@@ -213,10 +142,9 @@ impl Ros2Images {
         self.taken.faults.words("faults of the bag")
     }
 
-    /// Bytes read so far.
+    /// About as many bytes read so far.
     pub(crate) fn position(&self) -> u64 {
-        let open = self.open.as_ref();
-        self.before + open.map_or(0, |(_, messages)| messages.position())
+        self.messages.position()
     }
 }
 

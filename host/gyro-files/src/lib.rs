@@ -3,16 +3,17 @@
 //! | file | what is read |
 //! |---|---|
 //! | CSV | [`phone::gyro_csv`]: a header in any of many forms (EuRoC's `imu.csv` and Sensor Logger's `Gyroscope.csv` among them), or the phone app's |
-//! | MCAP (ours, ROS 2 bags) | messages of type `sensor_msgs/msg/Imu` in CDR |
+//! | MCAP and sqlite3 (ours, ROS 2 bags) | messages of type `sensor_msgs/msg/Imu` in CDR |
 //! | ROS 1 bag | messages of type `sensor_msgs/Imu` |
 //! | Matroska of the Azure Kinect | its IMU track |
+//! | MP4 of GoPro cameras | the gyroscope's stream, and times and exposures of the frames |
 //!
 //! Times are those in the messages' headers, in the device's own clock, never when a
 //! recorder received them. Of a folder the one recording in it is read. Everything is
 //! in memory: 32 bytes a sample.
-//!
-//! Limits: no `sqlite3` bags.
 
+mod gopro;
+mod mp4;
 mod ros;
 
 use std::io::Read as _;
@@ -20,6 +21,7 @@ use std::path::{Path, PathBuf};
 
 use extract::mkv::k4a::{Content, K4aError, Recording as Kinect};
 use phone::gyro_csv::{self, CsvError};
+use recording::foreign;
 use twist_sync::GyroTrack;
 
 /// A gyroscope's recording.
@@ -31,8 +33,34 @@ pub struct GyroRecording {
     pub times: Vec<i64>,
     /// Angular rates about x, y, z in rad/s; as many as times.
     pub rates: Vec<[f64; 3]>,
+    /// Frames of the camera, if the file has their exposure and read-out.
+    pub frames: Vec<Frame>,
     /// What could not be read of it.
     pub damage: Vec<String>,
+}
+
+/// A frame of a rolling shutter, in nanoseconds of the device's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// When its first row begins to be exposed.
+    pub start_ns: i64,
+    /// How long each row is exposed.
+    pub exposure_ns: i64,
+    /// From the first row to the last.
+    pub readout_ns: i64,
+}
+
+impl Frame {
+    /// Middle of exposure of its first, middle and last row, nanoseconds.
+    #[must_use]
+    pub const fn rows_ns(&self) -> [i64; 3] {
+        let first = self.start_ns.saturating_add(self.exposure_ns / 2);
+        [
+            first,
+            first.saturating_add(self.readout_ns / 2),
+            first.saturating_add(self.readout_ns),
+        ]
+    }
 }
 
 impl GyroRecording {
@@ -67,9 +95,6 @@ pub enum GyroFileError {
     /// No recording of an Azure Kinect.
     #[error(transparent)]
     Kinect(#[from] K4aError),
-    /// No MCAP file, or one that breaks off at once.
-    #[error("this MCAP file cannot be read: {0}")]
-    Mcap(String),
     /// There are no samples of a gyroscope in it.
     #[error("{form} without samples of a gyroscope: {found}")]
     None {
@@ -81,6 +106,9 @@ pub enum GyroFileError {
     /// There are several gyroscopes in it.
     #[error("several gyroscopes: {}", .0.join(", "))]
     Several(Vec<String>),
+    /// There are several recordings in the folder.
+    #[error("several recordings: {}", .0.join(", "))]
+    SeveralFiles(Vec<String>),
     /// A kind of file that is known, but not read.
     #[error("{0} is not read")]
     NotRead(&'static str),
@@ -102,37 +130,56 @@ impl From<CsvError> for GyroFileError {
 ///
 /// The file cannot be read, is of no known kind, or holds none or several gyroscopes.
 pub fn read(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
-    if path.is_dir() {
+    if path.is_dir() && !foreign::is_bag(path) {
         return read(&only_recording(path)?, topic);
     }
+    let mut read = read_any(path, topic)?;
+    let samples = read.times.len();
+    let all = std::mem::take(&mut read.times)
+        .into_iter()
+        .zip(std::mem::take(&mut read.rates));
+    let finite = all.filter(|(_, rate)| rate.iter().all(|rate| rate.is_finite()));
+    (read.times, read.rates) = finite.unzip();
+    let left_out = samples - read.times.len();
+    if left_out > 0 {
+        let text = format!("{left_out} samples are no numbers and are left out");
+        read.damage.push(text);
+    }
+    Ok(read)
+}
+
+fn read_any(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
     let mut first = Vec::new();
-    files::open(path)?.take(16).read_to_end(&mut first)?;
-    if first.starts_with(mcap::MAGIC) {
-        ros::mcap(path, topic)
+    if path.is_file() {
+        files::open(path)?.take(16).read_to_end(&mut first)?;
+    }
+    if path.is_dir() || foreign::is_part(&first) {
+        ros::bag2(path, topic)
     } else if first.starts_with(b"#ROSBAG V") {
-        ros::bag(path, topic)
+        ros::bag1(path, topic)
     } else if first.starts_with(&[0x1a, 0x45, 0xdf, 0xa3]) {
         kinect(path)
-    } else if first.starts_with(b"SQLite format 3") {
-        Err(GyroFileError::NotRead("a ROS 2 bag of storage sqlite3"))
     } else if first.get(4..8) == Some(b"ftyp") {
-        Err(GyroFileError::NotRead(
-            "a video with the metadata of its camera",
-        ))
+        gopro::read(path)
+    } else if first.starts_with(b"PK\x03\x04") {
+        Err(GyroFileError::NotRead("a zip archive"))
     } else {
         csv(path)
     }
 }
 
-/// The one recording in a folder: ours, or a bag.
+/// The one recording in a folder that is no bag: ours, what Sensor Logger exports, or any.
 fn only_recording(folder: &Path) -> Result<PathBuf, GyroFileError> {
-    let ours = folder.join(recording::MCAP_FILE);
-    if ours.is_file() {
-        return Ok(ours);
+    for name in [recording::MCAP_FILE, "Gyroscope.csv"] {
+        let file = folder.join(name);
+        if file.is_file() {
+            return Ok(file);
+        }
     }
     let is_recording = |path: &PathBuf| {
         let extension = path.extension().and_then(|text| text.to_str());
-        matches!(extension, Some("mcap" | "bag" | "mkv"))
+        let extension = extension.unwrap_or_default().to_ascii_lowercase();
+        matches!(extension.as_str(), "mcap" | "db3" | "bag" | "mkv" | "mp4")
     };
     let entries = std::fs::read_dir(folder)?;
     let paths: Result<Vec<PathBuf>, _> = entries.map(|e| e.map(|e| e.path())).collect();
@@ -142,11 +189,13 @@ fn only_recording(folder: &Path) -> Result<PathBuf, GyroFileError> {
         [only] => Ok(only.clone()),
         [] => Err(GyroFileError::None {
             form: "a folder",
-            found: String::from("expected one file .mcap, .bag or .mkv"),
+            found: String::from(
+                "expected one file .mcap, .db3, .bag, .mkv or .mp4, or Gyroscope.csv",
+            ),
         }),
         several => {
             let names = several.iter().map(|path| path.display().to_string());
-            Err(GyroFileError::Several(names.collect()))
+            Err(GyroFileError::SeveralFiles(names.collect()))
         }
     }
 }
@@ -157,7 +206,7 @@ fn csv(path: &Path) -> Result<GyroRecording, GyroFileError> {
         form: file.form.to_string(),
         times: file.times,
         rates: file.track.w,
-        damage: Vec::new(),
+        ..GyroRecording::default()
     })
 }
 

@@ -1,4 +1,4 @@
-//! IMU messages of MCAP files and ROS 1 bags.
+//! IMU messages of ROS bags.
 
 use std::collections::BTreeMap;
 use std::io::BufReader;
@@ -6,23 +6,34 @@ use std::path::Path;
 
 use extract::bag::messages::Imu as BagImu;
 use extract::bag::reader::{Bag, BagError};
-use recording::chunks::ChunksError;
+use extract::faults::Faults;
 use recording::foreign::{Messages, Next};
 use recording::messages::{Imu, RosMessage, from_cdr};
 
 use crate::{GyroFileError, GyroRecording};
 
+/// How many faults are kept with their text.
+const MAX_FAULTS: usize = 50;
+
 /// Samples of each topic with a gyroscope.
-#[derive(Default)]
 struct Topics {
     samples: BTreeMap<String, (Vec<i64>, Vec<[f64; 3]>)>,
     /// Topics of other types; those with a gyroscope may be among them.
     others: Vec<String>,
     broken: u64,
-    damage: Vec<String>,
+    damage: Faults,
 }
 
 impl Topics {
+    fn new() -> Self {
+        Self {
+            samples: BTreeMap::new(),
+            others: Vec::new(),
+            broken: 0,
+            damage: Faults::new(MAX_FAULTS),
+        }
+    }
+
     fn add(&mut self, topic: &str, at: i64, rate: [f64; 3]) {
         if !self.samples.contains_key(topic) {
             self.samples.insert(topic.to_owned(), Default::default());
@@ -38,6 +49,11 @@ impl Topics {
         form: &'static str,
         topic: Option<&str>,
     ) -> Result<GyroRecording, GyroFileError> {
+        if self.broken > 0 {
+            let broken = format!("{} messages cannot be decoded", self.broken);
+            self.damage.add(broken);
+        }
+        let damage = self.damage.words("faults of the bag");
         let names = || self.samples.keys().cloned().collect::<Vec<_>>();
         let name = match (topic, names().as_slice()) {
             (Some(topic), _) => topic.to_owned(),
@@ -49,31 +65,33 @@ impl Topics {
             let mut there: Vec<String> = self.samples.into_keys().chain(self.others).collect();
             there.sort();
             there.dedup();
-            let found = match (topic, there.is_empty()) {
+            let mut found = match (topic, there.is_empty()) {
                 (_, true) => String::from("it has no topics"),
                 (Some(topic), _) => {
                     format!("no IMU on topic {topic}; there are {}", there.join(", "))
                 }
                 (None, _) => format!("its topics are {}", there.join(", ")),
             };
+            // They may have been in what is damaged.
+            if let Some(damage) = damage.first() {
+                found = format!("{found}; damaged: {damage}");
+            }
             return Err(GyroFileError::None { form, found });
         };
-        if self.broken > 0 {
-            let broken = format!("{} messages cannot be decoded", self.broken);
-            self.damage.push(broken);
-        }
         Ok(GyroRecording {
             form: format!("{form}: {name}, times of the messages' headers"),
             times,
             rates,
-            damage: self.damage,
+            frames: Vec::new(),
+            damage,
         })
     }
 }
 
-pub(crate) fn mcap(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
+/// A bag of ROS 2, or a recording of ours.
+pub(crate) fn bag2(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
     let mut messages = Messages::open(path)?;
-    let mut out = Topics::default();
+    let mut out = Topics::new();
     loop {
         let next = messages.next_chunk(|message| {
             if message.kind != Imu::TYPE {
@@ -89,32 +107,18 @@ pub(crate) fn mcap(path: &Path, topic: Option<&str>) -> Result<GyroRecording, Gy
             }
         });
         match next {
-            Ok(Next::Given) => {}
-            Ok(Next::LeftOut(why)) => out.damage.push(format!("a chunk is left out: {why}")),
-            Ok(Next::End) => break,
-            Err(ChunksError::Read(error)) => return Err(error.into()),
-            Err(error) if out.samples.is_empty() => {
-                return Err(GyroFileError::Mcap(error.to_string()));
-            }
-            Err(error) => {
-                let at = messages.position();
-                out.damage
-                    .push(format!("it cannot be read beyond byte {at}: {error}"));
-                break;
-            }
+            Next::Given => {}
+            Next::Damaged(why) => out.damage.add(why),
+            Next::End => break,
         }
     }
     out.others = messages.topics().map(str::to_owned).collect();
-    // Of a file whose chunks cannot be unpacked, that is the reason.
-    match out.damage.first() {
-        Some(damage) if out.others.is_empty() => Err(GyroFileError::Mcap(damage.clone())),
-        _ => out.chosen("MCAP", topic),
-    }
+    out.chosen("ROS 2 bag", topic)
 }
 
-pub(crate) fn bag(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
+pub(crate) fn bag1(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
     let mut bag = Bag::open(BufReader::with_capacity(1 << 20, files::open(path)?))?;
-    let mut out = Topics::default();
+    let mut out = Topics::new();
     let mut others = std::collections::BTreeSet::new();
     loop {
         let more = bag.next_chunk::<BagError>(|message| {
@@ -134,6 +138,8 @@ pub(crate) fn bag(path: &Path, topic: Option<&str>) -> Result<GyroRecording, Gyr
         }
     }
     out.others = others.into_iter().collect();
-    out.damage = bag.damage().iter().map(ToString::to_string).collect();
+    for damage in bag.damage() {
+        out.damage.add(damage.to_string());
+    }
     out.chosen("ROS 1 bag", topic)
 }

@@ -2,7 +2,8 @@
 //!
 //! ```no_run
 //! # fn show(path: &std::path::Path) -> Result<(), Box<dyn std::error::Error>> {
-//! let mut chunks = recording::chunks::Chunks::open(path)?;
+//! use recording::chunks::{Chunks, OWN_RATIO};
+//! let mut chunks = Chunks::open(path, OWN_RATIO)?;
 //! let mut memory = Vec::new();
 //! while let Some(packed) = chunks.next_packed()? {
 //!     // Here, or in another thread: reading and unpacking are apart.
@@ -40,9 +41,16 @@ pub(crate) const MAX_RECORD: u64 = MAX_CHUNK + (1 << 16);
 const MAX_CHUNK: u64 = 20 << 20;
 
 /// What a file may unpack to in all: this much, and so many times the bytes that it has
-/// up to there. Recordings of this program unpack to 2.1 to 2.6 times their length.
+/// up to there.
 const MAX_UNPACKED: u64 = 64 << 20;
-const MAX_RATIO: u64 = 16;
+
+/// How many times its length a recording of this program may unpack to; they unpack to 2.1
+/// to 2.6 times theirs.
+pub const OWN_RATIO: u64 = 16;
+
+/// The same of a bag of any program: LZ4 packs pictures without any depth to a 250th,
+/// others to some quarter.
+pub const FOREIGN_RATIO: u64 = 64;
 
 /// Opcode and length before the body of a record.
 const HEAD: usize = 9;
@@ -91,8 +99,8 @@ pub enum BadChunk {
     #[error("its checksum is wrong")]
     Checksum,
     /// The chunks before it have unpacked to as much as any real file does.
-    #[error("the file unpacks to more than {MAX_RATIO} times its length, which no recording does")]
-    Budget,
+    #[error("the file unpacks to more than {0} times its length, which no recording does")]
+    Budget(u64),
 }
 
 /// What the chunks of a file have unpacked to, so that a small file costs little time.
@@ -131,14 +139,7 @@ impl Budget {
         // One that claims more than any is refused for that.
         let unpacked = header.uncompressed_size.min(MAX_CHUNK);
         let fits = self.takes(unpacked, position);
-        fits.then_some(()).ok_or(BadChunk::Budget)
-    }
-}
-
-impl Default for Budget {
-    /// For a recording of this program.
-    fn default() -> Self {
-        Self::new(MAX_RATIO)
+        fits.then_some(()).ok_or(BadChunk::Budget(self.ratio))
     }
 }
 
@@ -167,12 +168,12 @@ enum Content {
 pub struct Chunk(Vec<u8>);
 
 impl Chunks {
-    /// Begins at the front of a file.
+    /// Begins at the front of a file that may unpack to `ratio` times its length.
     ///
     /// # Errors
     ///
     /// It cannot be opened.
-    pub fn open(path: &Path) -> io::Result<Self> {
+    pub fn open(path: &Path, ratio: u64) -> io::Result<Self> {
         let file = files::open(path)?;
         // A record longer than the file is none.
         let limit = file.metadata()?.len().min(MAX_RECORD);
@@ -184,7 +185,7 @@ impl Chunks {
             reader: LinearReader::new_with_options(options),
             file: BufReader::with_capacity(1 << 20, file),
             position: 0,
-            budget: Budget::default(),
+            budget: Budget::new(ratio),
             data_complete: false,
             ended: false,
         })

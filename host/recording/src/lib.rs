@@ -19,7 +19,7 @@
 //! - [`reader`]: reads it, whole or broken off.
 //! - [`chunks`]: its chunks front to back, for those who unpack them in parallel.
 //! - [`scan`]: walks its records over any damage.
-//! - [`foreign`]: the messages of any program's MCAP file, with topic and type.
+//! - [`foreign`]: the messages of any program's ROS 2 bag (MCAP, sqlite3), with topic and type.
 //! - [`rosbag2`]: what `metadata.yaml` holds.
 //! - [`session_file`]: what `session.json` holds.
 //!

@@ -11,7 +11,7 @@ use mcap::McapError;
 use mcap::records::{Record, op};
 use protocol::Ticks;
 
-use super::chunks::{self, BadChunk, Chunk, Chunks, ChunksError, split_record};
+use super::chunks::{self, BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, split_record};
 pub use super::topic::Item;
 use super::topic::Topic;
 use super::{MCAP_FILE, RecordingError};
@@ -61,7 +61,7 @@ impl Reader {
             folder_or_file.to_owned()
         };
         Ok(Self {
-            chunks: Chunks::open(&path).map_err(|source| RecordingError::Io {
+            chunks: Chunks::open(&path, OWN_RATIO).map_err(|source| RecordingError::Io {
                 action: "read",
                 path: path.clone(),
                 source,

@@ -15,7 +15,7 @@ use std::path::Path;
 
 use mcap::records::{ChunkHeader, Record, op};
 
-use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD};
+use super::chunks::{self, BadChunk, Budget, Chunk, MAX_RECORD, OWN_RATIO};
 
 /// Opcode and length before each record.
 const HEAD: u64 = 9;
@@ -110,7 +110,7 @@ impl Scan {
             file: BufReader::with_capacity(1 << 20, file),
             length,
             position: 0,
-            budget: Budget::default(),
+            budget: Budget::new(OWN_RATIO),
             searched: 0,
             head: None,
             hasher: Some(crc32fast::Hasher::new()),

@@ -10,6 +10,7 @@ use anyhow::{Context as _, Result};
 use board::imu::Sample;
 use protocol::{ImuFlags, Output, Period, Pulse, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
+use recording::messages::{Header, Imu as RosImu, RosMessage as _, Time, to_cdr};
 use recording::profile::{DEFAULT, Profile};
 use recording::writer::Writer;
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
@@ -20,6 +21,8 @@ use super::{path, tool};
 
 #[path = "../../../../host/cli/tests/support/session.rs"]
 mod session;
+#[path = "../../../../host/cli/tests/support/sqlite_bag.rs"]
+mod sqlite_bag;
 
 /// Length of the recording, s.
 const SECONDS: u64 = 6;
@@ -50,6 +53,8 @@ pub struct Files {
     pub(super) gyro: PathBuf,
     pub(super) video: PathBuf,
     pub(super) depth: PathBuf,
+    /// A ROS 2 bag in sqlite3.
+    pub(super) sqlite_bag: PathBuf,
     /// The two files of `offset`.
     pub(super) board_csv: PathBuf,
     pub(super) phone_csv: PathBuf,
@@ -71,6 +76,7 @@ impl Files {
             gyro: recording.join(format!("{VIDEO}gyro.csv")),
             video: recording.join(format!("{VIDEO}.mp4")),
             depth: recording.join("depth.mkv"),
+            sqlite_bag: work.join("driver.db3"),
             board_csv: work.join("board.csv"),
             phone_csv: work.join("phone.csv"),
             recording,
@@ -132,6 +138,8 @@ impl Material {
         write_depth(&files.depth)?;
         let messages = published(&twist.a);
         fs::write(&files.bag, bag::bag(&messages, bag::NOT_PACKED, 1))?;
+        let messages: Result<Vec<_>> = twist.a.t.iter().zip(&twist.a.w).map(ros2_imu).collect();
+        sqlite_bag::write(&files.sqlite_bag, ("/imu", RosImu::TYPE), messages?)?;
         Ok(Self(root.to_owned()))
     }
 
@@ -153,6 +161,24 @@ fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
         }
     }
     Ok(())
+}
+
+/// A sample as a message of ROS 2.
+fn ros2_imu((t, rate): (&f64, &[f64; 3])) -> Result<(i64, Vec<u8>)> {
+    let at = (t * 1e9) as i64;
+    let imu = RosImu {
+        header: Header {
+            stamp: Time::from_nanos(at),
+            frame_id: String::from("imu"),
+        },
+        orientation: [0.0; 4],
+        orientation_covariance: [0.0; 9],
+        angular_velocity: (*rate).into(),
+        angular_velocity_covariance: [0.0; 9],
+        linear_acceleration: [0.0; 3].into(),
+        linear_acceleration_covariance: [0.0; 9],
+    };
+    Ok((at, to_cdr(&imu)?))
 }
 
 fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {

@@ -45,6 +45,8 @@ pub enum Command {
     Bag,
     /// `offset` of two gyroscope files.
     Offset,
+    /// `sync` of a ROS 2 bag in sqlite3 and of the phone's file.
+    Sync,
     /// `verify`.
     Verify,
     /// `repair`.
@@ -61,7 +63,7 @@ pub enum Command {
 
 impl Command {
     /// All of them, those with the most to read more often.
-    const DRAWN: [Self; 16] = [
+    const DRAWN: [Self; 18] = [
         Self::Extract,
         Self::Extract,
         Self::Extract,
@@ -71,6 +73,8 @@ impl Command {
         Self::Offset,
         Self::Offset,
         Self::Offset,
+        Self::Sync,
+        Self::Sync,
         Self::Verify,
         Self::Verify,
         Self::Repair,
@@ -259,6 +263,12 @@ fn arguments(draw: &mut Draw<'_>, command: Command, files: &material::Files) -> 
             let mut all = words(&["offset", "--mcu"]);
             all.push(files.board_csv.clone().into());
             all.push("--phone".into());
+            all.push(files.phone_csv.clone().into());
+            all
+        }
+        Command::Sync => {
+            let mut all = words(&["sync", "--write"]);
+            all.extend([out.into(), files.sqlite_bag.clone().into()]);
             all.push(files.phone_csv.clone().into());
             all
         }

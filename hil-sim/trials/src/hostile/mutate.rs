@@ -6,8 +6,10 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result};
 use extract::bag::reader::{Bag, BagError};
-use recording::chunks::Chunks;
+use recording::chunks::{Chunks, OWN_RATIO};
 use rig::random::Random;
+use rusqlite::Connection;
+use rusqlite::types::Value as Sql;
 use serde_json::Value;
 
 mod samples;
@@ -145,6 +147,10 @@ pub(super) fn mutate(draw: &mut Draw<'_>, command: Command, files: &Files) -> Re
                 _ => samples::mutate(draw, file),
             }
         }
+        Command::Sync => match draw.below(4) {
+            0 => bytes(draw, &files.sqlite_bag, false),
+            _ => sqlite(draw, &files.sqlite_bag),
+        },
         Command::Evaluate => match draw.below(3) {
             0 => session(draw, &files.session),
             1 => csv(draw, &files.timestamps),
@@ -219,7 +225,7 @@ type Record = (u8, Vec<u8>);
 /// Values of messages, written into a chunk whose lengths and checksum fit again.
 fn mcap(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
     let mut records: Vec<Record> = Vec::new();
-    let mut chunks = Chunks::open(file)?;
+    let mut chunks = Chunks::open(file, OWN_RATIO)?;
     while let Ok(Some(packed)) = chunks.next_packed() {
         if let Ok(chunk) = packed.unpack(Vec::new()) {
             records.extend(
@@ -504,6 +510,51 @@ fn bytes(draw: &mut Draw<'_>, file: &Path, tags: bool) -> Result<String> {
     }
     fs::write(file, bytes)?;
     Ok(format!("{}: {count} bytes at {at}", file.display()))
+}
+
+/// One value of a table, or a number in a message.
+fn sqlite(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
+    let columns = [
+        ("topics", "id"),
+        ("topics", "name"),
+        ("topics", "type"),
+        ("messages", "id"),
+        ("messages", "topic_id"),
+        ("messages", "data"),
+    ];
+    let (table, column) = *draw.one_of(&columns);
+    let whole = i64::from_ne_bytes(draw.one_of(&WHOLE).to_ne_bytes());
+    let row = i64::try_from(draw.below(4_000))?;
+    let value = match draw.below(4) {
+        0 => Sql::from(whole),
+        1 => Sql::from(draw.name()),
+        2 => Sql::from(vec![0; draw.below(1 << 20)]),
+        _ => Sql::Null,
+    };
+    let what = format!("{table} {row}: {column} = {value:.60?}");
+    let made = Connection::open(file).and_then(|bag| {
+        // Of messages mostly a number within them.
+        if column == "data" && draw.below(4) > 0 {
+            let find = "SELECT data FROM messages WHERE id = ?1";
+            let mut data: Vec<u8> = bag.query_row(find, [row], |row| row.get(0))?;
+            let at = draw.below(data.len() / 8) * 8 + 4;
+            let number = draw.one_of(&REAL).to_le_bytes();
+            data.iter_mut()
+                .skip(at)
+                .zip(number)
+                .for_each(|(slot, byte)| *slot = byte);
+            return bag.execute("UPDATE messages SET data = ?1 WHERE id = ?2", (data, row));
+        }
+        let set = format!(
+            "UPDATE {table} SET {column} = ?1 WHERE rowid = (SELECT max(rowid) FROM {table} \
+             WHERE rowid <= ?2)"
+        );
+        bag.execute(&set, (value, row))
+    });
+    Ok(match made {
+        Ok(_) => what,
+        Err(error) => format!("{what}: not made, {error}"),
+    })
 }
 
 /// A video, or a playlist that names another file.

@@ -26,41 +26,49 @@ fn depth_of_a_driver_s_bag_finds_its_pulses() {
         .collect();
     std::fs::write(case.path("stamps.txt"), stamps).unwrap();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python/make_depth_bag.py");
-    let bag = case.path("driver");
-    python::run_script(&script, &[&case.path("stamps.txt"), &bag]);
+    for storage in ["mcap", "sqlite3"] {
+        let bag = case.path(storage);
+        python::run_script(
+            &script,
+            &[&case.path("stamps.txt"), &bag, Path::new(storage)],
+        );
+        let out = format!("of_{storage}");
 
-    // The same pulses for the same frames; only the start of the file may be undecided.
-    let report = case.extract(Some(&bag), "bag", Options::default());
-    let of_bag = case.table("bag/depth_frames.csv", &[0, 1, 3]);
-    assert_eq!(of_bag, own, "{:#?}", report.losses);
-    let depth = report.depth.unwrap();
-    assert_eq!(
-        depth.images,
-        own.iter().filter(|row| row[2].is_some()).count() as u64
-    );
+        // The same pulses for the same frames; only the start of the file may be undecided.
+        let report = case.extract(Some(&bag), &out, Options::default());
+        let of_bag = case.table(&format!("{out}/depth_frames.csv"), &[0, 1, 3]);
+        assert_eq!(of_bag, own, "{:#?}", report.losses);
+        let depth = report.depth.unwrap();
+        assert_eq!(
+            depth.images,
+            own.iter().filter(|row| row[2].is_some()).count() as u64
+        );
 
-    // Each picture is the one of its frame.
-    let folder = case.path("bag/mav0/depth0/data");
-    let mut pictures: Vec<_> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|f| f.unwrap().path())
-        .collect();
-    pictures.sort();
-    let frames: Vec<usize> = (0..own.len())
-        .filter(|&frame| own[frame][2].is_some())
-        .collect();
-    assert_eq!(pictures.len(), frames.len());
-    for (frame, picture) in frames.iter().zip(&pictures).step_by(37) {
-        let pixels = image::open(picture).unwrap().into_luma16().into_raw();
-        let expected: Vec<u16> = (0..24).map(|n| (1000 + 7 * frame + n) as u16).collect();
-        assert_eq!(pixels, expected, "{}", picture.display());
+        // Each picture is the one of its frame.
+        let folder = case.path(&format!("{out}/mav0/depth0/data"));
+        let mut pictures: Vec<_> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|f| f.unwrap().path())
+            .collect();
+        pictures.sort();
+        let frames: Vec<usize> = (0..own.len())
+            .filter(|&frame| own[frame][2].is_some())
+            .collect();
+        assert_eq!(pictures.len(), frames.len());
+        for (frame, picture) in frames.iter().zip(&pictures).step_by(37) {
+            let pixels = image::open(picture).unwrap().into_luma16().into_raw();
+            let expected: Vec<u16> = (0..24).map(|n| (1000 + 7 * frame + n) as u16).collect();
+            assert_eq!(pixels, expected, "{}", picture.display());
+        }
     }
 
     let topic = Options {
         depth_topic: Some(String::from("/camera/color/depth")),
         ..Options::default()
     };
-    let losses = case.extract(Some(&bag), "none", topic).losses;
+    let losses = case
+        .extract(Some(&case.path("sqlite3")), "none", topic)
+        .losses;
     assert!(
         losses
             .iter()

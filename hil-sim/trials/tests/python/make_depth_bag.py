@@ -1,7 +1,7 @@
-"""Writes a ROS 2 bag (MCAP, chunks packed with Zstandard) with depth images as a camera's driver publishes them, by
+"""Writes a ROS 2 bag (MCAP with chunks packed with Zstandard, or sqlite3) with depth images as a camera's driver publishes them, by
 `rosbags`: stamps of the camera's clock in the headers, times of arrival that say nothing.
 
-usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER
+usage: make_depth_bag.py STAMPS_FILE BAG_FOLDER mcap|sqlite3
 
 STAMPS_FILE has a stamp in ns a line. Pixel n of frame f is (1000 + 7 f + n) mm.
 """
@@ -32,8 +32,10 @@ def image(stamp, frame, encoding, pixels):
         step=pixels.strides[0], data=np.ascontiguousarray(pixels).view(np.uint8).ravel()), KIND)
 
 
-writer = Writer(Path(sys.argv[2]), version=9, storage_plugin=StoragePlugin.MCAP)
-writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+storage = StoragePlugin[sys.argv[3].upper()]
+writer = Writer(Path(sys.argv[2]), version=9, storage_plugin=storage)
+if storage == StoragePlugin.MCAP:
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 with writer:
     depth = writer.add_connection("/camera/depth/image_raw", KIND, typestore=store)
     color = writer.add_connection("/camera/color/image_raw", KIND, typestore=store)

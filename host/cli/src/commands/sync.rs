@@ -26,12 +26,12 @@ const LOOKS: u32 = 60;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Recordings with gyroscopes that were fixed to each other: CSV (ours, the app's,
-    /// EuRoC, Sensor Logger), MCAP or its folder (ours, ROS 2), a ROS 1 bag, an Azure
-    /// Kinect's mkv. FILE@/TOPIC names one of several topics
+    /// EuRoC, Sensor Logger), MCAP or its folder (ours), a ROS 2 bag (MCAP, sqlite3), a ROS 1
+    /// bag, an Azure Kinect's mkv, a GoPro's mp4. FILE@/TOPIC names one of several topics
     #[arg(value_name = "FILE", num_args = 2.., required = true)]
     pub(crate) recordings: Vec<PathBuf>,
     /// Write the timestamps of all others in the time of the first one's clock, as CSV into
-    /// this folder
+    /// this folder; of videos also when their rows were exposed
     #[arg(long, value_name = "FOLDER")]
     pub(crate) write: Option<PathBuf>,
     /// Draw the relations: of two twists both gyroscopes before and after, else the

@@ -16,9 +16,12 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
+use twist_sync::simulate::{self, TwistSpec};
 
 use crate::support::documents::root;
-use crate::support::synthetic;
+use crate::support::gopro::{self, Stamps};
+use crate::support::{sqlite_bag, synthetic};
+use crate::sync_command::imu;
 
 #[path = "../../../fuzz/bodies.rs"]
 mod bodies;
@@ -103,6 +106,22 @@ fn run(target: &str, body: fn(&[u8]), mut seeds: Vec<Vec<u8>>, rounds: u32) {
 #[test]
 fn bags() {
     run("bag", bodies::bag, Vec::new(), 3_000);
+}
+
+#[test]
+fn recordings_of_gyroscopes() {
+    let twist = simulate::twist(&TwistSpec::default(), 1);
+    let track = twist.b.between(0.0, twist.b.epoch_s + 3.0);
+    let mut seeds: Vec<_> = [Stamps::Microseconds, Stamps::Milliseconds, Stamps::None]
+        .map(|stamps| gopro::mp4(&track, stamps))
+        .into();
+    let folder = tempfile::tempdir().unwrap();
+    let bag = folder.path().join("bag.db3");
+    let all = track.t.iter().zip(&track.w);
+    let messages = all.map(|(t, w)| ((t * 1e9) as i64, imu((t * 1e9) as i64, *w)));
+    sqlite_bag::write(&bag, ("/imu", "sensor_msgs/msg/Imu"), messages).unwrap();
+    seeds.push(fs::read(bag).unwrap());
+    run("gyro_file", bodies::gyro_file, seeds, 1_000);
 }
 
 #[test]

@@ -10,6 +10,7 @@ use serde_json::Value;
 use twist_sync::GyroTrack;
 use twist_sync::simulate::{self, Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 
+use crate::support::gopro::{self, Stamps};
 use crate::support::{nanos, objects, phone_app};
 
 fn sync(folder: &Path, args: &[&str]) -> Output {
@@ -41,6 +42,23 @@ fn app(path: PathBuf, track: &GyroTrack) {
     std::fs::write(path, phone_app(track)).unwrap();
 }
 
+/// A message of an IMU, in CDR.
+pub(crate) fn imu(at: i64, rate: [f64; 3]) -> Vec<u8> {
+    let imu = Imu {
+        header: Header {
+            stamp: Time::from_nanos(at),
+            frame_id: String::from("imu"),
+        },
+        orientation: [0.0; 4],
+        orientation_covariance: [0.0; 9],
+        angular_velocity: rate.into(),
+        angular_velocity_covariance: [0.0; 9],
+        linear_acceleration: [0.0; 3].into(),
+        linear_acceleration_covariance: [0.0; 9],
+    };
+    to_cdr(&imu).unwrap()
+}
+
 /// A ROS 2 bag with two IMUs, the second at rest.
 fn ros2(path: PathBuf, track: &GyroTrack) {
     let mut bag = Bag::create(std::io::BufWriter::new(
@@ -52,21 +70,9 @@ fn ros2(path: PathBuf, track: &GyroTrack) {
     }
     for (at, w) in nanos(track).zip(&track.w) {
         for (topic, rate) in [*w, [0.0; 3]].into_iter().enumerate() {
-            let imu = Imu {
-                header: Header {
-                    stamp: Time::from_nanos(at),
-                    frame_id: String::from("imu"),
-                },
-                orientation: [0.0; 4],
-                orientation_covariance: [0.0; 9],
-                angular_velocity: rate.into(),
-                angular_velocity_covariance: [0.0; 9],
-                linear_acceleration: [0.0; 3].into(),
-                linear_acceleration_covariance: [0.0; 9],
-            };
             // Received later than measured: the header counts.
             let received = at.unsigned_abs() + 7_000_000;
-            bag.put(topic, received, &to_cdr(&imu).unwrap()).unwrap();
+            bag.put(topic, received, &imu(at, rate)).unwrap();
         }
     }
     bag.finish("bag.mcap").unwrap();
@@ -161,6 +167,85 @@ fn three_devices_in_three_forms_have_one_solution() {
     assert!((offset_s(&pair) - offset["offset_s"].as_f64().unwrap()).abs() < 5e-9);
 }
 
+/// Microseconds give the clock of a twist as any other file; coarser stamps as well as they are.
+#[test]
+fn videos_of_gopro_have_times_of_gyroscope_and_rows() {
+    let folder = tempfile::tempdir().unwrap();
+    let twist = simulate::twist(&TwistSpec::default(), 9_500);
+    app(folder.path().join("a.csv"), &twist.a);
+    let file = folder.path().join("GX010001.MP4");
+    for (stamps, within_us) in [
+        (Stamps::Microseconds, None),
+        (Stamps::Milliseconds, Some(1_500.0)),
+    ] {
+        std::fs::write(&file, gopro::mp4(&twist.b, stamps)).unwrap();
+        let args = ["--json", "a.csv", "GX010001.MP4", "--write", "times"];
+        let output = sync(folder.path(), &args);
+        assert_eq!(output.status.code(), Some(0), "{output:?}");
+        let result = json(&output);
+        let form = result["recordings"][1]["form"].as_str().unwrap();
+        assert!(form.starts_with("GoPro (Hero of tests)"), "{form}");
+        assert_eq!(result["recordings"][1]["samples"], twist.b.len());
+        let pair = &result["pairs"][0];
+        let error_us = (offset_s(pair) - truth(&twist, &pair["reference_ns"])) * 1e6;
+        let sigma_us = pair["offset_sigma_us"].as_f64().unwrap();
+        let most_us = within_us.unwrap_or(4.0 * sigma_us);
+        assert!(
+            error_us.abs() < most_us && sigma_us < 20.0,
+            "{error_us}: {pair}"
+        );
+
+        // Frame 40 begins a third of a second after the second payload.
+        let table = folder.path().join("times/2_GX010001_frames.csv");
+        let table = std::fs::read_to_string(table).unwrap();
+        let row: Vec<i64> = table
+            .lines()
+            .nth(41)
+            .unwrap()
+            .split(',')
+            .map(|field| field.parse().unwrap())
+            .collect();
+        let start_s = twist.b.epoch_s + 40.0 / gopro::FRAMES as f64;
+        let start_s = start_s - twist.offset_at(row[1] as f64 * 1e-9);
+        for (part, found_ns) in [(0.0, row[1]), (0.5, row[2]), (1.0, row[3])] {
+            let readout_s = f64::from(gopro::READOUT_MS) * 1e-3;
+            let expected_s = start_s + f64::from(gopro::EXPOSURE_S) / 2.0 + part * readout_s;
+            let error_us = (found_ns as f64 * 1e-9 - expected_s) * 1e6;
+            assert!(error_us.abs() < most_us + 2.0, "{part}: {error_us}");
+        }
+    }
+    // The track's own times say nothing of the camera's clock, but are read.
+    std::fs::write(&file, gopro::mp4(&twist.b, Stamps::None)).unwrap();
+    let output = sync(folder.path(), &["--json", "a.csv", "GX010001.MP4"]);
+    let form = json(&output)["recordings"][1]["form"].to_string();
+    assert!(form.contains("the track's times"), "{output:?}");
+}
+
+/// A bag in two parts, as `ros2 bag record --max-bag-size` makes them, is one recording.
+#[test]
+fn all_parts_of_a_bag_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let twist = simulate::twist(&TwistSpec::default(), 9_600);
+    app(folder.path().join("a.csv"), &twist.a);
+    let bag = folder.path().join("bag");
+    std::fs::create_dir(&bag).unwrap();
+    let middle_s = twist.b.epoch_s + 0.5 * twist.b.t.last().unwrap();
+    let halves = [
+        twist.b.between(f64::NEG_INFINITY, middle_s),
+        twist.b.between(middle_s, f64::INFINITY),
+    ];
+    for (number, half) in halves.iter().enumerate() {
+        ros2(bag.join(format!("bag_{number}.mcap")), half);
+    }
+    let refused = sync(folder.path(), &["a.csv", "bag@/imu/data"]);
+    assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("metadata.yaml"));
+    std::fs::write(bag.join("metadata.yaml"), "").unwrap();
+    let output = sync(folder.path(), &["--json", "a.csv", "bag@/imu/data"]);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert_eq!(json(&output)["recordings"][1]["samples"], twist.b.len());
+}
+
 #[test]
 fn a_device_on_another_body_is_refused_and_the_rest_is_told() {
     let folder = tempfile::tempdir().unwrap();
@@ -232,6 +317,9 @@ fn what_is_wrong_with_a_file_is_said() {
     ros2(folder.path().join("b.mcap"), &twist.b);
     std::fs::write(folder.path().join("c.db3"), b"SQLite format 3\0 and so on").unwrap();
     std::fs::write(folder.path().join("d.mp4"), b"\0\0\0\x20ftypisom    ").unwrap();
+    let other = [&b"\0\0\0\x08ftyp"[..], b"\0\0\0\x08moov"].concat();
+    std::fs::write(folder.path().join("g.mp4"), other).unwrap();
+    std::fs::write(folder.path().join("h.zip"), b"PK\x03\x04").unwrap();
     let bag = std::fs::read(folder.path().join("b.mcap")).unwrap();
     std::fs::write(folder.path().join("e.mcap"), &bag[..20]).unwrap();
     for (file, message, next) in [
@@ -241,9 +329,11 @@ fn what_is_wrong_with_a_file_is_said() {
             "no IMU on topic /none; there are /imu/data",
             "IMU",
         ),
-        ("c.db3", "sqlite3 is not read", "ros2 bag convert"),
-        ("d.mp4", "is not read", "CSV"),
+        ("c.db3", "file is not a database", "a whole recording"),
+        ("d.mp4", "no index of tracks", "a whole recording"),
         ("e.mcap", "cannot be read", "a whole recording"),
+        ("g.mp4", "is not read", "CSV"),
+        ("h.zip", "a zip archive is not read", "unpack"),
     ] {
         let output = sync(folder.path(), &["a.csv", file]);
         assert_eq!(output.status.code(), Some(2), "{file}: {output:?}");

@@ -3,7 +3,9 @@
 
 pub(crate) mod browser;
 pub(crate) mod documents;
+pub(crate) mod gopro;
 pub(crate) mod objects;
+pub(crate) mod sqlite_bag;
 pub(crate) mod synthetic;
 
 use std::fmt::Write as _;

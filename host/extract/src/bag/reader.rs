@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::io::{self, Read};
 use std::sync::Arc;
 
-use recording::chunks::Budget;
+use recording::chunks::{Budget, FOREIGN_RATIO};
 
 /// The first line of a bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
@@ -17,9 +17,6 @@ const MAX_HEADER: u32 = 1 << 20;
 /// Most bytes of a record, and of a chunk when unpacked: above an uncompressed colour
 /// image of 3840x2160.
 const MAX_DATA: u64 = 40 << 20;
-/// How many times its length a bag may unpack to: LZ4 packs pictures without any depth
-/// to a 250th, others to some quarter.
-const MAX_RATIO: u64 = 64;
 /// Most connections that are kept, and bytes of a topic or type.
 const MAX_CONNECTIONS: usize = 1_000;
 const MAX_NAME: usize = 1_000;
@@ -126,7 +123,7 @@ impl<R: Read> Bag<R> {
             closed: false,
             ended: false,
             chunk: Vec::new(),
-            budget: Budget::new(MAX_RATIO),
+            budget: Budget::new(FOREIGN_RATIO),
         })
     }
 
@@ -317,7 +314,7 @@ impl<R: Read> Bag<R> {
         if !self.budget.takes(unpacked, self.position) {
             self.chunk.clear();
             let text = format!(
-                "the bag unpacks to more than {MAX_RATIO} times its length, which no real one \
+                "the bag unpacks to more than {FOREIGN_RATIO} times its length, which no real one \
                  does; the rest is left out"
             );
             self.end(at, &text);

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
 use rayon::prelude::*;
-use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, Packed};
+use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, Packed};
 use recording::messages::{self, ClockModel};
 use recording::scan::parse;
 use recording::{Item, Topic};
@@ -99,7 +99,7 @@ pub(super) struct McapStream {
 
 impl McapStream {
     pub(super) fn open(path: &Path, moves: &Moves) -> Result<Self, BoardError> {
-        let chunks = Chunks::open(path).map_err(|error| BoardError::Open {
+        let chunks = Chunks::open(path, OWN_RATIO).map_err(|error| BoardError::Open {
             path: path.to_owned(),
             error,
         })?;

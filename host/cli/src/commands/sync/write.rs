@@ -16,7 +16,8 @@ const KNOT_S: f64 = 1.0;
 const MOST_KNOTS: f64 = 31.0 * 86_400.0;
 
 /// Writes `2_NAME.csv` and so on: `time_ns` of its own clock, `first_ns` of the first one's,
-/// `sigma_ns`.
+/// `sigma_ns`; and for recordings with frames, also of the first, `2_NAME_frames.csv`: middle of
+/// exposure of the first, middle and last row in the first one's time.
 pub(super) fn timestamps(
     folder: &Path,
     network: &Network,
@@ -25,23 +26,41 @@ pub(super) fn timestamps(
 ) -> Result<(), Failure> {
     std::fs::create_dir_all(folder).map_err(|error| Failure::file("create", folder, &error))?;
     let first = recordings[0].first();
-    for (k, recording) in recordings.iter().enumerate().skip(1) {
-        let stem = names[k].file_stem().unwrap_or_default().to_string_lossy();
-        let path = folder.join(format!("{}_{stem}.csv", k + 1));
-        let mut out = String::from("time_ns,first_ns,sigma_ns\n");
-        let knots = Knots::new(network, k, recording);
-        for &time in &recording.times {
-            let own_s = time.saturating_sub(recording.first()) as f64 * 1e-9;
-            let there = knots.at(own_s);
-            let _ = writeln!(
-                out,
-                "{time},{},{:.0}",
-                nanos_from(first, there.value),
-                there.sigma * 1e9
-            );
+    for (k, recording) in recordings.iter().enumerate() {
+        if k == 0 && recording.frames.is_empty() {
+            continue;
         }
-        files::replace(&path, out.as_bytes())
-            .map_err(|error| Failure::file("write", &path, &error))?;
+        let stem = names[k].file_stem().unwrap_or_default().to_string_lossy();
+        let save = |what: &str, table: &str| {
+            let path = folder.join(format!("{}_{stem}{what}.csv", k + 1));
+            files::replace(&path, table.as_bytes())
+                .map_err(|error| Failure::file("write", &path, &error))
+        };
+        let knots = Knots::new(network, k, recording);
+        let there = |time: i64| {
+            let there = knots.at(time.saturating_sub(recording.first()) as f64 * 1e-9);
+            (nanos_from(first, there.value), there.sigma * 1e9)
+        };
+        if k > 0 {
+            let mut out = String::from("time_ns,first_ns,sigma_ns\n");
+            for &time in &recording.times {
+                let (first_ns, sigma_ns) = there(time);
+                let _ = writeln!(out, "{time},{first_ns},{sigma_ns:.0}");
+            }
+            save("", &out)?;
+        }
+        if !recording.frames.is_empty() {
+            let mut out = String::from("frame,first_row_ns,middle_row_ns,last_row_ns,sigma_ns\n");
+            for (number, frame) in recording.frames.iter().enumerate() {
+                let [top, (middle, sigma_ns), bottom] = frame.rows_ns().map(there);
+                let _ = writeln!(
+                    out,
+                    "{number},{},{middle},{},{sigma_ns:.0}",
+                    top.0, bottom.0
+                );
+            }
+            save("_frames", &out)?;
+        }
     }
     Ok(())
 }
