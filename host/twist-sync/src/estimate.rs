@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
-use crate::fit::{self, Calibration, Fit, Node};
+use crate::fit::{self, Calibration, Fit};
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
 use crate::lag;
@@ -385,21 +385,23 @@ fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
 
 /// The relation of sensor b to sensor a, with what it leaves of the motion.
 fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report) -> Calibration {
-    let nodes: Vec<Node> = if pair.a_is_model {
-        fit.nodes.clone()
-    } else {
-        fit.nodes.iter().map(Node::swapped).collect()
-    };
-    let calibration = fit::regress(&nodes, settings.fit.noise_variance);
-    let squares: f64 = nodes
-        .iter()
-        .map(|n| (n.y - calibration.matrix * n.x - calibration.bias).norm_squared())
+    let rates = fit.nodes.iter().map(|node| {
+        let (model, data) = node.rates();
+        if pair.a_is_model {
+            (model, data)
+        } else {
+            (data, model)
+        }
+    });
+    let calibration = fit::regress(rates.clone(), settings.fit.noise_variance);
+    let squares: f64 = rates
+        .map(|(a, b)| (b - calibration.matrix * a - calibration.bias).norm_squared())
         .sum();
-    let residual_rms = (squares / (3.0 * nodes.len().max(1) as f64)).sqrt();
+    let residual_rms = (squares / (3.0 * fit.nodes.len().max(1) as f64)).sqrt();
     let motion_rms = fit.motion_variance().sqrt();
     report.residual_rms = Some(residual_rms);
     report.motion_rms = Some(motion_rms);
-    report.overlap_s = Some(nodes.len() as f64 * settings.step_s);
+    report.overlap_s = Some(fit.nodes.len() as f64 * settings.step_s);
     let noise_rms = settings.fit.noise_variance.sqrt();
     report
         .gates

@@ -24,6 +24,10 @@ use crate::interpolant::Vec3;
 use crate::robust::median;
 use crate::signal::Signal;
 
+/// So far, in seconds, the slope of the model carries: what bends off is `½·x″·t²`, below
+/// 10⁻⁸ rad/s at 4 rad/s and 10 Hz.
+const CARRIES_S: f64 = 1e-6;
+
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;
 const RATE: usize = 13;
@@ -106,13 +110,8 @@ pub(crate) struct Node {
 }
 
 impl Node {
-    /// The node where model and data change roles.
-    pub(crate) fn swapped(&self) -> Self {
-        Self {
-            x: self.y,
-            y: self.x,
-            ..*self
-        }
+    pub(crate) const fn rates(&self) -> Rates {
+        (self.x, self.y)
     }
 }
 
@@ -158,6 +157,76 @@ fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
     sum / f64::from(count.max(1))
 }
 
+/// A node of the data on which the model exists.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    t: f64,
+    y: Vector3<f64>,
+    /// The model's rate and its derivative.
+    x: Vector3<f64>,
+    dx: Vector3<f64>,
+}
+
+impl Seen {
+    /// Where the model's time is later by `by_s`, which must be short.
+    fn node(&self, by_s: f64, calibration: &Calibration) -> Node {
+        let x = self.x + self.dx * by_s;
+        Node {
+            t: self.t,
+            y: self.y,
+            x,
+            residual: self.y - calibration.matrix * x - calibration.bias,
+            slope: calibration.matrix * self.dx,
+            weight: 1.0,
+        }
+    }
+}
+
+/// `None` if they are too few for a fit.
+fn seen(model: &Signal, data: &[(f64, Vec3)], link: &Link) -> Option<Vec<Seen>> {
+    let mut seen = Vec::with_capacity(data.len());
+    seen.extend(data.iter().filter_map(|&(t, y)| {
+        let (x, dx) = model.at(link.model_time(t))?;
+        let (y, x, dx) = (y.into(), x.into(), dx.into());
+        Some(Seen { t, y, x, dx })
+    }));
+    (seen.len() >= 4 * PARAMETERS).then_some(seen)
+}
+
+/// The model from the data's side, at a relation of the clocks.
+struct View<'a> {
+    model: &'a Signal,
+    data: &'a [(f64, Vec3)],
+    link: Link,
+    seen: Vec<Seen>,
+}
+
+impl View<'_> {
+    /// Nodes at another relation with the same reference. The model is evaluated again
+    /// only where its slope does not carry so far.
+    fn look(
+        &mut self,
+        link: &Link,
+        calibration: &Calibration,
+        nodes: &mut Vec<Node>,
+    ) -> Option<()> {
+        let first = self.seen.first()?.t - link.at_data;
+        let last = self.seen.last()?.t - link.at_data;
+        let by_s = |link: &Link, u: f64, from: &Link| {
+            link.at_model - from.at_model + u * (link.rate - from.rate)
+        };
+        let farthest = [first, last].map(|u| by_s(link, u, &self.link).abs());
+        if farthest[0].max(farthest[1]) > CARRIES_S {
+            self.seen = seen(self.model, self.data, link)?;
+            self.link = *link;
+        }
+        nodes.clear();
+        let node = |s: &Seen| s.node(by_s(link, s.t - link.at_data, &self.link), calibration);
+        nodes.extend(self.seen.iter().map(node));
+        Some(())
+    }
+}
+
 /// Nodes of the data on which the model exists; `None` if they are too few for a fit.
 pub(crate) fn nodes(
     model: &Signal,
@@ -165,30 +234,26 @@ pub(crate) fn nodes(
     link: &Link,
     calibration: &Calibration,
 ) -> Option<Vec<Node>> {
-    let mut nodes = Vec::with_capacity(data.len());
-    nodes.extend(data.iter().filter_map(|&(t, y)| {
-        let (x, dx) = model.at(link.model_time(t))?;
-        let (x, y) = (Vector3::from(x), Vector3::from(y));
-        Some(Node {
-            t,
-            y,
-            x,
-            residual: y - calibration.matrix * x - calibration.bias,
-            slope: calibration.matrix * Vector3::from(dx),
-            weight: 1.0,
-        })
-    }));
-    (nodes.len() >= 4 * PARAMETERS).then_some(nodes)
+    let seen = seen(model, data, link)?;
+    Some(seen.iter().map(|s| s.node(0.0, calibration)).collect())
 }
 
+/// The rates of both at each node: `x` and `y`.
+pub(crate) type Rates = (Vector3<f64>, Vector3<f64>);
+
 /// Best orthogonal `C` and bias at a given relation of the clocks.
-fn rotation(nodes: &[Node]) -> Calibration {
-    let n = nodes.len().max(1) as f64;
-    let mean_x = nodes.iter().map(|n| n.x).sum::<Vector3<f64>>() / n;
-    let mean_y = nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
+fn rotation(rates: impl Iterator<Item = Rates> + Clone) -> Calibration {
+    let (mut n, mut mean_x, mut mean_y) = (0.0, Vector3::zeros(), Vector3::zeros());
+    for (x, y) in rates.clone() {
+        n += 1.0;
+        mean_x += x;
+        mean_y += y;
+    }
+    mean_x /= f64::max(n, 1.0);
+    mean_y /= f64::max(n, 1.0);
     let mut m = Matrix3::zeros();
-    for node in nodes {
-        m += (node.y - mean_y) * (node.x - mean_x).transpose();
+    for (x, y) in rates {
+        m += (y - mean_y) * (x - mean_x).transpose();
     }
     let svd = m.svd(true, true);
     let matrix = match (svd.u, svd.v_t) {
@@ -213,16 +278,28 @@ fn rotation(nodes: &[Node]) -> Calibration {
 /// `Σ x xᵀ`-style regression of `y` on `x` with the prior of [`FitOptions`].
 ///
 /// Used for the calibration that is reported, at the final relation.
-pub(crate) fn regress(nodes: &[Node], noise_variance: f64) -> Calibration {
-    let prior = rotation(nodes);
+pub(crate) fn regress(
+    rates: impl Iterator<Item = Rates> + Clone,
+    noise_variance: f64,
+) -> Calibration {
+    regress_about(rotation(rates.clone()), rates, noise_variance)
+}
+
+fn regress_about(
+    prior: Calibration,
+    rates: impl Iterator<Item = Rates>,
+    noise_variance: f64,
+) -> Calibration {
+    let mut count = 0;
     let mut m = Matrix4::zeros();
     let mut right = SMatrix::<f64, 4, 3>::zeros();
-    for node in nodes {
-        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+    for (x, y) in rates {
+        count += 1;
+        let z = Vector4::new(x.x, x.y, x.z, 1.0);
         m += z * z.transpose();
-        right += z * (node.y - prior.matrix * node.x - prior.bias).transpose();
+        right += z * (y - prior.matrix * x - prior.bias).transpose();
     }
-    let ridge = prior_strength(nodes.len(), noise_variance, &m);
+    let ridge = prior_strength(count, noise_variance, &m);
     for axis in 0..3 {
         m[(axis, axis)] += ridge;
     }
@@ -252,26 +329,31 @@ pub(crate) fn fit(
     weights: Option<Matrix3<f64>>,
     options: &FitOptions,
 ) -> Option<Fit> {
-    let identity = Calibration {
-        matrix: Matrix3::identity(),
-        bias: Vector3::zeros(),
-    };
-    let first = nodes(model, data, &start, &identity)?;
+    let seen = seen(model, data, &start)?;
     // Put the reference amid the data, or rate and shift trade.
-    let middle = first.iter().map(|n| n.t).sum::<f64>() / first.len() as f64;
+    let middle = seen.iter().map(|s| s.t).sum::<f64>() / seen.len() as f64;
     let start = start.moved_to(middle);
     let mut link = start;
-    let prior = rotation(&first);
-    let mut calibration = regress(&first, options.noise_variance);
+    let rates = seen.iter().map(|s| (s.x, s.y));
+    let prior = rotation(rates.clone());
+    let mut calibration = regress_about(prior, rates, options.noise_variance);
+    let mut view = View {
+        model,
+        data,
+        link,
+        seen,
+    };
+    let mut nodes = Vec::with_capacity(view.seen.len());
     let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
     let mut quiet = LocalWeights::default();
     let mut settled = false;
     for iteration in 0..options.iterations {
-        let mut nodes = nodes(model, data, &link, &calibration)?;
+        view.look(&link, &calibration, &mut nodes)?;
         if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
-            (weights_now, quiet) = residual_weights(&nodes, options.oversampling);
+            (weights_now, quiet) = residual_weights(&mut nodes, options.oversampling);
+        } else {
+            quiet.apply(&mut nodes);
         }
-        quiet.apply(&mut nodes);
         let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
         let step = normal.cholesky()?.solve(&right);
         link.at_model += step[SHIFT].clamp(-0.05, 0.05);
@@ -291,7 +373,7 @@ pub(crate) fn fit(
             break;
         }
     }
-    let mut nodes = nodes(model, data, &link, &calibration)?;
+    view.look(&link, &calibration, &mut nodes)?;
     quiet.apply(&mut nodes);
     let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
     let inverse = normal.cholesky()?.inverse();
@@ -351,14 +433,14 @@ const STRETCH_S: f64 = 0.25;
 const LOUD: f64 = 3.0;
 
 /// Inverse covariance of the residual where it is as usual, and the weights of
-/// the stretches where it is not.
+/// the stretches where it is not, which the nodes are given.
 ///
 /// A knock or a vibration makes residuals that are no noise (filters that differ,
 /// flexing); with even weights a quarter of a second of it can outweigh the rest.
-fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWeights) {
+fn residual_weights(nodes: &mut [Node], oversampling: f64) -> (Matrix3<f64>, LocalWeights) {
     let mut power: Vec<(f64, f64, usize)> = Vec::new(); // end, Σ r², nodes
     let mut from = f64::NEG_INFINITY;
-    for node in nodes {
+    for node in &*nodes {
         let square = node.residual.norm_squared();
         match power.last_mut() {
             Some(last) if node.t < from + STRETCH_S => {
@@ -386,9 +468,8 @@ fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWe
         })
         .collect();
     let weights = LocalWeights { stretches };
-    let mut weighted = nodes.to_vec();
-    weights.apply(&mut weighted);
-    (inverse_covariance(&weighted), weights)
+    weights.apply(nodes);
+    (inverse_covariance(nodes), weights)
 }
 
 /// Inverse of the residual's covariance, bounded so that no axis is trusted blindly.

@@ -188,7 +188,7 @@ fn second_order(
             nodes.push(x.into());
         }
     }
-    Uniform::new(from, 5.0 * step, &nodes, 5)
+    Uniform::new(from, 5.0 * step, nodes, 5)
 }
 
 /// The true course of clock b against clock a: a skew that walks at random.
