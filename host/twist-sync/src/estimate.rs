@@ -13,6 +13,7 @@ use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
 use crate::fit::{self, Calibration, Fit};
+use crate::flexing;
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
 use crate::lag;
@@ -276,6 +277,7 @@ fn related(
     } else {
         (fit, 1.0)
     };
+    flexing::considered(&mut fit, &settings);
     let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
     let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
     swing::considered(

@@ -299,7 +299,7 @@ fn regress_about(
         m += z * z.transpose();
         right += z * (y - prior.matrix * x - prior.bias).transpose();
     }
-    let ridge = prior_strength(count, noise_variance, &m);
+    let ridge = prior_strength(count, noise_variance, m.fixed_view::<3, 3>(0, 0).trace());
     for axis in 0..3 {
         m[(axis, axis)] += ridge;
     }
@@ -315,8 +315,8 @@ fn regress_about(
     }
 }
 
-fn prior_strength(n: usize, noise_variance: f64, m: &Matrix4<f64>) -> f64 {
-    let motion = m[(0, 0)] + m[(1, 1)] + m[(2, 2)];
+/// Strength of the prior of `C`; `motion` is the sum of the squares of `x`.
+pub(crate) fn prior_strength(n: usize, noise_variance: f64, motion: f64) -> f64 {
     30.0 * n as f64 * noise_variance + 1e-10 * motion
 }
 
@@ -379,7 +379,11 @@ pub(crate) fn fit(
     let inverse = normal.cholesky()?.inverse();
     let ideal_covariance =
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
-    let covariance = long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
+    let influences: Vec<(f64, Vector2<f64>)> = nodes
+        .iter()
+        .map(|n| (n.t, influence(n, &link, &inverse, &weights_now)))
+        .collect();
+    let covariance = long_run_covariance(&influences, options.memory_s);
     Some(Fit {
         link,
         calibration,
@@ -393,7 +397,7 @@ pub(crate) fn fit(
 
 /// The long-run covariance scatters when little time is in common; what white
 /// noise alone would give is the least that is believed.
-fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
+pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
     let size = |k: usize| covariance[(k, k)].max(ideal[(k, k)]);
     let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
     let correlation = if correlation.is_finite() {
@@ -410,7 +414,7 @@ const WEIGHTS_FROZEN: usize = 5;
 
 /// Weights over time: below 1 in stretches whose residual is well above the usual.
 #[derive(Debug, Clone, Default)]
-struct LocalWeights {
+pub(crate) struct LocalWeights {
     /// (end of the stretch, weight), in time order.
     stretches: Vec<(f64, f64)>,
 }
@@ -437,7 +441,10 @@ const LOUD: f64 = 3.0;
 ///
 /// A knock or a vibration makes residuals that are no noise (filters that differ,
 /// flexing); with even weights a quarter of a second of it can outweigh the rest.
-fn residual_weights(nodes: &mut [Node], oversampling: f64) -> (Matrix3<f64>, LocalWeights) {
+pub(crate) fn residual_weights(
+    nodes: &mut [Node],
+    oversampling: f64,
+) -> (Matrix3<f64>, LocalWeights) {
     let mut power: Vec<(f64, f64, usize)> = Vec::new(); // end, Σ r², nodes
     let mut from = f64::NEG_INFINITY;
     for node in &*nodes {
@@ -547,7 +554,8 @@ fn equations(
     right[SHIFT] = sr[0];
     right[RATE] = sr[1];
 
-    let ridge = prior_strength(nodes.len(), options.noise_variance, &zz) * weights.trace() / 3.0;
+    let motion = zz.fixed_view::<3, 3>(0, 0).trace();
+    let ridge = prior_strength(nodes.len(), options.noise_variance, motion) * weights.trace() / 3.0;
     for row in 0..3 {
         for column in 0..3 {
             let at = row * 4 + column;
@@ -561,46 +569,48 @@ fn equations(
     (normal, right)
 }
 
-/// Covariance of (η, ρ) from the nodes' influences, correlated in time.
-fn long_run_covariance(
-    nodes: &[Node],
-    link: &Link,
-    inverse: &Normal,
-    weights: &Matrix3<f64>,
+/// Influence of a node on (η, ρ), under the inverse of the equations.
+fn influence(node: &Node, link: &Link, inverse: &Normal, weights: &Matrix3<f64>) -> Vector2<f64> {
+    let wr = weights * node.residual * node.weight;
+    let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+    let score = node.slope.dot(&wr);
+    let mut derivative = Parameters::zeros();
+    for i in 0..3 {
+        derivative
+            .fixed_rows_mut::<4>(i * 4)
+            .copy_from(&(z * wr[i]));
+    }
+    derivative[SHIFT] = score;
+    derivative[RATE] = score * (node.t - link.at_data);
+    inverse.fixed_rows::<2>(SHIFT) * derivative
+}
+
+/// Covariance of (η, ρ) from the influences of the nodes (time, influence), which are
+/// correlated over `memory_s`.
+pub(crate) fn long_run_covariance(
+    influences: &[(f64, Vector2<f64>)],
     memory_s: f64,
 ) -> Matrix2<f64> {
-    let Some((first, last)) = nodes.first().zip(nodes.last()) else {
+    let Some((first, last)) = influences.first().zip(influences.last()) else {
         return Matrix2::from_diagonal_element(f64::INFINITY);
     };
-    let step = nodes
+    let step = influences
         .windows(2)
-        .map(|p| p[1].t - p[0].t)
+        .map(|p| p[1].0 - p[0].0)
         .fold(f64::INFINITY, f64::min);
-    let slot = |t: f64| ((t - first.t) / step).round() as usize;
-    let slots = slot(last.t) + 1;
-    let rows = inverse.fixed_rows::<2>(SHIFT);
-    let mut influence = vec![Vector2::<f64>::zeros(); slots];
-    for node in nodes {
-        let wr = weights * node.residual * node.weight;
-        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
-        let score = node.slope.dot(&wr);
-        let mut derivative = Parameters::zeros();
-        for i in 0..3 {
-            derivative
-                .fixed_rows_mut::<4>(i * 4)
-                .copy_from(&(z * wr[i]));
-        }
-        derivative[SHIFT] = score;
-        derivative[RATE] = score * (node.t - link.at_data);
-        influence[slot(node.t).min(slots - 1)] += rows * derivative;
+    let slot = |t: f64| ((t - first.0) / step).round() as usize;
+    let slots = slot(last.0) + 1;
+    let mut even = vec![Vector2::<f64>::zeros(); slots];
+    for (t, influence) in influences {
+        even[slot(*t).min(slots - 1)] += influence;
     }
     let memory = ((memory_s / step).ceil() as usize).clamp(1, slots);
     let mut out = Matrix2::zeros();
     for lag in 0..memory {
         let weight = parzen(lag as f64 / memory as f64) * if lag == 0 { 1.0 } else { 2.0 };
-        let sum: Matrix2<f64> = influence
+        let sum: Matrix2<f64> = even
             .iter()
-            .zip(&influence[lag..])
+            .zip(&even[lag..])
             .map(|(now, later)| now * later.transpose())
             .sum();
         out += (sum + sum.transpose()) * (0.5 * weight);

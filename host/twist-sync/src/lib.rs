@@ -16,6 +16,7 @@ mod crosscheck;
 mod estimate;
 mod faults;
 mod fit;
+mod flexing;
 mod gates;
 mod interpolant;
 mod lag;

@@ -4,9 +4,9 @@
 //! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
 
 use rayon::prelude::*;
-use twist_sync::network::{Network, Pair};
+use twist_sync::network::Network;
 use twist_sync::simulate::{self, SENSOR_B, Scenario, Sensor, Twist, TwistSpec};
-use twist_sync::{ClockCourse, Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
+use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
 fn trials() -> u64 {
     std::env::var("SYNC_TRIALS")
@@ -265,16 +265,8 @@ fn loops_of_three_devices_close_and_their_clocks_are_right() {
         .into_par_iter()
         .map(|trial| {
             let second = simulate::twist(&spec, 1000 * trial + 3);
-            let third = simulate::third(&spec, 1000 * trial + 3, &sensor);
-            let tracks = [&second.a, &second.b, &third.b];
-            let pair = |a: usize, b: usize| {
-                let clock = estimate_offset(tracks[a], tracks[b], &Options::default())
-                    .unwrap()
-                    .clock;
-                let course = ClockCourse::from_estimates(&[clock], clock.wander).unwrap();
-                Pair { a, b, course }
-            };
-            let pairs = vec![pair(0, 1), pair(0, 2), pair(1, 2)];
+            let third = simulate::third(&second, &spec, 1000 * trial + 3, &sensor);
+            let pairs = simulate::related(&[&second.a, &second.b, &third.b]).unwrap();
             let at = pairs[0].course.span().0;
             let network = Network::new(3, pairs).unwrap();
             let closure = network.closures(at)[0].error;

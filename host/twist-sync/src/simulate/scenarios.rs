@@ -235,6 +235,14 @@ pub fn scenarios() -> Vec<Scenario> {
             },
             30.0,
         ),
+        scenario(
+            "mount flexes by axis, 12 to 60 Hz",
+            TwistSpec {
+                grip: Grip::FlexingByAxis(12.0, 60.0),
+                ..base
+            },
+            30.0,
+        ),
         scenario("several faults of b", with_b(SEVERAL_FAULTS), 12.0),
         scenario(
             "hardly any noise",
