@@ -24,7 +24,7 @@ use crate::stream::CheckedStream;
 use crate::swing;
 use crate::track::GyroTrack;
 
-/// Numerical error of the fit, seconds: keeps the sigma of noiseless data above zero.
+/// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 /// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
 const LONGEST_FILTER_S: f64 = 4e-3;
@@ -370,6 +370,11 @@ fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
     covariance[(0, 0)] += unresolved_s(pair).powi(2)
         + dispersion_s(fit, options).powi(2)
         + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
+    // The same error, over the time in which the information is.
+    let square_span = (ideal[(0, 0)] + to_centroid * ideal[(0, 1)]) / ideal[(1, 1)];
+    if square_span > 0.0 {
+        covariance[(1, 1)] += NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S / square_span;
+    }
 
     let model_to_data = ClockRelation {
         reference: pair.model.epoch_s + link.at_model,
