@@ -11,8 +11,9 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use crate::calibration::Calibration;
 use crate::coarse::Usable;
-use crate::fit::{Calibration, Fit, Node};
+use crate::fit::{Fit, Node};
 use crate::robust;
 use crate::signal::Signal;
 

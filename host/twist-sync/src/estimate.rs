@@ -9,10 +9,11 @@ use std::fmt;
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
+use crate::calibration::{self, Calibration};
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
-use crate::fit::{self, Calibration, Fit};
+use crate::fit::Fit;
 use crate::flexing;
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
@@ -400,7 +401,7 @@ fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report)
             (data, model)
         }
     });
-    let calibration = fit::regress(rates.clone(), settings.fit.noise_variance);
+    let calibration = calibration::regress(rates.clone(), settings.fit.noise_variance);
     let squares: f64 = rates
         .map(|(a, b)| (b - calibration.matrix * a - calibration.bias).norm_squared())
         .sum();

@@ -19,6 +19,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
 
+use crate::calibration;
 use crate::fit::{self, Fit, Node};
 use crate::pair::Settings;
 
@@ -223,7 +224,7 @@ fn solved(
         motion += b.node.x.norm_squared();
     }
     let options = &settings.fit;
-    let ridge = fit::prior_strength(bent.len(), options.noise_variance, motion);
+    let ridge = calibration::prior_strength(bent.len(), options.noise_variance, motion);
     let of_c = (0..12)
         .filter(|k| k % 4 < 3)
         .map(|k| (k, 0.0, ridge * weights.trace() / 3.0));

@@ -5,6 +5,7 @@
 // A refusal carries its report, and there is one a twist.
 #![allow(clippy::result_large_err)]
 
+mod calibration;
 mod classes;
 mod clock;
 pub mod coach;

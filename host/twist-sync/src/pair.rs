@@ -5,6 +5,7 @@
 //! which is decided by the recordings themselves, not by the order in which they
 //! are given: exchanging them negates the offset at the same instant.
 
+use crate::calibration;
 use crate::crosscheck::{self, Misfit, Stretch};
 use crate::faults::{Fault, FaultKind, LeftOut, Why};
 use crate::fit::{self, Fit, FitOptions, Link};
@@ -215,7 +216,7 @@ impl Pair {
             (&model.t, &model.w, &model.usable),
             &wide_data,
             |t| link.data_time(t),
-            &fit::regress(
+            &calibration::regress(
                 fit.nodes.iter().map(|n| (n.y, n.x)),
                 settings.fit.noise_variance,
             ),

@@ -15,8 +15,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::calibration::{self, Calibration};
 use crate::faults::Why;
-use crate::fit::{self, Calibration, Fit, FitOptions, Link, Node};
+use crate::fit::{self, Fit, FitOptions, Link, Node};
 use crate::interpolant::Vec3;
 use crate::signal::Signal;
 
@@ -482,7 +483,7 @@ impl Search<'_> {
     /// The sensors' relation in most of the nodes.
     fn regressed(&self, nodes: &[Node]) -> Calibration {
         let regressed = |nodes: &[Node]| {
-            fit::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
+            calibration::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
         };
         let mut calibration = regressed(nodes);
         for _ in 0..3 {

@@ -98,6 +98,9 @@ impl Resampled {
     }
 
     /// Low-passed and continuous.
+    ///
+    /// The kernel may be narrower than that of `smoothing`: at 1.4 steps of the grid its
+    /// samples still are a Gaussian to 10⁻¹⁷.
     pub(crate) fn smoothed(&self, low_pass_hz: f64) -> Signal {
         let sigma = kernel_sigma_s(low_pass_hz) / self.grid;
         let kernel = gaussian_kernel(sigma, (KERNEL_REACH * sigma).ceil() as usize);
