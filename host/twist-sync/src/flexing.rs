@@ -40,7 +40,7 @@ const THIRD_S: f64 = 0.02;
 /// for flexing: by chance one twist in two million.
 const SHOWS: f64 = 40.0;
 /// Prior of `ζ`, mean and 1-sigma: joints of metal 0.03 to 0.07, rubber 0.05, dampers 0.3
-/// (Adams and Askenazi, *Building Better Products with Finite Element Analysis*, 1999).
+/// (Adams and Askenazi, *Building Better Products with Finite Element Analysis*).
 const ZETA: (f64, f64) = (0.1, 0.1);
 /// 1-sigma of the prior of the elements of `K`, s²: a resonance at 8 Hz.
 const SOFTEST: f64 = 4e-4;
