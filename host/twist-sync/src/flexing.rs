@@ -14,8 +14,8 @@
 //! a prior. All are fitted together with the parameters of [`crate::fit`], in linear steps
 //! from its result.
 //!
-//! A mount of which nothing shows is let alone: it is stiffer than 90 Hz, and delays a
-//! twist by less than half a µs.
+//! A mount of which nothing shows is let alone: with the information of the base scenario
+//! it is stiffer than 90 Hz or so, and delays a twist by less than half a µs.
 
 use nalgebra::{Matrix3, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
 
