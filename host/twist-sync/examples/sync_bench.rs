@@ -10,11 +10,11 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_sync::network::{Network, Pair};
+use twist_sync::network::Network;
 use twist_sync::robust;
 use twist_sync::simulate::{self, ClockPath, Scenario, Sensor, Twist, TwistSpec};
 use twist_sync::{
-    ClockCourse, ClockRelation, Estimate, GyroTrack, Options, Refusal, WithSigma, estimate_offset,
+    ClockRelation, Estimate, GyroTrack, Options, Refusal, WithSigma, estimate_offset,
 };
 
 #[derive(Parser)]
@@ -300,16 +300,8 @@ fn loops(args: &Args) {
         .map(|trial| {
             let seed = args.seed + 1000 * trial;
             let of_b = simulate::twist(&spec, seed);
-            let of_c = simulate::third(&spec, seed, &sensor);
-            let tracks = [&of_b.a, &of_b.b, &of_c.b];
-            let pair = |a: usize, b: usize| -> Option<Pair> {
-                let clock = estimate_offset(tracks[a], tracks[b], &Options::default())
-                    .ok()?
-                    .clock;
-                let course = ClockCourse::from_estimates(&[clock], clock.wander)?;
-                Some(Pair { a, b, course })
-            };
-            let pairs = vec![pair(0, 1)?, pair(0, 2)?, pair(1, 2)?];
+            let of_c = simulate::third(&of_b, &spec, seed, &sensor);
+            let pairs = simulate::related(&[&of_b.a, &of_b.b, &of_c.b])?;
             // Where offset and skew do not trade against each other.
             let at = pairs[0].course.span().0;
             let network = Network::new(3, pairs).ok()?;

@@ -1,6 +1,8 @@
 //! Classes of samples that recur with a fixed period and belong to another time
 //! than their timestamps say.
 
+use std::ops::RangeInclusive;
+
 use crate::interpolant::Vec3;
 use crate::neighbours::{Against, Samples, local_variances, noise_of};
 use crate::robust;
@@ -25,29 +27,30 @@ pub(crate) struct Class {
 }
 
 /// The most significant displaced class among the usable samples, whose predictions are
-/// `against`.
+/// `against` and have this noise.
 pub(crate) fn most_displaced(
     samples: Samples<'_>,
     usable: &[bool],
     against: &[Against],
+    noise: &Vec3,
 ) -> Option<Class> {
-    let search_in = |against: &[Against], periods| {
-        displaced_class(against, &noise_of(against), samples.step_s, periods)
+    let search_in = |against: &[Against], noise: &Vec3, periods| {
+        displaced_class(against, noise, samples.step_s, periods)
     };
-    let search = |usable: &[bool], periods| search_in(&samples.predictions(usable), periods);
-    let class = search_in(against, 2..=LONGEST_PERIOD)?;
+    let class = search_in(against, noise, 2..=LONGEST_PERIOD)?;
     if class.period > 2 {
         return Some(class);
     }
     // Every fourth (sixth, ...) sample displaced spoils every second prediction
     // and looks like period 2. If leaving out that class leaves nothing, it was it.
     for period in [4, 6, 8] {
-        if let Some(finer) = search_in(against, period..=period) {
+        if let Some(finer) = search_in(against, noise, period..=period) {
             let mut without = usable.to_vec();
             for k in (finer.phase..without.len()).step_by(finer.period) {
                 without[k] = false;
             }
-            if search(&without, 2..=LONGEST_PERIOD).is_none() {
+            let rest = samples.predictions(&without);
+            if search_in(&rest, &noise_of(&rest), 2..=LONGEST_PERIOD).is_none() {
                 return Some(finer);
             }
         }
@@ -55,96 +58,82 @@ pub(crate) fn most_displaced(
     Some(class)
 }
 
-/// Sums over a class.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sums {
-    score: f64,
-    information: f64,
-    score_squared: f64,
-    product: f64,
-    information_squared: f64,
-    members: usize,
-}
-
-impl Sums {
-    fn add(&mut self, other: &Self) {
-        self.score += other.score;
-        self.information += other.information;
-        self.score_squared += other.score_squared;
-        self.product += other.product;
-        self.information_squared += other.information_squared;
-        self.members += other.members;
-    }
-}
-
-/// The sums of each phase of a period, over (index, score, information).
-fn by_phase(scored: &[(usize, f64, f64)], period: usize) -> Vec<Sums> {
-    let mut sums = vec![Sums::default(); period];
-    let (mut before, mut phase) = (0, 0);
-    for &(index, score, information) in scored {
-        phase += index - before;
-        before = index;
-        while phase >= period {
-            phase -= period;
+/// The sums of the rows of each phase of a period.
+fn by_phase<const N: usize>(rows: &[[f64; N]], period: usize) -> Vec<[f64; N]> {
+    let mut sums = vec![[0.0; N]; period];
+    for turn in rows.chunks(period) {
+        for (sum, row) in sums.iter_mut().zip(turn) {
+            for k in 0..N {
+                sum[k] += row[k];
+            }
         }
-        sums[phase].add(&Sums {
-            score,
-            information,
-            score_squared: score * score,
-            product: score * information,
-            information_squared: information * information,
-            members: 1,
-        });
     }
     sums
+}
+
+/// Of each class of these periods its period, its phase, and the sums of its rows; one row
+/// for each sample.
+fn summed<const N: usize>(
+    rows: &[[f64; N]],
+    periods: &RangeInclusive<usize>,
+) -> Vec<(usize, usize, [f64; N])> {
+    let mut out = Vec::new();
+    let mut longer: Vec<Vec<[f64; N]>> = vec![Vec::new(); LONGEST_PERIOD + 1];
+    for period in periods.clone().rev() {
+        // The phases of a multiple, folded, are those of the period itself.
+        let multiple = LONGEST_PERIOD / period * period;
+        if longer[multiple].is_empty() {
+            longer[multiple] = by_phase(rows, multiple);
+        }
+        let sums = by_phase(&longer[multiple], period);
+        let each = sums.into_iter().enumerate();
+        out.extend(each.map(|(phase, sum)| (period, phase, sum)));
+    }
+    out
 }
 
 fn displaced_class(
     against: &[Against],
     noise: &Vec3,
     step_s: f64,
-    periods: std::ops::RangeInclusive<usize>,
+    periods: RangeInclusive<usize>,
 ) -> Option<Class> {
-    let scored: Vec<(usize, f64, f64)> = against
+    // Score, information and number; zero where there is no prediction.
+    let mut rows = vec![[0.0; 3]; against.last()?.index + 1];
+    for (a, variance) in against.iter().zip(local_variances(against, noise)) {
+        let (score, information) = a.score(&variance);
+        rows[a.index] = [score, information, 1.0];
+    }
+    let is_clear = |&(_, _, [score, information, members]): &(usize, usize, [f64; 3])| {
+        members >= 8.0
+            && score * score > CLASS_Z * CLASS_Z * information
+            && score.abs() > CLASS_STEP * step_s * information
+    };
+    // Of a good stream no class stands out, and this is all.
+    if !summed(&rows, &periods).iter().any(is_clear) {
+        return None;
+    }
+    // The squares, for the scatter of the scores themselves: a burst of vibration is not
+    // the even noise that `z` assumes.
+    let squares: Vec<[f64; 6]> = rows
         .iter()
-        .zip(local_variances(against, noise))
-        .map(|(a, variance)| {
-            let (score, information) = a.score(&variance);
-            (a.index, score, information)
-        })
+        .map(|&[s, i, members]| [s, i, members, s * s, s * i, i * i])
         .collect();
     let mut found: Vec<Hypothesis> = Vec::new();
-    let mut longer: Vec<Vec<Sums>> = vec![Vec::new(); LONGEST_PERIOD + 1];
-    for period in periods.rev() {
-        // The phases of a multiple, folded, are those of the period itself.
-        let multiple = LONGEST_PERIOD / period * period;
-        if longer[multiple].is_empty() {
-            longer[multiple] = by_phase(&scored, multiple);
+    for (period, phase, [score, information, members, ss, si, ii]) in summed(&squares, &periods) {
+        if members < 8.0 || information <= 0.0 {
+            continue;
         }
-        let mut sums = longer[multiple][..period].to_vec();
-        for more in longer[multiple][period..].chunks_exact(period) {
-            for (sum, more) in sums.iter_mut().zip(more) {
-                sum.add(more);
-            }
-        }
-        for (phase, sum) in sums.iter().enumerate() {
-            if sum.members < 8 || sum.information <= 0.0 {
-                continue;
-            }
-            let displacement_s = sum.score / sum.information;
-            let z = sum.score / sum.information.sqrt();
-            // Significance from the scatter of the scores themselves: a burst of
-            // vibration is not the even noise that `z` assumes.
-            let scatter = sum.score_squared - 2.0 * displacement_s * sum.product
-                + displacement_s * displacement_s * sum.information_squared;
-            let z_scatter = sum.score / scatter.max(f64::MIN_POSITIVE).sqrt();
-            let class = Class {
-                period,
-                phase,
-                displacement_s,
-            };
-            found.push((z, z_scatter, class));
-        }
+        let displacement_s = score / information;
+        let z = score / information.sqrt();
+        let scatter = ss - 2.0 * displacement_s * si + displacement_s * displacement_s * ii;
+        let z_scatter = score / scatter.max(f64::MIN_POSITIVE).sqrt();
+        let class = Class {
+            period,
+            phase,
+            displacement_s,
+        };
+        found.push((z, z_scatter, class));
     }
     found.retain(|f| f.2.displacement_s.is_finite());
     let mut best: Vec<&Hypothesis> = found

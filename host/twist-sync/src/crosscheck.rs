@@ -11,9 +11,9 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use crate::calibration::Calibration;
 use crate::coarse::Usable;
-use crate::fit::{Calibration, Fit, Node};
-use crate::interpolant::Vec3;
+use crate::fit::{Fit, Node};
 use crate::robust;
 use crate::signal::Signal;
 
@@ -24,8 +24,6 @@ const SUSPICIOUS_SIGMA: f64 = 3.8;
 /// Least scatter that is assumed, rad/s: below any real gyroscope's noise, above
 /// what the filter leaves of fast motion in a noiseless simulation.
 const LEAST_NOISE: f64 = 1e-4;
-/// Samples on each side for the local median.
-const AROUND: usize = 4;
 /// Samples of a block for the local scale.
 const SCALE_BLOCK: usize = 48;
 
@@ -50,57 +48,43 @@ pub(crate) fn outliers(
     calibration: &Calibration,
 ) -> Vec<Misfit> {
     let mut index = Vec::new();
-    let mut difference: Vec<Vec3> = Vec::new();
+    let mut difference: [Vec<f64>; 3] = Default::default();
     for k in (0..t.len()).filter(|&k| usable[k]) {
-        if let Some((x, _)) = other.at(other_time(t[k])) {
+        if let Some(x) = other.value(other_time(t[k])) {
             let predicted = calibration.matrix * Vector3::from(x) + calibration.bias;
             index.push(k);
-            difference.push((Vector3::from(w[k]) - predicted).into());
+            for axis in 0..3 {
+                difference[axis].push(w[k][axis] - predicted[axis]);
+            }
         }
     }
     if index.len() < 2 * SCALE_BLOCK {
         return Vec::new();
     }
-    let mut contrast = vec![[0.0; 3]; index.len()];
-    let mut window = Vec::with_capacity(2 * AROUND + 1);
-    for i in 0..index.len() {
-        let from = i.saturating_sub(AROUND);
-        let to = (i + AROUND + 1).min(index.len());
-        for axis in 0..3 {
-            let around = &difference[from..to];
-            let usual = if let Ok(nine) = <&[Vec3; 2 * AROUND + 1]>::try_from(around) {
-                robust::median_of_nine(&nine.map(|d| d[axis]))
-            } else {
-                window.clear();
-                window.extend(around.iter().map(|d| d[axis]));
-                robust::median_in_place(&mut window).unwrap_or(0.0)
-            };
-            contrast[i][axis] = difference[i][axis] - usual;
+    let mut squares = vec![0.0; index.len()];
+    for axis in &difference {
+        let contrast = robust::without_local_median(axis);
+        let scale_of = |part: &[f64]| {
+            robust::mad_sigma(part).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
+        };
+        let overall = scale_of(&contrast);
+        let local: Vec<f64> = contrast.chunks(SCALE_BLOCK).map(scale_of).collect();
+        let blocks = contrast
+            .chunks(SCALE_BLOCK)
+            .zip(squares.chunks_mut(SCALE_BLOCK));
+        for (block, (contrast, squares)) in blocks.enumerate() {
+            let around = &local[block.saturating_sub(1)..(block + 2).min(local.len())];
+            let scale = around.iter().copied().fold(overall, f64::max);
+            for (square, c) in squares.iter_mut().zip(contrast) {
+                *square += (c / scale).powi(2);
+            }
         }
     }
-    let scale_of = |part: &[Vec3]| -> Vec3 {
-        std::array::from_fn(|axis| {
-            let values: Vec<f64> = part.iter().map(|c| c[axis]).collect();
-            robust::mad_sigma(&values).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
-        })
-    };
-    let overall = scale_of(&contrast);
-    let local: Vec<Vec3> = contrast.chunks(SCALE_BLOCK).map(scale_of).collect();
-    let scale_at = |i: usize, axis: usize| {
-        let block = i / SCALE_BLOCK;
-        let around = &local[block.saturating_sub(1)..(block + 2).min(local.len())];
-        around.iter().map(|s| s[axis]).fold(overall[axis], f64::max)
-    };
-    let misfits: Vec<Misfit> = index
-        .iter()
-        .zip(&contrast)
-        .enumerate()
-        .map(|(i, (&k, c))| Misfit {
-            index: k,
-            sigmas: (0..3)
-                .map(|axis| (c[axis] / scale_at(i, axis)).powi(2))
-                .sum::<f64>()
-                .sqrt(),
+    let misfits = index.into_iter().zip(&squares);
+    let misfits: Vec<Misfit> = misfits
+        .map(|(index, square)| Misfit {
+            index,
+            sigmas: square.sqrt(),
         })
         .collect();
     let clear = misfits.iter().filter(|m| m.sigmas > OUTLIER_SIGMA).count();

@@ -9,10 +9,12 @@ use std::fmt;
 
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
+use crate::calibration::{self, Calibration};
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
-use crate::fit::{self, Calibration, Fit, Node};
+use crate::fit::Fit;
+use crate::flexing;
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
 use crate::lag;
@@ -23,7 +25,7 @@ use crate::stream::CheckedStream;
 use crate::swing;
 use crate::track::GyroTrack;
 
-/// Numerical error of the fit, seconds: keeps the sigma of noiseless data above zero.
+/// Numerical error of the fit, seconds: keeps the sigmas of noiseless data above zero.
 const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 /// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
 const LONGEST_FILTER_S: f64 = 4e-3;
@@ -276,6 +278,7 @@ fn related(
     } else {
         (fit, 1.0)
     };
+    flexing::considered(&mut fit, &settings);
     let is_class = |f: &&Fault| f.kind == FaultKind::DisplacedClass;
     let classes = [&pair.model, &pair.data].map(|s| s.faults.iter().filter(is_class).count());
     swing::considered(
@@ -368,6 +371,11 @@ fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
     covariance[(0, 0)] += unresolved_s(pair).powi(2)
         + dispersion_s(fit, options).powi(2)
         + NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S;
+    // The same error, over the time in which the information is.
+    let square_span = (ideal[(0, 0)] + to_centroid * ideal[(0, 1)]) / ideal[(1, 1)];
+    if square_span > 0.0 {
+        covariance[(1, 1)] += NUMERICAL_FLOOR_S * NUMERICAL_FLOOR_S / square_span;
+    }
 
     let model_to_data = ClockRelation {
         reference: pair.model.epoch_s + link.at_model,
@@ -385,21 +393,23 @@ fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
 
 /// The relation of sensor b to sensor a, with what it leaves of the motion.
 fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report) -> Calibration {
-    let nodes: Vec<Node> = if pair.a_is_model {
-        fit.nodes.clone()
-    } else {
-        fit.nodes.iter().map(Node::swapped).collect()
-    };
-    let calibration = fit::regress(&nodes, settings.fit.noise_variance);
-    let squares: f64 = nodes
-        .iter()
-        .map(|n| (n.y - calibration.matrix * n.x - calibration.bias).norm_squared())
+    let rates = fit.nodes.iter().map(|node| {
+        let (model, data) = node.rates();
+        if pair.a_is_model {
+            (model, data)
+        } else {
+            (data, model)
+        }
+    });
+    let calibration = calibration::regress(rates.clone(), settings.fit.noise_variance);
+    let squares: f64 = rates
+        .map(|(a, b)| (b - calibration.matrix * a - calibration.bias).norm_squared())
         .sum();
-    let residual_rms = (squares / (3.0 * nodes.len().max(1) as f64)).sqrt();
+    let residual_rms = (squares / (3.0 * fit.nodes.len().max(1) as f64)).sqrt();
     let motion_rms = fit.motion_variance().sqrt();
     report.residual_rms = Some(residual_rms);
     report.motion_rms = Some(motion_rms);
-    report.overlap_s = Some(nodes.len() as f64 * settings.step_s);
+    report.overlap_s = Some(fit.nodes.len() as f64 * settings.step_s);
     let noise_rms = settings.fit.noise_variance.sqrt();
     report
         .gates

@@ -20,9 +20,14 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix4, SMatrix, SVector, Vector2, Vector3, Vector4};
 
+use crate::calibration::{Calibration, Rates, prior_strength, regress_about, rotation};
 use crate::interpolant::Vec3;
 use crate::robust::median;
 use crate::signal::Signal;
+
+/// So far, in seconds, the slope of the model carries: what bends off is `½·x″·t²`, below
+/// 10⁻⁸ rad/s at 4 rad/s and 10 Hz.
+const CARRIES_S: f64 = 1e-6;
 
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;
@@ -58,15 +63,6 @@ impl Link {
             rate: self.rate,
         }
     }
-}
-
-/// Linear relation of the two sensors: `y = C·x + b`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Calibration {
-    /// Rotation, scale and cross-axis errors.
-    pub(crate) matrix: Matrix3<f64>,
-    /// Bias, rad/s.
-    pub(crate) bias: Vector3<f64>,
 }
 
 /// What the fit is told.
@@ -106,13 +102,8 @@ pub(crate) struct Node {
 }
 
 impl Node {
-    /// The node where model and data change roles.
-    pub(crate) fn swapped(&self) -> Self {
-        Self {
-            x: self.y,
-            y: self.x,
-            ..*self
-        }
+    pub(crate) const fn rates(&self) -> Rates {
+        (self.x, self.y)
     }
 }
 
@@ -158,6 +149,76 @@ fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
     sum / f64::from(count.max(1))
 }
 
+/// A node of the data on which the model exists.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    t: f64,
+    y: Vector3<f64>,
+    /// The model's rate and its derivative.
+    x: Vector3<f64>,
+    dx: Vector3<f64>,
+}
+
+impl Seen {
+    /// Where the model's time is later by `by_s`, which must be short.
+    fn node(&self, by_s: f64, calibration: &Calibration) -> Node {
+        let x = self.x + self.dx * by_s;
+        Node {
+            t: self.t,
+            y: self.y,
+            x,
+            residual: self.y - calibration.matrix * x - calibration.bias,
+            slope: calibration.matrix * self.dx,
+            weight: 1.0,
+        }
+    }
+}
+
+/// `None` if they are too few for a fit.
+fn seen(model: &Signal, data: &[(f64, Vec3)], link: &Link) -> Option<Vec<Seen>> {
+    let mut seen = Vec::with_capacity(data.len());
+    seen.extend(data.iter().filter_map(|&(t, y)| {
+        let (x, dx) = model.at(link.model_time(t))?;
+        let (y, x, dx) = (y.into(), x.into(), dx.into());
+        Some(Seen { t, y, x, dx })
+    }));
+    (seen.len() >= 4 * PARAMETERS).then_some(seen)
+}
+
+/// The model from the data's side, at a relation of the clocks.
+struct View<'a> {
+    model: &'a Signal,
+    data: &'a [(f64, Vec3)],
+    link: Link,
+    seen: Vec<Seen>,
+}
+
+impl View<'_> {
+    /// Nodes at another relation with the same reference. The model is evaluated again
+    /// only where its slope does not carry so far.
+    fn look(
+        &mut self,
+        link: &Link,
+        calibration: &Calibration,
+        nodes: &mut Vec<Node>,
+    ) -> Option<()> {
+        let first = self.seen.first()?.t - link.at_data;
+        let last = self.seen.last()?.t - link.at_data;
+        let by_s = |link: &Link, u: f64, from: &Link| {
+            link.at_model - from.at_model + u * (link.rate - from.rate)
+        };
+        let farthest = [first, last].map(|u| by_s(link, u, &self.link).abs());
+        if farthest[0].max(farthest[1]) > CARRIES_S {
+            self.seen = seen(self.model, self.data, link)?;
+            self.link = *link;
+        }
+        nodes.clear();
+        let node = |s: &Seen| s.node(by_s(link, s.t - link.at_data, &self.link), calibration);
+        nodes.extend(self.seen.iter().map(node));
+        Some(())
+    }
+}
+
 /// Nodes of the data on which the model exists; `None` if they are too few for a fit.
 pub(crate) fn nodes(
     model: &Signal,
@@ -165,82 +226,8 @@ pub(crate) fn nodes(
     link: &Link,
     calibration: &Calibration,
 ) -> Option<Vec<Node>> {
-    let mut nodes = Vec::with_capacity(data.len());
-    nodes.extend(data.iter().filter_map(|&(t, y)| {
-        let (x, dx) = model.at(link.model_time(t))?;
-        let (x, y) = (Vector3::from(x), Vector3::from(y));
-        Some(Node {
-            t,
-            y,
-            x,
-            residual: y - calibration.matrix * x - calibration.bias,
-            slope: calibration.matrix * Vector3::from(dx),
-            weight: 1.0,
-        })
-    }));
-    (nodes.len() >= 4 * PARAMETERS).then_some(nodes)
-}
-
-/// Best orthogonal `C` and bias at a given relation of the clocks.
-fn rotation(nodes: &[Node]) -> Calibration {
-    let n = nodes.len().max(1) as f64;
-    let mean_x = nodes.iter().map(|n| n.x).sum::<Vector3<f64>>() / n;
-    let mean_y = nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
-    let mut m = Matrix3::zeros();
-    for node in nodes {
-        m += (node.y - mean_y) * (node.x - mean_x).transpose();
-    }
-    let svd = m.svd(true, true);
-    let matrix = match (svd.u, svd.v_t) {
-        (Some(u), Some(v_t)) => {
-            let mut fix = Matrix3::identity();
-            // Without motion about three axes the sign of the last is not seen:
-            // sensors are right-handed.
-            let weak = svd.singular_values[2] < 0.01 * svd.singular_values[0];
-            if weak && (u * v_t).determinant() < 0.0 {
-                fix[(2, 2)] = -1.0;
-            }
-            u * fix * v_t
-        }
-        _ => Matrix3::identity(),
-    };
-    Calibration {
-        matrix,
-        bias: mean_y - matrix * mean_x,
-    }
-}
-
-/// `Σ x xᵀ`-style regression of `y` on `x` with the prior of [`FitOptions`].
-///
-/// Used for the calibration that is reported, at the final relation.
-pub(crate) fn regress(nodes: &[Node], noise_variance: f64) -> Calibration {
-    let prior = rotation(nodes);
-    let mut m = Matrix4::zeros();
-    let mut right = SMatrix::<f64, 4, 3>::zeros();
-    for node in nodes {
-        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
-        m += z * z.transpose();
-        right += z * (node.y - prior.matrix * node.x - prior.bias).transpose();
-    }
-    let ridge = prior_strength(nodes.len(), noise_variance, &m);
-    for axis in 0..3 {
-        m[(axis, axis)] += ridge;
-    }
-    match m.cholesky() {
-        Some(c) => {
-            let solution = c.solve(&right);
-            Calibration {
-                matrix: prior.matrix + solution.fixed_rows::<3>(0).transpose(),
-                bias: prior.bias + solution.row(3).transpose(),
-            }
-        }
-        None => prior,
-    }
-}
-
-fn prior_strength(n: usize, noise_variance: f64, m: &Matrix4<f64>) -> f64 {
-    let motion = m[(0, 0)] + m[(1, 1)] + m[(2, 2)];
-    30.0 * n as f64 * noise_variance + 1e-10 * motion
+    let seen = seen(model, data, link)?;
+    Some(seen.iter().map(|s| s.node(0.0, calibration)).collect())
 }
 
 /// Fits the relation. `None` if the two signals share too little time, or the
@@ -252,26 +239,31 @@ pub(crate) fn fit(
     weights: Option<Matrix3<f64>>,
     options: &FitOptions,
 ) -> Option<Fit> {
-    let identity = Calibration {
-        matrix: Matrix3::identity(),
-        bias: Vector3::zeros(),
-    };
-    let first = nodes(model, data, &start, &identity)?;
+    let seen = seen(model, data, &start)?;
     // Put the reference amid the data, or rate and shift trade.
-    let middle = first.iter().map(|n| n.t).sum::<f64>() / first.len() as f64;
+    let middle = seen.iter().map(|s| s.t).sum::<f64>() / seen.len() as f64;
     let start = start.moved_to(middle);
     let mut link = start;
-    let prior = rotation(&first);
-    let mut calibration = regress(&first, options.noise_variance);
+    let rates = seen.iter().map(|s| (s.x, s.y));
+    let prior = rotation(rates.clone());
+    let mut calibration = regress_about(prior, rates, options.noise_variance);
+    let mut view = View {
+        model,
+        data,
+        link,
+        seen,
+    };
+    let mut nodes = Vec::with_capacity(view.seen.len());
     let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
     let mut quiet = LocalWeights::default();
     let mut settled = false;
     for iteration in 0..options.iterations {
-        let mut nodes = nodes(model, data, &link, &calibration)?;
+        view.look(&link, &calibration, &mut nodes)?;
         if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
-            (weights_now, quiet) = residual_weights(&nodes, options.oversampling);
+            (weights_now, quiet) = residual_weights(&mut nodes, options.oversampling);
+        } else {
+            quiet.apply(&mut nodes);
         }
-        quiet.apply(&mut nodes);
         let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
         let step = normal.cholesky()?.solve(&right);
         link.at_model += step[SHIFT].clamp(-0.05, 0.05);
@@ -291,13 +283,17 @@ pub(crate) fn fit(
             break;
         }
     }
-    let mut nodes = nodes(model, data, &link, &calibration)?;
+    view.look(&link, &calibration, &mut nodes)?;
     quiet.apply(&mut nodes);
     let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
     let inverse = normal.cholesky()?.inverse();
     let ideal_covariance =
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
-    let covariance = long_run_covariance(&nodes, &link, &inverse, &weights_now, options.memory_s);
+    let influences: Vec<(f64, Vector2<f64>)> = nodes
+        .iter()
+        .map(|n| (n.t, influence(n, &link, &inverse, &weights_now)))
+        .collect();
+    let covariance = long_run_covariance(&influences, options.memory_s);
     Some(Fit {
         link,
         calibration,
@@ -311,7 +307,7 @@ pub(crate) fn fit(
 
 /// The long-run covariance scatters when little time is in common; what white
 /// noise alone would give is the least that is believed.
-fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
+pub(crate) fn at_least(covariance: Matrix2<f64>, ideal: &Matrix2<f64>) -> Matrix2<f64> {
     let size = |k: usize| covariance[(k, k)].max(ideal[(k, k)]);
     let correlation = covariance[(0, 1)] / (covariance[(0, 0)] * covariance[(1, 1)]).sqrt();
     let correlation = if correlation.is_finite() {
@@ -328,7 +324,7 @@ const WEIGHTS_FROZEN: usize = 5;
 
 /// Weights over time: below 1 in stretches whose residual is well above the usual.
 #[derive(Debug, Clone, Default)]
-struct LocalWeights {
+pub(crate) struct LocalWeights {
     /// (end of the stretch, weight), in time order.
     stretches: Vec<(f64, f64)>,
 }
@@ -351,14 +347,17 @@ const STRETCH_S: f64 = 0.25;
 const LOUD: f64 = 3.0;
 
 /// Inverse covariance of the residual where it is as usual, and the weights of
-/// the stretches where it is not.
+/// the stretches where it is not, which the nodes are given.
 ///
 /// A knock or a vibration makes residuals that are no noise (filters that differ,
 /// flexing); with even weights a quarter of a second of it can outweigh the rest.
-fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWeights) {
+pub(crate) fn residual_weights(
+    nodes: &mut [Node],
+    oversampling: f64,
+) -> (Matrix3<f64>, LocalWeights) {
     let mut power: Vec<(f64, f64, usize)> = Vec::new(); // end, Σ r², nodes
     let mut from = f64::NEG_INFINITY;
-    for node in nodes {
+    for node in &*nodes {
         let square = node.residual.norm_squared();
         match power.last_mut() {
             Some(last) if node.t < from + STRETCH_S => {
@@ -386,9 +385,8 @@ fn residual_weights(nodes: &[Node], oversampling: f64) -> (Matrix3<f64>, LocalWe
         })
         .collect();
     let weights = LocalWeights { stretches };
-    let mut weighted = nodes.to_vec();
-    weights.apply(&mut weighted);
-    (inverse_covariance(&weighted), weights)
+    weights.apply(nodes);
+    (inverse_covariance(nodes), weights)
 }
 
 /// Inverse of the residual's covariance, bounded so that no axis is trusted blindly.
@@ -466,7 +464,8 @@ fn equations(
     right[SHIFT] = sr[0];
     right[RATE] = sr[1];
 
-    let ridge = prior_strength(nodes.len(), options.noise_variance, &zz) * weights.trace() / 3.0;
+    let motion = zz.fixed_view::<3, 3>(0, 0).trace();
+    let ridge = prior_strength(nodes.len(), options.noise_variance, motion) * weights.trace() / 3.0;
     for row in 0..3 {
         for column in 0..3 {
             let at = row * 4 + column;
@@ -480,46 +479,48 @@ fn equations(
     (normal, right)
 }
 
-/// Covariance of (η, ρ) from the nodes' influences, correlated in time.
-fn long_run_covariance(
-    nodes: &[Node],
-    link: &Link,
-    inverse: &Normal,
-    weights: &Matrix3<f64>,
+/// Influence of a node on (η, ρ), under the inverse of the equations.
+fn influence(node: &Node, link: &Link, inverse: &Normal, weights: &Matrix3<f64>) -> Vector2<f64> {
+    let wr = weights * node.residual * node.weight;
+    let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+    let score = node.slope.dot(&wr);
+    let mut derivative = Parameters::zeros();
+    for i in 0..3 {
+        derivative
+            .fixed_rows_mut::<4>(i * 4)
+            .copy_from(&(z * wr[i]));
+    }
+    derivative[SHIFT] = score;
+    derivative[RATE] = score * (node.t - link.at_data);
+    inverse.fixed_rows::<2>(SHIFT) * derivative
+}
+
+/// Covariance of (η, ρ) from the influences of the nodes (time, influence), which are
+/// correlated over `memory_s`.
+pub(crate) fn long_run_covariance(
+    influences: &[(f64, Vector2<f64>)],
     memory_s: f64,
 ) -> Matrix2<f64> {
-    let Some((first, last)) = nodes.first().zip(nodes.last()) else {
+    let Some((first, last)) = influences.first().zip(influences.last()) else {
         return Matrix2::from_diagonal_element(f64::INFINITY);
     };
-    let step = nodes
+    let step = influences
         .windows(2)
-        .map(|p| p[1].t - p[0].t)
+        .map(|p| p[1].0 - p[0].0)
         .fold(f64::INFINITY, f64::min);
-    let slot = |t: f64| ((t - first.t) / step).round() as usize;
-    let slots = slot(last.t) + 1;
-    let rows = inverse.fixed_rows::<2>(SHIFT);
-    let mut influence = vec![Vector2::<f64>::zeros(); slots];
-    for node in nodes {
-        let wr = weights * node.residual * node.weight;
-        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
-        let score = node.slope.dot(&wr);
-        let mut derivative = Parameters::zeros();
-        for i in 0..3 {
-            derivative
-                .fixed_rows_mut::<4>(i * 4)
-                .copy_from(&(z * wr[i]));
-        }
-        derivative[SHIFT] = score;
-        derivative[RATE] = score * (node.t - link.at_data);
-        influence[slot(node.t).min(slots - 1)] += rows * derivative;
+    let slot = |t: f64| ((t - first.0) / step).round() as usize;
+    let slots = slot(last.0) + 1;
+    let mut even = vec![Vector2::<f64>::zeros(); slots];
+    for (t, influence) in influences {
+        even[slot(*t).min(slots - 1)] += influence;
     }
     let memory = ((memory_s / step).ceil() as usize).clamp(1, slots);
     let mut out = Matrix2::zeros();
     for lag in 0..memory {
         let weight = parzen(lag as f64 / memory as f64) * if lag == 0 { 1.0 } else { 2.0 };
-        let sum: Matrix2<f64> = influence
+        let sum: Matrix2<f64> = even
             .iter()
-            .zip(&influence[lag..])
+            .zip(&even[lag..])
             .map(|(now, later)| now * later.transpose())
             .sum();
         out += (sum + sum.transpose()) * (0.5 * weight);

@@ -47,52 +47,93 @@ impl<'a> Uneven<'a> {
     /// Value at `t`.
     pub(crate) fn value(&self, t: f64) -> Vec3 {
         let after = self.t.partition_point(|&x| x <= t);
-        self.within(after.saturating_sub(1), t)
+        let mut value = [0.0; 3];
+        self.swept(after.saturating_sub(1), std::iter::once(t), |v| value = v);
+        value
     }
 
     /// Values at `count` times from the first on, `step` apart.
     pub(crate) fn on_grid(&self, step: f64, count: usize) -> Vec<Vec3> {
-        let mut left = 0;
-        (0..count)
-            .map(|k| {
-                let t = self.t[0] + k as f64 * step;
-                while left + 1 < self.t.len() && self.t[left + 1] <= t {
-                    left += 1;
-                }
-                self.within(left, t)
-            })
-            .collect()
+        let mut values = Vec::with_capacity(count);
+        let times = (0..count).map(|k| self.t[0] + k as f64 * step);
+        self.swept(0, times, |v| values.push(v));
+        values
     }
 
-    fn within(&self, left: usize, t: f64) -> Vec3 {
-        let from = window(left, self.t.len(), self.degree);
-        let (times, values) = (&self.t[from..], &self.y[from..]);
+    /// Values at rising times, of which the first is not before sample `left`.
+    fn swept(&self, left: usize, times: impl Iterator<Item = f64>, each: impl FnMut(Vec3)) {
         // The compiler unrolls loops whose length it knows.
         match self.degree {
-            1 => lagrange::<2>(times, values, t),
-            3 => lagrange::<4>(times, values, t),
-            5 => lagrange::<6>(times, values, t),
-            _ => lagrange::<8>(times, values, t),
+            1 => self.swept_by::<2>(left, times, each),
+            3 => self.swept_by::<4>(left, times, each),
+            5 => self.swept_by::<6>(left, times, each),
+            _ => self.swept_by::<8>(left, times, each),
+        }
+    }
+
+    fn swept_by<const N: usize>(
+        &self,
+        mut left: usize,
+        times: impl Iterator<Item = f64>,
+        mut each: impl FnMut(Vec3),
+    ) {
+        let samples = self.t.len();
+        let first = window(left, samples, N - 1);
+        let mut newton = Newton::<N>::from(first);
+        for t in times {
+            while left + 1 < samples && self.t[left + 1] <= t {
+                left += 1;
+            }
+            while newton.next < window(left, samples, N - 1) + N {
+                newton.take(first, self.t, self.y);
+            }
+            each(newton.value(self.t, t));
         }
     }
 }
 
-/// The polynomial through the first `N` samples, at `t`.
-fn lagrange<const N: usize>(times: &[f64], values: &[Vec3], t: f64) -> Vec3 {
-    let (near, values) = (&times[..N], &values[..N]);
-    let mut value = [0.0; 3];
-    for j in 0..N {
-        let (mut above, mut below) = (1.0, 1.0);
-        for m in (0..N).filter(|&m| m != j) {
-            above *= t - near[m];
-            below *= near[j] - near[m];
-        }
-        let weight = above / below;
-        for axis in 0..3 {
-            value[axis] += weight * values[j][axis];
+/// The polynomial through the last `N` samples that were taken, in Newton's form: the
+/// next sample costs one row of the divided differences.
+struct Newton<const N: usize> {
+    next: usize,
+    /// Divided differences of the last 1, 2 .. `N` samples.
+    differences: [Vec3; N],
+}
+
+impl<const N: usize> Newton<N> {
+    const fn from(first: usize) -> Self {
+        Self {
+            next: first,
+            differences: [[0.0; 3]; N],
         }
     }
-    value
+
+    /// Takes the next sample; the first one was number `first`.
+    fn take(&mut self, first: usize, t: &[f64], y: &[Vec3]) {
+        let k = self.next;
+        self.next += 1;
+        let mut now = y[k];
+        for order in 1..=(k - first).min(N - 1) {
+            let scale = 1.0 / (t[k] - t[k - order]);
+            let before = std::mem::replace(&mut self.differences[order - 1], now);
+            for axis in 0..3 {
+                now[axis] = (now[axis] - before[axis]) * scale;
+            }
+        }
+        self.differences[(k - first).min(N - 1)] = now;
+    }
+
+    fn value(&self, times: &[f64], t: f64) -> Vec3 {
+        let times = &times[self.next - N..self.next];
+        let mut value = self.differences[N - 1];
+        for order in (0..N - 1).rev() {
+            let distance = t - times[N - 1 - order];
+            for axis in 0..3 {
+                value[axis] = value[axis] * distance + self.differences[order][axis];
+            }
+        }
+        value
+    }
 }
 
 /// A piecewise polynomial through equidistant samples.
@@ -101,107 +142,121 @@ pub(crate) struct Uniform {
     degree: usize,
     start: f64,
     step: f64,
-    /// Per interval `degree + 1` Taylor coefficients about its left end, in steps.
-    coefficients: Vec<Vec3>,
+    y: Vec<Vec3>,
+    /// For each place that an interval may have in its window.
+    bases: Vec<Basis>,
 }
+
+/// By rising power of the place in the interval, in steps: the coefficients of the
+/// samples' Lagrange polynomials.
+type Basis = [[f64; MOST]; MOST];
 
 impl Uniform {
     /// Through the samples `start + k · step`; `None` if they are fewer than
     /// `degree + 1`, or the degree is not 1, 3, 5 or 7.
-    pub(crate) fn new(start: f64, step: f64, y: &[Vec3], degree: usize) -> Option<Self> {
-        if !is_offered(degree, y.len()) {
-            return None;
-        }
-        let coefficients = match degree {
-            1 => coefficients::<2>(y),
-            3 => coefficients::<4>(y),
-            5 => coefficients::<6>(y),
-            _ => coefficients::<8>(y),
-        };
-        Some(Self {
+    pub(crate) fn new(start: f64, step: f64, y: Vec<Vec3>, degree: usize) -> Option<Self> {
+        is_offered(degree, y.len()).then(|| Self {
             degree,
             start,
             step,
-            coefficients,
+            y,
+            bases: (0..degree).map(|place| basis(degree, place)).collect(),
         })
-    }
-
-    /// The coefficients of the interval at `t`, and the place in it in steps.
-    fn at(&self, t: f64) -> (&[Vec3], f64) {
-        let last = self.coefficients.len() / (self.degree + 1) - 1;
-        let place = (t - self.start) / self.step;
-        let left = (place.max(0.0) as usize).min(last);
-        let from = left * (self.degree + 1);
-        (
-            &self.coefficients[from..=from + self.degree],
-            place - left as f64,
-        )
     }
 
     /// Value at `t`; outside of the samples the end polynomial is continued.
     pub(crate) fn value(&self, t: f64) -> Vec3 {
-        let (c, x) = self.at(t);
-        let mut v = [0.0; 3];
-        for row in c.iter().rev() {
-            for axis in 0..3 {
-                v[axis] = v[axis] * x + row[axis];
-            }
+        match self.degree {
+            1 => self.near::<2>(t).value(),
+            3 => self.near::<4>(t).value(),
+            5 => self.near::<6>(t).value(),
+            _ => self.near::<8>(t).value(),
         }
-        v
     }
 
     /// Value and first derivative at `t`.
     pub(crate) fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
-        let (c, x) = self.at(t);
-        let (mut v, mut d) = ([0.0; 3], [0.0; 3]);
-        for row in c.iter().rev() {
+        let (value, rate) = match self.degree {
+            1 => self.near::<2>(t).value_and_rate(),
+            3 => self.near::<4>(t).value_and_rate(),
+            5 => self.near::<6>(t).value_and_rate(),
+            _ => self.near::<8>(t).value_and_rate(),
+        };
+        (value, rate.map(|d| d / self.step))
+    }
+
+    fn near<const N: usize>(&self, t: f64) -> Near<'_, N> {
+        let place = (t - self.start) / self.step;
+        let left = (place.max(0.0) as usize).min(self.y.len() - 2);
+        let from = window(left, self.y.len(), N - 1);
+        Near {
+            y: &self.y[from..from + N],
+            basis: &self.bases[left - from],
+            x: place - left as f64,
+        }
+    }
+}
+
+/// The samples around a time.
+struct Near<'a, const N: usize> {
+    y: &'a [Vec3],
+    basis: &'a Basis,
+    /// Place in the interval, in steps.
+    x: f64,
+}
+
+impl<const N: usize> Near<'_, N> {
+    fn value(&self) -> Vec3 {
+        let mut weights = [0.0; N];
+        for row in self.basis[..N].iter().rev() {
+            for j in 0..N {
+                weights[j] = weights[j] * self.x + row[j];
+            }
+        }
+        self.weighed(&weights)
+    }
+
+    fn value_and_rate(&self) -> (Vec3, Vec3) {
+        let (mut weights, mut slopes) = ([0.0; N], [0.0; N]);
+        for row in self.basis[..N].iter().rev() {
+            for j in 0..N {
+                slopes[j] = slopes[j] * self.x + weights[j];
+                weights[j] = weights[j] * self.x + row[j];
+            }
+        }
+        (self.weighed(&weights), self.weighed(&slopes))
+    }
+
+    fn weighed(&self, weights: &[f64; N]) -> Vec3 {
+        let mut sum = [0.0; 3];
+        for (weight, y) in weights.iter().zip(self.y) {
             for axis in 0..3 {
-                d[axis] = d[axis] * x + v[axis];
-                v[axis] = v[axis] * x + row[axis];
+                sum[axis] += weight * y[axis];
             }
         }
-        (v, d.map(|d| d / self.step))
+        sum
     }
 }
 
-/// Per interval the `N` Taylor coefficients of the polynomial through `N` samples.
-fn coefficients<const N: usize>(y: &[Vec3]) -> Vec<Vec3> {
-    let bases: Vec<_> = (0..N - 1).map(|place| taylor(N - 1, place)).collect();
-    let mut out = Vec::with_capacity((y.len() - 1) * N);
-    for left in 0..y.len() - 1 {
-        let from = window(left, y.len(), N - 1);
-        let (basis, near) = (&bases[left - from][..N], &y[from..from + N]);
-        let mut own = [[0.0; 3]; N];
-        for j in 0..N {
-            for (power, sum) in own.iter_mut().enumerate() {
-                for axis in 0..3 {
-                    sum[axis] += basis[j][power] * near[j][axis];
-                }
+/// The polynomials of a window about its sample `place`.
+fn basis(degree: usize, place: usize) -> Basis {
+    let mut basis = [[0.0; MOST]; MOST];
+    for j in 0..=degree {
+        let mut polynomial = [0.0; MOST];
+        polynomial[0] = 1.0;
+        for m in (0..=degree).filter(|&m| m != j) {
+            // Times (x − (m − place)) / (j − m).
+            let (root, scale) = (m as f64 - place as f64, j as f64 - m as f64);
+            for power in (0..MOST).rev() {
+                let below = power.checked_sub(1).map_or(0.0, |p| polynomial[p]);
+                polynomial[power] = (below - root * polynomial[power]) / scale;
             }
         }
-        out.extend_from_slice(&own);
+        for (row, coefficient) in basis.iter_mut().zip(polynomial) {
+            row[j] = coefficient;
+        }
     }
-    out
-}
-
-/// Per sample of a window the coefficients (by rising power) of its Lagrange polynomial
-/// about sample `place` of the window.
-fn taylor(degree: usize, place: usize) -> Vec<[f64; MOST]> {
-    (0..=degree)
-        .map(|j| {
-            let mut polynomial = [0.0; MOST];
-            polynomial[0] = 1.0;
-            for m in (0..=degree).filter(|&m| m != j) {
-                // Times (x − (m − place)) / (j − m).
-                let (root, scale) = (m as f64 - place as f64, j as f64 - m as f64);
-                for power in (0..MOST).rev() {
-                    let below = power.checked_sub(1).map_or(0.0, |p| polynomial[p]);
-                    polynomial[power] = (below - root * polynomial[power]) / scale;
-                }
-            }
-            polynomial
-        })
-        .collect()
+    basis
 }
 
 #[cfg(test)]
@@ -223,7 +278,7 @@ mod tests {
             let y: Vec<Vec3> = t.iter().map(|&x| all(x)).collect();
             let uneven = Uneven::new(&t, &y, degree).unwrap();
             let even: Vec<Vec3> = (0..40).map(|k| all(0.01 * f64::from(k))).collect();
-            let uniform = Uniform::new(0.0, 0.01, &even, degree).unwrap();
+            let uniform = Uniform::new(0.0, 0.01, even, degree).unwrap();
             for k in 0..300 {
                 let x = t[0] + (t[39] - t[0]) * f64::from(k) / 299.0;
                 for v in [uneven.value(x), uniform.value(x)] {
@@ -250,7 +305,7 @@ mod tests {
                 [x.sin(), x.cos(), 0.0]
             })
             .collect();
-        let s = Uniform::new(0.0, 0.002, &y, 5).unwrap();
+        let s = Uniform::new(0.0, 0.002, y, 5).unwrap();
         for k in 100..800 {
             let t = 0.001 * f64::from(k) + 0.0003;
             let (v, d) = s.value_and_rate(t);
@@ -266,7 +321,7 @@ mod tests {
         let t: Vec<f64> = (0..8).map(f64::from).collect();
         assert!(Uneven::new(&t[..5], &y[..5], 5).is_none());
         assert!(Uneven::new(&t, &y, 4).is_none());
-        assert!(Uniform::new(0.0, 1.0, &y[..5], 5).is_none());
+        assert!(Uniform::new(0.0, 1.0, y[..5].to_vec(), 5).is_none());
         let mut back = t.clone();
         back[3] = back[4];
         assert!(Uneven::new(&back, &y, 3).is_none());

@@ -5,6 +5,7 @@
 // A refusal carries its report, and there is one a twist.
 #![allow(clippy::result_large_err)]
 
+mod calibration;
 mod classes;
 mod clock;
 pub mod coach;
@@ -16,6 +17,7 @@ mod crosscheck;
 mod estimate;
 mod faults;
 mod fit;
+mod flexing;
 mod gates;
 mod interpolant;
 mod lag;

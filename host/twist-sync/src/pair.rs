@@ -5,12 +5,13 @@
 //! which is decided by the recordings themselves, not by the order in which they
 //! are given: exchanging them negates the offset at the same instant.
 
+use crate::calibration;
 use crate::crosscheck::{self, Misfit, Stretch};
 use crate::faults::{Fault, FaultKind, LeftOut, Why};
-use crate::fit::{self, Fit, FitOptions, Link, Node};
+use crate::fit::{self, Fit, FitOptions, Link};
 use crate::neighbours;
 use crate::rigid;
-use crate::signal::{Signal, Smoothing};
+use crate::signal::{Resampled, Signal, Smoothing};
 use crate::stream::CheckedStream;
 
 /// Left out on either side of a displaced stretch: its ends are known to a block.
@@ -36,6 +37,7 @@ pub(crate) struct Pair {
 pub(crate) struct Signals {
     pub(crate) model: Signal,
     pub(crate) data: Signal,
+    resampled: [Resampled; 2],
 }
 
 /// The settings of the fit, for the noise of a pair.
@@ -158,9 +160,14 @@ impl Pair {
     }
 
     pub(crate) fn signals(&self, smoothing: &Smoothing) -> Signals {
+        let resampled = [&self.model, &self.data].map(|stream| stream.resampled(smoothing));
+        let [model, data] = resampled
+            .each_ref()
+            .map(|stream| stream.smoothed(smoothing.low_pass_hz));
         Signals {
-            model: self.model.signal(smoothing),
-            data: self.data.signal(smoothing),
+            model,
+            data,
+            resampled,
         }
     }
 
@@ -175,7 +182,7 @@ impl Pair {
     ) -> Option<(Fit, f64)> {
         let mut kept_share = 1.0;
         for _ in 0..4 {
-            let outliers = self.leave_out_outliers(&fit, settings);
+            let outliers = self.leave_out_outliers(&fit, &signals, settings);
             if outliers {
                 signals = self.signals(&settings.smoothing);
                 fit = settings.fitted(&signals, fit.link)?;
@@ -184,7 +191,7 @@ impl Pair {
             let jumps = stretches.len() > 1;
             if jumps {
                 kept_share *= self.leave_out_stretches(&fit.link, &stretches);
-                signals.data = self.data.signal(&settings.smoothing);
+                signals = self.signals(&settings.smoothing);
                 fit = settings.fitted(&signals, fit.link)?;
             }
             if !outliers && !jumps {
@@ -195,24 +202,24 @@ impl Pair {
     }
 
     /// Leaves out single samples of either stream; whether there were any.
-    fn leave_out_outliers(&mut self, fit: &Fit, settings: &Settings) -> bool {
-        let wide = self.signals(&Smoothing {
-            low_pass_hz: settings.smoothing.low_pass_hz.max(OUTLIER_LOW_PASS_HZ),
-            ..settings.smoothing
-        });
+    fn leave_out_outliers(&mut self, fit: &Fit, signals: &Signals, settings: &Settings) -> bool {
+        let wide_hz = settings.smoothing.low_pass_hz.max(OUTLIER_LOW_PASS_HZ);
+        let [wide_model, wide_data] = signals.resampled.each_ref().map(|r| r.smoothed(wide_hz));
         let (model, data, link) = (&self.model, &self.data, fit.link);
-        let reverse: Vec<Node> = fit.nodes.iter().map(Node::swapped).collect();
         let of_data = crosscheck::outliers(
             (&data.t, &data.w, &data.usable),
-            &wide.model,
+            &wide_model,
             |t| link.model_time(t),
             &fit.calibration,
         );
         let of_model = crosscheck::outliers(
             (&model.t, &model.w, &model.usable),
-            &wide.data,
+            &wide_data,
             |t| link.data_time(t),
-            &fit::regress(&reverse, settings.fit.noise_variance),
+            &calibration::regress(
+                fit.nodes.iter().map(|n| (n.y, n.x)),
+                settings.fit.noise_variance,
+            ),
         );
         // One fault may show in both: it belongs to the stream where it is larger.
         let near_s = 1.5 * (model.step_s + data.step_s);

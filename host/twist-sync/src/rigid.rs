@@ -15,8 +15,9 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::calibration::{self, Calibration};
 use crate::faults::Why;
-use crate::fit::{self, Calibration, Fit, FitOptions, Link, Node};
+use crate::fit::{self, Fit, FitOptions, Link, Node};
 use crate::interpolant::Vec3;
 use crate::signal::Signal;
 
@@ -481,13 +482,16 @@ impl Search<'_> {
 
     /// The sensors' relation in most of the nodes.
     fn regressed(&self, nodes: &[Node]) -> Calibration {
-        let mut calibration = fit::regress(nodes, self.options.noise_variance);
+        let regressed = |nodes: &[Node]| {
+            calibration::regress(nodes.iter().map(Node::rates), self.options.noise_variance)
+        };
+        let mut calibration = regressed(nodes);
         for _ in 0..3 {
             let limit = 2.0 * self.residual(nodes, &calibration);
             let each = self.residuals(nodes, &calibration);
             let is_usual = |n: &&Node| self.blocks.of(n.t).is_some_and(|b| each[b] <= limit);
             let most: Vec<Node> = nodes.iter().filter(is_usual).copied().collect();
-            calibration = fit::regress(&most, self.options.noise_variance);
+            calibration = regressed(&most);
         }
         calibration
     }

@@ -23,22 +23,52 @@ pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
     })
 }
 
-/// Median of nine: that of the highest low, the middle middle and the lowest high of
-/// three sorted threes.
-pub(crate) fn median_of_nine(v: &[f64; 9]) -> f64 {
-    let sorted = |a: f64, b: f64, c: f64| {
-        let (low, high) = (a.min(b), a.max(b));
-        (low.min(c), low.max(high.min(c)), high.max(c))
+/// Values on each side that have a part in the local median.
+const AROUND: usize = 4;
+
+/// The values less the median of each and its neighbours, four on either side.
+pub(crate) fn without_local_median(values: &[f64]) -> Vec<f64> {
+    // Sorted threes, each of which is in three windows.
+    let threes: Vec<[f64; 3]> = values
+        .windows(3)
+        .map(|v| sorted(v[0], v[1], v[2]))
+        .collect();
+    let local = |k: usize| {
+        let (from, to) = (k.saturating_sub(AROUND), (k + AROUND + 1).min(values.len()));
+        if to - from == 2 * AROUND + 1 {
+            median_of_nine(&threes[from], &threes[from + 3], &threes[from + 6])
+        } else {
+            median(&values[from..to]).unwrap_or(0.0)
+        }
     };
-    let (a, b, c) = (
-        sorted(v[0], v[1], v[2]),
-        sorted(v[3], v[4], v[5]),
-        sorted(v[6], v[7], v[8]),
-    );
-    let low = a.0.max(b.0).max(c.0);
-    let middle = sorted(a.1, b.1, c.1).1;
-    let high = a.2.min(b.2).min(c.2);
-    sorted(low, middle, high).1
+    values
+        .iter()
+        .enumerate()
+        .map(|(k, v)| v - local(k))
+        .collect()
+}
+
+/// Median of three sorted threes: that of the highest low, the middle middle and the
+/// lowest high.
+fn median_of_nine(a: &[f64; 3], b: &[f64; 3], c: &[f64; 3]) -> f64 {
+    let low = higher(higher(a[0], b[0]), c[0]);
+    let middle = sorted(a[1], b[1], c[1])[1];
+    let high = lower(lower(a[2], b[2]), c[2]);
+    sorted(low, middle, high)[1]
+}
+
+fn sorted(a: f64, b: f64, c: f64) -> [f64; 3] {
+    let (low, high) = (lower(a, b), higher(a, b));
+    [lower(low, c), higher(low, lower(high, c)), higher(high, c)]
+}
+
+/// One instruction, where `f64::min` has several for what is no number.
+fn lower(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+fn higher(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
 }
 
 /// Standard deviation from the median absolute deviation, as for a normal
@@ -72,8 +102,10 @@ mod tests {
         assert_eq!(median(&[4.0, 1.0, 3.0, 2.0]), Some(2.5));
         assert_eq!(median(&[]), None);
         for seed in 0..200 {
-            let nine = std::array::from_fn(|k| f64::from((seed * 9 + k as i32) * 7919 % 13));
-            assert_eq!(Some(median_of_nine(&nine)), median(&nine));
+            let nine: [f64; 9] =
+                std::array::from_fn(|k| f64::from((seed * 9 + k as i32) * 7919 % 13));
+            let local = nine[4] - without_local_median(&nine)[4];
+            assert_eq!(Some(local), median(&nine));
         }
         let sigma = mad_sigma(&[0.0, 1.0, 2.0, 3.0, 100.0]).unwrap();
         assert!((sigma - 1.4826).abs() < 1e-3);

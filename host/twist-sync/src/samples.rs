@@ -52,6 +52,7 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
         let (stale, displacement_s) = stale_copies(samples, usable, &pairs, &out.noise);
         leave_out(usable, &stale);
         against = samples.predictions(usable);
+        out.noise = noise_of(&against);
         out.faults.push(Fault {
             count: pairs.len(),
             period: recurrence(&pairs.iter().map(|p| p.1).collect::<Vec<_>>()),
@@ -60,28 +61,22 @@ pub(crate) fn check(stream: Stream, samples: Samples<'_>, usable: &mut [bool]) -
         });
     }
 
-    let (displaced, unresolved_s) = displaced_classes(stream, samples, usable, &mut against);
-    if !displaced.is_empty() {
-        out.noise = noise_of(&against);
-        out.unresolved_s = unresolved_s;
-        out.faults.extend(displaced);
-    }
+    leave_out_displaced(stream, samples, usable, against, &mut out);
     out
 }
 
-/// Leaves out displaced classes, the most significant first, and gives the
-/// uncertainty of time that the last one leaves open, seconds. `against` are the
-/// predictions of the usable samples, before and after.
-fn displaced_classes(
+/// Leaves out displaced classes, the most significant first. `against` are the
+/// predictions of the usable samples.
+fn leave_out_displaced(
     stream: Stream,
     samples: Samples<'_>,
     usable: &mut [bool],
-    against: &mut Vec<Against>,
-) -> (Vec<Fault>, f64) {
-    let mut faults = Vec::new();
+    mut against: Vec<Against>,
+    out: &mut SampleCheck,
+) {
     let total = kept(usable).len();
     for _ in 0..12 {
-        let Some(class) = classes::most_displaced(samples, usable, against) else {
+        let Some(class) = classes::most_displaced(samples, usable, &against, &out.noise) else {
             break;
         };
         let left = kept(usable);
@@ -95,19 +90,20 @@ fn displaced_classes(
             Action::Noted
         } else {
             leave_out(usable, &members);
-            *against = samples.predictions(usable);
+            against = samples.predictions(usable);
+            out.noise = noise_of(&against);
             Action::LeftOut
         };
-        faults.push(Fault {
+        out.faults.push(Fault {
             period: Some(class.period as f64),
             displacement_s: Some(class.displacement_s),
             ..Fault::new(stream, FaultKind::DisplacedClass, members, action)
         });
         if undecided {
-            return (faults, 0.5 * class.displacement_s.abs());
+            out.unresolved_s = 0.5 * class.displacement_s.abs();
+            break;
         }
     }
-    (faults, 0.0)
 }
 
 /// Samples at a plateau of the largest or smallest value of an axis.

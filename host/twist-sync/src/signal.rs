@@ -3,10 +3,10 @@
 //! 1. The usable samples are cut into pieces wherever the distance between
 //!    neighbours is too long to be bridged.
 //! 2. Each piece is interpolated ([`Uneven`]) at its true, uneven times.
-//! 3. The interpolant is sampled on a uniform grid no coarser than the data and
-//!    filtered with a Gaussian, which is zero-phase: it cannot move the answer.
-//!    Nodes whose kernel would reach beyond the piece are dropped, so that no
-//!    edge effect exists.
+//! 3. The interpolant is sampled on a uniform grid no coarser than the data
+//!    ([`Resampled`]) and filtered with a Gaussian, which is zero-phase: it cannot move
+//!    the answer. Nodes whose kernel would reach beyond the piece are dropped, so that
+//!    no edge effect exists.
 //! 4. The filtered nodes are interpolated again ([`Uniform`]), which gives the smooth
 //!    rate and its derivative at any time.
 //!
@@ -21,6 +21,9 @@ use crate::neighbours;
 /// truncation error is 7·10⁻⁶ of the kernel's weight, the same on both sides.
 const KERNEL_REACH: f64 = 4.5;
 
+/// Nodes in a standard deviation of the kernel, at least.
+const NODES: f64 = 2.5;
+
 /// Settings of the continuous representation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Smoothing {
@@ -33,8 +36,12 @@ pub(crate) struct Smoothing {
 impl Smoothing {
     /// Standard deviation of the Gaussian kernel in seconds.
     pub(crate) fn kernel_sigma_s(&self) -> f64 {
-        (std::f64::consts::LN_2).sqrt() / (std::f64::consts::TAU * self.low_pass_hz)
+        kernel_sigma_s(self.low_pass_hz)
     }
+}
+
+fn kernel_sigma_s(low_pass_hz: f64) -> f64 {
+    std::f64::consts::LN_2.sqrt() / (std::f64::consts::TAU * low_pass_hz)
 }
 
 /// A stretch of motion without gaps.
@@ -45,14 +52,18 @@ struct Piece {
     to: f64,
 }
 
-/// A continuous angular rate, defined on one or more pieces of time.
+/// The usable samples on an even grid, piece by piece, before any filter.
 #[derive(Debug, Clone)]
-pub(crate) struct Signal {
-    pieces: Vec<Piece>,
+pub(crate) struct Resampled {
+    /// Begin, and the rates from there on.
+    pieces: Vec<(f64, Vec<Vec3>)>,
+    grid: f64,
+    degree: usize,
 }
 
-impl Signal {
-    /// Builds the signal of the samples with `usable[k]`, in increasing time.
+impl Resampled {
+    /// Of the samples with `usable[k]`, in increasing time, for filters as narrow as
+    /// `smoothing`.
     ///
     /// `max_gap_s` is the longest distance between neighbours that is bridged,
     /// `sample_step_s` the typical distance.
@@ -66,28 +77,74 @@ impl Signal {
     ) -> Self {
         let sigma = smoothing.kernel_sigma_s();
         // Steps so small that no gyroscope has them are a wrong unit of time.
-        let grid = sample_step_s.clamp(sigma / 50.0, sigma / 2.5);
-        let reach = (KERNEL_REACH * sigma / grid).ceil() as usize;
-        let kernel = gaussian_kernel(sigma / grid, reach);
-        let keep_every = ((sigma / 2.5 / grid).floor() as usize).max(1);
-
+        let grid = sample_step_s.clamp(sigma / 50.0, sigma / NODES);
+        let degree = smoothing.degree;
         let kept = neighbours::kept(usable);
         let pieces = kept
             .chunk_by(|&k, &next| t[next] - t[k] <= max_gap_s)
             .filter_map(|piece| {
                 let times: Vec<f64> = piece.iter().map(|&k| t[k]).collect();
                 let rates: Vec<Vec3> = piece.iter().map(|&k| w[k]).collect();
-                filtered(&times, &rates, grid, &kernel, keep_every, smoothing.degree)
+                let raw = Uneven::new(&times, &rates, degree)?;
+                let (from, to) = raw.domain();
+                Some((from, raw.on_grid(grid, ((to - from) / grid) as usize + 1)))
             })
             .collect();
-        Self { pieces }
+        Self {
+            pieces,
+            grid,
+            degree,
+        }
+    }
+
+    /// Low-passed and continuous.
+    ///
+    /// The kernel may be narrower than that of `smoothing`: at 1.4 steps of the grid its
+    /// samples still are a Gaussian to 10⁻¹⁷.
+    pub(crate) fn smoothed(&self, low_pass_hz: f64) -> Signal {
+        let sigma = kernel_sigma_s(low_pass_hz) / self.grid;
+        let kernel = gaussian_kernel(sigma, (KERNEL_REACH * sigma).ceil() as usize);
+        let keep_every = ((sigma / NODES) as usize).max(1);
+        let smooth = |(from, rates): &(f64, Vec<Vec3>)| {
+            let start = from + (kernel.len() / 2) as f64 * self.grid;
+            let step = self.grid * keep_every as f64;
+            let nodes = filtered(rates, &kernel, keep_every);
+            if nodes.len() < 2 * self.degree {
+                return None;
+            }
+            let to = start + (nodes.len() - 1) as f64 * step;
+            Some(Piece {
+                smooth: Uniform::new(start, step, nodes, self.degree)?,
+                from: start,
+                to,
+            })
+        };
+        let pieces = self.pieces.iter().filter_map(smooth).collect();
+        Signal { pieces }
+    }
+}
+
+/// A continuous angular rate, defined on one or more pieces of time.
+#[derive(Debug, Clone)]
+pub(crate) struct Signal {
+    pieces: Vec<Piece>,
+}
+
+impl Signal {
+    fn piece_at(&self, t: f64) -> Option<&Piece> {
+        let after = self.pieces.partition_point(|p| p.from <= t);
+        let piece = &self.pieces[after.checked_sub(1)?];
+        (t <= piece.to).then_some(piece)
+    }
+
+    /// Smooth value at `t`, or `None` outside of the pieces.
+    pub(crate) fn value(&self, t: f64) -> Option<Vec3> {
+        Some(self.piece_at(t)?.smooth.value(t))
     }
 
     /// Smooth value and rate of change at `t`, or `None` outside of the pieces.
     pub(crate) fn at(&self, t: f64) -> Option<(Vec3, Vec3)> {
-        let after = self.pieces.partition_point(|p| p.from <= t);
-        let piece = &self.pieces[after.checked_sub(1)?];
-        (t <= piece.to).then(|| piece.smooth.value_and_rate(t))
+        Some(self.piece_at(t)?.smooth.value_and_rate(t))
     }
 
     /// The signal sampled every `step` seconds on all its pieces.
@@ -120,40 +177,21 @@ fn gaussian_kernel(sigma: f64, reach: usize) -> Vec<f64> {
     kernel
 }
 
-fn filtered(
-    t: &[f64],
-    w: &[Vec3],
-    grid: f64,
-    kernel: &[f64],
-    keep_every: usize,
-    degree: usize,
-) -> Option<Piece> {
-    let raw = Uneven::new(t, w, degree)?;
-    let (from, to) = raw.domain();
-    let nodes = ((to - from) / grid).floor() as usize + 1;
-    let kept = (nodes.checked_sub(kernel.len())?) / keep_every + 1;
-    if kept < 2 * degree {
-        return None;
-    }
-    let dense = raw.on_grid(grid, nodes);
-    let smooth: Vec<Vec3> = (0..kept)
-        .map(|k| {
-            let mut sum = [0.0; 3];
-            for (tap, v) in kernel.iter().zip(&dense[k * keep_every..]) {
-                for axis in 0..3 {
-                    sum[axis] += tap * v[axis];
-                }
+/// Every `keep_every`th of the values under the whole kernel, which is symmetric.
+fn filtered(rates: &[Vec3], kernel: &[f64], keep_every: usize) -> Vec<Vec3> {
+    let reach = kernel.len() / 2;
+    let weighed = |near: &[Vec3]| {
+        let mut sum = near[reach].map(|v| kernel[reach] * v);
+        let both = near[..reach].iter().zip(near[reach + 1..].iter().rev());
+        for (tap, (before, after)) in kernel.iter().zip(both) {
+            for axis in 0..3 {
+                sum[axis] += tap * (before[axis] + after[axis]);
             }
-            sum
-        })
-        .collect();
-    let start = from + (kernel.len() / 2) as f64 * grid;
-    let step = grid * keep_every as f64;
-    Some(Piece {
-        smooth: Uniform::new(start, step, &smooth, degree)?,
-        from: start,
-        to: start + (kept - 1) as f64 * step,
-    })
+        }
+        sum
+    };
+    let windows = rates.windows(kernel.len());
+    windows.step_by(keep_every).map(weighed).collect()
 }
 
 #[cfg(test)]
@@ -172,7 +210,8 @@ mod tests {
             .collect();
         let f = std::f64::consts::TAU * 25.0;
         let w: Vec<Vec3> = t.iter().map(|&x| [(f * x).sin(), 0.0, 0.0]).collect();
-        let s = Signal::new(&t, &w, &vec![true; t.len()], 0.002, 0.01, &smoothing);
+        let s =
+            Resampled::new(&t, &w, &vec![true; t.len()], 0.002, 0.01, &smoothing).smoothed(25.0);
         let mut worst: f64 = 0.0;
         for k in 0..1000 {
             let x = 1.0 + 0.001 * k as f64;
@@ -192,7 +231,7 @@ mod tests {
         let w = vec![[1.0, 2.0, 3.0]; 1000];
         let mut usable = vec![true; 1000];
         usable[500..520].fill(false);
-        let s = Signal::new(&t, &w, &usable, 0.002, 0.01, &smoothing);
+        let s = Resampled::new(&t, &w, &usable, 0.002, 0.01, &smoothing).smoothed(25.0);
         assert!(s.at(1.02).is_none());
         assert!(s.at(0.99).is_none(), "the kernel reaches into the gap");
         assert!(s.at(0.9).is_some() && s.at(1.2).is_some());

@@ -5,7 +5,7 @@ use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::Vec3;
 use crate::neighbours::{self, Samples};
 use crate::samples;
-use crate::signal::{Signal, Smoothing};
+use crate::signal::{Resampled, Smoothing};
 use crate::timestamps;
 
 /// Rates above this are no rates, rad/s.
@@ -76,9 +76,9 @@ impl CheckedStream {
         Some(out)
     }
 
-    pub(crate) fn signal(&self, smoothing: &Smoothing) -> Signal {
+    pub(crate) fn resampled(&self, smoothing: &Smoothing) -> Resampled {
         let max_gap_s = (3.6 * self.step_s).max(0.01);
-        Signal::new(
+        Resampled::new(
             &self.t,
             &self.w,
             &self.usable,

@@ -96,7 +96,7 @@ fn three_devices_in_three_forms_have_one_solution() {
         ..SENSOR_B
     };
     let second = simulate::twist(&spec, seed);
-    let third = simulate::third(&spec, seed, &sensor);
+    let third = simulate::third(&second, &spec, seed, &sensor);
     euroc(folder.path().join("imu.csv"), &second.a);
     app(folder.path().join("phone.csv"), &second.b);
     ros2(folder.path().join("bag.mcap"), &third.b);

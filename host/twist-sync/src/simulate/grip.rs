@@ -6,6 +6,8 @@
 //!
 //! The sizes are ranges, not measurements: nobody has published how people hold a rig.
 
+use std::f64::consts::PI;
+
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -29,6 +31,8 @@ pub enum Grip {
     Wrong(f64, f64),
     /// The mount is a spring: resonance in Hz, damping ratio 0.03 to 0.15.
     Flexing(f64, f64),
+    /// The same, but about each axis of the mount another one: damping ratio 0.01 to 0.3.
+    FlexingByAxis(f64, f64),
 }
 
 /// What body b does while a does `rates`.
@@ -39,7 +43,9 @@ pub(super) struct Held<'a> {
     loose: Option<(f64, f64, f64)>,
     /// Axis, angle in rad, time and duration of a turn; another takes it back.
     turns: Vec<(Unit<Vector3<f64>>, f64, f64, f64)>,
-    flexing: Option<Uniform>,
+    /// What the mount makes of the motion about its axes, of which it has three or one.
+    flexing: Vec<Uniform>,
+    mount: Rotation3<f64>,
     /// Stretches in which the two are not one body, seconds of true time.
     pub(super) stretches: Vec<(f64, f64)>,
 }
@@ -74,7 +80,8 @@ impl<'a> Held<'a> {
             other,
             loose: None,
             turns: Vec::new(),
-            flexing: None,
+            flexing: Vec::new(),
+            mount: Rotation3::identity(),
             stretches: Vec::new(),
         };
         let mut between = |low: f64, high: f64| rng.random_range(low..=high);
@@ -106,7 +113,19 @@ impl<'a> Held<'a> {
             Grip::Flexing(low, high) => {
                 let (hz, damping) = (between(low, high), between(0.03, 0.15));
                 let motion = |t: f64| rates.at(t);
-                out.flexing = second_order(&motion, hz, damping, true, from - 2.0, to + 2.0);
+                let carried = second_order(&motion, hz, damping, true, from - 2.0, to + 2.0);
+                out.flexing.extend(carried);
+            }
+            Grip::FlexingByAxis(low, high) => {
+                let each: [(f64, f64); 3] =
+                    std::array::from_fn(|_| (between(low, high), between(0.01, 0.3)));
+                let axis = Unit::new_normalize(direction(&mut rng));
+                let mount = Rotation3::from_axis_angle(&axis, rng.random_range(0.0..PI));
+                let motion = |t: f64| mount.inverse() * rates.at(t);
+                out.flexing.extend(each.iter().filter_map(|&(hz, damping)| {
+                    second_order(&motion, hz, damping, true, from - 2.0, to + 2.0)
+                }));
+                out.mount = mount;
             }
         }
         out.stretches.extend(out.loose.map(|(begin, end, _)| {
@@ -118,9 +137,10 @@ impl<'a> Held<'a> {
 
     /// The rate of body b in its own axes.
     pub(super) fn at(&self, t: f64) -> Vector3<f64> {
-        let mut rate = match &self.flexing {
-            Some(flexing) => flexing.value(t).into(),
-            None => self.rates.at(t),
+        let mut rate: Vector3<f64> = match &self.flexing[..] {
+            [x, y, z] => self.mount * Vector3::new(x.value(t)[0], y.value(t)[1], z.value(t)[2]),
+            [all, ..] => all.value(t).into(),
+            [] => self.rates.at(t),
         };
         if let Some((begin, end, share)) = self.loose {
             let taken = rise((t - begin) / HANDLING_S) * (1.0 - rise((t - end) / HANDLING_S));

@@ -18,9 +18,11 @@ use crate::GyroTrack;
 use crate::interpolant::{Uneven, Uniform, Vec3};
 use grip::{Held, rise};
 
+mod devices;
 mod grip;
 mod scenarios;
 
+pub use devices::{related, third};
 pub use grip::Grip;
 pub use scenarios::{Scenario, scenarios};
 
@@ -188,7 +190,7 @@ fn second_order(
             nodes.push(x.into());
         }
     }
-    Uniform::new(from, 5.0 * step, &nodes, 5)
+    Uniform::new(from, 5.0 * step, nodes, 5)
 }
 
 /// The true course of clock b against clock a: a skew that walks at random.
@@ -537,41 +539,6 @@ fn moving_until(spec: &TwistSpec) -> f64 {
         spec.duration_s + spec.b_starts_s
     } else {
         spec.duration_s
-    }
-}
-
-/// Recording a of [`twist`] with the same spec and seed beside that of a third gyroscope,
-/// which is firmly held to it: with a mounting, a clock and noise of its own.
-#[must_use]
-pub fn third(spec: &TwistSpec, seed: u64, sensor: &Sensor) -> Twist {
-    let pair = twist(spec, seed);
-    let mut motion = Pcg64::seed_from_u64(seed);
-    let rates = Rates::new(&mut motion, spec.motion, spec.rest_s, moving_until(spec));
-    let mut rng = Pcg64::seed_from_u64(seed ^ 0x7812_d000);
-    let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
-    let offset_s: f64 = rng.random_range(-4000.0..1e6);
-    let end = spec.duration_s + spec.b_starts_s.max(0.0);
-    let path = ClockPath::new(seed, skew, 0.0, end, 0.5 * end);
-    let turn = Rotation3::from_axis_angle(
-        &Unit::new_normalize(direction(&mut rng)),
-        rng.random_range(0.0..std::f64::consts::PI),
-    );
-    let of_third = |t: f64| rates.at(t);
-    let seen = Seen::new(&of_third, sensor, 0.0, end);
-    let starts_s = 0.5 * spec.b_starts_s;
-    let (t, w) = record(&mut rng, sensor, &seen, &turn, starts_s, spec.duration_s);
-    let at = |t: f64| t + path.drift_at(t);
-    let first = t.first().copied().unwrap_or(0.0);
-    Twist {
-        b: GyroTrack {
-            epoch_s: pair.boot_s + offset_s + at(first),
-            t: t.iter().map(|&t| at(t) - at(first)).collect(),
-            w,
-        },
-        skew,
-        offset_s,
-        path,
-        ..pair
     }
 }
 

@@ -226,14 +226,21 @@ pub fn scenarios() -> Vec<Scenario> {
         held("let go 1 s early", Grip::LetGo(0.5, 1.5)),
         held("slip of 2° to 15°", Grip::Slip(2.0, 15.0)),
         held("wrong grip for 0.3 to 1 s", Grip::Wrong(0.3, 1.0)),
-        // What a mount delays is in the offset: its damping decides how much.
         scenario(
             "mount flexes, 15 to 40 Hz",
             TwistSpec {
                 grip: Grip::Flexing(15.0, 40.0),
                 ..base
             },
-            30.0,
+            8.0,
+        ),
+        scenario(
+            "mount flexes by axis, 12 to 60 Hz",
+            TwistSpec {
+                grip: Grip::FlexingByAxis(12.0, 60.0),
+                ..base
+            },
+            8.0,
         ),
         scenario("several faults of b", with_b(SEVERAL_FAULTS), 12.0),
         scenario(

@@ -1,0 +1,57 @@
+//! More devices than two on one body.
+
+use nalgebra::{Rotation3, Unit, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::{ClockPath, Rates, Seen, Sensor, Twist, TwistSpec, direction, moving_until, record};
+use crate::network::Pair;
+use crate::{ClockCourse, GyroTrack, Options, estimate_offset};
+
+/// Recording a of a `pair` that [`super::twist`] made of this spec and seed, beside that of a
+/// third gyroscope, which is firmly held to it: with a mounting, a clock and noise of its own.
+#[must_use]
+pub fn third(pair: &Twist, spec: &TwistSpec, seed: u64, sensor: &Sensor) -> Twist {
+    let mut motion = Pcg64::seed_from_u64(seed);
+    let rates = Rates::new(&mut motion, spec.motion, spec.rest_s, moving_until(spec));
+    let mut rng = Pcg64::seed_from_u64(seed ^ 0x7812_d000);
+    let skew = 1e-6 * spec.skew_ppm * rng.random_range(-1.0..=1.0);
+    let offset_s: f64 = rng.random_range(-4000.0..1e6);
+    let end = spec.duration_s + spec.b_starts_s.max(0.0);
+    let path = ClockPath::new(seed, skew, 0.0, end, 0.5 * end);
+    let turn = Rotation3::from_axis_angle(
+        &Unit::new_normalize(direction(&mut rng)),
+        rng.random_range(0.0..std::f64::consts::PI),
+    );
+    let of_third = |t: f64| -> Vector3<f64> { rates.at(t) };
+    let seen = Seen::new(&of_third, sensor, 0.0, end);
+    let starts_s = 0.5 * spec.b_starts_s;
+    let (t, w) = record(&mut rng, sensor, &seen, &turn, starts_s, spec.duration_s);
+    let at = |t: f64| t + path.drift_at(t);
+    let first = t.first().copied().unwrap_or(0.0);
+    Twist {
+        b: GyroTrack {
+            epoch_s: pair.boot_s + offset_s + at(first),
+            t: t.iter().map(|&t| at(t) - at(first)).collect(),
+            w,
+        },
+        skew,
+        offset_s,
+        path,
+        ..pair.clone()
+    }
+}
+
+/// The relation of each pair of recordings, in the order of a [`crate::network::Network`];
+/// `None` if one is refused.
+#[must_use]
+pub fn related(tracks: &[&GyroTrack]) -> Option<Vec<Pair>> {
+    let numbers = 0..tracks.len();
+    let pairs = numbers.flat_map(|a| (a + 1..tracks.len()).map(move |b| (a, b)));
+    let related = |(a, b): (usize, usize)| {
+        let estimate = estimate_offset(tracks[a], tracks[b], &Options::default()).ok()?;
+        let course = ClockCourse::from_estimates(&[estimate.clock], estimate.clock.wander)?;
+        Some(Pair { a, b, course })
+    };
+    pairs.map(related).collect()
+}
