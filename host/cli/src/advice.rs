@@ -61,7 +61,7 @@ impl From<BoardError> for Failure {
 }
 
 /// What to do about what the board refuses.
-const fn refusal_step(refusal: &Refusal) -> &'static str {
+pub(crate) const fn refusal_step(refusal: &Refusal) -> &'static str {
     match refusal {
         Refusal::TriggerRunning => "stop it first: `smartdepthsync trigger stop`",
         Refusal::TriggerStopped => "start it first: `smartdepthsync trigger start`",
@@ -72,7 +72,7 @@ const fn refusal_step(refusal: &Refusal) -> &'static str {
         Refusal::GnssStopping => "repeat it in a second",
         Refusal::WrongKey => "nothing was changed; repeat it",
         Refusal::NotOnThisBoard => {
-            "leave `[outputs]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY"
+            "leave `[[outputs]]` and `[lidar]` out of the rig profile, or use an STM32F4DISCOVERY"
         }
         Refusal::PeriodOutOfRange
         | Refusal::WidthOutOfRange { .. }

@@ -134,6 +134,8 @@ pub(crate) struct RigFacts {
     pub(crate) middle_row_ns: Option<i64>,
     /// From the trigger pulse to the depth timestamp, ns.
     pub(crate) depth_center_ns: Option<i64>,
+    /// 1-sigma of the constant between depth and phone, µs.
+    pub(crate) constant_sigma_us: Option<f64>,
     /// Low-pass delay of the board's IMU, ns.
     pub(crate) board_imu_delay_ns: Option<i64>,
     /// Low-pass delay of the phone's gyroscope, ns.
@@ -468,6 +470,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
         // A measured bias says that the depth image is exposed later than its
         // nominal centre, against the phone's middle row.
         depth_center_ns: nanos(center + bias),
+        constant_sigma_us: Some(profile.constant_sigma_us()),
         board_imu_delay_ns: session
             .imu
             .as_ref()

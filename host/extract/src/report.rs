@@ -235,10 +235,13 @@ pub struct DepthReport {
 }
 
 /// Pairs of frames.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairsReport {
     /// Depth − phone.
     pub spread: Spread,
+    /// 1-sigma of depth − phone, µs: of the clocks, at most, and of the constant between the
+    /// exposures; nothing where one of them is not known.
+    pub sigma_us: Option<f64>,
     /// Depth − phone, all of them.
     pub histogram: Histogram,
     /// Those near to the median (within ten times the distance of the quartiles).
@@ -335,9 +338,10 @@ impl ExtractReport {
             lines.push((
                 "pairs",
                 format!(
-                    "{}, depth − phone: median {} µs, quartiles {} to {} µs",
+                    "{}, depth − phone: median {} µs{}, quartiles {} to {} µs",
                     spread.count,
                     us(spread.median_ns),
+                    pairs.known(),
                     us(spread.quartiles_ns[0]),
                     us(spread.quartiles_ns[1])
                 ),
@@ -358,9 +362,10 @@ impl ExtractReport {
     pub fn verdict(&self) -> (Level, String) {
         let pairs = self.pairs.as_ref().map_or(String::new(), |pairs| {
             format!(
-                " {} pairs of frames; depth − phone is {:.1} µs in the median.",
+                " {} pairs of frames; depth − phone is {:.1} µs{} in the median.",
                 pairs.spread.count,
-                pairs.spread.median_ns as f64 / 1000.0
+                pairs.spread.median_ns as f64 / 1000.0,
+                pairs.known()
             )
         });
         match self.losses.first() {
@@ -386,6 +391,15 @@ impl ExtractReport {
                 ),
             ),
         }
+    }
+}
+
+impl PairsReport {
+    /// How well depth − phone is known, in words behind it.
+    fn known(&self) -> String {
+        self.sigma_us.map_or(String::new(), |sigma_us| {
+            format!(" ± {sigma_us:.1} µs (1-sigma)")
+        })
     }
 }
 

@@ -195,6 +195,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
     let middle_row_us = profile.middle_row_us();
     let center_offset_us = profile.depth.center_offset_us;
     let bias_us = profile.frame_sync.bias_us;
+    let constant_sigma_us = profile.constant_sigma_us();
 
     let middle = middle(clock, video, exposure_us, middle_row_us);
     let edge = BoardSeconds(middle.0 - (center_offset_us + bias_us) * 1e-6);
@@ -221,6 +222,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             middle_row_us,
             center_offset_us,
             bias_us,
+            constant_sigma_us: Some(constant_sigma_us),
             frame_period_ns,
             frame_period_sigma_ns: Some(frame_period_sigma_ns),
             frame_period_source: frames.source,
@@ -230,7 +232,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
             board_temperature_c: None,
             anchor: edge.ticks(),
             period_q32,
-            phase_sigma_us: phase_sigma_us(course, edge, frames.jitter_ns),
+            phase_sigma_us: phase_sigma_us(course, edge, frames.jitter_ns).hypot(constant_sigma_us),
             drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
             arrival_pulse: None,
             arrival: None,
@@ -262,7 +264,7 @@ fn drift_sigma_us_per_min(rate: Rate, frames: &Frames) -> f64 {
     rate.sigma.hypot(frames.sigma_ns / frames.period_ns) * 60e6
 }
 
-/// Predicted 1-sigma of the phase at a board time, µs, without the constants'.
+/// Predicted 1-sigma of the phase at a board time, µs, without the constant's.
 ///
 /// Where the grid is right on the phone's frames depends on the offset of the clocks
 /// *then*, whose uncertainty holds what skew and warming add, on how many frames of
@@ -279,6 +281,12 @@ pub fn phase_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
     offset_us
         .hypot(frames_sigma_us(alignment, at))
         .hypot(course.bend(anchor, at) * 1e6)
+}
+
+/// The same with the constant's, which no twist makes smaller.
+#[must_use]
+pub fn stated_sigma_us_at(alignment: &Alignment, at: BoardSeconds) -> f64 {
+    phase_sigma_us_at(alignment, at).hypot(alignment.constant_sigma_us.unwrap_or_default())
 }
 
 /// The part of [`phase_sigma_us_at`] that is the phone's frames': the jitter of the one
@@ -408,7 +416,8 @@ pub fn placement(
     let own_s = frames.period_ns * 1e-9 / (1.0 + rate.skew);
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
-        offset_sigma_us: phase_sigma_us(course, middle, frames.jitter_ns),
+        offset_sigma_us: phase_sigma_us(course, middle, frames.jitter_ns)
+            .hypot(alignment.constant_sigma_us.unwrap_or_default()),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
         drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
     }

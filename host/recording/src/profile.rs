@@ -519,6 +519,17 @@ impl Profile {
         self.lidar.as_ref().map_or("gnss", |lidar| &lidar.name)
     }
 
+    /// 1-sigma of the constant between the middles of the two exposures, µs: of the bias,
+    /// once that is measured; until then from the trigger's edge to the middle of the depth
+    /// exposure, and of the delay of the phone's gyroscope.
+    #[must_use]
+    pub fn constant_sigma_us(&self) -> f64 {
+        match self.frame_sync.bias_measured {
+            Some(_) => self.frame_sync.bias_sigma_us,
+            None => (self.depth.center_offset_sigma_us).hypot(self.phone.gyro_delay_sigma_us),
+        }
+    }
+
     /// Length of the trigger pulse, ticks.
     #[must_use]
     pub fn pulse_width(&self) -> u32 {

@@ -298,6 +298,10 @@ pub struct Alignment {
     pub center_offset_us: f64,
     /// The constant bias that was subtracted, µs.
     pub bias_us: f64,
+    /// 1-sigma of the constant between the two exposures, µs
+    /// ([`Profile::constant_sigma_us`]); older sessions have none.
+    #[serde(default)]
+    pub constant_sigma_us: Option<f64>,
     /// Distance of phone frames in the phone's time, ns.
     pub frame_period_ns: f64,
     /// 1-sigma of it, ns, where it is known.
@@ -319,8 +323,8 @@ pub struct Alignment {
     pub anchor: Ticks,
     /// Period of the grid in 2⁻³² ticks.
     pub period_q32: u64,
-    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, without the
-    /// constants'.
+    /// Predicted 1-sigma of the phase when the train arrives on the grid, µs, with the
+    /// constant's where there is one.
     pub phase_sigma_us: f64,
     /// Predicted 1-sigma of the drift, µs/min.
     pub drift_sigma_us_per_min: f64,
@@ -328,6 +332,20 @@ pub struct Alignment {
     pub arrival_pulse: Option<u64>,
     /// Its time.
     pub arrival: Option<Ticks>,
+}
+
+impl Alignment {
+    /// How well phase and drift are known, in words.
+    #[must_use]
+    pub fn promise(&self) -> String {
+        let constant = self.constant_sigma_us.map_or(String::new(), |sigma_us| {
+            format!(" (of it a constant ± {sigma_us:.1} µs)")
+        });
+        format!(
+            "phase ± {:.1} µs{constant}, drift ± {:.1} µs/min (1-sigma, predicted)",
+            self.phase_sigma_us, self.drift_sigma_us_per_min
+        )
+    }
 }
 
 /// How the skew of two clocks changes while a rig warms up, as far as it is known.

@@ -97,14 +97,7 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
             ),
         ),
         ("bias taken out", format!("{:+.1} µs", alignment.bias_us)),
-        (
-            "predicted phase error",
-            format!("± {:.1} µs (1-sigma)", alignment.phase_sigma_us),
-        ),
-        (
-            "predicted drift",
-            format!("± {:.1} µs/min (1-sigma)", alignment.drift_sigma_us_per_min),
-        ),
+        ("how well it is known", alignment.promise()),
         (
             "arrived",
             match (alignment.arrival_pulse, alignment.arrival) {
@@ -120,8 +113,8 @@ pub(super) fn alignment(page: &mut Page, session: &SessionFile) {
             page.figure(
                 &svg,
                 "Predicted distance of the two exposures' middles over the recording (1-sigma), \
-                 from the uncertainty of clocks and frame period. The command evaluate \
-                 measures it.",
+                 from the uncertainty of clocks and frame period, without that of the constant. \
+                 The command evaluate measures it.",
             );
         }
     }

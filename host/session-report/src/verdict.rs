@@ -261,10 +261,7 @@ fn alignment(session: &SessionFile) -> Check {
             vec![String::from("record again")],
         );
     };
-    let mut found = format!(
-        "phase ± {:.1} µs at the start, drift ± {:.1} µs/min (1-sigma, predicted)",
-        alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
-    );
+    let mut found = alignment.promise();
     let mut next = Vec::new();
     let mut verdict = Verdict::Good;
     for name in [CHECK_BIAS, CHECK_LEARNT] {

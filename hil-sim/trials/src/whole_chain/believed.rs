@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use frame_sync::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
-use super::{Plan, Programs, extraction};
+use super::{Plan, Programs, extraction, record};
 use crate::beliefs::{Figure, Specimen};
 
 /// The recording of so many seconds on a rig of the study.
@@ -31,7 +31,8 @@ pub fn plan(rig: &Specimen, seconds: u32) -> Plan {
 /// wrong, a dropped frame is not named.
 pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figure>> {
     let (_, phone) = plan.parts();
-    let (recorded, extraction) = extraction::recorded(plan, programs, out)?;
+    let recorded = record(plan, programs, out)?;
+    let extraction = extraction::extracted(&recorded, programs)?;
     let verdict = recorded.truth.judge(&recorded.folder)?;
     let session = &recorded.session;
     let alignment = session.alignment.as_ref().context("it was not aligned")?;

@@ -121,17 +121,16 @@ impl ExtractionFigures {
 /// A step fails; or a frame has a wrong pulse, a pair is wrong, a dropped frame
 /// is not named or one is named that was not dropped.
 pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<ExtractionFigures> {
-    Ok(recorded(plan, programs, out)?.1)
+    extracted(&record(plan, programs, out)?, programs)
 }
 
-/// The same, with the recording.
-pub(super) fn recorded(
-    plan: &Plan,
-    programs: &Programs,
-    out: &Path,
-) -> Result<(Recorded, ExtractionFigures)> {
-    let recorded = record(plan, programs, out)?;
-    let data = out.join(&plan.name).join("data");
+/// Extracts a recording, and compares.
+///
+/// # Errors
+///
+/// As [`check`], but for what makes the recording.
+pub fn extracted(recorded: &Recorded, programs: &Programs) -> Result<ExtractionFigures> {
+    let data = recorded.folder.with_file_name("data");
     let phone = recorded.phone.to_string_lossy().into_owned();
     let data_text = data.to_string_lossy().into_owned();
     let report = ask(
@@ -139,8 +138,7 @@ pub(super) fn recorded(
         &["extract", "--phone", &phone, "--out", &data_text],
         &[&recorded.folder],
     )?;
-    let figures = judge(&recorded, &data, &report)?;
-    Ok((recorded, figures))
+    judge(recorded, &data, &report)
 }
 
 /// Columns of a CSV table as integers; empty cells are `None`.

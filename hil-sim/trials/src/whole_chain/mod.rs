@@ -31,6 +31,7 @@ use serde_json::Value;
 use crate::demo::judge::{Timebase, Truth};
 use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
+use rig::imu::SensorModel;
 use rig::k4a_mkv::{self, K4aSettings};
 use rig::motion::gesture::Gesture;
 use rig::motion::{MotionSpec, Step};
@@ -40,7 +41,7 @@ use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
-use rig::wiring;
+use rig::wiring::{self, BoardKind};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
 /// How long the rig is twisted at first, seconds: the session connects, and
@@ -76,6 +77,10 @@ pub struct Plan {
     pub hidden_delay: SimDuration,
     /// Twists before the recording.
     pub twists: u32,
+    /// Which board.
+    pub board: BoardKind,
+    /// Which IMU on it.
+    pub imu: SensorModel,
     /// Which depth camera.
     pub camera: Family,
     /// What is true of the rig.
@@ -98,6 +103,8 @@ impl Plan {
             drop_probability: 0.0,
             hidden_delay: SimDuration::ZERO,
             twists: 1,
+            board: BoardKind::default(),
+            imu: SensorModel::default(),
             camera: Family::default(),
             beliefs: Beliefs::default(),
             ball: false,
@@ -114,7 +121,10 @@ impl Plan {
             step(Gesture::Twist, Some(twisted)),
             step(Gesture::Walk, None),
         ]);
-        let mut rig = RigConfig::published(seed).with_motion(motion);
+        let mut rig = RigConfig::published(seed)
+            .with_motion(motion)
+            .with_imu(self.imu);
+        rig.board = self.board;
         if let Some(camera) = &mut rig.depth_camera {
             camera.drop_probability = self.drop_probability;
             *camera = self.camera.of(*camera, seed);
@@ -201,7 +211,7 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     }
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());
-    let mut board = wiring::board();
+    let mut board = wiring::board_of(plan.board);
     if let Some(elf) = &programs.elf {
         board = board.elf(elf);
     }

@@ -7,6 +7,7 @@ use std::process::Command;
 use crate::support;
 use crate::turn;
 use crate::whole_rig::WholeRig;
+use recording::camera::MODELS;
 use serde_json::Value;
 
 /// Runs it; gives the exit code and each check by its name.
@@ -34,6 +35,8 @@ impl<'a> Doctor<'a> {
             .arg(self.rig.rig.port())
             .arg("--profile")
             .arg(file)
+            .arg("--phone")
+            .arg(self.rig.phone().address().to_string())
             .arg("--out")
             .arg(self.rig.out());
         if let Some(path) = self.path {
@@ -128,4 +131,30 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
     assert_eq!(verdict, "bad");
     assert!(!next.is_empty());
     assert_eq!(check(&checks, "phone").0, "good");
+}
+
+#[test]
+fn the_profile_that_is_written_for_each_camera_passes() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::with(22, 10.0, |config, _| {
+        config.motion = "rest".parse().unwrap();
+    });
+    for model in MODELS {
+        let file = rig.folder.path().join(format!("{}.toml", model.id));
+        let written = Command::new(support::smartdepthsync())
+            .args(["profile", "init", "--camera", model.id])
+            .arg(&file)
+            .output()
+            .unwrap();
+        assert!(written.status.success(), "{written:?}");
+        let (code, checks) = Doctor {
+            profile: std::fs::read_to_string(&file).unwrap(),
+            ..Doctor::new(&rig)
+        }
+        .run();
+        assert_eq!(code, 0, "{}: {checks}", model.id);
+        let (verdict, found, _) = check(&checks, "depth camera");
+        assert_eq!(verdict, "good", "{found}");
+        assert!(found.contains(model.name), "{found}");
+    }
 }

@@ -8,18 +8,21 @@ use std::process::Command;
 use crate::objects;
 use crate::support;
 use crate::turn;
-use protocol::TICK_HZ;
+use protocol::{BoardModel, ImuClock, TICK_HZ};
 use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
+use rig::imu::SensorModel;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
-use rig::wiring;
+use rig::wiring::{self, BoardKind};
 use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 use trials::beliefs::{Kind, Specimen};
-use trials::whole_chain::{Plan, Programs, believed, calibration, evaluation, extraction};
+use trials::whole_chain::{
+    self, Plan, Programs, believed, calibration, evaluation, extraction,
+};
 
 pub(crate) fn programs() -> Programs {
     Programs {
@@ -45,23 +48,45 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
     assert!(figures.phone_start.largest_us < limit, "{figures:?}");
 }
 
-/// From the twist to the data set with each family of depth camera that is not the published
-/// rig's, with the profile that the program writes for it.
+/// From the twist to the data set: each family of depth camera that is not the published
+/// rig's, with the profile that the program writes for it, and each board with each IMU that
+/// can be bought with a clock input.
 #[test]
-fn each_family_of_depth_cameras_gives_a_data_set() {
+fn each_camera_board_and_imu_gives_a_data_set() {
+    const RIGS: [(Family, BoardKind, SensorModel); Family::ALL.len() - 1] = [
+        (Family::Femto, BoardKind::BlackPill, SensorModel::Icm42688P),
+        (Family::Gemini330, BoardKind::Discovery, SensorModel::Mpu6050),
+        (Family::RealSense, BoardKind::BlackPill, SensorModel::Mpu6050),
+        (Family::Oak, BoardKind::Discovery, SensorModel::Icm42688P),
+    ];
     let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
-    let others = Family::ALL
-        .into_iter()
-        .filter(|&family| family != Family::AzureKinect);
-    for (seed, camera) in (31..).zip(others) {
+    for (seed, (camera, board, imu)) in (31..).zip(RIGS) {
         let plan = Plan {
+            board,
+            imu,
             camera,
             drop_probability: 0.02,
             ..Plan::new(seed, 6)
         };
-        let figures = extraction::check(&plan, &programs(), out.path()).unwrap();
-        println!("{camera:?}\n{}", figures.table());
+        let recorded = whole_chain::record(&plan, &programs(), out.path()).unwrap();
+        let found = recorded.session.imu.as_ref().unwrap().setup;
+        let name = found.sensor.model.name();
+        assert!(name.contains(imu.name()), "{name}");
+        assert_eq!(found.status.clock, ImuClock::External);
+        let model = recorded.session.board.as_ref().unwrap().model;
+        assert_eq!(
+            model == BoardModel::BlackPill,
+            board == BoardKind::BlackPill
+        );
+        assert_eq!(recorded.session.counts.lost(), 0);
+        let verdict = recorded.truth.judge(&recorded.folder).unwrap();
+        let start = verdict.offset_start;
+        assert!(start.error_us.abs() < 5.0 * start.sigma_us, "{start:?}");
+        assert!(start.sigma_us < 30.0, "{start:?}");
+
+        let figures = extraction::extracted(&recorded, &programs()).unwrap();
+        println!("{camera:?}, {board:?}, {imu:?}\n{}", figures.table());
         assert!(
             figures.depth.largest_us <= extraction::DEPTH_LIMIT_US,
             "{figures:?}"

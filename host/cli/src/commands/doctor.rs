@@ -74,7 +74,7 @@ pub(crate) fn look(args: &Args, context: &Context) -> Checks {
     };
     match args.port.open() {
         Ok(mut board) => {
-            checks.firmware(&board);
+            checks.firmware(&board, profile.as_ref());
             let looked = check_imu(&mut board, &mut checks, context).and_then(|()| {
                 check_trigger(args, profile.as_ref(), &mut board, &mut checks, context)
             });

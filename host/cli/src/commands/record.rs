@@ -315,11 +315,7 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
         );
     }
     if let Some(alignment) = session.alignment {
-        let _ = writeln!(
-            text,
-            "alignment    phase ± {:.1} µs, drift ± {:.1} µs/min (1-sigma, as predicted)",
-            alignment.phase_sigma_us, alignment.drift_sigma_us_per_min
-        );
+        let _ = writeln!(text, "alignment    {}", alignment.promise());
     }
     for phone in &session.phones {
         let _ = writeln!(text, "{}", phone_line(phone));

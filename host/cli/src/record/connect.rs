@@ -170,7 +170,7 @@ pub(super) fn preflight(
     checked: Option<Checks>,
 ) -> Result<(), Stop> {
     let mut checks = checked.unwrap_or_else(|| check_host(rig.profile, options));
-    checks.firmware(&rig.link.board);
+    checks.firmware(&rig.link.board, Some(rig.profile));
     if let Some(PhoneInfo { address, version }) = &rig.journal.file.phone {
         checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
     }

@@ -10,11 +10,12 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use protocol::{Hello, ImuClock, ImuSetup, ImuState, TICK_HZ, TriggerStatus};
+use protocol::{Hello, ImuClock, ImuSetup, ImuState, Refusal, TICK_HZ, TriggerStatus};
 use serde::Serialize;
 
 use super::depth_recorder::left_over;
 use super::rounds::free_space;
+use crate::advice::refusal_step;
 use crate::new_profile::summary;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::rig_profile::Place;
@@ -267,8 +268,9 @@ impl Checks {
         }
     }
 
-    /// The board and its firmware, as it said when it was connected.
-    pub(crate) fn firmware(&mut self, board: &Board) {
+    /// The board and its firmware, as it said when it was connected, and whether it has what
+    /// the profile names.
+    pub(crate) fn firmware(&mut self, board: &Board, profile: Option<&Profile>) {
         let hello = board.hello();
         self.good(
             "board",
@@ -286,6 +288,29 @@ impl Checks {
                 "report it; the board has restarted since",
             );
         }
+        if let Some(profile) = profile {
+            self.outputs(hello, profile);
+        }
+    }
+
+    /// Further sensors of the profile that this board has no output for.
+    fn outputs(&mut self, hello: &Hello, profile: &Profile) {
+        let outputs = profile.outputs.iter().map(|sensor| sensor.name.as_str());
+        let lidar = profile.lidar.iter().map(|lidar| lidar.name.as_str());
+        let named: Vec<&str> = outputs.chain(lidar).collect();
+        if named.is_empty() || hello.board.has_outputs() {
+            return;
+        }
+        let found = format!(
+            "the profile names {}, but {} has no outputs 2 to 4 and nothing for a lidar",
+            named.join(", "),
+            hello.board.name()
+        );
+        let failure = Failure::new(ExitStatus::Refused, found);
+        self.bad(
+            "outputs",
+            failure.next_step(refusal_step(&Refusal::NotOnThisBoard)),
+        );
     }
 
     /// The IMU, after a look at its samples. `setup` is what the board says then.

@@ -18,7 +18,7 @@ use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
-use frame_sync::alignment::{phase_sigma_us_at, plan};
+use frame_sync::alignment::{plan, stated_sigma_us_at};
 use recording::session_file::{Alignment, Marker, Span, Twist, Video};
 use timebase::ClockModel;
 use verify::watch::{Finding, Grid, Watch};
@@ -119,7 +119,7 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
     let alignment = Alignment {
         arrival_pulse: Some(plan.arrival_pulse),
         arrival: Some(plan.arrival),
-        phase_sigma_us: phase_sigma_us_at(&alignment, plan.arrival.into()),
+        phase_sigma_us: stated_sigma_us_at(&alignment, plan.arrival.into()),
         board_temperature_c: twist_temperature(&rig.journal.file.twists),
         ..alignment
     };
@@ -128,11 +128,10 @@ fn align(rig: &mut Rig<'_>, clock: &ClockModel, video: &Video) -> Result<Alignme
     rig.journal.info(
         "align",
         &format!(
-            "aligning: {:+.1} µs over {} frames; phase ± {:.1} µs, drift ± {:.1} µs/min (1-sigma)",
+            "aligning: {:+.1} µs over {} frames; {}",
             plan.shift.as_secs_f64() * 1e6,
             plan.frames,
-            alignment.phase_sigma_us,
-            alignment.drift_sigma_us_per_min
+            alignment.promise()
         ),
     )?;
     Ok(alignment)

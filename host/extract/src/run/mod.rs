@@ -37,7 +37,8 @@ use super::layout::{Facts, Format, Layout};
 use super::pairs::{self, Pair};
 use super::progress::Progress;
 use super::report::{
-    BoardReport, BoardRunReport, Constants, ExtractReport, Loss, PairsReport, SensorReport,
+    BoardReport, BoardRunReport, ClockReport, Constants, ExtractReport, Loss, PairsReport,
+    SensorReport,
 };
 use super::sequence::Sequences;
 use super::streams::{Stopped, each_event};
@@ -197,6 +198,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         run.write_calibration(depth.as_ref())?;
     }
     let (grid, later_grids) = run.against_grid(color, &survey, &constants);
+    let clock = phone.as_ref().and_then(Phone::clock_report);
     let mut phones = Vec::new();
     for other in run.inputs.others.clone() {
         phones.push(run.other_phone(&other, &survey, &sequences, depth_frames)?);
@@ -211,11 +213,11 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
         phone: phone
             .as_ref()
             .map(|phone| phone.report(video.as_ref(), &phone_imu)),
-        clock: phone.as_ref().and_then(Phone::clock_report),
+        pairs: run.pairs_report(&pairs, color, (&input, clock.as_ref())),
+        clock,
         depth: depth
             .as_ref()
             .map(|depth| depth.report(&survey, images.as_ref())),
-        pairs: pairs_report(&pairs, color),
         grid,
         later_grids,
         phones,
@@ -461,6 +463,32 @@ impl Extraction<'_> {
         (runs.next().flatten(), runs.flatten().collect())
     }
 
+    /// The pairs with the frames of a phone, whose clock is known so well.
+    fn pairs_report(
+        &self,
+        pairs: &[Pair],
+        color: &[ColorFrame],
+        (phone, clock): (&PhoneInput, Option<&ClockReport>),
+    ) -> Option<PairsReport> {
+        let spread = pairs::spread(pairs)?;
+        let central = pairs::central(pairs, &spread);
+        let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
+        let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
+        // How well a user knows what is given instead is not said.
+        let constant = (phone.rig.constant_sigma_us)
+            .filter(|_| self.job.options.depth_center_ns.is_none());
+        Some(PairsReport {
+            spread,
+            sigma_us: clock
+                .and_then(|clock| clock.sigma_us)
+                .zip(constant)
+                .map(|([_, most], constant)| most.hypot(constant)),
+            histogram: pairs::histogram(pairs)?,
+            central: pairs::histogram(&central)?,
+            course: central.iter().step_by(step).filter_map(place).collect(),
+        })
+    }
+
     fn write_tables(
         &self,
         survey: &Survey,
@@ -497,19 +525,6 @@ impl Extraction<'_> {
         writer.finish().map_err(|error| self.failed(error))?;
         Ok(())
     }
-}
-
-fn pairs_report(pairs: &[Pair], color: &[ColorFrame]) -> Option<PairsReport> {
-    let spread = pairs::spread(pairs)?;
-    let central = pairs::central(pairs, &spread);
-    let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
-    let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
-    Some(PairsReport {
-        spread,
-        histogram: pairs::histogram(pairs)?,
-        central: pairs::histogram(&central)?,
-        course: central.iter().step_by(step).filter_map(place).collect(),
-    })
 }
 
 fn find_pairs(color: &[ColorFrame], depth: &[DepthFrame], survey: &Survey) -> Vec<Pair> {

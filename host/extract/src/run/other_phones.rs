@@ -3,7 +3,7 @@
 
 use super::index_files::Written;
 use super::phone_part::Phone;
-use super::{ExtractError, Extraction, find_pairs, pairs_report, rate_of};
+use super::{ExtractError, Extraction, find_pairs, rate_of};
 use crate::geometry::Cameras;
 use crate::inputs::PhoneInput;
 use crate::layout::Facts;
@@ -60,13 +60,14 @@ impl Extraction<'_> {
             self.finish_sequences(&input.folder, sequences, &written, &facts)?;
         }
         let (grid, later_grids) = self.against_grid(color, survey, &constants);
+        let clock = phone.as_ref().and_then(Phone::clock_report);
         Ok(OtherReport {
             name: input.name.clone().unwrap_or_default(),
             phone: phone
                 .as_ref()
                 .map(|phone| phone.report(video.as_ref(), &imu)),
-            clock: phone.as_ref().and_then(Phone::clock_report),
-            pairs: pairs_report(&pairs, color),
+            pairs: self.pairs_report(&pairs, color, (input, clock.as_ref())),
+            clock,
             grid,
             later_grids,
             constants,

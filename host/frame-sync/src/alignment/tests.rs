@@ -5,6 +5,13 @@ use crate::twists::Twists;
 use recording::session_file::RateChange;
 use timebase::PhoneNanos;
 
+/// Of a rig whose constants are known exactly.
+fn profile() -> Profile {
+    let mut profile = Profile::published().unwrap();
+    profile.depth.center_offset_sigma_us = 0.0;
+    profile
+}
+
 fn clock() -> ClockModel {
     ClockModel {
         reference: BoardSeconds(100.0),
@@ -48,7 +55,7 @@ fn learnt() -> Learnt {
 
 #[test]
 fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     profile.frame_sync.bias_us = -120.0;
     let planned = plan(&profile, &course(), &video()).unwrap();
     let alignment = planned.alignment;
@@ -74,7 +81,7 @@ fn the_middle_of_depth_falls_on_the_middle_of_the_row() {
 
 #[test]
 fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
-    let profile = Profile::published().unwrap();
+    let profile = profile();
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
     let anchor = alignment.anchor.as_secs_f64();
     let at_anchor = phase_sigma_us_at(&alignment, BoardSeconds(anchor));
@@ -95,7 +102,7 @@ fn the_phase_becomes_less_certain_with_the_distance_from_the_twist() {
 
 #[test]
 fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
-    let profile = Profile::published().unwrap();
+    let profile = profile();
     let steady = plan(&profile, &course(), &video()).unwrap().alignment;
     let warming = plan(&profile, &Twists::of(clock()).course(), &video()).unwrap();
     let mut warming = warming.alignment;
@@ -115,7 +122,7 @@ fn a_rig_that_may_warm_up_is_known_less_well_and_its_temperature_tells() {
 
 #[test]
 fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     let true_ns = video().frame_duration_ns;
     for known in [None, Some(learnt())] {
         profile.phone.learnt = known;
@@ -144,7 +151,7 @@ fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
 #[test]
 fn a_learnt_skew_ages_and_moves_with_the_temperature() {
     let time: Timestamp = "2026-01-31T12:00:00Z".parse().unwrap();
-    let mut phone = Profile::published().unwrap().phone;
+    let mut phone = profile().phone;
     let known = Learnt {
         time: Some(time),
         board_temperature_c: Some(25.0),
@@ -188,7 +195,7 @@ fn a_learnt_skew_ages_and_moves_with_the_temperature() {
 
 #[test]
 fn a_learnt_period_is_used_unless_it_does_not_fit() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     profile.phone.learnt = Some(learnt());
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
     assert_eq!(alignment.frame_period_source, FramePeriodSource::Learnt);
@@ -208,7 +215,7 @@ fn a_learnt_period_is_used_unless_it_does_not_fit() {
 
 #[test]
 fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     let mut known = learnt();
     profile.phone.learnt = Some(known.clone());
     let steady = plan(&profile, &course(), &video()).unwrap().alignment;
@@ -241,7 +248,7 @@ fn a_phone_whose_stamps_jitter_keeps_its_learnt_period_and_says_so_of_the_phase(
 
 #[test]
 fn a_period_learnt_with_another_exposure_is_weighed_with_the_reported_one() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     let reported = learnt().frame_period_ns + 300.0;
     let of = |profile: &mut Profile, exposure_us| {
         profile.phone.learnt = Some(Learnt {
@@ -279,7 +286,7 @@ fn a_period_learnt_with_another_exposure_is_weighed_with_the_reported_one() {
 
 #[test]
 fn another_phone_is_placed_against_the_grid() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     profile.frame_sync.bias_us = 40.0;
     let alignment = plan(&profile, &course(), &video()).unwrap().alignment;
     // Another clock, frames 2.5 ms later than the reference's and 100 ns longer.
@@ -320,8 +327,40 @@ fn another_phone_is_placed_against_the_grid() {
 }
 
 #[test]
+fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured() {
+    let profile = profile();
+    let of = |profile: &Profile| plan(profile, &course(), &video()).unwrap().alignment;
+    let exact = of(&profile);
+    let at = BoardSeconds(160.0);
+    let with = |constant_us: f64, stated: &Alignment| {
+        let expected = exact.phase_sigma_us.hypot(constant_us);
+        assert!((stated.phase_sigma_us - expected).abs() < 1e-9, "{stated:?}");
+        // Another twist makes the rest smaller, so the rest says when one is due.
+        assert_eq!(phase_sigma_us_at(stated, at), phase_sigma_us_at(&exact, at));
+        let later = phase_sigma_us_at(&exact, at).hypot(constant_us);
+        assert!((stated_sigma_us_at(stated, at) - later).abs() < 1e-9);
+        let phone = &profile.phone;
+        let [placed, of_exact] = [stated, &exact].map(|alignment| {
+            placement(&profile, phone, &course(), &video(), alignment).offset_sigma_us
+        });
+        assert!((placed - of_exact.hypot(constant_us)).abs() < 1e-9);
+    };
+    with(0.0, &exact);
+    let mut changed = profile.clone();
+    changed.depth.center_offset_sigma_us = 1_000.0;
+    changed.phone.gyro_delay_sigma_us = 750.0;
+    let unknown = of(&changed);
+    with(1_250.0, &unknown);
+    assert!(unknown.promise().contains("(of it a constant ± 1250.0 µs)"));
+    changed.frame_sync.bias_sigma_us = 0.4;
+    with(1_250.0, &of(&changed));
+    changed.frame_sync.bias_measured = Some(date(2026, 1, 31));
+    with(0.4, &of(&changed));
+}
+
+#[test]
 fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     let fast = plan(&profile, &course(), &video()).unwrap().alignment;
     profile.depth.fps = 5;
     let slow = plan(&profile, &course(), &video()).unwrap().alignment;
@@ -331,7 +370,7 @@ fn a_slower_depth_camera_is_triggered_on_every_second_or_sixth_frame() {
 
 #[test]
 fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
-    let profile = Profile::published().unwrap();
+    let profile = profile();
     for exposure_ns in [None, Some(0)] {
         let video = Video {
             exposure_ns,
@@ -345,7 +384,7 @@ fn without_a_reported_exposure_the_profile_is_used_and_it_is_said() {
 
 #[test]
 fn nonsense_from_the_phone_is_told() {
-    let profile = Profile::published().unwrap();
+    let profile = profile();
     // A period of 1 ms would be within what the board can do.
     for frame_duration_ns in [0.0, -1.0, f64::NAN, 2e9, 1e6, 2.9e7, 4e7] {
         let video = Video {
@@ -382,7 +421,7 @@ fn a_known_skew_sharpens_the_relation_and_a_wrong_one_is_refused() {
 
 #[test]
 fn a_skew_against_another_board_is_not_taken() {
-    let mut profile = Profile::published().unwrap();
+    let mut profile = profile();
     profile.phone.learnt = Some(learnt());
     let prior = |board| skew_prior(&profile.phone, board, Timestamp::now(), None);
     assert!(prior("AB").is_some());
