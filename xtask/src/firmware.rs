@@ -83,8 +83,8 @@ pub(crate) fn flash(board: Board) -> Result<()> {
 }
 
 /// Builds the firmware of the Black Pill, beside that of the STM32F4DISCOVERY: the name of its
-/// ELF ends in `-black-pill`. To be called before [`build`].
-pub(crate) fn build_black_pill() -> Result<()> {
+/// ELF, which is returned, ends in `-black-pill`. To be called before [`build`].
+pub(crate) fn build_black_pill() -> Result<PathBuf> {
     let elf = built(&[&["build", "--release"], &BLACK_PILL[..]].concat())?;
     keep(&elf, "-black-pill")
 }
@@ -94,16 +94,17 @@ pub(crate) fn build_black_pill() -> Result<()> {
 /// called before [`build`], which leaves the right one under its own name.
 pub(crate) fn build_with_wrong_pll() -> Result<()> {
     let elf = built(&["build", "--release", "--features", "wrong-pll"])?;
-    keep(&elf, "-wrong-pll")
+    keep(&elf, "-wrong-pll").map(drop)
 }
 
-/// Copies an ELF to the same name with an ending.
-fn keep(elf: &Path, ending: &str) -> Result<()> {
+/// Copies an ELF to the same name with an ending, and returns that.
+fn keep(elf: &Path, ending: &str) -> Result<PathBuf> {
     let mut kept = elf.as_os_str().to_owned();
     kept.push(ending);
+    let kept = PathBuf::from(kept);
     std::fs::copy(elf, &kept)
         .with_context(|| format!("cannot copy {} to {}", elf.display(), kept.display()))?;
-    Ok(())
+    Ok(kept)
 }
 
 /// Builds the programs that the tests of `stm32f4-sim` run beside the firmware. Not

@@ -303,10 +303,10 @@ fn check(no_book: bool) -> Result<()> {
 }
 
 fn package() -> Result<()> {
-    let elf = firmware::build()?;
+    let elves = [firmware::build_black_pill()?, firmware::build()?];
     firmware::build_agent()?;
     process::cargo(["build", "--release", "-p", "smartdepthsync"])?;
-    package::build(&elf)
+    package::build(&elves)
 }
 
 fn demo(args: &demo::Args) -> Result<()> {

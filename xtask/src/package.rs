@@ -18,8 +18,8 @@ const NAME: &str = "smartdepthsync";
 const FLASH: u64 = 0x0800_0000;
 
 /// Builds `target/package/smartdepthsync_<version>_<arch>.deb` from what was built,
-/// and tries it.
-pub(crate) fn build(elf: &Path) -> Result<()> {
+/// and tries it. `elves` are the firmware's, one a board.
+pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
     let program = process::target_dir().join("release").join(NAME);
     let base = process::fresh_folder("package")?;
     let tree = base.join("tree");
@@ -72,7 +72,7 @@ pub(crate) fn build(elf: &Path) -> Result<()> {
             0o644,
         )?;
     }
-    firmware(elf, &tree.join("usr/share").join(NAME).join("firmware"))?;
+    firmware(elves, &tree.join("usr/share").join(NAME).join("firmware"))?;
     let agents = tree.join("usr/share").join(NAME).join("phone-agent");
     for agent in crate::firmware::agents() {
         let name = agent.file_name().context("an agent without a name")?;
@@ -87,23 +87,30 @@ pub(crate) fn build(elf: &Path) -> Result<()> {
             .arg(&tree)
             .arg(&package),
     )?;
-    try_it(&package, &base.join("root"))?;
+    try_it(&package, &base.join("root"), elves)?;
     println!("the package: {}", package.display());
     Ok(())
 }
 
-/// ELF, raw image and their SHA-256.
-fn firmware(elf: &Path, folder: &Path) -> Result<()> {
-    let name = "smartdepthsync-firmware";
-    install(elf, &folder.join(format!("{name}.elf")), 0o644)?;
-    let bytes = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    write(&folder.join(format!("{name}.bin")), &image(&bytes)?)?;
-    let sums = text(
-        Command::new("sha256sum")
-            .args([format!("{name}.elf"), format!("{name}.bin")])
-            .current_dir(folder),
-    )?;
+/// ELF and raw image of each board, and the SHA-256 of all.
+fn firmware(elves: &[PathBuf], folder: &Path) -> Result<()> {
+    let mut names = Vec::new();
+    for elf in elves {
+        let [elf_name, image_name] = file_names(elf)?;
+        install(elf, &folder.join(&elf_name), 0o644)?;
+        let bytes = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
+        write(&folder.join(&image_name), &image(&bytes)?)?;
+        names.extend([elf_name, image_name]);
+    }
+    let sums = text(Command::new("sha256sum").args(names).current_dir(folder))?;
     write(&folder.join("SHA256SUMS"), format!("{sums}\n").as_bytes())
+}
+
+/// What a board's ELF and its raw image are called in the package.
+fn file_names(elf: &Path) -> Result<[String; 2]> {
+    let name = elf.file_name().and_then(|name| name.to_str());
+    let name = name.context("an ELF without a name")?;
+    Ok([format!("{name}.elf"), format!("{name}.bin")])
 }
 
 /// What the flash holds, from its begin: the loaded segments at their physical
@@ -157,7 +164,7 @@ fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
          Installed-Size: {}\n\
          Description: hardware sync of a phone's video with a depth camera\n \
          Host tool of SmartDepthSync: twists, aligns, records, extracts and evaluates.\n \
-         With the firmware of its board, and the rule that gives users the board.\n",
+         With the firmware of its boards, and the rule that gives users the board.\n",
         size / 1024
     );
     write(&tree.join("DEBIAN/control"), text.as_bytes())
@@ -165,7 +172,7 @@ fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
 
 /// Installs the package into a root of its own, runs the program from there, and
 /// removes it again.
-fn try_it(package: &Path, root: &Path) -> Result<()> {
+fn try_it(package: &Path, root: &Path, elves: &[PathBuf]) -> Result<()> {
     for folder in ["var/lib/dpkg/info", "var/lib/dpkg/updates", "var/log"] {
         fs::create_dir_all(root.join(folder))?;
     }
@@ -202,20 +209,24 @@ fn try_it(package: &Path, root: &Path) -> Result<()> {
             .args(["--check", "--strict", "--quiet", "SHA256SUMS"])
             .current_dir(&firmware),
     )?;
-    // The first word of the image is the stack's top, in the RAM; the second the
+    // The first word of an image is the stack's top, in the RAM; the second the
     // reset handler, in the flash.
-    let image = fs::read(firmware.join("smartdepthsync-firmware.bin"))?;
-    let word = |at: usize| {
-        image
-            .get(at..at + 4)
-            .and_then(|bytes| bytes.try_into().ok())
-            .map_or(0, u32::from_le_bytes)
-    };
-    let (stack, reset) = (word(0), word(4));
-    let in_ram = (0x1000_0000..=0x1001_0000).contains(&stack)
-        || (0x2000_0000..=0x2002_0000).contains(&stack);
-    if !in_ram || u64::from(reset) >> 20 != FLASH >> 20 {
-        bail!("the image begins with {stack:#x} and {reset:#x}: no vector table");
+    for elf in elves {
+        let [_, image_name] = file_names(elf)?;
+        let image = fs::read(firmware.join(&image_name))
+            .with_context(|| format!("{image_name} is not installed"))?;
+        let word = |at: usize| {
+            image
+                .get(at..at + 4)
+                .and_then(|bytes| bytes.try_into().ok())
+                .map_or(0, u32::from_le_bytes)
+        };
+        let (stack, reset) = (word(0), word(4));
+        let in_ram = (0x1000_0000..=0x1001_0000).contains(&stack)
+            || (0x2000_0000..=0x2002_0000).contains(&stack);
+        if !in_ram || u64::from(reset) >> 20 != FLASH >> 20 {
+            bail!("{image_name} begins with {stack:#x} and {reset:#x}: no vector table");
+        }
     }
     dpkg(&["--purge".as_ref(), NAME.as_ref()])?;
     if program.exists() {
