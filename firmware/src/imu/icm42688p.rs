@@ -187,7 +187,7 @@ pub(super) async fn set_up<B: I2c>(
         (DRIVE_CONFIG, 0x3F, 0x09),
         // INT1: a pulse, push-pull, active high (14.3).
         (INT_CONFIG, 0x07, 0x03),
-        // All values are valid, so that the ends of the range are as in the MPUs (14.34).
+        // All values are valid, so that the ends of the range are as in the MPUs (12.8, 14.34).
         (INTF_CONFIG0, 0x80, 0x80),
         (
             GYRO_CONFIG0,
@@ -203,7 +203,7 @@ pub(super) async fn set_up<B: I2c>(
         (GYRO_CONFIG1, 0x0C, 0x04),
         (ACCEL_CONFIG1, 0x18, 0x08),
         (GYRO_ACCEL_CONFIG0, 0xFF, (filter << 4) | filter),
-        // A pulse of 100 µs; INT_ASYNC_RESET is to be cleared (14.50).
+        // A pulse of 100 µs; INT_ASYNC_RESET is to be cleared (12.6, 14.50).
         (INT_CONFIG1, 0x70, 0x00),
         // Data-ready alone (14.51).
         (INT_SOURCE0, 0x7F, 0x08),

@@ -308,7 +308,7 @@ impl RegisterMap for IcmRegisters {
     }
 
     fn bytes(&self, values: &Values) -> [u8; 14] {
-        // Without FIFO_HOLD_LAST_DATA_EN two values are taken as marks (14.34).
+        // Without FIFO_HOLD_LAST_DATA_EN two values are taken as marks (12.8, 14.34).
         let all = self.at(INTF_CONFIG0) & 0x80 != 0;
         let kept = |value: i16| if all { value } else { value.max(-32_766) };
         let [ax, ay, az] = values.accel.map(kept);

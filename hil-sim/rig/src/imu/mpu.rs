@@ -144,7 +144,7 @@ fn accel_pass_6500(config_2: u8) -> Pass {
     }
 }
 
-/// Accelerometer of the MPU-9250 (register 29).
+/// Accelerometer of the MPU-9250 (register 29; docs/beliefs.md).
 fn accel_pass_9250(config_2: u8) -> Pass {
     match config_2 & 0x07 {
         0 | 1 => (218.1, 1_880),
@@ -262,7 +262,7 @@ impl RegisterMap for MpuRegisters {
     fn measuring(&self) -> Measuring {
         let power = self.at(address::PWR_MGMT_1);
         let standby = self.at(address::PWR_MGMT_2);
-        // Registers 65 and 66; MPU-6500 and MPU-9250 product specifications, 3.3.
+        // Registers 65 and 66; MPU-9250 product specification, 3.4.2.
         let thermometer = match self.model {
             SensorModel::Mpu6050 => (340.0, 36.53),
             SensorModel::Mpu6500 | SensorModel::Mpu9250 => (333.87, 21.0),

@@ -55,8 +55,16 @@ fn every_timestamp_pair_and_dropped_frame_is_right() {
 fn each_camera_board_and_imu_gives_a_data_set() {
     const RIGS: [(Family, BoardKind, SensorModel); Family::ALL.len() - 1] = [
         (Family::Femto, BoardKind::BlackPill, SensorModel::Icm42688P),
-        (Family::Gemini330, BoardKind::Discovery, SensorModel::Mpu6050),
-        (Family::RealSense, BoardKind::BlackPill, SensorModel::Mpu6050),
+        (
+            Family::Gemini330,
+            BoardKind::Discovery,
+            SensorModel::Mpu6050,
+        ),
+        (
+            Family::RealSense,
+            BoardKind::BlackPill,
+            SensorModel::Mpu6050,
+        ),
         (Family::Oak, BoardKind::Discovery, SensorModel::Icm42688P),
     ];
     let _turn = turn::beside_others();

@@ -7,7 +7,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 
 use crate::support::{self, StandIn, code, frame, hello, polite, run, text};
-use protocol::{DeviceToHost, HostToDevice, usb};
+use protocol::{Answer, DeviceToHost, HostToDevice, Refusal, usb};
 use serde_json::Value;
 
 #[test]
@@ -36,6 +36,57 @@ fn info_tells_who_the_board_is() {
         printed.contains("ICM-42688-P, ±500 °/s, ±4 g, low-pass 246.7 Hz with a delay of 1.3 ms"),
         "{printed}"
     );
+}
+
+/// The board refuses as its firmware does (`black_pill.rs` of the rig's tests).
+#[test]
+fn what_a_board_lacks_is_refused_with_the_reason() {
+    let board = StandIn::new(|command: HostToDevice| {
+        let refused = DeviceToHost::Answer(Answer {
+            id: command.id,
+            result: Err(Refusal::NotOnThisBoard),
+        });
+        let answer = polite(command);
+        if answer.is_empty() {
+            frame(&refused)
+        } else {
+            answer
+        }
+    });
+    for arguments in [
+        &["trigger", "start", "--output", "2"][..],
+        &["gnss", "start"],
+    ] {
+        let output = run(&[arguments, &["--port", &board.path]].concat());
+        assert_eq!(code(&output), 3, "{output:?}");
+        let said = text(&output.stderr);
+        assert!(said.contains("no outputs 2 to 4"), "{said}");
+        assert!(said.contains("STM32F4DISCOVERY"), "{said}");
+    }
+    // Before a session it is told by the profile, and not when the sensor should start.
+    let folder = tempfile::tempdir().unwrap();
+    let profile = folder.path().join("rig.toml");
+    let named = "[[outputs]]\noutput = 2\nname = \"left\"\nevery = 1\n[lidar]\nname = \"top\"\n";
+    std::fs::write(&profile, named).unwrap();
+    let profile = profile.to_str().unwrap();
+    let output = run(&[
+        "doctor",
+        "--json",
+        "--no-phone",
+        "--port",
+        &board.path,
+        "--profile",
+        profile,
+    ]);
+    assert_eq!(code(&output), 3, "{output:?}");
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let checks = found["checks"].as_array().unwrap();
+    let check = checks.iter().find(|check| check["name"] == "outputs");
+    let check = check.unwrap();
+    assert_eq!(check["verdict"], "bad");
+    assert!(check["found"].as_str().unwrap().contains("left, top"));
+    let next = check["next_step"].as_str().unwrap();
+    assert!(next.contains("[[outputs]]"), "{next}");
 }
 
 #[test]

@@ -475,8 +475,8 @@ impl Extraction<'_> {
         let step = central.len().div_ceil(DRAWN_PAIRS).max(1);
         let place = |pair: &Pair| Some((color.get(pair.color)?.at.0, pair.difference));
         // How well a user knows what is given instead is not said.
-        let constant = (phone.rig.constant_sigma_us)
-            .filter(|_| self.job.options.depth_center_ns.is_none());
+        let constant =
+            (phone.rig.constant_sigma_us).filter(|_| self.job.options.depth_center_ns.is_none());
         Some(PairsReport {
             spread,
             sigma_us: clock

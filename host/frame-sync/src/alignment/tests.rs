@@ -334,7 +334,10 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
     let at = BoardSeconds(160.0);
     let with = |constant_us: f64, stated: &Alignment| {
         let expected = exact.phase_sigma_us.hypot(constant_us);
-        assert!((stated.phase_sigma_us - expected).abs() < 1e-9, "{stated:?}");
+        assert!(
+            (stated.phase_sigma_us - expected).abs() < 1e-9,
+            "{stated:?}"
+        );
         // Another twist makes the rest smaller, so the rest says when one is due.
         assert_eq!(phase_sigma_us_at(stated, at), phase_sigma_us_at(&exact, at));
         let later = phase_sigma_us_at(&exact, at).hypot(constant_us);

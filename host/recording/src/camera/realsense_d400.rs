@@ -43,6 +43,11 @@ pub(super) const MODEL: Model = Model {
             source: "librealsense #15119",
         },
         Trap {
+            text: "a frame may come out with the pulse that follows, and after hours a frame later until the \
+                   camera is unplugged: look at both pictures of something that moves",
+            source: "librealsense #9528, #12877",
+        },
+        Trap {
             text: "D455 and D435iF with firmware 5.16.0.1 do not follow pulses",
             source: "realsense-ros #3360",
         },
