@@ -10,7 +10,7 @@
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use protocol::{Hello, ImuClock, ImuSetup, ImuState, Refusal, TICK_HZ, TriggerStatus};
+use protocol::{BoardModel, Hello, ImuClock, ImuSetup, ImuState, Refusal, TICK_HZ, TriggerStatus};
 use serde::Serialize;
 
 use super::depth_recorder::left_over;
@@ -289,22 +289,22 @@ impl Checks {
             );
         }
         if let Some(profile) = profile {
-            self.outputs(hello, profile);
+            self.outputs(hello.board, profile);
         }
     }
 
     /// Further sensors of the profile that this board has no output for.
-    fn outputs(&mut self, hello: &Hello, profile: &Profile) {
+    fn outputs(&mut self, board: BoardModel, profile: &Profile) {
         let outputs = profile.outputs.iter().map(|sensor| sensor.name.as_str());
         let lidar = profile.lidar.iter().map(|lidar| lidar.name.as_str());
         let named: Vec<&str> = outputs.chain(lidar).collect();
-        if named.is_empty() || hello.board.has_outputs() {
+        if named.is_empty() || board.has_outputs() {
             return;
         }
         let found = format!(
             "the profile names {}, but {} has no outputs 2 to 4 and nothing for a lidar",
             named.join(", "),
-            hello.board.name()
+            board.name()
         );
         let failure = Failure::new(ExitStatus::Refused, found);
         self.bad(
@@ -480,6 +480,23 @@ mod tests {
         assert_eq!(failure.status(), ExitStatus::DepthRecorder);
         assert_eq!(failure.to_string(), "f: first");
         assert!(failure.has_next_step());
+    }
+
+    #[test]
+    fn sensors_that_the_board_has_no_output_for_are_told_before_a_session() {
+        let named =
+            "[[outputs]]\noutput = 2\nname = \"left\"\nevery = 1\n[lidar]\nname = \"top\"\n";
+        let told = |board, profile: &str| {
+            let mut checks = Checks::default();
+            checks.outputs(board, &Profile::parse(profile, None).unwrap());
+            checks.failure()
+        };
+        assert!(told(BoardModel::Discovery, named).is_none());
+        assert!(told(BoardModel::BlackPill, "").is_none());
+        let failure = told(BoardModel::BlackPill, named).unwrap();
+        assert_eq!(failure.status(), ExitStatus::Refused);
+        assert!(failure.to_string().contains("left, top"), "{failure}");
+        assert!(failure.what_to_do().contains("[[outputs]]"));
     }
 
     #[test]

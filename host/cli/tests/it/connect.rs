@@ -63,30 +63,6 @@ fn what_a_board_lacks_is_refused_with_the_reason() {
         assert!(said.contains("no outputs 2 to 4"), "{said}");
         assert!(said.contains("STM32F4DISCOVERY"), "{said}");
     }
-    // Before a session it is told by the profile, and not when the sensor should start.
-    let folder = tempfile::tempdir().unwrap();
-    let profile = folder.path().join("rig.toml");
-    let named = "[[outputs]]\noutput = 2\nname = \"left\"\nevery = 1\n[lidar]\nname = \"top\"\n";
-    std::fs::write(&profile, named).unwrap();
-    let profile = profile.to_str().unwrap();
-    let output = run(&[
-        "doctor",
-        "--json",
-        "--no-phone",
-        "--port",
-        &board.path,
-        "--profile",
-        profile,
-    ]);
-    assert_eq!(code(&output), 3, "{output:?}");
-    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let checks = found["checks"].as_array().unwrap();
-    let check = checks.iter().find(|check| check["name"] == "outputs");
-    let check = check.unwrap();
-    assert_eq!(check["verdict"], "bad");
-    assert!(check["found"].as_str().unwrap().contains("left, top"));
-    let next = check["next_step"].as_str().unwrap();
-    assert!(next.contains("[[outputs]]"), "{next}");
 }
 
 #[test]
