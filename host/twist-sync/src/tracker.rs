@@ -54,10 +54,6 @@ pub struct Exchange {
 }
 
 impl Exchange {
-    fn round_trip(&self) -> f64 {
-        self.received - self.sent
-    }
-
     fn middle(&self) -> f64 {
         0.5 * (self.sent + self.received)
     }
