@@ -8,13 +8,15 @@
 //! cancels.
 //!
 //! **Windows.** Delays are one-sided and heavy-tailed, so of each two seconds only the
-//! exchange with the shortest round trip counts ([`Leg`]). What that takes is nearly always
-//! the same; the farther it is from its usual value, the less its offset counts.
+//! quickest way there and the quickest way back count, whichever exchanges they are of
+//! ([`Leg`]): one of the two is often quick, both of one exchange hardly ever. What they take
+//! together is nearly always the same; the farther it is from its usual value, the less
+//! their offset counts.
 //!
 //! **Filter.** A Kalman filter takes one such offset of either clock at a time:
 //!
 //! ```text
-//! state        x = a − h, its rate, A = asymmetry of a's exchanges,
+//! state        x = a − h, its rate, A = asymmetry of a's exchanges: a constant, and what wanders,
 //!              d = b − a, its rate, the change of the rate, B = asymmetry of b's exchanges
 //! exchange, a  x + A
 //! exchange, b  x + d + B
@@ -22,23 +24,27 @@
 //! ```
 //!
 //! `d` is what is wanted. The computer's clock is in `x` alone, whose rate may move by ppm
-//! within seconds; so the chain needs no good clock in the computer. A and B are constants that may
+//! within seconds; so the chain needs no good clock in the computer. The constants of A and B may
 //! step: where the usual round trip of a window steps, or offsets jump (a crystal cannot), only
-//! their variance grows; `d` goes on by its rate meanwhile, and is as certain as that.
+//! their variance grows; `d` goes on by its rate meanwhile, and is as certain as that. Beside
+//! them A and B wander: by half of what round trips do, which the two ways move by
+//! themselves.
 //!
 //! **Warming.** The rate of `d` walks, and its change dies away, as crystals do that warm
 //! up. By how much is not known: there are three suppositions, weighed by how well
 //! each foretold what came ([`MOVES`]).
 //!
-//! Limits: an asymmetry that moves slowly, without any change of the shortest round trip, is
+//! Limits: an asymmetry that moves slowly, without any change of the round trip, is
 //! taken for the clocks'. A jump of the computer's rate by tens of ppm looks like a step of
 //! both asymmetries: the 1-sigma grows with it. Temperatures are not used: a rate is measured within seconds to
 //! minutes, which is faster than a crystal follows a sensor beside it.
 
+mod followed;
 mod leg;
 
 use nalgebra::{SMatrix, SVector};
 
+pub use self::followed::followed;
 use self::leg::{Leg, Seen};
 use crate::clock::{ClockRelation, Wander, WithSigma};
 

@@ -23,6 +23,10 @@ const STEP_SIGMAS: f64 = 5.0;
 /// A window whose round trip is so many sigmas away is worth less by that.
 const SLOW_SIGMAS: f64 = 2.0;
 
+/// Of the round trips of so many windows, the first ones, nothing is learnt: the rate of the
+/// clock is not known yet.
+const RATED_WINDOWS: u32 = 5;
+
 /// Differences of round trips so many windows apart tell the noise of one, and how both
 /// ways wander.
 const LAGS: [usize; 2] = [1, 64];
@@ -105,6 +109,8 @@ pub(super) struct Leg {
     /// how many windows.
     noise: [f64; LAGS.len()],
     windows: [f64; LAGS.len()],
+    /// Windows that have ended.
+    ended: u32,
     pub(super) odd: u32,
     pub(super) last: Option<f64>,
 }
@@ -140,7 +146,9 @@ impl Leg {
             ways: Window::ways(exchange, base, (begin, rate)),
         };
         let ended = self.window.replace(fresh)?;
-        Some(self.end(&ended))
+        self.ended = self.ended.saturating_add(1);
+        // The first one began anywhere.
+        (self.ended > 1).then(|| self.end(&ended))
     }
 
     fn end(&mut self, window: &Window) -> Seen {
@@ -149,10 +157,14 @@ impl Leg {
         let at = 0.5 * (there.at + back.at);
         let offset = 0.5 * (there.apart - back.apart);
         let trip = there.apart + back.apart - window.rate * (there.at - back.at);
-        // Nothing is known of the first one's rate.
-        let stepped = match self.last.replace(at) {
-            None => 0.0,
-            Some(_) => self.settle(trip),
+        self.last = Some(at);
+        if self.windows[0] == 0.0 {
+            self.noise[0] = (FIRST_NOISE * trip).powi(2);
+            self.windows[0] = FIRST_WINDOWS[0];
+        }
+        let stepped = match self.ended < RATED_WINDOWS {
+            true => 0.0,
+            false => self.settle(trip),
         };
         let sigma = self.trip_sigma();
         let apart = trip - self.settled().unwrap_or(trip);
@@ -170,10 +182,6 @@ impl Leg {
 
     /// Takes the round trip of a window; gives by how much they have stepped, s.
     fn settle(&mut self, trip: f64) -> f64 {
-        if self.windows[0] == 0.0 {
-            self.noise[0] = (FIRST_NOISE * trip).powi(2);
-            self.windows[0] = FIRST_WINDOWS[0];
-        }
         self.trips.push_back(trip);
         if self.trips.len() > LAGS[1] + 1 {
             self.trips.pop_front();
