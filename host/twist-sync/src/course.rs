@@ -80,9 +80,8 @@ impl ClockCourse {
         let (Some(first), Some(last)) = (knots.first(), knots.last()) else {
             return self;
         };
-        let is_beyond = |own: &ClockRelation| {
-            own.reference < first.reference || own.reference > last.reference
-        };
+        let is_beyond =
+            |own: &ClockRelation| own.reference < first.reference || own.reference > last.reference;
         for own in [&mut self.filtered, &mut self.smoothed] {
             own.retain(is_beyond);
             let place = own.partition_point(|own| own.reference < first.reference);

@@ -83,7 +83,10 @@ pub fn followed(exchanges: &[(Asked, Exchange)], known: &[ClockRelation]) -> Vec
         (0..=count).map(knot),
     );
     let backwards = pass(
-        exchanges.iter().rev().map(|(asked, each)| (*asked, each.turned_round())),
+        exchanges
+            .iter()
+            .rev()
+            .map(|(asked, each)| (*asked, each.turned_round())),
         known.iter().rev().map(turned_round),
         (0..=count).rev().map(|place| -knot(place)),
     );
