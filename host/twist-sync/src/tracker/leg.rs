@@ -36,7 +36,7 @@ const MEMORY_WINDOWS: [f64; 2] = [60.0, 600.0];
 
 /// Before anything is learnt: the noise is this part of a round trip, and what wanders so
 /// many times as much (of variances), as if of so many windows.
-const FIRST_NOISE: f64 = 0.02;
+const FIRST_NOISE: f64 = 0.005;
 const FIRST_WANDER: f64 = 4.0;
 const FIRST_WINDOWS: [f64; 2] = [5.0, 60.0];
 
