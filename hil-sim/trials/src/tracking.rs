@@ -40,7 +40,7 @@ const JUDGED_EVERY_S: f64 = 5.0;
 const FRAME_JITTER_NS: f64 = 1_000.0;
 
 /// What is to be studied.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct StudyOptions {
     /// The first seed; the others follow it.
     pub first_seed: u64,
@@ -50,6 +50,27 @@ pub struct StudyOptions {
     pub seconds: u32,
     /// How many run at the same time.
     pub jobs: u32,
+    /// What of the world is left out, to see what it does.
+    pub without: Vec<Part>,
+}
+
+/// A part of the world.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Part {
+    /// The errors of the twist, and of what the phone says of its frames.
+    Twist,
+    /// How the shortest ways scatter.
+    Scatter,
+    /// Steps of the shortest ways.
+    Steps,
+    /// Their slow wander.
+    Wander,
+    /// Silences.
+    Silences,
+    /// Warming and wander of board and phone.
+    Clocks,
+    /// That a time server steers the computer's clock.
+    Steered,
 }
 
 /// How the phone is reached.
@@ -99,9 +120,32 @@ pub fn study(options: &StudyOptions) -> Result<Study> {
     let seeds = seeds.map(|n| options.first_seed.wrapping_add(n));
     let plans: Vec<_> = seeds.flat_map(|seed| ARMS.map(|arm| (seed, arm))).collect();
     let sessions = workers::each(&plans, options.jobs as usize, |&(seed, arm)| {
-        session(seed, arm, f64::from(options.seconds)).map(|session| (arm, session))
+        session(seed, arm, options).map(|session| (arm, session))
     });
     sessions.into_iter().collect::<Result<_>>().map(Study)
+}
+
+impl StudyOptions {
+    /// 1, or 0 of a part that is left out.
+    fn share(&self, part: Part) -> f64 {
+        f64::from(u8::from(!self.without.contains(&part)))
+    }
+
+    fn beliefs(&self, of: LinkBeliefs) -> LinkBeliefs {
+        let share = |part, (from, to): (f64, f64)| {
+            let share = self.share(part);
+            (from * share, to * share)
+        };
+        // Nothing is drawn from the logarithm of zero.
+        let scatter = self.share(Part::Scatter).max(1e-6);
+        LinkBeliefs {
+            jitter: (of.jitter.0 * scatter, of.jitter.1 * scatter),
+            steps: share(Part::Steps, of.steps),
+            wander: share(Part::Wander, of.wander),
+            silences: share(Part::Silences, of.silences),
+            ..of
+        }
+    }
 }
 
 impl Study {
@@ -162,14 +206,19 @@ impl Study {
 }
 
 /// A clock of a rig that warms up, drawn from the ranges of the page of beliefs.
-fn clock(seed: Seed, stream: Stream, rates_ppm: f64, random: &mut Random) -> Oscillator {
+fn clock(
+    seed: Seed,
+    stream: Stream,
+    (rates_ppm, moves): (f64, f64),
+    random: &mut Random,
+) -> Oscillator {
     let sign = if random.chance(0.5) { 1.0 } else { -1.0 };
     let config = OscillatorConfig {
         offset_ns: 0,
         rate_ppm: random.uniform(-rates_ppm, rates_ppm),
-        wander: 1e-6 * log_uniform(random, WANDER_PPM),
+        wander: moves * 1e-6 * log_uniform(random, WANDER_PPM),
         warming: Warming {
-            ppm: sign * log_uniform(random, WARMING_PPM),
+            ppm: moves * sign * log_uniform(random, WARMING_PPM),
             time_s: log_uniform(random, WARMING_S),
         },
     };
@@ -195,11 +244,12 @@ struct Clocks {
 }
 
 impl Clocks {
-    fn drawn(seed: Seed, random: &mut Random, until: f64) -> Self {
-        let board = clock(seed, Stream::BoardClock, 30.0, random);
-        let phone = clock(seed, Stream::PhoneClock, 50.0, random);
-        let computer = clock(seed, Stream::ComputerClock, 50.0, random);
-        let ppm = log_uniform(random, (0.1, 10.0));
+    fn drawn(seed: Seed, random: &mut Random, until: f64, options: &StudyOptions) -> Self {
+        let moves = options.share(Part::Clocks);
+        let board = clock(seed, Stream::BoardClock, (30.0, moves), random);
+        let phone = clock(seed, Stream::PhoneClock, (50.0, moves), random);
+        let computer = clock(seed, Stream::ComputerClock, (50.0, moves), random);
+        let ppm = options.share(Part::Steered) * log_uniform(random, (0.1, 10.0));
         let mut steered = vec![(0.0, 0.0, 0.0)];
         let (mut at, mut made) = (0.0, 0.0);
         while at < until {
@@ -246,15 +296,15 @@ struct Frames {
 }
 
 /// What the twist says, by the truth and its error.
-fn twist(clocks: &Clocks, at: f64, random: &mut Random) -> ClockModel {
+fn twist(clocks: &Clocks, at: f64, random: &mut Random, errors: f64) -> ClockModel {
     let reference = read(&clocks.board, at);
     let offset = |at| read(&clocks.phone, at) - read(&clocks.board, at);
     let sigma = log_uniform(random, (2e-6, 6e-6));
     let skew_sigma = log_uniform(random, (0.3e-6, 0.9e-6));
     ClockModel {
         reference: BoardSeconds(reference),
-        offset: offset(at) + sigma * random.normal(),
-        skew: offset(at + 0.5) - offset(at - 0.5) + skew_sigma * random.normal(),
+        offset: offset(at) + errors * sigma * random.normal(),
+        skew: offset(at + 0.5) - offset(at - 0.5) + errors * skew_sigma * random.normal(),
         covariance: [[sigma * sigma, 0.0], [0.0, skew_sigma * skew_sigma]],
         wander: Wander::default(),
     }
@@ -265,13 +315,13 @@ fn align(
     clocks: &Clocks,
     clock: ClockModel,
     at: f64,
-    random: &mut Random,
+    (random, errors): (&mut Random, f64),
 ) -> Result<(Alignment, Frames)> {
     let period_ns = 1e9 / 30.0 * (1.0 + 1e-4 * random.uniform(-1.0, 1.0));
     let sigma_ns = log_uniform(random, (0.005, 0.05));
     let mut profile = Profile::published()?;
     profile.phone.learnt = Some(Learnt {
-        frame_period_ns: period_ns + sigma_ns * random.normal(),
+        frame_period_ns: period_ns + errors * sigma_ns * random.normal(),
         frame_period_sigma_ns: sigma_ns,
         frame_jitter_ns: Some(FRAME_JITTER_NS),
         exposure_us: None,
@@ -285,8 +335,8 @@ fn align(
     let phase = read(&clocks.phone, at) * 1e9;
     let reported = FRAME_JITTER_NS * std::f64::consts::SQRT_2 / 59.0;
     let video = Video {
-        phase: PhoneNanos((phase + FRAME_JITTER_NS * random.normal()).round() as i64),
-        frame_duration_ns: period_ns + reported * random.normal(),
+        phase: PhoneNanos((phase + errors * FRAME_JITTER_NS * random.normal()).round() as i64),
+        frame_duration_ns: period_ns + errors * reported * random.normal(),
         exposure_ns: Some(1_000_000),
     };
     let course = Twists::of(clock).course();
@@ -311,15 +361,16 @@ impl Frames {
 }
 
 /// One session of a rig. In its last half a minute the phone answers nothing any more.
-fn session(seed: u64, arm: Arm, seconds: f64) -> Result<Session> {
+fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
     let seed = Seed(seed);
     let mut random = seed.stream(Stream::Tracking);
     let begin = random.uniform(5.0, 600.0);
     let video_at = begin + TO_TWIST_S + TO_VIDEO_S;
-    let end = video_at + seconds;
-    let clocks = Clocks::drawn(seed, &mut random, end + 60.0);
-    let twist = twist(&clocks, begin + TO_TWIST_S, &mut random);
-    let (alignment, frames) = align(&clocks, twist, video_at, &mut random)?;
+    let end = video_at + f64::from(options.seconds);
+    let clocks = Clocks::drawn(seed, &mut random, end + 60.0, options);
+    let errors = options.share(Part::Twist);
+    let twist = twist(&clocks, begin + TO_TWIST_S, &mut random, errors);
+    let (alignment, frames) = align(&clocks, twist, video_at, (&mut random, errors))?;
     let mut steering = Steering::new(&alignment, 1);
     let ticks = |at: f64| BoardSeconds(read(&clocks.board, at)).ticks();
     let mut result = Session {
@@ -343,8 +394,9 @@ fn session(seed: u64, arm: Arm, seconds: f64) -> Result<Session> {
         Arm::Usb => (LinkBeliefs::PHONE_USB, Kind::Usb),
         Arm::Wifi => (LinkBeliefs::PHONE_WIFI, Kind::Network),
     };
-    let mut board_link = Link::drawn(&LinkBeliefs::BOARD_USB, seed.stream(Stream::BoardLink));
-    let mut phone_link = Link::drawn(&beliefs, seed.stream(Stream::PhoneLink));
+    let link = |beliefs, stream| Link::drawn(&options.beliefs(beliefs), seed.stream(stream));
+    let mut board_link = link(LinkBeliefs::BOARD_USB, Stream::BoardLink);
+    let mut phone_link = link(beliefs, Stream::PhoneLink);
     let mut tracker = Tracker::new();
     let (mut asked, mut at) = ([begin; 2], begin);
     let (mut knows, mut steered, mut judged) = (false, video_at, video_at);
@@ -365,11 +417,10 @@ fn session(seed: u64, arm: Arm, seconds: f64) -> Result<Session> {
         if !knows && at > begin + TO_TWIST_S + 5.0 {
             knows = tracker.know(&twist.into());
         }
-        let host = clocks.host(at);
-        let Some(relation) = tracker.relation_at(host).filter(|_| knows) else {
+        if at < end && at < (steered + STEP_EVERY_S).min(judged + JUDGED_EVERY_S) {
             continue;
-        };
-        let relation = ClockModel::from(relation);
+        }
+        let host = clocks.host(at);
         let holds = has_lock(&tracker, kind, host);
         if at >= end {
             if !holds {
@@ -377,6 +428,10 @@ fn session(seed: u64, arm: Arm, seconds: f64) -> Result<Session> {
             }
             continue;
         }
+        let Some(relation) = tracker.relation_at(host).filter(|_| knows) else {
+            continue;
+        };
+        let relation = ClockModel::from(relation);
         if at >= steered + STEP_EVERY_S && holds {
             let now = ticks(at + 0.05);
             if let Some(period) = steering.wanted(&relation, now, at - steered) {

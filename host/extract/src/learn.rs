@@ -160,6 +160,7 @@ mod tests {
             frame_period_ns: Some((33_330_650.0, 0.02)),
             frame_jitter_ns: Some(900.0),
             course: Vec::new(),
+            tracked: None,
         }
     }
 

@@ -10,7 +10,7 @@ use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
 use super::later_runs::{Joint, Moves, joints, moves};
 use super::progress::Progress;
-use super::report::{ClockReport, Constants};
+use super::report::{ClockReport, Constants, TrackedReport};
 use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::tables::ColorFrame;
@@ -18,6 +18,7 @@ use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::frame_period;
 use phone::video_files::VideoFiles;
 use timebase::ClockModel;
+use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
 
 /// How far a recorded offset may be off, s.
@@ -53,6 +54,8 @@ struct RunClock {
     source: &'static str,
     gyros: Option<RecordingClock>,
     course: Option<ClockCourse>,
+    /// Of exchanges with both clocks: how many, and the course without them.
+    followed: Option<(usize, ClockCourse)>,
     /// Without a course: phone less board, ns.
     offset: i64,
 }
@@ -137,6 +140,10 @@ pub(crate) fn find(
     }
     if runs.iter().all(|run| run.source == NONE) {
         return Ok(Err(remarks.join("; ")));
+    }
+    // Of a further phone, and behind a reset, no clock is followed.
+    if let Some(first) = runs.first_mut().filter(|_| runs_are == Runs::Moved) {
+        first.follow(&survey.exchanges, priors.first().copied().flatten());
     }
     let courses: Vec<_> = runs.iter().map(RunClock::by_gyros).collect();
     let joints = match runs_are {
@@ -256,8 +263,25 @@ impl RunClock {
             source,
             gyros: None,
             course: None,
+            followed: None,
             offset: 0,
         }
+    }
+
+    /// Joins what is known of the clocks, from windows of motion or else from the session,
+    /// by exchanges with them.
+    fn follow(&mut self, exchanges: &[(Asked, Exchange)], prior: Option<Prior>) {
+        let known = match (&self.gyros, prior) {
+            (Some(gyros), _) => gyros.estimates.clone(),
+            (None, Some(Prior::Relation(relation))) => vec![relation],
+            (None, _) => return,
+        };
+        let knots = followed(exchanges, &known);
+        let Some(plain) = self.course.take_if(|_| !knots.is_empty()) else {
+            return;
+        };
+        self.course = Some(plain.clone().with_followed(&knots));
+        self.followed = Some((exchanges.len(), plain));
     }
 
     /// What the gyroscopes found.
@@ -284,28 +308,57 @@ impl RunClock {
 impl PhoneClock {
     /// The relation at a board time, with its uncertainty.
     pub(crate) fn model_at(&self, at: BoardNanos) -> Option<ClockModel> {
+        self.model_by(|run| run.course.as_ref(), at)
+    }
+
+    /// The same without what exchanges have added.
+    fn plain_model_at(&self, at: BoardNanos) -> Option<ClockModel> {
+        self.model_by(
+            |run| match &run.followed {
+                Some((_, plain)) => Some(plain),
+                None => run.course.as_ref(),
+            },
+            at,
+        )
+    }
+
+    fn model_by<'a>(
+        &'a self,
+        course: impl Fn(&'a RunClock) -> Option<&'a ClockCourse>,
+        at: BoardNanos,
+    ) -> Option<ClockModel> {
         let runs = self.runs.iter().enumerate();
         let (index, run) = runs
             .rev()
             .find(|(index, run)| run.from.0.saturating_add(self.moves.of(*index)) <= at.0)
             .or(self.runs.first().map(|run| (0, run)))?;
         let moved = self.moves.of(index) as f64 * 1e-9;
-        let course = run.course.as_ref()?;
-        let model = course.at(at.0 as f64 * 1e-9 - moved);
+        let model = course(run)?.at(at.0 as f64 * 1e-9 - moved);
         Some(model.with_a_later(moved).into())
     }
 
     /// What the report says about it, over these frames.
     pub(crate) fn report(&self, frames: &[ColorFrame]) -> ClockReport {
         let middle = self.model_at(self.middle);
-        let sigmas = frames
-            .iter()
-            .step_by(30)
-            .filter_map(|frame| self.model_at(frame.at))
-            .map(|model| model.covariance[0][0].max(0.0).sqrt() * 1e6);
-        let range = sigmas.fold(None, |range: Option<[f64; 2]>, sigma| {
-            let [low, high] = range.unwrap_or([sigma, sigma]);
-            Some([low.min(sigma), high.max(sigma)])
+        let some = || frames.iter().step_by(30).map(|frame| frame.at);
+        let range = |models: &mut dyn Iterator<Item = ClockModel>| {
+            let mut sigmas = models.map(|model| model.covariance[0][0].max(0.0).sqrt() * 1e6);
+            let first = sigmas.next()?;
+            Some(sigmas.fold([first; 2], |[low, high], sigma| {
+                [low.min(sigma), high.max(sigma)]
+            }))
+        };
+        let exchanges = self.runs.iter().find_map(|run| run.followed.as_ref());
+        let tracked = exchanges.map(|(exchanges, _)| {
+            let moved = some().filter_map(|at| {
+                let apart = self.model_at(at)?.offset - self.plain_model_at(at)?.offset;
+                Some(apart.abs() * 1e6)
+            });
+            TrackedReport {
+                exchanges: *exchanges,
+                sigma_us_without: range(&mut some().filter_map(|at| self.plain_model_at(at))),
+                moved_us: moved.fold(0.0, f64::max),
+            }
         });
         let phone: Vec<PhoneNanos> = frames.iter().map(|frame| frame.phone).collect();
         let frame_period = frame_period(&phone).ok();
@@ -321,11 +374,12 @@ impl PhoneClock {
             skew_ppm: middle.map_or(0.0, |model| model.skew * 1e6),
             skew_sigma_ppm: middle
                 .map_or(0.0, |model| model.covariance[1][1].max(0.0).sqrt() * 1e6),
-            sigma_us: range,
+            sigma_us: range(&mut some().filter_map(|at| self.model_at(at))),
             residual_us: (!course.is_empty()).then(|| residual_rms(&course) * 1e6),
             frame_period_ns: frame_period.map(|found| (found.period_ns, found.sigma_ns)),
             frame_jitter_ns: frame_period.map(|found| found.jitter_ns),
             course,
+            tracked,
         }
     }
 }
@@ -416,6 +470,75 @@ mod tests {
             "{period} {sigma}"
         );
         assert_eq!(clock.report(&frames[..299]).frame_period_ns, None);
+    }
+
+    /// A phone that warms up by 2 ppm and was followed for ten minutes after its one twist.
+    #[test]
+    fn exchanges_with_the_clocks_carry_the_twists_relation_on() {
+        let offset = |at: f64| 102.0 + 1e-6 * (at - 10.0) + 2e-9 * (at - 10.0).powi(2);
+        let mut exchanges = Vec::new();
+        for place in 0..30_000 {
+            let sent = 0.02 * f64::from(place);
+            // In no step with the windows; the way there is longer by 200 µs, always.
+            let scatter = f64::from(place * 7_919 % 1_000) * 1e-7;
+            let stamp = sent + 5e-4 + scatter;
+            exchanges.push((Asked::A, stamp, stamp));
+            exchanges.push((Asked::B, stamp, stamp + offset(stamp)));
+        }
+        let exchanges = exchanges.into_iter().map(|(asked, read, stamp)| {
+            let (sent, received) = (read - 5e-4, read + 3e-4);
+            let exchange = Exchange {
+                sent,
+                received,
+                stamp,
+            };
+            (asked, exchange)
+        });
+        let mut survey = Survey {
+            exchanges: exchanges.collect(),
+            ..Survey::default()
+        };
+        survey.imu.last_ns = 600 * SECOND;
+        let board = BoardInput::Mcap(PathBuf::from("none"), Moves::default());
+        let clock = |survey: &Survey| {
+            let (files, constants) = (VideoFiles::default(), Constants::default());
+            let priors = [prior(102.0)];
+            let how = (priors.as_slice(), Runs::Moved);
+            let found = find(
+                &board,
+                &files,
+                survey,
+                how,
+                &constants,
+                &crate::progress::Silent,
+            );
+            found.unwrap().unwrap()
+        };
+        let error_us = |clock: &PhoneClock| {
+            let phone = PhoneNanos(((590.0 + offset(590.0)) * 1e9).round() as i64);
+            (clock.map.apply(phone).unwrap().0 - 590 * SECOND) as f64 * 1e-3
+        };
+        let tracked = clock(&survey);
+        assert!(error_us(&tracked).abs() < 10.0, "{}", error_us(&tracked));
+        let frames: Vec<ColorFrame> = (20..590)
+            .map(|k| ColorFrame {
+                phone: PhoneNanos(0),
+                start: BoardNanos(0),
+                at: BoardNanos(k * SECOND),
+                image: None,
+            })
+            .collect();
+        let report = tracked.report(&frames);
+        let [_, most] = report.sigma_us.unwrap();
+        let added = report.tracked.unwrap();
+        let [_, without] = added.sigma_us_without.unwrap();
+        assert_eq!(added.exchanges, 60_000);
+        assert!(most < 20.0 && without > 2.0 * most, "{report:?}");
+        assert!((500.0..700.0).contains(&added.moved_us), "{added:?}");
+        survey.exchanges.clear();
+        let plain = clock(&survey);
+        assert!(error_us(&plain).abs() > 500.0);
+        assert_eq!(plain.report(&frames).tracked, None);
     }
 
     #[test]

@@ -185,6 +185,21 @@ pub struct ClockReport {
     pub frame_jitter_ns: Option<f64>,
     /// The windows.
     pub course: Vec<WindowResult>,
+    /// What following the phone's clock while it recorded has added.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tracked: Option<TrackedReport>,
+}
+
+/// What following a phone's clock has added to its relation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TrackedReport {
+    /// Exchanges with the clocks of phone and board.
+    pub exchanges: usize,
+    /// Smallest and largest 1-sigma of the offset over the frames without them, µs; nothing
+    /// without frames.
+    pub sigma_us_without: Option<[f64; 2]>,
+    /// The most that they have moved a frame, µs.
+    pub moved_us: f64,
 }
 
 /// The depth camera's part.
@@ -431,6 +446,16 @@ impl ClockReport {
                 line,
                 ", residual {residual:.1} µs, {used} of {windows} windows"
             );
+        }
+        if let Some(tracked) = &self.tracked {
+            let _ = write!(line, "; {} exchanges with its clock", tracked.exchanges);
+            if let Some([least, most]) = tracked.sigma_us_without {
+                let _ = write!(
+                    line,
+                    ", without which 1-sigma were {least:.1} to {most:.1} µs"
+                );
+            }
+            let _ = write!(line, ", moved frames by up to {:.1} µs", tracked.moved_us);
         }
         line
     }

@@ -10,6 +10,7 @@ use super::progress::Progress;
 use super::streams::{Stopped, each_event};
 use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
+use twist_sync::tracker::{Asked, Exchange};
 
 /// Pulses and pairs of times that are kept of any recording: 12 hours of a camera's.
 const EVENTS: u64 = 3_000_000;
@@ -43,6 +44,8 @@ pub(crate) struct Survey {
     pub(crate) former_clocks: Vec<PhoneClocks>,
     /// The IMU's samples.
     pub(crate) imu: ImuSpan,
+    /// Exchanges with the clocks of the board and of the phone that was followed.
+    pub(crate) exchanges: Vec<(Asked, Exchange)>,
     /// Depth images in the recording itself (bags).
     pub(crate) images: u64,
     /// What could not be read, in words.
@@ -146,10 +149,16 @@ impl Keeper {
         match event {
             BoardEvent::Imu(row) => out.imu.add(row.at.0),
             BoardEvent::Image(_) => out.images += 1,
-            BoardEvent::Pulse(_) | BoardEvent::Times(_) if self.room == 0 => {
+            BoardEvent::Pulse(_) | BoardEvent::Times(_) | BoardEvent::Exchange(..)
+                if self.room == 0 =>
+            {
                 self.leave_out(
-                    "pulses and pairs of times are more than a recording of its length holds",
+                    "pulses, pairs of times and exchanges are more than a recording of its length holds",
                 );
+            }
+            BoardEvent::Exchange(asked, exchange) => {
+                self.room -= 1;
+                out.exchanges.push((asked, exchange));
             }
             BoardEvent::Pulse(pulse) => {
                 self.room -= 1;

@@ -7,7 +7,8 @@
 //! with its own Kalman filter ([`Course`]) and weighed by how well it foretold what came.
 //! Together they are one [`Course`] of their mean and covariance.
 
-use timebase::ClockModel;
+use timebase::{BoardSeconds, ClockModel};
+use twist_sync::tracker::WARMING_S;
 
 use crate::rates::{Course, Fit, Rate};
 
@@ -15,6 +16,16 @@ use crate::rates::{Course, Fit, Rate};
 /// likely at first. Two clocks that each move by 0.1 to 5 ppm, even in the logarithm
 /// (docs/beliefs.md), have the rms of the three, 2.5 ppm.
 const WARMINGS: [f64; 3] = [0.15e-6, 0.8e-6, 4.3e-6];
+
+/// How much of the warming of two clocks lies ahead, of what one of a rig that was just
+/// switched on has: the rms. The board's crystal has warmed since its reset, at the latest.
+/// Of the phone nobody knows: that it has been in use as long as the board is supposed to be
+/// as likely as that it begins to warm up now.
+fn warming_left(since_reset: BoardSeconds) -> f64 {
+    let board = (-2.0 * since_reset.0.max(0.0) / WARMING_S).exp();
+    let phone = 0.5 * (board + 1.0);
+    (0.5 * (board + phone)).sqrt()
+}
 
 /// A skew that was learnt before.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,9 +51,10 @@ impl Twists {
     /// Of the first.
     #[must_use]
     pub fn of(clock: ClockModel) -> Self {
+        let left = warming_left(clock.reference);
         Self(WARMINGS.map(|warming| Supposition {
             warming,
-            course: Course::of_twist(clock, warming),
+            course: Course::of_twist(clock, warming * left),
             likelihood_ln: 0.0,
         }))
     }
@@ -94,10 +106,7 @@ impl Twists {
 mod tests {
     use super::*;
     use crate::rates::PLANNED_S;
-    use timebase::{BoardSeconds, Wander};
-
-    /// As the models of this module have it.
-    const WARMING_S: f64 = 300.0;
+    use timebase::Wander;
 
     /// A twist at `t` of clocks whose skew starts with 20 ppm and changes by `c` a second,
     /// dying away within `fades` seconds.
@@ -130,15 +139,19 @@ mod tests {
 
     #[test]
     fn one_twist_knows_nothing_of_the_change() {
-        let one = course(0.0, &[100.0]);
-        let rate = one.rate_from(BoardSeconds(110.0));
+        let one = course(0.0, &[0.0]);
+        let rate = one.rate_from(BoardSeconds(10.0));
         assert!((rate.skew - 20e-6).abs() < 1e-15);
         // 0.63 ppm of the twist; 2.5 ppm in ten minutes are 1.1 on the average of the next
         // five, and more or less where it dies away more slowly or faster.
         assert!((1.2e-6..1.5e-6).contains(&rate.sigma), "{}", rate.sigma);
         let at = |t| one.offset_sigma_at(BoardSeconds(t));
-        assert!((at(100.0) - 2e-6).abs() < 1e-9);
-        assert!(at(160.0) > at(100.0) && at(40.0) > at(100.0));
+        assert!((at(0.0) - 2e-6).abs() < 1e-9);
+        assert!(at(60.0) > at(0.0) && at(-60.0) > at(0.0));
+        // Of a board that has run for long, the phone may warm up all the same.
+        let change = |t| course(0.0, &[t]).change.variance.sqrt();
+        let left = [600.0, 1e6].map(|t| change(t) / change(0.0));
+        assert!(left[0] < 0.55 && (left[1] - 0.5).abs() < 1e-3, "{left:?}");
     }
 
     #[test]

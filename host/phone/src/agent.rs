@@ -5,6 +5,9 @@
 //! thread does nothing else. What is exchanged, and how the program ends by itself, is in
 //! [`phone_agent`].
 //!
+//! A phone whose cable is pulled ends the agent by its silence, and `adb` forgets the port.
+//! So where nothing answers any more, the program is copied and started anew until it does.
+//!
 //! Whatever ends this program, nothing is left running on the phone: the agent removes its
 //! own file when it starts, and ends once nobody has asked it for
 //! [`phone_agent::PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
@@ -54,16 +57,21 @@ pub struct PhoneExchange {
     pub answer: Answer,
 }
 
-/// A program on the phone that tells its clocks. It ends by itself soon after this is
-/// dropped ([`phone_agent::PATIENCE_S`]).
+/// A program on the phone that tells its clocks. It is started anew where it has ended
+/// meanwhile, and ends by itself soon after this is dropped ([`phone_agent::PATIENCE_S`]).
 pub struct Agent {
+    device: String,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    exchanges: Receiver<PhoneExchange>,
+}
+
+/// The program as it was started once, and the port to it, which is given back at its end.
+struct Running {
     adb: PathBuf,
     device: String,
     port: u16,
     shell: Child,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-    exchanges: Receiver<PhoneExchange>,
 }
 
 /// The program's file for a processor, by Android's name of it: beside this program, or
@@ -81,18 +89,10 @@ fn program_for(processor: &str) -> Option<PathBuf> {
     places.into_iter().find(|place| place.is_file())
 }
 
-impl Agent {
-    /// Starts it on the one phone that `adb` finds, and asks it from now on. `now` is the
-    /// clock of [`PhoneExchange`]'s times.
-    ///
-    /// # Errors
-    ///
-    /// There is no `adb` or not one phone, none of our programs runs on it, or it does not
-    /// answer.
-    pub fn start(now: fn() -> Duration, stop: &StopSignal) -> Result<Self, AdbError> {
-        let adb = Adb::find(stop)?;
-        let device = adb.only_device()?;
-        let said = adb.shell(&device, "getprop ro.product.cpu.abilist")?;
+impl Running {
+    /// Copies it to the phone, starts it there, and finds a port to it.
+    fn start(adb: &Adb<'_>, device: &str) -> Result<Self, AdbError> {
+        let said = adb.shell(device, "getprop ro.product.cpu.abilist")?;
         let programs = said.trim().split(',').find_map(program_for);
         let Some(program) = programs else {
             return Err(AdbError::NoAgent {
@@ -105,17 +105,17 @@ impl Agent {
                 .map_or(0, |since| u64::from(since.subsec_nanos()));
         let socket = format!("{NAME}-{number:x}");
         let file = format!("{FOLDER}/{socket}");
-        adb.run_for(&device, &["push", &program.to_string_lossy(), &file])?;
-        adb.shell(&device, &format!("chmod 755 {file}"))?;
+        adb.run_for(device, &["push", &program.to_string_lossy(), &file])?;
+        adb.shell(device, &format!("chmod 755 {file}"))?;
         let mut shell = Command::new(adb.program())
-            .args(["-s", &device, "shell", &format!("{file} {socket}")])
+            .args(["-s", device, "shell", &format!("{file} {socket}")])
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(Stdio::null())
             .spawn()
             .map_err(|source| adb.cannot_run(source))?;
         let forwarded = adb.run_for(
-            &device,
+            device,
             &["forward", "tcp:0", &format!("localabstract:{socket}")],
         );
         let port = forwarded.and_then(|said| {
@@ -125,31 +125,65 @@ impl Agent {
                 reason: format!("expected a port, found {:?}", said.trim()),
             })
         });
-        let port: u16 = match port {
-            Ok(port) => port,
+        match port {
+            Ok(port) => Ok(Self {
+                adb: adb.program().to_owned(),
+                device: device.to_owned(),
+                port,
+                shell,
+            }),
             Err(error) => {
                 // It may have ended; and the agent does within seconds.
                 let _ = shell.kill();
                 let _ = shell.wait();
-                return Err(error);
+                Err(error)
             }
-        };
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // The phone may be gone, and then nothing of it is left.
+        let _ = self.shell.kill();
+        let _ = self.shell.wait();
+        let _ = Command::new(&self.adb)
+            .args(["-s", &self.device, "forward", "--remove"])
+            .arg(format!("tcp:{}", self.port))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+    }
+}
+
+impl Agent {
+    /// Starts it on the one phone that `adb` finds, and asks it from now on. `now` is the
+    /// clock of [`PhoneExchange`]'s times.
+    ///
+    /// # Errors
+    ///
+    /// There is no `adb` or not one phone, none of our programs runs on it, or it does not
+    /// answer.
+    pub fn start(now: fn() -> Duration, stop: &StopSignal) -> Result<Self, AdbError> {
+        let adb = Adb::find(stop)?;
+        let device = adb.only_device()?;
+        let running = Running::start(&adb, &device)?;
+        let stream = first_answer(running.port, now, stop)?;
         let ends = Arc::new(AtomicBool::new(false));
-        let (sender, exchanges) = channel();
-        let mut agent = Self {
-            adb: adb.program().to_owned(),
-            device,
-            port,
-            shell,
-            stop: Arc::clone(&ends),
-            thread: None,
-            exchanges,
+        let ended = {
+            let (ends, stop) = (Arc::clone(&ends), stop.clone());
+            StopSignal::new(move || ends.load(Ordering::Relaxed) || stop.is_set())
         };
-        let first = first_answer(port, now)?;
+        let (sender, exchanges) = channel();
         let asking = std::thread::Builder::new().name(String::from("phone's clock"));
-        let thread = asking.spawn(move || ask(first, port, now, &ends, &sender));
-        agent.thread = Some(thread.map_err(|source| adb.cannot_run(source))?);
-        Ok(agent)
+        let thread = asking.spawn(move || ask(running, stream, now, &ended, &sender));
+        Ok(Self {
+            device,
+            stop: ends,
+            thread: Some(thread.map_err(|source| adb.cannot_run(source))?),
+            exchanges,
+        })
     }
 
     /// Whether it is reached through a network: `adb` names such a phone by its address.
@@ -176,16 +210,6 @@ impl Drop for Agent {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        // The phone may be gone, and then nothing of it is left.
-        let _ = self.shell.kill();
-        let _ = self.shell.wait();
-        let _ = Command::new(&self.adb)
-            .args(["-s", &self.device, "forward", "--remove"])
-            .arg(format!("tcp:{}", self.port))
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
     }
 }
 
@@ -200,7 +224,11 @@ fn connect(port: u16) -> std::io::Result<TcpStream> {
 
 /// A connection to an agent that has answered: it needs a moment to start, and until then
 /// `adb` accepts and closes.
-fn first_answer(port: u16, now: fn() -> Duration) -> Result<TcpStream, AdbError> {
+fn first_answer(
+    port: u16,
+    now: fn() -> Duration,
+    stop: &StopSignal,
+) -> Result<TcpStream, AdbError> {
     let begun = Instant::now();
     loop {
         let tried = connect(port).and_then(|mut stream| {
@@ -222,6 +250,7 @@ fn first_answer(port: u16, now: fn() -> Duration) -> Result<TcpStream, AdbError>
                     reason: format!("no answer within {START:?}: {error}"),
                 });
             }
+            Err(_) if stop.is_set() => return Err(AdbError::Cancelled),
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -254,33 +283,47 @@ fn exchange(
     }
 }
 
-/// Asks until it is to stop; what cannot be asked is silence.
+/// Asks until it is to stop; what cannot be asked is silence. Where the program does not
+/// answer any more, it has ended or the cable was pulled: it is started anew until it does.
 fn ask(
-    first: TcpStream,
-    port: u16,
+    first: Running,
+    stream: TcpStream,
     now: fn() -> Duration,
-    stop: &AtomicBool,
+    stop: &StopSignal,
     sender: &Sender<PhoneExchange>,
 ) {
-    let mut stream = Some(first);
+    let device = first.device.clone();
+    let mut open = Some((first, stream));
     let mut nonce = 0_u64;
-    while !stop.load(Ordering::Relaxed) {
+    while !stop.is_set() {
         nonce = nonce.wrapping_add(1);
         // Not in step with anything on the way, such as the frames of USB.
         let scatter = nonce.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 54;
         std::thread::sleep(EVERY / 2 + EVERY.mul_f64(scatter as f64 / 1024.0));
-        let Some(open) = &mut stream else {
+        let Some((running, stream)) = &mut open else {
             std::thread::sleep(PAUSE);
-            stream = connect(port).ok();
+            open = again(&device, now, stop);
             continue;
         };
-        match exchange(open, nonce, now) {
+        match exchange(stream, nonce, now) {
             Ok(Ok(exchange)) => {
                 if sender.send(exchange).is_err() {
                     return;
                 }
             }
-            Ok(Err(_)) | Err(_) => stream = None,
+            // A connection that was cut or late, or one to a program that has ended.
+            Ok(Err(_)) | Err(_) => match first_answer(running.port, now, stop) {
+                Ok(fresh) => *stream = fresh,
+                Err(_) => open = None,
+            },
         }
     }
+}
+
+/// Starts the program anew, if the phone is there.
+fn again(device: &str, now: fn() -> Duration, stop: &StopSignal) -> Option<(Running, TcpStream)> {
+    let adb = Adb::find(stop).ok()?;
+    let running = Running::start(&adb, device).ok()?;
+    let stream = first_answer(running.port, now, stop).ok()?;
+    Some((running, stream))
 }

@@ -9,7 +9,7 @@
 use crate::clock::{ClockRelation, State, Wander};
 
 /// Innovation beyond which an estimate is left out, in sigmas.
-const CONTRADICTION: f64 = 6.0;
+pub(crate) const CONTRADICTION: f64 = 6.0;
 
 /// The clock relation over a whole recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -71,6 +71,23 @@ impl ClockCourse {
             used: filtered.len(),
             contradicting,
         })
+    }
+
+    /// The same course, but where the clocks were followed ([`crate::tracker::followed`]):
+    /// there it is what came of that, which knows all estimates.
+    #[must_use]
+    pub fn with_followed(mut self, knots: &[ClockRelation]) -> Self {
+        let (Some(first), Some(last)) = (knots.first(), knots.last()) else {
+            return self;
+        };
+        let is_beyond =
+            |own: &ClockRelation| own.reference < first.reference || own.reference > last.reference;
+        for own in [&mut self.filtered, &mut self.smoothed] {
+            own.retain(is_beyond);
+            let place = own.partition_point(|own| own.reference < first.reference);
+            own.splice(place..place, knots.iter().copied());
+        }
+        self
     }
 
     /// The relation at a time of clock a, from all data: between the estimates the

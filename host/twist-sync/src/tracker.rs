@@ -8,13 +8,15 @@
 //! cancels.
 //!
 //! **Windows.** Delays are one-sided and heavy-tailed, so of each two seconds only the
-//! exchange with the shortest round trip counts ([`Leg`]). What that takes is nearly always
-//! the same; the farther it is from its usual value, the less its offset counts.
+//! quickest way there and the quickest way back count, whichever exchanges they are of
+//! ([`Leg`]): one of the two is often quick, both of one exchange hardly ever. What they take
+//! together is nearly always the same; the farther it is from its usual value, the less
+//! their offset counts.
 //!
 //! **Filter.** A Kalman filter takes one such offset of either clock at a time:
 //!
 //! ```text
-//! state        x = a − h, its rate, A = asymmetry of a's exchanges,
+//! state        x = a − h, its rate, A = asymmetry of a's exchanges: a constant, and what wanders,
 //!              d = b − a, its rate, the change of the rate, B = asymmetry of b's exchanges
 //! exchange, a  x + A
 //! exchange, b  x + d + B
@@ -22,25 +24,29 @@
 //! ```
 //!
 //! `d` is what is wanted. The computer's clock is in `x` alone, whose rate may move by ppm
-//! within seconds; so the chain needs no good clock in the computer. A and B are constants that may
+//! within seconds; so the chain needs no good clock in the computer. The constants of A and B may
 //! step: where the usual round trip of a window steps, or offsets jump (a crystal cannot), only
-//! their variance grows; `d` goes on by its rate meanwhile, and is as certain as that.
+//! their variance grows; `d` goes on by its rate meanwhile, and is as certain as that. Beside
+//! them A and B wander: by half of what round trips do, which the two ways move by
+//! themselves.
 //!
 //! **Warming.** The rate of `d` walks, and its change dies away, as crystals do that warm
 //! up. By how much is not known: there are three suppositions, weighed by how well
 //! each foretold what came ([`MOVES`]).
 //!
-//! Limits: an asymmetry that moves slowly, without any change of the shortest round trip, is
+//! Limits: an asymmetry that moves slowly, without any change of the round trip, is
 //! taken for the clocks'. A jump of the computer's rate by tens of ppm looks like a step of
 //! both asymmetries: the 1-sigma grows with it. Temperatures are not used: a rate is measured within seconds to
 //! minutes, which is faster than a crystal follows a sensor beside it.
 
-use std::collections::VecDeque;
+mod followed;
+mod leg;
 
 use nalgebra::{SMatrix, SVector};
 
+pub use self::followed::followed;
+use self::leg::{Leg, Seen};
 use crate::clock::{ClockRelation, Wander, WithSigma};
-use crate::robust::median_in_place;
 
 /// One exchange with a clock, s. `sent` and `received` are of the computer's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,10 +60,6 @@ pub struct Exchange {
 }
 
 impl Exchange {
-    fn round_trip(&self) -> f64 {
-        self.received - self.sent
-    }
-
     fn middle(&self) -> f64 {
         0.5 * (self.sent + self.received)
     }
@@ -90,50 +92,21 @@ pub enum Taken {
     Stepped,
 }
 
-/// Length of a window, s.
-const WINDOW_S: f64 = 2.0;
-
-/// The usual shortest round trip of a window is the median of so many, the first ones.
-const SETTLED_WINDOWS: usize = 30;
-
-/// And has stepped where the median of so many, the last ones, is elsewhere,
-const RECENT_WINDOWS: usize = 5;
-
-/// by so many times their spread (1-sigma of one; that of the median of five is 0.56).
-const STEP_SPREADS: f64 = 3.0;
-
 /// How far from what was expected an offset is odd, in sigmas of both.
 const ODD_SIGMAS: f64 = 5.0;
 
 /// So many odd offsets in a row are a step.
 const ODD_WINDOWS: u32 = 3;
 
-/// The noise of a window's offset is estimated over about so many of them.
-const NOISE_WINDOWS: f64 = 60.0;
-
-/// From one that is later than so many of its sigmas nothing is learnt.
-const SLOW_SIGMAS: f64 = 2.0;
-
-/// Before anything is learnt it is this part of a round trip, as if of so many windows.
-const FIRST_NOISE: f64 = 0.05;
-const FIRST_WINDOWS: f64 = 10.0;
-
-/// Asymmetries wander slowly, by this part of the noise: it is left in what is stated.
-const SLOW_NOISE: f64 = 0.25;
-
-/// And is never below this, s: what the stamps themselves are good for.
-const LEAST_NOISE: f64 = 1e-6;
-
-/// Differences of offsets so many windows apart tell their noise: errors of neighbours may
-/// be alike.
-const NOISE_LAGS: [usize; 2] = [1, 8];
+/// The ways there and back differ by so much, 1-sigma, before anything is known, s.
+const ASYMMETRY: f64 = 0.05;
 
 /// Rates of the clocks differ by so much, 1-sigma, before anything is known.
 const RATES: f64 = 1e-4;
 
 /// How the rate of the computer's clock walks, in one second: time servers steer it by
 /// some ppm at a time.
-const COMPUTER_WALK: f64 = 1e-6;
+const COMPUTER_WALK: f64 = 3e-6;
 
 /// Time in which a rig warms up, s. A guess.
 pub const WARMING_S: f64 = 300.0;
@@ -146,145 +119,18 @@ const MOVES: [(f64, f64); 3] = [(1e-9, 3e-10), (3e-9, 4e-9), (1e-8, 3e-8)];
 /// How slowly likelihoods are forgotten, windows: a rig may begin to warm up.
 const MEMORY_WINDOWS: f64 = 600.0;
 
-const STATES: usize = 7;
+const STATES: usize = 9;
 /// Places in the state.
 const X: usize = 0;
 const X_RATE: usize = 1;
-const ASYMMETRY_A: usize = 2;
-const D: usize = 3;
-const D_RATE: usize = 4;
-const D_CHANGE: usize = 5;
-const ASYMMETRY_B: usize = 6;
+const D: usize = 2;
+const D_RATE: usize = 3;
+const D_CHANGE: usize = 4;
+/// Of each clock, and behind it what of it wanders.
+const ASYMMETRIES: [usize; 2] = [5, 7];
 
 type State = SVector<f64, STATES>;
 type Covariance = SMatrix<f64, STATES, STATES>;
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    median_in_place(&mut values).unwrap_or(0.0)
-}
-
-/// One way to a clock: its windows.
-#[derive(Clone, Debug, Default)]
-struct Leg {
-    /// End of the window, and its best exchange so far.
-    window: Option<(f64, Exchange)>,
-    /// Shortest round trips of the last windows, s.
-    shortest: VecDeque<f64>,
-    /// Of the first since the last step; their median and spread.
-    first: Vec<f64>,
-    settled: Option<f64>,
-    spread: f64,
-    /// Times and offsets of the last windows, s.
-    offsets: VecDeque<(f64, f64)>,
-    /// Variance of half the differences at each lag, s².
-    noise: [f64; NOISE_LAGS.len()],
-    windows: f64,
-    odd: u32,
-    last: Option<f64>,
-}
-
-/// What a window gives.
-struct Seen {
-    at: f64,
-    offset: f64,
-    variance: f64,
-    /// By how much the shortest round trip has moved, s.
-    moved: f64,
-}
-
-impl Leg {
-    /// Takes an exchange; gives the best one of the window that it ends, if it ends one.
-    fn take(&mut self, exchange: Exchange) -> Option<Exchange> {
-        match &mut self.window {
-            Some((end, best)) if exchange.sent < *end => {
-                if exchange.round_trip() < best.round_trip() {
-                    *best = exchange;
-                }
-                None
-            }
-            window => {
-                let ended = window.replace((exchange.sent + WINDOW_S, exchange));
-                ended.map(|(_, best)| best)
-            }
-        }
-    }
-
-    fn end(&mut self, best: Exchange, base: f64, rate: f64) -> Seen {
-        let shortest = best.round_trip();
-        let moved = self.settle(shortest);
-        let (at, offset) = (best.middle(), best.stamp - base - best.middle());
-        self.last = Some(at);
-        if self.windows == 0.0 {
-            self.noise = [(FIRST_NOISE * shortest).powi(2); NOISE_LAGS.len()];
-            self.windows = FIRST_WINDOWS;
-        }
-        let apart = shortest - self.settled.unwrap_or(shortest);
-        if moved.abs() > 3.0 * self.sigma() {
-            self.offsets.clear();
-        }
-        // A slow window is no measure of a good one.
-        if apart.abs() < SLOW_SIGMAS * self.sigma() {
-            self.learn_noise(at, offset, rate);
-        }
-        Seen {
-            at,
-            offset,
-            variance: self.sigma().powi(2) + apart * apart,
-            moved,
-        }
-    }
-
-    /// Takes the shortest round trip of a window; gives by how much its usual value has
-    /// stepped, s.
-    fn settle(&mut self, shortest: f64) -> f64 {
-        self.shortest.push_back(shortest);
-        if self.shortest.len() > RECENT_WINDOWS {
-            self.shortest.pop_front();
-        }
-        let recent = median(self.shortest.iter().copied());
-        let before = self.settled.unwrap_or(shortest);
-        if self.first.len() < SETTLED_WINDOWS {
-            self.first.push(shortest);
-            let settled = median(self.first.iter().copied());
-            let spread = median(self.first.iter().map(|each| (each - settled).abs()));
-            self.spread = 1.48 * spread;
-            self.settled = Some(settled);
-        }
-        let apart = recent - self.settled.unwrap_or(recent);
-        let is_full = self.first.len() > 2 * RECENT_WINDOWS;
-        if is_full && apart.abs() > STEP_SPREADS * self.spread {
-            self.first = self.shortest.iter().copied().collect();
-            self.settled = Some(recent);
-        }
-        self.settled.unwrap_or(before) - before
-    }
-
-    /// 1-sigma of the offset of a good window, s.
-    fn sigma(&self) -> f64 {
-        let most = self.noise.iter().copied().fold(0.0, f64::max);
-        most.sqrt().max(LEAST_NOISE)
-    }
-
-    fn learn_noise(&mut self, at: f64, offset: f64, rate: f64) {
-        self.windows = (self.windows + 1.0).min(NOISE_WINDOWS);
-        for (noise, lag) in self.noise.iter_mut().zip(NOISE_LAGS) {
-            let Some(&(then, other)) = self.offsets.iter().rev().nth(lag - 1) else {
-                continue;
-            };
-            if at - then > 3.0 * lag as f64 * WINDOW_S {
-                continue;
-            }
-            let half = 0.5 * (offset - other - rate * (at - then)).powi(2);
-            let half = half.min(9.0 * *noise);
-            *noise += (half - *noise) / self.windows;
-        }
-        self.offsets.push_back((at, offset));
-        if self.offsets.len() > NOISE_LAGS[NOISE_LAGS.len() - 1] {
-            self.offsets.pop_front();
-        }
-    }
-}
 
 /// One supposition of how the rate moves.
 #[derive(Clone, Debug)]
@@ -297,8 +143,8 @@ struct Filter {
 }
 
 impl Filter {
-    /// To `dt` seconds later.
-    fn predict(&mut self, dt: f64) {
+    /// To `dt` seconds later; `wanders` are variances of the asymmetries'.
+    fn predict(&mut self, dt: f64, wanders: [f64; 2]) {
         let mut step = Covariance::identity();
         step[(X, X_RATE)] = dt;
         step[(D, D_RATE)] = dt;
@@ -307,6 +153,10 @@ impl Filter {
         step[(D, D_CHANGE)] = WARMING_S * (dt - of_rate);
         step[(D_RATE, D_CHANGE)] = of_rate;
         step[(D_CHANGE, D_CHANGE)] = fade;
+        let stays = Leg::fade(dt);
+        for asymmetry in ASYMMETRIES {
+            step[(asymmetry + 1, asymmetry + 1)] = stays;
+        }
         self.mean = step * self.mean;
         self.covariance = step * self.covariance * step.transpose();
         for (place, walk) in [(X, COMPUTER_WALK), (D, self.walk)] {
@@ -317,6 +167,10 @@ impl Filter {
             self.covariance[(place + 1, place + 1)] += q * dt;
         }
         self.covariance[(D_CHANGE, D_CHANGE)] += self.change.powi(2) * (1.0 - fade * fade);
+        for (asymmetry, wander) in ASYMMETRIES.into_iter().zip(wanders) {
+            let place = asymmetry + 1;
+            self.covariance[(place, place)] += wander * (1.0 - stays * stays);
+        }
     }
 
     /// How far a measurement is from what is expected, and the variance of that.
@@ -369,39 +223,24 @@ impl Tracker {
         }
         let place = asked as usize;
         let base = *self.base[place].get_or_insert(exchange.stamp - exchange.middle());
-        let Some(best) = self.legs[place].take(exchange) else {
+        let filters = self.filters.as_ref();
+        let rate = || filters.map_or(0.0, |filters| filters.rate_of(asked));
+        let Some(seen) = self.legs[place].take(&exchange, base, rate) else {
             return Taken::Kept;
         };
-        let rate = self.rate_of(asked);
-        let seen = self.legs[place].end(best, base, rate);
         self.see(asked, &seen)
     }
 
-    /// Rate of a clock against the computer's, less one.
-    fn rate_of(&self, asked: Asked) -> f64 {
-        let Some(filters) = &self.filters else {
-            return 0.0;
-        };
-        let (mean, _) = filters.mixed();
-        match asked {
-            Asked::A => mean[X_RATE],
-            Asked::B => mean[X_RATE] + mean[D_RATE],
-        }
-    }
-
     fn see(&mut self, asked: Asked, seen: &Seen) -> Taken {
-        let floors = [0, 1].map(|leg| self.legs[leg].settled.unwrap_or(0.1));
-        let filters = self
-            .filters
-            .get_or_insert_with(|| Filters::new(seen.at, floors));
-        filters.predict(seen.at);
+        let wanders = self.wanders();
+        let filters = self.filters.get_or_insert_with(|| Filters::new(seen.at));
+        filters.predict(seen.at, wanders);
         // The other clock's window may have ended before.
         let (of, asymmetry) = observed(asked, filters.at - seen.at);
         let leg = &mut self.legs[asked as usize];
         // One way alone may have become another.
-        let stepped = seen.moved.abs() > 3.0 * leg.sigma();
         for filter in &mut filters.each {
-            filter.covariance[(asymmetry, asymmetry)] += 0.25 * seen.moved * seen.moved;
+            filter.covariance[(asymmetry, asymmetry)] += 0.25 * seen.stepped * seen.stepped;
         }
         let nearest = filters.each.iter().map(|filter| {
             let (apart, spread) = filter.innovation(&of, seen.offset, seen.variance);
@@ -423,7 +262,7 @@ impl Tracker {
             filter.update(&of, seen.offset, seen.variance);
             filter.likelihood_ln *= 1.0 - 1.0 / MEMORY_WINDOWS;
         }
-        match stepped || jumped {
+        match jumped || seen.stepped != 0.0 {
             true => Taken::Stepped,
             false => Taken::Used,
         }
@@ -504,12 +343,12 @@ impl Tracker {
             .iter()
             .all(|leg| leg.last.is_some())
             .then_some(())?;
-        filters.predict(computer);
-        let (mean, mut covariance) = filters.mixed();
-        for leg in &self.legs {
-            covariance[(D, D)] += (SLOW_NOISE * leg.sigma()).powi(2);
-        }
-        Some((mean, covariance))
+        filters.predict(computer, self.wanders());
+        Some(filters.mixed())
+    }
+
+    fn wanders(&self) -> [f64; 2] {
+        self.legs.each_ref().map(Leg::wander)
     }
 }
 
@@ -519,22 +358,20 @@ fn observed(asked: Asked, late: f64) -> (State, usize) {
     let mut of = State::zeros();
     of[X] = 1.0;
     of[X_RATE] = -late;
-    let asymmetry = match asked {
-        Asked::A => ASYMMETRY_A,
-        Asked::B => {
-            of[D] = 1.0;
-            of[D_RATE] = -late;
-            of[D_CHANGE] = 0.5 * late * late;
-            ASYMMETRY_B
-        }
-    };
+    if asked == Asked::B {
+        of[D] = 1.0;
+        of[D_RATE] = -late;
+        of[D_CHANGE] = 0.5 * late * late;
+    }
+    let asymmetry = ASYMMETRIES[asked as usize];
     of[asymmetry] = 1.0;
+    of[asymmetry + 1] = 1.0;
     (of, asymmetry)
 }
 
 impl Filters {
-    /// Knowing nothing but that an asymmetry is no more than half of a round trip.
-    fn new(at: f64, round_trips: [f64; 2]) -> Self {
+    /// Knowing nothing.
+    fn new(at: f64) -> Self {
         let each = MOVES.map(|(walk, change)| {
             let mut covariance = Covariance::zeros();
             let mut set = |place: usize, sigma: f64| covariance[(place, place)] = sigma * sigma;
@@ -543,8 +380,9 @@ impl Filters {
             set(D, 1.0);
             set(D_RATE, RATES);
             set(D_CHANGE, change);
-            set(ASYMMETRY_A, round_trips[0] / 2.0);
-            set(ASYMMETRY_B, round_trips[1] / 2.0);
+            for asymmetry in ASYMMETRIES {
+                set(asymmetry, ASYMMETRY);
+            }
             Filter {
                 walk,
                 change,
@@ -557,13 +395,22 @@ impl Filters {
     }
 
     /// To a time that is not before theirs; windows of the two clocks overlap.
-    fn predict(&mut self, at: f64) {
+    fn predict(&mut self, at: f64, wanders: [f64; 2]) {
         let dt = at - self.at;
         if dt > 0.0 {
             self.at = at;
             for filter in &mut self.each {
-                filter.predict(dt);
+                filter.predict(dt, wanders);
             }
+        }
+    }
+
+    /// Rate of a clock against the computer's, less one.
+    fn rate_of(&self, asked: Asked) -> f64 {
+        let (mean, _) = self.mixed();
+        match asked {
+            Asked::A => mean[X_RATE],
+            Asked::B => mean[X_RATE] + mean[D_RATE],
         }
     }
 

@@ -1,7 +1,7 @@
 //! `hil-sim track-study`: clocks that warm up for an hour, followed or not.
 
 use anyhow::Result;
-use trials::tracking::{StudyOptions, study};
+use trials::tracking::{Part, StudyOptions, study};
 
 /// Options of `track-study`.
 #[derive(clap::Args)]
@@ -18,6 +18,9 @@ pub(crate) struct Args {
     /// How many rigs run at the same time.
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=64))]
     jobs: u32,
+    /// Leave this out of the simulated world; may be given several times.
+    #[arg(long, value_enum)]
+    without: Vec<Part>,
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -26,6 +29,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         rigs: args.rigs,
         seconds: args.seconds,
         jobs: args.jobs,
+        without: args.without.clone(),
     };
     println!("{}", study(&options)?.table());
     Ok(())

@@ -62,3 +62,38 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
     drop(table);
     rig.rig.stop().unwrap();
 }
+
+/// The phone's cable is pulled until its program there has ended, and put back.
+#[test]
+fn a_phone_that_comes_back_is_followed_again_and_nothing_is_left_running() {
+    let _turn = turn::alone();
+    let rig = WholeRig::new(18, SPEED);
+    let program = env!("CARGO_BIN_EXE_hil-sim");
+    let mut table = Table::new(rig.rig.parts(), rig.phone(), program.as_ref()).unwrap();
+    let mut command = rig.record("pulled", &["--duration", "30s", "--track"]);
+    command.env("PATH", table.search_path());
+    let mut session = Session::start(&mut command);
+    session.wait_for(", locked");
+    table.pull_phone().unwrap();
+    session.wait_for("the phone's clock is not heard any more");
+    table.plug_phone(rig.phone()).unwrap();
+    session.wait_for("the phone's clock is followed again");
+    session.ends_with(0);
+
+    let recorded = SessionFile::load(&rig.recording("pulled")).unwrap();
+    assert_eq!(recorded.tracking.unwrap().lost, 1);
+    let marks: Vec<_> = recorded
+        .markers
+        .iter()
+        .map(|mark| mark.label.as_str())
+        .collect();
+    assert_eq!(marks, ["phone's clock lost", "phone's clock heard again"]);
+    let started = table.started_on_phone().unwrap();
+    assert_eq!(started.len(), 2);
+    for number in started {
+        let process = rustix::process::Pid::from_raw(number).unwrap();
+        let runs = rustix::process::test_kill_process(process);
+        assert!(runs.is_err(), "{number} still runs");
+    }
+    rig.rig.stop().unwrap();
+}

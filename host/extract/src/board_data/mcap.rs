@@ -24,7 +24,8 @@ use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, Packed}
 use recording::messages::{self, ClockModel};
 use recording::scan::parse;
 use recording::{Item, Topic};
-use timebase::{BoardSeconds, Wander};
+use timebase::{BoardSeconds, PhoneNanos, Wander};
+use twist_sync::tracker::{Asked, Exchange};
 
 use super::{BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, TimePair};
 use crate::depth_clock::PulseTime;
@@ -53,13 +54,13 @@ const fn is_of_use(topic: Topic) -> bool {
         | Topic::Marker
         | Topic::Output
         | Topic::Gnss
+        | Topic::Exchange
         | Topic::Run => true,
         Topic::Strobe
         | Topic::Capture
         | Topic::Status
         | Topic::Link
         | Topic::HostTime
-        | Topic::Exchange
         | Topic::Period
         | Topic::Log => false,
     }
@@ -359,6 +360,7 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
             pair(&topic, at, at.0)
         }
         Item::Gnss(times) => reference(LIDAR_TOPIC, &times),
+        Item::Exchange(exchange) => Decoded::Event(exchange_of(&exchange)),
         Item::Run(run) => Decoded::Event(BoardEvent::Run(RunMark {
             from: stamp(&run.header),
             last: protocol::Ticks(run.last_ticks).into(),
@@ -380,9 +382,22 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
         | Item::Status(_)
         | Item::Link(_)
         | Item::HostTime(_)
-        | Item::Exchange(_)
         | Item::Period(_)
         | Item::Log(_) => return,
     };
     out.push(decoded);
+}
+
+fn exchange_of(exchange: &messages::ClockExchange) -> BoardEvent {
+    let asked = match exchange.header.frame_id == "board" {
+        true => Asked::A,
+        false => Asked::B,
+    };
+    let seconds = |nanos| PhoneNanos(nanos).seconds().0;
+    let exchange = Exchange {
+        sent: seconds(exchange.sent_ns),
+        received: seconds(exchange.received_ns),
+        stamp: seconds(exchange.clock_ns),
+    };
+    BoardEvent::Exchange(asked, exchange)
 }

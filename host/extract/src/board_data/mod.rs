@@ -16,6 +16,7 @@ use super::depth_clock::PulseTime;
 use super::later_runs::{Moves, RunMark};
 use super::time::BoardNanos;
 use timebase::ClockModel;
+use twist_sync::tracker::{Asked, Exchange};
 
 /// Topics of further outputs begin so; the sensor's name follows.
 pub(crate) const OUTPUT_TOPICS: &str = "/output/";
@@ -76,6 +77,8 @@ pub(crate) enum BoardEvent {
     /// A relation of phone and board that the session found: of the phone that the
     /// trigger was aligned to, or of a further one by its name.
     Clock(Option<String>, ClockModel),
+    /// A clock was asked for its time: the phone's or, as a, the board's.
+    Exchange(Asked, Exchange),
     /// A depth image (bags only).
     Image(BagImage),
     /// The board was reset: what follows is of another run.

@@ -111,7 +111,8 @@ impl Placing {
                 let from = self.later(mark.from);
                 BoardEvent::Run(RunMark { from, last, ..mark })
             }
-            BoardEvent::Image(image) => BoardEvent::Image(image),
+            // Nobody is asked any more once the board was reset.
+            event @ (BoardEvent::Exchange(..) | BoardEvent::Image(_)) => event,
         }
     }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::course::ClockCourse;
 
 /// Clocks, links and their delays: its own little model, not the filter's.
 struct World {
@@ -6,6 +7,7 @@ struct World {
     /// Least time there and back to either clock, s.
     least: [[f64; 2]; 2],
     tracker: Tracker,
+    heard: Vec<(Asked, Exchange)>,
     at: f64,
     /// The computer's clock is fast by so much, and has gained so much until a time.
     computer: (f64, f64, f64),
@@ -17,12 +19,23 @@ fn offset(at: f64) -> f64 {
     36_000.0 + 20e-6 * at + 2e-6 * (at - tau * (1.0 - (-at / tau).exp()))
 }
 
+fn twist(at: f64, error: f64) -> ClockRelation {
+    ClockRelation {
+        reference: at,
+        offset: offset(at) + error,
+        skew: 21e-6,
+        covariance: [[9e-12, 0.0], [0.0, 1e-12]],
+        wander: Wander::default(),
+    }
+}
+
 impl World {
     fn new() -> Self {
         Self {
             random: 7,
             least: [[2e-4, 3e-4], [3e-4, 5e-4]],
             tracker: Tracker::new(),
+            heard: Vec::new(),
             at: 0.0,
             computer: (30e-6, 0.0, 0.0),
         }
@@ -67,19 +80,13 @@ impl World {
                     stamp,
                 };
                 self.tracker.take(asked, exchange);
+                self.heard.push((asked, exchange));
             }
         }
     }
 
     fn twist(&mut self, at: f64) {
-        let known = self.tracker.know(&ClockRelation {
-            reference: at,
-            offset: offset(at) + 3e-6,
-            skew: 21e-6,
-            covariance: [[9e-12, 0.0], [0.0, 1e-12]],
-            wander: Wander::default(),
-        });
-        assert!(known);
+        assert!(self.tracker.know(&twist(at, 3e-6)));
     }
 
     /// Error now, and its 1-sigma, µs.
@@ -161,6 +168,33 @@ fn in_a_gap_it_becomes_less_certain_and_finds_back() {
         error.abs() < 3.0 * sigma && sigma < 15.0,
         "{error} ± {sigma}"
     );
+}
+
+/// Two twists ten minutes apart; a step of the asymmetry between them, and another twist
+/// that contradicts.
+#[test]
+fn afterwards_the_exchanges_join_the_twists_and_a_wrong_one_is_left() {
+    let mut world = World::new();
+    world.run(300.0);
+    world.least[1][0] += 4e-4;
+    world.run(640.0);
+    let known = [twist(35.0, 3e-6), twist(400.0, 5e-4), twist(620.0, -3e-6)];
+    let knots = followed(&world.heard, &known);
+    assert_eq!(knots.len(), 65);
+    let mut squares = 0.0;
+    for knot in &knots {
+        let error = (knot.offset - offset(knot.reference)) * 1e6;
+        let sigma = knot.covariance[0][0].sqrt() * 1e6;
+        assert!(error.abs() < 12.0 && sigma < 20.0, "{error} ± {sigma}");
+        squares += (error / sigma).powi(2) / knots.len() as f64;
+    }
+    assert!(squares < 2.0, "{squares}");
+    // Alone, the two twists are off by the warming between them.
+    let alone = ClockCourse::from_estimates(&[known[0], known[2]], Wander::default()).unwrap();
+    assert!((alone.at(200.0).offset - offset(200.0)).abs() > 30e-6);
+    let joined = alone.with_followed(&knots);
+    assert!((joined.at(205.0).offset - offset(205.0)).abs() < 12e-6);
+    assert_eq!(followed(&[], &known), []);
 }
 
 #[test]

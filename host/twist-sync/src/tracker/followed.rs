@@ -1,0 +1,101 @@
+//! The relation of two clocks over a recording that is over: what twists and motion say at
+//! some times, and exchanges between them.
+//!
+//! A [`Tracker`] goes over all of it forwards, and another one backwards: time turned round,
+//! a question is an answer and the other way about. What the two know at an instant comes
+//! from different data, and their best combination is what all of it says.
+//!
+//! Limits: those of the tracker, but for a step of an asymmetry, which both come upon from
+//! their own side.
+
+use super::{Asked, Exchange, Taken, Tracker};
+use crate::clock::ClockRelation;
+use crate::course::CONTRADICTION;
+
+/// The relation is given so often, s.
+const KNOT_S: f64 = 10.0;
+
+impl Exchange {
+    fn turned_round(&self) -> Self {
+        Self {
+            sent: -self.received,
+            received: -self.sent,
+            stamp: -self.stamp,
+        }
+    }
+}
+
+fn turned_round(relation: &ClockRelation) -> ClockRelation {
+    let [[offset, both], [_, skew]] = relation.covariance;
+    ClockRelation {
+        reference: -relation.reference,
+        offset: -relation.offset,
+        covariance: [[offset, -both], [-both, skew]],
+        ..*relation
+    }
+}
+
+/// What is known at each of some times of the computer, from all that was before.
+fn pass(
+    exchanges: impl Iterator<Item = (Asked, Exchange)>,
+    known: impl Iterator<Item = ClockRelation>,
+    knots: impl Iterator<Item = f64>,
+) -> Vec<Option<ClockRelation>> {
+    let mut tracker = Tracker::new();
+    let (mut known, mut knots) = (known.peekable(), knots.peekable());
+    let mut found = Vec::new();
+    let mut told = false;
+    for (asked, exchange) in exchanges {
+        while let Some(knot) = knots.next_if(|knot| *knot <= exchange.sent) {
+            found.push(tracker.relation_at(knot).filter(|_| told));
+        }
+        if tracker.take(asked, exchange) == Taken::Kept {
+            continue;
+        }
+        let Some(now) = tracker.relation_at(exchange.sent) else {
+            continue;
+        };
+        while let Some(next) = known.next_if(|next| next.reference <= now.reference) {
+            let expected = now.offset_at(next.reference);
+            let sigma = expected.sigma.hypot(next.covariance[0][0].max(0.0).sqrt());
+            if !told || (next.offset - expected.value).abs() <= CONTRADICTION * sigma {
+                told |= tracker.know(&next);
+            }
+        }
+    }
+    found.extend(knots.map(|knot| tracker.relation_at(knot).filter(|_| told)));
+    found
+}
+
+/// The relation every ten seconds from the first exchange to the last, from `known`
+/// relations (of twists, of windows of motion) in order of time and all exchanges. Those of
+/// one clock come in the order in which they were asked.
+#[must_use]
+pub fn followed(exchanges: &[(Asked, Exchange)], known: &[ClockRelation]) -> Vec<ClockRelation> {
+    let (Some((_, first)), Some((_, last))) = (exchanges.first(), exchanges.last()) else {
+        return Vec::new();
+    };
+    let count = ((last.sent - first.sent) / KNOT_S).clamp(0.0, 1e6) as u32;
+    let knot = |place: u32| first.sent + KNOT_S * f64::from(place);
+    let forwards = pass(
+        exchanges.iter().copied(),
+        known.iter().copied(),
+        (0..=count).map(knot),
+    );
+    let backwards = pass(
+        exchanges
+            .iter()
+            .rev()
+            .map(|(asked, each)| (*asked, each.turned_round())),
+        known.iter().rev().map(turned_round),
+        (0..=count).rev().map(|place| -knot(place)),
+    );
+    let backwards = backwards.iter().rev();
+    let backwards = backwards.map(|relation| relation.as_ref().map(turned_round));
+    let both = forwards.into_iter().zip(backwards);
+    both.filter_map(|(before, after)| match (before, after) {
+        (Some(before), Some(after)) => Some(before.joined(&after)),
+        (one, other) => one.or(other),
+    })
+    .collect()
+}
