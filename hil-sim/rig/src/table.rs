@@ -109,7 +109,9 @@ impl Table {
     /// None was started.
     pub fn started_on_phone(&self) -> Result<Vec<i32>> {
         let list = std::fs::read_to_string(self.programs.join("adb.started"))?;
-        let numbers = list.lines().map(|line| line.parse::<i32>().context("a number"));
+        let numbers = list
+            .lines()
+            .map(|line| line.parse::<i32>().context("a number"));
         numbers.collect()
     }
 

@@ -82,12 +82,8 @@ fn a_phone_that_comes_back_is_followed_again_and_nothing_is_left_running() {
 
     let recorded = SessionFile::load(&rig.recording("pulled")).unwrap();
     assert_eq!(recorded.tracking.unwrap().lost, 1);
-    let marks: Vec<_> = recorded
-        .markers
-        .iter()
-        .map(|mark| mark.label.as_str())
-        .collect();
-    assert_eq!(marks, ["phone's clock lost", "phone's clock heard again"]);
+    // What the session notes by itself does not divide the data set.
+    assert!(recorded.markers.is_empty(), "{:?}", recorded.markers);
     let started = table.started_on_phone().unwrap();
     assert_eq!(started.len(), 2);
     for number in started {

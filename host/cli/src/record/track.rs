@@ -6,7 +6,7 @@
 //! change. While the recording runs, the trigger's period follows ([`frame_sync::steering`]).
 //!
 //! Where the phone is not heard any more, or the board is reset, the period stays as it is:
-//! what a session without all this does. That is told, and marked in the recording.
+//! what a session without all this does. That is told, and stands in the recording's log.
 
 use std::time::Duration;
 
@@ -20,7 +20,6 @@ use super::Stop;
 use super::journal::Journal;
 use super::link::BoardLink;
 use super::rig::Rig;
-use super::steps::mark;
 use crate::cli::Context;
 use crate::outcome::Failure;
 use board::BoardError;
@@ -326,15 +325,10 @@ pub(super) fn steer(rig: &mut Rig<'_>) -> Result<(), Stop> {
         .write(|writer, _| writer.trigger_period((edge, fraction, period), (phase_us, sigma_us)))
 }
 
-/// The lock was lost, or is there again.
+/// The lock was lost, or is there again. Both stand in the recording's log with their times;
+/// they are no marks, which would divide the data set.
 fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
-    let now = rig.now();
     if holds {
-        mark(
-            &mut rig.journal,
-            now,
-            Some(String::from("phone's clock heard again")),
-        )?;
         return rig
             .journal
             .info("track_back", "the phone's clock is followed again");
@@ -342,11 +336,6 @@ fn tell_lock(rig: &mut Rig<'_>, holds: bool) -> Result<(), Stop> {
     if let Some(info) = &mut rig.journal.file.tracking {
         info.lost += 1;
     }
-    mark(
-        &mut rig.journal,
-        now,
-        Some(String::from("phone's clock lost")),
-    )?;
     let text = "the phone's clock is not heard any more: the trigger's period stays, and the \
                 phase drifts as without tracking; check the phone's cable and `adb devices`";
     rig.journal.warn("track_lost", text)
