@@ -39,9 +39,7 @@ pub(crate) fn run() -> Result<()> {
     )?;
     let decoding = started.elapsed().as_secs_f64();
 
-    let program = process::target_dir()
-        .join("release")
-        .join(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX));
+    let program = process::program("smartdepthsync");
     println!("1080p30, {SECONDS:.0} s of video");
     println!("  ffmpeg alone          {decoding:.2} s");
     let mut slowest = f64::INFINITY;

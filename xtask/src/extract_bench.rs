@@ -7,7 +7,7 @@
 //! grow with the recording.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
@@ -44,13 +44,9 @@ pub(crate) fn run(depth_minutes: u32) -> Result<()> {
     result
 }
 
-fn release(name: &str) -> PathBuf {
-    process::target_dir().join("release").join(name)
-}
-
 fn make(folder: &Path, seconds: u32, options: &[&str]) -> Result<()> {
     process::run(
-        process::command(release("examples/synthetic_recording"))
+        process::command(process::program("examples/synthetic_recording"))
             .arg(folder)
             .arg(seconds.to_string())
             .args(options),
@@ -108,7 +104,7 @@ fn depth(place: &Path, minutes: u32) -> Result<()> {
 }
 
 fn extract(recording: &Path, out: &Path, options: &[&str]) -> Result<Measured> {
-    let child = process::command(release("smartdepthsync"))
+    let child = process::command(process::program("smartdepthsync"))
         .arg("extract")
         .arg(recording)
         .arg("--out")

@@ -20,7 +20,7 @@ const FLASH: u64 = 0x0800_0000;
 /// Builds `target/package/smartdepthsync_<version>_<arch>.deb` from what was built,
 /// and tries it. `elves` are the firmware's, one a board.
 pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
-    let program = process::target_dir().join("release").join(NAME);
+    let program = process::program(NAME);
     let base = process::fresh_folder("package")?;
     let tree = base.join("tree");
     let version = env!("CARGO_PKG_VERSION");

@@ -138,10 +138,12 @@ impl StudyOptions {
         };
         // Nothing is drawn from the logarithm of zero.
         let scatter = self.share(Part::Scatter).max(1e-6);
+        let (least, most) = share(Part::Wander, of.wander);
         LinkBeliefs {
             jitter: (of.jitter.0 * scatter, of.jitter.1 * scatter),
             steps: share(Part::Steps, of.steps),
-            wander: share(Part::Wander, of.wander),
+            // A link wanders by a part of its scatter: that stays.
+            wander: (least / scatter, most / scatter),
             silences: share(Part::Silences, of.silences),
             ..of
         }

@@ -14,6 +14,7 @@ use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, BoardStrea
 use super::mkv::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
 use super::ros2_depth::{Ros2Bag, Ros2Error, Ros2Images};
 use super::time::{DeviceNanos, SECOND};
+use recording::foreign;
 use twist_sync::GyroSample;
 
 /// How many faults are kept with their text.
@@ -130,14 +131,20 @@ impl DepthInput {
         }
     }
 
+    /// The files that are read.
+    pub(crate) fn files(&self) -> Vec<PathBuf> {
+        match self {
+            Self::Mkv(path) | Self::Bag(path) => vec![path.clone()],
+            // A folder that cannot be read is met again when it is opened.
+            Self::Ros2(bag) => foreign::parts(&bag.path).unwrap_or_default(),
+        }
+    }
+
     /// Bytes of it.
     pub(crate) fn length(&self) -> u64 {
-        match self {
-            Self::Mkv(path) | Self::Bag(path) => {
-                std::fs::metadata(path).map_or(0, |meta| meta.len())
-            }
-            Self::Ros2(bag) => bag.length(),
-        }
+        let files = self.files();
+        let lengths = files.iter().filter_map(|file| file.metadata().ok());
+        lengths.map(|file| file.len()).sum()
     }
 
     fn recording(path: &Path) -> Result<Recording<BufReader<File>>, DepthError> {

@@ -15,7 +15,7 @@ use protocol::ImuSensor;
 use recording::MCAP_FILE;
 use recording::camera::{MODELS, Model};
 use recording::foreign::is_bag;
-use recording::profile::{Direction, Intrinsics, Phone, Pose};
+use recording::profile::{Direction, Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
 
@@ -382,7 +382,7 @@ fn find_phones(
         others.push(PhoneInput {
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
-            rig: facts_of_other(phone, said, rig),
+            rig: facts_of_other(phone, said, &session.profile, rig),
             camera: PhoneCamera::of(phone),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
@@ -391,7 +391,12 @@ fn find_phones(
 }
 
 /// What a session says about a further phone; what is the rig's is as in `rig`.
-fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> RigFacts {
+fn facts_of_other(
+    phone: &Phone,
+    said: Option<&OtherPhone>,
+    profile: &Profile,
+    rig: RigFacts,
+) -> RigFacts {
     let reported = said
         .and_then(|said| said.video?.exposure_ns)
         .filter(|&exposure| exposure > 0)
@@ -401,6 +406,7 @@ fn facts_of_other(phone: &Phone, said: Option<&OtherPhone>, rig: RigFacts) -> Ri
         middle_row_ns: nanos(phone.middle_row_us()),
         phone_imu_delay_ns: nanos(phone.gyro_delay_us),
         prior: said.and_then(|said| said.clock).map(prior),
+        constant_sigma_us: Some(profile.other_constant_sigma_us(phone)),
         ..rig
     }
 }
@@ -573,7 +579,6 @@ fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use recording::profile::Profile;
 
     #[test]
     fn the_row_is_the_profile_s_where_nothing_was_aligned() {

@@ -9,7 +9,7 @@
 use std::collections::VecDeque;
 use std::path::PathBuf;
 
-use recording::foreign::{self, Message, Messages, Next};
+use recording::foreign::{Message, Messages, Next};
 use recording::messages::camera::Image as RosImage;
 use recording::messages::{RosMessage as _, from_cdr};
 
@@ -64,13 +64,6 @@ pub(crate) struct Ros2Bag {
 }
 
 impl Ros2Bag {
-    /// Bytes of its files.
-    pub(crate) fn length(&self) -> u64 {
-        let files = foreign::parts(&self.path).unwrap_or_default();
-        let lengths = files.iter().filter_map(|file| file.metadata().ok());
-        lengths.map(|file| file.len()).sum()
-    }
-
     /// Its images from the first on.
     pub(crate) fn open(&self, images: Images) -> Result<Ros2Images, Ros2Error> {
         let messages = Messages::open(&self.path).map_err(|error| Ros2Error::Io {

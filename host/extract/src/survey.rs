@@ -12,9 +12,10 @@ use super::time::{BoardNanos, SECOND};
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange};
 
-/// Pulses and pairs of times that are kept of any recording: 12 hours of a camera's.
+/// Pulses, pairs of times and exchanges that are kept of any recording; 12 hours of a
+/// camera's pulses are 1.3 million.
 const EVENTS: u64 = 3_000_000;
-/// Bytes of a longer recording to one more. A real one has some 2,000.
+/// Bytes of a longer recording to one more.
 const BYTES_AN_EVENT: u64 = 64;
 /// The most marks, resets of the board, and names of sensors or phones that are looked
 /// at, and the longest name in bytes.

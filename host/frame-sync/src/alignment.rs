@@ -417,7 +417,7 @@ pub fn placement(
     Placement {
         offset_us: (apart - (apart / grid_s).round() * grid_s) * 1e6,
         offset_sigma_us: phase_sigma_us(course, middle, frames.jitter_ns)
-            .hypot(alignment.constant_sigma_us.unwrap_or_default()),
+            .hypot(profile.other_constant_sigma_us(phone)),
         drift_us_per_min: (own_s / grid_s - 1.0) * 60e6,
         drift_sigma_us_per_min: drift_sigma_us_per_min(rate, &frames),
     }

@@ -121,8 +121,9 @@ impl<T> Series<T> {
                 (from, to) = (to, *next);
                 pairs.next();
             }
-            let (length, steps) = (to.1 - from.1, to.0 - from.0);
-            let part = i128::from(length) * (value as i128 - from.0 as i128);
+            let length = i128::from(to.1) - i128::from(from.1);
+            let steps = to.0 - from.0;
+            let part = length * (value as i128 - from.0 as i128);
             i64::try_from(i128::from(from.1) + part / steps.max(1) as i128).unwrap_or(i64::MAX)
         };
         Some((0..self.values.len()).map(between).collect())

@@ -176,14 +176,22 @@ fn only_recording(folder: &Path) -> Result<PathBuf, GyroFileError> {
             return Ok(file);
         }
     }
-    let is_recording = |path: &PathBuf| {
-        let extension = path.extension().and_then(|text| text.to_str());
-        let extension = extension.unwrap_or_default().to_ascii_lowercase();
-        matches!(extension.as_str(), "mcap" | "db3" | "bag" | "mkv" | "mp4")
-    };
     let entries = std::fs::read_dir(folder)?;
     let paths: Result<Vec<PathBuf>, _> = entries.map(|e| e.map(|e| e.path())).collect();
-    let mut found: Vec<PathBuf> = paths?.into_iter().filter(is_recording).collect();
+    let paths = paths?;
+    let with = |endings: &[&str]| {
+        let is_one = |path: &&PathBuf| {
+            let extension = path.extension().and_then(|text| text.to_str());
+            let extension = extension.unwrap_or_default().to_ascii_lowercase();
+            endings.contains(&extension.as_str())
+        };
+        paths.iter().filter(is_one).cloned().collect::<Vec<_>>()
+    };
+    let mut found = with(&["mcap", "db3", "bag", "mkv"]);
+    // A phone's video lies beside many a recording.
+    if found.is_empty() {
+        found = with(&["mp4"]);
+    }
     found.sort();
     match found.as_slice() {
         [only] => Ok(only.clone()),

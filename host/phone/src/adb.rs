@@ -101,7 +101,7 @@ pub enum AdbError {
         source: std::io::Error,
     },
     /// The caller asked to stop.
-    #[error("stopped on request while files were copied")]
+    #[error("stopped on request")]
     Cancelled,
 }
 

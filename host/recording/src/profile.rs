@@ -530,6 +530,17 @@ impl Profile {
         }
     }
 
+    /// The same for a further phone, µs. The bias was measured with the first phone, and has
+    /// the error of that one's delay in it.
+    #[must_use]
+    pub fn other_constant_sigma_us(&self, phone: &Phone) -> f64 {
+        let common = match self.frame_sync.bias_measured {
+            Some(_) => (self.frame_sync.bias_sigma_us).hypot(self.phone.gyro_delay_sigma_us),
+            None => self.depth.center_offset_sigma_us,
+        };
+        common.hypot(phone.gyro_delay_sigma_us)
+    }
+
     /// Length of the trigger pulse, ticks.
     #[must_use]
     pub fn pulse_width(&self) -> u32 {

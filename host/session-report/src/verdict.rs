@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use page::Level;
 use phone::adb::get_files_command;
 use phone::video_files;
+use recording::foreign;
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
 };
@@ -279,6 +280,9 @@ fn alignment(session: &SessionFile) -> Check {
     part(NAME, verdict, found, next)
 }
 
+/// What depth cameras record.
+const DEPTH_FILES: &str = ".mkv, or the folder of a ROS 2 bag with its metadata.yaml";
+
 /// The depth recording, and whether the pulses came out of the board.
 fn depth(folder: &Path, session: &SessionFile) -> Check {
     let recorder = session.profile.depth.recorder.command.first();
@@ -292,16 +296,18 @@ fn depth(folder: &Path, session: &SessionFile) -> Check {
             next.push(String::from(
                 "`depth_recorder.log` in the folder has what it said",
             ));
-            let found = format!("`{program}` left no recording (.mkv) in the folder");
+            let found = format!("`{program}` left no recording ({DEPTH_FILES}) in the folder");
             (Verdict::Warning, found)
         }
         (None, None) => {
             next.push(String::from(
-                "put the recording that you made yourself (.mkv) into the folder, or set \
+                "put the recording that you made yourself into the folder, or set \
                  `[depth.recorder]` in the profile",
             ));
-            let found = "no recording (.mkv) in the folder, and no recorder in the profile";
-            (Verdict::Warning, found.to_owned())
+            let found = format!(
+                "no recording ({DEPTH_FILES}) in the folder, and no recorder in the profile"
+            );
+            (Verdict::Warning, found)
         }
     };
     let mut problems = session.problems.iter();
@@ -320,14 +326,22 @@ fn depth(folder: &Path, session: &SessionFile) -> Check {
     part("depth", verdict, found, next)
 }
 
-/// Name and size of the depth recording in a folder, the largest if there are several.
+/// Name and size of the depth recording in a folder, the largest if there are several: an MKV
+/// file, or the folder of a ROS 2 bag.
 fn depth_file(folder: &Path) -> Option<(String, u64)> {
     let entries = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
     entries
         .filter_map(|entry| {
             let name = entry.file_name().into_string().ok()?;
-            let bytes = entry.metadata().ok()?.len();
-            (name.ends_with(".mkv") && bytes > 0).then_some((name, bytes))
+            let path = entry.path();
+            let files = match path.is_dir() {
+                true if foreign::is_bag(&path) => foreign::parts(&path).ok()?,
+                false if name.to_ascii_lowercase().ends_with(".mkv") => vec![path],
+                _ => return None,
+            };
+            let lengths = files.iter().filter_map(|file| file.metadata().ok());
+            let bytes: u64 = lengths.map(|file| file.len()).sum();
+            (bytes > 0).then_some((name, bytes))
         })
         .max_by_key(|&(_, bytes)| bytes)
 }
@@ -396,6 +410,13 @@ mod tests {
         let without = verdict(&session);
         assert_eq!(without.verdict, Verdict::Warning);
         assert!(without.next_step.unwrap().contains("[depth.recorder]"));
+        let bag = folder.path().join("depth");
+        std::fs::create_dir(&bag).unwrap();
+        std::fs::write(bag.join("depth_0.mcap"), [0; 1000]).unwrap();
+        assert_eq!(verdict(&session).verdict, Verdict::Warning);
+        std::fs::write(bag.join("metadata.yaml"), "").unwrap();
+        assert_eq!(verdict(&session).verdict, Verdict::Good);
+        std::fs::remove_dir_all(&bag).unwrap();
         std::fs::write(folder.path().join("depth.mkv"), [0; 1000]).unwrap();
         assert_eq!(verdict(&session).verdict, Verdict::Good);
         session

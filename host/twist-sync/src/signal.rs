@@ -24,6 +24,10 @@ const KERNEL_REACH: f64 = 4.5;
 /// Nodes in a standard deviation of the kernel, at least.
 const NODES: f64 = 2.5;
 
+/// The grid is fine enough for this low-pass, Hz, whatever the fit's is: single samples are
+/// looked for with a wider one.
+const GRID_LOW_PASS_HZ: f64 = 25.0;
+
 /// Settings of the continuous representation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Smoothing {
@@ -77,7 +81,8 @@ impl Resampled {
     ) -> Self {
         let sigma = smoothing.kernel_sigma_s();
         // Steps so small that no gyroscope has them are a wrong unit of time.
-        let grid = sample_step_s.clamp(sigma / 50.0, sigma / NODES);
+        let coarsest = sigma.min(kernel_sigma_s(GRID_LOW_PASS_HZ)) / NODES;
+        let grid = sample_step_s.clamp(coarsest / 20.0, coarsest);
         let degree = smoothing.degree;
         let kept = neighbours::kept(usable);
         let pieces = kept
@@ -99,8 +104,8 @@ impl Resampled {
 
     /// Low-passed and continuous.
     ///
-    /// The kernel may be narrower than that of `smoothing`: at 1.4 steps of the grid its
-    /// samples still are a Gaussian to 10⁻¹⁷.
+    /// The kernel may be narrower than that of `smoothing`: at 1.4 steps of the grid, that of
+    /// 45 Hz, its samples still are a Gaussian to 10⁻¹⁷.
     pub(crate) fn smoothed(&self, low_pass_hz: f64) -> Signal {
         let sigma = kernel_sigma_s(low_pass_hz) / self.grid;
         let kernel = gaussian_kernel(sigma, (KERNEL_REACH * sigma).ceil() as usize);

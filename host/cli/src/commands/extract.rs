@@ -78,8 +78,8 @@ pub(crate) struct Args {
     /// given. Of several phones with its name; may be given for each
     #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
     phone: Vec<PhonePlace>,
-    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver in MCAP files
-    /// (the bag's folder or one of them); the one in the recording's folder unless given
+    /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
+    /// or one of its .mcap or .db3 files); the one in the recording's folder unless given
     #[arg(long, value_name = "PATH")]
     depth: Option<PathBuf>,
     /// The topic of the depth images in a bag, if it has several

@@ -296,8 +296,8 @@ pub(super) fn steer(rig: &mut Rig<'_>) -> Result<(), Stop> {
     };
     let status = match rig.link.board.set_period(Output::Camera, period) {
         Ok(status) => status,
-        // The link is taken up again by whoever pumps, and a reset board's trigger is
-        // started again; the period is set anew with the next step.
+        // The link is taken up again by whoever pumps. The next step sets a period anew, but
+        // for a board that was reset, where this ends.
         Err(
             BoardError::Link(_)
             | BoardError::NoAnswer { .. }

@@ -80,7 +80,8 @@ pub(crate) struct Trigger {
     pub(crate) pulse: Option<u64>,
     /// The last pulse against the grid on the phone's frames, µs.
     pub(crate) phase_us: Option<f64>,
-    /// 1-sigma of where that grid lies against the phone's frames now, µs.
+    /// 1-sigma of where that grid lies against the phone's frames now, µs, without that of the
+    /// constant between the cameras.
     pub(crate) phase_sigma_us: Option<f64>,
     /// That is more than a twist may have: it is time for another.
     pub(crate) twist_due: bool,

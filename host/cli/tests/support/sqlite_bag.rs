@@ -4,10 +4,9 @@ use std::path::Path;
 
 use rusqlite::{Connection, Result};
 
-const TABLES: &str = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, \
-    type TEXT NOT NULL, serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL); \
-    CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, \
-    timestamp INTEGER NOT NULL, data BLOB NOT NULL); \
+/// Without the recorder's constraints: a damaged bag may hold any value in any column.
+const TABLES: &str = "CREATE TABLE topics(id, name, type, serialization_format, \
+    offered_qos_profiles); CREATE TABLE messages(id, topic_id, timestamp, data); \
     CREATE INDEX timestamp_idx ON messages (timestamp ASC)";
 
 /// Writes messages of one topic, and gives the open database.
@@ -23,9 +22,9 @@ pub(crate) fn write(
         "INSERT INTO topics VALUES (1, ?1, ?2, 'cdr', '')",
         (topic, kind),
     )?;
-    for (received, data) in messages {
-        let put = "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, ?1, ?2)";
-        all.execute(put, (received, data))?;
+    for (id, (received, data)) in (1_i64..).zip(messages) {
+        let put = "INSERT INTO messages VALUES (?1, 1, ?2, ?3)";
+        all.execute(put, (id, received, data))?;
     }
     all.commit()?;
     Ok(connection)

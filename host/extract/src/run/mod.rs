@@ -26,6 +26,7 @@ use index_files::Written;
 use phone_part::Phone;
 
 use super::board_data::{BoardError, BoardEvent, BoardInput, Images, LIDAR_TOPIC, OUTPUT_TOPICS};
+use super::depth::DepthInput;
 use super::frames::FrameTiming;
 use super::grid::{self, GridReport};
 use super::image::write_whole;
@@ -232,15 +233,14 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
 }
 
 fn file_marks(inputs: &Inputs) -> Vec<FileMark> {
+    let depth = inputs.depth.as_ref().map(DepthInput::files);
     let mut paths: Vec<&Path> = vec![inputs.board.path()];
     let phones = std::iter::once(&inputs.phone).chain(&inputs.others);
     for phone in phones.filter_map(|phone| phone.files.as_ref()) {
         let files = [&phone.video, &phone.frames, &phone.gyro, &phone.accel];
         paths.extend(files.into_iter().flatten().map(PathBuf::as_path));
     }
-    if let Some(depth) = &inputs.depth {
-        paths.push(depth.path());
-    }
+    paths.extend(depth.iter().flatten().map(PathBuf::as_path));
     // A file that has gone since is met again when it is read.
     paths
         .into_iter()

@@ -24,8 +24,8 @@ use crate::time::PhoneNanos;
 /// The phone's part after reading.
 pub(super) struct Phone {
     name: String,
-    /// Rows of the frames' timestamps, and those of them that are not left out.
-    rows: usize,
+    /// Images that the video has by the timestamps, and timestamps.
+    images: usize,
     stamps: usize,
     pub(super) frames: Vec<ColorFrame>,
     pub(super) clock: Option<PhoneClock>,
@@ -120,7 +120,7 @@ impl Extraction<'_> {
         });
         Ok(Some(Phone {
             name: files.name.clone(),
-            rows: rows_of_frames.len(),
+            images: alignment.rows.len(),
             stamps: stamps.len(),
             frames,
             clock,
@@ -223,7 +223,7 @@ impl Extraction<'_> {
             self.lose("video", input.about(error));
         }
         let expected = phone.stamps as u64;
-        let is_complete = [expected, phone.rows as u64].contains(&outcome.decoded);
+        let is_complete = outcome.decoded == phone.images as u64;
         let own = input.about("");
         let told = |loss: &Loss| loss.part == "video" && loss.what.starts_with(&own);
         if !is_complete && !self.losses.iter().any(told) {

@@ -4,7 +4,7 @@
 //! MCAP or sqlite3. What is wanted of the messages is the caller's choice, by the type that
 //! the bag states: names of topics are the choice of whoever recorded it.
 //!
-//! Limits: those of [`chunks`](super::chunks); of sqlite3 a message has 20 MiB at most, and
+//! Limits: those of [`chunks`](super::chunks); of sqlite3 a message has 40 MiB at most, and
 //! bags whose parts or messages `ros2 bag` has packed (`--compression-mode`) are not read.
 
 mod mcap;
@@ -328,7 +328,7 @@ mod tests {
             assert!(damage[0].contains("no ROS 2 bag"), "{more}: {damage:?}");
         }
         // A message of another kind, and one that is longer than any.
-        for data in ["NULL", "'text'", "zeroblob(21 << 20)"] {
+        for data in ["NULL", "'text'", "zeroblob(41 << 20)"] {
             std::fs::remove_file(&path).unwrap();
             let put = format!(
                 "DROP TABLE messages; CREATE TABLE messages(topic_id, data); \

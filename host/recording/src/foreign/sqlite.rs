@@ -21,9 +21,9 @@ pub(super) const MAGIC: &[u8] = b"SQLite format 3\0";
 /// Bytes of messages that are given at a time.
 const CHUNK: usize = 4 << 20;
 /// The longest text of the schema and of a topic, and the longest message: above an
-/// uncompressed depth image of 1280x800, as in a chunk of MCAP.
+/// uncompressed colour image of 3840x2160, as in a ROS 1 bag.
 const MAX_TEXT: i32 = 1 << 16;
-const MAX_MESSAGE: i32 = 20 << 20;
+const MAX_MESSAGE: i32 = 40 << 20;
 /// Most topics; as in a ROS 1 bag.
 const MAX_TOPICS: usize = 1_000;
 /// What a message counts at least, so that a file in which one page stands for many ends.
