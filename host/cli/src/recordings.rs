@@ -53,7 +53,10 @@ fn check(path: &Path) -> Result<(), Failure> {
         let below = inside(path);
         let (found, next) = match below.first() {
             Some(one) => (
-                format!("it holds recordings ({})", below.len()),
+                match below.len() {
+                    1 => String::from("it holds a recording"),
+                    count => format!("it holds {count} recordings"),
+                },
                 format!("give one of them, such as {}", one.display()),
             ),
             None => (

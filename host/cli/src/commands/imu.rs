@@ -406,8 +406,8 @@ mod tests {
     fn rates_are_those_of_the_sensor() {
         assert_eq!(parse_rate("500"), Ok(1));
         assert_eq!(parse_rate("1000"), Ok(0));
-        assert_eq!(parse_rate("4"), Ok(249));
-        for text in ["0", "300", "2", "1001", "-5", ""] {
+        assert_eq!(parse_rate("5"), Ok(199));
+        for text in ["0", "4", "300", "2", "1001", "-5", ""] {
             assert!(parse_rate(text).is_err(), "{text}");
         }
     }
