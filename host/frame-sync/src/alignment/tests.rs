@@ -328,11 +328,13 @@ fn another_phone_is_placed_against_the_grid() {
 
 #[test]
 fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured() {
-    let profile = profile();
+    let known = profile();
     let of = |profile: &Profile| plan(profile, &course(), &video()).unwrap().alignment;
-    let exact = of(&profile);
+    let exact = of(&known);
     let at = BoardSeconds(160.0);
-    let with = |constant_us: f64, stated: &Alignment| {
+    // The constant, and that of a further phone of the same kind.
+    let with = |(constant_us, other_us): (f64, f64), profile: &Profile| {
+        let stated = &of(profile);
         let expected = exact.phase_sigma_us.hypot(constant_us);
         assert!(
             (stated.phase_sigma_us - expected).abs() < 1e-9,
@@ -342,23 +344,27 @@ fn what_is_not_known_of_the_constants_is_in_the_phase_until_the_bias_is_measured
         assert_eq!(phase_sigma_us_at(stated, at), phase_sigma_us_at(&exact, at));
         let later = phase_sigma_us_at(&exact, at).hypot(constant_us);
         assert!((stated_sigma_us_at(stated, at) - later).abs() < 1e-9);
-        let phone = &profile.phone;
-        let [placed, of_exact] = [stated, &exact].map(|alignment| {
-            placement(&profile, phone, &course(), &video(), alignment).offset_sigma_us
-        });
-        assert!((placed - of_exact.hypot(constant_us)).abs() < 1e-9);
+        let placed = |profile: &Profile| {
+            placement(profile, &profile.phone, &course(), &video(), stated).offset_sigma_us
+        };
+        let expected = placed(&known).hypot(other_us);
+        assert!((placed(profile) - expected).abs() < 1e-5);
     };
-    with(0.0, &exact);
-    let mut changed = profile.clone();
+    with((0.0, 0.0), &known);
+    let mut changed = known.clone();
     changed.depth.center_offset_sigma_us = 1_000.0;
     changed.phone.gyro_delay_sigma_us = 750.0;
-    let unknown = of(&changed);
-    with(1_250.0, &unknown);
-    assert!(unknown.promise().contains("(of it a constant ± 1250.0 µs)"));
+    with((1_250.0, 1_250.0), &changed);
+    assert!(
+        of(&changed)
+            .promise()
+            .contains("(of it a constant ± 1250.0 µs)")
+    );
     changed.frame_sync.bias_sigma_us = 0.4;
-    with(1_250.0, &of(&changed));
+    with((1_250.0, 1_250.0), &changed);
+    // Measured with the first phone, whose delay is in it.
     changed.frame_sync.bias_measured = Some(date(2026, 1, 31));
-    with(0.4, &of(&changed));
+    with((0.4, 1_060.660_247), &changed);
 }
 
 #[test]
