@@ -6,13 +6,16 @@
 
 mod check;
 pub mod edit;
+mod error;
 mod geometry;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+pub use error::ProfileError;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
+use error::{in_line, located};
 use jiff::Timestamp;
 use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
@@ -297,112 +300,8 @@ pub struct FrameSync {
     pub bias_measured: Option<Date>,
 }
 
-/// Why a profile cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ProfileError {
-    /// The file cannot be read.
-    #[error("cannot read the rig profile {path}: {reason}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        reason: String,
-    },
-    /// It is no profile.
-    #[error("the rig profile{} is not valid: {reason}", in_file(.path.as_deref()))]
-    Syntax {
-        /// The file, if it came from one.
-        path: Option<PathBuf>,
-        /// Line, key, and what was expected.
-        reason: String,
-    },
-    /// A value is out of its range.
-    #[error("in the rig profile{}, `{key}` is {found}, expected {expected}", place(.path.as_deref(), *.line))]
-    Value {
-        /// The file, if it came from one.
-        path: Option<PathBuf>,
-        /// Its line, counted from 1, if the value is written there.
-        line: Option<usize>,
-        /// The key with its tables.
-        key: &'static str,
-        /// The value.
-        found: String,
-        /// What is accepted.
-        expected: String,
-    },
-}
-
 fn unknown_phone(key: &'static str, name: &str) -> ProfileError {
     check::wrong(key, format!("{name:?}"), "the name of one of the phones")
-}
-
-fn place(path: Option<&Path>, line: Option<usize>) -> String {
-    let line = line.map_or(String::new(), |line| format!(", line {line}"));
-    in_file(path) + &line
-}
-
-/// A text that has the form of TOML but not that of a profile. What was left out has been
-/// filled in by then, so the line is looked for by the key that is wrong.
-fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) -> ProfileError {
-    let said = error.to_string();
-    let reason = said.trim_end();
-    // "unknown field `rosw`, expected ...", or "... in `phone.rows`".
-    let named = |start: &str| Some(reason.split_once(start)?.1.split_once('`')?.0);
-    let key = match (named("in `"), named("unknown field `")) {
-        (Some(table), Some(name)) if table.rsplit('.').next() != Some(name) => {
-            Some(format!("{table}.{name}"))
-        }
-        (table, name) => table.or(name).map(str::to_owned),
-    };
-    let line = key.and_then(|key| line_of(text, &key));
-    let line = line.map_or(String::new(), |line| format!("line {line}: "));
-    ProfileError::Syntax {
-        path: path.map(Path::to_owned),
-        // The parser puts the table on a line of its own.
-        reason: format!("{line}{}", reason.replace('\n', " ")),
-    }
-}
-
-/// An error with the file and the line that it is in.
-fn located(error: ProfileError, text: &str, file: Option<&Path>) -> ProfileError {
-    match error {
-        ProfileError::Value {
-            key,
-            found,
-            expected,
-            ..
-        } => ProfileError::Value {
-            path: file.map(Path::to_owned),
-            line: line_of(text, key),
-            key,
-            found,
-            expected,
-        },
-        other => other,
-    }
-}
-
-/// The first line, counted from 1, that sets a key: its last name in the table that the
-/// names before it make, in any table if there are none.
-fn line_of(text: &str, key: &str) -> Option<usize> {
-    let (table, name) = key.rsplit_once('.').unwrap_or(("", key));
-    let mut inside = String::new();
-    text.lines()
-        .position(|line| {
-            let line = line.trim();
-            if let Some(header) = line.strip_prefix('[') {
-                let names = header.trim_start_matches('[').split(']').next();
-                inside = names.unwrap_or_default().trim().to_owned();
-                return inside == key || inside.ends_with(&format!(".{key}"));
-            }
-            let set = line.split_once('=').map(|(name, _)| name.trim());
-            (table.is_empty() || table == inside) && set == Some(name)
-        })
-        .map(|index| index + 1)
-}
-
-fn in_file(path: Option<&Path>) -> String {
-    path.map_or(String::new(), |path| format!(" {}", path.display()))
 }
 
 impl Profile {
@@ -526,7 +425,7 @@ impl Profile {
     pub fn constant_sigma_us(&self) -> f64 {
         match self.frame_sync.bias_measured {
             Some(_) => self.frame_sync.bias_sigma_us,
-            None => (self.depth.center_offset_sigma_us).hypot(self.phone.gyro_delay_sigma_us),
+            None => self.other_constant_sigma_us(&self.phone),
         }
     }
 
