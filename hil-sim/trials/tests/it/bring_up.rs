@@ -215,16 +215,27 @@ fn a_slow_handler_fails() {
     assert!(said.contains("a handler of higher priority that takes too long"));
 }
 
-/// At the speed of time, so that the computer's clock is the board's.
+/// At the speed of time, so that the computer's clock is the board's; as well as a busy
+/// computer keeps it, which costs the board a millisecond now and then, so the longer the better.
 #[test]
 fn the_crystal_is_compared_with_the_computers_clock() {
     let _turn = turn::alone();
-    let arguments = ["--part=clock", "--clock-time=8s", "--hands-off"];
-    for (speed, verdict, code) in [(1.0, "pass", 0), (1.01, "fail", 3)] {
+    let compare = |speed, seconds| {
         let bench = Bench::at_speed(35, Jumpers::default(), speed);
-        let said = Session::start(&mut bench.command(&arguments)).ends_with(code);
-        let (found, measured) = &verdicts(&bench.report(), "crystal")[0];
-        assert_eq!(found, verdict, "{said}");
+        let length = format!("--clock-time={seconds}s");
+        let arguments = ["--part=clock", &length, "--hands-off"];
+        let (status, said) = Session::start(&mut bench.command(&arguments)).end();
+        let (found, measured) = verdicts(&bench.report(), "crystal").swap_remove(0);
         assert!(measured.contains("the chip at 36."), "{measured}");
-    }
+        (found, status.code(), said)
+    };
+    let (verdict, code, said) = compare(1.01, 4);
+    assert_eq!((verdict.as_str(), code), ("fail", Some(3)), "{said}");
+    let mut said = String::new();
+    let passes = [8, 16, 32].into_iter().any(|seconds| {
+        let (verdict, code, last) = compare(1.0, seconds);
+        said = last;
+        (verdict.as_str(), code) == ("pass", Some(0))
+    });
+    assert!(passes, "{said}");
 }
