@@ -16,6 +16,7 @@ mod firmware;
 mod package;
 mod process;
 mod sync_bench;
+mod testing;
 mod tools;
 mod wheel;
 
@@ -244,12 +245,12 @@ fn test(cargo_args: &[String]) -> Result<()> {
     let elf = firmware::build()?;
     firmware::build_foreign()?;
     firmware::build_agent()?;
-    let mut args = vec!["test".to_owned(), "--release".to_owned()];
     if cargo_args.is_empty() {
-        args.push("--workspace".to_owned());
+        return testing::all(&elf);
     }
+    let mut args = vec!["test".to_owned(), "--release".to_owned()];
     args.extend_from_slice(cargo_args);
-    process::cargo_with_elf(&args, &elf)
+    process::run(&mut process::cargo_with_elf(&args, &elf))
 }
 
 fn hour() -> Result<()> {

@@ -97,16 +97,17 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
     run(command(cargo_program()).args(args))
 }
 
-/// Runs cargo with the firmware's ELF named in the environment. Of tests, two run on a
+/// Cargo with the firmware's ELF named in the environment. Of tests, two run on a
 /// core unless the environment says otherwise: most sessions wait for the clock. They leave
 /// alone a phone that the developer's own `adb` server has: they look for one where none is.
-pub(crate) fn cargo_with_elf(args: &[String], elf: &Path) -> Result<()> {
+pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Command {
     let mut cargo = command(cargo_program());
     if env::var_os(TEST_THREADS).is_none() {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         cargo.env(TEST_THREADS, (2 * cores).to_string());
     }
-    run(cargo.args(args).env(ELF_VARIABLE, elf).env(ADB_PORT, "9"))
+    cargo.args(args).env(ELF_VARIABLE, elf).env(ADB_PORT, "9");
+    cargo
 }
 
 /// A program that cargo has built in the release profile.
