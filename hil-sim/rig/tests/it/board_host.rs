@@ -55,6 +55,26 @@ impl Board {
         board
     }
 
+    /// The same with a train whose edges are logged.
+    pub(crate) fn boot_with_train(builder: SimBuilder, width: u32) -> Self {
+        let mut board = Self::boot(builder);
+        board.rig.log_pin(Pin::PA5);
+        let start = TriggerStart {
+            period: Period::from_picos(33_330_652_540).unwrap(),
+            width,
+            first_edge: None,
+            first_fraction: 0,
+        };
+        board.start(start);
+        board
+    }
+
+    /// When tick 0 was, by the first pulse of the train; takes the logged edges.
+    pub(crate) fn zero(&mut self) -> u64 {
+        let (rise, _) = pulses_of(&self.rig.take_edges(), Pin::PA5)[0];
+        rise.units() - self.pulses[0].at.0 * UNITS_PER_TICK
+    }
+
     /// Takes what has come. Nothing may be damaged.
     pub(crate) fn take(&mut self) {
         let bytes = self.rig.usb_read();

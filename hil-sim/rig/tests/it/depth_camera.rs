@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, camera_align, pulses_of};
+use crate::board_host::{Board, UNITS_PER_TICK, camera_align};
 use protocol::*;
 use rig::depth_camera::{DepthCamera, DepthCameraConfig, FrameRecord, Source};
 use rig::lidar::{Lidar, LidarConfig};
@@ -84,18 +84,9 @@ struct Bench {
 impl Bench {
     fn new(first_frame: u32, width: u32, builder: SimBuilder) -> Self {
         let camera = camera(first_frame);
-        let mut board = Board::boot(builder.model(camera.clone()));
-        board.rig.log_pin(Pin::PA5);
-        let start = TriggerStart {
-            period: Period::from_picos(33_330_652_540).unwrap(),
-            width,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        board.start(start);
+        let mut board = Board::boot_with_train(builder.model(camera.clone()), width);
         board.wait(100, |board| !board.pulses.is_empty());
-        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
-        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+        let zero = board.zero();
         Self {
             board,
             camera,

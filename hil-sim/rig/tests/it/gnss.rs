@@ -3,7 +3,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use crate::board_host::{Board, UNITS_PER_TICK};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use rig::wiring;
@@ -32,18 +32,9 @@ struct Bench {
 impl Bench {
     fn new(config: LidarConfig) -> Self {
         let lidar = Arc::new(Mutex::new(Lidar::new(config)));
-        let mut board = Board::boot(wiring::board().model(lidar.clone()));
-        board.rig.log_pin(Pin::PA5);
-        let start = TriggerStart {
-            period: Period::from_picos(33_330_652_540).unwrap(),
-            width: 576,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        board.start(start);
+        let mut board = Board::boot_with_train(wiring::board().model(lidar.clone()), 576);
         board.wait(100, |board| !board.pulses.is_empty());
-        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
-        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+        let zero = board.zero();
         Self { board, lidar, zero }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::board_host::{Board, UNITS_PER_TICK, pulses_of};
+use crate::board_host::{Board, UNITS_PER_TICK};
 use protocol::*;
 use rig::imu::{Fault, SampleRecord, SensorModel, SimImu, SimImuConfig};
 use rig::motion::Motion;
@@ -11,7 +11,6 @@ use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
 use stm32f4_sim::i2c::{Shared, lock};
-use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -52,19 +51,9 @@ impl Bench {
         }
         let sensor = sensor.shared();
         let builder = builder.model(sensor.clone()).i2c_target(sensor.clone());
-        let mut board = Board::boot(builder);
-        // A train: its edges relate the rig's time to the board's.
-        board.rig.log_pin(Pin::PA5);
-        let start = TriggerStart {
-            period: Period::from_picos(33_330_652_540).unwrap(),
-            width: 576,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        board.start(start);
+        let mut board = Board::boot_with_train(builder, 576);
         board.run(100);
-        let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
-        let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+        let zero = board.zero();
         Self {
             board,
             sensor,

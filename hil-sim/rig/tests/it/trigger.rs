@@ -484,8 +484,7 @@ fn flashes_are_captured(ms: u64, synchroniser: u64) {
     board.run(ms);
     board.stop();
     board.run(200);
-    let (rise, _) = pulses_of(&board.rig.take_edges(), Pin::PA5)[0];
-    let zero = rise.units() - board.pulses[0].at.0 * UNITS_PER_TICK;
+    let zero = board.zero();
     let made = made.lock().unwrap();
     let frames = ms as usize * 30 / 1_000;
     assert!(made.len() > 18 * (frames - 10), "{}", made.len());
