@@ -36,7 +36,25 @@ pub struct LinkBeliefs {
     pub wander: (f64, f64),
 }
 
+/// One of the ranges of a link.
+pub type Range = fn(&mut LinkBeliefs) -> &mut (f64, f64);
+
 impl LinkBeliefs {
+    /// All ranges, by name.
+    pub const RANGES: [(&'static str, Range); 11] = [
+        ("median of a round trip", |link| &mut link.median),
+        ("scatter of the shortest ways", |link| &mut link.jitter),
+        ("shortest round trip", |link| &mut link.least),
+        ("share of the way there", |link| &mut link.there),
+        ("share of ways with a tail", |link| &mut link.tailed),
+        ("length of tails", |link| &mut link.tail),
+        ("steps an hour", |link| &mut link.steps),
+        ("size of steps", |link| &mut link.step),
+        ("silences an hour", |link| &mut link.silences),
+        ("length of silences", |link| &mut link.silence),
+        ("slow wander of a way", |link| &mut link.wander),
+    ];
+
     /// The longest tail, s.
     pub const LONGEST_TAIL: f64 = 0.08;
 

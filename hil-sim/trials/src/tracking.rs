@@ -10,7 +10,7 @@ use std::fmt::Write as _;
 use anyhow::{Context as _, Result};
 use evaluate::stats::{mean, quantile};
 use frame_sync::alignment::{phase_sigma_us_at, plan};
-use frame_sync::steering::{Link as Kind, STEP_EVERY_S, Steering, has_lock};
+use frame_sync::steering::{Link as Reached, STEP_EVERY_S, Steering, has_lock};
 use frame_sync::twists::Twists;
 use protocol::Ticks;
 use recording::profile::{Learnt, Profile};
@@ -23,6 +23,7 @@ use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
+use crate::beliefs::{BeliefStudy, Figure, Kind, RigResult};
 use crate::board_truth::UNITS_PER_TICK;
 use crate::workers;
 
@@ -52,6 +53,29 @@ pub struct StudyOptions {
     pub jobs: u32,
     /// What of the world is left out, to see what it does.
     pub without: Vec<Part>,
+    /// Where in their ranges the beliefs are.
+    pub beliefs: Place,
+}
+
+/// Where in their ranges the links and the warming of the clocks are: the ranges of
+/// [`LinkBeliefs::RANGES`] in that order, and after them the warming.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Anywhere, by the seed.
+    Drawn,
+    /// In the middle: of its logarithm, where a range does not begin at zero.
+    Middle,
+    /// There too, but for this one, which is the least or the most that it can be.
+    End(usize, End),
+}
+
+/// An end of a range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The lower one.
+    Least,
+    /// The upper one.
+    Most,
 }
 
 /// A part of the world.
@@ -110,6 +134,56 @@ struct Session {
 #[derive(Debug)]
 pub struct Study(Vec<(Arm, Session)>);
 
+/// The phase of an hour three times: with all beliefs in the middle of their ranges, drawn, and
+/// with one of them at an end; `rigs_an_end` rigs for each of those.
+#[must_use]
+pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
+    let mut places = vec![
+        (Kind::Nominal, Place::Middle, options.rigs),
+        (Kind::Drawn, Place::Drawn, options.rigs),
+    ];
+    let links = LinkBeliefs::RANGES.iter().map(|(name, _)| *name);
+    for (number, name) in links.chain(["warming of the clocks"]).enumerate() {
+        for end in [End::Least, End::Most] {
+            let kind = Kind::Extreme(format!("{name}: {end:?}").to_lowercase());
+            places.push((kind, Place::End(number, end), rigs_an_end));
+        }
+    }
+    let plans: Vec<_> = (places.into_iter())
+        .flat_map(|(kind, beliefs, rigs)| {
+            (0..u64::from(rigs)).map(move |n| (kind.clone(), beliefs, n))
+        })
+        .collect();
+    let rigs = workers::each(&plans, options.jobs as usize, |(kind, beliefs, n)| {
+        let seed = options.first_seed.wrapping_add(*n);
+        let options = StudyOptions {
+            beliefs: *beliefs,
+            ..options.clone()
+        };
+        let figure = |arm| -> Result<Figure> {
+            let session = session(seed, arm, &options)?;
+            Ok(Figure {
+                name: format!("{arm:?}: phase at any time (µs)"),
+                error: sizes_95_us(&session.looks),
+                sigma: None,
+            })
+        };
+        let figures: Result<Vec<Figure>> = ARMS.into_iter().map(figure).collect();
+        RigResult {
+            seed,
+            kind: kind.clone(),
+            figures: figures.map_err(|error| format!("{error:#}")),
+        }
+    });
+    BeliefStudy { rigs }
+}
+
+/// 95th percentile of the size of the error.
+fn sizes_95_us<'a>(looks: impl IntoIterator<Item = &'a Look>) -> f64 {
+    let sizes: Vec<f64> = looks.into_iter().map(|look| look.error_us.abs()).collect();
+    quantile(&sizes, 0.95).unwrap_or(f64::NAN)
+}
+
 /// Runs the study.
 ///
 /// # Errors
@@ -139,14 +213,34 @@ impl StudyOptions {
         // Nothing is drawn from the logarithm of zero.
         let scatter = self.share(Part::Scatter).max(1e-6);
         let (least, most) = share(Part::Wander, of.wander);
-        LinkBeliefs {
+        let mut link = LinkBeliefs {
             jitter: (of.jitter.0 * scatter, of.jitter.1 * scatter),
             steps: share(Part::Steps, of.steps),
             // A link wanders by a part of its scatter: that stays.
             wander: (least / scatter, most / scatter),
             silences: share(Part::Silences, of.silences),
             ..of
+        };
+        for (number, (_, range)) in LinkBeliefs::RANGES.iter().enumerate() {
+            let range = range(&mut link);
+            *range = self.beliefs.within(number, *range);
         }
+        link
+    }
+}
+
+impl Place {
+    /// What is left of the range with this number.
+    fn within(self, number: usize, range: (f64, f64)) -> (f64, f64) {
+        let (least, most) = range;
+        let at = match self {
+            Self::Drawn => return range,
+            Self::End(wanted, End::Least) if wanted == number => least,
+            Self::End(wanted, End::Most) if wanted == number => most,
+            Self::Middle | Self::End(..) if least > 0.0 => (least * most).sqrt(),
+            Self::Middle | Self::End(..) => f64::midpoint(least, most),
+        };
+        (at, at)
     }
 }
 
@@ -160,9 +254,7 @@ impl Study {
 
     /// 95th percentile of the size of the phase at any time, µs.
     fn phase_95_us(&self, arm: Arm) -> f64 {
-        let looks = self.of(arm).flat_map(|session| &session.looks);
-        let sizes: Vec<f64> = looks.map(|look| look.error_us.abs()).collect();
-        quantile(&sizes, 0.95).unwrap_or(f64::NAN)
+        sizes_95_us(self.of(arm).flat_map(|session| &session.looks))
     }
 
     /// RMS of errors over their stated sigmas: 1 if those are honest.
@@ -212,6 +304,7 @@ fn clock(
     seed: Seed,
     stream: Stream,
     (rates_ppm, moves): (f64, f64),
+    warming_ppm: (f64, f64),
     random: &mut Random,
 ) -> Oscillator {
     let sign = if random.chance(0.5) { 1.0 } else { -1.0 };
@@ -220,7 +313,7 @@ fn clock(
         rate_ppm: random.uniform(-rates_ppm, rates_ppm),
         wander: moves * 1e-6 * log_uniform(random, WANDER_PPM),
         warming: Warming {
-            ppm: moves * sign * log_uniform(random, WARMING_PPM),
+            ppm: moves * sign * log_uniform(random, warming_ppm),
             time_s: log_uniform(random, WARMING_S),
         },
     };
@@ -248,9 +341,10 @@ struct Clocks {
 impl Clocks {
     fn drawn(seed: Seed, random: &mut Random, until: f64, options: &StudyOptions) -> Self {
         let moves = options.share(Part::Clocks);
-        let board = clock(seed, Stream::BoardClock, (30.0, moves), random);
-        let phone = clock(seed, Stream::PhoneClock, (50.0, moves), random);
-        let computer = clock(seed, Stream::ComputerClock, (50.0, moves), random);
+        let warming = (options.beliefs).within(LinkBeliefs::RANGES.len(), WARMING_PPM);
+        let board = clock(seed, Stream::BoardClock, (30.0, moves), warming, random);
+        let phone = clock(seed, Stream::PhoneClock, (50.0, moves), warming, random);
+        let computer = clock(seed, Stream::ComputerClock, (50.0, moves), warming, random);
         let ppm = options.share(Part::Steered) * log_uniform(random, (0.1, 10.0));
         let mut steered = vec![(0.0, 0.0, 0.0)];
         let (mut at, mut made) = (0.0, 0.0);
@@ -393,8 +487,8 @@ fn session(seed: u64, arm: Arm, options: &StudyOptions) -> Result<Session> {
             }
             return Ok(result);
         }
-        Arm::Usb => (LinkBeliefs::PHONE_USB, Kind::Usb),
-        Arm::Wifi => (LinkBeliefs::PHONE_WIFI, Kind::Network),
+        Arm::Usb => (LinkBeliefs::PHONE_USB, Reached::Usb),
+        Arm::Wifi => (LinkBeliefs::PHONE_WIFI, Reached::Network),
     };
     let link = |beliefs, stream| Link::drawn(&options.beliefs(beliefs), seed.stream(stream));
     let mut board_link = link(LinkBeliefs::BOARD_USB, Stream::BoardLink);

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use frame_sync::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
-use super::{Plan, Programs, extraction, record};
+use super::{Plan, Programs, evaluation, extraction, record};
 use crate::beliefs::{Figure, Specimen};
 
 /// The recording of so many seconds on a rig of the study.
@@ -23,7 +23,7 @@ pub fn plan(rig: &Specimen, seconds: u32) -> Plan {
     }
 }
 
-/// Makes the recording, extracts it, and compares.
+/// Makes the recording, extracts and evaluates it, and compares.
 ///
 /// # Errors
 ///
@@ -48,7 +48,7 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
         error,
         sigma,
     };
-    Ok(vec![
+    let mut figures = vec![
         figure(
             "phase at the start (µs)",
             phase.start_us,
@@ -75,5 +75,22 @@ pub fn figures(plan: &Plan, programs: &Programs, out: &Path) -> Result<Vec<Figur
             extraction.depth.rms_us,
             None,
         ),
-    ])
+    ];
+    // A video that cannot be evaluated says so, and the session's figures stay.
+    match evaluation::measured(plan.seed, &recorded, programs) {
+        Ok(found) => figures.extend([
+            figure(
+                "bias as measured (µs)",
+                found.bias.error(),
+                Some(found.bias.sigma),
+            ),
+            figure(
+                "drift as measured (µs/min)",
+                found.drift.error(),
+                Some(found.drift.sigma),
+            ),
+        ]),
+        Err(error) => eprintln!("{}: {error:#}", plan.name),
+    }
+    Ok(figures)
 }

@@ -117,13 +117,15 @@ impl EvaluationFigures {
 ///
 /// A step fails.
 pub fn check(plan: &Plan, programs: &Programs, out: &Path) -> Result<SeedFigures> {
-    let recorded = record(plan, programs, out)?;
-    let bias = bias(&recorded, programs)?;
-    let drift = drift(&recorded, programs)?;
+    measured(plan.seed, &record(plan, programs, out)?, programs)
+}
+
+/// Evaluates the video of a recording, and compares.
+pub(super) fn measured(seed: u64, recorded: &Recorded, programs: &Programs) -> Result<SeedFigures> {
     Ok(SeedFigures {
-        seed: plan.seed,
-        bias,
-        drift,
+        seed,
+        bias: bias(recorded, programs)?,
+        drift: drift(recorded, programs)?,
     })
 }
 
