@@ -300,7 +300,7 @@ fn pump(
         std::thread::sleep(WAIT_STEP);
     }
     let speed = args.speed.or(args.realtime.then_some(1.0));
-    let (began, begun) = (rig.now(), Instant::now());
+    let mut pacer = Pacer::new(speed, rig.now());
     let mut next_note = rig.now();
     let mut open = false;
     let mut waiting: Vec<u8> = Vec::new();
@@ -332,14 +332,7 @@ fn pump(
                 waiting.clear();
             }
         }
-        if let Some(speed) = speed {
-            let run = rig.now().as_nanos() - began.as_nanos();
-            let due = Duration::from_nanos(run).div_f64(speed);
-            let ahead = due.saturating_sub(begun.elapsed());
-            if !ahead.is_zero() {
-                std::thread::sleep(ahead);
-            }
-        }
+        pacer.wait(rig.now());
     }
     Ok(())
 }
