@@ -290,7 +290,7 @@ fn happen(
     let costs = |fault| matches!(fault, Fault::ProcessKilled | Fault::DiskFull);
     let mut end = turns
         .iter()
-        .find(|turn| costs(turn.1.fault))
+        .rfind(|turn| costs(turn.1.fault))
         .map(|turn| turn.0);
     let (mut killed, mut full, mut away) = (None, None, 0_u32);
     let mut last_away = None;
