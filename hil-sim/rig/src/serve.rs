@@ -7,7 +7,7 @@ use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::imu::{Fault, SensorModel, SimImu};
 use crate::jumpers::Jumpers;
@@ -17,6 +17,7 @@ use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::pty::Pty;
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
+use crate::running_rig::Pacer;
 use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
