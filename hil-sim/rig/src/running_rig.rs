@@ -73,8 +73,8 @@ const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 /// or has not yet opened the port.
 const PATIENCE: Duration = Duration::from_micros(200);
 
-/// The most by which true time runs behind its pace and still catches up: as a real board,
-/// this one has gone on while the computer stood still.
+/// The most true time that is caught up with behind a computer that stood still: as a real
+/// board, one at the speed of time has gone on meanwhile. A faster one would race.
 const CATCH_UP: Duration = Duration::from_millis(500);
 
 /// How fast true time passes.
@@ -92,6 +92,7 @@ enum Order {
     Plug,
     Reset,
     Corrupt(u32),
+    Speed(f64),
     Stop,
 }
 
@@ -319,6 +320,11 @@ impl RunningRig {
         let _ = self.orders.send(Order::Reset);
     }
 
+    /// From now on true time passes at most `speed` times as fast as real time.
+    pub fn set_speed(&self, speed: f64) {
+        let _ = self.orders.send(Order::Speed(speed));
+    }
+
     fn order(&self, order: Order, plugged: bool) {
         if self.orders.send(order).is_ok() {
             while self.is_running() && self.shared.plugged.load(Ordering::SeqCst) != plugged {
@@ -383,6 +389,40 @@ struct Runner {
     shared: Arc<Shared>,
     pace: Pace,
     inbox: Receiver<Order>,
+}
+
+/// Keeps true time from passing faster than it shall.
+pub(crate) struct Pacer {
+    speed: Option<f64>,
+    began: SimTime,
+    begun: Instant,
+}
+
+impl Pacer {
+    /// From `now` on, as [`Pace::speed`] has it.
+    pub(crate) fn new(speed: Option<f64>, now: SimTime) -> Self {
+        Self {
+            speed: speed.map(|speed| speed.max(1e-3)),
+            began: now,
+            begun: Instant::now(),
+        }
+    }
+
+    /// Waits until it is time for `now`.
+    pub(crate) fn wait(&mut self, now: SimTime) {
+        let Some(speed) = self.speed else { return };
+        let due = Duration::from_nanos(now.as_nanos() - self.began.as_nanos()).div_f64(speed);
+        let passed = self.begun.elapsed();
+        if passed > due + CATCH_UP.div_f64(speed) {
+            // The machine is slower, or stood still: no race to catch up.
+            *self = Self::new(self.speed, now);
+        } else if let Some(ahead) = due.checked_sub(passed)
+            && ahead > Duration::from_millis(1)
+        {
+            // Shorter waits are not worth the call.
+            std::thread::sleep(ahead);
+        }
+    }
 }
 
 /// The board's port as the host sees it.
@@ -456,13 +496,14 @@ impl Runner {
             }
             std::thread::sleep(PATIENCE);
         }
-        let (mut began, mut begun) = (rig.now(), Instant::now());
+        let mut pacer = Pacer::new(self.pace.speed, rig.now());
         loop {
             match self.inbox.try_recv() {
                 Ok(Order::Stop) | Err(TryRecvError::Disconnected) => return Ok(()),
                 Ok(Order::Unplug) => rig.usb_unplug(),
                 Ok(Order::Plug) => rig.usb_plug(),
                 Ok(Order::Corrupt(ppm)) => rig.usb_corrupt(ppm, 0),
+                Ok(Order::Speed(speed)) => pacer = Pacer::new(Some(speed), rig.now()),
                 Ok(Order::Reset) => {
                     self.shared.noted().reset = true;
                     rig.press_reset();
@@ -476,20 +517,7 @@ impl Runner {
                 std::thread::sleep(PATIENCE);
                 continue;
             }
-            if let Some(speed) = self.pace.speed {
-                let run = rig.now().as_nanos() - began.as_nanos();
-                let due = Duration::from_nanos(run).div_f64(speed.max(1e-3));
-                let passed = begun.elapsed();
-                if passed > due + CATCH_UP {
-                    // The machine is slower, or stood still: no race to catch up.
-                    (began, begun) = (rig.now(), Instant::now());
-                } else if let Some(ahead) = due.checked_sub(passed)
-                    && ahead > Duration::from_millis(1)
-                {
-                    // Shorter waits are not worth the call.
-                    std::thread::sleep(ahead);
-                }
-            }
+            pacer.wait(rig.now());
             rig.run_for(STEP)?;
             self.note(&rig);
         }

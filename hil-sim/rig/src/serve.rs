@@ -7,7 +7,7 @@ use std::io::{BufWriter, Write as _};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::imu::{Fault, SensorModel, SimImu};
 use crate::jumpers::Jumpers;
@@ -17,6 +17,7 @@ use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::pty::Pty;
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
+use crate::running_rig::Pacer;
 use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
@@ -300,7 +301,7 @@ fn pump(
         std::thread::sleep(WAIT_STEP);
     }
     let speed = args.speed.or(args.realtime.then_some(1.0));
-    let (began, begun) = (rig.now(), Instant::now());
+    let mut pacer = Pacer::new(speed, rig.now());
     let mut next_note = rig.now();
     let mut open = false;
     let mut waiting: Vec<u8> = Vec::new();
@@ -332,14 +333,7 @@ fn pump(
                 waiting.clear();
             }
         }
-        if let Some(speed) = speed {
-            let run = rig.now().as_nanos() - began.as_nanos();
-            let due = Duration::from_nanos(run).div_f64(speed);
-            let ahead = due.saturating_sub(begun.elapsed());
-            if !ahead.is_zero() {
-                std::thread::sleep(ahead);
-            }
-        }
+        pacer.wait(rig.now());
     }
     Ok(())
 }

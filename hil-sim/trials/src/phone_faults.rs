@@ -16,6 +16,7 @@ use anyhow::Result;
 use phone::{ImuRequest, PhoneClient, PhoneError, Settings, StopSignal, VideoTarget};
 use rig::flash_log::Dark;
 use rig::motion::MotionSpec;
+use rig::oscillator::TrueTime;
 use rig::phone::{LinkFault, PhoneConfig, SimPhone, StorageAccess, Surroundings, VideoMode};
 use rig::random::{Random, Seed, Stream};
 use rig::true_clock::TrueClock;
@@ -35,8 +36,8 @@ const MARGIN: Duration = Duration::from_secs(2);
 /// client's requests keep the phone busy.
 const STOP_PATIENCE: Duration = Duration::from_secs(12);
 
-/// When the last fault has begun at the latest, real milliseconds: a session without
-/// faults lasts about as long.
+/// When the last fault has begun at the latest, ms as [`pass`] counts them: a session
+/// without faults lasts about as long.
 const LATEST_MS: f64 = 600.0;
 
 /// What goes wrong once in a run.
@@ -127,17 +128,14 @@ fn run(seed: u64) -> Result<Run> {
     let cancelled = Arc::new(AtomicBool::new(false));
     let story = std::thread::scope(|scope| {
         for &happening in &plan {
-            let (phone, cancelled) = (&phone, &*cancelled);
-            scope.spawn(move || happen(phone, cancelled, happening));
+            let (phone, clock, cancelled) = (&phone, &clock, &*cancelled);
+            scope.spawn(move || happen(phone, clock, cancelled, happening));
         }
-        session(&phone, &cancelled, folder.path())
+        session(&phone, &clock, &cancelled, folder.path())
     });
     phone.set_fault(None);
     // Whoever waits in the socket is heard now; a start takes at most 10 s.
-    let begun = Instant::now();
-    while begun.elapsed().as_secs_f64() < 15.0 / SPEED {
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    pass(&clock, 15_000.0 / SPEED);
     let videos = phone.videos();
     let run = Run {
         seed,
@@ -163,24 +161,33 @@ fn pick(random: &mut Random, count: usize) -> usize {
     (random.uniform(0.0, count as f64) as usize).min(count.saturating_sub(1))
 }
 
-fn sleep_ms(ms: f64) {
-    std::thread::sleep(Duration::from_secs_f64(ms * 1e-3));
+/// Waits for so many milliseconds of real time, or, on a machine that does not keep
+/// [`SPEED`], for as much of true time.
+fn pass(clock: &TrueClock, ms: f64) {
+    let nanos = clock.now().as_nanos() + (ms * 1e6 * SPEED) as u64;
+    // Nobody stops it before.
+    let _ = clock.wait_until(TrueTime::from_nanos(nanos));
 }
 
 /// One fault, from its begin to its end.
-fn happen(phone: &SimPhone, cancelled: &AtomicBool, (fault, begin, length): (Fault, f64, f64)) {
-    sleep_ms(begin);
+fn happen(
+    phone: &SimPhone,
+    clock: &TrueClock,
+    cancelled: &AtomicBool,
+    (fault, begin, length): (Fault, f64, f64),
+) {
+    pass(clock, begin);
     match fault {
         Fault::Press => phone.press_record(),
         Fault::Cancel => cancelled.store(true, Ordering::Relaxed),
         Fault::OtherClient => {
             let other = std::net::TcpStream::connect(phone.address());
-            sleep_ms(length);
+            pass(clock, length);
             drop(other);
         }
         Fault::Away => {
             phone.leave_network();
-            sleep_ms(length);
+            pass(clock, length);
             // Another fault may have brought it back.
             let _ = phone.join_network();
         }
@@ -189,10 +196,10 @@ fn happen(phone: &SimPhone, cancelled: &AtomicBool, (fault, begin, length): (Fau
         Fault::Slow => phone.set_fault(Some(LinkFault::Slow(200))),
         Fault::Background => {
             phone.send_to_background();
-            sleep_ms(length);
+            pass(clock, length);
             if !phone.bring_to_foreground().unwrap_or(false) {
                 // Its owner leaves it and opens it again.
-                sleep_ms(500.0);
+                pass(clock, 500.0);
                 let _ = phone.reopen_app();
             }
         }
@@ -202,13 +209,18 @@ fn happen(phone: &SimPhone, cancelled: &AtomicBool, (fault, begin, length): (Fau
         }
     }
     if matches!(fault, Fault::Cut | Fault::Silent | Fault::Slow) {
-        sleep_ms(length);
+        pass(clock, length);
         phone.set_fault(None);
     }
 }
 
 /// What a session asks of the phone. However it goes, a video that it began is stopped.
-fn session(phone: &SimPhone, cancelled: &Arc<AtomicBool>, folder: &Path) -> String {
+fn session(
+    phone: &SimPhone,
+    clock: &TrueClock,
+    cancelled: &Arc<AtomicBool>,
+    folder: &Path,
+) -> String {
     let asked_to_stop = Arc::clone(cancelled);
     let settings = Settings {
         margin: MARGIN,
@@ -223,7 +235,7 @@ fn session(phone: &SimPhone, cancelled: &Arc<AtomicBool>, folder: &Path) -> Stri
         let asked = client.clock()?;
         let started = client.start_video(asked);
         started.map_err(|error| client.undo_start(error))?;
-        sleep_ms(300.0);
+        pass(clock, 300.0);
         Ok(())
     });
     let story = match recorded {
@@ -252,7 +264,9 @@ fn stop(address: &str, settings: &Settings) -> Result<PhoneClient, PhoneError> {
         let stopped = PhoneClient::connect(address, settings.clone())
             .and_then(|mut client| client.stop_video().map(|()| client));
         match stopped {
-            Err(_) if begun.elapsed() < STOP_PATIENCE => sleep_ms(100.0),
+            Err(_) if begun.elapsed() < STOP_PATIENCE => {
+                std::thread::sleep(Duration::from_millis(100));
+            }
             other => return other,
         }
     }

@@ -297,11 +297,11 @@ impl App {
         let deadline = self.in_ms(PHASE_TIMEOUT_MS as f64);
         // The press is posted and not awaited (RRH:157): a phase that is in the queue
         // already is taken for the answer (RRH:164), whatever the press does then.
-        let mut phase = self.take_phase();
+        let mut phase = self.take_phase(deadline);
         self.press_record(false);
         while phase.is_none() && !self.has_come(deadline) {
             self.wait_until(self.in_ms(PHASE_POLL_MS as f64).min(deadline))?;
-            phase = self.take_phase();
+            phase = self.take_phase(deadline);
         }
         let Some(phase) = phase else {
             let text = "Failed to retrieve phase info, reached poll limit";

@@ -26,12 +26,13 @@ pub(super) struct Phase {
 }
 
 impl App {
-    /// The phase in the app's queue. Frame 60 puts it there while the recorder runs; the
-    /// begin and the end of a recording empty it (`VideoFrameInfo.java`:87, 145, 222).
-    pub(super) fn take_phase(&self) -> Option<Phase> {
+    /// The phase in the app's queue, by the `deadline` at the latest, however late this thread
+    /// is. Frame 60 puts it there while the recorder runs; the begin and the end of a recording
+    /// empty it (`VideoFrameInfo.java`:87, 145, 222).
+    pub(super) fn take_phase(&self, deadline: TrueTime) -> Option<Phase> {
         let camera = &self.config.camera;
         let pipeline = (camera.pipeline_ms * 1e6).max(0.0) as i64;
-        let now = self.now_ns();
+        let now = self.oscillator.nanos_at(self.clock.now().min(deadline));
         let mut state = self.state();
         let recording = state.current().filter(|r| !r.phase_taken)?;
         let frames = &recording.truth.frames;

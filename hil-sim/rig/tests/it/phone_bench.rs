@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use rig::flash_log::{Dark, FlashSource};
 use rig::motion::{Motion, MotionSpec};
+use rig::oscillator::TrueTime;
 use rig::phone::{PhoneConfig, SimPhone, Surroundings};
 use rig::random::{Seed, Stream};
 use rig::true_clock::TrueClock;
@@ -23,6 +24,11 @@ pub(crate) struct Bench {
 impl Bench {
     pub(crate) fn new(seed: u64, speed: f64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
         Self::with(seed, TrueClock::run_at(speed), Arc::new(Dark), edit)
+    }
+
+    /// In true time that passes only as [`Bench::pass`] lets it, however slow the machine is.
+    pub(crate) fn held(seed: u64, edit: impl FnOnce(&mut PhoneConfig)) -> Self {
+        Self::with(seed, TrueClock::new(), Arc::new(Dark), edit)
     }
 
     pub(crate) fn with(
@@ -45,6 +51,34 @@ impl Bench {
             clock,
             motion,
         }
+    }
+
+    /// So many seconds of true time pass, at once.
+    pub(crate) fn pass(&self, seconds: f64) {
+        let until = self.clock.now().as_secs_f64() + seconds;
+        self.clock
+            .publish(TrueTime::from_nanos((until * 1e9) as u64));
+    }
+
+    /// Waits until the phone waits for a time: it has taken a request.
+    pub(crate) fn wait_for_waiter(&self) {
+        while self.clock.waiters() == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Asks, and lets true time pass until there is an answer.
+    pub(crate) fn ask(&self, phone: &mut Raw, request: &str) -> Vec<String> {
+        phone.send(&format!("{request}\n"));
+        self.answer(phone)
+    }
+
+    /// Lets true time pass until there is an answer.
+    pub(crate) fn answer(&self, phone: &mut Raw) -> Vec<String> {
+        while phone.is_silent(Duration::from_millis(1)) {
+            self.pass(0.05);
+        }
+        phone.answer()
     }
 
     pub(crate) fn address(&self) -> String {

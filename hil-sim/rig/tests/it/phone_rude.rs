@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use rig::phone::{PhoneConfig, StorageAccess, VideoMode};
 
-use crate::phone_bench::Bench;
+use crate::phone_bench::{Bench, Raw};
 
 const IMU: &str = "imu?duration=200&accel=0&gyro=1&magnetic=0";
 const BUSY: [&str; 3] = ["ERROR", "v.0.1.1", "Error in IMU recording"];
@@ -17,55 +17,51 @@ fn without_pictures(c: &mut PhoneConfig) {
     c.video = VideoMode::Never;
 }
 
-fn wait_s(bench: &Bench, seconds: f64) {
-    let until = bench.clock.now().as_secs_f64() + seconds;
-    while bench.clock.now().as_secs_f64() < until {
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
-
 fn until(what: &str, mut is: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is() {
-        assert!(begun.elapsed() < Duration::from_secs(10), "{what}");
+        assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
         std::thread::sleep(Duration::from_millis(5));
     }
+}
+
+/// The session of the video before is closed, which its time has come for.
+fn until_free(bench: &Bench, phone: &mut Raw) {
+    until("the sensors are free", || bench.ask(phone, IMU) != BUSY);
 }
 
 /// `Preview.java`:1048 and CameraController2.java:5277 (the session closes later), EAI:237
 /// (the sensors end with it), RRH:67.
 #[test]
 fn a_stop_takes_its_time_and_the_sensors_are_busy_meanwhile() {
-    let bench = Bench::new(50, 10.0, |c| {
+    let bench = Bench::held(50, |c| {
         without_pictures(c);
         c.app.stop_ms = 3_000.0;
     });
     let mut phone = bench.connect();
-    assert_eq!(phone.ask("video_start")[0], "SUCCESS");
-    let stopped = bench.clock.now().as_secs_f64();
+    assert_eq!(bench.ask(&mut phone, "video_start")[0], "SUCCESS");
     assert_eq!(phone.ask("video_stop")[0], "SUCCESS");
     assert_eq!(phone.ask(IMU), BUSY);
-    while phone.ask(IMU) == BUSY {
-        assert!(bench.clock.now().as_secs_f64() < stopped + 5.0);
-    }
-    assert!(bench.clock.now().as_secs_f64() > stopped + 3.0);
+    bench.pass(2.9);
+    assert_eq!(phone.ask(IMU), BUSY);
+    bench.pass(0.2);
+    until_free(&bench, &mut phone);
     // Until then a press does nothing, so a start behind a stop fails.
-    assert_eq!(phone.ask("video_start")[0], "SUCCESS");
+    assert_eq!(bench.ask(&mut phone, "video_start")[0], "SUCCESS");
     phone.ask("video_stop");
-    assert_eq!(phone.ask("video_start")[0], "ERROR");
+    assert_eq!(bench.ask(&mut phone, "video_start")[0], "ERROR");
     assert!(!bench.phone.is_recording());
 }
 
 /// RRH:157 (the press is not awaited), RRH:164 (the queue is asked at once).
 #[test]
 fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
-    let bench = Bench::new(51, 10.0, without_pictures);
+    let bench = Bench::held(51, without_pictures);
     bench.phone.press_record();
-    wait_s(&bench, 5.0);
-    let begun = bench.clock.now().as_secs_f64();
+    bench.pass(5.0);
+    // In no time.
     let answer = bench.connect().ask("video_start");
     assert_eq!(answer[0], "SUCCESS");
-    assert!(bench.clock.now().as_secs_f64() - begun < 1.5);
     let phase: i64 = answer[2].parse().unwrap();
     let video = bench.phone.videos()[0].clone();
     assert!((phase - video.frames.start_ns(60)).abs() < 10_000);
@@ -75,14 +71,14 @@ fn the_phase_of_a_video_begun_by_hand_answers_a_start_that_stops_it() {
 /// The same after a start whose phase came too late: RRH:34, `VideoFrameInfo.java`:145.
 #[test]
 fn the_phase_of_slow_frames_answers_the_next_start() {
-    let bench = Bench::new(52, 20.0, |c| {
+    let bench = Bench::held(52, |c| {
         without_pictures(c);
         c.camera.frame_period_ns = 200e6;
     });
     let mut phone = bench.connect();
-    assert_eq!(phone.ask("video_start")[0], "ERROR");
+    assert_eq!(bench.ask(&mut phone, "video_start")[0], "ERROR");
     assert!(bench.phone.is_recording());
-    wait_s(&bench, 5.0);
+    bench.pass(5.0);
     assert_eq!(phone.ask("video_start")[0], "SUCCESS");
     assert!(!bench.phone.is_recording());
 }
@@ -90,11 +86,12 @@ fn the_phase_of_slow_frames_answers_the_next_start() {
 /// `Preview.java`:5020.
 #[test]
 fn a_press_right_behind_a_start_is_ignored() {
-    let bench = Bench::new(53, 1.0, without_pictures);
+    let bench = Bench::held(53, without_pictures);
     bench.phone.press_record();
+    bench.pass(0.4);
     bench.phone.press_record();
     assert!(bench.phone.is_recording());
-    wait_s(&bench, 0.6);
+    bench.pass(0.2);
     bench.phone.press_record();
     assert!(!bench.phone.is_recording());
 }
@@ -102,16 +99,15 @@ fn a_press_right_behind_a_start_is_ignored() {
 /// RRH:164: nothing comes into the queue any more.
 #[test]
 fn a_video_stopped_before_frame_sixty_ends_in_the_timeout() {
-    let bench = Bench::new(54, 5.0, without_pictures);
+    let bench = Bench::held(54, without_pictures);
     let mut phone = bench.connect();
-    let begun = bench.clock.now().as_secs_f64();
     phone.send("video_start\n");
     until("it records", || bench.phone.is_recording());
-    wait_s(&bench, 1.0);
+    bench.pass(1.0);
     bench.phone.press_record();
-    let answer = phone.answer();
+    let answer = bench.answer(&mut phone);
     assert!(answer[2].contains("poll limit"), "{answer:?}");
-    assert!(bench.clock.now().as_secs_f64() - begun > 9.9);
+    assert!(bench.clock.now().as_secs_f64() > 9.9);
 }
 
 /// RRH:208, in a thread that nobody guards.
@@ -157,17 +153,19 @@ fn a_duration_that_overflows_ends_the_app() {
 /// RRH:203 waits for what only `Preview.java`:1072 gives, and that only for files.
 #[test]
 fn with_storage_access_get_video_behind_a_stop_hangs_for_good() {
-    let bench = Bench::new(57, 10.0, |c| {
+    let bench = Bench::held(57, |c| {
         c.camera.rows = 64;
         c.camera.columns = 16;
         c.app.storage = StorageAccess::Documents;
         c.app.stop_ms = 1_000.0;
     });
     let mut phone = bench.connect();
-    phone.ask("video_start");
+    bench.ask(&mut phone, "video_start");
     phone.ask("video_stop");
     phone.send("get_video\n");
     assert!(phone.is_silent(Duration::from_secs(1)));
+    bench.pass(5.0);
+    assert!(phone.is_silent(Duration::from_millis(500)));
     drop(phone);
     let mut next = bench.connect();
     next.send("\n");
@@ -175,9 +173,9 @@ fn with_storage_access_get_video_behind_a_stop_hangs_for_good() {
     drop(next);
     bench.phone.reopen_app().unwrap();
     let mut phone = bench.connect();
-    phone.ask("video_start");
+    bench.ask(&mut phone, "video_start");
     phone.ask("video_stop");
-    wait_s(&bench, 1.5);
+    until_free(&bench, &mut phone);
     assert_eq!(phone.ask("get_video")[0], "SUCCESS");
 }
 
@@ -227,27 +225,29 @@ fn two_recordings_within_a_second_have_numbers() {
         (StorageAccess::Files, "_1"),
         (StorageAccess::Documents, " (1)"),
     ] {
-        let bench = Bench::new(59, 1.0, |c| c.app.storage = storage);
+        let bench = Bench::held(59, |c| c.app.storage = storage);
         let mut phone = bench.connect();
-        let short = "imu?duration=1&accel=0&gyro=1&magnetic=0";
-        // Of three, two begin within the same second of the phone.
-        let names = [(); 3].map(|()| phone.ask(short)[2].clone());
+        let names = [(); 2].map(|()| {
+            phone.send("imu?duration=1&accel=0&gyro=1&magnetic=0\n");
+            bench.wait_for_waiter();
+            bench.pass(0.002);
+            phone.answer()[2].clone()
+        });
         let ending = format!("gyro{number}.csv");
-        assert!(names.iter().any(|n| n.ends_with(&ending)), "{names:?}");
+        assert!(names[1].ends_with(&ending), "{names:?}");
     }
 }
 
 /// RRH:128 gives no reason.
 #[test]
 fn a_file_that_cannot_be_opened_is_told_without_detail() {
-    let bench = Bench::new(60, 1.0, |_| ());
+    let bench = Bench::held(60, |_| ());
     let mut phone = bench.connect();
     phone.send("imu?duration=1000&accel=0&gyro=1&magnetic=0\n");
-    let folder = || std::fs::read_dir(bench.phone.storage()).unwrap().next();
-    until("its folder", || folder().is_some());
-    std::thread::sleep(Duration::from_millis(100));
-    std::fs::remove_dir_all(folder().unwrap().unwrap().path()).unwrap();
-    assert_eq!(phone.answer()[2], "Failed to open IMU file");
+    bench.wait_for_waiter();
+    let folder = std::fs::read_dir(bench.phone.storage()).unwrap().next();
+    std::fs::remove_dir_all(folder.unwrap().unwrap().path()).unwrap();
+    assert_eq!(bench.answer(&mut phone)[2], "Failed to open IMU file");
 }
 
 /// RSS:153: `readLine` gives the last line without its end; what a client has left is
@@ -272,15 +272,16 @@ fn requests_of_clients_that_have_gone_are_carried_out() {
 /// a client that stays keeps the port from the next.
 #[test]
 fn in_the_background_recordings_and_server_end() {
-    let bench = Bench::new(62, 5.0, |c| {
+    let bench = Bench::held(62, |c| {
         without_pictures(c);
         c.app.background_ms = 500.0;
     });
     let mut phone = bench.connect();
     phone.send("imu?duration=4000&accel=0&gyro=1&magnetic=0\n");
-    wait_s(&bench, 1.0);
+    bench.wait_for_waiter();
+    bench.pass(1.0);
     bench.phone.send_to_background();
-    let answer = phone.answer();
+    let answer = bench.answer(&mut phone);
     let count = answer.len() - 4;
     assert!((500..1_200).contains(&count), "{count}");
     until("it listens", || {
@@ -289,14 +290,14 @@ fn in_the_background_recordings_and_server_end() {
     assert!(bench.phone.bring_to_foreground().unwrap());
 
     let mut phone = bench.connect();
-    assert_eq!(phone.ask("video_start")[0], "SUCCESS");
+    assert_eq!(bench.ask(&mut phone, "video_start")[0], "SUCCESS");
     // The server looks whether it is to end once behind each answer: let it wait for the
     // next request first.
     std::thread::sleep(Duration::from_millis(200));
     bench.phone.send_to_background();
-    until("the video ends", || !bench.phone.is_recording());
     // Held all the time: the new server does not get the port.
-    wait_s(&bench, 3.0);
+    bench.pass(3.0);
+    until("the video ends", || !bench.phone.is_recording());
     assert!(!bench.phone.bring_to_foreground().unwrap());
     assert_eq!(phone.ask("x")[0], "ERROR");
     until("it listens", || {

@@ -68,14 +68,9 @@ fn flashes_light_up_the_rows_that_were_exposed() {
         c.app.stop_ms = 0.0;
     });
     let mut phone = bench.connect();
-    let wait = || {
-        while clock.waiters() == 0 {
-            std::thread::sleep(std::time::Duration::from_millis(1));
-        }
-    };
     clock.publish(TrueTime::from_nanos(1_000_000_000));
     phone.send("video_start\n");
-    wait();
+    bench.wait_for_waiter();
     // The depth camera's centre is 400 µs late, and drifts by 10 µs a frame.
     let video = bench.phone.videos()[0].clone();
     let train = FlashTrain::NFOV;

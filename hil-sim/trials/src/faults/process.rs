@@ -38,12 +38,15 @@ use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunTruth, RunningRig};
 use rig::wiring;
 use stm32f4_sim::i2c::lock;
-use stm32f4_sim::time::SimTime;
+use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// The longest that anything is waited for, in real time.
 const PATIENCE: Duration = Duration::from_secs(180);
 /// What a kill or a full disk may cost, s.
 const COSTS_S: f64 = 1.0;
+/// Board time before them that passes as fast as real time: in what a sample needs from the
+/// board to the file, more of a faster board's would pass. A chunk of the file is shorter.
+const LAST: SimDuration = SimDuration::from_millis(600);
 /// How many of a mark's sigmas a later run may be off its place, as in [`super::judge`].
 const SIGMAS: f64 = 5.0;
 /// How often a session is begun: its patience with the phone is real time, which a
@@ -284,6 +287,11 @@ fn happen(
         }
     }
     turns.sort_by_key(|turn| std::cmp::Reverse(turn.0));
+    let costs = |fault| matches!(fault, Fault::ProcessKilled | Fault::DiskFull);
+    let mut end = turns
+        .iter()
+        .rfind(|turn| costs(turn.1.fault))
+        .map(|turn| turn.0);
     let (mut killed, mut full, mut away) = (None, None, 0_u32);
     let mut last_away = None;
     let begun = Instant::now();
@@ -295,6 +303,9 @@ fn happen(
             return Err(format!("it does not end: {}", session.said()));
         }
         let now = rig.now();
+        if end.take_if(|end| now + LAST >= *end).is_some() {
+            rig.set_speed(1.0);
+        }
         if away > 0 {
             last_away = Some(now);
         }
@@ -321,8 +332,8 @@ fn happen(
                 fill_disk(&session, recording)?;
             }
             Fault::ProcessKilled => {
+                killed = Some(now);
                 kill_process(session.pid()?, Signal::KILL).map_err(|error| error.to_string())?;
-                killed = Some(rig.now());
             }
             Fault::UsbUnplugged if begins => rig.unplug(),
             Fault::UsbUnplugged => rig.plug(),

@@ -29,7 +29,7 @@ fn the_fifteen_seeds_have_every_fault() {
 #[test]
 fn fifteen_seeds_pass() {
     let _turn = turn::beside_others();
-    let folder = tempfile::tempdir().unwrap();
+    let folder = support::folder_in_memory();
     let failed: Vec<String> = campaign(&SEEDS, &programs(), folder.path(), &|_, _| {})
         .into_iter()
         .filter_map(|result| Some(result.err()?.to_string()))

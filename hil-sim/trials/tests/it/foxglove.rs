@@ -99,17 +99,21 @@ impl Viewer {
 fn served(session: &mut Session) -> String {
     session.wait_for("ws://127.0.0.1:");
     // The line may come in parts.
-    session.wait_for("\n");
-    let said = session.said();
-    let at = said.find("ws://").unwrap();
-    said[at..].split_whitespace().next().unwrap().to_owned()
+    loop {
+        let said = session.said();
+        let at = said.find("ws://").unwrap();
+        if let Some((url, _)) = said[at..].split_once(char::is_whitespace) {
+            return url.to_owned();
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 #[test]
 fn a_viewer_sees_what_is_recorded_and_one_that_does_not_read_costs_nothing() {
     let _turn = turn::beside_others();
     let rig = WholeRig::new(61, 3.0);
-    let mut command = rig.record("live", &["--duration", "5s", "--foxglove", "127.0.0.1:0"]);
+    let mut command = rig.record("live", &["--duration", "12s", "--foxglove", "127.0.0.1:0"]);
     let mut session = Session::start(&mut command);
     let url = served(&mut session);
     let mut viewer = Viewer::connect(&url);

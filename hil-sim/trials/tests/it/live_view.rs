@@ -181,7 +181,7 @@ fn the_monitor_shows_the_board_at_three_sizes_and_survives_a_storm_of_them() {
 #[test]
 fn without_a_terminal_there_are_plain_lines_and_one_object() {
     let _turn = turn::beside_others();
-    let rig = WholeRig::new(32, 10.0);
+    let rig = WholeRig::new(32, 2.0);
     let lines = monitor(&rig).args(["--duration", "4s"]).output().unwrap();
     assert_eq!(lines.status.code(), Some(0), "{lines:?}");
     let text = String::from_utf8(lines.stdout).unwrap();
@@ -209,7 +209,9 @@ fn without_a_terminal_there_are_plain_lines_and_one_object() {
 fn a_recording_is_led_through_its_view_and_takes_marks_by_key() {
     let _turn = turn::beside_others();
     let rig = WholeRig::new(33, 3.0);
-    let command = rig.record("seen", &[]);
+    // What is enough is seen for some seconds.
+    let profile = rig.profile().replace("twist_s = 6", "twist_s = 20");
+    let command = rig.record_with("seen", &profile, &[]);
     let terminal = Tmux::start(80, 24, &command);
     let screen = terminal.wait_for(&["TWIST 1", "expected 1-sigma of the offset", "ENOUGH"]);
     keep("record_twist_80x24", &screen);

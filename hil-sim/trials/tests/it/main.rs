@@ -22,6 +22,8 @@ mod first_recording;
 mod foxglove;
 mod hostile;
 mod imu_csv;
+#[path = "../../../../host/cli/tests/support/interrupts.rs"]
+mod interrupts;
 mod json_objects;
 mod lies;
 mod live_view;

@@ -126,18 +126,19 @@ fn a_start_that_fails_or_is_cancelled_leaves_nothing_running() {
     assert!(!bench.phone.is_recording());
 
     // The answer is lost on the way.
-    let bench = Bench::new(76, 5.0, |c| c.video = VideoMode::Never);
-    let (phone, clock) = (&bench.phone, &bench.clock);
+    let bench = Bench::new(76, 5.0, |c| {
+        c.video = VideoMode::Never;
+        // The answer comes behind the 60th of them, at most 10 s after it was asked for.
+        c.camera.frame_period_ns = 140e6;
+    });
+    let (bench, phone) = (&bench, &bench.phone);
     std::thread::scope(|scope| {
         scope.spawn(move || {
             while !phone.is_recording() {
                 std::thread::sleep(Duration::from_millis(5));
             }
             phone.set_fault(Some(LinkFault::CutAfter(20)));
-            let until = clock.now().as_secs_f64() + 5.0;
-            while clock.now().as_secs_f64() < until {
-                std::thread::sleep(Duration::from_millis(5));
-            }
+            wait_s(bench, 12.0);
             phone.set_fault(None);
         });
         let output = bench.command(&["start"], folder.path());
@@ -173,7 +174,14 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         c.app.stop_ms = 2_000.0;
     });
     let folder = tempfile::tempdir().unwrap();
-    let get = ["get-video", "--recorded", "--ready", "4", "--timeout", "2"];
+    let get = [
+        "get-video",
+        "--recorded",
+        "--ready",
+        "20",
+        "--timeout",
+        "10",
+    ];
     // Without any video it is not asked by default, and named if it is all the same.
     says(
         &bench.command(&["get-video"], folder.path()),
@@ -199,7 +207,8 @@ fn a_video_is_fetched_only_when_the_app_can_send_it() {
         c.camera.reports_frames = false;
     });
     bench.phone.press_record();
-    let output = bench.command(&get, folder.path());
+    let soon = ["get-video", "--recorded", "--ready", "4", "--timeout", "4"];
+    let output = bench.command(&soon, folder.path());
     says(&output, PHONE, &["hangs", "force the app to stop"]);
 }
 
@@ -244,16 +253,13 @@ fn a_recording_that_the_background_cut_short_is_an_error() {
     let bench = Bench::new(81, 2.0, |c| c.app.background_ms = 200.0);
     let folder = tempfile::tempdir().unwrap();
     std::thread::scope(|scope| {
-        let (phone, clock) = (&bench.phone, &bench.clock);
-        scope.spawn(move || {
-            while clock.waiters() == 0 {
-                std::thread::sleep(Duration::from_millis(5));
-            }
-            std::thread::sleep(Duration::from_millis(350));
-            phone.send_to_background();
+        scope.spawn(|| {
+            bench.wait_for_waiter();
+            wait_s(&bench, 0.7);
+            bench.phone.send_to_background();
         });
-        let output = bench.command(&["imu", "--seconds", "4"], folder.path());
-        says(&output, PHONE, &["of the 4.0 s", "in the foreground"]);
+        let output = bench.command(&["imu", "--seconds", "10"], folder.path());
+        says(&output, PHONE, &["of the 10.0 s", "in the foreground"]);
     });
 }
 
@@ -384,9 +390,8 @@ fn a_session_ends_well_whatever_time_a_stop_takes() {
     for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
         // In step with real time: the program's patience is real, and so is the stop.
         let rig = WholeRig::with(seed, 1.0, |_, phone| phone.app.stop_ms = stop_ms);
-        let tools = rig.folder.path().join("tools");
-        std::fs::create_dir(&tools).unwrap();
-        let path = stand_in_adb(&tools, rig.phone().storage(), PULL);
+        let tools = tempfile::tempdir().unwrap();
+        let path = stand_in_adb(tools.path(), rig.phone().storage(), PULL);
         let arguments = ["--duration", "3s", "--second-twist", "--fetch-video"];
         let mut command = rig.record("whole", &arguments);
         let said = Session::start(command.env("PATH", path)).ends_with(0);
@@ -405,7 +410,7 @@ fn a_session_ends_well_whatever_time_a_stop_takes() {
 fn a_session_notices_that_the_video_has_ended() {
     let _turn = turn::beside_others();
     let rig = WholeRig::new(88, 5.0);
-    let mut session = Session::start(&mut rig.record("ended", &["--duration", "20s"]));
+    let mut session = Session::start(&mut rig.record("ended", &["--duration", "30s"]));
     session.wait_for("recording for");
     rig.phone().send_to_background();
     rig.wait_ms(3_000);

@@ -6,9 +6,10 @@
 use std::io::Write as _;
 use std::process::Command;
 
+use crate::interrupts;
 use crate::support::smartdepthsync;
 use crate::turn;
-use crate::whole_rig::{Session, WholeRig};
+use crate::whole_rig::{OVERSHOOT_S, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
@@ -16,8 +17,8 @@ use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Virtual time against real time: fast enough for many sessions, slow enough
-/// that a test can act within a state.
+/// Virtual time against real time: fast enough for many sessions. What a test acts within
+/// lasts at least 10 s of it, a second for a busy machine.
 const SPEED: f64 = 10.0;
 
 // Exit codes, as docs/exit-codes.md has them.
@@ -97,6 +98,7 @@ fn ctrl_c_stops_cleanly_in_every_state() {
     // Before anything was made: the phone does not answer.
     rig.phone().set_fault(Some(LinkFault::Silent));
     let session = Session::start(&mut rig.record("silent", &[]));
+    interrupts::wait_until_caught(session.id());
     std::thread::sleep(std::time::Duration::from_millis(500));
     session.signal(Signal::INT);
     let said = session.ends_with(INTERRUPTED);
@@ -120,7 +122,8 @@ fn ctrl_c_stops_cleanly_in_every_state() {
 
     // After the recording: the rest is left out, what was recorded stays.
     let after = ["--duration", "2s", "--second-twist"];
-    let mut session = Session::start(&mut rig.record("second_twist", &after));
+    let mut command = rig.record_with("second_twist", &long_twists(&rig), &after);
+    let mut session = Session::start(&mut command);
     session.wait_for("twist 2: twist now");
     session.signal(Signal::INT);
     session.ends_with(INTERRUPTED);
@@ -128,7 +131,7 @@ fn ctrl_c_stops_cleanly_in_every_state() {
     assert!(file.recorded.unwrap().to > file.recorded.unwrap().from);
     all_is_stopped(&rig, "second twist");
 
-    let after = ["--duration", "2s", "--fetch-video"];
+    let after = ["--duration", "15s", "--fetch-video"];
     let mut session = Session::start(&mut rig.record("fetch", &after));
     session.wait_for("recording for");
     rig.phone().set_fault(Some(LinkFault::Slow(20)));
@@ -151,7 +154,10 @@ fn ctrl_c_stops_cleanly_in_every_state() {
 #[test]
 fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
     let _turn = turn::beside_others();
-    let rig = WholeRig::new(4, SPEED);
+    let rig = WholeRig::with(4, SPEED, |_, phone| {
+        // Then a start takes 8 s, of at most 10 s.
+        phone.camera.first_frame_ms = (6_000.0, 6_000.0);
+    });
     for (state, code, outcome) in [
         ("twist 1: twist now", PHONE, SessionOutcome::Failed),
         ("the trigger runs", PHONE, SessionOutcome::Failed),
@@ -163,9 +169,9 @@ fn a_phone_that_goes_away_ends_the_session_or_is_a_loss() {
         ("twist 2: twist now", LOSS, SessionOutcome::Loss),
     ] {
         let name = state.replace(|c: char| !c.is_ascii_alphanumeric(), "_");
-        let arguments = ["--duration", "2s", "--second-twist"];
+        let arguments = ["--duration", "15s", "--second-twist"];
         // The slow way to the grid, so that it lasts.
-        let profile = rig.profile().replace("slew_us = 1000", "slew_us = 100");
+        let profile = long_twists(&rig).replace("slew_us = 1000", "slew_us = 100");
         let mut session = Session::start(&mut rig.record_with(&name, &profile, &arguments));
         session.wait_for(state);
         rig.wait_ms(100);
@@ -214,7 +220,7 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
     let rig = WholeRig::new(5, SPEED);
     for (number, state) in STATES.into_iter().enumerate() {
         let name = format!("state_{number}");
-        let mut session = Session::start(&mut rig.record(&name, &["--duration", "10s"]));
+        let mut session = Session::start(&mut rig.record(&name, &["--duration", "25s"]));
         session.wait_for(state);
         rig.wait_ms(100);
         rig.rig.unplug();
@@ -230,7 +236,8 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
         // Board time went on: the recording has the length that was asked for.
         let span = file.recorded.unwrap();
         let seconds = (span.to - span.from).as_secs_f64();
-        assert!((10.0..12.0).contains(&seconds), "{state}: {seconds}");
+        let asked = 25.0..25.0 + OVERSHOOT_S;
+        assert!(asked.contains(&seconds), "{state}: {seconds}");
         all_is_stopped(&rig, state);
     }
 }
@@ -287,8 +294,8 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     let mut session = Session::start(&mut rig.record("never", &arguments));
     session.wait_for("recording for");
     rig.wait_ms(3_000);
-    rig.rig.unplug();
     let unplugged = rig.rig.now().as_secs_f64();
+    rig.rig.unplug();
     let said = session.ends_with(LINK_LOST);
     assert!(said.contains("did not come back within 2 s"), "{said}");
     assert!(said.contains("check the USB cable"), "{said}");
@@ -318,6 +325,11 @@ fn a_board_that_never_comes_back_ends_the_session_with_all_that_was_recorded() {
     keys.write_all(b"q\n").unwrap();
     session.ends_with(INTERRUPTED);
     readable(&rig, "asked", SessionOutcome::Interrupted);
+}
+
+/// The profile with twists that last.
+fn long_twists(rig: &WholeRig) -> String {
+    rig.profile().replace("twist_s = 6", "twist_s = 15")
 }
 
 /// The same command with somebody there who answers.
@@ -353,14 +365,12 @@ fn a_twist_that_is_needed_cannot_be_left_out() {
 fn a_link_that_only_gives_damage_ends_the_recording_in_its_time() {
     let _turn = turn::beside_others();
     let rig = WholeRig::new(14, SPEED);
-    let arguments = ["--duration", "12s", "--link-patience", "2s"];
+    // Its length does not end it.
+    let arguments = ["--duration", "6000s", "--link-patience", "2s"];
     let mut session = Session::start(&mut rig.record("damage", &arguments));
     session.wait_for("recording for");
     rig.rig.corrupt(1_000_000);
-    let began = std::time::Instant::now();
-    let (status, said) = session.end();
-    assert!(began.elapsed().as_secs() < 60, "{said}");
-    assert_eq!(status.code(), Some(LINK_LOST), "{said}");
+    let said = session.ends_with(LINK_LOST);
     assert!(
         said.contains("no message came from the board for 5 s"),
         "{said}"
@@ -442,7 +452,7 @@ fn the_depth_recorder_is_started_watched_and_stopped() {
     assert_eq!(problems(&file), ["depth_recorder_gone"]);
 
     let good = profile("[\"sh\", \"-c\", \"echo {fps} > {folder}/depth.txt; exec sleep 600\"]");
-    let mut command = rig.record_with("good", &good, &["--duration", "2s"]);
+    let mut command = rig.record_with("good", &good, &["--duration", "10s"]);
     Session::start(&mut command).ends_with(0);
     readable(&rig, "good", SessionOutcome::Good);
     let text = std::fs::read_to_string(rig.recording("good").join("depth.txt")).unwrap();
@@ -461,14 +471,14 @@ fn a_kill_takes_the_depth_recorder_along() {
     );
     let mut session = Session::start(&mut rig.record_with("kill", &profile, &[]));
     session.wait_for("the trigger runs");
-    let pid = std::fs::read_to_string(rig.recording("kill").join("pid")).unwrap();
-    let recorder = std::path::PathBuf::from(format!("/proc/{}", pid.trim()));
+    let recorder = format!("/proc/{}", recorder_pid(&rig, "kill"));
+    let recorder = std::path::PathBuf::from(recorder);
     assert!(recorder.exists());
     session.signal(Signal::KILL);
     session.end();
     let began = std::time::Instant::now();
     while recorder.exists() {
-        assert!(began.elapsed().as_secs() < 10, "the recorder lives on");
+        assert!(began.elapsed().as_secs() < 60, "the recorder lives on");
         std::thread::sleep(std::time::Duration::from_millis(50));
     }
     rig.stop_phone();
@@ -485,13 +495,7 @@ fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
     );
     let mut session = Session::start(&mut rig.record_with("left", &profile, &[]));
     session.wait_for("the trigger runs");
-    let file = rig.recording("left").join("pid");
-    let pid = loop {
-        match std::fs::read_to_string(&file) {
-            Ok(pid) if pid.ends_with('\n') => break pid,
-            _ => rig.wait_ms(10),
-        }
-    };
+    let pid = recorder_pid(&rig, "left");
     let doctor = || {
         let mut command = Command::new(smartdepthsync());
         command.args(["doctor", "--port"]).arg(rig.rig.port());
@@ -501,16 +505,13 @@ fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
         let output = command.output().unwrap();
         String::from_utf8([output.stdout, output.stderr].concat()).unwrap()
     };
-    let told = format!("still runs (process {})", pid.trim());
+    let told = format!("still runs (process {pid})");
     let guards = children(session.id());
     // One of a `record` that lives is none.
     let said = doctor();
     assert!(!said.contains("still runs"), "{said}");
     // The recorder is the other child.
-    for guard in guards
-        .into_iter()
-        .filter(|child| child.to_string() != pid.trim())
-    {
+    for guard in guards.into_iter().filter(|child| *child != pid) {
         let guard = rustix::process::Pid::from_raw(guard).unwrap();
         rustix::process::kill_process(guard, Signal::KILL).unwrap();
     }
@@ -519,12 +520,23 @@ fn a_depth_recorder_that_is_left_over_is_told_at_the_next_start() {
     rig.stop_phone();
     let said = doctor();
     assert!(said.contains(&told), "{told}: {said}");
-    let mut next = Session::start(&mut rig.record_with("next", &profile, &["--duration", "1s"]));
+    let mut next = Session::start(&mut rig.record_with("next", &profile, &[]));
     next.wait_for(&told);
     next.signal(Signal::INT);
     next.ends_with(INTERRUPTED);
-    let group = rustix::process::Pid::from_raw(pid.trim().parse().unwrap()).unwrap();
+    let group = rustix::process::Pid::from_raw(pid).unwrap();
     rustix::process::kill_process_group(group, Signal::KILL).unwrap();
+}
+
+/// The number that a depth recorder writes into its recording.
+fn recorder_pid(rig: &WholeRig, name: &str) -> i32 {
+    let file = rig.recording(name).join("pid");
+    loop {
+        match std::fs::read_to_string(&file) {
+            Ok(pid) if pid.ends_with('\n') => return pid.trim().parse().unwrap(),
+            _ => rig.wait_ms(10),
+        }
+    }
 }
 
 /// The processes that a process has started.

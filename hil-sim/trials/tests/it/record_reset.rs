@@ -108,7 +108,7 @@ fn over_a_reset(seed: u64) {
     let rig = WholeRig::with(seed, SPEED, |config, _| {
         config.depth_camera.as_mut().unwrap().drop_probability = 0.01;
     });
-    let arguments = ["--duration", "38s", "--fetch-video"];
+    let arguments = ["--duration", "48s", "--fetch-video"];
     // A camera that is led faster than its tolerance leaves the pulses and comes a pulse
     // late, which looks like frames that are one pulse off.
     let profile = rig.profile().replace("slew_us = 1000", "slew_us = 150");
@@ -241,7 +241,7 @@ fn a_further_phone_is_related_anew_and_extracted_over_the_reset() {
     let _turn = turn::beside_others();
     let rig = WholeRig::with_phones(14, SPEED, 2, |_, _| {});
     let profile = rig.profile_of(&["left", "right"]);
-    let arguments = ["--duration", "38s", "--second-twist", "--fetch-video"];
+    let arguments = ["--duration", "48s", "--second-twist", "--fetch-video"];
     let mut command = rig.record_with("reset", &profile, &arguments);
     let mut session = Session::start(&mut command);
     session.wait_for("recording for");

@@ -5,7 +5,12 @@ use std::process::{Command, Output};
 use std::sync::OnceLock;
 use std::time::SystemTime;
 
+use tempfile::TempDir;
+
 use crate::phone_bench::Bench;
+
+/// Free memory for a test's recordings, bytes: more than what `record` warns of.
+const ENOUGH: u64 = 2_000_000_000;
 
 impl Bench {
     /// Runs `smartdepthsync phone …` against this phone.
@@ -18,6 +23,17 @@ impl Bench {
             .output()
             .unwrap()
     }
+}
+
+/// A folder for recordings, in memory where there is enough: while a program waits for the
+/// disk, a fast board makes seconds of data that it has not seen. Nothing may be started there.
+pub(crate) fn folder_in_memory() -> TempDir {
+    let memory = Path::new("/dev/shm");
+    let room = rustix::fs::statvfs(memory).map_or(0, |stat| stat.f_bavail * stat.f_frsize);
+    if room > ENOUGH {
+        return tempfile::tempdir_in(memory).unwrap();
+    }
+    tempfile::tempdir().unwrap()
 }
 
 /// Cargo builds it with the whole workspace; with this

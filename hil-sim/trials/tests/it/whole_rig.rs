@@ -16,8 +16,12 @@ use rig::wiring;
 use rustix::process::{Pid, Signal, kill_process};
 use stm32f4_sim::time::SimDuration;
 
-/// The longest that anything is waited for, in real time.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// The longest that anything is waited for, in real time: it only ends what hangs.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// By how much a recording may be longer than it was asked to be, s of board time: a session
+/// looks at the time at least every 2,000 messages, and 500 a second are samples.
+pub(crate) const OVERSHOOT_S: f64 = 4.0;
 
 /// A rig whose operator twists it all the time, with a folder for recordings.
 pub(crate) struct WholeRig {
@@ -45,7 +49,7 @@ impl WholeRig {
         phones: u64,
         edit: impl FnOnce(&mut RigConfig, &mut PhoneConfig),
     ) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = support::folder_in_memory();
         let mut config = RigConfig::published(Seed(seed)).with_motion("twist".parse().unwrap());
         let mut phones: Vec<(PhoneConfig, u16)> = (0..phones)
             .map(|number| {
@@ -203,7 +207,9 @@ impl Session {
         while !self.said().contains(words) {
             if let Some(status) = self.child.try_wait().unwrap() {
                 // What it said last may still be on its way.
-                std::thread::sleep(Duration::from_millis(100));
+                for reader in self.readers.drain(..) {
+                    reader.join().unwrap();
+                }
                 assert!(
                     self.said().contains(words),
                     "ended ({status}) before {words:?}: {}",

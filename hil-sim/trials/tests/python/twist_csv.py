@@ -1,8 +1,8 @@
 """Reads a CSV of `smartdepthsync imu` with pandas and checks that it shows a twist.
 
-usage: twist_csv.py FILE REST_SECONDS
+usage: twist_csv.py FILE
 
-The first REST_SECONDS of the file are at rest, the twist follows.
+The file begins at rest; how long that lasts depends on how soon the program was there.
 """
 
 import sys
@@ -10,8 +10,7 @@ import sys
 import numpy as np
 import pandas as pd
 
-file, rest = sys.argv[1], float(sys.argv[2])
-table = pd.read_csv(file)
+table = pd.read_csv(sys.argv[1])
 
 gyro = ["gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s"]
 accel = ["accel_x_m_s2", "accel_y_m_s2", "accel_z_m_s2"]
@@ -25,8 +24,9 @@ assert (table["ticks"].diff().dropna() == 96_000).all()
 assert np.allclose(table["ticks"] / 48e6, table["time_s"], atol=1e-9)
 
 time = table["time_s"] - table["time_s"].iloc[0]
-still = table[time < rest - 0.5]
-twist = table[(time > rest + 1.0) & (time < rest + 7.0)]
+onset = time[(table[gyro].abs() > 0.5).any(axis="columns")].iloc[0]
+still = table[time < onset - 0.5]
+twist = table[(time > onset + 1.0) & (time < onset + 7.0)]
 assert len(still) > 200 and len(twist) > 2000, (len(still), len(twist))
 
 # At rest: noise and bias only, and gravity.

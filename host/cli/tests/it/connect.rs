@@ -5,7 +5,9 @@
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
+use std::sync::mpsc::channel;
 
+use crate::support::interrupts::PATIENCE;
 use crate::support::{self, StandIn, code, frame, hello, polite, run, text};
 use protocol::{Answer, DeviceToHost, HostToDevice, Refusal, usb};
 use serde_json::Value;
@@ -152,9 +154,11 @@ fn a_port_without_permission_names_the_udev_rule() {
 #[test]
 fn a_board_that_goes_away_while_watched_is_a_lost_link() {
     let mut left = 2;
+    let (asks, asked) = channel();
     let board = StandIn::new(move |command: HostToDevice| {
         left -= 1;
         if left < 0 {
+            let _ = asks.send(());
             Vec::new()
         } else {
             polite(command)
@@ -165,7 +169,7 @@ fn a_board_that_goes_away_while_watched_is_a_lost_link() {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(700));
+    asked.recv_timeout(PATIENCE).unwrap();
     drop(board);
     let output = child.wait_with_output().unwrap();
     assert_eq!(code(&output), 11, "{output:?}");

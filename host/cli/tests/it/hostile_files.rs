@@ -15,6 +15,7 @@ use recording::writer::Writer;
 use recording::{MCAP_FILE, SESSION_FILE};
 use serde_json::Value;
 
+use crate::support::interrupts::PATIENCE;
 use crate::support::synthetic::{self, Wrong};
 use crate::support::{self, StandIn, code, frame, hello, text};
 
@@ -414,7 +415,7 @@ fn pipes_and_devices_are_no_recordings() {
         let mut child = command(&args).stderr(Stdio::piped()).spawn().unwrap();
         let began = Instant::now();
         while child.try_wait().unwrap().is_none() {
-            if began.elapsed() > Duration::from_secs(10) {
+            if began.elapsed() > PATIENCE {
                 let _ = child.kill();
                 panic!("{args:?} waits for a pipe");
             }

@@ -5,10 +5,13 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
+use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use assert_cmd::Command;
+
+use crate::support::interrupts::PATIENCE;
 
 /// A phone that answers requests on one connection with a script. Like the app, it
 /// answers an empty line with an error; its sensors are free (the program asks for 1 and
@@ -419,7 +422,8 @@ fn short_long_and_crawling_videos_are_not_saved() {
         }
         Then::Leave
     });
-    fails_within(crawl, &["get-video", "--recorded"], &["crawl"], "1");
+    // A busy machine may pause for as long as the phone; it is given up after twice that.
+    fails_within(crawl, &["get-video", "--recorded"], &["crawl"], "3");
 }
 
 #[test]
@@ -472,12 +476,16 @@ fn imu_recordings_are_saved_as_they_came() {
 #[cfg(unix)]
 #[test]
 fn interrupt_ends_a_request() {
-    let fake = Fake::answers("");
+    let (asks, asked) = channel();
+    let fake = Fake::new(move |_| {
+        let _ = asks.send(());
+        Then::Stay
+    });
     let child = std::process::Command::new(assert_cmd::cargo::cargo_bin("smartdepthsync"))
         .args(["phone", "imu", "--seconds", "60", "--phone", &fake.address])
         .spawn()
         .unwrap();
-    std::thread::sleep(Duration::from_millis(500));
+    asked.recv_timeout(PATIENCE).unwrap();
     let killed = std::process::Command::new("kill")
         .args(["-INT", &child.id().to_string()])
         .status()
@@ -486,5 +494,6 @@ fn interrupt_ends_a_request() {
     let begin = Instant::now();
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(130));
-    assert!(begin.elapsed() < Duration::from_secs(2));
+    // Of a minute.
+    assert!(begin.elapsed() < Duration::from_secs(20));
 }

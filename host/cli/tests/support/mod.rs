@@ -4,6 +4,7 @@
 pub(crate) mod browser;
 pub(crate) mod documents;
 pub(crate) mod gopro;
+pub(crate) mod interrupts;
 pub(crate) mod objects;
 pub(crate) mod sqlite_bag;
 pub(crate) mod synthetic;
