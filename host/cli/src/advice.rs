@@ -8,7 +8,7 @@ use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
 use extract::learn::LearnError;
-use gyro_files::GyroFileError;
+use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
 use phone::adb::AdbError;
 use protocol::{ImuSetup, Refusal};
@@ -368,10 +368,23 @@ pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
             ExitStatus::Usage,
             "give a whole recording of a gyroscope: a message or track of an IMU must be in it",
         ),
-        GyroFileError::NotRead(_) => (
+        GyroFileError::NotRead(_) => (ExitStatus::Usage, "unpack it, and give what is in it"),
+        GyroFileError::Telemetry {
+            error: TelemetryError::Stopped,
+            ..
+        } => (ExitStatus::Interrupted, ExitStatus::Interrupted.next_step()),
+        GyroFileError::Telemetry {
+            error: TelemetryError::NoPython | TelemetryError::NoPackage(_),
+            ..
+        } => (
+            ExitStatus::Error,
+            "`python3 -m pip install telemetry-parser`, for Python 3.8 to 3.12, in an active virtual \
+             environment (`python3 -m venv telemetry && . telemetry/bin/activate`)",
+        ),
+        GyroFileError::Telemetry { .. } | GyroFileError::OtherMaker { .. } => (
             ExitStatus::Usage,
-            "unpack an archive; of a video another program must first write the gyroscope as CSV (the book has \
-             one)",
+            "give a recording of the camera that no program has changed, or have another program write its \
+             gyroscope as CSV; the book says which cameras are read",
         ),
     };
     Failure::new(status, format!("{}: {error}", path.display())).next_step(next)

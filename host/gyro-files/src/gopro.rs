@@ -19,7 +19,7 @@ use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::Path;
 
-use crate::{Frame, GyroFileError, GyroRecording, mp4};
+use crate::{Frame, GyroFileError, GyroRecording, mp4, telemetry};
 
 /// Names of keys.
 const DEVICE: &[u8] = b"DEVC";
@@ -139,9 +139,12 @@ pub(crate) fn read(path: &Path) -> Result<GyroRecording, GyroFileError> {
     let length = file.metadata()?.len();
     let index = mp4::index(&mut file)?
         .ok_or_else(|| none("it has no index of tracks (its recorder did not come to its end)"))?;
-    let samples = mp4::samples(&index, b"gpmd").ok_or(GyroFileError::NotRead(
-        "a video without the track that GoPro cameras write",
-    ))?;
+    let Some(samples) = mp4::samples(&index, b"gpmd") else {
+        return Err(GyroFileError::OtherMaker {
+            path: path.to_owned(),
+            what: telemetry::kind(&mut file, &index)?,
+        });
+    };
     let mut out = Streams::default();
     let mut bytes = 0;
     for sample in samples {
@@ -189,6 +192,7 @@ pub(crate) fn read(path: &Path) -> Result<GyroRecording, GyroFileError> {
         times,
         rates: gyro.values,
         frames,
+        stamp_step_ns: (gyro.source == Some(Source::Milliseconds)).then_some(1_000_000),
         damage,
     })
 }

@@ -7,6 +7,7 @@
 //! | ROS 1 bag | messages of type `sensor_msgs/Imu` |
 //! | Matroska of the Azure Kinect | its IMU track |
 //! | MP4 of GoPro cameras | the gyroscope's stream, and times and exposures of the frames |
+//! | videos and logs of other makers | what the Python package `telemetry-parser` finds |
 //!
 //! Times are those in the messages' headers, in the device's own clock, never when a
 //! recorder received them. Of a folder the one recording in it is read. Everything is
@@ -15,6 +16,7 @@
 mod gopro;
 mod mp4;
 mod ros;
+mod telemetry;
 
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -23,6 +25,8 @@ use extract::mkv::k4a::{Content, K4aError, Recording as Kinect};
 use phone::gyro_csv::{self, CsvError};
 use recording::foreign;
 use twist_sync::GyroTrack;
+
+pub use telemetry::TelemetryError;
 
 /// A gyroscope's recording.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,6 +39,9 @@ pub struct GyroRecording {
     pub rates: Vec<[f64; 3]>,
     /// Frames of the camera, if the file has their exposure and read-out.
     pub frames: Vec<Frame>,
+    /// The times follow from a first and a last one that are whole multiples of this,
+    /// nanoseconds, and so is what the clock is known to.
+    pub stamp_step_ns: Option<i64>,
     /// What could not be read of it.
     pub damage: Vec<String>,
 }
@@ -112,6 +119,22 @@ pub enum GyroFileError {
     /// A kind of file that is known, but not read.
     #[error("{0} is not read")]
     NotRead(&'static str),
+    /// A recording that [`read_alone`] leaves to another program.
+    #[error("{what} is not read without another program")]
+    OtherMaker {
+        /// The file; of a folder, the one in it.
+        path: PathBuf,
+        /// What it seems to be.
+        what: &'static str,
+    },
+    /// The other program gives none.
+    #[error("{what}: {error}")]
+    Telemetry {
+        /// What the file seems to be.
+        what: &'static str,
+        /// Why.
+        error: TelemetryError,
+    },
 }
 
 impl From<CsvError> for GyroFileError {
@@ -124,14 +147,28 @@ impl From<CsvError> for GyroFileError {
 }
 
 /// Reads a recording. `topic` chooses one where there are several; of files without
-/// topics it is ignored.
+/// topics it is ignored. Those of makers whose form this crate does not know go to
+/// `python3` with the package `telemetry-parser`.
 ///
 /// # Errors
 ///
-/// The file cannot be read, is of no known kind, or holds none or several gyroscopes.
+/// The file cannot be read, is of no known kind, or holds none or several gyroscopes; or
+/// there is no such Python, or it does not give them.
 pub fn read(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
+    match read_alone(path, topic) {
+        Err(GyroFileError::OtherMaker { path, what }) => telemetry::read(&path, what),
+        read => read,
+    }
+}
+
+/// As [`read`], but starts no other program.
+///
+/// # Errors
+///
+/// Those of [`read`], and [`GyroFileError::OtherMaker`].
+pub fn read_alone(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileError> {
     if path.is_dir() && !foreign::is_bag(path) {
-        return read(&only_recording(path)?, topic);
+        return read_alone(&only_recording(path)?, topic);
     }
     let mut read = read_any(path, topic)?;
     let samples = read.times.len();
@@ -161,6 +198,11 @@ fn read_any(path: &Path, topic: Option<&str>) -> Result<GyroRecording, GyroFileE
         kinect(path)
     } else if first.get(4..8) == Some(b"ftyp") {
         gopro::read(path)
+    } else if telemetry::is_known(&first) {
+        Err(GyroFileError::OtherMaker {
+            path: path.to_owned(),
+            what: "a recording of another maker",
+        })
     } else if first.starts_with(b"PK\x03\x04") {
         Err(GyroFileError::NotRead("a zip archive"))
     } else {

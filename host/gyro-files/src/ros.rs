@@ -82,8 +82,8 @@ impl Topics {
             form: format!("{form}: {name}, times of the messages' headers"),
             times,
             rates,
-            frames: Vec::new(),
             damage,
+            ..GyroRecording::default()
         })
     }
 }

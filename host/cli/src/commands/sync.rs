@@ -27,7 +27,8 @@ const LOOKS: u32 = 60;
 pub(crate) struct Args {
     /// Recordings with gyroscopes that were fixed to each other: CSV (ours, the app's,
     /// EuRoC, Sensor Logger), MCAP or its folder (ours), a ROS 2 bag (MCAP, sqlite3), a ROS 1
-    /// bag, an Azure Kinect's mkv, a GoPro's mp4. FILE@/TOPIC names one of several topics
+    /// bag, an Azure Kinect's mkv, a GoPro's mp4; other cameras' videos by the Python package
+    /// telemetry-parser. FILE@/TOPIC names one of several topics
     #[arg(value_name = "FILE", num_args = 2.., required = true)]
     pub(crate) recordings: Vec<PathBuf>,
     /// Write the timestamps of all others in the time of the first one's clock, as CSV into
@@ -142,6 +143,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             warnings.extend(in_one_unit([first, other], names));
         }
     }
+    warnings.extend(recordings.iter().enumerate().filter_map(coarse_stamps));
     let delays: Vec<f64> = (0..tracks.len())
         .map(|k| args.delay_us.get(k).map_or(0.0, |us| us * 1e-6))
         .collect();
@@ -221,6 +223,19 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     } else {
         Outcome::Refused
     })
+}
+
+/// What the estimates do not know of a recording's times.
+fn coarse_stamps((k, recording): (usize, &GyroRecording)) -> Option<String> {
+    let step_us = recording.stamp_step_ns? as f64 * 1e-3;
+    // The standard deviation of what is rounded.
+    let sigma_us = step_us / 12.0_f64.sqrt();
+    Some(format!(
+        "recording {}: its camera stamps to {:.0} ms, which moves its clock by {sigma_us:.0} µs (1-sigma); \
+         no sigma here contains that",
+        k + 1,
+        step_us * 1e-3
+    ))
 }
 
 /// Takes `FILE@/TOPIC` apart.

@@ -11,6 +11,7 @@ mod fuzz_smoke;
 mod hostile_costs;
 mod hostile_files;
 mod offset_command;
+mod other_makers;
 mod phone_faults;
 mod report_browser;
 #[path = "../support/mod.rs"]
