@@ -75,11 +75,10 @@ fn by_phase<const N: usize>(rows: &[[f64; N]], period: usize) -> Vec<[f64; N]> {
 /// for each sample.
 fn summed<const N: usize>(
     rows: &[[f64; N]],
-    periods: &RangeInclusive<usize>,
-) -> Vec<(usize, usize, [f64; N])> {
-    let mut out = Vec::new();
+    periods: RangeInclusive<usize>,
+) -> impl Iterator<Item = (usize, usize, [f64; N])> {
     let mut longer: Vec<Vec<[f64; N]>> = vec![Vec::new(); LONGEST_PERIOD + 1];
-    for period in periods.clone().rev() {
+    periods.rev().flat_map(move |period| {
         // The phases of a multiple, folded, are those of the period itself.
         let multiple = LONGEST_PERIOD / period * period;
         if longer[multiple].is_empty() {
@@ -87,9 +86,8 @@ fn summed<const N: usize>(
         }
         let sums = by_phase(&longer[multiple], period);
         let each = sums.into_iter().enumerate();
-        out.extend(each.map(|(phase, sum)| (period, phase, sum)));
-    }
-    out
+        each.map(move |(phase, sum)| (period, phase, sum))
+    })
 }
 
 fn displaced_class(
@@ -98,29 +96,28 @@ fn displaced_class(
     step_s: f64,
     periods: RangeInclusive<usize>,
 ) -> Option<Class> {
-    // Score, information and number; zero where there is no prediction.
-    let mut rows = vec![[0.0; 3]; against.last()?.index + 1];
+    // Score and information; zero where there is no prediction.
+    let mut rows = vec![[0.0; 2]; against.last()?.index + 1];
     for (a, variance) in against.iter().zip(local_variances(against, noise)) {
-        let (score, information) = a.score(&variance);
-        rows[a.index] = [score, information, 1.0];
+        rows[a.index] = a.score(&variance).into();
     }
-    let is_clear = |&(_, _, [score, information, members]): &(usize, usize, [f64; 3])| {
-        members >= 8.0
-            && score * score > CLASS_Z * CLASS_Z * information
+    let is_clear = |(_, _, [score, information]): (usize, usize, [f64; 2])| {
+        score * score > CLASS_Z * CLASS_Z * information
             && score.abs() > CLASS_STEP * step_s * information
     };
     // Of a good stream no class stands out, and this is all.
-    if !summed(&rows, &periods).iter().any(is_clear) {
+    if !summed(&rows, periods.clone()).any(is_clear) {
         return None;
     }
-    // The squares, for the scatter of the scores themselves: a burst of vibration is not
-    // the even noise that `z` assumes.
-    let squares: Vec<[f64; 6]> = rows
-        .iter()
-        .map(|&[s, i, members]| [s, i, members, s * s, s * i, i * i])
-        .collect();
+    // With the number, and the squares for the scatter of the scores themselves: a burst of
+    // vibration is not the even noise that `z` assumes.
+    let mut squares = vec![[0.0; 6]; rows.len()];
+    for a in against {
+        let [s, i] = rows[a.index];
+        squares[a.index] = [s, i, 1.0, s * s, s * i, i * i];
+    }
     let mut found: Vec<Hypothesis> = Vec::new();
-    for (period, phase, [score, information, members, ss, si, ii]) in summed(&squares, &periods) {
+    for (period, phase, [score, information, members, ss, si, ii]) in summed(&squares, periods) {
         if members < 8.0 || information <= 0.0 {
             continue;
         }
@@ -166,6 +163,8 @@ fn by_chance(found: &[Hypothesis], period: usize) -> f64 {
     let others = found.iter().filter(|f| coprime(f.2.period));
     let values: Vec<f64> = others.map(|f| f.1).collect();
     // A few hypotheses do not show it.
-    let scatter = robust::mad_sigma(&values).filter(|_| values.len() > LONGEST_PERIOD);
-    scatter.map_or(1.0, |sigma| sigma.max(1.0))
+    if values.len() <= LONGEST_PERIOD {
+        return 1.0;
+    }
+    robust::mad_sigma(values).map_or(1.0, |sigma| sigma.max(1.0))
 }

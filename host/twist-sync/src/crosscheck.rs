@@ -13,7 +13,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use crate::calibration::Calibration;
 use crate::coarse::Usable;
-use crate::fit::{Fit, Node};
+use crate::fit::{Fit, Part};
 use crate::robust;
 use crate::signal::Signal;
 
@@ -47,8 +47,8 @@ pub(crate) fn outliers(
     other_time: impl Fn(f64) -> f64,
     calibration: &Calibration,
 ) -> Vec<Misfit> {
-    let mut index = Vec::new();
-    let mut difference: [Vec<f64>; 3] = Default::default();
+    let mut index = Vec::with_capacity(t.len());
+    let mut difference = [(); 3].map(|()| Vec::with_capacity(t.len()));
     for k in (0..t.len()).filter(|&k| usable[k]) {
         if let Some(x) = other.value(other_time(t[k])) {
             let predicted = calibration.matrix * Vector3::from(x) + calibration.bias;
@@ -61,13 +61,21 @@ pub(crate) fn outliers(
     if index.len() < 2 * SCALE_BLOCK {
         return Vec::new();
     }
+    let contrasts = difference.map(|axis| robust::without_local_median(&axis));
+    let scale_of = |part: &[f64]| {
+        robust::mad_sigma(part.to_vec()).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
+    };
+    let overall = contrasts.each_ref().map(|contrast| scale_of(contrast));
+    let sigmas = |k: usize| {
+        let squares = (0..3).map(|axis| (contrasts[axis][k] / overall[axis]).powi(2));
+        squares.sum::<f64>().sqrt()
+    };
+    // The local scale is never less, so that it can only bring them down.
+    if (0..index.len()).all(|k| sigmas(k) <= OUTLIER_SIGMA) {
+        return Vec::new();
+    }
     let mut squares = vec![0.0; index.len()];
-    for axis in &difference {
-        let contrast = robust::without_local_median(axis);
-        let scale_of = |part: &[f64]| {
-            robust::mad_sigma(part).map_or(LEAST_NOISE, |sigma| sigma.max(LEAST_NOISE))
-        };
-        let overall = scale_of(&contrast);
+    for (contrast, overall) in contrasts.iter().zip(overall) {
         let local: Vec<f64> = contrast.chunks(SCALE_BLOCK).map(scale_of).collect();
         let blocks = contrast
             .chunks(SCALE_BLOCK)
@@ -135,8 +143,7 @@ struct Block {
 pub(crate) fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
     let mut blocks: Vec<Block> = Vec::new();
     for node in &fit.nodes {
-        let ws = fit.weights * node.slope * node.weight;
-        let (score, information) = (ws.dot(&node.residual), ws.dot(&node.slope));
+        let (score, information) = node.evidence(&fit.weights);
         match blocks.last_mut() {
             Some(b) if node.t - b.from < block_s => {
                 b.to = node.t;
@@ -170,165 +177,140 @@ pub(crate) fn stretches(fit: &Fit, block_s: f64) -> Vec<Stretch> {
                 / (1.0 / p[1].information + 1.0 / p[0].information).sqrt()
         })
         .collect();
-    let middle = blocks.iter().map(|b| b.from * b.information).sum::<f64>() / total;
-    let mut steps = Steps::none(middle);
-    if let Some(sigma) = robust::mad_sigma(&standard).filter(|sigma| sigma.is_finite()) {
+    let levels = Levels::new(&blocks, total);
+    let mut steps = vec![(0, 0.0)];
+    if let Some(sigma) = robust::mad_sigma(standard).filter(|sigma| sigma.is_finite()) {
         for _ in 0..MOST_STEPS {
-            let Some(next) = steps.with_best_cut(&blocks, sigma.max(1e-12)) else {
+            let Some(more) = levels.with_best_cut(&steps, sigma.max(1e-12)) else {
                 break;
             };
-            steps = next;
+            steps = more;
         }
     }
-    steps.stretches(&blocks, total)
+    levels.stretches(steps, total)
 }
 
 /// Most steps that are looked for.
 const MOST_STEPS: usize = 8;
 
-/// Steps of the relation, fitted together with a shift and a rate, which the fit
-/// has bent to lessen them.
-struct Steps {
-    middle: f64,
-    /// Blocks at which a new level begins.
-    cuts: Vec<usize>,
-    /// Level of each stretch against the first, seconds.
-    levels: Vec<f64>,
+/// A block at which a new level begins, and by how much it is above the one before,
+/// seconds.
+type Step = (usize, f64);
+
+/// Levels of the relation, fitted together with a rate, which the fit has bent to lessen
+/// their steps.
+struct Levels<'a> {
+    blocks: &'a [Block],
+    /// Of each block the time from the middle.
+    u: Vec<f64>,
+    /// Over each block and all behind it: `Σ information·(1, u, u²)`, `Σ score·(1, u)`.
+    tails: Vec<[f64; 5]>,
 }
 
-impl Steps {
-    const fn none(middle: f64) -> Self {
-        Self {
-            middle,
-            cuts: Vec::new(),
-            levels: Vec::new(),
+impl<'a> Levels<'a> {
+    fn new(blocks: &'a [Block], total: f64) -> Self {
+        let middle = blocks.iter().map(|b| b.from * b.information).sum::<f64>() / total;
+        let u: Vec<f64> = blocks.iter().map(|b| b.from - middle).collect();
+        let mut sums = [0.0; 5];
+        let mut tails = vec![sums; blocks.len()];
+        for ((tail, b), u) in tails.iter_mut().zip(blocks).zip(&u).rev() {
+            let turned = b.information * u;
+            let own = [b.information, turned, turned * u, b.score, b.score * u];
+            for (sum, own) in sums.iter_mut().zip(own) {
+                *sum += own;
+            }
+            *tail = sums;
         }
+        Self { blocks, u, tails }
     }
 
-    /// Least-squares of the blocks' displacements on shift, rate and the steps
-    /// at `cuts`: (size, ideal variance, variance from scatter) of the last step,
-    /// and all sizes.
-    fn fitted(&self, blocks: &[Block], cuts: &[usize]) -> Option<(f64, f64, f64, Vec<f64>)> {
-        let n = 2 + cuts.len();
-        // Without a matrix of its own for each block: there are many.
-        let row = |i: usize, b: &Block, x: &mut [f64]| {
-            x[0] = 1.0;
-            x[1] = b.from - self.middle;
-            for (x, cut) in x[2..n].iter_mut().zip(cuts) {
-                *x = f64::from(u8::from(i >= *cut));
-            }
-        };
-        let mut x = [0.0; 2 + MOST_STEPS];
-        let mut normal = DMatrix::<f64>::zeros(n, n);
-        let mut right = DVector::<f64>::zeros(n);
-        for (i, b) in blocks.iter().enumerate() {
-            row(i, b, &mut x);
-            for c in 0..n {
-                for r in 0..n {
-                    normal[(r, c)] += x[r] * x[c] * b.information;
-                }
-                right[c] += x[c] * b.score;
-            }
-        }
+    /// Least squares of the blocks' displacements on a rate and the steps to the levels
+    /// that begin at `cuts`, in this order; and the inverse of the equations.
+    fn fitted(&self, cuts: &[usize]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        // Behind the later of two cuts both levels are.
+        let normal = DMatrix::from_fn(1 + cuts.len(), 1 + cuts.len(), |r, c| match (r, c) {
+            (0, 0) => self.tails[0][2],
+            (0, k) | (k, 0) => self.tails[cuts[k - 1]][1],
+            _ => self.tails[cuts[r - 1].max(cuts[c - 1])][0],
+        });
+        let right = DVector::from_fn(1 + cuts.len(), |k, _| match k {
+            0 => self.tails[0][4],
+            _ => self.tails[cuts[k - 1]][3],
+        });
         let inverse = normal.cholesky()?.inverse();
-        let solution = &inverse * right;
-        let last = n - 1;
-        let mut scatter = 0.0;
-        for (i, b) in blocks.iter().enumerate() {
-            row(i, b, &mut x);
-            let dot = |of: &dyn Fn(usize) -> f64| (0..n).map(|k| of(k) * x[k]).sum::<f64>();
-            let influence = dot(&|k| inverse[(last, k)]);
-            let left = b.score - dot(&|k| solution[k]) * b.information;
-            scatter += (influence * left).powi(2);
-        }
-        let sizes = solution.iter().skip(2).copied().collect();
-        Some((solution[last], inverse[(last, last)], scatter, sizes))
+        Some((&inverse * right, inverse))
     }
 
-    fn with_best_cut(&self, blocks: &[Block], sigma: f64) -> Option<Self> {
-        let mut best: Option<(f64, Vec<usize>, Vec<f64>)> = None;
-        for cut in 2..blocks.len() - 1 {
-            if self.cuts.contains(&cut) {
-                continue;
-            }
-            let mut cuts = self.cuts.clone();
+    /// Variance of the last step from the scatter of the blocks.
+    fn scatter(&self, cuts: &[usize], solution: &DVector<f64>, inverse: &DMatrix<f64>) -> f64 {
+        let last = inverse.column(cuts.len());
+        let variance = |(block, b): (usize, &Block)| {
+            let dot = |of: &dyn Fn(usize) -> f64| {
+                let reached = (0..cuts.len()).filter(|&k| block >= cuts[k]);
+                of(0) * self.u[block] + reached.map(|k| of(1 + k)).sum::<f64>()
+            };
+            let left = b.score - dot(&|k| solution[k]) * b.information;
+            (dot(&|k| last[k]) * left).powi(2)
+        };
+        self.blocks.iter().enumerate().map(variance).sum()
+    }
+
+    /// The steps with one more, the most significant; `None` if none is.
+    fn with_best_cut(&self, steps: &[Step], sigma: f64) -> Option<Vec<Step>> {
+        let mut best: Option<(f64, Vec<Step>)> = None;
+        let mut cuts: Vec<usize> = steps.iter().map(|s| s.0).collect();
+        for cut in (2..self.blocks.len() - 1).filter(|cut| steps.iter().all(|s| s.0 != *cut)) {
+            cuts.truncate(steps.len());
             cuts.push(cut);
-            let Some((size, ideal, scatter, sizes)) = self.fitted(blocks, &cuts) else {
+            let Some((solution, inverse)) = self.fitted(&cuts) else {
                 continue;
             };
-            let z = size.abs() / (ideal.sqrt() * sigma);
+            let last = cuts.len();
+            let size = solution[last];
+            let z = size.abs() / (inverse[(last, last)].sqrt() * sigma);
             if size.abs() > LEAST_STEP_S
                 && z > STEP_Z
-                && size * size > STEP_Z_SCATTER * STEP_Z_SCATTER * scatter
                 && best.as_ref().is_none_or(|b| z > b.0)
+                && size * size
+                    > STEP_Z_SCATTER * STEP_Z_SCATTER * self.scatter(&cuts, &solution, &inverse)
             {
-                best = Some((z, cuts, sizes));
+                let sizes = solution.iter().skip(1).copied();
+                best = Some((z, cuts.iter().copied().zip(sizes).collect()));
             }
         }
-        best.map(|(_, cuts, sizes)| {
-            let mut order: Vec<usize> = (0..cuts.len()).collect();
-            order.sort_by_key(|&i| cuts[i]);
-            let mut level = 0.0;
-            Self {
-                middle: self.middle,
-                levels: order
-                    .iter()
-                    .map(|&i| {
-                        level += sizes[i];
-                        level
-                    })
-                    .collect(),
-                cuts: {
-                    let mut sorted = cuts;
-                    sorted.sort_unstable();
-                    sorted
-                },
-            }
-        })
+        Some(best?.1)
     }
 
-    fn stretches(&self, blocks: &[Block], total: f64) -> Vec<Stretch> {
-        let mut bounds = vec![0];
-        bounds.extend(&self.cuts);
-        bounds.push(blocks.len());
-        bounds
-            .windows(2)
-            .enumerate()
-            .map(|(i, bound)| {
-                let part = &blocks[bound[0]..bound[1]];
-                Stretch {
-                    from: part[0].from,
-                    to: part[part.len() - 1].to,
-                    shift_s: i.checked_sub(1).map_or(0.0, |k| self.levels[k]),
-                    share: part.iter().map(|b| b.information).sum::<f64>() / total,
-                }
-            })
-            .collect()
+    fn stretches(&self, mut steps: Vec<Step>, total: f64) -> Vec<Stretch> {
+        steps.sort_by_key(|step| step.0);
+        let ends = steps.iter().skip(1).map(|step| step.0);
+        let ends: Vec<usize> = ends.chain([self.blocks.len()]).collect();
+        let mut shift_s = 0.0;
+        let stretches = steps.iter().zip(ends).map(|(&(begin, size), end)| {
+            // The first level is what the others are compared with.
+            shift_s += if begin == 0 { 0.0 } else { size };
+            let part = &self.blocks[begin..end];
+            Stretch {
+                from: part[0].from,
+                to: part[part.len() - 1].to,
+                shift_s,
+                share: part.iter().map(|b| b.information).sum::<f64>() / total,
+            }
+        });
+        stretches.collect()
     }
 }
 
 /// Rms of the displacements of `parts` of the overlap with equal information
 /// against the fit, seconds.
-pub(crate) fn local_scatter(fit: &Fit, parts: usize) -> f64 {
-    let information = |n: &Node| (fit.weights * n.slope).dot(&n.slope) * n.weight;
-    let total: f64 = fit.nodes.iter().map(information).sum();
-    let share = total / parts as f64;
+pub(crate) fn local_scatter(fit: &Fit, parts: f64) -> f64 {
+    let all = fit.parts(parts);
+    let total: f64 = all.iter().map(|part| part.information).sum();
+    let is_enough = |part: &&Part| part.information > 0.3 * total / parts;
     let (mut squares, mut judged) = (0.0, 0.0);
-    let (mut sum, mut score) = (0.0, 0.0);
-    let mut judge = |sum: f64, score: f64| {
-        squares += score * score / sum;
-        judged += sum;
-    };
-    for node in &fit.nodes {
-        sum += information(node);
-        score += (fit.weights * node.slope).dot(&node.residual) * node.weight;
-        if sum >= share {
-            judge(sum, score);
-            (sum, score) = (0.0, 0.0);
-        }
-    }
-    if sum > 0.3 * share {
-        judge(sum, score);
+    for part in all.iter().filter(is_enough) {
+        squares += part.score * part.score / part.information;
+        judged += part.information;
     }
     if judged > 0.0 {
         (squares / judged).sqrt()

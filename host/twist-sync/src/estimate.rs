@@ -13,7 +13,7 @@ use crate::calibration::{self, Calibration};
 use crate::clock::{ClockRelation, Wander, transition};
 use crate::crosscheck;
 use crate::faults::{Fault, FaultKind, LeftOut, Stream, Why};
-use crate::fit::Fit;
+use crate::fit::{self, Fit};
 use crate::flexing;
 use crate::gates::Gate;
 use crate::interpolant::Vec3;
@@ -30,7 +30,7 @@ const NUMERICAL_FLOOR_S: f64 = 0.02e-6;
 /// A longer delay is not the filter's, seconds: 4 ms are 56 Hz of a Butterworth filter.
 const LONGEST_FILTER_S: f64 = 4e-3;
 /// Parts of the overlap that must agree about the offset.
-const PARTS: usize = 8;
+const PARTS: f64 = 8.0;
 /// Part of the samples left out above which it is said.
 const MANY_LEFT_OUT: f64 = 0.05;
 /// Motion about the second axis, as a part of the power about the first, below
@@ -218,7 +218,7 @@ pub fn estimate_offset(
     let mut report = Report::default();
     let a = CheckedStream::new(Stream::A, a, options.a_delay_s, options.handle_faults);
     let b = CheckedStream::new(Stream::B, b, options.b_delay_s, options.handle_faults);
-    let usable = |s: &Option<CheckedStream>| s.as_ref().map_or(0, CheckedStream::usable_count);
+    let usable = |s: &Option<CheckedStream<'_>>| s.as_ref().map_or(0, CheckedStream::usable_count);
     let enough = report.judge(Gate::samples(usable(&a).min(usable(&b))));
     let Some((a, b)) = a.zip(b) else {
         return Err(Refusal { report });
@@ -249,7 +249,7 @@ pub fn estimate_offset(
 /// The relation of the clocks and of the sensors, all gates judged; `None` where a
 /// gate or the equations stop the work early.
 fn related(
-    pair: &mut Pair,
+    pair: &mut Pair<'_>,
     options: &Options,
     report: &mut Report,
 ) -> Option<(ClockRelation, Calibration)> {
@@ -310,20 +310,12 @@ fn related(
 /// Rms of the motion about its mean, all axes together, rad/s.
 fn rms(signal: &Signal) -> f64 {
     let values = signal.sampled(0.02);
-    let n = values.len().max(1) as f64;
-    let mean = values
-        .iter()
-        .map(|(_, v)| Vector3::from(*v) / n)
-        .sum::<Vector3<f64>>();
-    let sum: f64 = values
-        .iter()
-        .map(|(_, v)| (Vector3::from(*v) - mean).norm_squared())
-        .sum();
-    (sum / n).sqrt()
+    let variance = fit::variance(values.iter().map(|(_, v)| Vector3::from(*v)));
+    (3.0 * variance).sqrt()
 }
 
 /// 1-sigma of time that the faults of both streams leave open, seconds.
-fn unresolved_s(pair: &Pair) -> f64 {
+fn unresolved_s(pair: &Pair<'_>) -> f64 {
     pair.model.unresolved_s.hypot(pair.data.unresolved_s)
 }
 
@@ -353,7 +345,7 @@ fn dispersion_s(fit: &Fit, options: &Options) -> f64 {
 
 /// The relation of clock b to clock a, at the reference at which offset and skew
 /// are independent.
-fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
+fn clock_of(pair: &Pair<'_>, fit: &Fit, options: &Options) -> ClockRelation {
     let ideal = &fit.ideal_covariance;
     let to_centroid = if ideal[(1, 1)] > 0.0 {
         -ideal[(0, 1)] / ideal[(1, 1)]
@@ -392,7 +384,12 @@ fn clock_of(pair: &Pair, fit: &Fit, options: &Options) -> ClockRelation {
 }
 
 /// The relation of sensor b to sensor a, with what it leaves of the motion.
-fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report) -> Calibration {
+fn calibration(
+    pair: &Pair<'_>,
+    fit: &Fit,
+    settings: &Settings,
+    report: &mut Report,
+) -> Calibration {
     let rates = fit.nodes.iter().map(|node| {
         let (model, data) = node.rates();
         if pair.a_is_model {
@@ -418,7 +415,7 @@ fn calibration(pair: &Pair, fit: &Fit, settings: &Settings, report: &mut Report)
 }
 
 /// The stretches that were used, in seconds from the first sample of a.
-fn together(pair: &Pair, fit: &Fit) -> Vec<(f64, f64)> {
+fn together(pair: &Pair<'_>, fit: &Fit) -> Vec<(f64, f64)> {
     let stretches = fit
         .nodes
         .chunk_by(|node, next| next.t - node.t < rigid::JOIN_S);
@@ -433,7 +430,7 @@ fn together(pair: &Pair, fit: &Fit) -> Vec<(f64, f64)> {
         .collect()
 }
 
-fn warnings(pair: &Pair, fit: &Fit) -> Vec<Warning> {
+fn warnings(pair: &Pair<'_>, fit: &Fit) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let n = fit.nodes.len().max(1) as f64;
     let mean = fit.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;

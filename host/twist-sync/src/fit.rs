@@ -105,6 +105,12 @@ impl Node {
     pub(crate) const fn rates(&self) -> Rates {
         (self.x, self.y)
     }
+
+    /// Score and information about the shift.
+    pub(crate) fn evidence(&self, weights: &Matrix3<f64>) -> (f64, f64) {
+        let weighed = weights * self.slope * self.weight;
+        (weighed.dot(&self.residual), weighed.dot(&self.slope))
+    }
 }
 
 /// The result of a fit.
@@ -134,10 +140,47 @@ impl Fit {
 
     /// Mean square of the data about their mean, (rad/s)².
     pub(crate) fn motion_variance(&self) -> f64 {
-        let n = self.nodes.len().max(1) as f64;
-        let mean = self.nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
-        mean_square(self.nodes.iter().map(|n| n.y - mean))
+        variance(self.nodes.iter().map(|n| n.y))
     }
+
+    /// The overlap in so many parts of equal information, and what is left at its end.
+    pub(crate) fn parts(&self, count: f64) -> Vec<Part> {
+        let evidence = |n: &Node| n.evidence(&self.weights);
+        let share = self.nodes.iter().map(|n| evidence(n).1).sum::<f64>() / count;
+        let mut parts = Vec::new();
+        let mut part = Part::default();
+        for node in &self.nodes {
+            let (score, information) = evidence(node);
+            part.score += score;
+            part.information += information;
+            part.moment += information * (node.t - self.link.at_data);
+            part.is_whole = part.information >= share;
+            if part.is_whole {
+                parts.push(std::mem::take(&mut part));
+            }
+        }
+        parts.push(part);
+        parts.retain(|part| part.information > 0.0);
+        parts
+    }
+}
+
+/// What some nodes say about the shift.
+#[derive(Default)]
+pub(crate) struct Part {
+    pub(crate) score: f64,
+    pub(crate) information: f64,
+    /// Information times the time from the reference.
+    pub(crate) moment: f64,
+    /// Whether it is not what is left.
+    pub(crate) is_whole: bool,
+}
+
+/// Mean square about the mean, over values and axes.
+pub(crate) fn variance(values: impl Iterator<Item = Vector3<f64>> + Clone) -> f64 {
+    let n = values.clone().count().max(1) as f64;
+    let mean = values.clone().sum::<Vector3<f64>>() / n;
+    mean_square(values.map(|v| v - mean))
 }
 
 fn mean_square(values: impl Iterator<Item = Vector3<f64>>) -> f64 {
@@ -257,6 +300,7 @@ pub(crate) fn fit(
     let mut weights_now = weights.unwrap_or_else(Matrix3::identity);
     let mut quiet = LocalWeights::default();
     let mut settled = false;
+    let mut solved = None;
     for iteration in 0..options.iterations {
         view.look(&link, &calibration, &mut nodes)?;
         if weights.is_none() && (2..WEIGHTS_FROZEN).contains(&iteration) {
@@ -265,7 +309,7 @@ pub(crate) fn fit(
             quiet.apply(&mut nodes);
         }
         let (normal, right) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
-        let step = normal.cholesky()?.solve(&right);
+        let step = solved.insert(normal.cholesky()?).solve(&right);
         link.at_model += step[SHIFT].clamp(-0.05, 0.05);
         link.rate += step[RATE].clamp(-2e-3, 2e-3);
         if (link.at_model - start.at_model).abs() > 0.5 || (link.rate - 1.0).abs() > 0.01 {
@@ -285,8 +329,7 @@ pub(crate) fn fit(
     }
     view.look(&link, &calibration, &mut nodes)?;
     quiet.apply(&mut nodes);
-    let (normal, _) = equations(&nodes, &link, &calibration, &prior, &weights_now, options);
-    let inverse = normal.cholesky()?.inverse();
+    let inverse = solved?.inverse();
     let ideal_covariance =
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
     let influences: Vec<(f64, Vector2<f64>)> = nodes
@@ -407,6 +450,12 @@ fn inverse_covariance(nodes: &[Node]) -> Matrix3<f64> {
 type Normal = SMatrix<f64, PARAMETERS, PARAMETERS>;
 type Parameters = SVector<f64, PARAMETERS>;
 
+fn add(sum: &mut [f64; 4], z: &[f64; 4], factor: f64) {
+    for p in 0..4 {
+        sum[p] += z[p] * factor;
+    }
+}
+
 fn equations(
     nodes: &[Node],
     link: &Link,
@@ -415,22 +464,23 @@ fn equations(
     weights: &Matrix3<f64>,
     options: &FitOptions,
 ) -> (Normal, Parameters) {
-    let mut zz = Matrix4::zeros();
-    let mut zs = SMatrix::<f64, 3, 4>::zeros(); // Σ (W s) zᵀ
-    let mut zus = SMatrix::<f64, 3, 4>::zeros();
-    let mut zr = SMatrix::<f64, 3, 4>::zeros(); // Σ (W r) zᵀ
+    let mut sums = [[0.0; 4]; 13]; // Σ z (z, Ws, u·Ws, Wr)ᵀ
     let mut ss = [0.0; 3]; // Σ sᵀWs · (1, u, u²)
     let mut sr = [0.0; 2]; // Σ sᵀWr · (1, u)
     for node in nodes {
-        let z = Vector4::new(node.x.x, node.x.y, node.x.z, 1.0);
+        let z = [node.x.x, node.x.y, node.x.z, 1.0];
         let u = node.t - link.at_data;
         let ws = weights * node.slope * node.weight;
         let wr = weights * node.residual * node.weight;
-        zz += z * z.transpose() * node.weight;
-        let outer = ws * z.transpose();
-        zs += outer;
-        zus += outer * u;
-        zr += wr * z.transpose();
+        let wz = z.map(|z| z * node.weight);
+        for (sum, factor) in sums.iter_mut().zip(wz) {
+            add(sum, &z, factor);
+        }
+        for i in 0..3 {
+            add(&mut sums[4 + i], &z, ws[i]);
+            add(&mut sums[7 + i], &z, ws[i] * u);
+            add(&mut sums[10 + i], &z, wr[i]);
+        }
         let information = node.slope.dot(&ws);
         ss[0] += information;
         ss[1] += information * u;
@@ -439,16 +489,18 @@ fn equations(
         sr[0] += score;
         sr[1] += score * u;
     }
+    let sums = SMatrix::<f64, 4, 13>::from(sums);
+    let zz: Matrix4<f64> = sums.fixed_columns::<4>(0).into_owned();
     let mut normal = Normal::zeros();
     let mut right = Parameters::zeros();
     for i in 0..3 {
         for p in 0..4 {
             let at = i * 4 + p;
-            right[at] = zr[(i, p)];
-            normal[(at, SHIFT)] = zs[(i, p)];
-            normal[(SHIFT, at)] = zs[(i, p)];
-            normal[(at, RATE)] = zus[(i, p)];
-            normal[(RATE, at)] = zus[(i, p)];
+            right[at] = sums[(p, 10 + i)];
+            for (k, first) in [(SHIFT, 4), (RATE, 7)] {
+                normal[(at, k)] = sums[(p, first + i)];
+                normal[(k, at)] = sums[(p, first + i)];
+            }
         }
         for j in 0..3 {
             let block = zz * weights[(i, j)];
@@ -515,17 +567,15 @@ pub(crate) fn long_run_covariance(
         even[slot(*t).min(slots - 1)] += influence;
     }
     let memory = ((memory_s / step).ceil() as usize).clamp(1, slots);
+    let weight = |lag: usize| parzen(lag as f64 / memory as f64) * if lag == 0 { 0.5 } else { 1.0 };
+    let weights: Vec<f64> = (0..memory).map(weight).collect();
     let mut out = Matrix2::zeros();
-    for lag in 0..memory {
-        let weight = parzen(lag as f64 / memory as f64) * if lag == 0 { 1.0 } else { 2.0 };
-        let sum: Matrix2<f64> = even
-            .iter()
-            .zip(&even[lag..])
-            .map(|(now, later)| now * later.transpose())
-            .sum();
-        out += (sum + sum.transpose()) * (0.5 * weight);
+    for (k, now) in even.iter().enumerate() {
+        let later = even[k..].iter().zip(&weights);
+        let later: Vector2<f64> = later.map(|(later, weight)| later * *weight).sum();
+        out += now * later.transpose();
     }
-    out
+    out + out.transpose()
 }
 
 fn parzen(x: f64) -> f64 {

@@ -49,7 +49,7 @@ fn lag_s(fit: &Fit) -> f64 {
 /// The lag that explains the motion best, and the stretches that it does not explain
 /// (in the data's time); `None` if a gate is not passed.
 pub(crate) fn chosen(
-    pair: &Pair,
+    pair: &Pair<'_>,
     signals: &Signals,
     options: &Options,
     settings: &Settings,
@@ -61,6 +61,8 @@ pub(crate) fn chosen(
         iterations: 8,
         settled_s: 1e-6,
         oversampling: 1.0,
+        // Nobody asks how well a trial knows its shift.
+        memory_s: 0.0,
         ..settings.fit
     };
     let at = |data: &[(f64, Vec3)], lag_s: f64| {
@@ -132,11 +134,11 @@ fn rival(best: &Tried, others: &[Tried]) -> f64 {
 }
 
 /// Lags in seconds, the data's time minus the model's.
-fn candidates(pair: &Pair, options: &Options) -> Vec<f64> {
+fn candidates(pair: &Pair<'_>, options: &Options) -> Vec<f64> {
     let (model, data) = (&pair.model, &pair.data);
     let mut candidates = coarse::candidates(
-        (&model.t, &model.w, &model.usable),
-        (&data.t, &data.w, &data.usable),
+        (&model.t, model.w, &model.usable),
+        (&data.t, data.w, &data.usable),
         options.min_overlap_s,
     );
     if let Some((centre, half_width)) = options.search {

@@ -6,6 +6,8 @@ use crate::robust;
 
 /// Neighbours on each side.
 const SIDE: usize = 3;
+/// A sample with its neighbours.
+const NEAR: usize = 1 + 2 * SIDE;
 /// Predictions in a block whose scatter is judged together.
 const SCALE_BLOCK: usize = 64;
 
@@ -45,10 +47,10 @@ impl Samples<'_> {
     /// Predicts each usable sample that has its neighbours.
     pub(crate) fn predictions(self, usable: &[bool]) -> Vec<Against> {
         let kept = kept(usable);
-        let slopes = self.slow_slopes(&kept);
-        (0..kept.len())
-            .filter_map(|at| self.predicted(&kept, at, None, slopes[at]))
-            .collect()
+        let mut out = Vec::with_capacity(kept.len());
+        let slopes = self.slow_slopes(&kept).enumerate();
+        out.extend(slopes.filter_map(|(at, slope)| self.predicted(&kept, at, None, slope)));
+        out
     }
 
     /// Predicts the first sample of each pair without the help of the second.
@@ -58,7 +60,7 @@ impl Samples<'_> {
         pairs: &[(usize, usize)],
     ) -> Vec<Against> {
         let kept = kept(usable);
-        let slopes = self.slow_slopes(&kept);
+        let slopes: Vec<Vec3> = self.slow_slopes(&kept).collect();
         pairs
             .iter()
             .filter_map(|&(first, second)| {
@@ -80,31 +82,32 @@ impl Samples<'_> {
         // The nearest on each side close, all six not far: across a gap the
         // prediction errs in proportion to the rate of any vibration.
         let close = |i: usize| (t[k] - t[i]).abs() < 2.6 * self.step_s;
-        let length = t[near[2 * SIDE - 1]] - t[near[SIDE - 1]];
-        if !close(near[0]) || !close(near[SIDE]) || length > 4.0 * SIDE as f64 * self.step_s {
+        let length = t[near[2 * SIDE]] - t[near[SIDE]];
+        if !close(near[1]) || !close(near[1 + SIDE]) || length > 4.0 * SIDE as f64 * self.step_s {
             return None;
         }
-        let mut predicted = [0.0; 3];
-        let mut gain = 1.0;
+        // Sample minus prediction is the divided difference of all seven, but for a factor.
+        let mut products = [1.0; NEAR];
         for (i, &n) in near.iter().enumerate() {
-            let (mut above, mut below) = (1.0, 1.0);
-            for (j, &m) in near.iter().enumerate() {
-                if i != j {
-                    above *= t[k] - t[m];
-                    below *= t[n] - t[m];
-                }
-            }
-            let weight = above / below;
-            gain += weight * weight;
-            for axis in 0..3 {
-                predicted[axis] += weight * w[n][axis];
+            for (j, &m) in near[..i].iter().enumerate() {
+                let apart = t[n] - t[m];
+                products[i] *= apart;
+                products[j] *= -apart;
             }
         }
-        let scale = 1.0 / gain.sqrt();
+        let weights = products.map(f64::recip);
+        let gain: f64 = weights.iter().map(|weight| weight * weight).sum();
+        let scale = weights[0].signum() / gain.sqrt();
+        let mut error = [0.0; 3];
+        for (weight, &n) in weights.iter().zip(&near) {
+            for axis in 0..3 {
+                error[axis] += scale * weight * w[n][axis];
+            }
+        }
         Some(Against {
             index: k,
-            error: std::array::from_fn(|axis| scale * (w[k][axis] - predicted[axis])),
-            slope: slope.map(|slope| scale * slope),
+            error,
+            slope: slope.map(|slope| scale * weights[0] * slope),
         })
     }
 
@@ -114,39 +117,76 @@ impl Samples<'_> {
     /// Slow on purpose: a vibration's own derivative would correlate with the
     /// prediction errors that the vibration makes, in step with every period that
     /// fits it.
-    fn slow_slopes(self, kept: &[usize]) -> Vec<Vec3> {
+    fn slow_slopes(self, kept: &[usize]) -> impl Iterator<Item = Vec3> {
         let (t, w) = (self.t, self.w);
         let reach_s = f64::max(0.015, 4.2 * self.step_s);
+        let mut near = Near::default();
+        let mut about = 0.0;
         let (mut from, mut to) = (0, 0);
-        kept.iter()
-            .map(|&k| {
-                while t[kept[from]] < t[k] - reach_s {
-                    from += 1;
-                }
-                while to < kept.len() && t[kept[to]] <= t[k] + reach_s {
-                    to += 1;
-                }
-                let near = &kept[from..to];
-                let n = near.len() as f64;
-                let centre = near.iter().map(|&i| t[i] - t[k]).sum::<f64>() / n;
-                let mut spread = 0.0;
-                let mut slope = [0.0; 3];
-                for &i in near {
-                    let x = t[i] - t[k] - centre;
-                    spread += x * x;
-                    for axis in 0..3 {
-                        slope[axis] += x * (w[i][axis] - w[k][axis]);
-                    }
-                }
-                slope.map(|s| if spread > 0.0 { s / spread } else { 0.0 })
-            })
-            .collect()
+        kept.iter().map(move |&k| {
+            near.look_from(t[k] - about);
+            about = t[k];
+            while t[kept[from]] < about - reach_s {
+                near.count(-1.0, t[kept[from]] - about, &w[kept[from]]);
+                from += 1;
+            }
+            if from == to {
+                near = Near::default();
+            }
+            while to < kept.len() && t[kept[to]] <= about + reach_s {
+                near.count(1.0, t[kept[to]] - about, &w[kept[to]]);
+                to += 1;
+            }
+            near.slope()
+        })
+    }
+}
+
+/// Sums over the samples near a time, from which `x` is counted.
+#[derive(Default)]
+struct Near {
+    n: f64,
+    x: f64,
+    xx: f64,
+    w: Vec3,
+    xw: Vec3,
+}
+
+impl Near {
+    /// Takes a sample in (`sign` 1) or out (−1).
+    fn count(&mut self, sign: f64, x: f64, w: &Vec3) {
+        self.n += sign;
+        self.x += sign * x;
+        self.xx += sign * x * x;
+        for axis in 0..3 {
+            self.w[axis] += sign * w[axis];
+            self.xw[axis] += sign * x * w[axis];
+        }
+    }
+
+    /// The same samples from a time that is later.
+    fn look_from(&mut self, later: f64) {
+        self.xx += later * (self.n * later - 2.0 * self.x);
+        self.x -= self.n * later;
+        for axis in 0..3 {
+            self.xw[axis] -= later * self.w[axis];
+        }
+    }
+
+    /// Of the least-squares line; 0 of a single sample.
+    fn slope(&self) -> Vec3 {
+        let centre = self.x / self.n;
+        let spread = self.xx - centre * self.x;
+        let slope = |axis: usize| (self.xw[axis] - centre * self.w[axis]) / spread;
+        std::array::from_fn(|axis| if spread > 0.0 { slope(axis) } else { 0.0 })
     }
 }
 
 /// Indices of the usable samples.
 pub(crate) fn kept(usable: &[bool]) -> Vec<usize> {
-    (0..usable.len()).filter(|&k| usable[k]).collect()
+    let mut kept = Vec::with_capacity(usable.len());
+    kept.extend((0..usable.len()).filter(|&k| usable[k]));
+    kept
 }
 
 /// Marks samples as not to be used.
@@ -156,14 +196,14 @@ pub(crate) fn leave_out(usable: &mut [bool], samples: &[usize]) {
     }
 }
 
-/// The kept samples around `kept[at]` without `partner`: before it, then after
+/// `kept[at]` and the kept samples around it without `partner`: before it, then after
 /// it, each the nearest first.
-fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usize; 2 * SIDE]> {
+fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usize; NEAR]> {
     let other = |k: &usize| Some(*k) != partner;
     let before = kept[..at].iter().rev().copied().filter(other).take(SIDE);
     let after = kept[at + 1..].iter().copied().filter(other).take(SIDE);
-    let mut near = [0; 2 * SIDE];
-    let mut found = 0;
+    let mut near = [kept[at]; NEAR];
+    let mut found = 1;
     for k in before.chain(after) {
         near[found] = k;
         found += 1;
@@ -175,7 +215,7 @@ fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usiz
 pub(crate) fn noise_of(against: &[Against]) -> Vec3 {
     std::array::from_fn(|axis| {
         let errors: Vec<f64> = against.iter().map(|a| a.error[axis]).collect();
-        robust::mad_sigma(&errors)
+        robust::mad_sigma(errors)
             .filter(|sigma| sigma.is_finite())
             .unwrap_or(0.0)
     })
@@ -183,13 +223,10 @@ pub(crate) fn noise_of(against: &[Against]) -> Vec3 {
 
 /// Variance of the prediction errors around each sample: the noise, or more
 /// where the rig vibrates (from blocks of [`SCALE_BLOCK`] predictions, robust).
-pub(crate) fn local_variances(against: &[Against], noise: &Vec3) -> Vec<Vec3> {
-    let mut out = Vec::with_capacity(against.len());
-    for block in against.chunks(SCALE_BLOCK) {
+pub(crate) fn local_variances(against: &[Against], noise: &Vec3) -> impl Iterator<Item = Vec3> {
+    against.chunks(SCALE_BLOCK).flat_map(|block| {
         let local = noise_of(block);
-        let variance: Vec3 =
-            std::array::from_fn(|axis| local[axis].max(noise[axis]).powi(2).max(1e-12));
-        out.extend(std::iter::repeat_n(variance, block.len()));
-    }
-    out
+        let variance = |axis: usize| local[axis].max(noise[axis]).powi(2).max(1e-12);
+        std::iter::repeat_n(std::array::from_fn(variance), block.len())
+    })
 }

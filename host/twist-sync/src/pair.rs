@@ -25,9 +25,9 @@ const STRETCH_BLOCK_S: f64 = 0.1;
 const OUTLIER_LOW_PASS_HZ: f64 = 45.0;
 
 /// The two streams in their roles.
-pub(crate) struct Pair {
-    pub(crate) model: CheckedStream,
-    pub(crate) data: CheckedStream,
+pub(crate) struct Pair<'a> {
+    pub(crate) model: CheckedStream<'a>,
+    pub(crate) data: CheckedStream<'a>,
     pub(crate) a_is_model: bool,
     /// Stretches of both streams that were left out.
     pub(crate) left_out: Vec<LeftOut>,
@@ -50,12 +50,12 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    pub(crate) fn new(smoothing: Smoothing, pair: &Pair) -> Self {
+    pub(crate) fn new(smoothing: Smoothing, pair: &Pair<'_>) -> Self {
         let kernel_s = smoothing.kernel_sigma_s();
         let step_s = 0.75 * kernel_s;
         // Length of white noise whose variance the filter leaves, per node.
         let kernel_length_s = 2.0 * std::f64::consts::PI.sqrt() * kernel_s;
-        let in_band = |s: &CheckedStream| s.noise_variance() * s.step_s / kernel_length_s;
+        let in_band = |s: &CheckedStream<'_>| s.noise_variance() * s.step_s / kernel_length_s;
         Self {
             smoothing,
             step_s,
@@ -76,10 +76,10 @@ impl Settings {
     }
 }
 
-impl Pair {
+impl<'a> Pair<'a> {
     /// The better sampled stream is the model.
-    pub(crate) fn new(a: CheckedStream, b: CheckedStream) -> Self {
-        let key = |s: &CheckedStream| (s.usable_count() as f64, -s.noise_variance(), s.w[0][0]);
+    pub(crate) fn new(a: CheckedStream<'a>, b: CheckedStream<'a>) -> Self {
+        let key = |s: &CheckedStream<'_>| (s.usable_count() as f64, -s.noise_variance(), s.w[0][0]);
         let a_is_model = key(&a) >= key(&b);
         let (model, data) = if a_is_model { (a, b) } else { (b, a) };
         Self {
@@ -111,7 +111,7 @@ impl Pair {
         }
     }
 
-    const fn a(&self) -> &CheckedStream {
+    const fn a(&self) -> &CheckedStream<'a> {
         if self.a_is_model {
             &self.model
         } else {
@@ -207,13 +207,13 @@ impl Pair {
         let [wide_model, wide_data] = signals.resampled.each_ref().map(|r| r.smoothed(wide_hz));
         let (model, data, link) = (&self.model, &self.data, fit.link);
         let of_data = crosscheck::outliers(
-            (&data.t, &data.w, &data.usable),
+            (&data.t, data.w, &data.usable),
             &wide_model,
             |t| link.model_time(t),
             &fit.calibration,
         );
         let of_model = crosscheck::outliers(
-            (&model.t, &model.w, &model.usable),
+            (&model.t, model.w, &model.usable),
             &wide_data,
             |t| link.data_time(t),
             &calibration::regress(
@@ -284,7 +284,7 @@ impl Pair {
         };
         self.note(link, in_data, Why::TimeStep(by_s));
         let in_model = (link.model_time(in_data.0), link.model_time(in_data.1));
-        let oddness = |stream: &CheckedStream, (from, to): (f64, f64)| {
+        let oddness = |stream: &CheckedStream<'_>, (from, to): (f64, f64)| {
             stream.odd_step_near(from).max(stream.odd_step_near(to))
         };
         let of_model = oddness(&self.model, in_model) > oddness(&self.data, in_data);

@@ -404,7 +404,7 @@ impl Search<'_> {
         let Some(nodes) = nodes_at(0.0) else {
             return Why::Apart;
         };
-        let motion = rms_about_mean(&nodes);
+        let motion = fit::variance(nodes.iter().map(|n| n.y)).sqrt();
         let unexplained = self.residual(&nodes, &fit.calibration);
         let noise = NOISE * self.options.noise_variance.sqrt();
         let limit = (CAUSE * motion + noise).min(0.5 * unexplained);
@@ -495,13 +495,6 @@ impl Search<'_> {
         }
         calibration
     }
-}
-
-fn rms_about_mean(nodes: &[Node]) -> f64 {
-    let n = nodes.len().max(1) as f64;
-    let mean = nodes.iter().map(|n| n.y).sum::<Vector3<f64>>() / n;
-    let squares: f64 = nodes.iter().map(|n| (n.y - mean).norm_squared()).sum();
-    (squares / (3.0 * n)).sqrt()
 }
 
 /// Angle, rad, and axis between two rotations that are nearest to the matrices.

@@ -18,7 +18,7 @@ pub fn median_in_place(values: &mut [f64]) -> Option<f64> {
     Some(if n % 2 == 1 {
         upper
     } else {
-        let lower = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let lower = below.iter().copied().fold(f64::NEG_INFINITY, higher);
         0.5 * (lower + upper)
     })
 }
@@ -73,10 +73,12 @@ fn higher(a: f64, b: f64) -> f64 {
 
 /// Standard deviation from the median absolute deviation, as for a normal
 /// distribution; `None` without values.
-pub(crate) fn mad_sigma(values: &[f64]) -> Option<f64> {
-    let centre = median(values)?;
-    let mut deviations: Vec<f64> = values.iter().map(|v| (v - centre).abs()).collect();
-    Some(1.482_602_218_505_602 * median_in_place(&mut deviations)?)
+pub(crate) fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
+    let centre = median_in_place(&mut values)?;
+    for value in &mut values {
+        *value = (*value - centre).abs();
+    }
+    Some(1.482_602_218_505_602 * median_in_place(&mut values)?)
 }
 
 /// Least-squares line: (value at the centre, slope, centre of `x`).
@@ -107,7 +109,7 @@ mod tests {
             let local = nine[4] - without_local_median(&nine)[4];
             assert_eq!(Some(local), median(&nine));
         }
-        let sigma = mad_sigma(&[0.0, 1.0, 2.0, 3.0, 100.0]).unwrap();
+        let sigma = mad_sigma(vec![0.0, 1.0, 2.0, 3.0, 100.0]).unwrap();
         assert!((sigma - 1.4826).abs() < 1e-3);
         let (mean, slope, centre) = line(&[0.0, 1.0, 2.0], &[1.0, 3.0, 5.0]);
         assert_eq!((mean, slope, centre), (3.0, 2.0, 1.0));

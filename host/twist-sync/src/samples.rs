@@ -146,31 +146,26 @@ fn clipped(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
 /// not. Only if there are clearly more equal neighbours than that, all of them
 /// count; otherwise only those during motion that must have shown.
 fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
-    let pairs: Vec<(usize, usize)> = kept(usable)
-        .windows(2)
-        .map(|p| (p[0], p[1]))
-        .filter(|(a, b)| b - a == 1)
-        .collect();
-    let equal: Vec<(usize, usize)> = pairs
-        .iter()
-        .copied()
-        .filter(|&(a, b)| w[a] == w[b])
-        .collect();
+    let pairs = || {
+        (1..w.len())
+            .map(|k| (k - 1, k))
+            .filter(|&(a, b)| usable[a] && usable[b])
+    };
+    let equal: Vec<(usize, usize)> = pairs().filter(|&(a, b)| w[a] == w[b]).collect();
     if equal.is_empty() {
         return equal;
     }
-    let others = (pairs.len() - equal.len()).max(1) as f64;
+    let count = pairs().count();
+    let others = (count - equal.len()).max(1) as f64;
     let mut by_chance = 1.0;
     let mut resolution = [0.0; 3];
     for axis in 0..3 {
-        let same = pairs
-            .iter()
-            .filter(|&&(a, b)| w[a] != w[b] && w[a][axis] == w[b][axis])
+        let same = pairs()
+            .filter(|&(a, b)| w[a] != w[b] && w[a][axis] == w[b][axis])
             .count();
         by_chance *= same as f64 / others;
-        let least = pairs
-            .iter()
-            .map(|&(a, b)| (w[a][axis] - w[b][axis]).abs())
+        let least = pairs()
+            .map(|(a, b)| (w[a][axis] - w[b][axis]).abs())
             .filter(|&d| d > 0.0)
             .fold(f64::INFINITY, f64::min);
         resolution[axis] = f64::max(
@@ -198,7 +193,7 @@ fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
         }
     }
     let (silent, short): (Vec<_>, Vec<_>) = equal.into_iter().partition(|p| in_long_run[p.0]);
-    let plausible = by_chance * pairs.len() as f64;
+    let plausible = by_chance * count as f64;
     let all = silent.is_empty() && short.len() as f64 > 3.0 * plausible + 8.0;
     short.into_iter().filter(|p| all || moving(p)).collect()
 }

@@ -12,12 +12,12 @@ use crate::timestamps;
 const LARGEST_RATE: f64 = 1e4;
 
 /// A stream whose timestamps and samples were checked.
-pub(crate) struct CheckedStream {
+pub(crate) struct CheckedStream<'a> {
     pub(crate) stream: Stream,
     /// Clock reading at relative time zero, without the filter's delay, seconds.
     pub(crate) epoch_s: f64,
     pub(crate) t: Vec<f64>,
-    pub(crate) w: Vec<Vec3>,
+    pub(crate) w: &'a [Vec3],
     pub(crate) usable: Vec<bool>,
     /// Typical distance of samples, seconds.
     pub(crate) step_s: f64,
@@ -27,12 +27,12 @@ pub(crate) struct CheckedStream {
     pub(crate) faults: Vec<Fault>,
 }
 
-impl CheckedStream {
+impl<'a> CheckedStream<'a> {
     /// `None` with fewer than eight usable samples. With `handle_faults` off only
     /// what cannot be computed with is left out.
     pub(crate) fn new(
         stream: Stream,
-        track: &GyroTrack,
+        track: &'a GyroTrack,
         delay_s: f64,
         handle_faults: bool,
     ) -> Option<Self> {
@@ -47,7 +47,7 @@ impl CheckedStream {
             stream,
             epoch_s: track.epoch_s - delay_s,
             t: checked.t,
-            w: w.to_vec(),
+            w,
             usable: checked.usable,
             step_s: checked.step_s,
             noise: [0.0; 3],
@@ -80,7 +80,7 @@ impl CheckedStream {
         let max_gap_s = (3.6 * self.step_s).max(0.01);
         Resampled::new(
             &self.t,
-            &self.w,
+            self.w,
             &self.usable,
             self.step_s,
             max_gap_s,

@@ -17,9 +17,9 @@
 //! What it leaves open is the prior's: right on the average over swings of all periods up
 //! to twice the twist, too little for one whose period is always the worst.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
+use nalgebra::{DMatrix, Matrix2, MatrixXx3, Vector2};
 
-use crate::fit::Fit;
+use crate::fit::{Fit, Part};
 
 /// Parts of equal information.
 const PARTS: f64 = 32.0;
@@ -54,7 +54,7 @@ struct Given {
 /// Takes slow time errors into the fit: its relation and its covariance.
 pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
-    let none = given(&locals, 0.0, &shape(&locals, 1.0));
+    let none = given(&locals, 0.0, &DMatrix::zeros(locals.len(), locals.len()));
     let Some(none) = none.filter(|_| locals.len() > 6) else {
         return;
     };
@@ -109,31 +109,21 @@ fn locals(fit: &Fit, oversampling: f64) -> Vec<Local> {
     // Coloured noise counts as the fit found it.
     let colour = fit.covariance[(0, 0)] / fit.ideal_covariance[(0, 0)].max(f64::MIN_POSITIVE);
     let noise = oversampling * colour.max(1.0);
-    let weighed = |n: &crate::fit::Node| fit.weights * n.slope * n.weight;
-    let information = |n: &crate::fit::Node| weighed(n).dot(&n.slope);
-    let share = fit.nodes.iter().map(information).sum::<f64>() / PARTS;
-    let mut out = Vec::new();
-    let (mut sum, mut moment, mut score) = (0.0, 0.0, 0.0);
-    for node in &fit.nodes {
-        let own = information(node);
-        sum += own;
-        moment += own * (node.t - fit.link.at_data);
-        score += weighed(node).dot(&node.residual);
-        if sum >= share && sum > 0.0 {
-            out.push(Local {
-                u: moment / sum,
-                shift_s: score / sum,
-                variance: noise / sum,
-            });
-            (sum, moment, score) = (0.0, 0.0, 0.0);
-        }
-    }
-    out
+    let parts = fit.parts(PARTS).into_iter().filter(|part| part.is_whole);
+    let local = |part: Part| Local {
+        u: part.moment / part.information,
+        shift_s: part.score / part.information,
+        variance: noise / part.information,
+    };
+    parts.map(local).collect()
 }
 
 /// Correlation of the displacements of the parts by a swing of this length.
 fn shape(locals: &[Local], length_s: f64) -> DMatrix<f64> {
     DMatrix::from_fn(locals.len(), locals.len(), |r, c| {
+        if c > r {
+            return 0.0; // the decomposition reads the other half
+        }
         let square = ((locals[r].u - locals[c].u) / length_s).powi(2);
         (1.0 - 2.0 * square + square * square / 3.0) * (-0.5 * square).exp()
     })
@@ -149,16 +139,21 @@ fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
         (swing + if r == c { locals[r].variance } else { 0.0 }) / unit
     };
     let cholesky = DMatrix::from_fn(n, n, variance).cholesky()?;
-    let x = DMatrix::from_fn(n, 2, |r, c| if c == 0 { 1.0 } else { locals[r].u });
-    let y = DVector::from_fn(n, |r, _| locals[r].shift_s / unit.sqrt());
-    let vx = cholesky.solve(&x);
-    let normal: Matrix2<f64> = (x.transpose() * &vx).fixed_view::<2, 2>(0, 0).into_owned();
-    let right = vx.transpose() * &y;
-    let right = Vector2::new(right[0], right[1]);
+    // Shift, rate and displacement, decorrelated.
+    let mut columns = MatrixXx3::from_fn(n, |r, c| match c {
+        0 => 1.0,
+        1 => locals[r].u,
+        _ => locals[r].shift_s / unit.sqrt(),
+    });
+    if !cholesky.l_dirty().solve_lower_triangular_mut(&mut columns) {
+        return None;
+    }
+    let products = columns.tr_mul(&columns);
+    let normal: Matrix2<f64> = products.fixed_view::<2, 2>(0, 0).into_owned();
+    let right = Vector2::new(products[(0, 2)], products[(1, 2)]);
     let inverse = normal.try_inverse()?;
     let mean = inverse * right;
-    let explained = right.dot(&mean);
-    let square = y.dot(&cholesky.solve(&y)) - explained;
+    let square = products[(2, 2)] - right.dot(&mean);
     let ln_volume: f64 = cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
     Some(Given {
         mean: mean * unit.sqrt(),

@@ -25,7 +25,9 @@ use crate::robust;
 /// Below this number of jumps a sawtooth's mean is uncertain.
 const FEW_RESETS: usize = 3;
 
-/// Largest jump that is taken for a sawtooth's reset with fewer of them.
+/// Least jump that is taken for a sawtooth's reset.
+const LEAST_RESET_S: f64 = 8e-6;
+/// Largest jump that is taken for one with fewer of them.
 const LARGEST_LONE_RESET_S: f64 = 100e-6;
 
 /// Longest gap within a recording, seconds.
@@ -47,6 +49,17 @@ pub(crate) struct Timestamps {
     pub(crate) faults: Vec<Fault>,
 }
 
+impl Timestamps {
+    /// Leaves out the samples of a fault, if it has any.
+    fn leave_out(&mut self, kept: &mut Vec<usize>, fault: Fault) {
+        if !fault.samples.is_empty() {
+            leave_out(&mut self.usable, &fault.samples);
+            kept.retain(|&k| self.usable[k]);
+            self.faults.push(fault);
+        }
+    }
+}
+
 /// Checks the timestamps of one stream. `finite[k]` marks samples whose rate is
 /// finite. `None` if fewer than eight usable samples remain.
 pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timestamps> {
@@ -61,45 +74,25 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
         unresolved_s: 0.0,
         faults: Vec::new(),
     };
-    let fault = |kind, samples, action| Fault::new(stream, kind, samples, action);
-
-    let bad: Vec<usize> = (0..t.len()).filter(|&k| !out.usable[k]).collect();
-    if !bad.is_empty() {
-        out.faults
-            .push(fault(FaultKind::NotFinite, bad, Action::LeftOut));
-    }
-
-    let far = far(&out.t, &out.usable);
-    leave_out(&mut out.usable, &far);
-    if !far.is_empty() {
-        out.faults
-            .push(fault(FaultKind::TimestampFar, far, Action::LeftOut));
-    }
-
-    let disordered = out_of_order(&out.t, &out.usable);
-    leave_out(&mut out.usable, &disordered);
-    if !disordered.is_empty() {
-        let found = fault(FaultKind::TimestampOrder, disordered, Action::LeftOut);
-        out.faults.push(found);
-    }
-
     let mut kept = neighbours::kept(&out.usable);
+    let fault = |kind, samples| Fault::new(stream, kind, samples, Action::LeftOut);
+
+    let bad = (0..t.len()).filter(|&k| !out.usable[k]).collect();
+    out.leave_out(&mut kept, fault(FaultKind::NotFinite, bad));
+    let far = far(t, &kept);
+    out.leave_out(&mut kept, fault(FaultKind::TimestampFar, far));
+    let disordered = out_of_order(t, &kept);
+    out.leave_out(&mut kept, fault(FaultKind::TimestampOrder, disordered));
     if kept.len() < 8 {
         return None;
     }
-    let steps =
-        |kept: &[usize]| -> Vec<f64> { kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect() };
-    let step = robust::median(&steps(&kept)).filter(|&step| step > 0.0)?;
+    let steps: Vec<f64> = kept.windows(2).map(|p| t[p[1]] - t[p[0]]).collect();
+    let step = robust::median(&steps).filter(|&step| step > 0.0)?;
     out.step_s = step;
 
-    let outliers = isolated(&kept, &steps(&kept), step);
-    if !outliers.is_empty() {
-        leave_out(&mut out.usable, &outliers);
-        kept.retain(|&k| out.usable[k]);
-        let mut found = fault(FaultKind::TimestampOutlier, outliers, Action::LeftOut);
-        found.period = recurrence(&found.samples);
-        out.faults.push(found);
-    }
+    let mut outliers = fault(FaultKind::TimestampOutlier, isolated(&kept, &steps, step));
+    outliers.period = recurrence(&outliers.samples);
+    out.leave_out(&mut kept, outliers);
 
     correct_sawtooth(stream, &kept, &mut out);
 
@@ -109,14 +102,15 @@ pub(crate) fn check(stream: Stream, t: &[f64], finite: &[bool]) -> Option<Timest
         .map(|p| p[1])
         .collect();
     if !gaps.is_empty() {
-        out.faults.push(fault(FaultKind::Gap, gaps, Action::Noted));
+        let gaps = Fault::new(stream, FaultKind::Gap, gaps, Action::Noted);
+        out.faults.push(gaps);
     }
     Some(out)
 }
 
 /// Samples outside of the largest part of the recording.
-fn far(t: &[f64], usable: &[bool]) -> Vec<usize> {
-    let mut bulk = neighbours::kept(usable);
+fn far(t: &[f64], kept: &[usize]) -> Vec<usize> {
+    let mut bulk = kept.to_vec();
     bulk.sort_unstable_by(|&x, &y| t[x].total_cmp(&t[y]));
     let mut gap_s = LONGEST_GAP_S;
     loop {
@@ -135,19 +129,18 @@ fn far(t: &[f64], usable: &[bool]) -> Vec<usize> {
     for k in bulk {
         is_near[k] = true;
     }
-    (0..t.len()).filter(|&k| usable[k] && !is_near[k]).collect()
+    kept.iter().copied().filter(|&k| !is_near[k]).collect()
 }
 
 /// The fewest samples to remove so that the rest increases strictly.
-fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
-    let kept = neighbours::kept(usable);
+fn out_of_order(t: &[f64], kept: &[usize]) -> Vec<usize> {
     if kept.windows(2).all(|p| t[p[1]] > t[p[0]]) {
         return Vec::new();
     }
     // Patience sorting: tails[l] ends the best increasing run of length l + 1.
     let mut tails: Vec<usize> = Vec::new();
     let mut before: Vec<Option<usize>> = vec![None; t.len()];
-    for &k in &kept {
+    for &k in kept {
         let at = tails.partition_point(|&tail| t[tail] < t[k]);
         before[k] = at.checked_sub(1).map(|i| tails[i]);
         if at == tails.len() {
@@ -162,14 +155,18 @@ fn out_of_order(t: &[f64], usable: &[bool]) -> Vec<usize> {
         in_order[k] = true;
         next = before[k];
     }
-    kept.into_iter().filter(|&k| !in_order[k]).collect()
+    kept.iter().copied().filter(|&k| !in_order[k]).collect()
 }
 
 /// Samples whose timestamp alone stands off: late and then early, or the reverse.
 fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
     let deviation: Vec<f64> = steps.iter().map(|d| d - step).collect();
-    let scatter = robust::mad_sigma(&deviation).unwrap_or(0.0);
-    let threshold = (12.0 * scatter).max(0.12 * step);
+    let least = 0.12 * step;
+    if deviation.iter().all(|d| d.abs() <= least) {
+        return Vec::new();
+    }
+    let scatter = robust::mad_sigma(deviation.clone()).unwrap_or(0.0);
+    let threshold = (12.0 * scatter).max(least);
     let mut out = Vec::new();
     for i in 1..deviation.len() {
         let (before, after) = (deviation[i - 1], deviation[i]);
@@ -190,23 +187,20 @@ fn isolated(kept: &[usize], steps: &[f64], step: f64) -> Vec<usize> {
 
 fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let step = out.step_s;
-    let adjacent: Vec<(usize, f64)> = kept
+    let adjacent = kept
         .windows(2)
         .filter(|p| p[1] - p[0] == 1)
         .map(|p| (p[1], out.t[p[1]] - out.t[p[0]] - step))
-        .filter(|(_, d)| d.abs() < 0.45 * step)
-        .collect();
-    let deviation: Vec<f64> = adjacent.iter().map(|&(_, d)| d).collect();
-    if deviation.len() < 16 {
+        .filter(|(_, d)| d.abs() < 0.45 * step);
+    if adjacent.clone().all(|(_, d)| d.abs() <= LEAST_RESET_S) {
         return;
     }
-    let scatter = robust::mad_sigma(&deviation).map_or(0.2e-6, |sigma| sigma.max(0.2e-6));
-    let threshold = (8.0 * scatter).max(8e-6);
-    let jumps: Vec<(usize, f64)> = adjacent
-        .into_iter()
-        .filter(|(_, d)| d.abs() > threshold)
-        .collect();
-    if jumps.is_empty() || jumps.len() * 4 > deviation.len() {
+    let deviation: Vec<f64> = adjacent.clone().map(|(_, d)| d).collect();
+    let count = deviation.len();
+    let scatter = robust::mad_sigma(deviation).unwrap_or(0.0);
+    let threshold = (8.0 * scatter).max(LEAST_RESET_S);
+    let jumps: Vec<(usize, f64)> = adjacent.filter(|(_, d)| d.abs() > threshold).collect();
+    if count < 16 || jumps.is_empty() || jumps.len() * 4 > count {
         return;
     }
     let sizes: Vec<f64> = jumps.iter().map(|&(_, d)| d).collect();
