@@ -374,11 +374,12 @@ pub(crate) struct LocalWeights {
 
 impl LocalWeights {
     fn apply(&self, nodes: &mut [Node]) {
-        if let Some(&(_, last)) = self.stretches.last() {
-            for node in nodes {
-                let at = self.stretches.partition_point(|s| s.0 < node.t);
-                node.weight = self.stretches.get(at).map_or(last, |s| s.1);
-            }
+        let mut stretches = self.stretches.iter().peekable();
+        let mut weight = 1.0;
+        for node in nodes {
+            while stretches.next_if(|s| s.0 < node.t).is_some() {}
+            weight = stretches.peek().map_or(weight, |s| s.1);
+            node.weight = weight;
         }
     }
 }

@@ -87,10 +87,11 @@ impl Samples<'_> {
             return None;
         }
         // Sample minus prediction is the divided difference of all seven, but for a factor.
+        let times = near.map(|n| t[n]);
         let mut products = [1.0; NEAR];
-        for (i, &n) in near.iter().enumerate() {
-            for (j, &m) in near[..i].iter().enumerate() {
-                let apart = t[n] - t[m];
+        for i in 0..NEAR {
+            for j in 0..i {
+                let apart = times[i] - times[j];
                 products[i] *= apart;
                 products[j] *= -apart;
             }
@@ -196,19 +197,20 @@ pub(crate) fn leave_out(usable: &mut [bool], samples: &[usize]) {
     }
 }
 
-/// `kept[at]` and the kept samples around it without `partner`: before it, then after
-/// it, each the nearest first.
+/// `kept[at]` and the kept samples around it without `partner`, which is next to it:
+/// before it, then after it, each the nearest first.
 fn neighbours(kept: &[usize], at: usize, partner: Option<usize>) -> Option<[usize; NEAR]> {
-    let other = |k: &usize| Some(*k) != partner;
-    let before = kept[..at].iter().rev().copied().filter(other).take(SIDE);
-    let after = kept[at + 1..].iter().copied().filter(other).take(SIDE);
-    let mut near = [kept[at]; NEAR];
-    let mut found = 1;
-    for k in before.chain(after) {
-        near[found] = k;
-        found += 1;
+    let before = at.saturating_sub(usize::from(kept[..at].last().copied() == partner));
+    let after = at + 1 + usize::from(kept.get(at + 1).copied() == partner);
+    if before < SIDE || after + SIDE > kept.len() {
+        return None;
     }
-    (found == near.len()).then_some(near)
+    let mut near = [kept[at]; NEAR];
+    for i in 0..SIDE {
+        near[1 + i] = kept[before - 1 - i];
+        near[1 + SIDE + i] = kept[after + i];
+    }
+    Some(near)
 }
 
 /// White noise of one sample, per axis.

@@ -67,7 +67,7 @@ fn lower(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-fn higher(a: f64, b: f64) -> f64 {
+pub(crate) fn higher(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 

@@ -21,6 +21,7 @@ use crate::classes;
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::interpolant::Vec3;
 use crate::neighbours::{Against, Samples, kept, leave_out, local_variances, noise_of};
+use crate::robust::higher;
 
 /// Result of the checks of one stream's samples.
 #[derive(Default)]
@@ -111,27 +112,19 @@ fn clipped(w: &[Vec3], usable: &[bool]) -> Vec<usize> {
     let mut hit = vec![false; w.len()];
     for axis in 0..3 {
         for sign in [1.0, -1.0] {
-            let extreme = (0..w.len())
-                .filter(|&k| usable[k])
-                .map(|k| sign * w[k][axis])
-                .fold(0.0, f64::max);
+            let values = (0..w.len()).filter(|&k| usable[k]);
+            let values = values.map(|k| (k, sign * w[k][axis]));
+            let extreme = values.clone().map(|v| v.1).fold(0.0, higher);
             if extreme < 1.0 {
                 continue;
             }
             let level = extreme * (1.0 - 1e-6);
-            let (mut run, mut longest, mut count) = (0, 0, 0);
-            for (v, &ok) in w.iter().zip(usable) {
-                if ok && sign * v[axis] >= level {
-                    run += 1;
-                    count += 1;
-                    longest = longest.max(run);
-                } else {
-                    run = 0;
-                }
-            }
-            if longest >= 3 || (longest == 2 && count >= 6) {
-                for (k, v) in w.iter().enumerate() {
-                    hit[k] |= usable[k] && sign * v[axis] >= level;
+            let top: Vec<usize> = values.filter(|v| v.1 >= level).map(|v| v.0).collect();
+            let runs = top.chunk_by(|k, next| next - k == 1);
+            let longest = runs.map(<[usize]>::len).max().unwrap_or(0);
+            if longest >= 3 || (longest == 2 && top.len() >= 6) {
+                for k in top {
+                    hit[k] = true;
                 }
             }
         }
