@@ -69,6 +69,10 @@ enum Command {
         #[arg(long)]
         no_book: bool,
     },
+    /// Run the readers that are too large for every run of the tests (Open3D, Rerun,
+    /// LeRobot; 5.3 GB are downloaded the first time) and ROS 1's own on data sets of the
+    /// simulated rig.
+    Readers,
     /// Run trigger, IMU and strobe on the simulated board for hours, and compare
     /// every edge and sample with what it should be.
     Longrun {
@@ -209,7 +213,11 @@ fn run(command: Command) -> Result<()> {
             tracking: true,
         } => track_study(trials),
         Command::Study { trials, .. } => sync_bench::study(trials),
-        Command::Hour => hour(),
+        Command::Hour => ignored_tests("smartdepthsync-rig", "outputs::"),
+        Command::Readers => {
+            tools::ensure_readers()?;
+            ignored_tests("hil-sim", "readers::")
+        }
         Command::Dependencies => dependencies::check(),
         Command::Package => package(),
         Command::Wheel => wheel::build_and_test(),
@@ -253,16 +261,17 @@ fn test(cargo_args: &[String]) -> Result<()> {
     process::run(&mut process::cargo_with_elf(&args, &elf))
 }
 
-fn hour() -> Result<()> {
+/// Tests that take too long, or too much, for every run.
+fn ignored_tests(package: &str, name: &str) -> Result<()> {
     let args = [
         "-p",
-        "smartdepthsync-rig",
+        package,
         "--test",
         "it",
         "--",
         "--ignored",
         "--nocapture",
-        "outputs::",
+        name,
     ];
     test(&args.map(str::to_owned))
 }

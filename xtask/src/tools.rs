@@ -83,11 +83,34 @@ pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
 }
 
 /// The Python environment in `target/venv` with the packages of
-/// `xtask/python-requirements.txt`; made anew when that file changes.
+/// `xtask/python-requirements.txt`.
 pub(crate) fn ensure_python() -> Result<PathBuf> {
-    let venv = process::target_dir().join("venv");
+    ensure_environment("venv", "python-requirements.txt")
+}
+
+/// Readers that are too large for every run of the tests, each in an environment of its own in
+/// `target/readers` (two of them want different versions of one package), and ROS 1's `rosbag`
+/// for the Python of Debian.
+pub(crate) fn ensure_readers() -> Result<()> {
+    for reader in ["open3d", "rerun", "lerobot"] {
+        ensure_environment(
+            &format!("readers/{reader}"),
+            &format!("readers/{reader}.txt"),
+        )?;
+    }
+    if process::answers("/usr/bin/python3", &["-c", "import rosbag"]) {
+        return Ok(());
+    }
+    apt_install(&["python3-rosbag"])
+        .context("ROS 1's rosbag is missing; on Debian run `sudo apt-get install python3-rosbag`")
+}
+
+/// A Python environment in the target folder, with the packages that a file in `xtask/` names;
+/// made anew when that file changes.
+fn ensure_environment(name: &str, requirements: &str) -> Result<PathBuf> {
+    let venv = process::target_dir().join(name);
     let python = venv.join("bin/python3");
-    let requirements = process::root().join("xtask/python-requirements.txt");
+    let requirements = process::root().join("xtask").join(requirements);
     let wanted = fs::read_to_string(&requirements)
         .with_context(|| format!("cannot read {}", requirements.display()))?;
     let stamp = venv.join("requirements.txt");

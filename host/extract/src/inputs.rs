@@ -14,6 +14,7 @@ use phone::video_files::{self, FilesError, VideoFiles};
 use protocol::ImuSensor;
 use recording::MCAP_FILE;
 use recording::camera::{MODELS, Model};
+use recording::folder::{depth_recordings, is_mkv};
 use recording::foreign::is_bag;
 use recording::profile::{Direction, Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
@@ -443,7 +444,6 @@ fn ends_with(path: &Path, endings: &[&str]) -> bool {
 }
 
 const BAG: [&str; 2] = [".bag", ".bag.active"];
-const MKV: [&str; 1] = [".mkv"];
 
 fn board_file(path: &Path) -> Option<BoardInput> {
     if ends_with(path, &[".mcap"]) {
@@ -539,7 +539,7 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
         path: path.to_owned(),
         error,
     })?;
-    if ends_with(path, &MKV) {
+    if is_mkv(path) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else if is_bag(path) {
         Ok(DepthInput::Ros2(Ros2Bag {
@@ -553,19 +553,12 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
     }
 }
 
-/// The depth recording in a recording's folder: an MKV file, or the folder of a bag.
+/// The depth recording in a recording's folder.
 fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, InputsError> {
-    let mut found = files_in(folder, &MKV)?;
-    let fail = |error| InputsError::Io {
+    let found = depth_recordings(folder).map_err(|error| InputsError::Io {
         path: folder.to_owned(),
         error,
-    };
-    for entry in fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        if path.is_dir() && is_bag(&path) {
-            found.push(path);
-        }
-    }
+    })?;
     match found.as_slice() {
         [] => Ok(None),
         [one] => depth_file(one, topic).map(Some),

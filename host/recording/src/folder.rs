@@ -1,9 +1,10 @@
-//! The folder of a recording: a readable name that never overwrites.
+//! The folder of a recording: a readable name that never overwrites, and the depth
+//! recordings in it.
 
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-use super::RecordingError;
+use super::{RecordingError, foreign};
 
 /// How many names are tried.
 const TRIES: u32 = 1_000;
@@ -35,6 +36,34 @@ pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
         }
     }
     Err(failed(&path, ErrorKind::AlreadyExists.into()))
+}
+
+/// Whether a path is named as what the recorder of an Azure Kinect writes: `….mkv`.
+#[must_use]
+pub fn is_mkv(path: &Path) -> bool {
+    let ending = path.extension();
+    ending.is_some_and(|ending| ending.eq_ignore_ascii_case("mkv"))
+}
+
+/// The depth recordings in a recording's folder, by name: MKV files, and folders of ROS 2 bags.
+///
+/// # Errors
+///
+/// The folder cannot be read.
+pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder)? {
+        let path = entry?.path();
+        let is_depth = match path.is_dir() {
+            true => foreign::is_bag(&path),
+            false => is_mkv(&path),
+        };
+        if is_depth {
+            found.push(path);
+        }
+    }
+    found.sort();
+    Ok(found)
 }
 
 /// The name for now: local date and time, `2026-01-31_14-03-27`.

@@ -8,7 +8,7 @@
 //!   ...              twists, the phone's and the depth recorder's files
 //! ```
 //!
-//! - [`folder`]: a readable name that never overwrites.
+//! - [`folder`]: a readable name that never overwrites; the depth recordings in it.
 //! - [`profile`]: what is fixed about one rig.
 //! - [`camera`]: models of depth cameras.
 //! - [`kalibr`]: what Kalibr found, into the profile.

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use page::Level;
 use phone::adb::get_files_command;
 use phone::video_files;
+use recording::folder::depth_recordings;
 use recording::foreign;
 use recording::session_file::{
     CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, SessionFile, SessionOutcome, Verdict,
@@ -326,24 +327,18 @@ fn depth(folder: &Path, session: &SessionFile) -> Check {
     part("depth", verdict, found, next)
 }
 
-/// Name and size of the depth recording in a folder, the largest if there are several: an MKV
-/// file, or the folder of a ROS 2 bag.
+/// Name and size of the depth recording in a folder, the largest if there are several.
 fn depth_file(folder: &Path) -> Option<(String, u64)> {
-    let entries = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
-    entries
-        .filter_map(|entry| {
-            let name = entry.file_name().into_string().ok()?;
-            let path = entry.path();
-            let files = match path.is_dir() {
-                true if foreign::is_bag(&path) => foreign::parts(&path).ok()?,
-                false if name.to_ascii_lowercase().ends_with(".mkv") => vec![path],
-                _ => return None,
-            };
-            let lengths = files.iter().filter_map(|file| file.metadata().ok());
-            let bytes: u64 = lengths.map(|file| file.len()).sum();
-            (bytes > 0).then_some((name, bytes))
-        })
-        .max_by_key(|&(_, bytes)| bytes)
+    let recordings = depth_recordings(folder).ok()?.into_iter();
+    let named = recordings.filter_map(|path| {
+        let name = path.file_name()?.to_str()?.to_owned();
+        let files = foreign::parts(&path).ok()?.into_iter();
+        let bytes: u64 = files
+            .filter_map(|file| Some(file.metadata().ok()?.len()))
+            .sum();
+        (bytes > 0).then_some((name, bytes))
+    });
+    named.max_by_key(|&(_, bytes)| bytes)
 }
 
 #[cfg(test)]

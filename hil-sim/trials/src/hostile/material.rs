@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result};
 use board::imu::Sample;
 use protocol::{ImuFlags, Output, Period, Pulse, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
-use recording::messages::{Header, Imu as RosImu, RosMessage as _, Time, to_cdr};
+use recording::messages::{Imu, RosMessage as _};
 use recording::profile::{DEFAULT, Profile};
 use recording::writer::Writer;
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
@@ -19,6 +19,8 @@ use twist_sync::simulate::{self, TwistSpec};
 use super::bag::{self, Message};
 use super::{path, tool};
 
+#[path = "../../../../host/cli/tests/support/ros2_imu.rs"]
+mod ros2_imu;
 #[path = "../../../../host/cli/tests/support/session.rs"]
 mod session;
 #[path = "../../../../host/cli/tests/support/sqlite_bag.rs"]
@@ -138,8 +140,14 @@ impl Material {
         write_depth(&files.depth)?;
         let messages = published(&twist.a);
         fs::write(&files.bag, bag::bag(&messages, bag::NOT_PACKED, 1))?;
-        let messages: Result<Vec<_>> = twist.a.t.iter().zip(&twist.a.w).map(ros2_imu).collect();
-        sqlite_bag::write(&files.sqlite_bag, ("/imu", RosImu::TYPE), messages?)?;
+        let samples = twist.a.t.iter().zip(&twist.a.w);
+        let messages: Result<Vec<_>> = samples
+            .map(|(t, w)| {
+                let at = (t * 1e9) as i64;
+                Ok((at, ros2_imu::message(at, *w)?))
+            })
+            .collect();
+        sqlite_bag::write(&files.sqlite_bag, ("/imu", Imu::TYPE), messages?)?;
         Ok(Self(root.to_owned()))
     }
 
@@ -161,24 +169,6 @@ fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// A sample as a message of ROS 2.
-fn ros2_imu((t, rate): (&f64, &[f64; 3])) -> Result<(i64, Vec<u8>)> {
-    let at = (t * 1e9) as i64;
-    let imu = RosImu {
-        header: Header {
-            stamp: Time::from_nanos(at),
-            frame_id: String::from("imu"),
-        },
-        orientation: [0.0; 4],
-        orientation_covariance: [0.0; 9],
-        angular_velocity: (*rate).into(),
-        angular_velocity_covariance: [0.0; 9],
-        linear_acceleration: [0.0; 3].into(),
-        linear_acceleration_covariance: [0.0; 9],
-    };
-    Ok((at, to_cdr(&imu)?))
 }
 
 fn write_board(folder: &Path, track: &twist_sync::GyroTrack) -> Result<()> {

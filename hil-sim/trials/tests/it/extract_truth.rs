@@ -241,11 +241,15 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
     // The same without the camera's IMU: not guessed.
     let case = Case::new(&Synthetic {
         camera_imu: false,
-        ..config
+        ..config.clone()
     });
     let report = case.extract(Options::default());
     let depth = report.depth.unwrap();
-    assert!(depth.not_matched.unwrap().contains("ambiguous"));
+    let why = depth.not_matched.unwrap();
+    assert!(
+        why.contains("ambiguous") && why.contains("camera's IMU on"),
+        "{why}"
+    );
     assert_eq!(depth.images, 0);
     assert!(!case.out().join("mav0/depth0").exists());
     let loss = report
@@ -254,6 +258,18 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
         .find(|loss| loss.part == "depth")
         .unwrap();
     assert!(loss.what.contains("--depth-first-pulse"), "{}", loss.what);
+
+    // With it, but too short for it to tell: no word of switching it on.
+    let short = Case::new(&Synthetic {
+        seconds: 6,
+        ..config
+    });
+    let report = short.extract(Options::default());
+    let why = report.depth.unwrap().not_matched.unwrap();
+    assert!(
+        why.contains("ambiguous") && !why.contains("IMU on"),
+        "{why}"
+    );
 
     // The user knows it: frame 0 was made by pulse 2.
     std::fs::remove_dir_all(case.out()).unwrap();

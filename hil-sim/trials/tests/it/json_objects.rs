@@ -150,17 +150,17 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
 }
 
 /// What Kalibr writes of two cameras.
-const CHAIN: &str = "cam0:
+pub(crate) const CHAIN: &str = "cam0:
   T_cam_imu:
   - [0.0, -1.0, 0.0, 0.02]
   - [0.0, 0.0, -1.0, -0.03]
   - [1.0, 0.0, 0.0, 0.001]
   - [0.0, 0.0, 0.0, 1.0]
   camera_model: pinhole
-  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.7e-05]
+  distortion_coeffs: [0.1, -0.2, 0.001, 0.002]
   distortion_model: radtan
-  intrinsics: [1412.5, 1410.25, 958.0, 541.5]
-  resolution: [1920, 1080]
+  intrinsics: [50.0, 51.0, 31.5, 23.5]
+  resolution: [320, 180]
 cam1:
   T_cam_imu:
   - [1.0, 0.0, 0.0, -0.05]

@@ -10,24 +10,38 @@ use serde_json::json;
 
 use crate::browser;
 use crate::extract_vendor::{Case, NFOV_UNBINNED, calibration, said};
+use crate::json_objects::CHAIN;
 use crate::python;
 use crate::turn;
 use extract::geometry::View;
 use extract::inputs::Options;
 use extract::layout::Format;
-use recording::profile::{DistortionModel, Intrinsics, Pose};
+use recording::kalibr::into_profile;
+use recording::profile::{DEFAULT, Pose};
 use recording::session_file::SessionFile;
 use trials::whole_chain::Plan;
 
 fn check(script: &str, arguments: &[&Path]) {
+    check_with(python::python(), script, arguments);
+}
+
+fn check_with(python: &Path, script: &str, arguments: &[&Path]) {
     let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/python");
-    let printed = python::run_script(&scripts.join(script), arguments);
+    let printed = python::run_script_with(python, &scripts.join(script), arguments);
     assert_eq!(printed.trim(), "ok");
 }
 
-#[test]
-fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
-    let _turn = turn::beside_others();
+/// A recording of the whole chain, and what a depth recording of full size for it has.
+struct Chain {
+    case: Case,
+    /// Device times of the depth frames, µs.
+    device: Vec<i64>,
+    /// Number of frames of the video.
+    video: usize,
+    options: Options,
+}
+
+fn record() -> Chain {
     let plan = Plan {
         ball: true,
         ..Plan::new(12, 6)
@@ -45,8 +59,41 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
         ..Options::default()
     };
     let video = case.table("times/phone_frames.csv", &[0]).len();
-    bags_and_tables(&case, &device, video, &options);
-    registered(&case, &device[..120], video, &options);
+    Chain {
+        case,
+        device,
+        video,
+        options,
+    }
+}
+
+#[test]
+fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
+    let _turn = turn::beside_others();
+    let chain = record();
+    bags_and_tables(&chain);
+    registered(&chain);
+}
+
+#[test]
+#[ignore = "its readers take gigabytes: `cargo xtask readers` installs and runs them"]
+fn large_readers_find_the_same() {
+    let _turn = turn::beside_others();
+    let chain = record();
+    let [euroc, two, one, lerobot] =
+        extracted(&chain, &full_size(&chain.case, "depth", &chain.device));
+    let (calibration, color) = in_color(&chain, &part(&chain));
+    let check_large = |reader: &str, script, arguments: &[&Path]| {
+        let python = python::target().join(format!("readers/{reader}/bin/python3"));
+        check_with(&python, script, arguments);
+    };
+    let recording = chain.case.path("recording/recording.mcap");
+    let bag = two.join("ros2/data.mcap");
+    check_large("rerun", "check_rerun.py", &[&recording, &euroc, &bag]);
+    check_large("open3d", "check_open3d.py", &[&calibration, &color]);
+    let debian = Path::new("/usr/bin/python3");
+    check_with(debian, "check_rosbag.py", &[&euroc, &one.join("data.bag")]);
+    check_large("lerobot", "check_lerobot_dataset.py", &[&euroc, &lerobot]);
 }
 
 /// A depth recording of full size with these device times, beside colour.
@@ -59,17 +106,13 @@ fn full_size(case: &Case, name: &str, device: &[i64]) -> PathBuf {
     case.vendor(name, device, more)
 }
 
-fn bags_and_tables(case: &Case, device: &[i64], video: usize, options: &Options) {
-    let depth = full_size(case, "depth", device);
+/// The extraction as EuRoC, ROS 2, ROS 1 and LeRobot, with what Kalibr found of the phone.
+fn extracted(chain: &Chain, depth: &Path) -> [PathBuf; 4] {
+    let case = &chain.case;
     let mut session = SessionFile::load(&case.path("recording")).unwrap();
-    session.profile.phone.cameras = vec![Intrinsics {
-        width: 320,
-        height: 180,
-        focal: [50.0, 51.0],
-        center: [31.5, 23.5],
-        distortion: DistortionModel::Radtan,
-        coefficients: vec![0.1, -0.2, 0.001, 0.002],
-    }];
+    let (_, found) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
+    session.profile.phone.cameras = vec![found.camera];
+    session.profile.phone.from_imu = Some(found.from_imu);
     session.save(&case.path("recording")).unwrap();
 
     let formats = [
@@ -78,18 +121,27 @@ fn bags_and_tables(case: &Case, device: &[i64], video: usize, options: &Options)
         (Format::Ros1, "one"),
         (Format::Lerobot, "lerobot"),
     ];
-    for (format, out) in formats {
-        let report = case.extract_as(format, Some(&depth), out, options.clone());
+    formats.map(|(format, out)| {
+        let report = case.extract_as(format, Some(depth), out, chain.options.clone());
         let phone = report.phone.unwrap();
-        assert_eq!(phone.images, video as u64, "{:#?}", report.losses);
+        assert_eq!(phone.images, chain.video as u64, "{:#?}", report.losses);
         let colored = report.depth.unwrap().color;
         let has_place = format != Format::Lerobot;
-        assert_eq!(colored, if has_place { device.len() as u64 } else { 0 });
-    }
-    let outs = ["euroc", "two", "one", "lerobot"].map(|out| case.path(out));
-    let [euroc, two, one, lerobot] = &outs;
+        let all = chain.device.len() as u64;
+        assert_eq!(colored, if has_place { all } else { 0 });
+        case.path(out)
+    })
+}
+
+fn bags_and_tables(chain: &Chain) {
+    let Chain { case, options, .. } = chain;
+    let depth = full_size(case, "depth", &chain.device);
+    let [euroc, two, one, lerobot] = &extracted(chain, &depth);
     check("check_ros.py", &[euroc, two, one]);
     check("check_lerobot.py", &[euroc, lerobot]);
+    // The camera in the frame of the board's IMU: the inverse of Kalibr's T_cam_imu.
+    let yaml = std::fs::read_to_string(euroc.join("mav0/cam0/sensor.yaml")).unwrap();
+    assert!(yaml.contains("data: [0, 0, 1, -0.001"), "{yaml}");
 
     // A second run changes nothing, and a bag that is gone cannot come back by itself.
     let bag = case.path("one/data.bag");
@@ -114,31 +166,48 @@ fn bags_and_tables(case: &Case, device: &[i64], video: usize, options: &Options)
     assert!(error.contains("--overwrite"), "{error}");
 }
 
+/// A depth recording of the first frames: an image in colour's size takes its time.
+fn part(chain: &Chain) -> PathBuf {
+    full_size(&chain.case, "part", &chain.device[..120])
+}
+
+fn registered_to(chain: &Chain, view: View) -> Options {
+    Options {
+        view: Some(view),
+        ..chain.options.clone()
+    }
+}
+
+/// The camera's calibration, and the extraction as TUM with depth registered to colour.
+fn in_color(chain: &Chain, depth: &Path) -> (PathBuf, PathBuf) {
+    let case = &chain.case;
+    let options = registered_to(chain, View::Color);
+    let report = case.extract_as(Format::Tum, Some(depth), "color", options);
+    assert_eq!(report.depth.unwrap().images, 120, "{:#?}", report.losses);
+    let path = case.path("calibration.json");
+    std::fs::write(&path, calibration().to_string()).unwrap();
+    (path, case.path("color"))
+}
+
 /// Depth registered to colour and to the phone, as the maker's library has it.
-fn registered(case: &Case, device: &[i64], video: usize, options: &Options) {
+fn registered(chain: &Chain) {
+    let case = &chain.case;
     // Without registration the two images do not lie over one another: no associations.
     let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
     said(&plain, "no associations.txt");
     assert!(!case.path("plain/associations.txt").exists());
-    let depth = full_size(case, "part", device);
-    let to = |view| Options {
-        view: Some(view),
-        ..options.clone()
-    };
-    let report = case.extract_as(Format::Tum, Some(&depth), "color", to(View::Color));
-    let images = report.depth.as_ref().unwrap().images;
-    assert_eq!(images, device.len() as u64, "{:#?}", report.losses);
-    let path = case.path("calibration.json");
-    std::fs::write(&path, calibration().to_string()).unwrap();
-    check("check_registered.py", &[&path, &case.path("color")]);
+    let depth = part(chain);
+    let (path, color) = in_color(chain, &depth);
+    check("check_registered.py", &[&path, &color]);
 
     // To the phone it takes the profile, for the size of its images.
     let session = SessionFile::load(&case.path("recording")).unwrap();
     let of_phone = session.files.iter().find(|file| file.ends_with(".mp4"));
     let of_phone = format!("recording/{}", of_phone.unwrap());
     std::fs::remove_file(case.path(&of_phone)).unwrap();
-    case.test_picture(&of_phone, "1280x720", video);
-    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to(View::Phone));
+    case.test_picture(&of_phone, "1280x720", chain.video);
+    let to_phone = registered_to(chain, View::Phone);
+    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to_phone.clone());
     said(&refused, "phone.cameras");
     assert_eq!(refused.depth.unwrap().images, 0);
     // A phone that sees what the colour camera sees, from the same place.
@@ -156,13 +225,22 @@ fn registered(case: &Case, device: &[i64], video: usize, options: &Options) {
     session.profile.phone.from_imu = Some(pose);
     session.profile.depth.color_from_imu = Some(pose);
     session.save(&case.path("recording")).unwrap();
-    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to(View::Phone));
-    assert_eq!(report.depth.unwrap().images, device.len() as u64);
-    let phone = case.path("phone/mav0/depth0/data");
-    check("check_registered.py", &[&path, &case.path("color"), &phone]);
+    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to_phone);
+    assert_eq!(report.depth.unwrap().images, 120);
+    check(
+        "check_registered.py",
+        &[&path, &color, &case.path("phone/mav0")],
+    );
     let yaml = std::fs::read_to_string(case.path("phone/mav0/cam0/sensor.yaml")).unwrap();
     assert!(yaml.contains("distortion_model: rational"), "{yaml}");
     // The camera in the frame of the board's IMU: the inverse of from_imu.
     assert!(yaml.contains("data: [0, 0, 1, 0.1"), "{yaml}");
     assert!(yaml.contains("direction: down}"), "{yaml}");
+    // And with each image, how its rows follow one another.
+    let phone = &session.profile.phone;
+    let row_ns = (1e3 * phone.readout_us) as u32 / (phone.rows - 1);
+    let frames = std::fs::read_to_string(case.path("phone/phone_frames.csv")).unwrap();
+    let shutter = format!(",{row_ns},down");
+    let mut rows = frames.lines().skip(1);
+    assert!(rows.all(|row| row.ends_with(&shutter)), "{shutter}");
 }

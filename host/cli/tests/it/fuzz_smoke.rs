@@ -20,8 +20,7 @@ use twist_sync::simulate::{self, TwistSpec};
 
 use crate::support::documents::root;
 use crate::support::gopro::{self, Stamps};
-use crate::support::{sqlite_bag, synthetic};
-use crate::sync_command::imu;
+use crate::support::{ros2_imu, sqlite_bag, synthetic};
 
 #[path = "../../../fuzz/bodies.rs"]
 mod bodies;
@@ -118,7 +117,10 @@ fn recordings_of_gyroscopes() {
     let folder = tempfile::tempdir().unwrap();
     let bag = folder.path().join("bag.db3");
     let all = track.t.iter().zip(&track.w);
-    let messages = all.map(|(t, w)| ((t * 1e9) as i64, imu((t * 1e9) as i64, *w)));
+    let messages = all.map(|(t, w)| {
+        let at = (t * 1e9) as i64;
+        (at, ros2_imu::message(at, *w).unwrap())
+    });
     sqlite_bag::write(&bag, ("/imu", "sensor_msgs/msg/Imu"), messages).unwrap();
     seeds.push(fs::read(bag).unwrap());
     run("gyro_file", bodies::gyro_file, seeds, 1_000);

@@ -4,14 +4,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use recording::messages::{Header, Imu, Time, to_cdr};
+use recording::messages::Imu;
 use recording::rosbag2::Bag;
 use serde_json::Value;
 use twist_sync::GyroTrack;
 use twist_sync::simulate::{self, Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 
 use crate::support::gopro::{self, Stamps};
-use crate::support::{nanos, objects, phone_app};
+use crate::support::{nanos, objects, phone_app, ros2_imu};
 
 fn sync(folder: &Path, args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
@@ -42,23 +42,6 @@ fn app(path: PathBuf, track: &GyroTrack) {
     std::fs::write(path, phone_app(track)).unwrap();
 }
 
-/// A message of an IMU, in CDR.
-pub(crate) fn imu(at: i64, rate: [f64; 3]) -> Vec<u8> {
-    let imu = Imu {
-        header: Header {
-            stamp: Time::from_nanos(at),
-            frame_id: String::from("imu"),
-        },
-        orientation: [0.0; 4],
-        orientation_covariance: [0.0; 9],
-        angular_velocity: rate.into(),
-        angular_velocity_covariance: [0.0; 9],
-        linear_acceleration: [0.0; 3].into(),
-        linear_acceleration_covariance: [0.0; 9],
-    };
-    to_cdr(&imu).unwrap()
-}
-
 /// A ROS 2 bag with two IMUs, the second at rest.
 fn ros2(path: PathBuf, track: &GyroTrack) {
     let mut bag = Bag::create(std::io::BufWriter::new(
@@ -72,7 +55,8 @@ fn ros2(path: PathBuf, track: &GyroTrack) {
         for (topic, rate) in [*w, [0.0; 3]].into_iter().enumerate() {
             // Received later than measured: the header counts.
             let received = at.unsigned_abs() + 7_000_000;
-            bag.put(topic, received, &imu(at, rate)).unwrap();
+            let message = ros2_imu::message(at, rate).unwrap();
+            bag.put(topic, received, &message).unwrap();
         }
     }
     bag.finish("bag.mcap").unwrap();

@@ -7,6 +7,7 @@ pub(crate) mod gopro;
 pub(crate) mod interrupts;
 pub(crate) mod objects;
 pub(crate) mod python;
+pub(crate) mod ros2_imu;
 pub(crate) mod sqlite_bag;
 pub(crate) mod synthetic;
 

@@ -21,15 +21,13 @@ fn prepare() -> PathBuf {
         .ancestors()
         .find(|folder| folder.join("xtask").is_dir())
         .unwrap();
-    // The folder for tests lies in the target folder, wherever that is.
-    let target = Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap();
-    let venv = target.join("venv");
+    let venv = target().join("venv");
     let python = venv.join("bin/python3");
     let requirements = root.join("xtask/python-requirements.txt");
     let wanted = fs::read_to_string(&requirements).unwrap();
     let stamp = venv.join("requirements.txt");
     // Tests of several programs may come here at a time.
-    let lock = fs::File::create(target.join("venv.lock")).unwrap();
+    let lock = fs::File::create(target().join("venv.lock")).unwrap();
     lock.lock().unwrap();
     let have = fs::read_to_string(&stamp);
     if have.is_ok_and(|have| have == wanted) && python.is_file() {
@@ -63,10 +61,20 @@ fn prepare() -> PathBuf {
     python
 }
 
+/// Cargo's target folder, wherever that is: the folder for tests lies in it.
+pub(crate) fn target() -> &'static Path {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).parent().unwrap()
+}
+
 /// Runs a script with arguments and returns what it printed. A script that fails
 /// fails the test with its own words.
 pub(crate) fn run_script(script: &Path, arguments: &[&Path]) -> String {
-    let output: Output = Command::new(python())
+    run_script_with(python(), script, arguments)
+}
+
+/// The same with another interpreter.
+pub(crate) fn run_script_with(python: &Path, script: &Path, arguments: &[&Path]) -> String {
+    let output: Output = Command::new(python)
         .arg(script)
         .args(arguments)
         .output()
