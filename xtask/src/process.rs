@@ -11,8 +11,13 @@ use anyhow::{Context, Result, bail};
 /// How many tests of a program run at once.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
-/// Where `adb` and the program look for its server.
-const ADB_PORT: &str = "ANDROID_ADB_SERVER_PORT";
+/// Where `adb` and the program look for its server: where none is, and none is started,
+/// which `adb` does only on a `localhost` by that name. So tests and simulated rigs leave
+/// alone a phone that the developer's own server has, and leave no server behind.
+const NO_ADB: [(&str, &str); 2] = [
+    ("ANDROID_ADB_SERVER_ADDRESS", "127.0.0.1"),
+    ("ANDROID_ADB_SERVER_PORT", "9"),
+];
 
 /// Tells tests and tools which firmware to run.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
@@ -98,15 +103,14 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
 }
 
 /// Cargo with the firmware's ELF named in the environment. Of tests, two run on a
-/// core unless the environment says otherwise: most sessions wait for the clock. They leave
-/// alone a phone that the developer's own `adb` server has: they look for one where none is.
+/// core unless the environment says otherwise: most sessions wait for the clock.
 pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Command {
     let mut cargo = command(cargo_program());
     if env::var_os(TEST_THREADS).is_none() {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         cargo.env(TEST_THREADS, (2 * cores).to_string());
     }
-    cargo.args(args).env(ELF_VARIABLE, elf).env(ADB_PORT, "9");
+    cargo.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB);
     cargo
 }
 
@@ -134,5 +138,6 @@ pub(crate) fn build_programs() -> Result<()> {
 pub(crate) fn run_hil_sim(args: &[String], elf: &Path) -> Result<()> {
     run(command(program("hil-sim"))
         .args(args)
-        .env(ELF_VARIABLE, elf))
+        .env(ELF_VARIABLE, elf)
+        .envs(NO_ADB))
 }

@@ -11,7 +11,7 @@ use crate::process;
 
 /// What the tests need beyond Rust: ffmpeg, mkvmerge, a browser for the reports, a
 /// terminal emulator for the live view, another Cortex-M4 to compare ours with, processors of
-/// phones, and Python with public readers of the formats that we write.
+/// phones and the way to them, and Python with public readers of the formats that we write.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
     ensure_program("mkvmerge", "mkvtoolnix")?;
@@ -20,6 +20,7 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("strace", "strace")?;
     ensure_program("qemu-system-arm", "qemu-system-arm")?;
     ensure_program("qemu-aarch64", "qemu-user")?;
+    ensure_program("adb", "adb")?;
     ensure_python()?;
     Ok(())
 }

@@ -17,8 +17,7 @@ use crate::rig_config::RigParts;
 pub struct Table {
     recorder: String,
     programs: PathBuf,
-    storage: PathBuf,
-    _teller: Option<ClockTeller>,
+    _teller: ClockTeller,
     _cable: Cable,
     _folder: tempfile::TempDir,
 }
@@ -54,65 +53,24 @@ impl Table {
         let recorder = serde_json::to_string(&recorder)?;
         let programs = folder.path().join("bin");
         std::fs::create_dir(&programs).context("no folder for the rig's programs")?;
-        // Shells and TOML take it from wherever they are.
-        let storage =
-            std::path::absolute(phone.storage()).context("where is the phone's storage?")?;
         let tool = hil_sim.with_file_name("smartdepthsync");
         if tool.is_file() {
             std::os::unix::fs::symlink(tool, programs.join("smartdepthsync"))
                 .context("cannot link the host tool")?;
         }
-        let mut table = Self {
-            recorder,
-            programs,
-            storage,
-            _teller: None,
-            _cable: cable,
-            _folder: folder,
-        };
-        table.plug_phone(phone)?;
-        Ok(table)
-    }
-
-    /// Puts the phone's cable in, whose other end `adb` has.
-    ///
-    /// # Errors
-    ///
-    /// There is no port for its clock, or the program cannot be written.
-    pub fn plug_phone(&mut self, phone: &SimPhone) -> Result<()> {
+        // Shells and TOML take it from wherever they are.
+        let storage =
+            std::path::absolute(phone.storage()).context("where is the phone's storage?")?;
         let teller = phone.tell_clock(&LinkBeliefs::PHONE_USB);
         let teller = teller.context("no port for the phone's clock")?;
-        write_adb(
-            &self.programs.join("adb"),
-            &self.storage,
-            Some(teller.port()),
-        )?;
-        self._teller = Some(teller);
-        Ok(())
-    }
-
-    /// Pulls it: `adb` knows no phone any more, and the port is closed.
-    ///
-    /// # Errors
-    ///
-    /// The program cannot be written.
-    pub fn pull_phone(&mut self) -> Result<()> {
-        write_adb(&self.programs.join("adb"), &self.storage, None)?;
-        self._teller = None;
-        Ok(())
-    }
-
-    /// The processes of all programs that `adb` has started on the phone.
-    ///
-    /// # Errors
-    ///
-    /// None was started.
-    pub fn started_on_phone(&self) -> Result<Vec<i32>> {
-        let list = std::fs::read_to_string(self.programs.join("adb.started"))?;
-        let numbers = list
-            .lines()
-            .map(|line| line.parse::<i32>().context("a number"));
-        numbers.collect()
+        write_adb(&programs.join("adb"), &storage, teller.port())?;
+        Ok(Self {
+            recorder,
+            programs,
+            _teller: teller,
+            _cable: cable,
+            _folder: folder,
+        })
     }
 
     /// The table of a rig profile that names the depth recorder.
@@ -152,14 +110,13 @@ impl Table {
 }
 
 /// Writes a program that does of `adb` what the host tool asks of it, with the simulated
-/// phone's storage as the phone's, and its clock behind a port; without one there is no phone.
-/// Nothing is started on the phone: the port is there all the time.
-fn write_adb(path: &Path, storage: &Path, clock_port: Option<u16>) -> Result<()> {
+/// phone's storage as the phone's, and its clock behind a port. Nothing is started on the
+/// phone: the port is there all the time.
+fn write_adb(path: &Path, storage: &Path, clock_port: u16) -> Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
     let script = format!(
         r#"#!/bin/sh
 # The simulated phone's storage, as adb shows a phone's.
-{there} || {{ echo "adb: device 'SIMULATED' not found" >&2; exit 1; }}
 here() {{ printf %s "$1" | sed 's#/sdcard/DCIM/OpenCamera#{storage}#g'; }}
 case "$1" in
 devices) printf 'List of devices attached\nSIMULATED\tdevice\n' ;;
@@ -167,7 +124,7 @@ devices) printf 'List of devices attached\nSIMULATED\tdevice\n' ;;
     shell) case "$4" in
         'getprop ro.product.cpu.abilist') echo arm64-v8a ;;
         'chmod 755 /data/local/tmp/'*) ;;
-        /data/local/tmp/*) echo $$ >> "$0.started"; exec sleep 20 ;;
+        /data/local/tmp/*) exec sleep 20 ;;
         *) sh -c "$(here "$4")" | sed 's#{storage}#/sdcard/DCIM/OpenCamera#g' ;;
         esac ;;
     push) ;;
@@ -176,14 +133,9 @@ devices) printf 'List of devices attached\nSIMULATED\tdevice\n' ;;
     esac ;;
 esac
 "#,
-        there = clock_port.is_some(),
-        clock_port = clock_port.unwrap_or_default(),
         storage = storage.display()
     );
-    // In its place at once: a session may run it meanwhile.
-    let part = path.with_extension("part");
-    std::fs::write(&part, script)
-        .and_then(|()| std::fs::set_permissions(&part, std::fs::Permissions::from_mode(0o755)))
-        .and_then(|()| std::fs::rename(&part, path))
+    std::fs::write(path, script)
+        .and_then(|()| std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)))
         .with_context(|| format!("cannot write {}", path.display()))
 }

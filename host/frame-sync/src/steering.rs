@@ -22,6 +22,7 @@ use timebase::{BoardSeconds, ClockModel, PhoneSeconds};
 use twist_sync::tracker::{Asked, Tracker};
 
 use crate::alignment::frames_sigma_us;
+use recording::grid::Grid;
 use recording::session_file::Alignment;
 
 /// A phase is brought back within about so long, s.
@@ -153,15 +154,54 @@ impl Steering {
         changes.then_some(period)
     }
 
-    /// The board has this period from an edge on, which is on the old grid too; its fraction
-    /// is in 2⁻³² ticks.
-    pub fn follow(&mut self, edge: Ticks, fraction: u32, period: Period) {
-        let position = (u128::from(edge.0) << FRACTION_BITS) | u128::from(fraction);
-        let (number, before) = self.edge;
-        let old = u128::from(self.period.0.max(1));
-        let count = (position.saturating_sub(before) + old / 2) / old;
-        let count = u64::try_from(count).unwrap_or(u64::MAX);
-        self.edge = (number.saturating_add(count), position);
+    /// The board has this period, and `next` is an edge that it makes by it; its fraction is
+    /// in 2⁻³² ticks. Gives the grid from the first edge on that is on the old one too: where
+    /// answers were lost, `next` lies behind that.
+    pub fn follow(&mut self, next: Ticks, fraction: u32, period: Period) -> Grid {
+        let next = (u128::from(next.0) << FRACTION_BITS) | u128::from(fraction);
+        self.edge = turn(self.edge, self.period, next, period);
         self.period = period;
+        let (_, position) = self.edge;
+        Grid {
+            anchor: Ticks((position >> FRACTION_BITS) as u64),
+            fraction: position as u32,
+            period,
+        }
+    }
+}
+
+/// The edge at which a train has gone from one period to another: its number and where it
+/// is, in 2⁻³² ticks. `edge` is one before, `next` one that is not.
+fn turn((number, edge): (u64, u128), old: Period, next: u128, new: Period) -> (u64, u128) {
+    let apart = u128::from(old.0.max(1));
+    let count = (next.saturating_sub(edge) + apart / 2) / apart;
+    // Each period since is longer than an old one by as much.
+    let beyond = next as i128 - (edge + count * apart) as i128;
+    let each = i128::from(new.0) - i128::from(old.0);
+    let since = match (beyond.checked_rem(each), beyond.checked_div(each)) {
+        (Some(0), Some(since)) => u128::try_from(since).unwrap_or(0).min(count),
+        // On neither grid: nothing else is known of the train.
+        _ => 0,
+    };
+    let count = u64::try_from(count - since).unwrap_or(u64::MAX);
+    let position = next.saturating_sub(since * u128::from(new.0));
+    (number.saturating_add(count), position)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The answer to a step may come late, or be that to its repetition.
+    #[test]
+    fn a_step_is_found_at_its_edge_however_late_it_is_told() {
+        let begin = (7, (9_000_000_000 << FRACTION_BITS) | 5);
+        let old = Period(1_600_000 << FRACTION_BITS | 77);
+        for (late, more) in [(0, 2_000_000_001), (1, -3), (61, 2_000_000_001), (200, -7)] {
+            let new = Period(old.0.wrapping_add_signed(more));
+            let turned = begin.1 + 35 * u128::from(old.0);
+            let told = turned + late * u128::from(new.0);
+            assert_eq!(turn(begin, old, told, new), (7 + 35, turned), "{late}");
+        }
     }
 }

@@ -26,6 +26,9 @@ const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
 /// How long `adb` may take to answer; a copy may take longer.
 const PATIENCE: Duration = Duration::from_secs(30);
 
+/// How long tidying up may take.
+const MOMENT: Duration = Duration::from_secs(2);
+
 /// How often `adb` is looked at.
 const POLL: Duration = Duration::from_millis(20);
 
@@ -235,6 +238,10 @@ impl<'a> Adb<'a> {
         &self.program
     }
 
+    pub(crate) const fn stop(&self) -> &StopSignal {
+        self.stop
+    }
+
     /// The one phone that is ready.
     pub(crate) fn only_device(&self) -> Result<String, AdbError> {
         let devices = ready(&self.run(&["devices"], Some(PATIENCE))?)?;
@@ -252,6 +259,18 @@ impl<'a> Adb<'a> {
     /// Runs the program for a phone; gives what it prints.
     pub(crate) fn run_for(&self, device: &str, what: &[&str]) -> Result<String, AdbError> {
         self.run(&[&["-s", device], what].concat(), Some(PATIENCE))
+    }
+
+    /// Removes a file of the phone as far as that can be done in a moment, also where the
+    /// caller is to stop.
+    pub(crate) fn remove(&self, device: &str, file: &str) {
+        let adb = Adb {
+            program: self.program.clone(),
+            stop: &StopSignal::default(),
+        };
+        let line = format!("rm -f {file}");
+        // A phone that is gone has lost more than this.
+        let _ = adb.run(&["-s", device, "shell", &line], Some(MOMENT));
     }
 
     pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {
@@ -350,15 +369,14 @@ impl<'a> Adb<'a> {
             if let Some(status) = child.try_wait().map_err(io)? {
                 break status;
             }
-            let late = patience.is_some_and(|patience| begun.elapsed() >= patience);
-            if late || self.stop.is_set() {
+            let late = patience.filter(|&patience| begun.elapsed() >= patience);
+            if late.is_some() || self.stop.is_set() {
                 // It may have ended just now.
                 let _ = child.kill();
                 let _ = child.wait();
-                return Err(match late {
-                    true => failed(format!("no answer within {PATIENCE:?}")),
-                    false => AdbError::Cancelled,
-                });
+                return Err(late.map_or(AdbError::Cancelled, |patience| {
+                    failed(format!("no answer within {patience:?}"))
+                }));
             }
             std::thread::sleep(POLL);
         };

@@ -13,7 +13,7 @@
 //! [`phone_agent::PATIENCE_S`] seconds. The forwarded port, which is the computer's, is
 //! given back by [`Agent`]'s end; after a SIGKILL the `adb` server keeps it until it ends.
 
-use std::io::{Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddr, TcpStream};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -39,6 +39,9 @@ const EVERY: Duration = Duration::from_millis(20);
 
 /// An answer that is later than this is of no use, and its connection is given up.
 const LATE: Duration = Duration::from_secs(2);
+
+/// The longest single wait for an answer: how soon a request to stop is seen.
+const SLICE: Duration = Duration::from_millis(100);
 
 /// How long the program may take to start.
 const START: Duration = Duration::from_secs(5);
@@ -90,8 +93,13 @@ fn program_for(processor: &str) -> Option<PathBuf> {
 }
 
 impl Running {
-    /// Copies it to the phone, starts it there, and finds a port to it.
-    fn start(adb: &Adb<'_>, device: &str) -> Result<Self, AdbError> {
+    /// Copies it to the phone, starts it there, and asks it until it answers. Where it does
+    /// not, its file is removed.
+    fn start(
+        adb: &Adb<'_>,
+        device: &str,
+        now: fn() -> Duration,
+    ) -> Result<(Self, TcpStream), AdbError> {
         let said = adb.shell(device, "getprop ro.product.cpu.abilist")?;
         let programs = said.trim().split(',').find_map(program_for);
         let Some(program) = programs else {
@@ -105,7 +113,20 @@ impl Running {
                 .map_or(0, |since| u64::from(since.subsec_nanos()));
         let socket = format!("{NAME}-{number:x}");
         let file = format!("{FOLDER}/{socket}");
-        adb.run_for(device, &["push", &program.to_string_lossy(), &file])?;
+        let pushed = adb.run_for(device, &["push", &program.to_string_lossy(), &file]);
+        let started = pushed.and_then(|_| {
+            let running = Self::launch(adb, device, &file, &socket)?;
+            let stream = first_answer(running.port, now, adb.stop())?;
+            Ok((running, stream))
+        });
+        if started.is_err() {
+            adb.remove(device, &file);
+        }
+        started
+    }
+
+    /// Starts what was copied, and finds a port to it.
+    fn launch(adb: &Adb<'_>, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
         adb.shell(device, &format!("chmod 755 {file}"))?;
         let mut shell = Command::new(adb.program())
             .args(["-s", device, "shell", &format!("{file} {socket}")])
@@ -168,8 +189,7 @@ impl Agent {
     pub fn start(now: fn() -> Duration, stop: &StopSignal) -> Result<Self, AdbError> {
         let adb = Adb::find(stop)?;
         let device = adb.only_device()?;
-        let running = Running::start(&adb, &device)?;
-        let stream = first_answer(running.port, now, stop)?;
+        let (running, stream) = Running::start(&adb, &device, now)?;
         let ends = Arc::new(AtomicBool::new(false));
         let ended = {
             let (ends, stop) = (Arc::clone(&ends), stop.clone());
@@ -217,7 +237,7 @@ fn connect(port: u16) -> std::io::Result<TcpStream> {
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, port));
     let stream = TcpStream::connect_timeout(&address, LATE)?;
     stream.set_nodelay(true)?;
-    stream.set_read_timeout(Some(LATE))?;
+    stream.set_read_timeout(Some(SLICE))?;
     stream.set_write_timeout(Some(LATE))?;
     Ok(stream)
 }
@@ -232,7 +252,7 @@ fn first_answer(
     let begun = Instant::now();
     loop {
         let tried = connect(port).and_then(|mut stream| {
-            let answered = exchange(&mut stream, 0, now)?;
+            let answered = exchange(&mut stream, 0, now, stop)?;
             Ok((stream, answered))
         });
         match tried {
@@ -244,13 +264,13 @@ fn first_answer(
                     reason: String::from("something else than our program answers"),
                 });
             }
+            Err(_) if stop.is_set() => return Err(AdbError::Cancelled),
             Err(error) if begun.elapsed() > START => {
                 return Err(AdbError::Failed {
                     command: String::from("shell (the agent)"),
                     reason: format!("no answer within {START:?}: {error}"),
                 });
             }
-            Err(_) if stop.is_set() => return Err(AdbError::Cancelled),
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -261,12 +281,12 @@ fn exchange(
     stream: &mut TcpStream,
     nonce: u64,
     now: fn() -> Duration,
+    stop: &StopSignal,
 ) -> std::io::Result<Result<PhoneExchange, Wrong>> {
     let sent = now();
     stream.write_all(&question(nonce))?;
-    let mut bytes = [0; ANSWER];
     loop {
-        stream.read_exact(&mut bytes)?;
+        let bytes = read_answer(stream, stop)?;
         let received = now();
         match Answer::read(&bytes) {
             Err(wrong) => return Ok(Err(wrong)),
@@ -281,6 +301,27 @@ fn exchange(
             }
         }
     }
+}
+
+/// The next answer's bytes, unless it is late, or nobody wants it any more.
+fn read_answer(stream: &mut TcpStream, stop: &StopSignal) -> std::io::Result<[u8; ANSWER]> {
+    let begun = Instant::now();
+    let mut bytes = [0; ANSWER];
+    let mut rest = bytes.as_mut_slice();
+    while !rest.is_empty() {
+        match stream.read(rest) {
+            Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+            Ok(count) => rest = rest.get_mut(count..).unwrap_or_default(),
+            Err(error) => {
+                use ErrorKind::{Interrupted, TimedOut, WouldBlock};
+                let waits = matches!(error.kind(), Interrupted | TimedOut | WouldBlock);
+                if !waits || stop.is_set() || begun.elapsed() >= LATE {
+                    return Err(error);
+                }
+            }
+        }
+    }
+    Ok(bytes)
 }
 
 /// Asks until it is to stop; what cannot be asked is silence. Where the program does not
@@ -305,7 +346,7 @@ fn ask(
             open = again(&device, now, stop);
             continue;
         };
-        match exchange(stream, nonce, now) {
+        match exchange(stream, nonce, now, stop) {
             Ok(Ok(exchange)) => {
                 if sender.send(exchange).is_err() {
                     return;
@@ -323,7 +364,5 @@ fn ask(
 /// Starts the program anew, if the phone is there.
 fn again(device: &str, now: fn() -> Duration, stop: &StopSignal) -> Option<(Running, TcpStream)> {
     let adb = Adb::find(stop).ok()?;
-    let running = Running::start(&adb, device).ok()?;
-    let stream = first_answer(running.port, now, stop).ok()?;
-    Some((running, stream))
+    Running::start(&adb, device, now).ok()
 }

@@ -8,6 +8,7 @@ use protocol::{CaptureChannel, Edge, Ticks};
 
 use super::RecordingError;
 use super::diagnostics::diagnostics;
+use super::grid::Grid;
 use super::messages::{
     BoardRun, Capture, ClockExchange, ClockModel, Header, Imu, LinkFrame, Log, Pulse, Temperature,
     Time, TimeReference, TriggerPeriod,
@@ -276,24 +277,23 @@ impl<O: Output> Publisher<O> {
     }
 
     /// The trigger has another period from an edge on, with the phase before it in µs and
-    /// its 1-sigma; `grid` is the edge's tick and fraction, and the period.
+    /// its 1-sigma.
     ///
     /// # Errors
     ///
     /// As [`Publisher::imu`].
     pub fn trigger_period(
         &mut self,
-        grid: (Ticks, u32, protocol::Period),
+        grid: Grid,
         (phase_us, phase_sigma_us): (f64, f64),
     ) -> Result<(), RecordingError> {
-        let (edge, fraction, period) = grid;
         self.put(
-            edge,
+            grid.anchor,
             Item::Period(TriggerPeriod {
-                header: header(edge, "board"),
-                ticks: edge.0,
-                fraction,
-                period_q32: period.0,
+                header: header(grid.anchor, "board"),
+                ticks: grid.anchor.0,
+                fraction: grid.fraction,
+                period_q32: grid.period.0,
                 phase_us,
                 phase_sigma_us,
             }),

@@ -3,6 +3,7 @@
 //! Every test that runs for more than a moment takes its turn (`turn.rs`).
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod adb_phone;
 mod bring_up;
 #[path = "../../../../host/cli/tests/support/browser.rs"]
 mod browser;

@@ -2,6 +2,10 @@
 //! trigger's period is in the recording and within its bounds, and a phone that falls silent
 //! is told.
 
+use std::process::Command;
+
+use crate::adb_phone::AdbPhone;
+use crate::support::smartdepthsync;
 use crate::turn;
 use crate::whole_rig::{Session, WholeRig};
 use protocol::Period;
@@ -12,6 +16,10 @@ use rustix::process::Signal;
 
 /// Sessions that follow a clock pass as fast as the computer's.
 const SPEED: f64 = 1.0;
+
+// Exit codes, as docs/exit-codes.md has them.
+const PHONE: i32 = 12;
+const INTERRUPTED: i32 = 130;
 
 #[test]
 fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
@@ -64,37 +72,88 @@ fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
     rig.rig.stop().unwrap();
 }
 
-/// The phone's cable is pulled until its program there has ended, and put back.
+/// What the computer's boot clock reads, ns, to a hundredth of a second.
+fn boot_ns() -> i64 {
+    let text = std::fs::read_to_string("/proc/uptime").unwrap();
+    let seconds: f64 = text.split(' ').next().unwrap().parse().unwrap();
+    (seconds * 1e9) as i64
+}
+
+/// With Debian's `adb`, and the program for phones as it is: it reads the computer's clock,
+/// which the simulated phone then has.
 #[test]
-fn a_phone_that_comes_back_is_followed_again_and_nothing_is_left_running() {
-    let _turn = turn::alone();
-    let rig = WholeRig::new(18, SPEED);
-    let program = env!("CARGO_BIN_EXE_hil-sim");
-    let mut table = Table::new(rig.rig.parts(), rig.phone(), program.as_ref()).unwrap();
+fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left() {
+    let turn = turn::alone();
+    let begun = boot_ns();
+    let rig = WholeRig::with(18, SPEED, |_, phone| {
+        phone.clock.offset_ns = begun;
+        phone.clock.rate_ppm = 0.0;
+    });
+    let phone = AdbPhone::new(rig.phone().storage(), "qemu-aarch64");
     // Without a length: how long a busy computer takes to all this is not known.
     let mut command = rig.record("pulled", &["--track"]);
-    command.env("PATH", table.search_path());
-    let mut session = Session::start(&mut command);
+    let mut session = Session::start(phone.show(&mut command));
     session.wait_for(", locked");
-    table.pull_phone().unwrap();
+    let forwarded = phone.adb(&["forward", "--list"]);
+    assert!(forwarded.contains(&phone.serial()), "{forwarded}");
+    phone.pull();
     session.wait_for("the phone's clock is not heard any more");
-    table.plug_phone(rig.phone()).unwrap();
+    phone.plug();
+    phone.wait_for_programs(2);
     session.wait_for("the phone's clock is followed again");
     session.signal(Signal::INT);
     let (_, said) = session.end();
+    drop(turn);
 
-    let recorded = SessionFile::load(&rig.recording("pulled")).unwrap();
+    let folder = rig.recording("pulled");
+    let recorded = SessionFile::load(&folder).unwrap();
     assert_eq!(recorded.outcome, Some(SessionOutcome::Interrupted));
+    let tracking = recorded.tracking.unwrap();
+    assert_eq!(tracking.device, phone.serial());
     // A computer that stands still for seconds loses it once more.
-    assert!(recorded.tracking.unwrap().lost >= 1, "{said}");
+    assert!(tracking.lost >= 1, "{said}");
     // What the session notes by itself does not divide the data set.
     assert!(recorded.markers.is_empty(), "{:?}", recorded.markers);
-    let started = table.started_on_phone().unwrap();
-    assert!(started.len() >= 2, "{said}");
-    for number in started {
-        let process = rustix::process::Pid::from_raw(number).unwrap();
-        let runs = rustix::process::test_kill_process(process);
-        assert!(runs.is_err(), "{number} still runs");
-    }
+    let items = Reader::open(&folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().item);
+    let told: Vec<_> = items
+        .filter_map(|item| match item {
+            Item::Exchange(told) if told.header.frame_id != "board" => Some(told.clock_ns),
+            _ => None,
+        })
+        .collect();
+    assert!(told.len() > 100, "{} exchanges", told.len());
+    let span = begun..boot_ns() + 10_000_000;
+    assert!(told.iter().all(|clock_ns| span.contains(clock_ns)));
+
+    // The files of the video come through it too.
+    rig.phone().wait_saved().unwrap();
+    let phase = recorded.video.unwrap().phase.0.to_string();
+    let mut command = Command::new(smartdepthsync());
+    command.args(["phone", "get-files", "--phase", &phase, "--out"]);
+    let output = phone.show(command.arg(&folder)).output().unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let found = phone::video_files::find(&folder, None).unwrap().unwrap();
+    assert_eq!(found.missing(), ["video (.mp4)"]);
+    phone.wait_until_clean();
+    rig.rig.stop().unwrap();
+}
+
+/// A phone on which the program does not run, as where it may not.
+#[test]
+fn ctrl_c_leaves_nothing_on_a_phone_whose_program_does_not_answer() {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(19, SPEED);
+    let phone = AdbPhone::new(rig.phone().storage(), "false");
+    let mut command = rig.record("silent", &["--track"]);
+    let session = Session::start(phone.show(&mut command));
+    phone.wait_for_programs(1);
+    session.signal(Signal::INT);
+    let (status, said) = session.end();
+    // A computer that stands still for seconds has given it up by itself.
+    let codes = [INTERRUPTED, PHONE].map(Some);
+    assert!(codes.contains(&status.code()), "{status}: {said}");
+    phone.wait_until_clean();
     rig.rig.stop().unwrap();
 }

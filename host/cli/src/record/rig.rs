@@ -164,16 +164,21 @@ impl<'a> Rig<'a> {
     /// # Errors
     ///
     /// The board refuses or does not answer; or as [`Rig::pump`].
-    pub fn call<T>(
+    pub fn call<T>(&mut self, call: impl FnMut(&mut Board) -> board::Result<T>) -> Result<T, Stop> {
+        Ok(self.try_call(call)??)
+    }
+
+    /// The same, for who can go on without the answer.
+    pub(super) fn try_call<T>(
         &mut self,
         mut call: impl FnMut(&mut Board) -> board::Result<T>,
-    ) -> Result<T, Stop> {
+    ) -> Result<board::Result<T>, Stop> {
         match call(&mut self.link.board) {
             Err(BoardError::Link(error)) => {
                 self.take_up_link(&error)?;
-                Ok(call(&mut self.link.board)?)
+                Ok(call(&mut self.link.board))
             }
-            other => Ok(other?),
+            other => Ok(other),
         }
     }
 

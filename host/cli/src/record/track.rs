@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use phone::agent::Agent;
 use phone::client::StopSignal;
-use protocol::{Output, Ticks};
+use protocol::{Output, Period, Ticks};
 use serde::Serialize;
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
@@ -31,7 +31,6 @@ use recording::session_file::TrackInfo;
 use recording::writer::Severity;
 use timebase::ClockModel;
 use timebase::runs::Asking;
-use verify::watch::Grid;
 
 /// The board is asked so often.
 const ASK_EVERY: Duration = Duration::from_millis(40);
@@ -91,6 +90,38 @@ struct Following {
     steering: Steering,
     stepped: Duration,
     is_lost: bool,
+    /// The board was asked for it, and may have taken it.
+    unanswered: Option<Step>,
+}
+
+/// Another period.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Step {
+    period: Period,
+    /// The phase before it, and its 1-sigma, µs.
+    phase_us: f64,
+    sigma_us: f64,
+}
+
+impl Following {
+    /// The step that the board is to be asked for. One without an answer comes before any other,
+    /// whatever is known of the clocks by now: to ask for it again does nothing more, and its
+    /// answer says which grid the trigger is on.
+    fn due(&mut self, clock: Option<&ClockModel>, now: Duration, at: Ticks) -> Option<Step> {
+        if self.unanswered.is_none() {
+            let since_s = now.saturating_sub(self.stepped).as_secs_f64();
+            let clock = clock.filter(|_| since_s >= STEP_EVERY_S)?;
+            self.stepped = now;
+            let steering = &self.steering;
+            let period = steering.wanted(clock, at, since_s)?;
+            self.unanswered = Some(Step {
+                period,
+                phase_us: steering.phase_s(clock, at) * 1e6,
+                sigma_us: steering.phase_sigma_us(clock, at.into()),
+            });
+        }
+        self.unanswered
+    }
 }
 
 /// Starts the program on the phone, if that is wanted and can be.
@@ -261,6 +292,7 @@ pub(super) fn follow(rig: &mut Rig<'_>) {
             steering: Steering::new(alignment, ratio),
             stepped: now,
             is_lost: false,
+            unanswered: None,
         });
     }
 }
@@ -283,46 +315,42 @@ pub(super) fn steer(rig: &mut Rig<'_>) -> Result<(), Stop> {
         tell_lock(rig, holds)?;
         return Ok(());
     }
-    let since_s = now.saturating_sub(following.stepped).as_secs_f64();
-    let Some(relation) = relation.filter(|_| holds && since_s >= STEP_EVERY_S) else {
+    let relation = relation.filter(|_| holds);
+    let Some(step) = following.due(relation.as_ref(), now, board_now) else {
         return Ok(());
     };
-    following.stepped = now;
-    let steering = &following.steering;
-    let phase_us = steering.phase_s(&relation, board_now) * 1e6;
-    let sigma_us = steering.phase_sigma_us(&relation, board_now.into());
-    let Some(period) = steering.wanted(&relation, board_now, since_s) else {
+    // A link that breaks is taken up here: what came meanwhile waits in the board's queue
+    // until it is known on which grid it is.
+    let answer = rig.try_call(|board| board.set_period(Output::Camera, step.period))?;
+    let tracking = rig.tracking.as_mut();
+    let Some(following) = tracking.and_then(|tracking| tracking.following.as_mut()) else {
+        // The board was reset meanwhile.
         return Ok(());
     };
-    let status = match rig.link.board.set_period(Output::Camera, period) {
+    let status = match answer {
         Ok(status) => status,
-        // The link is taken up again by whoever pumps. The next step sets a period anew, but
-        // for a board that was reset, where this ends.
-        Err(
-            BoardError::Link(_)
-            | BoardError::NoAnswer { .. }
-            | BoardError::Silent
-            | BoardError::Refused { .. },
-        ) => return Ok(()),
+        Err(BoardError::Link(_) | BoardError::NoAnswer { .. } | BoardError::Silent) => {
+            return Ok(());
+        }
+        // Of a board that was reset, which its messages will say.
+        Err(BoardError::Refused { .. }) => {
+            following.unanswered = None;
+            return Ok(());
+        }
         Err(error) => return Err(error.into()),
     };
-    let edge = rig.link.axis.recorded(status.next_edge);
-    let fraction = status.next_fraction;
-    if let Some(following) = rig.tracking.as_mut().and_then(|t| t.following.as_mut()) {
-        following.steering.follow(edge, fraction, period);
-    }
+    following.unanswered = None;
+    let next = rig.link.axis.recorded(status.next_edge);
+    let steering = &mut following.steering;
+    let grid = steering.follow(next, status.next_fraction, step.period);
     if let Some(watch) = &mut rig.observers.watch {
-        watch.follow(Grid {
-            anchor: edge,
-            fraction,
-            period,
-        });
+        watch.follow(grid);
     }
     if let Some(info) = &mut rig.journal.file.tracking {
         info.steps += 1;
     }
     rig.journal
-        .write(|writer, _| writer.trigger_period((edge, fraction, period), (phase_us, sigma_us)))
+        .write(|writer, _| writer.trigger_period(grid, (step.phase_us, step.sigma_us)))
 }
 
 /// The lock was lost, or is there again. Both stand in the recording's log with their times;
@@ -352,5 +380,58 @@ pub(super) fn give_up(rig: &mut Rig<'_>) -> Result<(), Stop> {
             "track_ended",
             "the board was reset: the phone's clock is not followed from here on",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use frame_sync::alignment::plan;
+    use frame_sync::twists::Twists;
+    use recording::session_file::Video;
+    use timebase::{BoardSeconds, PhoneNanos, Wander};
+
+    #[test]
+    fn a_step_without_an_answer_is_asked_for_again_before_any_other() {
+        let clock = ClockModel {
+            reference: BoardSeconds(100.0),
+            offset: 5.0,
+            skew: 1e-5,
+            covariance: [[1e-12, 0.0], [0.0, 1e-14]],
+            wander: Wander::default(),
+        };
+        let video = Video {
+            phase: PhoneNanos(106_000_000_000),
+            frame_duration_ns: 1e9 / 30.0,
+            exposure_ns: Some(1_000_000),
+        };
+        let profile = Profile::published().unwrap();
+        let planned = plan(&profile, &Twists::of(clock).course(), &video).unwrap();
+        let mut following = Following {
+            steering: Steering::new(&planned.alignment, profile.frame_ratio()),
+            stepped: Duration::ZERO,
+            is_lost: false,
+            unanswered: None,
+        };
+        let warmer = ClockModel {
+            skew: 1.1e-5,
+            ..clock
+        };
+        let at = |seconds| {
+            (
+                Duration::from_secs(seconds),
+                BoardSeconds(100.0 + seconds as f64).ticks(),
+            )
+        };
+        let (now, board) = at(10);
+        let step = following.due(Some(&warmer), now, board).unwrap();
+        // No answer; and then the phone is not heard any more.
+        let (now, board) = at(16);
+        assert_eq!(following.due(Some(&clock), now, board), Some(step));
+        assert_eq!(following.due(None, now, board), Some(step));
+        following.unanswered = None;
+        assert_eq!(following.due(None, now, board), None);
+        let other = following.due(Some(&clock), now, board).unwrap();
+        assert_ne!(other.period, step.period);
     }
 }

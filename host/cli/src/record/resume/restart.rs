@@ -241,18 +241,15 @@ impl Rig<'_> {
         if let Some(run) = self.journal.file.runs.last_mut() {
             run.anchor = Some(anchor);
         }
-        let period = grid.period;
-        self.observers.watch = Some(Watch::new(
-            Grid {
-                anchor,
-                fraction: 0,
-                period,
-            },
+        let grid = Grid {
             anchor,
-        ));
+            fraction: 0,
+            period: grid.period,
+        };
+        self.observers.watch = Some(Watch::new(grid, anchor));
         // The period that was followed is not the alignment's.
         self.journal
-            .write(|writer, _| writer.trigger_period((anchor, 0, period), (f64::NAN, f64::NAN)))?;
+            .write(|writer, _| writer.trigger_period(grid, (f64::NAN, f64::NAN)))?;
         let text = "the trigger runs on its former grid again";
         self.journal.info("trigger_restarted", text)?;
         self.journal.save()?;
