@@ -241,7 +241,7 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
     // The same without the camera's IMU: not guessed.
     let case = Case::new(&Synthetic {
         camera_imu: false,
-        ..config.clone()
+        ..config
     });
     let report = case.extract(Options::default());
     let depth = report.depth.unwrap();
@@ -258,18 +258,6 @@ fn a_regular_train_is_settled_by_the_cameras_gyroscope_or_said_to_be_ambiguous()
         .find(|loss| loss.part == "depth")
         .unwrap();
     assert!(loss.what.contains("--depth-first-pulse"), "{}", loss.what);
-
-    // With it, but too short for it to tell: no word of switching it on.
-    let short = Case::new(&Synthetic {
-        seconds: 6,
-        ..config
-    });
-    let report = short.extract(Options::default());
-    let why = report.depth.unwrap().not_matched.unwrap();
-    assert!(
-        why.contains("ambiguous") && !why.contains("IMU on"),
-        "{why}"
-    );
 
     // The user knows it: frame 0 was made by pulse 2.
     std::fs::remove_dir_all(case.out()).unwrap();

@@ -204,6 +204,10 @@ fn a_regular_train_is_ambiguous_and_a_hint_settles_it() {
         panic!("{error:?}");
     };
     assert!(left.first <= 2 && left.last >= 100, "{left:?}");
+    // Whoever had the camera's IMU on is not told to switch it on.
+    let told = |has_imu| MatchError::Ambiguous(Ambiguity { has_imu, ..left }).to_string();
+    assert!(told(false).contains("with the camera's IMU on"));
+    assert!(!told(true).contains("IMU on") && told(true).contains("turning by hand"));
 
     let given = match_frames(&frames, &pulses, Some(Hint::FirstPulse(2))).unwrap();
     assert!(matches!(given.decision, Decision::Hint { left } if left > 90));
