@@ -56,6 +56,8 @@ fn a_board_whose_numbers_do_not_follow_is_told_and_not_called_without_loss() {
         let liar = Liar::honest(rig.rig.port()).unwrap();
         let mut session = Session::start(&mut behind(&rig, &liar, name));
         session.wait_for("recording for");
+        // What it counts from is true.
+        rig.wait_ms(500);
         liar.tell("Imu", count, change);
         let said = session.ends_with(LOSS);
         assert!(said.contains("IMU samples came twice"), "{said}");

@@ -134,10 +134,11 @@ impl WholeRig {
     }
 
     /// A phone that was left recording by a session that died is stopped by its
-    /// owner.
+    /// owner. Right behind its start the app ignores a press.
     pub(crate) fn stop_phone(&self) {
-        if self.phone().is_recording() {
+        while self.phone().is_recording() {
             self.phone().press_record();
+            self.wait_ms(100);
         }
     }
 }
