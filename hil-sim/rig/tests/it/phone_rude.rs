@@ -25,9 +25,12 @@ fn until(what: &str, mut is: impl FnMut() -> bool) {
     }
 }
 
-/// The session of the video before is closed, which its time has come for.
+/// Lets true time pass until the session of the video before is closed.
 fn until_free(bench: &Bench, phone: &mut Raw) {
-    until("the sensors are free", || bench.ask(phone, IMU) != BUSY);
+    until("the sensors are free", || {
+        bench.pass(0.05);
+        bench.ask(phone, IMU) != BUSY
+    });
 }
 
 /// `Preview.java`:1048 and CameraController2.java:5277 (the session closes later), EAI:237
