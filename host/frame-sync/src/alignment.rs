@@ -44,8 +44,9 @@ const PERIOD_OF_EXPOSURE_NS_PER_MS: f64 = 100.0;
 /// Where exposures that differ make the frame period this uncertain, it is said, µs/min.
 const TELLING_DRIFT_US_PER_MIN: f64 = 5.0;
 
-/// So many of the first frames may be lost or doubled.
-const MOST_ODD_FRAMES: f64 = 3.0;
+/// So many of the first frames may be lost or doubled: with more the phone is in another mode
+/// as far as anybody knows, which is refused.
+const MOST_ODD_FRAMES: f64 = NEAR_MODE * INTERVALS;
 
 /// How far the span of the first frames may be from a whole number of periods, in periods:
 /// phones are off by less than half a percent.

@@ -126,7 +126,7 @@ fn frames_that_were_lost_or_doubled_among_the_first_do_not_change_the_period() {
     let true_ns = video().frame_duration_ns;
     for known in [None, Some(learnt())] {
         profile.phone.learnt = known;
-        for (odd, word) in [(1.0, "lost"), (3.0, "lost"), (-2.0, "doubled")] {
+        for (odd, word) in [(1.0, "lost"), (5.0, "lost"), (-5.0, "doubled")] {
             let video = Video {
                 frame_duration_ns: true_ns * (59.0 + odd) / 59.0,
                 ..video()
