@@ -6,7 +6,7 @@
 
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, ExitStatus, Stdio};
 
 use anyhow::{Context, Result, bail};
 
@@ -15,41 +15,80 @@ use crate::process;
 /// More failures than this are not a busy computer's.
 const MOST_REPEATED: usize = 3;
 
+/// What the test programs of a run said.
+struct Ran {
+    cargo: Command,
+    status: ExitStatus,
+    passed: Vec<String>,
+    failed: Vec<String>,
+    /// How many programs have no result: they died.
+    died: i32,
+}
+
 /// Runs all tests of the workspace; fails if one fails, and again by itself.
 pub(crate) fn all(elf: &Path) -> Result<()> {
     const ALL: [&str; 4] = ["test", "--release", "--workspace", "--no-fail-fast"];
-    let mut cargo = process::cargo_with_elf(&ALL, elf);
-    let mut child = cargo
-        .stdout(Stdio::piped())
-        .spawn()
-        .context("cannot start cargo")?;
-    let (mut failed, mut unended) = (Vec::new(), 0);
-    for line in BufReader::new(child.stdout.take().context("no output of cargo")?).lines() {
-        let line = line.context("cannot read what cargo says")?;
-        println!("{line}");
-        failed.extend(failed_test(&line).map(str::to_owned));
-        // A program that dies has no result.
-        unended += i32::from(line.starts_with("running "));
-        unended -= i32::from(line.starts_with("test result: "));
-    }
-    let status = child.wait().context("cannot wait for cargo")?;
-    if status.success() {
+    let ran = run(&ALL, elf)?;
+    if ran.status.success() {
         return Ok(());
     }
-    if unended != 0 || failed.is_empty() || failed.len() > MOST_REPEATED {
-        bail!("{status} from {cargo:?}; {} tests failed", failed.len());
+    let failed = &ran.failed;
+    if ran.died != 0 || failed.is_empty() || failed.len() > MOST_REPEATED {
+        bail!(
+            "{} from {:?}; {} tests failed",
+            ran.status,
+            ran.cargo,
+            failed.len()
+        );
     }
     let names = failed.join(", ");
     println!("\nfailed beside the others, now by themselves: {names}");
     let mut args = ALL.to_vec();
     args.extend(["--", "--exact", "--test-threads=1"]);
     args.extend(failed.iter().map(String::as_str));
-    process::run(&mut process::cargo_with_elf(&args, elf))?;
+    let again = run(&args, elf)?;
+    // A test that was not found again has not passed.
+    if !again.status.success() || failed.iter().any(|name| !again.passed.contains(name)) {
+        bail!(
+            "not all passed by themselves: {} from {:?}",
+            again.status,
+            again.cargo
+        );
+    }
     println!("\nfailed beside the others, and passed by themselves: {names}");
     Ok(())
 }
 
-/// The name of a test of which a line of libtest's says that it failed.
-fn failed_test(line: &str) -> Option<&str> {
-    line.strip_prefix("test ")?.strip_suffix(" ... FAILED")
+/// Runs cargo, and listens to what it lets be seen.
+fn run(args: &[&str], elf: &Path) -> Result<Ran> {
+    let mut cargo = process::cargo_with_elf(args, elf);
+    let mut child = cargo
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("cannot start cargo")?;
+    let output = child.stdout.take().context("no output of cargo")?;
+    let (mut passed, mut failed, mut died) = (Vec::new(), Vec::new(), 0);
+    for line in BufReader::new(output).lines() {
+        let line = line.context("cannot read what cargo says")?;
+        println!("{line}");
+        let name = |verdict| {
+            Some(
+                line.strip_prefix("test ")?
+                    .strip_suffix(verdict)?
+                    .to_owned(),
+            )
+        };
+        passed.extend(name(" ... ok"));
+        failed.extend(name(" ... FAILED"));
+        died += i32::from(line.starts_with("running "));
+        died -= i32::from(line.starts_with("test result: "));
+    }
+    let status = child.wait().context("cannot wait for cargo")?;
+    Ok(Ran {
+        cargo,
+        status,
+        passed,
+        failed,
+        died,
+    })
 }
