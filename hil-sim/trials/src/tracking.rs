@@ -23,7 +23,7 @@ use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
-use crate::beliefs::{BeliefStudy, Figure, Kind, RigResult};
+use crate::beliefs::{self, BeliefStudy, Figure, Kind, Specimen};
 use crate::board_truth::UNITS_PER_TICK;
 use crate::workers;
 
@@ -149,33 +149,31 @@ pub fn over_beliefs(options: &StudyOptions, rigs_an_end: u32) -> BeliefStudy {
             places.push((kind, Place::End(number, end), rigs_an_end));
         }
     }
-    let plans: Vec<_> = (places.into_iter())
+    let specimens: Vec<_> = (places.into_iter())
         .flat_map(|(kind, beliefs, rigs)| {
-            (0..u64::from(rigs)).map(move |n| (kind.clone(), beliefs, n))
+            (0..u64::from(rigs)).map(move |n| Specimen {
+                seed: options.first_seed.wrapping_add(n),
+                kind: kind.clone(),
+                beliefs,
+            })
         })
         .collect();
-    let rigs = workers::each(&plans, options.jobs as usize, |(kind, beliefs, n)| {
-        let seed = options.first_seed.wrapping_add(*n);
+    let figures = |rig: &Specimen<Place>| {
         let options = StudyOptions {
-            beliefs: *beliefs,
+            beliefs: rig.beliefs,
             ..options.clone()
         };
-        let figure = |arm| -> Result<Figure> {
-            let session = session(seed, arm, &options)?;
+        let figure = |arm| {
+            let session = session(rig.seed, arm, &options)?;
             Ok(Figure {
                 name: format!("{arm:?}: phase at any time (µs)"),
                 error: sizes_95_us(&session.looks),
                 sigma: None,
             })
         };
-        let figures: Result<Vec<Figure>> = ARMS.into_iter().map(figure).collect();
-        RigResult {
-            seed,
-            kind: kind.clone(),
-            figures: figures.map_err(|error| format!("{error:#}")),
-        }
-    });
-    BeliefStudy { rigs }
+        ARMS.into_iter().map(figure).collect()
+    };
+    beliefs::each(&specimens, options.jobs, figures, |_| ())
 }
 
 /// 95th percentile of the size of the error.

@@ -57,15 +57,15 @@ impl fmt::Display for Kind {
     }
 }
 
-/// One rig of the study.
+/// One rig of a study.
 #[derive(Clone, Debug)]
-pub struct Specimen {
+pub struct Specimen<B = Beliefs> {
     /// Its seed.
     pub seed: u64,
     /// Which.
     pub kind: Kind,
     /// What is true of it.
-    pub beliefs: Beliefs,
+    pub beliefs: B,
 }
 
 /// A figure of a rig's sessions, the same ones in the same order for each rig.
@@ -148,7 +148,17 @@ pub fn run(
             }
         }
     }
-    let rigs = workers::each(&specimens, options.jobs as usize, |specimen| {
+    each(&specimens, options.jobs, sessions, done)
+}
+
+/// Runs a study of these rigs.
+pub(crate) fn each<B: Sync>(
+    specimens: &[Specimen<B>],
+    jobs: u32,
+    sessions: impl Fn(&Specimen<B>) -> Result<Vec<Figure>> + Sync,
+    done: impl Fn(&RigResult) + Sync,
+) -> BeliefStudy {
+    let rigs = workers::each(specimens, jobs as usize, |specimen| {
         let result = RigResult {
             seed: specimen.seed,
             kind: specimen.kind.clone(),
