@@ -11,7 +11,8 @@ use anyhow::{Context, Result, bail};
 /// How many tests of a program run at once.
 const TEST_THREADS: &str = "RUST_TEST_THREADS";
 
-/// Where `adb` and the program look for its server: where none is, and none is started,
+/// Where `adb` looks for its server (the program itself asks for the port alone, on this
+/// computer): where none is, and none is started,
 /// which `adb` does only on a `localhost` by that name. So tests and simulated rigs leave
 /// alone a phone that the developer's own server has, and leave no server behind.
 const NO_ADB: [(&str, &str); 2] = [

@@ -492,8 +492,8 @@ fn nanos(us: f64) -> Option<i64> {
     within.then(|| (us * 1000.0).round() as i64)
 }
 
-/// The files of a folder whose names end so, in order.
-fn files_in(folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, InputsError> {
+/// The ROS 1 bags in a folder, in order.
+fn bags_in(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
     let fail = |error| InputsError::Io {
         path: folder.to_owned(),
         error,
@@ -501,7 +501,7 @@ fn files_in(folder: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, InputsError
     let mut paths = Vec::new();
     for entry in fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
-        if path.is_file() && ends_with(&path, endings) {
+        if path.is_file() && ends_with(&path, &BAG) {
             paths.push(path);
         }
     }
@@ -521,7 +521,7 @@ fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
     if own.is_file() {
         return Ok(BoardInput::Mcap(own, Moves::default()));
     }
-    match files_in(folder, &BAG)?.as_slice() {
+    match bags_in(folder)?.as_slice() {
         [bag] => Ok(BoardInput::Bag(bag.clone())),
         [] => Err(InputsError::NotARecording {
             path: folder.to_owned(),

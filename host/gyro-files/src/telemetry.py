@@ -24,7 +24,9 @@ resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def line(text):
-    return "".join(c for c in text if c.isprintable())
+    shown = "".join(c for c in text if c.isprintable())
+    # With its end not longer than MAX_LINE of telemetry.rs.
+    return shown.encode(errors="replace")[:499].decode(errors="ignore")
 
 
 def gyroscope(parser):

@@ -56,7 +56,7 @@ pub fn depth_recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
         let path = entry?.path();
         let is_depth = match path.is_dir() {
             true => foreign::is_bag(&path),
-            false => is_mkv(&path),
+            false => is_mkv(&path) && path.is_file(),
         };
         if is_depth {
             found.push(path);
