@@ -329,6 +329,7 @@ pub(crate) fn fit(
     }
     view.look(&link, &calibration, &mut nodes)?;
     quiet.apply(&mut nodes);
+    // Of the equations before the last step, which was tiny if the fit has settled.
     let inverse = solved?.inverse();
     let ideal_covariance =
         inverse.fixed_view::<2, 2>(SHIFT, SHIFT).into_owned() * options.oversampling;
@@ -374,12 +375,11 @@ pub(crate) struct LocalWeights {
 
 impl LocalWeights {
     fn apply(&self, nodes: &mut [Node]) {
+        let last = self.stretches.last().map_or(1.0, |s| s.1);
         let mut stretches = self.stretches.iter().peekable();
-        let mut weight = 1.0;
         for node in nodes {
             while stretches.next_if(|s| s.0 < node.t).is_some() {}
-            weight = stretches.peek().map_or(weight, |s| s.1);
-            node.weight = weight;
+            node.weight = stretches.peek().map_or(last, |s| s.1);
         }
     }
 }

@@ -132,7 +132,7 @@ fn shape(locals: &[Local], length_s: f64) -> DMatrix<f64> {
 /// Generalised least squares of the displacements on shift and rate under a swing.
 fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
     let n = locals.len();
-    // In units of the median sigma, so that no figure is tiny.
+    // In units of the mean variance, so that no figure is tiny.
     let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n.max(1) as f64;
     let variance = |r: usize, c: usize| {
         let swing = size_s * size_s * shape[(r, c)];

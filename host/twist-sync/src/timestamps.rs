@@ -14,7 +14,7 @@
 //!   together average out, so the correction removes the jumps *and* the
 //!   straight line through them: the mean and the rate of the timestamps stay
 //!   what they were. With fewer than [`FEW_RESETS`] jumps the phase of the
-//!   sawtooth is not known, and half its height remains as an uncertainty
+//!   sawtooth is not known, and its height over √12 remains as an uncertainty
 //!   ([`Timestamps::unresolved_s`]).
 //! * **Gaps** are noted; whether they are bridged is decided by the signal.
 
