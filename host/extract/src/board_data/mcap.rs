@@ -15,7 +15,7 @@
 //! Limits: chunks are stored as they are or with LZ4, which is all that our writer
 //! makes.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
@@ -34,8 +34,9 @@ use crate::later_runs::{Moves, Placing, RunMark};
 use crate::time::{BoardNanos, SECOND};
 
 /// Chunks that are decoded at a time, and from how many bytes on no further one is
-/// taken. A chunk of ours is some 100 kB when unpacked.
-const BATCH: usize = 64;
+/// taken. A chunk of ours is some 100 kB when unpacked: so many stay in the processor's
+/// cache, with what comes out of them.
+const BATCH: usize = 12;
 const BATCH_BYTES: u64 = 8 << 20;
 /// Memory for unpacking that is kept for the next batch, of each chunk.
 const SPARE_BYTES: usize = 1 << 20;
@@ -86,8 +87,7 @@ pub(super) struct McapStream {
     /// Those that are of use.
     topics: HashMap<u16, Topic>,
     /// Decoded, but not yet put in their place.
-    decoded: VecDeque<std::vec::IntoIter<Decoded>>,
-    events: VecDeque<BoardEvent>,
+    decoded: std::iter::Flatten<std::vec::IntoIter<Vec<Decoded>>>,
     /// Memory of the last batch's unpacked chunks, for the next one: asking the system for
     /// it anew costs as much as unpacking.
     spare: Vec<Vec<u8>>,
@@ -108,8 +108,7 @@ impl McapStream {
             chunks,
             path: path.to_owned(),
             topics: HashMap::new(),
-            decoded: VecDeque::new(),
-            events: VecDeque::new(),
+            decoded: Vec::new().into_iter().flatten(),
             spare: Vec::new(),
             runs: Placing::new(moves.clone()),
             waiting: None,
@@ -150,14 +149,6 @@ impl McapStream {
         Ok(None)
     }
 
-    fn channel(&mut self, data: &[u8]) {
-        if let Some(Record::Channel(channel)) = parse(op::CHANNEL, data)
-            && let Some(topic) = Topic::of(&channel.topic).filter(|topic| is_of_use(*topic))
-        {
-            self.topics.insert(channel.id, topic);
-        }
-    }
-
     /// Reads and decodes a batch of chunks. False at the end.
     fn next_batch(&mut self) -> Result<bool, BoardError> {
         let mut batch = Vec::with_capacity(BATCH);
@@ -175,82 +166,66 @@ impl McapStream {
         self.spare.resize_with(batch.len(), Vec::new);
         let memory = self.spare.drain(..);
         let jobs: Vec<(Packed, Vec<u8>)> = batch.into_iter().zip(memory).collect();
-        let unpacked: Vec<Result<Chunk, String>> = jobs
+        let unpacked: Vec<Result<Unpacked, String>> = jobs
             .into_par_iter()
             .map(|(chunk, memory)| {
                 let from = chunk.starts_at();
-                chunk.unpack(memory).map_err(|why| left_out(from, &why))
+                let chunk = chunk.unpack(memory).map_err(|why| left_out(from, &why))?;
+                Ok(Unpacked::new(chunk))
             })
             .collect();
         // Channels may be described in any chunk: take them up in order first.
         for chunk in unpacked.iter().flatten() {
-            for (_, data) in chunk.records().filter(|(opcode, _)| *opcode == op::CHANNEL) {
-                self.channel(data);
-            }
+            self.topics.extend(chunk.channels.iter().copied());
         }
         let topics = &self.topics;
         let outcomes: Vec<Result<Outcome, String>> = unpacked
             .par_iter()
-            .map(|chunk| match chunk {
-                Ok(chunk) => Ok(decode(chunk, topics)),
+            .map(|unpacked| match unpacked {
+                Ok(unpacked) => Ok(decode(&unpacked.chunk, topics)),
                 Err(fault) => Err(fault.clone()),
             })
             .collect();
-        for chunk in unpacked
-            .iter()
-            .flatten()
-            .filter(|chunk| chunk.cut_off() > 0)
-        {
-            let bytes = chunk.cut_off();
+        for chunk in unpacked.iter().flatten().filter(|chunk| chunk.cut_off > 0) {
+            let bytes = chunk.cut_off;
             self.faults.add(format!(
                 "a chunk ends within a record: {bytes} bytes are left out"
             ));
         }
-        let memory = unpacked.into_iter().flatten().map(Chunk::into_memory);
+        let chunks = unpacked.into_iter().flatten();
+        let memory = chunks.map(|unpacked| unpacked.chunk.into_memory());
         let small = memory.filter(|memory| memory.capacity() <= SPARE_BYTES);
         self.spare.extend(small);
+        let mut decoded = Vec::with_capacity(outcomes.len());
         for outcome in outcomes {
             match outcome {
                 Err(fault) => self.faults.add(fault),
-                Ok((decoded, broken)) => {
+                Ok((messages, broken)) => {
                     if broken > 0 {
                         let what = format!("{broken} messages cannot be decoded");
                         self.faults.add(what);
                     }
-                    self.decoded.push_back(decoded.into_iter());
+                    decoded.push(messages);
                 }
             }
         }
+        self.decoded = decoded.into_iter().flatten();
         Ok(true)
     }
 
-    fn next_decoded(&mut self) -> Option<Decoded> {
-        while let Some(of_chunk) = self.decoded.front_mut() {
-            if let Some(decoded) = of_chunk.next() {
-                return Some(decoded);
-            }
-            self.decoded.pop_front();
-        }
-        None
-    }
-
-    /// Puts a decoded message into the queue; samples with their temperature.
-    fn give(&mut self, decoded: Decoded) {
+    /// Puts a decoded message in its place; a sample waits for its temperature.
+    fn give(&mut self, decoded: Decoded) -> Option<BoardEvent> {
         match decoded {
             Decoded::Temperature(at, temperature) => {
-                if let Some(mut row) = self.waiting.take() {
-                    if row.at == self.runs.later(at) {
-                        row.temperature = Some(temperature);
-                    }
-                    self.events.push_back(BoardEvent::Imu(row));
+                let mut row = self.waiting.take()?;
+                if row.at == self.runs.later(at) {
+                    row.temperature = Some(temperature);
                 }
+                Some(BoardEvent::Imu(row))
             }
             Decoded::Event(event) => match self.runs.place(event) {
-                BoardEvent::Imu(row) => {
-                    let before = self.waiting.replace(row);
-                    self.events.extend(before.map(BoardEvent::Imu));
-                }
-                event => self.events.push_back(event),
+                BoardEvent::Imu(row) => self.waiting.replace(row).map(BoardEvent::Imu),
+                event => Some(event),
             },
         }
     }
@@ -259,11 +234,10 @@ impl McapStream {
 impl BoardStream for McapStream {
     fn next_event(&mut self) -> Result<Option<BoardEvent>, BoardError> {
         loop {
-            if let Some(event) = self.events.pop_front() {
-                return Ok(Some(event));
-            }
-            if let Some(decoded) = self.next_decoded() {
-                self.give(decoded);
+            if let Some(decoded) = self.decoded.next() {
+                if let Some(event) = self.give(decoded) {
+                    return Ok(Some(event));
+                }
             } else if !self.next_batch()? {
                 return Ok(self.waiting.take().map(BoardEvent::Imu));
             }
@@ -276,6 +250,33 @@ impl BoardStream for McapStream {
 
     fn position(&self) -> u64 {
         self.chunks.position()
+    }
+}
+
+/// A chunk, and what must be known of it before those of its batch are decoded.
+struct Unpacked {
+    chunk: Chunk,
+    /// That are of use.
+    channels: Vec<(u16, Topic)>,
+    /// Bytes behind its last whole record.
+    cut_off: usize,
+}
+
+impl Unpacked {
+    fn new(chunk: Chunk) -> Self {
+        let described = chunk.records().filter(|(opcode, _)| *opcode == op::CHANNEL);
+        let channels = described.filter_map(|(opcode, data)| {
+            let Some(Record::Channel(channel)) = parse(opcode, data) else {
+                return None;
+            };
+            let topic = Topic::of(&channel.topic).filter(|topic| is_of_use(*topic))?;
+            Some((channel.id, topic))
+        });
+        Self {
+            channels: channels.collect(),
+            cut_off: chunk.cut_off(),
+            chunk,
+        }
     }
 }
 
