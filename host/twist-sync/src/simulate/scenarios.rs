@@ -1,6 +1,6 @@
 //! The simulated recordings of the tests and the bench, and what is demanded of each.
 
-use super::{Grip, Motion, SENSOR_A, SENSOR_B, Sensor, TwistSpec};
+use super::{Grip, Motion, SENSOR_B, Sensor, TwistSpec};
 
 /// A scenario with the error that is demanded of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,14 +18,37 @@ pub struct Scenario {
 }
 
 impl Scenario {
+    /// Twists of the base scenario with a change, whose errors are this large at most.
+    fn new(name: &'static str, rmse_us: f64, change: impl FnOnce(&mut TwistSpec)) -> Self {
+        Self {
+            rmse_us: Some(rmse_us),
+            honest: true,
+            accepted: 1.0,
+            ..Self::refused(name, change)
+        }
+    }
+
+    /// Twists that must be refused.
+    fn refused(name: &'static str, change: impl FnOnce(&mut TwistSpec)) -> Self {
+        let mut spec = TwistSpec::default();
+        change(&mut spec);
+        Self {
+            name,
+            spec,
+            rmse_us: None,
+            honest: false,
+            accepted: 0.0,
+        }
+    }
+
     /// The same, but this part of the twists must be accepted.
     const fn mostly(mut self, accepted: f64) -> Self {
         self.accepted = accepted;
         self
     }
 
-    /// The numerical floor, not noise, makes the sigma.
-    const fn with_a_floor(mut self) -> Self {
+    /// Something else than noise makes the sigma: the numerical floor, or faults.
+    const fn not_by_noise(mut self) -> Self {
         self.honest = false;
         self
     }
@@ -41,287 +64,112 @@ const SEVERAL_FAULTS: Sensor = Sensor {
     ..SENSOR_B
 };
 
+fn sample_both_at(spec: &mut TwistSpec, rate_hz: f64) {
+    spec.a.rate_hz = rate_hz;
+    spec.b.rate_hz = rate_hz * 1.0001;
+}
+
+fn filter(spec: &mut TwistSpec, damping: f64) {
+    for (sensor, hz) in [(&mut spec.a, 188.0), (&mut spec.b, 60.0)] {
+        sensor.filter_hz = Some(hz);
+        sensor.filter_damping = damping;
+    }
+}
+
+fn silence(sensor: &mut Sensor) {
+    sensor.noise = 0.0;
+    sensor.lsb = 0.0;
+}
+
 /// All scenarios of the tests and the bench.
 #[must_use]
 pub fn scenarios() -> Vec<Scenario> {
-    let base = TwistSpec::default();
-    let scenario = |name, spec, rmse_us: f64| Scenario {
-        name,
-        spec,
-        rmse_us: Some(rmse_us),
-        honest: true,
-        accepted: 1.0,
-    };
-    let with_b = |b: Sensor| TwistSpec { b, ..base };
-    let both = |rate: f64| TwistSpec {
-        a: Sensor {
-            rate_hz: rate,
-            ..SENSOR_A
-        },
-        b: Sensor {
-            rate_hz: rate * 1.0001,
-            ..SENSOR_B
-        },
-        ..base
-    };
-    let refused = |name, spec| Scenario {
-        name,
-        spec,
-        rmse_us: None,
-        honest: false,
-        accepted: 0.0,
-    };
-    let held = |name, grip| scenario(name, TwistSpec { grip, ..base }, 6.0);
-    let silent = |s: Sensor| Sensor {
-        noise: 0.0,
-        lsb: 0.0,
-        ..s
-    };
-    let jittered = |s: Sensor| Sensor {
-        jitter_s: 20e-6,
-        ..s
-    };
+    let held = |name, grip| Scenario::new(name, 6.0, |s| s.grip = grip);
     vec![
-        scenario("base", base, 4.0),
-        scenario(
-            "jitter 20 µs",
-            TwistSpec {
-                a: jittered(SENSOR_A),
-                b: jittered(SENSOR_B),
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "single axis",
-            TwistSpec {
-                motion: Motion::SingleAxis(2.0, 4.0),
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "sawtooth 57 µs",
-            with_b(Sensor {
-                sawtooth_s: Some((57e-6, 0.9)),
-                ..SENSOR_B
-            }),
-            6.0,
-        ),
-        scenario(
-            "filters 188 and 60 Hz",
-            TwistSpec {
-                a: Sensor {
-                    filter_hz: Some(188.0),
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    filter_hz: Some(60.0),
-                    ..SENSOR_B
-                },
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "weak, 1.1 rad/s",
-            TwistSpec {
-                motion: Motion::Twist(1.1, 1.1),
-                ..base
-            },
-            13.0,
-        ),
-        scenario(
-            "clipped at 250 deg/s",
-            TwistSpec {
-                motion: Motion::Twist(5.0, 7.0),
-                a: Sensor {
-                    range: Some(250.0_f64.to_radians()),
-                    ..SENSOR_A
-                },
-                ..base
-            },
-            4.0,
-        ),
-        scenario(
-            "skew up to 115 ppm",
-            TwistSpec {
-                skew_ppm: 115.0,
-                ..base
-            },
-            4.0,
-        ),
-        scenario("1 kHz", both(1000.0), 4.0),
-        scenario("208 Hz", both(208.0), 6.0),
-        scenario(
-            "a at 1 kHz, b at 208 Hz",
-            TwistSpec {
-                a: Sensor {
-                    rate_hz: 1000.0,
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    rate_hz: 208.0,
-                    ..SENSOR_B
-                },
-                ..base
-            },
-            5.0,
-        ),
-        scenario(
-            "gaps, 5 % lost",
-            TwistSpec {
-                a: Sensor {
-                    lost: 0.05,
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    lost: 0.05,
-                    ..SENSOR_B
-                },
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "half overlap",
-            TwistSpec {
-                b_starts_s: 4.5,
-                ..base
-            },
-            6.0,
-        ),
-        scenario(
-            "60 s, moved for 7 s",
-            TwistSpec {
-                duration_s: 60.0,
-                rest_s: 26.5,
-                ..base
-            },
-            4.0,
-        ),
-        Scenario {
-            honest: false,
-            ..scenario(
-                "faulty stream b",
-                with_b(Sensor {
-                    faulty: true,
-                    sawtooth_s: Some((57e-6, 1.3)),
-                    ..SENSOR_B
-                }),
-                30.0,
-            )
-        },
-        scenario(
-            "noiseless",
-            TwistSpec {
-                a: silent(SENSOR_A),
-                b: silent(SENSOR_B),
-                ..base
-            },
-            0.05,
-        )
-        .with_a_floor(),
+        Scenario::new("base", 4.0, |_| ()),
+        Scenario::new("jitter 20 µs", 4.0, |s| {
+            s.a.jitter_s = 20e-6;
+            s.b.jitter_s = 20e-6;
+        }),
+        Scenario::new("single axis", 4.0, |s| {
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+        }),
+        Scenario::new("sawtooth 57 µs", 6.0, |s| {
+            s.b.sawtooth_s = Some((57e-6, 0.9));
+        }),
+        Scenario::new("filters 188 and 60 Hz", 6.0, |s| filter(s, 1.0)),
+        Scenario::new("weak, 1.1 rad/s", 13.0, |s| {
+            s.motion = Motion::Twist(1.1, 1.1);
+        }),
+        Scenario::new("clipped at 250 deg/s", 4.0, |s| {
+            s.motion = Motion::Twist(5.0, 7.0);
+            s.a.range = Some(250.0_f64.to_radians());
+        }),
+        Scenario::new("skew up to 115 ppm", 4.0, |s| s.skew_ppm = 115.0),
+        Scenario::new("1 kHz", 4.0, |s| sample_both_at(s, 1000.0)),
+        Scenario::new("208 Hz", 6.0, |s| sample_both_at(s, 208.0)),
+        Scenario::new("a at 1 kHz, b at 208 Hz", 5.0, |s| {
+            s.a.rate_hz = 1000.0;
+            s.b.rate_hz = 208.0;
+        }),
+        Scenario::new("gaps, 5 % lost", 6.0, |s| {
+            s.a.lost = 0.05;
+            s.b.lost = 0.05;
+        }),
+        Scenario::new("half overlap", 6.0, |s| s.b_starts_s = 4.5),
+        Scenario::new("60 s, moved for 7 s", 4.0, |s| {
+            s.duration_s = 60.0;
+            s.rest_s = 26.5;
+        }),
+        Scenario::new("faulty stream b", 30.0, |s| {
+            s.b.faulty = true;
+            s.b.sawtooth_s = Some((57e-6, 1.3));
+        })
+        .not_by_noise(),
+        Scenario::new("noiseless", 0.05, |s| {
+            silence(&mut s.a);
+            silence(&mut s.b);
+        })
+        .not_by_noise(),
         held("held 1 s late", Grip::Late(0.5, 1.5)),
         held("let go 1 s early", Grip::LetGo(0.5, 1.5)),
         held("slip of 2° to 15°", Grip::Slip(2.0, 15.0)),
         held("wrong grip for 0.3 to 1 s", Grip::Wrong(0.3, 1.0)),
-        scenario(
-            "mount flexes, 15 to 40 Hz",
-            TwistSpec {
-                grip: Grip::Flexing(15.0, 40.0),
-                ..base
-            },
-            8.0,
-        ),
-        scenario(
-            "mount flexes by axis, 12 to 60 Hz",
-            TwistSpec {
-                grip: Grip::FlexingByAxis(12.0, 60.0),
-                ..base
-            },
-            8.0,
-        ),
-        scenario("several faults of b", with_b(SEVERAL_FAULTS), 12.0),
-        scenario(
-            "hardly any noise",
-            TwistSpec {
-                a: Sensor {
-                    noise: 1e-9,
-                    lsb: 0.0,
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    noise: 0.0,
-                    lsb: 0.0,
-                    rate_hz: 500.0,
-                    ..SENSOR_B
-                },
-                ..base
-            },
-            0.05,
-        )
-        .with_a_floor(),
-        scenario(
-            "two phones with faults",
-            TwistSpec {
-                a: Sensor {
-                    faulty: true,
-                    faulty_period: 10.37,
-                    sawtooth_s: Some((57e-6, 0.9)),
-                    ..SENSOR_B
-                },
-                b: SEVERAL_FAULTS,
-                ..base
-            },
-            20.0,
-        )
+        Scenario::new("mount flexes, 15 to 40 Hz", 8.0, |s| {
+            s.grip = Grip::Flexing(15.0, 40.0);
+        }),
+        Scenario::new("mount flexes by axis, 12 to 60 Hz", 8.0, |s| {
+            s.grip = Grip::FlexingByAxis(12.0, 60.0);
+        }),
+        Scenario::new("several faults of b", 12.0, |s| s.b = SEVERAL_FAULTS),
+        Scenario::new("hardly any noise", 0.05, |s| {
+            silence(&mut s.a);
+            s.a.noise = 1e-9;
+            silence(&mut s.b);
+            s.b.rate_hz = 500.0;
+        })
+        .not_by_noise(),
+        Scenario::new("two phones with faults", 20.0, |s| {
+            s.a = Sensor {
+                faulty: true,
+                faulty_period: 10.37,
+                sawtooth_s: Some((57e-6, 0.9)),
+                ..SENSOR_B
+            };
+            s.b = SEVERAL_FAULTS;
+        })
         .mostly(0.95),
-        scenario(
-            "Butterworth, 188 and 60 Hz",
-            TwistSpec {
-                a: Sensor {
-                    filter_hz: Some(188.0),
-                    filter_damping: std::f64::consts::FRAC_1_SQRT_2,
-                    ..SENSOR_A
-                },
-                b: Sensor {
-                    filter_hz: Some(60.0),
-                    filter_damping: std::f64::consts::FRAC_1_SQRT_2,
-                    ..SENSOR_B
-                },
-                ..base
-            },
-            8.0,
-        ),
-        refused(
-            "still",
-            TwistSpec {
-                motion: Motion::Still,
-                ..base
-            },
-        ),
-        refused(
-            "held for the last second only",
-            TwistSpec {
-                grip: Grip::Late(5.5, 6.5),
-                ..base
-            },
-        ),
-        refused(
-            "unrelated",
-            TwistSpec {
-                unrelated: true,
-                ..base
-            },
-        ),
-        refused(
-            "unrelated, single axis",
-            TwistSpec {
-                motion: Motion::SingleAxis(2.0, 4.0),
-                unrelated: true,
-                ..base
-            },
-        ),
+        Scenario::new("Butterworth, 188 and 60 Hz", 8.0, |s| {
+            filter(s, std::f64::consts::FRAC_1_SQRT_2);
+        }),
+        Scenario::refused("still", |s| s.motion = Motion::Still),
+        Scenario::refused("held for the last second only", |s| {
+            s.grip = Grip::Late(5.5, 6.5);
+        }),
+        Scenario::refused("unrelated", |s| s.unrelated = true),
+        Scenario::refused("unrelated, single axis", |s| {
+            s.motion = Motion::SingleAxis(2.0, 4.0);
+            s.unrelated = true;
+        }),
     ]
 }
