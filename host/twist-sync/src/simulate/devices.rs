@@ -1,10 +1,12 @@
 //! More devices than two on one body.
 
-use nalgebra::{Rotation3, Unit, Vector3};
+use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::{ClockPath, Rates, Seen, Sensor, Twist, TwistSpec, direction, moving_until, record};
+use super::{
+    ClockPath, Rates, Seen, Sensor, Twist, TwistSpec, moving_until, on_path, record, rotation,
+};
 use crate::network::Pair;
 use crate::{ClockCourse, GyroTrack, Options, estimate_offset};
 
@@ -19,22 +21,13 @@ pub fn third(pair: &Twist, spec: &TwistSpec, seed: u64, sensor: &Sensor) -> Twis
     let offset_s: f64 = rng.random_range(-4000.0..1e6);
     let end = spec.duration_s + spec.b_starts_s.max(0.0);
     let path = ClockPath::new(seed, skew, 0.0, end, 0.5 * end);
-    let turn = Rotation3::from_axis_angle(
-        &Unit::new_normalize(direction(&mut rng)),
-        rng.random_range(0.0..std::f64::consts::PI),
-    );
+    let turn = rotation(&mut rng);
     let of_third = |t: f64| -> Vector3<f64> { rates.at(t) };
     let seen = Seen::new(&of_third, sensor, 0.0, end);
     let starts_s = 0.5 * spec.b_starts_s;
     let (t, w) = record(&mut rng, sensor, &seen, &turn, starts_s, spec.duration_s);
-    let at = |t: f64| t + path.drift_at(t);
-    let first = t.first().copied().unwrap_or(0.0);
     Twist {
-        b: GyroTrack {
-            epoch_s: pair.boot_s + offset_s + at(first),
-            t: t.iter().map(|&t| at(t) - at(first)).collect(),
-            w,
-        },
+        b: on_path(pair.boot_s + offset_s, &path, 0.0, (&t, w)),
         skew,
         offset_s,
         path,

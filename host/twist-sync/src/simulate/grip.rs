@@ -6,13 +6,11 @@
 //!
 //! The sizes are ranges, not measurements: nobody has published how people hold a rig.
 
-use std::f64::consts::PI;
-
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::{Rates, direction, second_order};
+use super::{Rates, direction, rotation, second_order};
 use crate::interpolant::Uniform;
 
 /// How firmly the two are held to each other. Ranges are drawn from.
@@ -119,8 +117,7 @@ impl<'a> Held<'a> {
             Grip::FlexingByAxis(low, high) => {
                 let each: [(f64, f64); 3] =
                     std::array::from_fn(|_| (between(low, high), between(0.01, 0.3)));
-                let axis = Unit::new_normalize(direction(&mut rng));
-                let mount = Rotation3::from_axis_angle(&axis, rng.random_range(0.0..PI));
+                let mount = rotation(&mut rng);
                 let motion = |t: f64| mount.inverse() * rates.at(t);
                 out.flexing.extend(each.iter().filter_map(|&(hz, damping)| {
                     second_order(&motion, hz, damping, true, from - 2.0, to + 2.0)

@@ -351,6 +351,12 @@ fn direction(rng: &mut Pcg64) -> Vector3<f64> {
     Unit::new_normalize(v).into_inner()
 }
 
+/// About any axis, by up to half a turn.
+fn rotation(rng: &mut Pcg64) -> Rotation3<f64> {
+    let axis = Unit::new_normalize(direction(rng));
+    Rotation3::from_axis_angle(&axis, rng.random_range(0.0..std::f64::consts::PI))
+}
+
 /// What a sensor's filter lets through, as a function of true time.
 struct Seen<'a> {
     rate: &'a dyn Fn(f64) -> Vector3<f64>,
@@ -481,10 +487,7 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
     let moving_until = moving_until(spec);
     let rates = Rates::new(&mut rng, spec.motion, spec.rest_s, moving_until);
     let other = Rates::new(&mut rng, spec.motion, spec.rest_s, moving_until);
-    let turn = Rotation3::from_axis_angle(
-        &Unit::new_normalize(direction(&mut rng)),
-        rng.random_range(0.0..std::f64::consts::PI),
-    );
+    let turn = rotation(&mut rng);
     let identity = Rotation3::identity();
 
     let moving = (spec.rest_s, moving_until - spec.rest_s);
@@ -511,15 +514,9 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
 
     // Clock a is true time plus its boot; clock b takes the path.
     let a_s: Vec<f64> = a_t.iter().map(|t| t + start_s + a_boot).collect();
-    let b_first = b_t.first().copied().unwrap_or(0.0);
-    let b_at = |t: f64| t + path.drift_at(start_s + t);
     Twist {
         a: GyroTrack::from_seconds(&a_s, a_w),
-        b: GyroTrack {
-            epoch_s: a_boot + start_s + offset_s + b_at(b_first),
-            t: b_t.iter().map(|&t| b_at(t) - b_at(b_first)).collect(),
-            w: b_w,
-        },
+        b: on_path(a_boot + start_s + offset_s, path, start_s, (&b_t, b_w)),
         skew: path.skew_at(start_s + 0.5 * end),
         boot_s: a_boot,
         offset_s,
@@ -529,6 +526,18 @@ pub fn twist_on(spec: &TwistSpec, seed: u64, path: &ClockPath, start_s: f64) -> 
             .iter()
             .map(|(from, to)| (from + start_s + a_boot, to + start_s + a_boot))
             .collect(),
+    }
+}
+
+/// What was recorded in true time, as stamped by a clock that reads `zero_s` when true time
+/// is zero, and is on a path of which `start_s` have gone by then.
+fn on_path(zero_s: f64, path: &ClockPath, start_s: f64, (t, w): (&[f64], Vec<Vec3>)) -> GyroTrack {
+    let at = |t: f64| t + path.drift_at(start_s + t);
+    let first = at(t.first().copied().unwrap_or(0.0));
+    GyroTrack {
+        epoch_s: zero_s + first,
+        t: t.iter().map(|&t| at(t) - first).collect(),
+        w,
     }
 }
 
