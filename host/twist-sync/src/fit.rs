@@ -55,6 +55,11 @@ impl Link {
         self.at_data + (t - self.at_model) / self.rate
     }
 
+    /// The data's time less the model's, at the reference.
+    pub(crate) fn lag_s(&self) -> f64 {
+        self.at_data - self.at_model
+    }
+
     /// The same relation with another reference.
     pub(crate) fn moved_to(&self, at_data: f64) -> Self {
         Self {

@@ -36,14 +36,11 @@ impl Tried {
             fit,
         })
     }
-
-    fn lag_s(&self) -> f64 {
-        lag_s(&self.fit)
-    }
 }
 
-fn lag_s(fit: &Fit) -> f64 {
-    fit.link.data_time(fit.link.at_model) - fit.link.at_model
+/// How far apart the lags of two fits are, seconds.
+fn apart_s(one: &Fit, other: &Fit) -> f64 {
+    (one.link.lag_s() - other.link.lag_s()).abs()
 }
 
 /// The lag that explains the motion best, and the stretches that it does not explain
@@ -75,19 +72,17 @@ pub(crate) fn chosen(
         Tried::new(fit::fit(&signals.model, data, start, even, &quick)?)
     };
     let tried = distinct(&candidates(pair, options), |lag_s| at(&data, lag_s));
-    let overlap_s = tried.first().map_or(0.0, |best| overlap_s(&best.fit));
+    let nodes = tried.first().map_or(0, |best| best.fit.nodes.len());
+    let overlap_s = nodes as f64 * coarse::BIN_S;
     report.judge(Gate::overlap(overlap_s, options.min_overlap_s))?;
     let best = tried.first()?;
+    let lags: Vec<f64> = tried.iter().map(|t| t.fit.link.lag_s()).collect();
     let whole = rigid::is_whole(&best.fit, settings.fit.noise_variance);
-    if whole || !options.handle_faults {
-        report.judge(Gate::explained(best.unexplained.sqrt()))?;
-        report.judge(Gate::unique_peak(rival(best, &tried[1..])))?;
-        return Some((best.fit.link, Vec::new()));
-    }
     // Where the best explains most, it is the lag; otherwise the largest part that any
     // lag explains decides.
-    let lags: Vec<f64> = tried.iter().map(Tried::lag_s).collect();
-    let parts_of = if best.unexplained.sqrt() < Gate::MOSTLY_EXPLAINED {
+    let parts_of = if whole || !options.handle_faults {
+        &[]
+    } else if best.unexplained.sqrt() < Gate::MOSTLY_EXPLAINED {
         &tried[..1]
     } else {
         &tried[..]
@@ -107,20 +102,15 @@ pub(crate) fn chosen(
     // The rivals explain the same nodes.
     let kept = part.kept(&data);
     let others = distinct(&lags, |lag_s| at(&kept, lag_s));
-    let chosen_lag_s = lag_s(&part.fit);
     let (chosen, others): (Vec<Tried>, Vec<Tried>) = others
         .into_iter()
-        .partition(|other| (other.lag_s() - chosen_lag_s).abs() < SAME_LAG_S);
+        .partition(|other| apart_s(&other.fit, &part.fit) < SAME_LAG_S);
     let chosen = chosen
         .into_iter()
         .next()
         .or_else(|| Tried::new(part.fit.clone()))?;
     report.judge(Gate::unique_peak(rival(&chosen, &others)))?;
     Some((part.fit.link, part.stretches))
-}
-
-fn overlap_s(fit: &Fit) -> f64 {
-    fit.nodes.len() as f64 * coarse::BIN_S
 }
 
 /// How much worse the best rival explains the motion. Rivals whose evidence is far
@@ -156,7 +146,7 @@ fn distinct(candidates: &[f64], fitted: impl Fn(f64) -> Option<Tried>) -> Vec<Tr
         if let Some(now) = fitted(lag_s)
             && tried
                 .iter()
-                .all(|other| (other.lag_s() - now.lag_s()).abs() >= SAME_LAG_S)
+                .all(|other| apart_s(&other.fit, &now.fit) >= SAME_LAG_S)
         {
             tried.push(now);
         }
