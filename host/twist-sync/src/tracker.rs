@@ -79,19 +79,6 @@ pub enum Asked {
     B,
 }
 
-/// What became of the exchanges of a window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Taken {
-    /// The window goes on.
-    Kept,
-    /// Its best exchange was taken.
-    Used,
-    /// Its best exchange is far from what was expected, and was left.
-    Odd,
-    /// The asymmetry of the exchanges has stepped; the offset goes on by its rate.
-    Stepped,
-}
-
 /// How far from what was expected an offset is odd, in sigmas of both.
 const ODD_SIGMAS: f64 = 5.0;
 
@@ -215,23 +202,24 @@ impl Tracker {
         Self::default()
     }
 
-    /// Takes an exchange. Those of one clock come in the order in which they were asked;
-    /// what is not a number is left.
-    pub fn take(&mut self, asked: Asked, exchange: Exchange) -> Taken {
+    /// Takes an exchange, and gives whether it has ended a window. Those of one clock come in
+    /// the order in which they were asked; what is not a number is left.
+    pub fn take(&mut self, asked: Asked, exchange: Exchange) -> bool {
         if !exchange.is_one() {
-            return Taken::Odd;
+            return false;
         }
         let place = asked as usize;
         let base = *self.base[place].get_or_insert(exchange.stamp - exchange.middle());
         let filters = self.filters.as_ref();
         let rate = || filters.map_or(0.0, |filters| filters.rate_of(asked));
-        let Some(seen) = self.legs[place].take(&exchange, base, rate) else {
-            return Taken::Kept;
-        };
-        self.see(asked, &seen)
+        let seen = self.legs[place].take(&exchange, base, rate);
+        if let Some(seen) = &seen {
+            self.see(asked, seen);
+        }
+        seen.is_some()
     }
 
-    fn see(&mut self, asked: Asked, seen: &Seen) -> Taken {
+    fn see(&mut self, asked: Asked, seen: &Seen) {
         let wanders = self.wanders();
         let filters = self.filters.get_or_insert_with(|| Filters::new(seen.at));
         filters.predict(seen.at, wanders);
@@ -250,21 +238,16 @@ impl Tracker {
         if nearest.0 > ODD_SIGMAS * ODD_SIGMAS {
             leg.odd += 1;
             if leg.odd < ODD_WINDOWS {
-                return Taken::Odd;
+                return;
             }
             for filter in &mut filters.each {
                 filter.covariance[(asymmetry, asymmetry)] += nearest.1 * nearest.1;
             }
         }
-        let jumped = leg.odd >= ODD_WINDOWS;
         leg.odd = 0;
         for filter in &mut filters.each {
             filter.update(&of, seen.offset, seen.variance);
             filter.likelihood_ln *= 1.0 - 1.0 / MEMORY_WINDOWS;
-        }
-        match jumped || seen.stepped != 0.0 {
-            true => Taken::Stepped,
-            false => Taken::Used,
         }
     }
 

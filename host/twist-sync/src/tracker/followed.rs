@@ -8,7 +8,7 @@
 //! Limits: those of the tracker, but for a step of an asymmetry, which both come upon from
 //! their own side.
 
-use super::{Asked, Exchange, Taken, Tracker};
+use super::{Asked, Exchange, Tracker};
 use crate::clock::ClockRelation;
 use crate::course::CONTRADICTION;
 
@@ -49,7 +49,7 @@ fn pass(
         while let Some(knot) = knots.next_if(|knot| *knot <= exchange.sent) {
             found.push(tracker.relation_at(knot).filter(|_| told));
         }
-        if tracker.take(asked, exchange) == Taken::Kept {
+        if !tracker.take(asked, exchange) {
             continue;
         }
         let Some(now) = tracker.relation_at(exchange.sent) else {
