@@ -72,11 +72,7 @@ impl ClockRelation {
     /// The same relation where all times of clock a are later by `seconds`.
     #[must_use]
     pub fn with_a_later(self, seconds: f64) -> Self {
-        Self {
-            reference: self.reference + seconds,
-            offset: self.offset - seconds,
-            ..self
-        }
+        self.moved(seconds, -seconds)
     }
 
     /// The same relation where all times of clock a are later by `a_s` and offsets larger

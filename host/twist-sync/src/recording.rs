@@ -13,6 +13,7 @@
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::error::Error;
+use std::iter::{Fuse, Peekable};
 use std::num::NonZero;
 use std::{panic, thread};
 
@@ -116,11 +117,9 @@ pub fn estimate_course<E: Error + Send + 'static>(
         None => Prior::Relation(search::first_relation(a, b, options)?),
     };
     let mut windows = Windows {
-        a: a()?,
-        a_next: None,
-        b: b()?,
+        a: a()?.peekable(),
+        b: b()?.fuse(),
         b_waiting: VecDeque::new(),
-        b_ended: false,
         count: 0,
     };
     let mut estimates: Vec<ClockRelation> = Vec::new();
@@ -243,12 +242,10 @@ fn estimated(batch: &[Window], options: &Options) -> Vec<Result<Estimate, Refusa
 
 /// Cuts two streams into windows.
 struct Windows<'a, E> {
-    a: GyroStream<'a, E>,
-    a_next: Option<GyroSample>,
-    b: GyroStream<'a, E>,
+    a: Peekable<GyroStream<'a, E>>,
+    b: Fuse<GyroStream<'a, E>>,
     /// Samples of b that a window may still need.
     b_waiting: VecDeque<GyroSample>,
-    b_ended: bool,
     /// Windows of a so far.
     count: usize,
 }
@@ -279,21 +276,16 @@ impl<E> Windows<'_, E> {
     }
 
     fn next_a(&mut self) -> Result<Option<GyroTrack>, E> {
-        let first = match self.a_next.take() {
-            Some(sample) => sample,
-            None => match self.a.next().transpose()? {
-                Some(sample) => sample,
-                None => return Ok(None),
-            },
+        let Some(first) = self.a.next().transpose()? else {
+            return Ok(None);
         };
         let mut samples = vec![first];
         let end = first.at.saturating_add(WINDOW);
-        while let Some(sample) = self.a.next().transpose()? {
-            if sample.at >= end || samples.len() >= MOST_SAMPLES {
-                self.a_next = Some(sample);
-                break;
-            }
-            samples.push(sample);
+        let belongs = |sample: &Result<GyroSample, E>| !sample.as_ref().is_ok_and(|s| s.at >= end);
+        while samples.len() < MOST_SAMPLES
+            && let Some(sample) = self.a.next_if(belongs)
+        {
+            samples.push(sample?);
         }
         Ok(Some(GyroTrack::from_samples(&samples)))
     }
@@ -309,20 +301,16 @@ impl<E> Windows<'_, E> {
         let to = nanos(window.epoch_s + last + offset + margin);
         // The next window may look back by as much as its own margin.
         let keep = from.saturating_sub(nanos(2.0 * MOST_MARGIN_S));
-        while !self.b_ended && self.b_waiting.back().is_none_or(|sample| sample.at < to) {
-            match self.b.next().transpose()? {
-                Some(sample) if sample.at >= keep => self.b_waiting.push_back(sample),
-                Some(_) => {}
-                None => self.b_ended = true,
+        while self.b_waiting.back().is_none_or(|sample| sample.at < to)
+            && let Some(sample) = self.b.next().transpose()?
+        {
+            if sample.at >= keep {
+                self.b_waiting.push_back(sample);
             }
         }
-        while self
-            .b_waiting
-            .front()
-            .is_some_and(|sample| sample.at < keep)
-        {
-            self.b_waiting.pop_front();
-        }
+        let is_old = |sample: &&GyroSample| sample.at < keep;
+        let old = self.b_waiting.iter().take_while(is_old).count();
+        self.b_waiting.drain(..old);
         let samples: Vec<GyroSample> = self
             .b_waiting
             .iter()
