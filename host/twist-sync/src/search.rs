@@ -25,8 +25,8 @@ const PART: usize = 300;
 /// Parts and lags that are tried.
 const PARTS: usize = 4;
 const LAGS: usize = 6;
-/// Lags closer than this are one peak, in bins: 0.8 s.
-const APART: u64 = 20;
+/// Lags closer than this are one peak, in bins: 0.84 s.
+const APART: u64 = 21;
 /// Half-width of the search around a lag, s.
 const MARGIN: f64 = 0.3;
 
@@ -48,7 +48,7 @@ pub(crate) fn first_relation<E: Error + 'static>(
     let lags = best_lags(&profile_a.bins, &profile_b.bins);
     let mut reason = None;
     for part in busiest(&profile_a.bins) {
-        let from = profile_a.start.saturating_add(part as i64 * BIN);
+        let from = profile_a.start.saturating_add(part * BIN);
         let window = between(a, from, from.saturating_add(PART as i64 * BIN))?;
         for &lag in &lags {
             // Bin i of a is bin i + lag of b.
@@ -138,25 +138,32 @@ fn best_lags(a: &[f64], b: &[f64]) -> Vec<i64> {
     let length = correlation.len();
     let mut order: Vec<usize> = (0..length).collect();
     order.sort_unstable_by(|&x, &y| correlation[y].total_cmp(&correlation[x]));
-    let mut lags: Vec<i64> = Vec::new();
-    for place in order.into_iter().take(100_000) {
-        let lag = if place < length / 2 {
+    let lag = |place: usize| {
+        if place < length / 2 {
             place as i64
         } else {
             place as i64 - length as i64
-        };
-        if lags.iter().all(|other| other.abs_diff(lag) > APART) {
-            lags.push(lag);
-            if lags.len() == LAGS {
-                break;
-            }
+        }
+    };
+    first_apart(order.into_iter().take(100_000).map(lag), APART, LAGS)
+}
+
+/// The first `most` values that are so far apart from each other.
+fn first_apart(values: impl Iterator<Item = i64>, apart: u64, most: usize) -> Vec<i64> {
+    let mut chosen: Vec<i64> = Vec::new();
+    for value in values {
+        if chosen.iter().all(|other| other.abs_diff(value) >= apart) {
+            chosen.push(value);
+        }
+        if chosen.len() == most {
+            break;
         }
     }
-    lags
+    chosen
 }
 
 /// First bins of the parts with the most motion, apart from each other.
-fn busiest(bins: &[f64]) -> Vec<usize> {
+fn busiest(bins: &[f64]) -> Vec<i64> {
     let power = |from: usize| -> f64 {
         let end = (from + PART).min(bins.len());
         bins[from..end].iter().map(|bin| bin * bin).sum()
@@ -166,16 +173,8 @@ fn busiest(bins: &[f64]) -> Vec<usize> {
         .map(|from| (from, power(from)))
         .collect();
     parts.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut chosen: Vec<usize> = Vec::new();
-    for (from, _) in parts {
-        if chosen.iter().all(|other| other.abs_diff(from) >= PART) {
-            chosen.push(from);
-            if chosen.len() == PARTS {
-                break;
-            }
-        }
-    }
-    chosen
+    let starts = parts.into_iter().map(|(from, _)| from as i64);
+    first_apart(starts, PART as u64, PARTS)
 }
 
 fn between<E>(open: GyroOpener<'_, E>, from: i64, to: i64) -> Result<GyroTrack, E> {
