@@ -19,6 +19,7 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3};
 
 use recording::session_file::RateChange;
 use timebase::{BoardSeconds, ClockModel, Wander};
+use twist_sync::mixture::{Supposed, mixed};
 use twist_sync::tracker::WARMING_S;
 
 /// 1-sigma of the logarithm of [`WARMING_S`]: a factor of two.
@@ -151,8 +152,7 @@ impl Course {
         Some((course, fit))
     }
 
-    /// Several of the same reference as one: mean and covariance of all, by their weights,
-    /// whose sum is 1.
+    /// Several of the same reference as one, each with the logarithm of its likelihood.
     pub(crate) fn mixed<const N: usize>(parts: &[(Self, f64); N]) -> Self {
         const { assert!(N > 0) };
         let ClockModel {
@@ -161,15 +161,16 @@ impl Course {
             wander,
             ..
         } = parts[0].0.clock;
-        let parts = parts.map(|(course, weight)| (course.predicted(reference, base), weight));
-        let mean: Vector3<f64> = parts.iter().map(|((own, _), weight)| own * *weight).sum();
-        let covariance: Matrix3<f64> = parts
-            .iter()
-            .map(|((own, covariance), weight)| {
-                let apart = own - mean;
-                (covariance + apart * apart.transpose()) * *weight
-            })
-            .sum();
+        let parts = parts.map(|(course, likelihood_ln)| {
+            let (mean, covariance) = course.predicted(reference, base);
+            Supposed {
+                prior: 1.0,
+                likelihood_ln,
+                mean,
+                covariance,
+            }
+        });
+        let (mean, covariance) = mixed(&parts);
         Self::of(reference, base, mean, covariance, wander)
     }
 

@@ -90,15 +90,8 @@ impl Twists {
     /// All suppositions together.
     #[must_use]
     pub fn course(&self) -> Course {
-        let best = self.0.iter().map(|supposed| supposed.likelihood_ln);
-        let best = best.fold(f64::NEG_INFINITY, f64::max);
-        let weights = self.0.map(|supposed| (supposed.likelihood_ln - best).exp());
-        let sum: f64 = weights.iter().sum();
-        let mut parts = self.0.map(|supposed| (supposed.course, 0.0));
-        for (part, weight) in parts.iter_mut().zip(weights) {
-            part.1 = weight / sum;
-        }
-        Course::mixed(&parts)
+        let likely = |supposed: Supposition| (supposed.course, supposed.likelihood_ln);
+        Course::mixed(&self.0.map(likely))
     }
 }
 

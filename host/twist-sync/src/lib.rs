@@ -21,6 +21,8 @@ mod flexing;
 mod gates;
 mod interpolant;
 mod lag;
+#[doc(hidden)] // of the workspace: no part of the interface
+pub mod mixture;
 mod neighbours;
 pub mod network;
 mod pair;

@@ -20,6 +20,7 @@
 use nalgebra::{DMatrix, Matrix2, MatrixXx3, Vector2};
 
 use crate::fit::{Fit, Part};
+use crate::mixture::{Supposed, mixed};
 
 /// Parts of equal information.
 const PARTS: f64 = 32.0;
@@ -44,21 +45,15 @@ struct Local {
     variance: f64,
 }
 
-/// Shift and rate under one (τ, T).
-struct Given {
-    mean: Vector2<f64>,
-    covariance: Matrix2<f64>,
-    ln_likelihood: f64,
-}
-
 /// Takes slow time errors into the fit: its relation and its covariance.
 pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let locals = locals(fit, oversampling);
-    let none = given(&locals, 0.0, &DMatrix::zeros(locals.len(), locals.len()));
+    let prior_none = NONE[classes.min(NONE.len() - 1)];
+    let no_shape = DMatrix::zeros(locals.len(), locals.len());
+    let none = given(&locals, 0.0, &no_shape, prior_none);
     let Some(none) = none.filter(|_| locals.len() > 6) else {
         return;
     };
-    let prior_none = NONE[classes.min(NONE.len() - 1)];
     // The larger, the rarer: in proportion to 1/√size.
     let lengths = lengths_s(&locals);
     let rarity = |size: f64| 1.0 / size.sqrt();
@@ -66,30 +61,15 @@ pub(crate) fn considered(fit: &mut Fit, oversampling: f64, classes: usize) {
     let prior = |size: f64| (1.0 - prior_none) * rarity(size) / sum;
     let swings = lengths.iter().flat_map(|&length| {
         let shape = shape(&locals, length);
-        let at = |size| Some((prior(size), given(&locals, size, &shape)?));
+        let at = |size| given(&locals, size, &shape, prior(size));
         SIZES_S.into_iter().filter_map(at).collect::<Vec<_>>()
     });
-    let base = (none.mean, none.covariance);
-    let all: Vec<(f64, Given)> = std::iter::once((prior_none, none)).chain(swings).collect();
-    let top = all.iter().map(|(_, g)| g.ln_likelihood);
-    let top = top.fold(f64::NEG_INFINITY, f64::max);
-    let weight = |(prior, g): &(f64, Given)| prior * (g.ln_likelihood - top).exp();
-    let sum: f64 = all.iter().map(weight).sum();
-    let mean = all
-        .iter()
-        .map(|g| g.1.mean * (weight(g) / sum))
-        .sum::<Vector2<f64>>();
-    let covariance = all
-        .iter()
-        .map(|g| {
-            let off = g.1.mean - mean;
-            (g.1.covariance + off * off.transpose()) * (weight(g) / sum)
-        })
-        .sum::<Matrix2<f64>>();
-    let moved = mean - base.0;
+    let all: Vec<Supposed<2>> = std::iter::once(none).chain(swings).collect();
+    let (mean, covariance) = mixed(&all);
+    let moved = mean - none.mean;
     fit.link.at_model += moved[0];
     fit.link.rate += moved[1];
-    let added = covariance - base.1;
+    let added = covariance - none.covariance;
     // What rounding leaves below zero is nothing.
     if added[(0, 0)] > 0.0 && added[(1, 1)] > 0.0 {
         fit.covariance += added;
@@ -130,7 +110,7 @@ fn shape(locals: &[Local], length_s: f64) -> DMatrix<f64> {
 }
 
 /// Generalised least squares of the displacements on shift and rate under a swing.
-fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
+fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>, prior: f64) -> Option<Supposed<2>> {
     let n = locals.len();
     // In units of the mean variance, so that no figure is tiny.
     let unit = locals.iter().map(|l| l.variance).sum::<f64>() / n.max(1) as f64;
@@ -155,9 +135,10 @@ fn given(locals: &[Local], size_s: f64, shape: &DMatrix<f64>) -> Option<Given> {
     let mean = inverse * right;
     let square = products[(2, 2)] - right.dot(&mean);
     let ln_volume: f64 = cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
-    Some(Given {
+    Some(Supposed {
+        prior,
+        likelihood_ln: -ln_volume - 0.5 * (normal.determinant().ln() + square),
         mean: mean * unit.sqrt(),
         covariance: inverse * unit,
-        ln_likelihood: -ln_volume - 0.5 * (normal.determinant().ln() + square),
     })
 }

@@ -47,6 +47,7 @@ use nalgebra::{SMatrix, SVector};
 pub use self::followed::followed;
 use self::leg::{Leg, Seen};
 use crate::clock::{ClockRelation, Wander, WithSigma};
+use crate::mixture::{Supposed, mixed};
 
 /// One exchange with a clock, s. `sent` and `received` are of the computer's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -397,21 +398,14 @@ impl Filters {
         }
     }
 
-    /// All suppositions together: mean and covariance by their weights.
+    /// All suppositions together.
     fn mixed(&self) -> (State, Covariance) {
-        let best = self.each.iter().map(|filter| filter.likelihood_ln);
-        let best = best.fold(f64::NEG_INFINITY, f64::max);
-        let weights = self.each.each_ref().map(|f| (f.likelihood_ln - best).exp());
-        let sum: f64 = weights.iter().sum();
-        let weighed = || self.each.iter().zip(weights.map(|weight| weight / sum));
-        let mean: State = weighed().map(|(filter, weight)| filter.mean * weight).sum();
-        let covariance = weighed()
-            .map(|(filter, weight)| {
-                let apart = filter.mean - mean;
-                (filter.covariance + apart * apart.transpose()) * weight
-            })
-            .sum();
-        (mean, covariance)
+        mixed(&self.each.each_ref().map(|filter| Supposed {
+            prior: 1.0,
+            likelihood_ln: filter.likelihood_ln,
+            mean: filter.mean,
+            covariance: filter.covariance,
+        }))
     }
 }
 
