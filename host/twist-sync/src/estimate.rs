@@ -289,19 +289,14 @@ fn related(
     let clock = clock_of(pair, &fit, options);
     let calibration = calibration(pair, &fit, &settings, report);
     let kept = pair.model.usable_part().min(pair.data.usable_part());
-    report.gates.push(Gate::usable(kept));
-    report
-        .gates
-        .push(Gate::one_relation(in_one_relation * kept_share));
-    let scatter_s = crosscheck::local_scatter(&fit, PARTS);
-    report.gates.push(Gate::consistent(scatter_s));
-    let sigma_s = clock.covariance[0][0].sqrt();
-    report
-        .gates
-        .push(Gate::sigma(sigma_s, options.sigma_limit_s));
-    let skew_sigma = clock.covariance[1][1].sqrt();
-    report.gates.push(Gate::skew(clock.skew, skew_sigma));
-    report.gates.push(Gate::settled(fit.settled));
+    report.gates.extend([
+        Gate::usable(kept),
+        Gate::one_relation(in_one_relation * kept_share),
+        Gate::consistent(crosscheck::local_scatter(&fit, PARTS)),
+        Gate::sigma(clock.covariance[0][0].sqrt(), options.sigma_limit_s),
+        Gate::skew(clock.skew, clock.covariance[1][1].sqrt()),
+        Gate::settled(fit.settled),
+    ]);
     report.warnings = warnings(pair, &fit);
     report.together = together(pair, &fit);
     Some((clock, calibration))

@@ -169,19 +169,11 @@ struct Consensus {
 pub(crate) fn is_whole(fit: &Fit, noise_variance: f64) -> bool {
     let motion = fit.motion_variance();
     let residual = fit.residual_variance();
-    let blocks = block_powers(fit);
-    let loudest = blocks.iter().copied().fold(0.0, f64::max);
-    let limit = (EXPLAINED * EXPLAINED * motion).max(4.0 * noise_variance);
-    residual <= limit && loudest <= 9.0 * limit
-}
-
-/// Mean square of the residual in each block.
-fn block_powers(fit: &Fit) -> Vec<f64> {
-    let Some(blocks) = blocks_of(&fit.nodes) else {
-        return Vec::new();
-    };
     let residuals = fit.nodes.iter().map(|n| (n.t, n.residual));
-    blocks.rms(residuals).iter().map(|rms| rms * rms).collect()
+    let blocks = blocks_of(&fit.nodes).map(|blocks| blocks.rms(residuals));
+    let loudest = blocks.into_iter().flatten().fold(0.0, f64::max);
+    let limit = (EXPLAINED * EXPLAINED * motion).max(4.0 * noise_variance);
+    residual <= limit && loudest * loudest <= 9.0 * limit
 }
 
 fn blocks_of(nodes: &[Node]) -> Option<Blocks> {
@@ -246,16 +238,9 @@ impl Search<'_> {
         let mut found: Vec<Consensus> = windows
             .filter_map(|window| self.consensus(start, window))
             .collect();
-        let least = |found: &[Consensus]| {
-            let usual = found.iter().map(|c| c.usual).fold(f64::INFINITY, f64::min);
-            usual.max(LEAST_TOLERANCE / TIMES_USUAL)
-        };
-        let best = least(&found);
-        if let Some(whole) = whole
-            && whole.usual <= MUCH_BETTER * best
-        {
-            found.push(whole);
-        }
+        let least = found.iter().map(|c| c.usual).fold(f64::INFINITY, f64::min);
+        let best = least.max(LEAST_TOLERANCE / TIMES_USUAL);
+        found.extend(whole);
         found
             .into_iter()
             .filter(|c| c.usual <= MUCH_BETTER * best)

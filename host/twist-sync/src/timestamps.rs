@@ -223,12 +223,8 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
     let mut sum = 0.0;
     let mut next = jumps.iter().peekable();
     for &k in kept {
-        while let Some(&&(at, jump)) = next.peek() {
-            if at > k {
-                break;
-            }
+        while let Some((_, jump)) = next.next_if(|(at, _)| *at <= k) {
             sum += jump;
-            next.next();
         }
         stairs.push(sum);
     }
