@@ -236,22 +236,31 @@ fn print_row(name: &str, trials: &[Option<Accepted>], ms: f64) {
         println!("| {name} | 0 of {count} | – | – | – | – | – | – | {ms:.1} |");
         return;
     }
-    let n = accepted.len() as f64;
-    let rms = |f: &dyn Fn(&Accepted) -> f64| {
-        (accepted.iter().map(|a| f(a).powi(2)).sum::<f64>() / n).sqrt()
-    };
-    let most =
-        |f: &dyn Fn(&Accepted) -> f64| accepted.iter().map(|a| f(a).abs()).fold(0.0, f64::max);
+    let errors_s = || accepted.iter().map(|a| a.error_s);
+    let over_sigma = || accepted.iter().map(|a| a.error_s / a.sigma_s);
     println!(
         "| {name} | {} of {count} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} | {ms:.1} |",
         accepted.len(),
-        rms(&|a| a.error_s) * 1e6,
-        most(&|a| a.error_s) * 1e6,
-        accepted.iter().map(|a| a.sigma_s).sum::<f64>() / n * 1e6,
-        rms(&|a| a.error_s / a.sigma_s),
-        most(&|a| a.error_s / a.sigma_s),
-        rms(&|a| a.skew_sigmas),
+        rms(errors_s()) * 1e6,
+        largest(errors_s()) * 1e6,
+        accepted.iter().map(|a| a.sigma_s).sum::<f64>() / accepted.len() as f64 * 1e6,
+        rms(over_sigma()),
+        largest(over_sigma()),
+        rms(accepted.iter().map(|a| a.skew_sigmas)),
     );
+}
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut squares, mut count) = (0.0, 0_u32);
+    for value in values {
+        squares += value * value;
+        count += 1;
+    }
+    (squares / f64::from(count.max(1))).sqrt()
+}
+
+fn largest(values: impl Iterator<Item = f64>) -> f64 {
+    values.map(f64::abs).fold(0.0, f64::max)
 }
 
 /// Five twists of one pair of clocks over an hour, about a straight line.
@@ -317,34 +326,25 @@ fn loops(args: &Args) {
         })
         .collect();
     let found: Vec<Loop> = found.into_iter().flatten().collect();
-    let n = found.len().max(1) as f64;
-    let rms =
-        |of: &dyn Fn(&Loop) -> f64| (found.iter().map(|l| of(l).powi(2)).sum::<f64>() / n).sqrt();
-    let sigmas = |x: WithSigma| x.value / x.sigma;
-    let largest = found.iter().map(|l| sigmas(l.closure).abs());
     println!(
         "\nThree devices, {} twists, {} with all pairs:\n",
         args.trials,
         found.len()
     );
     println!("| | rms µs | stated sigma µs | over it, rms | largest |\n|---|---|---|---|---|");
-    println!(
-        "| closure of the loop | {:.3} | {:.2} | {:.2} | {:.2} |",
-        rms(&|l| l.closure.value) * 1e6,
-        rms(&|l| l.closure.sigma) * 1e6,
-        rms(&|l| sigmas(l.closure)),
-        largest.fold(0.0, f64::max)
-    );
-    for (k, name) in ["second", "third"].into_iter().enumerate() {
-        let largest = found.iter().map(|l| sigmas(l.errors[k]).abs());
+    let row = |name: &str, of: fn(&Loop) -> WithSigma| {
+        let over_sigma = || found.iter().map(of).map(|x| x.value / x.sigma);
         println!(
-            "| error of the {name} clock | {:.3} | {:.2} | {:.2} | {:.2} |",
-            rms(&|l| l.errors[k].value) * 1e6,
-            rms(&|l| l.errors[k].sigma) * 1e6,
-            rms(&|l| sigmas(l.errors[k])),
-            largest.fold(0.0, f64::max)
+            "| {name} | {:.3} | {:.2} | {:.2} | {:.2} |",
+            rms(found.iter().map(|l| of(l).value)) * 1e6,
+            rms(found.iter().map(|l| of(l).sigma)) * 1e6,
+            rms(over_sigma()),
+            largest(over_sigma())
         );
-    }
+    };
+    row("closure of the loop", |l| l.closure);
+    row("error of the second clock", |l| l.errors[0]);
+    row("error of the third clock", |l| l.errors[1]);
 }
 
 /// Chi-square of five offsets about their weighted straight line: 3 degrees of freedom.

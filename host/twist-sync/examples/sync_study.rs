@@ -8,15 +8,10 @@
 //! `sync_study [--trials N]`, run by `cargo xtask study`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::convert::Infallible;
-
 use clap::Parser;
 use rayon::prelude::*;
 use twist_sync::simulate::{self, ClockPath, Motion, Twist, TwistSpec};
-use twist_sync::{
-    ClockCourse, ClockRelation, GyroSample, GyroStream, GyroTrack, Options, Wander,
-    estimate_course, estimate_offset,
-};
+use twist_sync::{ClockCourse, ClockRelation, Options, Wander, course_of_tracks, estimate_offset};
 
 /// Drift of the published system, µs in a minute.
 const PUBLISHED_US_PER_MIN: f64 = 16.34;
@@ -73,49 +68,43 @@ const AHEAD_S: [f64; 4] = [0.0, 60.0, 300.0, 600.0];
 const HAND: Motion = Motion::Twist(2.0, 4.0);
 const CARRIED: Motion = Motion::Natural(0.8, 1.6);
 
+fn relation(twist: &Twist, wander: f64) -> Option<ClockRelation> {
+    let estimate = estimate_offset(&twist.a, &twist.b, &options(wander)).ok()?;
+    Some(estimate.clock)
+}
+
+/// Of what a relation predicts, `from_s` after the beginning and later.
+fn judge_ahead(clock: &ClockRelation, twist: &Twist, from_s: f64) -> Errors {
+    judge(|t| clock.referenced_at(t), twist, from_s, &AHEAD_S)
+}
+
 fn one_twist(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let twist = twist_at(path, seed, 0.0, HAND, 9.0);
-    let estimate = estimate_offset(&twist.a, &twist.b, &options(wander)).ok()?;
-    Some(judge(
-        |t| estimate.clock.referenced_at(t),
-        &twist,
-        9.0,
-        &AHEAD_S,
-    ))
+    Some(judge_ahead(&relation(&twist, wander)?, &twist, 9.0))
 }
 
 /// One twist, with the skew learnt in an earlier session to 0.03 ppm.
 fn known_skew(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let twist = twist_at(path, seed, 0.0, HAND, 9.0);
-    let mut clock = estimate_offset(&twist.a, &twist.b, &options(wander))
-        .ok()?
-        .clock;
+    let mut clock = relation(&twist, wander)?;
     let learnt = ((seed as f64 * 0.618_034).fract() - 0.5) * 12.0_f64.sqrt() * 0.03e-6;
     clock.skew = twist.skew + learnt;
     clock.covariance = [[clock.covariance[0][0], 0.0], [0.0, 0.03e-6 * 0.03e-6]];
-    Some(judge(|t| clock.referenced_at(t), &twist, 9.0, &AHEAD_S))
+    Some(judge_ahead(&clock, &twist, 9.0))
 }
 
 fn two_twists(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let early = twist_at(path, seed, 0.0, HAND, 9.0);
     let late = twist_at(path, seed + 1, 60.0, HAND, 9.0);
-    let options = options(wander);
-    let a = estimate_offset(&early.a, &early.b, &options).ok()?.clock;
-    let b = estimate_offset(&late.a, &late.b, &options).ok()?.clock;
-    let joined = a.joined(&b);
-    Some(judge(|t| joined.referenced_at(t), &late, 69.0, &AHEAD_S))
+    let joined = relation(&early, wander)?.joined(&relation(&late, wander)?);
+    Some(judge_ahead(&joined, &late, 69.0))
 }
 
 fn natural(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
     let recording = twist_at(path, seed + 2, 0.0, CARRIED, 300.0);
     let course = course(&recording, wander)?;
     let latest = course.at(course.span().1);
-    Some(judge(
-        |t| latest.referenced_at(t),
-        &recording,
-        300.0,
-        &AHEAD_S,
-    ))
+    Some(judge_ahead(&latest, &recording, 300.0))
 }
 
 /// The relation inside a recording of ten minutes, at 19 instants.
@@ -127,16 +116,8 @@ fn whole(path: &ClockPath, seed: u64, wander: f64) -> Option<Errors> {
 }
 
 fn course(recording: &Twist, wander: f64) -> Option<ClockCourse> {
-    let (a, b) = (|| opened(&recording.a), || opened(&recording.b));
-    let estimated = estimate_course(&a, &b, None, &options(wander), 1, &|_| {});
+    let estimated = course_of_tracks(&recording.a, &recording.b, None, &options(wander));
     estimated.ok().map(|clock| clock.course)
-}
-
-fn opened(track: &GyroTrack) -> Result<GyroStream<'_, Infallible>, Infallible> {
-    Ok(Box::new(track.t.iter().zip(&track.w).map(|(t, &rate)| {
-        let at = ((track.epoch_s + t) * 1e9).round() as i64;
-        Ok(GyroSample { at, rate })
-    })))
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {

@@ -96,68 +96,34 @@ fn main() {
         change(&mut options);
         options
     };
-    variant(
-        "faults kept",
-        &mcu,
-        &phone,
-        &with(|o| o.handle_faults = false),
-    );
-    variant(
-        "low-pass 15 Hz",
-        &mcu,
-        &phone,
-        &with(|o| o.low_pass_hz = 15.0),
-    );
-    variant(
-        "low-pass 40 Hz",
-        &mcu,
-        &phone,
-        &with(|o| o.low_pass_hz = 40.0),
-    );
-    variant("cubic interpolation", &mcu, &phone, &with(|o| o.degree = 3));
-    variant(
-        "interpolation of degree 7",
-        &mcu,
-        &phone,
-        &with(|o| o.degree = 7),
-    );
-    let every_other = GyroTrack {
-        epoch_s: mcu.epoch_s,
-        t: mcu.t.iter().copied().step_by(2).collect(),
-        w: mcu.w.iter().copied().step_by(2).collect(),
-    };
-    variant(
-        "every other sample of the board",
-        &every_other,
-        &phone,
-        &options,
-    );
-    let clean = |keep: &dyn Fn(usize) -> bool| {
-        let kept: Vec<usize> = (0..phone.len()).filter(|&k| keep(k)).collect();
+    for (name, options) in [
+        ("faults kept", with(|o| o.handle_faults = false)),
+        ("low-pass 15 Hz", with(|o| o.low_pass_hz = 15.0)),
+        ("low-pass 40 Hz", with(|o| o.low_pass_hz = 40.0)),
+        ("cubic interpolation", with(|o| o.degree = 3)),
+        ("interpolation of degree 7", with(|o| o.degree = 7)),
+    ] {
+        variant(name, &mcu, &phone, &options);
+    }
+    let only = |track: &GyroTrack, keep: fn(usize) -> bool| {
+        let kept = || (0..track.len()).filter(|&k| keep(k));
         GyroTrack {
-            epoch_s: phone.epoch_s,
-            t: kept.iter().map(|&k| phone.t[k]).collect(),
-            w: kept.iter().map(|&k| phone.w[k]).collect(),
+            epoch_s: track.epoch_s,
+            t: kept().map(|k| track.t[k]).collect(),
+            w: kept().map(|k| track.w[k]).collect(),
         }
     };
-    variant(
-        "classes 0 and 1 removed beforehand",
-        &mcu,
-        &clean(&|k| k % 10 > 1),
-        &options,
-    );
+    let every_other = only(&mcu, |k| k % 2 == 0);
+    let clean = only(&phone, |k| k % 10 > 1);
     let (start, end) = (mcu.epoch_s, mcu.epoch_s + 9.8);
     let middle = estimate.clock.reference;
-    variant(
-        "first half of the information",
-        &mcu.between(start, middle),
-        &phone,
-        &options,
-    );
-    variant(
-        "second half of the information",
-        &mcu.between(middle, end),
-        &phone,
-        &options,
-    );
+    let (early, late) = (mcu.between(start, middle), mcu.between(middle, end));
+    for (name, mcu, phone) in [
+        ("every other sample of the board", &every_other, &phone),
+        ("classes 0 and 1 removed beforehand", &mcu, &clean),
+        ("first half of the information", &early, &phone),
+        ("second half of the information", &late, &phone),
+    ] {
+        variant(name, mcu, phone, &options);
+    }
 }
