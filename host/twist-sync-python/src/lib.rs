@@ -8,6 +8,7 @@
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 use twist_sync::{
     ClockRelation, Fault, Gate, GyroTrack, LeftOut, Options, Prior, RecordingClock, Report, Wander,
     Why, course_of_tracks, estimate_offset,
@@ -89,34 +90,15 @@ impl Settings {
     }
 }
 
-#[derive(IntoPyObject)]
-struct ClockOut {
-    reference: f64,
-    offset: f64,
-    skew: f64,
-    covariance: [[f64; 2]; 2],
-}
+type Dict<'py> = Bound<'py, PyDict>;
 
-impl From<&ClockRelation> for ClockOut {
-    fn from(clock: &ClockRelation) -> Self {
-        Self {
-            reference: clock.reference,
-            offset: clock.offset,
-            skew: clock.skew,
-            covariance: clock.covariance,
-        }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct FaultOut {
-    stream: &'static str,
-    kind: String,
-    count: usize,
-    period: Option<f64>,
-    displacement: Option<f64>,
-    action: String,
-    samples: Vec<usize>,
+fn clock_out<'py>(py: Python<'py>, clock: &ClockRelation) -> PyResult<Dict<'py>> {
+    let out = PyDict::new(py);
+    out.set_item("reference", clock.reference)?;
+    out.set_item("offset", clock.offset)?;
+    out.set_item("skew", clock.skew)?;
+    out.set_item("covariance", clock.covariance)?;
+    Ok(out)
 }
 
 /// `CopiedSample` as `copied_sample`.
@@ -131,119 +113,83 @@ fn snake(name: impl std::fmt::Debug) -> String {
     out
 }
 
-impl From<&Fault> for FaultOut {
-    fn from(fault: &Fault) -> Self {
-        Self {
-            stream: match fault.stream {
-                twist_sync::Stream::A => "a",
-                twist_sync::Stream::B => "b",
-            },
-            kind: snake(fault.kind),
-            count: fault.count,
-            period: fault.period,
-            displacement: fault.displacement_s,
-            action: snake(fault.action),
-            samples: fault.samples.clone(),
-        }
-    }
+fn fault_out<'py>(py: Python<'py>, fault: &Fault) -> PyResult<Dict<'py>> {
+    let out = PyDict::new(py);
+    out.set_item("stream", snake(fault.stream))?;
+    out.set_item("kind", snake(fault.kind))?;
+    out.set_item("count", fault.count)?;
+    out.set_item("period", fault.period)?;
+    out.set_item("displacement", fault.displacement_s)?;
+    out.set_item("action", snake(fault.action))?;
+    out.set_item("samples", &fault.samples)?;
+    Ok(out)
 }
 
-#[derive(IntoPyObject)]
-struct LeftOutOut {
-    start: f64,
-    end: f64,
-    why: &'static str,
-    text: String,
+fn left_out_out<'py>(py: Python<'py>, left_out: &LeftOut) -> PyResult<Dict<'py>> {
+    let out = PyDict::new(py);
+    let why = match left_out.why {
+        Why::Apart => "apart",
+        Why::Slipped { .. } => "slipped",
+        Why::TimeStep(_) => "time_step",
+    };
+    out.set_item("start", left_out.from_s)?;
+    out.set_item("end", left_out.to_s)?;
+    out.set_item("why", why)?;
+    out.set_item("text", left_out.to_string())?;
+    Ok(out)
 }
 
-impl From<&LeftOut> for LeftOutOut {
-    fn from(left_out: &LeftOut) -> Self {
-        Self {
-            start: left_out.from_s,
-            end: left_out.to_s,
-            why: match left_out.why {
-                Why::Apart => "apart",
-                Why::Slipped { .. } => "slipped",
-                Why::TimeStep(_) => "time_step",
-            },
-            text: left_out.to_string(),
-        }
-    }
+fn gate_out<'py>(py: Python<'py>, gate: &Gate) -> PyResult<Dict<'py>> {
+    let out = PyDict::new(py);
+    out.set_item("name", gate.name)?;
+    out.set_item("passed", gate.passed)?;
+    out.set_item("value", gate.value)?;
+    out.set_item("limit", gate.limit)?;
+    out.set_item("unit", gate.unit)?;
+    out.set_item("text", gate.to_string())?;
+    Ok(out)
 }
 
-#[derive(IntoPyObject)]
-struct GateOut {
-    name: &'static str,
-    passed: bool,
-    value: f64,
-    limit: f64,
-    unit: &'static str,
-    text: String,
-}
-
-impl From<&Gate> for GateOut {
-    fn from(gate: &Gate) -> Self {
-        Self {
-            name: gate.name,
-            passed: gate.passed,
-            value: gate.value,
-            limit: gate.limit,
-            unit: gate.unit,
-            text: gate.to_string(),
-        }
-    }
-}
-
-#[derive(IntoPyObject)]
-struct ReportOut {
-    residual_rms: Option<f64>,
-    motion_rms: Option<f64>,
-    overlap: Option<f64>,
-    together: Vec<(f64, f64)>,
-    faults: Vec<FaultOut>,
-    left_out: Vec<LeftOutOut>,
-    gates: Vec<GateOut>,
-    warnings: Vec<String>,
-}
-
-impl From<&Report> for ReportOut {
-    fn from(report: &Report) -> Self {
-        Self {
-            residual_rms: report.residual_rms,
-            motion_rms: report.motion_rms,
-            overlap: report.overlap_s,
-            together: report.together.clone(),
-            faults: report.faults.iter().map(FaultOut::from).collect(),
-            left_out: report.left_out.iter().map(LeftOutOut::from).collect(),
-            gates: report.gates.iter().map(GateOut::from).collect(),
-            warnings: report.warnings.iter().map(ToString::to_string).collect(),
-        }
-    }
+fn report_out<'py>(py: Python<'py>, report: &Report) -> PyResult<Dict<'py>> {
+    let faults = report.faults.iter().map(|fault| fault_out(py, fault));
+    let left_out = report.left_out.iter().map(|part| left_out_out(py, part));
+    let gates = report.gates.iter().map(|gate| gate_out(py, gate));
+    let warnings: Vec<String> = report.warnings.iter().map(ToString::to_string).collect();
+    let out = PyDict::new(py);
+    out.set_item("residual_rms", report.residual_rms)?;
+    out.set_item("motion_rms", report.motion_rms)?;
+    out.set_item("overlap", report.overlap_s)?;
+    out.set_item("together", &report.together)?;
+    out.set_item("faults", faults.collect::<PyResult<Vec<_>>>()?)?;
+    out.set_item("left_out", left_out.collect::<PyResult<Vec<_>>>()?)?;
+    out.set_item("gates", gates.collect::<PyResult<Vec<_>>>()?)?;
+    out.set_item("warnings", warnings)?;
+    Ok(out)
 }
 
 /// Clock, calibration and bias; none of them if it was refused.
-type Found = Option<(ClockOut, [[f64; 3]; 3], [f64; 3])>;
+type Found<'py> = Option<(Dict<'py>, [[f64; 3]; 3], [f64; 3])>;
 
 /// What was found, the reasons of a refusal, and the report.
 #[pyfunction]
-fn estimate(
-    py: Python<'_>,
+fn estimate<'py>(
+    py: Python<'py>,
     a: Stream<'_>,
     b: Stream<'_>,
     settings: Settings,
-) -> PyResult<(Found, String, ReportOut)> {
+) -> PyResult<(Found<'py>, String, Dict<'py>)> {
     let (a, b) = (track(a)?, track(b)?);
     let options = settings.over(Options::default())?;
     Ok(match py.detach(|| estimate_offset(&a, &b, &options)) {
         Ok(e) => (
-            Some((ClockOut::from(&e.clock), e.calibration, e.bias)),
+            Some((clock_out(py, &e.clock)?, e.calibration, e.bias)),
             String::new(),
-            ReportOut::from(&e.report),
+            report_out(py, &e.report)?,
         ),
         Err(refusal) => (
             None,
             refusal.report.failures(),
-            ReportOut::from(&refusal.report),
+            report_out(py, &refusal.report)?,
         ),
     })
 }
@@ -255,9 +201,9 @@ struct Course(RecordingClock);
 #[pymethods]
 impl Course {
     /// The relation at each of these times of clock a.
-    fn at(&self, times: Vec<f64>) -> Vec<ClockOut> {
+    fn at<'py>(&self, py: Python<'py>, times: Vec<f64>) -> PyResult<Vec<Dict<'py>>> {
         let there = times.iter().map(|&t| self.0.course.at(t));
-        there.map(|relation| ClockOut::from(&relation)).collect()
+        there.map(|relation| clock_out(py, &relation)).collect()
     }
 
     fn b_to_a(&self, times: Vec<f64>) -> Vec<f64> {
@@ -280,8 +226,9 @@ impl Course {
         self.0.course.contradicting
     }
 
-    fn estimates(&self) -> Vec<ClockOut> {
-        self.0.estimates.iter().map(ClockOut::from).collect()
+    fn estimates<'py>(&self, py: Python<'py>) -> PyResult<Vec<Dict<'py>>> {
+        let estimates = self.0.estimates.iter();
+        estimates.map(|clock| clock_out(py, clock)).collect()
     }
 }
 
