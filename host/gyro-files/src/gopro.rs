@@ -83,6 +83,7 @@ enum Source {
 }
 
 /// Values of a stream, with the time of the first of each payload.
+#[derive(Default)]
 struct Series<T> {
     values: Vec<T>,
     stamps: Vec<(usize, i64)>,
@@ -90,14 +91,6 @@ struct Series<T> {
 }
 
 impl<T> Series<T> {
-    const fn new() -> Self {
-        Self {
-            values: Vec::new(),
-            stamps: Vec::new(),
-            source: None,
-        }
-    }
-
     fn add(&mut self, values: impl Iterator<Item = T>, (source, at): (Source, i64)) {
         let first = self.values.len();
         self.values.extend(values);
@@ -198,6 +191,7 @@ pub(crate) fn read(path: &Path) -> Result<GyroRecording, GyroFileError> {
 }
 
 /// What is taken of the payloads.
+#[derive(Default)]
 struct Streams {
     /// The camera, as it calls itself.
     name: String,
@@ -205,17 +199,6 @@ struct Streams {
     /// Exposure of each frame, nanoseconds.
     exposures: Series<i64>,
     damage: Vec<String>,
-}
-
-impl Default for Streams {
-    fn default() -> Self {
-        Self {
-            name: String::new(),
-            gyro: Series::new(),
-            exposures: Series::new(),
-            damage: Vec::new(),
-        }
-    }
 }
 
 impl Streams {
