@@ -7,6 +7,7 @@ use std::path::Path;
 
 use jiff::Timestamp;
 use jiff::tz::TimeZone;
+use toml_edit::{DocumentMut, Item, Table, TomlError};
 
 use recording::profile::edit::{open, phone_table};
 use recording::profile::{Learnt, Profile, ProfileError};
@@ -94,33 +95,19 @@ pub fn into_profile(
 ) -> Result<String, ProfileError> {
     let (profile, mut document) = open(text, path)?;
     let phone = phone_table(&mut document, &profile, name, path)?;
-    let mut table = toml_edit::Table::new();
-    table.insert("frame_period_ns", toml_edit::value(learnt.frame_period_ns));
-    table.insert(
-        "frame_period_sigma_ns",
-        toml_edit::value(learnt.frame_period_sigma_ns),
-    );
-    if let Some(jitter) = learnt.frame_jitter_ns {
-        table.insert("frame_jitter_ns", toml_edit::value(jitter));
-    }
-    if let Some(exposure) = learnt.exposure_us {
-        table.insert("exposure_us", toml_edit::value(exposure));
-    }
-    if let (Some(skew), Some(sigma)) = (learnt.skew, learnt.skew_sigma) {
-        table.insert("skew", toml_edit::value(skew));
-        table.insert("skew_sigma", toml_edit::value(sigma));
-    }
-    table.insert("learnt", toml_edit::value(learnt.learnt.to_string()));
-    if let Some(time) = learnt.time {
-        table.insert("time", toml_edit::value(time.to_string()));
-    }
-    if let Some(celsius) = learnt.board_temperature_c {
-        table.insert("board_temperature_c", toml_edit::value(celsius));
-    }
-    if let Some(id) = &learnt.board_id {
-        table.insert("board_id", toml_edit::value(id.as_str()));
-    }
-    phone.insert("learnt", toml_edit::Item::Table(table));
+    let unwritable = |reason: String| ProfileError::Syntax {
+        path: Some(path.to_owned()),
+        reason,
+    };
+    let lines = toml::to_string(learnt).map_err(|error| unwritable(error.to_string()))?;
+    let lines: DocumentMut = lines
+        .parse()
+        .map_err(|error: TomlError| unwritable(error.to_string()))?;
+    let table: Table = lines
+        .iter()
+        .map(|(key, item)| (key, item.clone()))
+        .collect();
+    phone.insert("learnt", Item::Table(table));
     let text = document.to_string();
     Profile::parse(&text, Some(path))?;
     Ok(text)
