@@ -14,8 +14,6 @@ use super::train::{Shape, TrainGeometry, row_light};
 
 /// Degree of what may change against the reference.
 const REFERENCE_DEGREE: usize = 3;
-/// Standard deviations from which a train counts as seen.
-const SEEN: f64 = 8.0;
 /// Below this nothing is there.
 const UNSEEN: f64 = 5.0;
 /// Neighbouring rows whose mean tells part of a flash from noise.
@@ -86,35 +84,11 @@ impl FrameCounts {
     }
 }
 
-/// What is kept of a frame's first fit.
+/// A frame's first fit, and what was made of it.
 #[derive(Debug, Clone)]
 pub(crate) struct Seen {
-    pub(crate) bias_us: f64,
-    significance: f64,
-    share: f64,
-    amplitude: f64,
-    coefficients: Vector4<f64>,
+    pub(crate) fit: FrameFit,
     pub(crate) class: FrameClass,
-}
-
-impl From<&FrameFit> for Seen {
-    fn from(fit: &FrameFit) -> Self {
-        Self {
-            bias_us: fit.bias_us,
-            significance: fit.significance,
-            share: fit.share.min(fit.edge_share),
-            amplitude: fit.amplitude,
-            coefficients: fit.coefficients,
-            class: FrameClass::Unclear,
-        }
-    }
-}
-
-impl Seen {
-    /// Whether it is a train of flashes that explains at least `share` of the frame.
-    pub(crate) fn is_train(&self, share: f64) -> bool {
-        self.significance >= SEEN && self.share >= share && self.amplitude > 0.0
-    }
 }
 
 /// The reference, and what may change against it.
@@ -148,14 +122,14 @@ pub(crate) fn mean_of<'a, T: Copy + Into<f64> + 'a>(
 pub(crate) fn classify(seen: &mut [Seen], share: f64) {
     let amplitudes: Vec<f64> = seen
         .iter()
-        .filter(|s| s.is_train(share))
-        .map(|s| s.amplitude)
+        .filter(|s| s.fit.is_train(share))
+        .map(|s| s.fit.amplitude)
         .collect();
     let typical = quantile(&amplitudes, 0.9).unwrap_or(0.0);
     for s in seen {
-        s.class = if s.is_train(share) && s.amplitude >= 0.3 * typical {
+        s.class = if s.fit.is_train(share) && s.fit.amplitude >= 0.3 * typical {
             FrameClass::Used
-        } else if s.significance < UNSEEN || s.amplitude < 0.1 * typical {
+        } else if s.fit.significance < UNSEEN || s.fit.amplitude < 0.1 * typical {
             FrameClass::Dark
         } else {
             FrameClass::Unclear
@@ -214,7 +188,7 @@ pub(crate) fn doubt_dark(
 /// How far room light may differ from frame to frame, grey levels.
 fn light_allowed(seen: &[Seen]) -> f64 {
     let used = seen.iter().filter(|s| s.class == FrameClass::Used);
-    let amplitudes: Vec<f64> = used.map(|s| s.amplitude).collect();
+    let amplitudes: Vec<f64> = used.map(|s| s.fit.amplitude).collect();
     0.5 + 0.06 * median(&amplitudes)
 }
 
@@ -257,7 +231,7 @@ fn unlit_rows(
         ..*shape
     };
     for (frame, s) in frames_of(footage, seen, FrameClass::Used) {
-        let shape = wide.at(s.bias_us);
+        let shape = wide.at(s.fit.bias_us);
         for (i, ((sum, count), value)) in sums.iter_mut().zip(&frame.rows).enumerate() {
             if row_light(train, &shape, footage.rows.position(i)).value <= 0.0 {
                 *sum += f64::from(*value);
@@ -361,7 +335,7 @@ fn smooth_forms(
     // is long. Only its strength is left free.
     let lit = || seen.iter().filter(|s| s.class == FrameClass::Used);
     let usual_light = Vector4::from_fn(|k, _| {
-        let values: Vec<f64> = lit().map(|s| s.coefficients[k]).collect();
+        let values: Vec<f64> = lit().map(|s| s.fit.coefficients[k]).collect();
         median(&values)
     });
     frames
@@ -371,7 +345,7 @@ fn smooth_forms(
             let rows = frame.rows.iter().map(|&v| f64::from(v));
             let mut rest = DVector::from_iterator(frame.rows.len(), rows);
             if s.class != FrameClass::Dark {
-                let light = model.light(&shape.at(s.bias_us), &usual_light);
+                let light = model.light(&shape.at(s.fit.bias_us), &usual_light);
                 let mut bare = light.clone();
                 plain.remove_from(&mut bare);
                 let strength = bare.dot(&rest) / bare.norm_squared().max(1e-12);

@@ -33,6 +33,8 @@ pub(crate) const ROW_LAG: usize = 24;
 /// Correlation length in the test whether there are flashes at all: pictures of
 /// ordinary scenes are smooth over many rows.
 const DETECTION_LAG: usize = 64;
+/// Standard deviations from which a train counts as seen.
+const SEEN: f64 = 8.0;
 /// A term of the light of which a smaller share is its own, beside the smooth part and
 /// the terms before, is left out.
 const DEPENDENT: f64 = 2e-3;
@@ -74,8 +76,14 @@ pub(crate) struct FrameFit {
     pub(crate) inflation: f64,
     /// Mean of the fitted light of the flashes, grey levels.
     pub(crate) mean_light: f64,
-    /// What is left, grey levels a row.
-    pub(crate) residuals: DVector<f64>,
+}
+
+impl FrameFit {
+    /// Whether it is a train of flashes that explains at least `share` of the frame.
+    pub(crate) fn is_train(&self, share: f64) -> bool {
+        let explained = self.share.min(self.edge_share);
+        self.significance >= SEEN && explained >= share && self.amplitude > 0.0
+    }
 }
 
 /// A frame's model and derivatives about a point.
@@ -205,7 +213,6 @@ impl Model {
             },
             inflation,
             mean_light: local.mean_light,
-            residuals: local.residuals,
         }
     }
 

@@ -63,12 +63,6 @@ pub(crate) fn unwrap_track(fits: &mut [FrameFit], times: &[f64], pitch_us: f64) 
     }
 }
 
-/// What was decided, and the exposure that belongs to it.
-pub(crate) struct Chosen {
-    pub(crate) identity: Identity,
-    pub(crate) exposure_us: f64,
-}
-
 /// One way to read the frames: an exposure longer by `extra` pitches, and the
 /// track moved by `pitches` whole pitches (and half a one for odd `extra`).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,7 +88,7 @@ pub(crate) fn identify(
     shape: &Shape,
     excess: Option<f64>,
     settings: &Settings,
-) -> Chosen {
+) -> Identity {
     let pitch = settings.train.pitch_us;
     let reach = settings.train.count as i32 - 1;
     let asked = spread(fits.len(), FRAMES);
@@ -143,25 +137,18 @@ pub(crate) fn identify(
     let distance = |r: &Reading| (center + r.shift_us(pitch) - expected).abs();
     fitting
         .sort_by(|a, b| (a.extra.cmp(&b.extra)).then_with(|| distance(a).total_cmp(&distance(b))));
-    let taken = fitting.first().copied().unwrap_or(Reading {
-        extra: 0,
-        pitches: 0,
-    });
-    for fit in fits.iter_mut() {
-        fit.bias_us += taken.shift_us(pitch);
+    if let Some(taken) = fitting.first() {
+        for fit in fits.iter_mut() {
+            fit.bias_us += taken.shift_us(pitch);
+        }
     }
-    Chosen {
-        exposure_us: exposure(taken.extra),
-        identity: Identity {
-            unique: fitting.len() == 1,
-            candidates: fitting
-                .iter()
-                .map(|r| Candidate {
-                    bias_us: center + r.shift_us(pitch) - settings.path_delay_us,
-                    exposure_us: exposure(r.extra),
-                })
-                .collect(),
-        },
+    let candidate = |reading: &Reading| Candidate {
+        bias_us: center + reading.shift_us(pitch) - settings.path_delay_us,
+        exposure_us: exposure(reading.extra),
+    };
+    Identity {
+        unique: fitting.len() == 1,
+        candidates: fitting.iter().map(candidate).collect(),
     }
 }
 

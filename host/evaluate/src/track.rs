@@ -158,14 +158,19 @@ pub(crate) fn track(
     let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
     beyond_chance(&joint, sighting.reference, footage, settings)?;
     let shown = choice.shown(used.len());
-    let mut fits = fit_each(&sighting.model, &used, &joint.shape(), &shown);
-    let profiles: Vec<&[f32]> = used.iter().map(|(f, _)| f.rows.as_slice()).collect();
-    let (mean_profile, fitted_profile) = shown_profiles(&profiles, &fits, &shown);
+    let mut fits = fit_each(&sighting.model, &used, &joint.shape());
+    let (mean_profile, fitted_profile) = mean_profiles(
+        &sighting.model,
+        used.get(shown.clone()).unwrap_or_default(),
+        fits.get(shown.clone()).unwrap_or_default(),
+        &joint.shape(),
+    );
 
     let times: Vec<f64> = used.iter().map(|(f, _)| f.time_s).collect();
     unwrap_track(&mut fits, &times, settings.train.pitch_us);
+    let profiles: Vec<&[f32]> = used.iter().map(|(f, _)| f.rows.as_slice()).collect();
     let dark = sighting.dark_level(footage);
-    let chosen = identify(
+    let identity = identify(
         &sighting.model,
         &profiles,
         &mut fits,
@@ -173,7 +178,9 @@ pub(crate) fn track(
         dark.map(|dark| mean(&mean_of(profiles.iter().copied())) - dark),
         settings,
     );
-    joint.exposure_us = chosen.exposure_us;
+    if let Some(taken) = identity.candidates.first() {
+        joint.exposure_us = taken.exposure_us;
+    }
     follow(&mut joint, &together, &fits, settings);
 
     let points: Vec<FramePoint> = used
@@ -194,7 +201,7 @@ pub(crate) fn track(
         shown_bias_us,
         points,
         counts,
-        identity: chosen.identity,
+        identity,
         reference: sighting.reference,
         mean_profile,
         fitted_profile,
@@ -226,7 +233,10 @@ impl Sighting {
             .map(|frame| {
                 let y = model.detrend(&frame.rows);
                 let found = search.best(y.as_slice(), settings.near_us);
-                Seen::from(&model.fit_frame(&y, &found.map_or(shape, |f| f.shape)))
+                Seen {
+                    fit: model.fit_frame(&y, &found.map_or(shape, |f| f.shape)),
+                    class: FrameClass::Unclear,
+                }
             })
             .collect();
         let share = match reference {
@@ -245,7 +255,7 @@ impl Sighting {
 
     fn used<'a>(&'a self, footage: &'a Footage) -> Vec<UsedFrame<'a>> {
         frames_of(footage, &self.seen, FrameClass::Used)
-            .map(|(frame, seen)| (frame, seen.bias_us))
+            .map(|(frame, seen)| (frame, seen.fit.bias_us))
             .collect()
     }
 
@@ -296,36 +306,28 @@ fn fit_some(
     model.fit_joint(&profiles, &biases, start, &priors(settings))
 }
 
-/// Each frame's centre with a common row time and exposure. Curves are kept of the
-/// shown ones only: those of all frames together are large.
-fn fit_each(
-    model: &Model,
-    used: &[UsedFrame<'_>],
-    shape: &Shape,
-    shown: &Range<usize>,
-) -> Vec<FrameFit> {
+/// Each frame's centre with a common row time and exposure.
+fn fit_each(model: &Model, used: &[UsedFrame<'_>], shape: &Shape) -> Vec<FrameFit> {
     used.par_iter()
-        .enumerate()
-        .map(|(place, &(frame, bias_us))| {
-            let mut fit = model.fit_frame(&model.detrend(&frame.rows), &shape.at(bias_us));
-            if !shown.contains(&place) {
-                fit.residuals = DVector::zeros(0);
-            }
-            fit
-        })
+        .map(|&(frame, bias_us)| model.fit_frame(&model.detrend(&frame.rows), &shape.at(bias_us)))
         .collect()
 }
 
-/// Mean profile of the shown frames, and of what was fitted to them.
-fn shown_profiles(
-    profiles: &[&[f32]],
+/// Mean profile of some frames, and of what was fitted to them.
+fn mean_profiles(
+    model: &Model,
+    frames: &[UsedFrame<'_>],
     fits: &[FrameFit],
-    shown: &Range<usize>,
+    shape: &Shape,
 ) -> (Vec<f64>, Vec<f64>) {
-    let profiles = profiles.get(shown.clone()).unwrap_or_default();
-    let fits = fits.get(shown.clone()).unwrap_or_default();
-    let profile = mean_of(profiles.iter().copied());
-    let residuals = mean_of(fits.iter().map(|fit| fit.residuals.as_slice()));
+    let profile = mean_of(frames.iter().map(|(frame, _)| frame.rows.as_slice()));
+    let residuals: Vec<DVector<f64>> = frames
+        .iter()
+        .zip(fits)
+        .map(|((frame, _), fit)| (model.detrend(&frame.rows), shape.at(fit.bias_us)))
+        .map(|(detrended, shape)| model.local(&detrended, &shape).residuals)
+        .collect();
+    let residuals = mean_of(residuals.iter().map(DVector::as_slice));
     let fitted = profile.iter().zip(&residuals).map(|(p, r)| p - r).collect();
     (profile, fitted)
 }
@@ -528,7 +530,7 @@ fn best_train(
                 .shape();
             let fit = model.fit_frame(y, &shape);
             let sharp = fit.rss <= (1.0 - SHARPER) * smooth_rss;
-            (sharp && Seen::from(&fit).is_train(PLAIN_SHARE)).then_some((fit.share, shape))
+            (sharp && fit.is_train(PLAIN_SHARE)).then_some((fit.share, shape))
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, shape)| shape)
