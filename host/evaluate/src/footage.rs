@@ -44,10 +44,6 @@ pub struct Footage {
     pub(crate) path: PathBuf,
     /// How the recording was aligned, if its session says so.
     pub(crate) applied: Option<Applied>,
-    /// Width of the image.
-    pub(crate) width: usize,
-    /// Height of the image.
-    pub(crate) height: usize,
     /// How rows lie in the image.
     pub(crate) reducer: RowReducer,
     /// The used rows relative to the middle row.
@@ -165,8 +161,6 @@ impl Footage {
         Ok(Self {
             path: info.path,
             applied: None,
-            width: info.width,
-            height: info.height,
             reducer,
             rows,
             frames: store.into_frames(),

@@ -110,8 +110,8 @@ pub(crate) struct RowProfile {
 /// Turns frames of one size into row profiles.
 #[derive(Debug, Clone)]
 pub(crate) struct RowReducer {
-    width: usize,
-    height: usize,
+    pub(crate) width: usize,
+    pub(crate) height: usize,
     rotation: Rotation,
     region: Region,
     white: u8,

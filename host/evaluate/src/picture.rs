@@ -29,10 +29,7 @@ pub(crate) fn svg(
         .points
         .iter()
         .find(|p| p.index == footage.picture.index);
-    let rows = own.map(|p| {
-        let bias = p.bias_us + settings.path_delay_us;
-        flash_rows(footage, track, &settings.train, bias)
-    });
+    let rows = own.map(|p| flash_rows(footage, track, settings, p.bias_us));
     for (number, row) in rows.unwrap_or_default() {
         // Only at the edges, so that the bands stay visible.
         canvas.line(row, 0.0..0.18, "stroke=\"#ff6a3d\"");

@@ -2,12 +2,12 @@
 
 use page::chart::{Chart, Data, Ink, stack};
 
+use super::Settings;
 use super::drift::EvaluatedDrift;
 use super::footage::Footage;
 use super::precision::{Evaluated, Precision, middle_row};
 use super::stats::quantile;
 use super::track::Track;
-use super::train::TrainGeometry;
 
 /// Size of one chart, pixels.
 const SIZE: (u32, u32) = (900, 380);
@@ -20,13 +20,8 @@ const MARK: Ink = Ink::rgb(20, 110, 180);
 
 /// Averaged row profile, fit, and histogram over launches (with two or more).
 #[must_use]
-pub fn precision(
-    precision: &Precision,
-    shown: &Evaluated,
-    train: &TrainGeometry,
-    path_delay_us: f64,
-) -> String {
-    let profile = profile(&shown.footage, &shown.track, train, path_delay_us);
+pub fn precision(precision: &Precision, shown: &Evaluated, settings: &Settings) -> String {
+    let profile = profile(&shown.footage, &shown.track, settings);
     let values: Vec<f64> = precision.recordings.iter().map(|r| r.bias_us).collect();
     if values.len() > 1 {
         stack(SIZE, &[profile, launches(&values)])
@@ -37,18 +32,20 @@ pub fn precision(
 
 /// Averaged row profile of the shown frames, and row against time with the line.
 #[must_use]
-pub fn drift(drift: &EvaluatedDrift, train: &TrainGeometry, path_delay_us: f64) -> String {
-    let profile = profile(&drift.footage, &drift.track, train, path_delay_us);
+pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> String {
+    let profile = profile(&drift.footage, &drift.track, settings);
     stack(SIZE, &[profile, course(drift)])
 }
 
-/// Rows, from 0, where the flashes of a track lie, with their numbers from 1.
+/// Rows, from 0, where the flashes lie of a train with this bias, with their numbers from 1.
 pub(crate) fn flash_rows(
     footage: &Footage,
     track: &Track,
-    train: &TrainGeometry,
+    settings: &Settings,
     bias_us: f64,
 ) -> Vec<(u32, f64)> {
+    let train = settings.train;
+    let bias_us = bias_us + settings.path_delay_us;
     let middle = middle_row(footage);
     let first = footage.reducer.first_row() as f64;
     let last = first + footage.rows.len as f64;
@@ -61,13 +58,13 @@ pub(crate) fn flash_rows(
         .collect()
 }
 
-fn profile(footage: &Footage, track: &Track, train: &TrainGeometry, path_delay_us: f64) -> Chart {
+fn profile(footage: &Footage, track: &Track, settings: &Settings) -> Chart {
     let first = footage.reducer.first_row() as f64;
     let points = |values: &[f64]| -> Vec<(f64, f64)> {
         let rows = values.iter().enumerate();
         rows.map(|(i, &v)| (first + i as f64, v)).collect()
     };
-    let flashes = flash_rows(footage, track, train, track.shown_bias_us + path_delay_us);
+    let flashes = flash_rows(footage, track, settings, track.shown_bias_us);
     let flashes = flashes.into_iter().map(|(k, row)| (row, k.to_string()));
     Chart::new("sensor row", "grey level")
         .title("Mean brightness of rows, with the fitted train")

@@ -199,8 +199,8 @@ pub fn evaluate_recording(
     let joint = &track.joint;
     let result = RecordingResult {
         path: footage.path.clone(),
-        width: footage.width,
-        height: footage.height,
+        width: footage.reducer.width,
+        height: footage.reducer.height,
         applied_bias_us: footage.applied.map(|a| a.bias_us),
         bias_us: joint.mean_us,
         sigma_us,

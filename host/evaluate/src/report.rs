@@ -28,20 +28,12 @@ pub fn precision(
     if let Some(bias) = &result.bias {
         spread_rows(&mut facts, "bias from perfect sync", bias);
     }
-    facts.push((
-        String::from("row time"),
-        format!(
-            "{:.4} ± {:.4} µs",
-            result.row_time_us, result.row_time_sigma_us
-        ),
-    ));
+    let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
+    facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
     if let Some(paper) = &result.paper_bias {
         spread_rows(&mut facts, "published pipeline: bias", paper);
         if let Some(t) = result.paper_row_time_us {
-            facts.push((
-                String::from("published pipeline: row time"),
-                format!("{t:.4} µs"),
-            ));
+            facts.push(("published pipeline: row time", format!("{t:.4} µs")));
         }
     }
     page.facts(&facts);
@@ -92,7 +84,7 @@ pub fn precision(
     picture(&mut page, &shown.footage, &shown.track, settings)?;
     page.section("Row profile and launches");
     page.figure(
-        &plot::precision(result, shown, &settings.train, settings.path_delay_us),
+        &plot::precision(result, shown, settings),
         "Brightness of the sensor's rows with the fitted train of flashes; with two or more \
          recordings, their biases.",
     );
@@ -161,7 +153,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     );
     let mut page = Page::new("Frame sync: drift", level, &verdict);
     let mut facts = Vec::new();
-    let mut fact = |name: &str, value: String| facts.push((name.to_owned(), value));
+    let mut fact = |name, value: String| facts.push((name, value));
     fact("recording", r.path.display().to_string());
     fact(
         "drift",
@@ -206,7 +198,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     picture(&mut page, &drift.footage, &drift.track, settings)?;
     page.section("Row profile and drift");
     page.figure(
-        &plot::drift(drift, &settings.train, settings.path_delay_us),
+        &plot::drift(drift, settings),
         "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
          against time with the fitted line.",
     );
@@ -284,7 +276,7 @@ fn short(path: &Path) -> String {
     last.display().to_string()
 }
 
-fn spread_rows(facts: &mut Vec<(String, String)>, name: &str, s: &Spread) {
+fn spread_rows(facts: &mut Vec<(&str, String)>, name: &'static str, s: &Spread) {
     // The published pipeline says nothing about the uncertainty of one recording.
     let sigma = if s.mean_sigma_us > 0.0 {
         format!(" ± {:.3}", s.mean_sigma_us)
@@ -295,15 +287,12 @@ fn spread_rows(facts: &mut Vec<(String, String)>, name: &str, s: &Spread) {
         1 => String::from("one recording"),
         count => format!("median {:+.3} µs, {count} recordings", s.median_us),
     };
-    facts.push((
-        name.to_owned(),
-        format!("mean {:+.3}{sigma} µs, {rest}", s.mean_us),
-    ));
+    facts.push((name, format!("mean {:+.3}{sigma} µs, {rest}", s.mean_us)));
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
         (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
     {
         facts.push((
-            String::from("spread over recordings"),
+            "spread over recordings",
             format!("IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"),
         ));
     }

@@ -156,7 +156,7 @@ fn videos_without_flashes_truncated_or_of_another_size() {
     let html = report::precision(&result, &shown, &settings).unwrap();
     assert!(html.contains("data:image/png;base64,") && html.contains("left out"));
     assert!(!html.contains("src=\"http") && !html.contains("<script"));
-    let svg = plot::precision(&result, &shown, &settings.train, 0.0);
+    let svg = plot::precision(&result, &shown, &settings);
     assert!(svg.starts_with("<svg") && svg.contains("sensor row"));
 }
 

@@ -334,7 +334,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
         .next_step("fix what the reason names; -v lists the reason of every recording"));
     };
     if let Some(path) = &args.common.plot {
-        let svg = plot::precision(&result, &shown, &settings.train, settings.path_delay_us);
+        let svg = plot::precision(&result, &shown, &settings);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
@@ -517,7 +517,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     let waiting_for_input_s = recording.waited.as_secs_f64();
     let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
     if let Some(path) = &args.common.plot {
-        let svg = plot::drift(&evaluated, &settings.train, settings.path_delay_us);
+        let svg = plot::drift(&evaluated, &settings);
         write_file(path, &svg)?;
     }
     if let Some(path) = &args.common.report {
