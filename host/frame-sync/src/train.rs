@@ -7,6 +7,7 @@
 //! 0.004 ns a frame. Both `profile learn` and `extract` take the period from here.
 
 use timebase::PhoneNanos;
+use twist_sync::robust::Line;
 
 /// The least number of frames.
 const MIN_FRAMES: usize = 300;
@@ -86,9 +87,9 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
         points.push((number, pair[1]));
     }
     let missing = number as u64 + 1 - points.len() as u64;
-    let mut line = fit(&points);
+    let (mut line, mut jitter_ns) = fit(&points);
     for _ in 0..3 {
-        let limit = 5.0 * line.spread.max(1.0);
+        let limit = 5.0 * jitter_ns.max(1.0);
         let kept: Vec<(f64, f64)> = points
             .iter()
             .copied()
@@ -101,50 +102,22 @@ pub fn frame_period(times: &[PhoneNanos]) -> Result<FramePeriod, TrainError> {
             return Err(odd("they scatter too much"));
         }
         points = kept;
-        line = fit(&points);
+        (line, jitter_ns) = fit(&points);
     }
     Ok(FramePeriod {
         period_ns: line.slope,
-        sigma_ns: line.slope_sigma,
-        jitter_ns: line.spread,
+        sigma_ns: jitter_ns / line.squares.sqrt(),
+        jitter_ns,
         frames: points.len(),
         missing,
     })
 }
 
-struct Line {
-    slope: f64,
-    slope_sigma: f64,
-    mean_x: f64,
-    mean_y: f64,
-    spread: f64,
-}
-
-impl Line {
-    fn at(&self, x: f64) -> f64 {
-        self.mean_y + self.slope * (x - self.mean_x)
-    }
-}
-
-/// Least squares about the means, so that large times cost no precision.
-fn fit(points: &[(f64, f64)]) -> Line {
-    let count = points.len() as f64;
-    let mean_x = points.iter().map(|p| p.0).sum::<f64>() / count;
-    let mean_y = points.iter().map(|p| p.1).sum::<f64>() / count;
-    let xx: f64 = points.iter().map(|p| (p.0 - mean_x).powi(2)).sum();
-    let xy: f64 = points.iter().map(|p| (p.0 - mean_x) * (p.1 - mean_y)).sum();
-    let slope = xy / xx;
-    let mut line = Line {
-        slope,
-        slope_sigma: 0.0,
-        mean_x,
-        mean_y,
-        spread: 0.0,
-    };
+/// A line through points, and their standard deviation about it.
+fn fit(points: &[(f64, f64)]) -> (Line, f64) {
+    let line = Line::through(points);
     let squares: f64 = points.iter().map(|p| (p.1 - line.at(p.0)).powi(2)).sum();
-    line.spread = (squares / (count - 2.0)).sqrt();
-    line.slope_sigma = line.spread / xx.sqrt();
-    line
+    (line, (squares / (points.len() as f64 - 2.0)).sqrt())
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Small robust statistics.
+//! Small robust statistics, and the straight line through points.
 
 /// Median (mean of the middle two); `None` without values.
 #[must_use]
@@ -81,17 +81,48 @@ pub(crate) fn mad_sigma(mut values: Vec<f64>) -> Option<f64> {
     Some(1.482_602_218_505_602 * median_in_place(&mut values)?)
 }
 
-/// Least-squares line: (value at the centre, slope, centre of `x`).
-pub(crate) fn line(x: &[f64], y: &[f64]) -> (f64, f64, f64) {
-    let n = x.len().max(1) as f64;
-    let centre = x.iter().sum::<f64>() / n;
-    let mean = y.iter().sum::<f64>() / n;
-    let (mut xx, mut xy) = (0.0, 0.0);
-    for (a, b) in x.iter().zip(y) {
-        xx += (a - centre) * (a - centre);
-        xy += (a - centre) * (b - mean);
+/// A least-squares line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    /// Mean of `x`.
+    pub centre: f64,
+    /// Value there.
+    pub mean: f64,
+    /// Slope; 0 where `x` is the same everywhere.
+    pub slope: f64,
+    /// Sum of the squares of `x` about the centre.
+    pub squares: f64,
+}
+
+impl Line {
+    /// Through points (x, y), about their means, so that large times cost no precision.
+    #[must_use]
+    pub fn through(points: &[(f64, f64)]) -> Self {
+        let n = points.len().max(1) as f64;
+        let centre = points.iter().map(|p| p.0).sum::<f64>() / n;
+        let mean = points.iter().map(|p| p.1).sum::<f64>() / n;
+        let (mut squares, mut products) = (0.0, 0.0);
+        for (x, y) in points {
+            squares += (x - centre) * (x - centre);
+            products += (x - centre) * (y - mean);
+        }
+        Self {
+            centre,
+            mean,
+            slope: if squares > 0.0 {
+                products / squares
+            } else {
+                0.0
+            },
+            squares,
+        }
     }
-    (mean, if xx > 0.0 { xy / xx } else { 0.0 }, centre)
+
+    /// Value at `x`.
+    #[must_use]
+    pub fn at(&self, x: f64) -> f64 {
+        self.mean + self.slope * (x - self.centre)
+    }
 }
 
 #[cfg(test)]
@@ -111,7 +142,8 @@ mod tests {
         }
         let sigma = mad_sigma(vec![0.0, 1.0, 2.0, 3.0, 100.0]).unwrap();
         assert!((sigma - 1.4826).abs() < 1e-3);
-        let (mean, slope, centre) = line(&[0.0, 1.0, 2.0], &[1.0, 3.0, 5.0]);
-        assert_eq!((mean, slope, centre), (3.0, 2.0, 1.0));
+        let line = Line::through(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]);
+        assert_eq!((line.mean, line.slope, line.centre), (3.0, 2.0, 1.0));
+        assert_eq!((line.squares, line.at(4.0)), (2.0, 9.0));
     }
 }

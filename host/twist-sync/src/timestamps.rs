@@ -20,7 +20,7 @@
 
 use crate::faults::{Action, Fault, FaultKind, Stream, recurrence};
 use crate::neighbours::{self, leave_out};
-use crate::robust;
+use crate::robust::{self, Line};
 
 /// Below this number of jumps a sawtooth's mean is uncertain.
 const FEW_RESETS: usize = 3;
@@ -219,19 +219,18 @@ fn correct_sawtooth(stream: Stream, kept: &[usize], out: &mut Timestamps) {
         return;
     }
     // Accumulated jumps, without the straight line through them.
-    let mut stairs = Vec::with_capacity(kept.len());
+    let mut stairs: Vec<(f64, f64)> = Vec::with_capacity(kept.len());
     let mut sum = 0.0;
     let mut next = jumps.iter().peekable();
     for &k in kept {
         while let Some((_, jump)) = next.next_if(|(at, _)| *at <= k) {
             sum += jump;
         }
-        stairs.push(sum);
+        stairs.push((out.t[k], sum));
     }
-    let times: Vec<f64> = kept.iter().map(|&k| out.t[k]).collect();
-    let (mean, slope, centre) = robust::line(&times, &stairs);
-    for ((&k, &x), &s) in kept.iter().zip(&times).zip(&stairs) {
-        out.t[k] = x - (s - mean - slope * (x - centre));
+    let line = Line::through(&stairs);
+    for (&k, &(x, s)) in kept.iter().zip(&stairs) {
+        out.t[k] = x - (s - line.mean - line.slope * (x - line.centre));
     }
     if jumps.len() < FEW_RESETS {
         out.unresolved_s = size.abs() / 12.0_f64.sqrt();
