@@ -164,6 +164,14 @@ impl Uniform {
         })
     }
 
+    /// First and last time.
+    pub(crate) fn domain(&self) -> (f64, f64) {
+        (
+            self.start,
+            self.start + (self.y.len() - 1) as f64 * self.step,
+        )
+    }
+
     /// Value at `t`; outside of the samples the end polynomial is continued.
     pub(crate) fn value(&self, t: f64) -> Vec3 {
         match self.degree {

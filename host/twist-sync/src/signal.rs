@@ -48,14 +48,6 @@ fn kernel_sigma_s(low_pass_hz: f64) -> f64 {
     std::f64::consts::LN_2.sqrt() / (std::f64::consts::TAU * low_pass_hz)
 }
 
-/// A stretch of motion without gaps.
-#[derive(Debug, Clone)]
-struct Piece {
-    smooth: Uniform,
-    from: f64,
-    to: f64,
-}
-
 /// The usable samples on an even grid, piece by piece, before any filter.
 #[derive(Debug, Clone)]
 pub(crate) struct Resampled {
@@ -117,12 +109,7 @@ impl Resampled {
             if nodes.len() < 2 * self.degree {
                 return None;
             }
-            let to = start + (nodes.len() - 1) as f64 * step;
-            Some(Piece {
-                smooth: Uniform::new(start, step, nodes, self.degree)?,
-                from: start,
-                to,
-            })
+            Uniform::new(start, step, nodes, self.degree)
         };
         let pieces = self.pieces.iter().filter_map(smooth).collect();
         Signal { pieces }
@@ -132,35 +119,36 @@ impl Resampled {
 /// A continuous angular rate, defined on one or more pieces of time.
 #[derive(Debug, Clone)]
 pub(crate) struct Signal {
-    pieces: Vec<Piece>,
+    pieces: Vec<Uniform>,
 }
 
 impl Signal {
-    fn piece_at(&self, t: f64) -> Option<&Piece> {
-        let after = self.pieces.partition_point(|p| p.from <= t);
+    fn piece_at(&self, t: f64) -> Option<&Uniform> {
+        let after = self.pieces.partition_point(|p| p.domain().0 <= t);
         let piece = &self.pieces[after.checked_sub(1)?];
-        (t <= piece.to).then_some(piece)
+        (t <= piece.domain().1).then_some(piece)
     }
 
     /// Smooth value at `t`, or `None` outside of the pieces.
     pub(crate) fn value(&self, t: f64) -> Option<Vec3> {
-        Some(self.piece_at(t)?.smooth.value(t))
+        Some(self.piece_at(t)?.value(t))
     }
 
     /// Smooth value and rate of change at `t`, or `None` outside of the pieces.
     pub(crate) fn at(&self, t: f64) -> Option<(Vec3, Vec3)> {
-        Some(self.piece_at(t)?.smooth.value_and_rate(t))
+        Some(self.piece_at(t)?.value_and_rate(t))
     }
 
     /// The signal sampled every `step` seconds on all its pieces.
     pub(crate) fn sampled(&self, step: f64) -> Vec<(f64, Vec3)> {
         let mut out = Vec::new();
         for piece in &self.pieces {
-            let first = (piece.from / step).ceil() as i64;
-            let last = (piece.to / step).floor() as i64;
+            let (from, to) = piece.domain();
+            let first = (from / step).ceil() as i64;
+            let last = (to / step).floor() as i64;
             out.extend((first..=last).filter_map(|k| {
                 let t = k as f64 * step;
-                (t >= piece.from && t <= piece.to).then(|| (t, piece.smooth.value(t)))
+                (t >= from && t <= to).then(|| (t, piece.value(t)))
             }));
         }
         out
@@ -241,7 +229,7 @@ mod tests {
         assert!(s.at(0.99).is_none(), "the kernel reaches into the gap");
         assert!(s.at(0.9).is_some() && s.at(1.2).is_some());
         assert!(s.at(-1.0).is_none() && s.at(5.0).is_none());
-        let covered_s: f64 = s.pieces.iter().map(|p| p.to - p.from).sum();
+        let covered_s: f64 = s.pieces.iter().map(|p| p.domain().1 - p.domain().0).sum();
         assert!(covered_s > 1.8 && covered_s < 1.96);
     }
 }
