@@ -172,20 +172,9 @@ fn copies(w: &[Vec3], usable: &[bool], noise: &Vec3) -> Vec<(usize, usize)> {
         (0..3).any(|axis| (after[axis] - before[axis]).abs() / 3.0 > resolution[axis])
     };
     // Long runs at rest are a silent sensor, not copies.
-    let mut in_long_run = vec![false; w.len()];
-    let mut from = 0;
-    for k in 1..=equal.len() {
-        if k == equal.len() || equal[k].0 != equal[k - 1].1 {
-            if k - from > 12 {
-                for &(a, b) in &equal[from..k] {
-                    in_long_run[a] = true;
-                    in_long_run[b] = true;
-                }
-            }
-            from = k;
-        }
-    }
-    let (silent, short): (Vec<_>, Vec<_>) = equal.into_iter().partition(|p| in_long_run[p.0]);
+    let runs = equal.chunk_by(|pair, next| pair.1 == next.0);
+    let (silent, short): (Vec<_>, Vec<_>) = runs.partition(|run| run.len() > 12);
+    let short = short.concat();
     let plausible = by_chance * count as f64;
     let all = silent.is_empty() && short.len() as f64 > 3.0 * plausible + 8.0;
     short.into_iter().filter(|p| all || moving(p)).collect()
