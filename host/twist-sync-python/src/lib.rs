@@ -43,24 +43,16 @@ fn track((t, w, nanos): Stream<'_>) -> PyResult<GyroTrack> {
 
 /// What is not given is the crate's default.
 #[derive(FromPyObject)]
+#[pyo3(from_item_all)]
 struct Settings {
-    #[pyo3(item)]
     low_pass_hz: Option<f64>,
-    #[pyo3(item)]
     degree: Option<usize>,
-    #[pyo3(item)]
     a_delay: f64,
-    #[pyo3(item)]
     b_delay: f64,
-    #[pyo3(item)]
     sigma_limit: Option<f64>,
-    #[pyo3(item)]
     min_overlap: Option<f64>,
-    #[pyo3(item)]
     handle_faults: bool,
-    #[pyo3(item)]
     wander_ppm: Option<f64>,
-    #[pyo3(item)]
     search: Option<(f64, f64)>,
 }
 
