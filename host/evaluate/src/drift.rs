@@ -15,7 +15,7 @@ use super::window::still;
 use super::{EvaluateError, Settings};
 
 /// Fewer frames give no regression.
-const MIN_FRAMES: usize = 10;
+pub(crate) const MIN_FRAMES: usize = 10;
 /// Frames over which errors may be correlated: two seconds, two key frames.
 const FRAME_LAG: usize = 64;
 /// Robust standard deviations beyond which a frame does not belong to the line.
@@ -121,7 +121,6 @@ pub fn evaluate(
     let too_few = |found| EvaluateError::TooFewFrames {
         path: footage.path.clone(),
         found,
-        needed: MIN_FRAMES,
     };
     let (line, points) = regression(points).map_err(too_few)?;
     let (first, last) = match (points.first(), points.last()) {
@@ -210,12 +209,9 @@ fn paper_drift(
     let mut row_times = Vec::new();
     let mut rows: Vec<(f64, f64)> = Vec::new();
     let mut followed: Option<f64> = None;
-    let mut used = points.iter().map(|p| p.index).peekable();
+    let is_used = |frame: usize| points.binary_search_by_key(&frame, |p| p.index).is_ok();
     for frame in &footage.frames {
-        while used.peek().is_some_and(|&i| i < frame.index) {
-            used.next();
-        }
-        if frame.index % PAPER_EVERY != 0 || used.peek() != Some(&frame.index) {
+        if frame.index % PAPER_EVERY != 0 || !is_used(frame.index) {
             continue;
         }
         let profile: Vec<f64> = frame.rows.iter().map(|&v| f64::from(v)).collect();

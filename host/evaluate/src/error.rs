@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use video::VideoError;
 
-use super::frame::{MAX_SIDE, Region};
+use super::drift::MIN_FRAMES;
+use super::frame::{MAX_SIDE, MIN_ROWS, Region};
 
 /// An evaluation that could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -35,13 +36,11 @@ pub enum EvaluateError {
     },
     /// Too small a picture.
     #[error(
-        "only {rows} sensor rows to look at, at least {min} are needed: give a larger region or a larger video, and check --rotation"
+        "only {rows} sensor rows to look at, at least {MIN_ROWS} are needed: give a larger region or a larger video, and check --rotation"
     )]
     TooFewRows {
         /// Rows there are.
         rows: usize,
-        /// Rows needed.
-        min: usize,
     },
     /// A setting out of range.
     #[error("{0}")]
@@ -61,7 +60,9 @@ pub enum EvaluateError {
         height: usize,
     },
     /// A side of the picture is beyond any sensor.
-    #[error("{path}: pictures of {width}x{height} pixels are not supported (1 to {max} a side)")]
+    #[error(
+        "{path}: pictures of {width}x{height} pixels are not supported (1 to {MAX_SIDE} a side)"
+    )]
     Unsupported {
         /// The input.
         path: PathBuf,
@@ -69,8 +70,6 @@ pub enum EvaluateError {
         width: u64,
         /// Height it claims.
         height: u64,
-        /// Longest side.
-        max: usize,
     },
     /// `ffmpeg` or `ffprobe` is missing, or cannot be run.
     #[error(transparent)]
@@ -159,14 +158,12 @@ pub enum EvaluateError {
         peak_to_peak: f64,
     },
     /// Flashes in too few frames.
-    #[error("{path}: {found} frames with flashes, at least {needed} are needed")]
+    #[error("{path}: {found} frames with flashes, at least {MIN_FRAMES} are needed")]
     TooFewFrames {
         /// The input.
         path: PathBuf,
         /// Frames with flashes.
         found: usize,
-        /// Frames needed.
-        needed: usize,
     },
     /// A rig profile that is not TOML, or has something else at our key.
     #[error("{path}: {message}")]
@@ -199,7 +196,6 @@ impl EvaluateError {
                 path: path.to_owned(),
                 width,
                 height,
-                max: MAX_SIDE,
             },
         }
     }

@@ -152,10 +152,7 @@ impl RowReducer {
         };
         let rows = reducer.used_rows();
         if rows < MIN_ROWS {
-            return Err(EvaluateError::TooFewRows {
-                rows,
-                min: MIN_ROWS,
-            });
+            return Err(EvaluateError::TooFewRows { rows });
         }
         Ok(reducer)
     }

@@ -74,7 +74,6 @@ fn check_size(path: &Path, width: u64, height: u64) -> Result<(usize, usize), Ev
             path: path.to_owned(),
             width,
             height,
-            max: MAX_SIDE,
         }),
     }
 }
