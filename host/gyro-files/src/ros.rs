@@ -35,13 +35,9 @@ impl Topics {
     }
 
     fn add(&mut self, topic: &str, at: i64, rate: [f64; 3]) {
-        if !self.samples.contains_key(topic) {
-            self.samples.insert(topic.to_owned(), Default::default());
-        }
-        if let Some((times, rates)) = self.samples.get_mut(topic) {
-            times.push(at);
-            rates.push(rate);
-        }
+        let (times, rates) = self.samples.entry(topic.to_owned()).or_default();
+        times.push(at);
+        rates.push(rate);
     }
 
     fn chosen(
