@@ -29,6 +29,9 @@ use crate::signal::Signal;
 /// 10⁻⁸ rad/s at 4 rad/s and 10 Hz.
 const CARRIES_S: f64 = 1e-6;
 
+/// 1-sigma of the prior of the rate: two crystals.
+pub(crate) const RATE_SIGMA: f64 = 300e-6;
+
 const PARAMETERS: usize = 14;
 const SHIFT: usize = 12;
 const RATE: usize = 13;
@@ -80,8 +83,6 @@ pub(crate) struct FitOptions {
     pub(crate) settled_s: f64,
     /// How many nodes one independent noise value spans (oversampling).
     pub(crate) oversampling: f64,
-    /// 1-sigma of the prior of the rate.
-    pub(crate) rate_sigma: f64,
     /// In-band noise variance of one axis, (rad/s)²: strength of the prior of `C`.
     pub(crate) noise_variance: f64,
     /// Bandwidth of the long-run covariance, seconds.
@@ -531,7 +532,7 @@ fn equations(
             right[at] += ridge * (prior.matrix[(row, column)] - calibration.matrix[(row, column)]);
         }
     }
-    let rate_prior = options.oversampling / (options.rate_sigma * options.rate_sigma);
+    let rate_prior = options.oversampling / (RATE_SIGMA * RATE_SIGMA);
     normal[(RATE, RATE)] += rate_prior;
     right[RATE] += rate_prior * (1.0 - link.rate);
     (normal, right)

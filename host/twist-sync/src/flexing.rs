@@ -230,7 +230,7 @@ fn solved(
         .map(|k| (k, 0.0, ridge * weights.trace() / 3.0));
     let known = |sigma: f64| options.oversampling / (sigma * sigma);
     let of_k = (MOUNT..DAMPING).map(|k| (k, 0.0, known(SOFTEST)));
-    let of_rate = (RATE, 1.0 - fit.link.rate, known(options.rate_sigma));
+    let of_rate = (RATE, 1.0 - fit.link.rate, known(fit::RATE_SIGMA));
     let of_damping = (DAMPING..PARAMETERS).map(|k| (k, ZETA.0, known(ZETA.1)));
     let priors = of_c.chain(of_k).chain([of_rate]).chain(of_damping);
     for (k, mean, strength) in priors {

@@ -63,7 +63,6 @@ impl Settings {
                 iterations: 40,
                 settled_s: 1e-9,
                 oversampling: (kernel_length_s / step_s).max(1.0),
-                rate_sigma: 300e-6,
                 noise_variance: in_band(&pair.model) + in_band(&pair.data),
                 memory_s: 0.12,
             },
