@@ -28,6 +28,10 @@ const NODES: f64 = 2.5;
 /// looked for with a wider one.
 const GRID_LOW_PASS_HZ: f64 = 25.0;
 
+/// Neighbours are bridged up to this distance, in steps, and up to this one, seconds.
+const BRIDGED_STEPS: f64 = 3.6;
+const BRIDGED_S: f64 = 0.01;
+
 /// Settings of the continuous representation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Smoothing {
@@ -61,14 +65,12 @@ impl Resampled {
     /// Of the samples with `usable[k]`, in increasing time, for filters as narrow as
     /// `smoothing`.
     ///
-    /// `max_gap_s` is the longest distance between neighbours that is bridged,
-    /// `sample_step_s` the typical distance.
+    /// `sample_step_s` is the typical distance between neighbours.
     pub(crate) fn new(
         t: &[f64],
         w: &[Vec3],
         usable: &[bool],
         sample_step_s: f64,
-        max_gap_s: f64,
         smoothing: &Smoothing,
     ) -> Self {
         let sigma = smoothing.kernel_sigma_s();
@@ -76,6 +78,7 @@ impl Resampled {
         let coarsest = sigma.min(kernel_sigma_s(GRID_LOW_PASS_HZ)) / NODES;
         let grid = sample_step_s.clamp(coarsest / 20.0, coarsest);
         let degree = smoothing.degree;
+        let max_gap_s = (BRIDGED_STEPS * sample_step_s).max(BRIDGED_S);
         let kept = neighbours::kept(usable);
         let pieces = kept
             .chunk_by(|&k, &next| t[next] - t[k] <= max_gap_s)
@@ -203,8 +206,7 @@ mod tests {
             .collect();
         let f = std::f64::consts::TAU * 25.0;
         let w: Vec<Vec3> = t.iter().map(|&x| [(f * x).sin(), 0.0, 0.0]).collect();
-        let s =
-            Resampled::new(&t, &w, &vec![true; t.len()], 0.002, 0.01, &smoothing).smoothed(25.0);
+        let s = Resampled::new(&t, &w, &vec![true; t.len()], 0.002, &smoothing).smoothed(25.0);
         let mut worst: f64 = 0.0;
         for k in 0..1000 {
             let x = 1.0 + 0.001 * k as f64;
@@ -224,7 +226,7 @@ mod tests {
         let w = vec![[1.0, 2.0, 3.0]; 1000];
         let mut usable = vec![true; 1000];
         usable[500..520].fill(false);
-        let s = Resampled::new(&t, &w, &usable, 0.002, 0.01, &smoothing).smoothed(25.0);
+        let s = Resampled::new(&t, &w, &usable, 0.002, &smoothing).smoothed(25.0);
         assert!(s.at(1.02).is_none());
         assert!(s.at(0.99).is_none(), "the kernel reaches into the gap");
         assert!(s.at(0.9).is_some() && s.at(1.2).is_some());

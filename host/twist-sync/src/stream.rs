@@ -77,15 +77,7 @@ impl<'a> CheckedStream<'a> {
     }
 
     pub(crate) fn resampled(&self, smoothing: &Smoothing) -> Resampled {
-        let max_gap_s = (3.6 * self.step_s).max(0.01);
-        Resampled::new(
-            &self.t,
-            self.w,
-            &self.usable,
-            self.step_s,
-            max_gap_s,
-            smoothing,
-        )
+        Resampled::new(&self.t, self.w, &self.usable, self.step_s, smoothing)
     }
 
     pub(crate) fn usable_count(&self) -> usize {

@@ -125,10 +125,9 @@ impl<'a> Held<'a> {
                 out.mount = mount;
             }
         }
-        out.stretches.extend(out.loose.map(|(begin, end, _)| {
-            let end = end + HANDLING_S;
-            (begin, end)
-        }));
+        let loose = out.loose;
+        out.stretches
+            .extend(loose.map(|(begin, end, _)| (begin, end + HANDLING_S)));
         out
     }
 
