@@ -132,17 +132,14 @@ impl CombSearch {
         let whole = own.iter().copied().fold(0.0, f64::max);
         let count = train.count as usize;
         let comb = |values: &[f64], first: isize, flashes: usize| -> f64 {
-            (0..flashes)
-                .filter_map(|k| usize::try_from(first + (k * per_pitch) as isize).ok())
-                .filter_map(|i| values.get(i))
-                .sum()
+            let places = places(first, per_pitch, flashes);
+            places.filter_map(|i| values.get(i)).sum()
         };
         let lowest = -((count.saturating_sub(2) * per_pitch) as isize);
         let candidates = (lowest..steps as isize)
             .filter_map(|first| {
                 // At least two flashes in view, each with half of its light.
-                let seen = (0..count)
-                    .filter_map(|k| usize::try_from(first + (k * per_pitch) as isize).ok())
+                let seen = places(first, per_pitch, count)
                     .filter(|&i| own.get(i).is_some_and(|&e| e >= 0.5 * whole))
                     .count();
                 if seen < 2 {
@@ -182,8 +179,7 @@ impl CombSearch {
             .candidates
             .iter()
             .map(|&(first, energy)| {
-                let sum: f64 = (0..self.train.count as usize)
-                    .filter_map(|k| usize::try_from(first + (k * self.per_pitch) as isize).ok())
+                let sum: f64 = places(first, self.per_pitch, self.train.count as usize)
                     .filter_map(|i| single.get(i))
                     .sum();
                 let bias = self.start_us
@@ -214,6 +210,11 @@ impl CombSearch {
             explained,
         })
     }
+}
+
+/// Where the flashes of a comb are on the grid, but for those before it.
+fn places(first: isize, per_pitch: usize, flashes: usize) -> impl Iterator<Item = usize> {
+    (0..flashes).filter_map(move |k| usize::try_from(first + (k * per_pitch) as isize).ok())
 }
 
 fn on_rows((from, light): &(usize, Vec<f64>), y: &[f64]) -> f64 {
