@@ -13,6 +13,7 @@ mod conversation;
 mod error;
 pub mod gnss;
 pub mod imu;
+mod listen;
 mod streams;
 pub mod transport;
 

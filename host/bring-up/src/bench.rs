@@ -1,18 +1,13 @@
 //! The board's messages over a stretch of board time.
 
-use std::time::Duration;
-
-use board::{Board, BoardError, Event};
+use board::{BoardError, Event};
 use protocol::{Arrived, Capture, DeviceToHost, ImuSample, Pulse, Status, TICK_HZ, TickDelta};
 
-use crate::{BringUpError, Operator};
+use crate::BringUpError;
+use crate::parts::Session;
 
 /// Ticks in a millisecond of board time.
 const TICKS_PER_MS: u32 = TICK_HZ / 1_000;
-
-/// How long the board may say nothing, on the link's clock. It sends a status once a
-/// second of board time; a simulated one may be slower.
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A distance in board time.
 pub(crate) const fn millis(ms: u32) -> TickDelta {
@@ -64,38 +59,36 @@ impl Heard {
     }
 }
 
-/// Takes what the board says for `length` of board time, or until `done`.
-pub(crate) fn hear(
-    board: &mut Board,
-    operator: &dyn Operator,
-    length: TickDelta,
-    mut done: impl FnMut(&Heard) -> bool,
-) -> Result<Heard, BringUpError> {
-    let mut heard = Heard::default();
-    let end = board.ping()?.0 + length;
-    let mut sign = board.now();
-    while board.conversation().latest() < end && !done(&heard) {
-        if operator.wants_to_stop() {
-            return Err(BringUpError::Stopped);
-        }
-        match board.next_event(Duration::from_millis(100))? {
-            Some(Event::Message(message)) => {
-                sign = board.now();
-                heard.take(message);
-            }
-            Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
-            Some(Event::Disordered { .. }) => heard.lost += 1,
-            Some(Event::Damaged(_)) => heard.damaged += 1,
-            Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
-            Some(Event::OtherVersion { found }) => {
-                return Err(BoardError::OtherVersion { found }.into());
-            }
-            Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
-        }
-        if board.now().saturating_sub(sign) > PATIENCE {
-            let command = "any message";
-            return Err(BoardError::NoAnswer { command }.into());
-        }
+impl Session<'_> {
+    /// Takes what the board says for `length` of board time.
+    pub(crate) fn hear(&mut self, length: TickDelta) -> Result<Heard, BringUpError> {
+        self.hear_until(length, |_| false)
     }
-    Ok(heard)
+
+    /// Takes what the board says for `length` of board time, or until `done`.
+    pub(crate) fn hear_until(
+        &mut self,
+        length: TickDelta,
+        mut done: impl FnMut(&Heard) -> bool,
+    ) -> Result<Heard, BringUpError> {
+        let mut heard = Heard::default();
+        let end = self.board.ping()?.0 + length;
+        let stop = || self.operator.wants_to_stop();
+        let listened = self.board.listen("any message", &stop, |board, event| {
+            match event {
+                Some(Event::Message(message)) => heard.take(message),
+                Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),
+                Some(Event::Disordered { .. }) => heard.lost += 1,
+                Some(Event::Damaged(_)) => heard.damaged += 1,
+                Some(Event::Restarted { .. }) => return Err(BringUpError::Reset),
+                Some(Event::OtherVersion { found }) => {
+                    return Err(BoardError::OtherVersion { found }.into());
+                }
+                Some(Event::Frame(_) | Event::Answer(_) | Event::Expired { .. }) | None => {}
+            }
+            let is_over = board.conversation().latest() >= end || done(&heard);
+            Ok(is_over.then_some(()))
+        })?;
+        listened.map(|()| heard).ok_or(BringUpError::Stopped)
+    }
 }

@@ -93,6 +93,18 @@ pub enum Verdict {
     Skipped,
 }
 
+impl Verdict {
+    /// In words.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::Skipped => "not made",
+        }
+    }
+}
+
 /// One property of the board.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Check {
@@ -205,11 +217,10 @@ pub fn run(
     let stopped = session.stop_everything();
     measured?;
     stopped?;
-    let (checks, intervals) = session.results();
     Ok(Report {
         format: FORMAT,
         board: facts,
-        checks,
-        intervals,
+        checks: session.checks,
+        intervals: session.intervals,
     })
 }

@@ -34,13 +34,8 @@ pub fn page(report: &Report) -> String {
         .checks
         .iter()
         .map(|check| {
-            let verdict = match check.verdict {
-                Verdict::Pass => "pass",
-                Verdict::Fail => "FAIL",
-                Verdict::Skipped => "not made",
-            };
             vec![
-                verdict.to_owned(),
+                check.verdict.text().to_owned(),
                 check.name.to_owned(),
                 check.measured.clone(),
                 check.limit.clone(),

@@ -11,7 +11,7 @@ use protocol::{
     TrainState, TriggerAlign, TriggerStart,
 };
 
-use crate::bench::{Heard, hear, millis};
+use crate::bench::{Heard, millis};
 use crate::train::{Extent, Grid, Trains};
 use crate::{BringUpError, Check, HandsOn, Histogram, Operator, Part, Verdict};
 
@@ -58,11 +58,11 @@ fn ticks(extent: Extent) -> String {
 
 /// A board that is being measured.
 pub(crate) struct Session<'a> {
-    board: &'a mut Board,
-    operator: &'a mut dyn Operator,
+    pub(crate) board: &'a mut Board,
+    pub(crate) operator: &'a mut dyn Operator,
     part: Part,
-    checks: Vec<Check>,
-    intervals: Histogram,
+    pub(crate) checks: Vec<Check>,
+    pub(crate) intervals: Histogram,
     /// From an edge of the trigger to its capture on PA2.
     trigger_delay: Option<i64>,
 }
@@ -87,10 +87,6 @@ impl<'a> Session<'a> {
             intervals: Histogram::default(),
             trigger_delay: None,
         })
-    }
-
-    pub(crate) fn results(self) -> (Vec<Check>, Histogram) {
-        (self.checks, self.intervals)
     }
 
     pub(crate) fn measure(&mut self, part: Part, clock: Duration) -> Result<(), BringUpError> {
@@ -142,42 +138,30 @@ impl<'a> Session<'a> {
         });
     }
 
-    fn hear(&mut self, length: TickDelta) -> Result<Heard, BringUpError> {
-        hear(self.board, self.operator, length, |_| false)
-    }
-
-    fn hear_until(
-        &mut self,
-        length: TickDelta,
-        done: impl FnMut(&Heard) -> bool,
-    ) -> Result<Heard, BringUpError> {
-        hear(self.board, self.operator, length, done)
-    }
-
-    /// Starts the trigger and gives the grid on which its pulses must be.
-    fn start(&mut self, period: Period, width: u32) -> Result<Grid, BringUpError> {
+    /// Starts a train and gives the grid on which its pulses must be.
+    fn start(&mut self, output: Output, period: Period, width: u32) -> Result<Grid, BringUpError> {
         let start = TriggerStart {
             period,
             width,
             first_edge: None,
             first_fraction: 0,
         };
-        let status = self.board.start_trigger(Output::Camera, start)?;
+        let status = self.board.start_trigger(output, start)?;
         Ok(Grid::of(&status))
     }
 
-    /// Stops the trigger and hears the rest of its messages.
-    fn stop(&mut self) -> Result<Heard, BringUpError> {
-        self.board.stop_trigger(Output::Camera)?;
+    /// Stops a train and hears the rest of its messages.
+    fn stop(&mut self, output: Output) -> Result<Heard, BringUpError> {
+        self.board.stop_trigger(output)?;
         self.hear(millis(300))
     }
 
     fn trigger(&mut self) -> Result<(), BringUpError> {
         let mut trains = Trains::default();
         for (period, width) in TRAINS {
-            let grid = self.start(period, width)?;
+            let grid = self.start(Output::Camera, period, width)?;
             let mut heard = self.hear(millis(2_000))?;
-            heard.append(self.stop()?);
+            heard.append(self.stop(Output::Camera)?);
             trains.compare(&grid, &heard.pulses);
             trains.find(&heard.pulses, width, &heard.strobe);
         }
@@ -244,7 +228,7 @@ impl<'a> Session<'a> {
     /// Jumps, slews and changes the period; gives by how much periods differed while
     /// slewing.
     fn moves(&mut self, trains: &mut Trains) -> Result<Extent, BringUpError> {
-        let first = self.start(PERIOD, MIN_PULSE_WIDTH)?;
+        let first = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         let mut heard = self.hear(millis(500))?;
         trains.compare(&first, &heard.pulses);
         let third = TickDelta(i64::from(PERIOD.ticks() / 3));
@@ -266,7 +250,9 @@ impl<'a> Session<'a> {
                 }
             }
             if slew > 0 {
-                slewed_by(&way.pulses, &mut slewed);
+                for (pulse, next) in way.pulses.iter().zip(way.pulses.iter().skip(1)) {
+                    slewed.add((next.at - pulse.at).0 - i64::from(PERIOD.ticks()));
+                }
             }
             heard.append(way);
             anchor = anchor + millis(1);
@@ -275,7 +261,7 @@ impl<'a> Session<'a> {
         let status = self.board.set_period(Output::Camera, other)?;
         let grid = Grid::of(&status);
         let mut changed = self.hear(millis(500))?;
-        changed.append(self.stop()?);
+        changed.append(self.stop(Output::Camera)?);
         let after: Vec<Pulse> = (changed.pulses.iter())
             .filter(|pulse| pulse.number >= grid.number)
             .copied()
@@ -298,7 +284,7 @@ impl<'a> Session<'a> {
             self.skip(NAME, "nobody there to move the wire", REASON);
             return Ok(());
         }
-        self.start_output()?;
+        self.start(Output::Two, PERIOD, MIN_OUTPUT_WIDTH)?;
         let found = self.hear_until(HANDS_TIME, |heard| !heard.strobe.is_empty())?;
         if found.strobe.is_empty() {
             self.check(
@@ -312,10 +298,10 @@ impl<'a> Session<'a> {
         }
         // A wire that is being plugged in bounces.
         self.hear(millis(1_000))?;
-        self.stop_output()?;
-        self.start_output()?;
+        self.stop(Output::Two)?;
+        self.start(Output::Two, PERIOD, MIN_OUTPUT_WIDTH)?;
         let mut heard = self.hear(millis(3_000))?;
-        heard.append(self.stop_output()?);
+        heard.append(self.stop(Output::Two)?);
         let mut trains = Trains::default();
         trains.find(&heard.outputs, MIN_OUTPUT_WIDTH, &heard.strobe);
         self.captures(NAME, "pulse width of output 2", &trains);
@@ -337,32 +323,7 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    fn start_output(&mut self) -> Result<(), BringUpError> {
-        let start = TriggerStart {
-            period: PERIOD,
-            width: MIN_OUTPUT_WIDTH,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        self.board.start_trigger(Output::Two, start)?;
-        Ok(())
-    }
-
-    fn stop_output(&mut self) -> Result<Heard, BringUpError> {
-        self.board.stop_trigger(Output::Two)?;
-        self.hear(millis(300))
-    }
-
     fn fill(&mut self, bytes_per_second: u32) -> Result<(), BringUpError> {
         Ok(self.board.call(SendFiller { bytes_per_second })?)
-    }
-}
-
-fn slewed_by(pulses: &[Pulse], slewed: &mut Extent) {
-    for pair in pulses.windows(2) {
-        if let [a, b] = pair {
-            let distance = (b.at - a.at).0;
-            slewed.add(distance - i64::from(PERIOD.ticks()));
-        }
     }
 }

@@ -222,9 +222,29 @@ impl Context {
         value: &T,
         text: impl FnOnce() -> String,
     ) -> Result<(), Failure> {
+        self.print_json(value)?;
+        self.print_text(text)
+    }
+
+    /// Prints a result with `--json`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_json<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
         if self.global.json {
             write_stdout(&serde_json::to_string_pretty(value)?, Shown::Json)?;
-        } else {
+        }
+        Ok(())
+    }
+
+    /// Prints a result without `--json`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_text(&self, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        if !self.global.json {
             write_stdout(&text(), Shown::ForPeople)?;
         }
         Ok(())

@@ -1,7 +1,9 @@
 //! Data-ready, and the recovery from an unplugged SDA.
 
 use board::imu::{Scale, Summary};
-use protocol::{ImuClock, ImuModel, ImuSetup, ImuState, MIN_PULSE_WIDTH, Status, TickDelta};
+use protocol::{
+    ImuClock, ImuModel, ImuSetup, ImuState, MIN_PULSE_WIDTH, Output, Status, TickDelta,
+};
 
 use super::{HANDS_TIME, PERIOD, Session, ticks};
 use crate::bench::{Heard, millis};
@@ -100,16 +102,16 @@ impl Session<'_> {
     fn recovery(&mut self) -> Result<(), BringUpError> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
-        let grid = self.start(PERIOD, MIN_PULSE_WIDTH)?;
+        let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         if !self.operator.asked(HandsOn::UnplugSda) {
-            self.stop()?;
+            self.stop(Output::Camera)?;
             self.skip(NAME, "nobody there to unplug SDA", REASON);
             return Ok(());
         }
         let failed = |status: &Status| status.imu.state != ImuState::Running;
         let mut heard = self.hear_until(HANDS_TIME, |h| h.statuses.last().is_some_and(failed))?;
         if !heard.statuses.last().is_some_and(failed) {
-            self.stop()?;
+            self.stop(Output::Camera)?;
             self.skip(NAME, "SDA was not unplugged within two minutes", REASON);
             return Ok(());
         }
@@ -119,7 +121,7 @@ impl Session<'_> {
         let runs = back.statuses.last().is_some_and(|status| !failed(status));
         let enough = back.imu.len() > 400;
         heard.append(back);
-        heard.append(self.stop()?);
+        heard.append(self.stop(Output::Camera)?);
         self.check(
             NAME,
             runs && enough,

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use board::imu::Scale;
 use protocol::{
-    CORE_HZ, Dropped, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Status, TickDelta,
+    CORE_HZ, Dropped, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, Status,
+    TickDelta,
 };
 use twist_sync::robust::median;
 
@@ -38,7 +39,7 @@ const HANDLERS: [Handler; 4] = [
 
 impl Session<'_> {
     pub(super) fn link(&mut self) -> Result<(), BringUpError> {
-        let grid = self.start(PERIOD, MIN_PULSE_WIDTH)?;
+        let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
         self.fill(u32::MAX)?;
         let (from, _) = self.board.ping()?;
         let mut full = self.hear(millis(5_000))?;
@@ -59,7 +60,7 @@ impl Session<'_> {
         full.append(self.hear(millis(1_500))?);
         std::thread::sleep(STALL);
         let stalled = self.hear(millis(3_000))?;
-        let rest = self.stop()?;
+        let rest = self.stop(Output::Camera)?;
         let before = full.statuses.last().map(|status| dropped(&status.dropped));
         let after = stalled
             .statuses

@@ -132,11 +132,7 @@ fn write(path: &Path, text: &str) -> Result<(), Failure> {
 fn text(report: &Report, page: &Path) -> String {
     let mut text = String::new();
     for check in &report.checks {
-        let mark = match check.verdict {
-            Verdict::Pass => "pass",
-            Verdict::Fail => "FAIL",
-            Verdict::Skipped => "not made",
-        };
+        let mark = check.verdict.text();
         let _ = writeln!(text, "{mark:<8}  {:<28} {}", check.name, check.measured);
         if check.verdict == Verdict::Fail {
             let _ = writeln!(text, "{:39}must be: {}", "", check.limit);

@@ -7,7 +7,6 @@ use std::time::Duration;
 use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
 
 use super::PortArg;
-use super::listen::{Heard, Listened, listen};
 use crate::advice::phone_failure;
 use crate::checks;
 use crate::cli::Context;
@@ -15,9 +14,8 @@ use crate::outcome::{Failure, Outcome};
 use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::rig_profile::ProfileArg;
-use board::Event;
 use board::imu::{ImuLook, Scale};
-use board::{Board, BoardError};
+use board::{Board, Event};
 use phone::{PhoneClient, Settings};
 use recording::profile::Profile;
 
@@ -99,19 +97,16 @@ fn listen_for(
 ) -> Result<(), Failure> {
     let (now, _) = board.ping()?;
     let end = now.0.saturating_add(ticks);
-    let listened = listen(board, context, |board, event| {
-        event.iter().for_each(&mut take);
-        Ok(match event {
-            _ if board.conversation().latest().0 >= end => Heard::Done(()),
-            Some(_) => Heard::Sign,
-            None => Heard::Other,
-        })
-    })?;
-    let command = "any message";
-    match listened {
-        Listened::Done(()) | Listened::Interrupted => Ok(()),
-        Listened::Quiet => Err(BoardError::NoAnswer { command }.into()),
-    }
+    board.listen(
+        "any message",
+        &|| context.interrupt.requested(),
+        |board, event| {
+            event.iter().for_each(&mut take);
+            let is_over = board.conversation().latest().0 >= end;
+            Ok::<_, Failure>(is_over.then_some(()))
+        },
+    )?;
+    Ok(())
 }
 
 fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Result<(), Failure> {

@@ -12,15 +12,13 @@ use protocol::{
 use serde::Serialize;
 
 use super::PortArg;
-use super::listen::{Heard, Listened, listen};
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
 use crate::record::preflight::IMU_WIRING;
 use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
-use board::{Board, BoardError};
-use board::{Event, Stream};
+use board::{Board, Event, Stream};
 
 /// How long, in board time, samples may stay away before it is given up. The
 /// board recovers a sensor within a second.
@@ -152,11 +150,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     }
     let scale = imu_scale(&setup)?;
     let mut summary = Summary::default();
-    let listened = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
-    if matches!(listened, Listened::Quiet) {
-        let command = "IMU samples";
-        return Err(BoardError::NoAnswer { command }.into());
-    }
+    let streamed = stream(args, &mut board, context, &scale, &mut summary, &mut csv)?;
     if let Some(csv) = csv {
         csv.finish()?;
     }
@@ -174,12 +168,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     };
     context.print(&report, || report.text())?;
     let impaired = report.missed > 0 || summary.is_impaired();
-    Ok(match listened {
-        Listened::Interrupted => Outcome::Interrupted,
-        _ => Outcome::of_loss(impaired),
+    Ok(match streamed {
+        Some(()) => Outcome::of_loss(impaired),
+        None => Outcome::Interrupted,
     })
 }
 
+/// Takes samples until the time is up; `None` if somebody stops it.
 fn stream(
     args: &Args,
     board: &mut Board,
@@ -187,18 +182,18 @@ fn stream(
     scale: &Scale,
     summary: &mut Summary,
     csv: &mut Option<Csv>,
-) -> Result<Listened<()>, Failure> {
+) -> Result<Option<()>, Failure> {
     let bar = context.progress(Some(args.seconds.into()), "{bar:30} {pos}/{len} s  {msg}");
     let length = i64::from(args.seconds) * i64::from(TICK_HZ);
     let mut last_sign = board.conversation().latest();
-    let listened = listen(board, context, |board, event| {
-        let is_quiet = event.is_none();
+    let stop = || context.interrupt.requested();
+    let streamed = board.listen("IMU samples", &stop, |board, event| {
         match event {
             Some(Event::Message(DeviceToHost::Imu(raw))) => {
                 let sample = scale.apply(&raw);
                 let first = summary.first().unwrap_or(sample.at);
                 if (sample.at - first).0 >= length {
-                    return Ok(Heard::Done(()));
+                    return Ok(Some(()));
                 }
                 summary.add(&sample);
                 last_sign = sample.at;
@@ -224,10 +219,10 @@ fn stream(
             }
             _ => {}
         }
-        Ok(if is_quiet { Heard::Other } else { Heard::Sign })
+        Ok(None)
     })?;
     bar.finish_and_clear();
-    Ok(listened)
+    Ok(streamed)
 }
 
 fn no_samples(board: &mut Board) -> Failure {

@@ -9,14 +9,12 @@ use protocol::{
 use serde::Serialize;
 
 use super::PortArg;
-use super::listen::{Heard, Listened, listen};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use crate::record::preflight::firmware_version;
 use crate::rig_profile::{Place, ProfileArg};
-use board::Event;
 use board::imu::describe;
-use board::{Board, BoardError, reset_cause};
+use board::{Board, Event, reset_cause};
 
 /// Options of `info`.
 #[derive(Debug, clap::Args)]
@@ -81,54 +79,39 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let (_, round_trip) = board.ping()?;
     let imu = board.imu()?;
     let mut info = PrintedInfo::new(board.hello(), round_trip, imu, args.profile.place());
-    if !context.global.json {
-        context.print(&info, || info.text())?;
+    context.print_text(|| info.text())?;
+    let was_up = args.watch == 0 || watch(args.watch, &mut board, context, &mut info.status)?;
+    context.print_json(&info)?;
+    if !was_up {
+        return Ok(Outcome::Interrupted);
     }
-    let outcome = watch(args.watch, &mut board, context, &mut info.status)?;
-    if context.global.json {
-        context.print(&info, String::new)?;
-    }
-    Ok(outcome)
+    let link = board.conversation();
+    Ok(Outcome::of_loss(
+        link.counts().lost() > 0 || link.damaged_frames() > 0,
+    ))
 }
 
+/// Prints and keeps status messages; whether the time was up before somebody stopped it.
 fn watch(
     seconds: u32,
     board: &mut Board,
     context: &Context,
     reports: &mut Vec<PrintedStatus>,
-) -> Result<Outcome, Failure> {
+) -> Result<bool, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
-    let is_over = |board: &Board| board.conversation().latest().0 >= end;
     let mut before = None;
-    let watched = if is_over(board) {
-        Listened::Done(())
-    } else {
-        listen(board, context, |board, event| {
-            let something = event.is_some();
-            if let Some(Event::Message(DeviceToHost::Status(status))) = event {
-                let report = PrintedStatus::from(&status);
-                if !context.global.json {
-                    context.print(&report, || report.text(before))?;
-                }
-                before.get_or_insert(report.dropped.total());
-                reports.push(report);
-            }
-            Ok(match something {
-                _ if is_over(board) => Heard::Done(()),
-                true => Heard::Sign,
-                false => Heard::Other,
-            })
-        })?
-    };
-    let command = "status message";
-    match watched {
-        Listened::Done(()) => {}
-        Listened::Interrupted => return Ok(Outcome::Interrupted),
-        Listened::Quiet => return Err(BoardError::NoAnswer { command }.into()),
-    }
-    let lost =
-        board.conversation().counts().lost() > 0 || board.conversation().damaged_frames() > 0;
-    Ok(Outcome::of_loss(lost))
+    let stop = || context.interrupt.requested();
+    let watched = board.listen("status message", &stop, |board, event| {
+        if let Some(Event::Message(DeviceToHost::Status(status))) = event {
+            let report = PrintedStatus::from(&status);
+            context.print_text(|| report.text(before))?;
+            before.get_or_insert(report.dropped.total());
+            reports.push(report);
+        }
+        let is_over = board.conversation().latest().0 >= end;
+        Ok::<_, Failure>(is_over.then_some(()))
+    })?;
+    Ok(watched.is_some())
 }
 
 impl PrintedInfo {

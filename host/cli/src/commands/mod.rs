@@ -8,7 +8,6 @@ pub(crate) mod extract;
 pub(crate) mod gnss;
 pub(crate) mod imu;
 pub(crate) mod info;
-pub(crate) mod listen;
 pub(crate) mod man;
 pub(crate) mod monitor;
 pub(crate) mod offset;

@@ -112,9 +112,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     }
     monitor.screen = None;
     let snapshot = monitor.gauge.snapshot(None, None);
-    if context.global.json {
-        context.print(&snapshot, String::new)?;
-    }
+    context.print_json(&snapshot)?;
     let losses = &snapshot.losses;
     Ok(Outcome::of_loss(losses.messages + losses.damaged > 0))
 }
@@ -213,10 +211,9 @@ impl Monitor<'_> {
         let is_due = self
             .last_line
             .is_none_or(|last| now.0.saturating_sub(last.0) >= LINE_TICKS);
-        let is_wanted = self.screen.is_none() && !self.context.global.json;
-        if is_wanted && is_due && now > Ticks::ZERO {
+        if self.screen.is_none() && is_due && now > Ticks::ZERO {
             self.last_line = Some(now);
-            self.context.print(snapshot, || line(snapshot))?;
+            self.context.print_text(|| line(snapshot))?;
         }
         Ok(())
     }

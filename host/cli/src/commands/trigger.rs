@@ -10,13 +10,11 @@ use protocol::{
 
 use self::printed::{PrintedArrival, PrintedMove, PrintedTrain};
 use super::PortArg;
-use super::listen::{Heard, Listened, listen};
 use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use board::Event;
-use board::{Board, BoardError};
+use board::{Board, BoardError, Event};
 use evaluate::train::TrainGeometry;
 
 /// Options of `trigger`.
@@ -145,19 +143,16 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         )
         .next_step("leave --output out"));
     }
-    let board = args.port.open()?;
-    let mut target = Target { board, output };
-    act(&args.action, &mut target, context)
+    let mut board = args.port.open()?;
+    act(&args.action, &mut board, output, context)
 }
 
-/// One trigger output of a board.
-struct Target {
-    board: Board,
+fn act(
+    action: &Action,
+    board: &mut Board,
     output: Output,
-}
-
-fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcome, Failure> {
-    let Target { board, output } = target;
+    context: &Context,
+) -> Result<Outcome, Failure> {
     let status = match *action {
         Action::Latency { train, pulses } => {
             return latency::measure(board, context, &train, pulses as usize);
@@ -175,7 +170,7 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
                 first_edge: first_edge.map(Ticks),
                 first_fraction,
             };
-            board.start_trigger(*output, start)?
+            board.start_trigger(output, start)?
         }
         Action::Align {
             anchor,
@@ -186,7 +181,7 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
         } => {
             let period = match period.given() {
                 Some(period) => period,
-                None => board.output(*output)?.period,
+                None => board.output(output)?.period,
             };
             let to = TriggerAlign {
                 anchor: Ticks(anchor),
@@ -194,17 +189,17 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
                 period,
                 slew: slew_us,
             };
-            return align(target, context, to, !no_wait);
+            return align(board, output, context, to, !no_wait);
         }
         Action::Period { period } => match period.given() {
-            Some(period) => board.set_period(*output, period)?,
-            None => board.output(*output)?,
+            Some(period) => board.set_period(output, period)?,
+            None => board.output(output)?,
         },
-        Action::Stop => board.stop_trigger(*output)?,
-        Action::Status => board.output(*output)?,
+        Action::Stop => board.stop_trigger(output)?,
+        Action::Status => board.output(output)?,
     };
     let mut report = PrintedTrain::from(&status);
-    if !target.output.is_camera() {
+    if !output.is_camera() {
         report.readback.state = String::from("none on this output");
     }
     context.print(&report, || report.text(&status))?;
@@ -214,65 +209,54 @@ fn act(action: &Action, target: &mut Target, context: &Context) -> Result<Outcom
 
 /// Moves the train, and waits for it to arrive if that is wanted.
 fn align(
-    target: &mut Target,
+    board: &mut Board,
+    output: Output,
     context: &Context,
     to: TriggerAlign,
     wait: bool,
 ) -> Result<Outcome, Failure> {
-    let plan = target.board.align(target.output, to)?;
+    let plan = board.align(output, to)?;
     let mut report = PrintedMove::from(&plan);
-    if !context.global.json {
-        context.print(&report, || report.text())?;
+    context.print_text(|| report.text())?;
+    let mut outcome = Outcome::Good;
+    if wait {
+        let arrived;
+        (arrived, outcome) = wait_for_arrival(board, output, context, &plan)?;
+        if let Some(arrived) = arrived.as_ref().map(PrintedArrival::from) {
+            context.print_text(|| arrived.text())?;
+            report.arrived = Some(arrived);
+        }
     }
-    let outcome = if wait {
-        let (arrived, outcome) = wait_for_arrival(target, context, &plan)?;
-        report.arrived = arrived.as_ref().map(PrintedArrival::from);
-        outcome
-    } else {
-        Outcome::Good
-    };
-    match &report.arrived {
-        Some(arrived) if !context.global.json => context.print(&report, || arrived.text())?,
-        _ if context.global.json => context.print(&report, String::new)?,
-        _ => {}
-    }
+    context.print_json(&report)?;
     Ok(outcome)
 }
 
-/// Waits for the arrival of the last align.
+/// Waits for the arrival of the last align, in board time.
 fn wait_for_arrival(
-    target: &mut Target,
+    board: &mut Board,
+    output: Output,
     context: &Context,
     plan: &AlignPlan,
 ) -> Result<(Option<Arrived>, Outcome), Failure> {
     let planned = PlannedArrival::from(plan);
-    let output = target.output;
-    // In board time; a rig in which no time passes at all falls silent.
-    let listened = listen(&mut target.board, context, |board, event| {
-        let arrived = match &event {
-            Some(Event::Message(DeviceToHost::Arrived(arrived))) => Some(*arrived),
-            _ => None,
-        };
-        if let Some(arrived) = arrived.filter(|arrived| {
-            (arrived.output, arrived.pulse, arrived.at) == (output, planned.pulse, planned.at)
-        }) {
-            return Ok(Heard::Done(Some(arrived)));
+    let command = "arrival of the align";
+    let stop = || context.interrupt.requested();
+    let listened = board.listen(command, &stop, |board, event| {
+        if let Some(Event::Message(DeviceToHost::Arrived(arrived))) = event
+            && (arrived.output, arrived.pulse, arrived.at) == (output, planned.pulse, planned.at)
+        {
+            return Ok(Some(Some(arrived)));
         }
-        Ok(match event {
-            _ if planned.is_overdue(board.conversation().latest()) => Heard::Done(None),
-            Some(_) => Heard::Sign,
-            None => Heard::Other,
-        })
+        let is_overdue = planned.is_overdue(board.conversation().latest());
+        Ok::<_, Failure>(is_overdue.then_some(None))
     })?;
     match listened {
-        Listened::Interrupted => return Ok((None, Outcome::Interrupted)),
-        Listened::Done(Some(arrived)) => return Ok((Some(arrived), Outcome::Good)),
-        Listened::Done(None) | Listened::Quiet => {}
+        None => Ok((None, Outcome::Interrupted)),
+        Some(Some(arrived)) => Ok((Some(arrived), Outcome::Good)),
+        Some(None) if planned.has_come(&board.output(output)?) => {
+            tracing::warn!("the train runs on its grid, but its arrival was not reported");
+            Ok((None, Outcome::Loss))
+        }
+        Some(None) => Err(BoardError::NoAnswer { command }.into()),
     }
-    if planned.has_come(&target.board.output(output)?) {
-        tracing::warn!("the train runs on its grid, but its arrival was not reported");
-        return Ok((None, Outcome::Loss));
-    }
-    let command = "arrival of the align";
-    Err(BoardError::NoAnswer { command }.into())
 }

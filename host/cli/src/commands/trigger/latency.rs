@@ -2,15 +2,16 @@
 
 use std::fmt::Write as _;
 
-use protocol::{DeviceToHost, TrainState};
+use protocol::{DeviceToHost, TICK_HZ, TrainState};
 
 use crate::cli::Context;
-use crate::commands::listen::{Heard, Listened, listen};
 use crate::outcome::{ExitStatus, Failure, Outcome};
-use board::Board;
-use board::Event;
+use board::{Board, Event};
 use evaluate::latency::{Latency, latency};
 use evaluate::train::TrainGeometry;
+
+/// How long, in board time, pulses may stay away before what came is all there is.
+const PATIENCE_TICKS: i64 = 20 * TICK_HZ as i64;
 
 /// Collects pulses and strobes, and says how they lie to each other.
 pub(super) fn measure(
@@ -27,20 +28,22 @@ pub(super) fn measure(
         .next_step("start it with `smartdepthsync trigger start --fps 30`, and the depth camera"));
     }
     let (mut pulses, mut captures) = (Vec::new(), Vec::new());
-    let listened = listen(board, context, |_, event| {
+    let mut last_sign = board.conversation().latest();
+    let stop = || context.interrupt.requested();
+    let listened = board.listen("pulses", &stop, |board, event| {
         match event {
-            Some(Event::Message(DeviceToHost::Pulse(pulse))) => {
+            Some(Event::Message(DeviceToHost::Pulse(pulse))) if pulse.output.is_camera() => {
                 pulses.push(pulse.at);
-                // The last pulse only ends the one before it.
-                let done = pulses.len() > wanted;
-                return Ok(if done { Heard::Done(()) } else { Heard::Sign });
+                last_sign = pulse.at;
             }
             Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
             _ => {}
         }
-        Ok(Heard::Other)
+        let is_quiet = (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS;
+        // The last pulse only ends the one before it.
+        Ok::<_, Failure>((pulses.len() > wanted || is_quiet).then_some(()))
     })?;
-    if matches!(listened, Listened::Interrupted) {
+    if listened.is_none() {
         return Ok(Outcome::Interrupted);
     }
     let Some(found) = latency(&pulses, &captures, train) else {

@@ -96,10 +96,7 @@ impl PrintedTrain {
             );
             let _ = writeln!(text, "pulse       {:.3} µs wide", self.width_us);
         }
-        if matches!(
-            self.state,
-            TrainState::Running | TrainState::Slewing | TrainState::Waiting
-        ) {
+        if self.state != TrainState::Stopped {
             let _ = writeln!(
                 text,
                 "next edge   {} ({:.6} s)",
