@@ -34,6 +34,9 @@ pub(crate) enum DecimalError {
     /// More than 2³² − 1 ticks.
     #[error("expected less than 89 s")]
     TooLarge,
+    /// Not a second in whole nanoseconds.
+    #[error("expected microseconds with at most three digits after the point, up to 1 s")]
+    NotNanos,
 }
 
 impl std::str::FromStr for Decimal {
@@ -72,49 +75,14 @@ impl Decimal {
         let raw = (u128::from(self.digits) * u128::from(TICK_HZ / 1_000_000)) << 32;
         (raw + self.scale() / 2) / self.scale()
     }
+}
 
-    /// This many microseconds as a period.
-    ///
-    /// # Errors
-    ///
-    /// Not within 1 ms and 1 s.
-    pub(crate) fn micros_period(self) -> Result<Period, DecimalError> {
-        let raw = self.micros_in_raw_ticks();
-        u64::try_from(raw)
-            .ok()
-            .map(Period)
-            .filter(|period| period.in_bounds())
-            .ok_or(DecimalError::PeriodOutOfRange)
-    }
-
-    /// The period of this many frames a second: `48·10⁶ · 2³² / fps`.
-    ///
-    /// # Errors
-    ///
-    /// Not within 1 and 1000.
-    pub(crate) fn fps_period(self) -> Result<Period, DecimalError> {
-        let digits = u128::from(self.digits);
-        if digits == 0 {
-            return Err(DecimalError::Zero);
-        }
-        // 48·10^6 · 2^32 · 10^18 < 2^118.
-        let raw = ((u128::from(TICK_HZ) << 32) * self.scale() + digits / 2) / digits;
-        u64::try_from(raw)
-            .ok()
-            .map(Period)
-            .filter(|period| period.in_bounds())
-            .ok_or(DecimalError::PeriodOutOfRange)
-    }
-
-    /// This many microseconds in whole ticks, rounded to nearest.
-    ///
-    /// # Errors
-    ///
-    /// More than 32 bits of ticks.
-    pub(crate) fn micros_ticks(self) -> Result<u32, DecimalError> {
-        let ticks = (self.micros_in_raw_ticks() + (1 << 31)) >> 32;
-        u32::try_from(ticks).map_err(|_| DecimalError::TooLarge)
-    }
+/// A period of so many 2⁻³² ticks.
+fn period(raw: u128) -> Result<Period, DecimalError> {
+    let period = u64::try_from(raw).ok().map(Period);
+    period
+        .filter(|period| period.in_bounds())
+        .ok_or(DecimalError::PeriodOutOfRange)
 }
 
 /// For clap: a period in microseconds.
@@ -123,25 +91,51 @@ impl Decimal {
 ///
 /// Not a number, or no period that the board takes.
 pub(crate) fn parse_period_us(text: &str) -> Result<Period, DecimalError> {
-    text.parse::<Decimal>()?.micros_period()
+    period(text.parse::<Decimal>()?.micros_in_raw_ticks())
 }
 
-/// For clap: a period as frames a second.
+/// For clap: a period as frames a second, `48·10⁶ · 2³² / fps`.
 ///
 /// # Errors
 ///
 /// Not a number, or no period that the board takes.
 pub(crate) fn parse_fps(text: &str) -> Result<Period, DecimalError> {
-    text.parse::<Decimal>()?.fps_period()
+    let fps: Decimal = text.parse()?;
+    let digits = u128::from(fps.digits);
+    if digits == 0 {
+        return Err(DecimalError::Zero);
+    }
+    // 48·10^6 · 2^32 · 10^18 < 2^118.
+    period(((u128::from(TICK_HZ) << 32) * fps.scale() + digits / 2) / digits)
 }
 
-/// For clap: microseconds as whole ticks.
+/// For clap: microseconds as whole ticks, rounded to nearest.
 ///
 /// # Errors
 ///
 /// Not a number, or too many ticks.
 pub(crate) fn parse_us_ticks(text: &str) -> Result<u32, DecimalError> {
-    text.parse::<Decimal>()?.micros_ticks()
+    let ticks = (text.parse::<Decimal>()?.micros_in_raw_ticks() + (1 << 31)) >> 32;
+    u32::try_from(ticks).map_err(|_| DecimalError::TooLarge)
+}
+
+/// For clap: microseconds of either sign as whole nanoseconds.
+///
+/// # Errors
+///
+/// Not a number, more than a second, or a part of a nanosecond.
+pub(crate) fn parse_us_nanos(text: &str) -> Result<i64, DecimalError> {
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, text),
+    };
+    let micros = digits.parse::<Decimal>().ok();
+    let micros = micros.filter(|micros| micros.places <= 3);
+    let nanos = micros.and_then(|micros| i64::try_from(micros.times(1_000)).ok());
+    nanos
+        .filter(|&nanos| nanos <= 1_000_000_000)
+        .map(|nanos| sign * nanos)
+        .ok_or(DecimalError::NotNanos)
 }
 
 /// Nanoseconds as seconds with all their digits.
@@ -235,6 +229,27 @@ mod tests {
         assert_ne!(of(1 << 50), of((1 << 50) + 1));
     }
 
+    #[test]
+    fn microseconds_are_read_without_floats() {
+        assert_eq!(parse_us_nanos("6362.5"), Ok(6_362_500));
+        assert_eq!(parse_us_nanos("0"), Ok(0));
+        assert_eq!(parse_us_nanos("-0.001"), Ok(-1));
+        assert_eq!(parse_us_nanos("1000000"), Ok(1_000_000_000));
+        for bad in [
+            "",
+            ".",
+            "1e3",
+            "1.2345",
+            "1000000.001",
+            "99999999",
+            "x",
+            "--1",
+            "1.-2",
+        ] {
+            assert!(parse_us_nanos(bad).is_err(), "{bad}");
+        }
+    }
+
     proptest! {
         #[test]
         fn six_places_agree_with_picoseconds(picos in 1_000_000_000_u64..=1_000_000_000_000) {
@@ -247,6 +262,7 @@ mod tests {
             let _ = parse_period_us(&text);
             let _ = parse_fps(&text);
             let _ = parse_us_ticks(&text);
+            let _ = parse_us_nanos(&text);
         }
     }
 }

@@ -1,11 +1,12 @@
 //! `smartdepthsync extract`: a recording into a data set in board time.
 
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use indicatif::ProgressBar;
 
 use crate::cli::Context;
+use crate::decimal::parse_us_nanos;
 use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
 use crate::recordings::{self, RecordingArg};
 use extract::geometry::View;
@@ -76,8 +77,8 @@ pub(crate) struct Args {
     recording: RecordingArg,
     /// The phone's files: a folder, or the video itself; the recording's folder unless
     /// given. Of several phones with its name; may be given for each
-    #[arg(long, value_name = "[NAME=]PATH", value_parser = phone_place)]
-    phone: Vec<PhonePlace>,
+    #[arg(long, value_name = "[NAME=]PATH")]
+    phone: Vec<String>,
     /// The depth camera's recording: an .mkv file, or a ROS 2 bag of its driver (its folder,
     /// or one of its .mcap or .db3 files); the one in the recording's folder unless given
     #[arg(long, value_name = "PATH")]
@@ -101,25 +102,25 @@ pub(crate) struct Args {
     #[arg(long)]
     infrared: bool,
     /// Exposure of a row of the phone's camera
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     exposure_us: Option<i64>,
     /// Readout time of the phone's camera, from the first row to the last
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     readout_us: Option<i64>,
     /// From the trigger pulse to the centre of exposure of the depth image
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     depth_center_us: Option<i64>,
     /// Exposure of the depth camera's colour images, if it recorded colour
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     camera_exposure_us: Option<i64>,
     /// Time depth frames by the camera's own clock (a camera that did not follow the trigger)
     #[arg(long, conflicts_with = "depth_first_pulse")]
     free_running: bool,
     /// Low-pass delay of the board's IMU, subtracted from its times (0 for none)
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     imu_delay_us: Option<i64>,
     /// Low-pass delay of the phone's gyroscope
-    #[arg(long, value_name = "µS", value_parser = microseconds)]
+    #[arg(long, value_name = "µS", value_parser = parse_us_nanos)]
     phone_imu_delay_us: Option<i64>,
     /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
     #[arg(long, value_name = "N")]
@@ -141,24 +142,26 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Some(out) => out.clone(),
         None => default_out(&recording, args.format.into())?,
     };
-    let mut phone = None;
     let mut phones = Vec::new();
-    for PhonePlace { name, path } in &args.phone {
-        match name {
-            Some(name) => phones.push((name.clone(), path.clone())),
-            None if phone.is_none() => phone = Some(path.clone()),
-            None => {
-                return Err(Failure::new(
-                    ExitStatus::Usage,
-                    "--phone was given twice without a name",
-                )
-                .next_step("of several phones, give --phone NAME=PATH"));
+    let mut unnamed = Vec::new();
+    for given in &args.phone {
+        match given.split_once('=') {
+            // A path that is there is one, whatever is in it.
+            Some((name, path)) if !Path::new(given).exists() => {
+                phones.push((name.to_owned(), PathBuf::from(path)));
             }
+            _ => unnamed.push(PathBuf::from(given)),
         }
+    }
+    if unnamed.len() > 1 {
+        return Err(
+            Failure::new(ExitStatus::Usage, "--phone was given twice without a name")
+                .next_step("of several phones, give --phone NAME=PATH"),
+        );
     }
     let job = Job {
         recording,
-        phone,
+        phone: unnamed.pop(),
         depth: args.depth.clone(),
         format: args.format.into(),
         out,
@@ -178,7 +181,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         },
         overwrite: args.overwrite,
     };
-    let bar = Bar::new(context);
+    let bar = Bar {
+        context,
+        bar: Mutex::new(ProgressBar::hidden()),
+    };
     let report = match extract(&job, &bar) {
         Ok(report) => report,
         Err(ExtractError::Cancelled) => {
@@ -222,52 +228,6 @@ fn default_out(recording: &Path, format: Format) -> Result<PathBuf, Failure> {
         .find_map(|ending| name.strip_suffix(ending))
         .unwrap_or(&name);
     Ok(base.with_file_name(format!("{stem}-{}", format.name())))
-}
-
-/// Where the files of a phone lie.
-#[derive(Clone, Debug, PartialEq)]
-struct PhonePlace {
-    name: Option<String>,
-    path: PathBuf,
-}
-
-/// `PATH` or `NAME=PATH`; a path that is there is one, whatever is in it.
-fn phone_place(text: &str) -> Result<PhonePlace, std::convert::Infallible> {
-    let (name, path) = match text.split_once('=') {
-        Some((name, path)) if !Path::new(text).exists() => (Some(name.to_owned()), path),
-        _ => (None, text),
-    };
-    Ok(PhonePlace {
-        name,
-        path: PathBuf::from(path),
-    })
-}
-
-/// Microseconds as a decimal number, in whole nanoseconds, without a float.
-fn microseconds(text: &str) -> Result<i64, String> {
-    const EXPECTED: &str =
-        "expected microseconds with at most three digits after the point, up to 1 s";
-    let (sign, digits) = match text.strip_prefix('-') {
-        Some(rest) => (-1, rest),
-        None => (1, text),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    let is_number = |part: &str| part.bytes().all(|byte| byte.is_ascii_digit());
-    if whole.is_empty()
-        || whole.len() > 7
-        || fraction.len() > 3
-        || !is_number(whole)
-        || !is_number(fraction)
-    {
-        return Err(EXPECTED.into());
-    }
-    let nanos: i64 = format!("{whole}{fraction:0<3}")
-        .parse()
-        .map_err(|_| EXPECTED)?;
-    if nanos > 1_000_000_000 {
-        return Err(EXPECTED.into());
-    }
-    Ok(sign * nanos)
 }
 
 impl From<ExtractError> for Failure {
@@ -317,29 +277,18 @@ impl From<ExtractError> for Failure {
 }
 
 /// A progress bar for each long step.
-struct Bar {
-    context: Context,
-    bar: Mutex<Option<ProgressBar>>,
+struct Bar<'a> {
+    context: &'a Context,
+    bar: Mutex<ProgressBar>,
 }
 
-impl Bar {
-    fn new(context: &Context) -> Self {
-        Self {
-            context: context.clone(),
-            bar: Mutex::new(None),
-        }
-    }
-
-    fn with(&self, act: impl FnOnce(&ProgressBar)) {
-        if let Ok(bar) = self.bar.lock()
-            && let Some(bar) = bar.as_ref()
-        {
-            act(bar);
-        }
+impl Bar<'_> {
+    fn bar(&self) -> MutexGuard<'_, ProgressBar> {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Progress for Bar {
+impl Progress for Bar<'_> {
     fn begin(&self, what: &str, total: u64) {
         self.end();
         let template = if total > 0 {
@@ -351,17 +300,15 @@ impl Progress for Bar {
             .context
             .progress((total > 0).then_some(total), template);
         bar.set_message(what.to_owned());
-        if let Ok(mut slot) = self.bar.lock() {
-            *slot = Some(bar);
-        }
+        *self.bar() = bar;
     }
 
     fn at(&self, position: u64) {
-        self.with(|bar| bar.set_position(position));
+        self.bar().set_position(position);
     }
 
     fn end(&self) {
-        self.with(ProgressBar::finish_and_clear);
+        self.bar().finish_and_clear();
     }
 
     fn cancelled(&self) -> bool {
@@ -372,27 +319,6 @@ impl Progress for Bar {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn microseconds_are_read_without_floats() {
-        assert_eq!(microseconds("6362.5"), Ok(6_362_500));
-        assert_eq!(microseconds("0"), Ok(0));
-        assert_eq!(microseconds("-0.001"), Ok(-1));
-        assert_eq!(microseconds("1000000"), Ok(1_000_000_000));
-        for bad in [
-            "",
-            ".",
-            "1e3",
-            "1.2345",
-            "1000000.001",
-            "99999999",
-            "x",
-            "--1",
-            "1.-2",
-        ] {
-            assert!(microseconds(bad).is_err(), "{bad}");
-        }
-    }
 
     #[test]
     fn the_output_lies_beside_the_recording() {
