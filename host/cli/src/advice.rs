@@ -137,13 +137,9 @@ impl From<PhoneError> for Failure {
     }
 }
 
-/// A failure of the phone at an address, which is named whatever the failure is.
-pub(crate) fn phone_failure(error: PhoneError, address: &str) -> Failure {
-    at_phone(error.into(), address)
-}
-
-/// The same of a failure that may be the phone's.
-pub(crate) fn at_phone(failure: Failure, address: &str) -> Failure {
+/// A failure that may be the phone's, which is named by its address then.
+pub(crate) fn at_phone(failure: impl Into<Failure>, address: &str) -> Failure {
+    let failure = failure.into();
     let text = failure.to_string();
     match text.contains(address) || failure.status() != ExitStatus::Phone {
         true => failure,
@@ -269,20 +265,24 @@ fn refusal_hint(request: &str, text: &str) -> Option<&'static str> {
 
 impl From<ProfileError> for Failure {
     fn from(error: ProfileError) -> Self {
-        let status = match error {
-            ProfileError::Read { .. } => ExitStatus::Storage,
-            ProfileError::Syntax { .. } | ProfileError::Value { .. } => ExitStatus::Usage,
-        };
-        let step = match &error {
-            ProfileError::Read { .. } => String::from(
-                "`smartdepthsync setup` asks for what a profile needs; `smartdepthsync profile \
-                 init rig.toml` writes a commented one to start from",
+        let (status, step) = match &error {
+            ProfileError::Read { .. } => (
+                ExitStatus::Storage,
+                String::from(
+                    "`smartdepthsync setup` asks for what a profile needs; `smartdepthsync profile \
+                     init rig.toml` writes a commented one to start from",
+                ),
             ),
             ProfileError::Syntax { path, .. } | ProfileError::Value { path, .. } => {
                 let file = path
                     .as_deref()
                     .map_or("rig.toml".into(), Path::to_string_lossy);
-                format!("correct that line; `smartdepthsync profile check {file}` checks it again")
+                (
+                    ExitStatus::Usage,
+                    format!(
+                        "correct that line; `smartdepthsync profile check {file}` checks it again"
+                    ),
+                )
             }
         };
         Self::new(status, error.to_string()).next_step(step)
@@ -291,45 +291,41 @@ impl From<ProfileError> for Failure {
 
 impl From<RecordingError> for Failure {
     fn from(error: RecordingError) -> Self {
-        if matches!(error, RecordingError::Stopped) {
-            return Self::new(ExitStatus::Interrupted, error.to_string());
-        }
-        let next = if error.is_disk_full() {
-            "free some space; what was recorded before is kept and can be read"
-        } else if matches!(
-            error,
-            RecordingError::Mcap { .. } | RecordingError::Chunk { .. }
-        ) {
-            "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
-             what is wrong with one, `smartdepthsync repair` saves what can be read"
-        } else if let RecordingError::Io { source, .. } = &error {
-            file_step(source.kind())
-        } else {
-            "check the folder and its rights"
+        let step = match &error {
+            RecordingError::Stopped => {
+                return Self::new(ExitStatus::Interrupted, error.to_string());
+            }
+            full if full.is_disk_full() => {
+                "free some space; what was recorded before is kept and can be read"
+            }
+            RecordingError::Mcap { .. } | RecordingError::Chunk { .. } => {
+                "give the folder of a recording or its recording.mcap; `smartdepthsync verify` says \
+                 what is wrong with one, `smartdepthsync repair` saves what can be read"
+            }
+            RecordingError::Io { source, .. } => file_step(source.kind()),
+            _ => "check the folder and its rights",
         };
-        Self::new(ExitStatus::Storage, error.to_string()).next_step(next)
+        Self::new(ExitStatus::Storage, error.to_string()).next_step(step)
     }
 }
 
 impl From<LearnError> for Failure {
     fn from(error: LearnError) -> Self {
-        let status = match error {
-            LearnError::Io { .. } => ExitStatus::Storage,
-            LearnError::Profile(_) => ExitStatus::Usage,
-            _ => ExitStatus::Refused,
-        };
-        let step = match &error {
-            LearnError::NoFrames => {
-                "extract the recording with the phone's files beside it, or name them with --phone"
-            }
-            LearnError::TooLittle { .. } => {
+        let (status, step) = match &error {
+            LearnError::NoFrames => (
+                ExitStatus::Refused,
+                "extract the recording with the phone's files beside it, or name them with --phone",
+            ),
+            LearnError::TooLittle { .. } => (
+                ExitStatus::Refused,
                 "learn from a recording in which the rig was moved for a minute or more, with the \
-                 phone's gyroscope file"
-            }
-            LearnError::Profile(_) => {
-                "correct the profile; `smartdepthsync profile check` says what is wrong in it"
-            }
-            LearnError::Io { error, .. } => file_step(error.kind()),
+                 phone's gyroscope file",
+            ),
+            LearnError::Profile(_) => (
+                ExitStatus::Usage,
+                "correct the profile; `smartdepthsync profile check` says what is wrong in it",
+            ),
+            LearnError::Io { error, .. } => (ExitStatus::Storage, file_step(error.kind())),
         };
         Self::new(status, error.to_string()).next_step(step)
     }

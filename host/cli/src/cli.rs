@@ -24,6 +24,7 @@ use crate::commands;
 use crate::log::LogOutput;
 use crate::outcome::{ExitStatus, Failure, Outcome};
 use crate::terminal::{Shown, harmless};
+use phone::StopSignal;
 
 /// Hardware sync of a phone's video with a depth camera, from a microcontroller.
 #[derive(Debug, Parser)]
@@ -313,6 +314,12 @@ impl Interrupt {
     /// Asks to stop, as Ctrl-C does.
     pub(crate) fn request(&self) {
         self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Whether to stop, for those who talk to a phone.
+    pub(crate) fn stop_signal(&self) -> StopSignal {
+        let interrupt = self.clone();
+        StopSignal::new(move || interrupt.requested())
     }
 
     fn install(&self) -> Result<(), ctrlc::Error> {

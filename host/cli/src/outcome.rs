@@ -246,6 +246,15 @@ pub(crate) fn refuse_to_overwrite(path: &Path, overwrite: bool) -> Result<(), Fa
         .next_step("choose another name, or give --overwrite"))
 }
 
+/// Replaces the file of this name by a text, or makes it.
+///
+/// # Errors
+///
+/// It cannot be written.
+pub(crate) fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
+    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
+}
+
 /// What to do about a file that cannot be used, for the system's reason.
 #[must_use]
 pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {

@@ -36,7 +36,7 @@ pub(crate) struct SyncReport {
     pub(crate) residual_rms: Option<f64>,
     pub(crate) motion_rms: Option<f64>,
     pub(crate) overlap_s: Option<f64>,
-    pub(crate) faults: Vec<DeviceFault>,
+    faults: Vec<DeviceFault>,
     /// From, to, seconds from the board's first sample.
     pub(crate) together: Vec<(f64, f64)>,
     pub(crate) left_out: Vec<Stretch>,
@@ -48,8 +48,8 @@ pub(crate) struct SyncReport {
 #[derive(Debug, Serialize)]
 pub(crate) struct Stretch {
     /// Begin and end, seconds from the board's first sample.
-    pub(crate) from_s: f64,
-    pub(crate) to_s: f64,
+    from_s: f64,
+    to_s: f64,
     /// `apart`, `slipped` or `time_step`.
     why: &'static str,
     turned_deg: Option<f64>,
@@ -79,13 +79,13 @@ impl From<&LeftOut> for Stretch {
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct DeviceFault {
-    pub(crate) stream: Device,
-    pub(crate) kind: FaultKind,
-    pub(crate) count: usize,
-    pub(crate) period: Option<f64>,
-    pub(crate) displacement_s: Option<f64>,
-    pub(crate) action: Action,
+struct DeviceFault {
+    stream: Device,
+    kind: FaultKind,
+    count: usize,
+    period: Option<f64>,
+    displacement_s: Option<f64>,
+    action: Action,
 }
 
 impl From<&Report> for SyncReport {

@@ -12,7 +12,7 @@ use protocol::Ticks;
 use super::PortArg;
 use super::record::parse_duration;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{Failure, Outcome, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
 ///
@@ -116,17 +116,13 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let report = bring_up::run(&mut board, &mut person, &parts, clock)?;
     let json = serde_json::to_string_pretty(&report)?;
     let page = args.out.join("bring-up.html");
-    write(&args.out.join("bring-up.json"), &json)?;
-    write(&page, &bring_up::page(&report))?;
+    write_file(&args.out.join("bring-up.json"), &json)?;
+    write_file(&page, &bring_up::page(&report))?;
     context.print(&report, || text(&report, &page))?;
     Ok(match report.count(Verdict::Fail) {
         0 => Outcome::Good,
         _ => Outcome::Refused,
     })
-}
-
-fn write(path: &Path, text: &str) -> Result<(), Failure> {
-    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
 }
 
 fn text(report: &Report, page: &Path) -> String {

@@ -7,7 +7,7 @@ use std::time::Duration;
 use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
 
 use super::PortArg;
-use crate::advice::phone_failure;
+use crate::advice::at_phone;
 use crate::checks;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
@@ -161,16 +161,15 @@ fn check_phone(profile: &Profile, checks: &mut Checks, context: &Context) {
     if let Err(failure) = has_address(profile) {
         return checks.bad("phone", failure);
     }
-    let interrupt = context.interrupt.clone();
     let settings = Settings {
         margin: Duration::from_secs(5),
-        stop: phone::StopSignal::new(move || interrupt.requested()),
+        stop: context.interrupt.stop_signal(),
         ..Settings::default()
     };
     let version =
         PhoneClient::connect(&profile.phone.address, settings).and_then(|mut phone| phone.probe());
     match version {
         Ok(version) => checks.phone(&version.to_string(), &profile.phone.address),
-        Err(error) => checks.bad("phone", phone_failure(error, &profile.phone.address)),
+        Err(error) => checks.bad("phone", at_phone(error, &profile.phone.address)),
     }
 }

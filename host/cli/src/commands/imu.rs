@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 
 use indicatif::ProgressBar;
@@ -198,7 +198,7 @@ fn stream(
                 summary.add(&sample);
                 last_sign = sample.at;
                 if let Some(csv) = csv {
-                    csv.write(&sample)?;
+                    csv.sample(&sample)?;
                 }
                 if summary.samples().is_multiple_of(50) {
                     show(&bar, summary);
@@ -329,68 +329,44 @@ impl PrintedImu {
 
 /// The samples as a CSV file. See `docs/formats.md`.
 struct Csv {
-    writer: csv::Writer<BufWriter<File>>,
+    file: BufWriter<File>,
     path: PathBuf,
 }
 
-/// The columns.
-const HEADER: [&str; 10] = [
-    "ticks",
-    "time_s",
-    "gyro_x_rad_s",
-    "gyro_y_rad_s",
-    "gyro_z_rad_s",
-    "accel_x_m_s2",
-    "accel_y_m_s2",
-    "accel_z_m_s2",
-    "temperature_c",
-    "flags",
-];
-
 impl Csv {
+    const HEADER: &str = "ticks,time_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s,\
+                          accel_x_m_s2,accel_y_m_s2,accel_z_m_s2,temperature_c,flags";
+
     fn create(path: &Path) -> Result<Self, Failure> {
-        let file = File::create(path).map_err(|error| cannot_write(path, &error))?;
+        let file = File::create(path).map_err(|error| Failure::file("write", path, &error))?;
         let mut csv = Self {
-            writer: csv::Writer::from_writer(BufWriter::new(file)),
+            file: BufWriter::new(file),
             path: path.to_owned(),
         };
-        csv.record(HEADER)?;
+        csv.line(Self::HEADER)?;
         Ok(csv)
     }
 
-    fn write(&mut self, sample: &Sample) -> Result<(), Failure> {
+    fn sample(&mut self, sample: &Sample) -> Result<(), Failure> {
         let [gx, gy, gz] = sample.gyro;
         let [ax, ay, az] = sample.accel;
-        let mut record = vec![sample.at.0.to_string(), seconds(sample.at.as_nanos())];
-        record.extend([gx, gy, gz].map(|value| format!("{value:.9}")));
-        record.extend([ax, ay, az].map(|value| format!("{value:.7}")));
-        record.push(format!("{:.3}", sample.temperature));
-        record.push(sample.flags.0.to_string());
-        self.record(&record)
+        self.line(&format!(
+            "{},{},{gx:.9},{gy:.9},{gz:.9},{ax:.7},{ay:.7},{az:.7},{:.3},{}",
+            sample.at.0,
+            seconds(sample.at.as_nanos()),
+            sample.temperature,
+            sample.flags.0
+        ))
     }
 
-    fn record<T: AsRef<[u8]>>(
-        &mut self,
-        fields: impl IntoIterator<Item = T>,
-    ) -> Result<(), Failure> {
-        self.writer
-            .write_record(fields)
-            .map_err(|error| cannot_write(&self.path, &error))
+    fn line(&mut self, line: &str) -> Result<(), Failure> {
+        writeln!(self.file, "{line}").map_err(|error| Failure::file("write", &self.path, &error))
     }
 
     fn finish(mut self) -> Result<(), Failure> {
-        self.writer
-            .flush()
-            .map_err(|error| cannot_write(&self.path, &error))
+        let written = self.file.flush();
+        written.map_err(|error| Failure::file("write", &self.path, &error))
     }
-}
-
-fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> Failure {
-    Failure::new(
-        ExitStatus::Storage,
-        format!("cannot write {}: {error}", path.display()),
-    )
-    .next_step("check the folder, its rights and the free space")
 }
 
 #[cfg(test)]

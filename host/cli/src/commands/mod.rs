@@ -22,8 +22,22 @@ pub(crate) mod sync;
 pub(crate) mod trigger;
 pub(crate) mod verify;
 
+use std::ops::RangeBounds;
+
 use crate::outcome::Failure;
 use board::Board;
+
+/// For clap: a number within bounds, which `expected` names.
+pub(crate) fn number_in(
+    bounds: impl RangeBounds<f64>,
+    text: &str,
+    expected: &str,
+) -> Result<f64, String> {
+    let number = text.parse().ok();
+    number
+        .filter(|number| bounds.contains(number))
+        .ok_or_else(|| format!("expected {expected}"))
+}
 
 /// The option of every command that talks to the board.
 #[derive(Clone, Debug, clap::Args)]

@@ -8,12 +8,15 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::number_in;
 use crate::advice;
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
-use crate::sync_report::{Device, DeviceFault, SyncReport};
+use crate::sync_report::{Device, SyncReport};
 use phone::gyro_csv::{self, GyroFile};
-use twist_sync::{Action, Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
+use twist_sync::{
+    Action, Estimate, Fault, FaultKind, GyroTrack, Options, Refusal, Stream, estimate_offset,
+};
 
 /// Options of `offset`.
 #[derive(Debug, clap::Args)]
@@ -53,32 +56,16 @@ pub(crate) struct Args {
     pub(crate) keep_faults: bool,
 }
 
-fn finite(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(x) if x.is_finite() => Ok(x),
-        _ => Err("expected a number".to_owned()),
-    }
-}
-
 pub(super) fn delay(text: &str) -> Result<f64, String> {
-    match finite(text)? {
-        x if x.abs() <= 1e6 => Ok(x),
-        _ => Err("expected microseconds, at most 1000000".to_owned()),
-    }
+    number_in(-1e6..=1e6, text, "microseconds, at most 1000000")
 }
 
 fn positive(text: &str) -> Result<f64, String> {
-    match finite(text)? {
-        x if x > 0.0 => Ok(x),
-        _ => Err("expected a number above 0".to_owned()),
-    }
+    number_in(f64::MIN_POSITIVE..f64::INFINITY, text, "a number above 0")
 }
 
 fn low_pass(text: &str) -> Result<f64, String> {
-    match finite(text)? {
-        x if (5.0..=100.0).contains(&x) => Ok(x),
-        _ => Err("expected 5 to 100 Hz".to_owned()),
-    }
+    number_in(5.0..=100.0, text, "5 to 100 Hz")
 }
 
 impl Args {
@@ -239,12 +226,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         export::write(folder, [&mcu.track, &phone.track], &options)?;
         context.say(format!("exported: {}", folder.display()));
     }
-    let outcome = if result.is_ok() {
-        Outcome::Good
-    } else {
-        Outcome::Refused
+    let (outcome, faults) = match &result {
+        Ok(estimate) => (Outcome::Good, &estimate.report.faults),
+        Err(refusal) => (Outcome::Refused, &refusal.report.faults),
     };
-    context.print(&output, || text(&output))?;
+    context.print(&output, || text(&output, faults))?;
     Ok(outcome)
 }
 
@@ -252,7 +238,7 @@ fn read(path: &Path) -> Result<GyroFile, Failure> {
     gyro_csv::read_file(path).map_err(|error| advice::gyro_file(path, error.into()))
 }
 
-fn text(output: &Output) -> String {
+fn text(output: &Output, faults: &[Fault]) -> String {
     let mut out = String::new();
     for (name, input) in [("board", &output.mcu), ("phone", &output.phone)] {
         let _ = writeln!(
@@ -261,7 +247,7 @@ fn text(output: &Output) -> String {
             input.samples, input.duration_s, input.file, input.form
         );
     }
-    for fault in &output.report.faults {
+    for fault in faults {
         let _ = writeln!(out, "fault: {}", fault_text(fault, NAMES));
     }
     if let Some(together) = output.report.together_text() {
@@ -316,7 +302,7 @@ fn text(output: &Output) -> String {
 const NAMES: [&str; 2] = [Device::Mcu.name(), Device::Phone.name()];
 
 /// A fault of one of two recordings with these names.
-pub(super) fn fault_text(fault: &DeviceFault, names: [&str; 2]) -> String {
+pub(super) fn fault_text(fault: &Fault, names: [&str; 2]) -> String {
     let done = match fault.action {
         Action::LeftOut => "left out",
         Action::Corrected => "corrected",
@@ -326,7 +312,7 @@ pub(super) fn fault_text(fault: &DeviceFault, names: [&str; 2]) -> String {
 }
 
 /// A fault without what was done about it.
-fn fault_found(fault: &DeviceFault, names: [&str; 2]) -> String {
+fn fault_found(fault: &Fault, names: [&str; 2]) -> String {
     let kind = match fault.kind {
         FaultKind::NotFinite => "values that are no numbers",
         FaultKind::TimestampOrder => "timestamps out of order",
@@ -343,8 +329,8 @@ fn fault_found(fault: &DeviceFault, names: [&str; 2]) -> String {
         FaultKind::Slipped => "samples while one was turned against the other",
     };
     let name = match fault.stream {
-        Device::Mcu => names[0],
-        Device::Phone => names[1],
+        Stream::A => names[0],
+        Stream::B => names[1],
     };
     let mut text = format!("{name}: {} {kind}", fault.count);
     if let Some(period) = fault.period {

@@ -7,14 +7,13 @@ use std::time::{Duration, Instant};
 use clap::Subcommand;
 use serde::Serialize;
 
+use super::number_in;
 use crate::advice::{TICK_SENSORS, at_phone};
 use crate::cli::Context;
 use crate::outcome::{Failure, Outcome};
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
-use phone::{
-    ImuRequest, PhoneClient, PhoneError, Sensor, SensorRecording, Settings, StopSignal, VideoTarget,
-};
+use phone::{ImuRequest, PhoneClient, PhoneError, Sensor, SensorRecording, Settings, VideoTarget};
 use timebase::PhoneNanos;
 
 /// Talk to the phone's app (OpenCamera Sensors, remote control switched on).
@@ -125,11 +124,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
         )
     })?;
-    let interrupt = context.interrupt.clone();
     let mut settings = Settings {
         connect: args.connection.timeout.min(Duration::from_secs(5)),
         margin: args.connection.timeout,
-        stop: StopSignal::new(move || interrupt.requested()),
+        stop: context.interrupt.stop_signal(),
         ..Settings::default()
     };
     if let Request::GetVideo(video) = &args.request {
@@ -186,26 +184,19 @@ struct SensorSummary {
 impl SensorSummary {
     fn of(recording: &SensorRecording, file: Option<PathBuf>) -> Self {
         let samples = &recording.samples;
-        let intervals: Vec<f64> = samples
-            .windows(2)
-            .filter_map(|pair| match pair {
-                [a, b] => Some(b.time.0.saturating_sub(a.time.0) as f64 * 1e-3),
-                _ => None,
-            })
+        let later = samples.iter().skip(1);
+        let intervals = samples.iter().zip(later);
+        let intervals: Vec<f64> = intervals
+            .map(|(a, b)| b.time.0.saturating_sub(a.time.0) as f64 * 1e-3)
             .collect();
         let n = intervals.len() as f64;
         let mean = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / n);
         let sd =
             mean.map(|mean| (intervals.iter().map(|i| (i - mean).powi(2)).sum::<f64>() / n).sqrt());
-        let mut rms = [0.0; 3];
-        for (axis, rms) in rms.iter_mut().enumerate() {
-            let squares: f64 = samples
-                .iter()
-                .filter_map(|s| s.xyz.get(axis))
-                .map(|v| v * v)
-                .sum();
-            *rms = (squares / samples.len().max(1) as f64).sqrt();
-        }
+        let rms = [0, 1, 2].map(|axis| {
+            let squares: f64 = samples.iter().map(|s| s.xyz[axis] * s.xyz[axis]).sum();
+            (squares / samples.len().max(1) as f64).sqrt()
+        });
         Self {
             sensor: recording.sensor.to_string(),
             unit: recording.sensor.unit(),
@@ -411,9 +402,8 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<Outcome, Failure>
     struct Copied {
         files: Vec<PathBuf>,
     }
-    let interrupt = context.interrupt.clone();
-    let stop = StopSignal::new(move || interrupt.requested());
     let phase = PhoneNanos(args.phase);
+    let stop = context.interrupt.stop_signal();
     let copied = adb::fetch(phase, &args.out, args.video, &stop);
     let files = copied.map_err(|error| {
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
@@ -428,19 +418,12 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<Outcome, Failure>
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {
-    text.parse::<f64>()
-        .ok()
-        .filter(|s| (0.01..=86_400.0).contains(s))
-        .map(Duration::from_secs_f64)
-        .ok_or_else(|| "expected seconds, 0.01 to 86400".to_owned())
+    number_in(0.01..=86_400.0, text, "seconds, 0.01 to 86400").map(Duration::from_secs_f64)
 }
 
 fn imu_seconds(text: &str) -> Result<Duration, String> {
     let most = MAX_IMU_DURATION.as_secs_f64();
-    text.parse::<f64>()
-        .ok()
-        .filter(|s| (0.001..=most).contains(s))
-        // The app counts whole milliseconds.
-        .map(|s| Duration::from_millis((s * 1e3).round() as u64))
-        .ok_or_else(|| format!("expected seconds, 0.001 to {most}"))
+    let seconds = number_in(0.001..=most, text, &format!("seconds, 0.001 to {most}"))?;
+    // The app counts whole milliseconds.
+    Ok(Duration::from_millis((seconds * 1e3).round() as u64))
 }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::setup::CameraArg;
 use crate::cli::Context;
 use crate::new_profile::{self, Camera};
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure, Outcome, write_file};
 use frame_sync::learn;
 use frame_sync::train::frame_period;
 use phone::frame_timestamps;
@@ -150,7 +150,7 @@ fn import(
             ),
         },
     )?;
-    files::replace(file, text.as_bytes()).map_err(|error| Failure::file("write", file, &error))?;
+    write_file(file, &text)?;
     context.print(&imported, || {
         let camera = &imported.camera;
         let also = match imported.color_from_imu {
@@ -256,8 +256,7 @@ pub(crate) fn teach(
     };
     let learnt = learn::learnt(&frames, skew, &origin);
     let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
-    files::replace(file, taught.as_bytes())
-        .map_err(|error| Failure::file("write", file, &error))?;
+    write_file(file, &taught)?;
     Ok(Lesson {
         phone: phone.to_owned(),
         profile: file.to_owned(),

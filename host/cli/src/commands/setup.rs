@@ -10,10 +10,10 @@ use std::path::PathBuf;
 use serde::Serialize;
 use toml_edit::{Array, value};
 
-use super::{PortArg, doctor};
+use super::{PortArg, doctor, number_in};
 use crate::cli::Context;
 use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
-use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
+use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite, write_file};
 use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
@@ -120,11 +120,8 @@ fn parse_mode(model: &'static Model, text: &str) -> Result<&'static Mode, String
         .ok_or_else(|| format!("{} has {}", model.name, model.mode_names()))
 }
 
-fn parse_exposure(text: &str) -> Result<f64, &'static str> {
-    let exposure = text.parse().ok();
-    exposure
-        .filter(|exposure| (1.0..=200_000.0).contains(exposure))
-        .ok_or("expected 1 to 200000 (µs)")
+fn parse_exposure(text: &str) -> Result<f64, String> {
+    number_in(1.0..=200_000.0, text, "1 to 200000 (µs)")
 }
 
 /// What `--json` prints.
@@ -156,7 +153,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     refuse_to_overwrite(&args.profile, args.overwrite)?;
     let known = match args.phone {
         Some(_) => None,
-        None => phone_by_adb(context),
+        // Without adb, or without a phone at USB, it is asked for.
+        None => adb::wifi_address(&context.interrupt.stop_signal())
+            .ok()
+            .flatten(),
     };
     let asks = !args.yes && !context.global.json;
     let mut asker = Asker {
@@ -167,8 +167,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     };
     let answers = answers(args, known, &mut asker)?;
     let text = answers.profile()?;
-    files::replace(&args.profile, text.as_bytes())
-        .map_err(|error| Failure::file("write", &args.profile, &error))?;
+    write_file(&args.profile, &text)?;
     context.say(format!("wrote {}\n", args.profile.display()));
     let doctor = doctor::Args {
         port: args.port.clone(),
@@ -209,14 +208,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     Ok(printed.checks.outcome())
 }
 
-/// The address of the phone that is connected by USB, if `adb` knows one.
-fn phone_by_adb(context: &Context) -> Option<String> {
-    let interrupt = context.interrupt.clone();
-    let stop = phone::StopSignal::new(move || interrupt.requested());
-    // Without adb, or without a phone, it is asked for.
-    adb::wifi_address(&stop).ok().flatten()
-}
-
 /// Asks the person at the terminal, or whoever writes to standard input.
 struct Asker<'a, R> {
     input: R,
@@ -226,14 +217,18 @@ struct Asker<'a, R> {
 }
 
 impl<R: BufRead> Asker<'_, R> {
-    /// An answer that `take` accepts; an empty one is the default. Without anybody to ask it
-    /// is the default at once.
+    /// What is given as an option, else an answer that `take` accepts; an empty one is the
+    /// default. Without anybody to ask it is the default at once.
     fn ask<T>(
         &mut self,
+        given: Option<T>,
         question: &str,
         default: &str,
         take: impl Fn(&str) -> Result<T, String>,
     ) -> Result<T, Failure> {
+        if let Some(given) = given {
+            return Ok(given);
+        }
         loop {
             let mut line = String::new();
             if self.asks {
@@ -269,42 +264,32 @@ fn answers<R: BufRead>(
     known: Option<String>,
     asker: &mut Asker<'_, R>,
 ) -> Result<Answers, Failure> {
-    let name = match &args.name {
-        Some(name) => name.clone(),
-        None => asker.ask("What is the rig called?", "my rig", |text| {
-            Ok(text.to_owned())
-        })?,
+    let as_typed = |text: &str| Ok(text.to_owned());
+    let name = asker.ask(
+        args.name.clone(),
+        "What is the rig called?",
+        "my rig",
+        as_typed,
+    )?;
+    let by_adb = known.as_deref().unwrap_or_default();
+    let question = match by_adb.is_empty() {
+        true => "The phone's address, as the app's dialog shows it?",
+        false => "The phone's address (found by adb)?",
     };
-    let phone = match &args.phone {
-        Some(phone) => phone.clone(),
-        None => {
-            let by_adb = known.as_deref().unwrap_or_default();
-            let question = match by_adb.is_empty() {
-                true => "The phone's address, as the app's dialog shows it?",
-                false => "The phone's address (found by adb)?",
-            };
-            asker.ask(question, by_adb, |text| match text.trim() {
-                "" => Err(String::from(
-                    "expected a host such as 192.168.1.23; or give --phone",
-                )),
-                host => Ok(host.to_owned()),
-            })?
-        }
-    };
+    let phone = asker.ask(args.phone.clone(), question, by_adb, |text| match text {
+        "" => Err(String::from(
+            "expected a host such as 192.168.1.23; or give --phone",
+        )),
+        host => Ok(host.to_owned()),
+    })?;
     let camera = ask_camera(args, asker)?;
-    let recorder = match &args.recorder {
-        Some(recorder) => recorder.clone(),
-        None => {
-            let usual = usual_recorder(camera.model);
-            let default = match files::program(usual).is_some() {
-                true => usual,
-                false => "none",
-            };
-            let question =
-                "The program that records the depth camera (none: you start it yourself)?";
-            asker.ask(question, default, |text| Ok(text.to_owned()))?
-        }
+    let usual = usual_recorder(camera.model);
+    let default = match files::program(usual).is_some() {
+        true => usual,
+        false => "none",
     };
+    let question = "The program that records the depth camera (none: you start it yourself)?";
+    let recorder = asker.ask(args.recorder.clone(), question, default, as_typed)?;
     Ok(Answers {
         name,
         phone,
@@ -315,55 +300,35 @@ fn answers<R: BufRead>(
 
 fn ask_camera<R: BufRead>(args: &Args, asker: &mut Asker<'_, R>) -> Result<Camera, Failure> {
     let given = &args.camera;
-    let model = match given.camera {
-        Some(model) => model,
-        None => {
-            let question = format!("Which depth camera ({})?", Model::ids());
-            asker.ask(&question, DEFAULT_CAMERA, |text| parse_model(text.trim()))?
-        }
-    };
-    let mode = match given.mode(model)? {
-        Some(mode) => mode,
-        None => {
-            let question = format!("Mode of the depth camera ({})?", model.mode_names());
-            let default = model.default_mode().name;
-            asker.ask(&question, default, |text| parse_mode(model, text))?
-        }
-    };
+    let question = format!("Which depth camera ({})?", Model::ids());
+    let model = asker.ask(given.camera, &question, DEFAULT_CAMERA, parse_model)?;
+    let question = format!("Mode of the depth camera ({})?", model.mode_names());
+    let default = model.default_mode().name;
+    let mode = asker.ask(given.mode(model)?, &question, default, |text| {
+        parse_mode(model, text)
+    })?;
     let mut camera = Camera::new(model, Some(mode));
     camera.exposure_us = given.exposure_us(mode)?;
+    let rates: Vec<String> = mode.rates.iter().map(u32::to_string).collect();
+    let rates = rates.join(", ");
     let fits = |fps: u32| match mode.rates.contains(&fps) {
         true => Ok(fps),
-        false => Err(format!(
-            "{} has {} frames a second",
-            mode.name,
-            list(mode.rates)
-        )),
+        false => Err(format!("{} has {rates} frames a second", mode.name)),
     };
-    camera.fps = match args.fps {
-        Some(fps) => fits(fps).map_err(|expected| {
+    let fps = args.fps.map(|fps| {
+        fits(fps).map_err(|expected| {
             Failure::new(ExitStatus::Usage, format!("--fps {fps}: {expected}"))
                 .next_step("give one of these, or another --depth-mode")
-        })?,
-        None => {
-            let question = format!(
-                "Frames a second of the depth camera ({})?",
-                list(mode.rates)
-            );
-            asker.ask(&question, &camera.fps.to_string(), |text| {
-                let fps = text
-                    .parse()
-                    .map_err(|_| format!("expected {}", list(mode.rates)))?;
-                fits(fps)
-            })?
-        }
-    };
+        })
+    });
+    let question = format!("Frames a second of the depth camera ({rates})?");
+    camera.fps = asker.ask(
+        fps.transpose()?,
+        &question,
+        &camera.fps.to_string(),
+        |text| fits(text.parse().map_err(|_| format!("expected {rates}"))?),
+    )?;
     Ok(camera)
-}
-
-fn list(rates: &[u32]) -> String {
-    let rates: Vec<String> = rates.iter().map(u32::to_string).collect();
-    rates.join(", ")
 }
 
 impl Answers {

@@ -13,7 +13,7 @@ use super::Stop;
 use super::journal::Journal;
 use super::rig::Rig;
 use super::video_watch::VideoCheck;
-use crate::advice::phone_failure;
+use crate::advice::at_phone;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
@@ -104,7 +104,7 @@ pub(crate) fn has_address(profile: &Profile) -> Result<(), Failure> {
 
 /// A failure of a phone, with its name where there are several.
 fn named(profile: &Profile, phone: &Phone, error: PhoneError) -> Failure {
-    let failure = phone_failure(error, &phone.address);
+    let failure = at_phone(error, &phone.address);
     if profile.phones.is_empty() {
         failure
     } else {

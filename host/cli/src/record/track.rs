@@ -11,7 +11,6 @@
 use std::time::Duration;
 
 use phone::agent::Agent;
-use phone::client::StopSignal;
 use protocol::{Output, Period, Ticks};
 use serde::Serialize;
 use twist_sync::tracker::{Asked, Exchange, Tracker};
@@ -142,8 +141,7 @@ pub(super) fn start(
     if !is_wanted {
         return Ok(None);
     }
-    let interrupt = context.interrupt.clone();
-    let stop = StopSignal::new(move || interrupt.requested());
+    let stop = context.interrupt.stop_signal();
     let agent = match Agent::start(program_time, &stop) {
         Ok(agent) => agent,
         Err(error) if track == Track::IfThere => {

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use super::{Input, Output};
-use crate::outcome::Failure;
+use crate::outcome::{Failure, write_file};
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// What `result.json` holds.
@@ -28,8 +28,7 @@ pub(super) fn write(
     tracks: [&GyroTrack; 2],
     options: &Options,
 ) -> Result<(), Failure> {
-    let failed = |path: &Path, error: &std::io::Error| Failure::file("write", path, error);
-    std::fs::create_dir_all(folder).map_err(|error| failed(folder, &error))?;
+    std::fs::create_dir_all(folder).map_err(|error| Failure::file("write", folder, &error))?;
     let names = ["mcu.csv", "phone.csv"];
     let relative = tracks.map(|track| GyroTrack {
         epoch_s: 0.0,
@@ -53,8 +52,7 @@ pub(super) fn write(
     let json = serde_json::to_string_pretty(&exported).unwrap_or_default();
     let files = [csv(&relative[0]), csv(&relative[1]), json + "\n"];
     for (name, text) in names.into_iter().chain(["result.json"]).zip(files) {
-        let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|error| failed(&path, &error))?;
+        write_file(&folder.join(name), &text)?;
     }
     Ok(())
 }

@@ -7,7 +7,6 @@ use std::path::Path;
 use super::fault_found;
 use crate::cli::Context;
 use crate::outcome::Failure;
-use crate::sync_report::DeviceFault;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
 use twist_sync::{
@@ -115,9 +114,7 @@ fn reasons(report: &Report, names: [&str; 2]) -> String {
     let of_samples = report.faults.iter().filter(|fault| {
         fault.action == Action::LeftOut && (report.left_out.is_empty() || !is_stretch(fault.kind))
     });
-    let of_samples: Vec<String> = of_samples
-        .map(|fault| fault_found(&DeviceFault::from(fault), names))
-        .collect();
+    let of_samples: Vec<String> = of_samples.map(|fault| fault_found(fault, names)).collect();
     let stretches = report.left_out.iter().map(LeftOut::to_string);
     let mut all: Vec<String> = stretches.collect();
     if !of_samples.is_empty() {

@@ -6,7 +6,6 @@ use twist_sync::{
 };
 
 use crate::commands::offset::fault_text;
-use crate::sync_report::DeviceFault;
 
 /// A recording up to this length is taken as a whole, seconds: a twist.
 const LONGEST_TWIST_S: f64 = 60.0;
@@ -56,9 +55,7 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
         course: course.ok_or_else(|| report.failures()),
         estimates,
         windows: 1,
-        faults: faults
-            .map(|fault| fault_text(&DeviceFault::from(fault), names))
-            .collect(),
+        faults: faults.map(|fault| fault_text(fault, names)).collect(),
         left_out: report.left_out.iter().map(ToString::to_string).collect(),
         whole: Some(Box::new(Whole { result, options })),
     }

@@ -8,7 +8,7 @@ use twist_sync::WithSigma;
 use twist_sync::network::Network;
 
 use super::nanos_from;
-use crate::outcome::Failure;
+use crate::outcome::{Failure, write_file};
 
 /// Between two knots the relation is a straight line, seconds.
 const KNOT_S: f64 = 1.0;
@@ -33,8 +33,7 @@ pub(super) fn timestamps(
         let stem = names[k].file_stem().unwrap_or_default().to_string_lossy();
         let save = |what: &str, table: &str| {
             let path = folder.join(format!("{}_{stem}{what}.csv", k + 1));
-            files::replace(&path, table.as_bytes())
-                .map_err(|error| Failure::file("write", &path, &error))
+            write_file(&path, table)
         };
         let knots = Knots::new(network, k, recording);
         let there = |time: i64| {
