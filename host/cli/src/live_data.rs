@@ -86,7 +86,7 @@ fn parse_address(text: &str) -> Result<SocketAddr, String> {
 mod serve {
     use std::io::ErrorKind;
     use std::net::SocketAddr;
-    use std::sync::{Arc, Mutex, PoisonError};
+    use std::sync::Arc;
 
     use foxglove::{
         ChannelBuilder, Context, FoxgloveError, PartialMetadata, RawChannel, Schema,
@@ -108,7 +108,7 @@ mod serve {
         /// In the order of [`Topic::ALL`]; none for what is not shown.
         channels: Vec<Option<Arc<RawChannel>>>,
         state: Arc<RawChannel>,
-        server: Mutex<Option<WebSocketServerHandle>>,
+        server: Option<WebSocketServerHandle>,
         port: u16,
         /// Channels live as long as it does.
         _context: Arc<Context>,
@@ -139,33 +139,26 @@ mod serve {
                 .next_step(step)
             };
             let context = Context::new();
-            let mut channels = Vec::new();
-            for topic in Topic::ALL {
-                if topic == Topic::Link {
-                    channels.push(None);
-                    continue;
-                }
-                let schema =
-                    Schema::new(topic.message_type(), "ros2msg", topic.schema().into_bytes());
-                let channel = ChannelBuilder::new(topic.name())
-                    .message_encoding("cdr")
+            let channel = |name: &str, encoding: &str, schema: Schema| {
+                ChannelBuilder::new(name)
+                    .message_encoding(encoding)
                     .schema(schema)
                     .context(&context)
                     .build_raw()
-                    .map_err(failed)?;
-                channels.push(Some(channel));
+                    .map_err(failed)
+            };
+            let mut channels = Vec::new();
+            for topic in Topic::ALL {
+                let schema =
+                    Schema::new(topic.message_type(), "ros2msg", topic.schema().into_bytes());
+                channels.push(match topic {
+                    Topic::Link => None,
+                    _ => Some(channel(topic.name(), "cdr", schema)?),
+                });
             }
-            let schema = Schema::new(
-                "smartdepthsync.State",
-                "jsonschema",
-                br#"{"type": "object"}"#.as_slice(),
-            );
-            let state = ChannelBuilder::new(STATE_TOPIC)
-                .message_encoding("json")
-                .schema(schema)
-                .context(&context)
-                .build_raw()
-                .map_err(failed)?;
+            let any = br#"{"type": "object"}"#.as_slice();
+            let schema = Schema::new("smartdepthsync.State", "jsonschema", any);
+            let state = channel(STATE_TOPIC, "json", schema)?;
             let host = match address {
                 SocketAddr::V4(v4) => v4.ip().to_string(),
                 SocketAddr::V6(v6) => format!("[{}]", v6.ip()),
@@ -180,7 +173,7 @@ mod serve {
                 channels,
                 state,
                 port: server.port(),
-                server: Mutex::new(Some(server)),
+                server: Some(server),
                 _context: context,
             })))
         }
@@ -221,11 +214,7 @@ mod serve {
 
     impl Drop for Served {
         fn drop(&mut self) {
-            let server = self
-                .server
-                .get_mut()
-                .unwrap_or_else(PoisonError::into_inner);
-            if let Some(server) = server.take() {
+            if let Some(server) = self.server.take() {
                 // Clients are sent away; nobody waits for them.
                 drop(server.stop());
             }
