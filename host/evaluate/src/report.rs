@@ -24,19 +24,7 @@ pub fn precision(
 ) -> Result<String, EvaluateError> {
     let (level, verdict) = precision_verdict(result);
     let mut page = Page::new("Frame sync: bias and precision", level, &verdict);
-    let mut facts = Vec::new();
-    if let Some(bias) = &result.bias {
-        spread_rows(&mut facts, "bias from perfect sync", bias);
-    }
-    let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
-    facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
-    if let Some(paper) = &result.paper_bias {
-        spread_rows(&mut facts, "published pipeline: bias", paper);
-        if let Some(t) = result.paper_row_time_us {
-            facts.push(("published pipeline: row time", format!("{t:.4} µs")));
-        }
-    }
-    page.facts(&facts);
+    page.facts(&precision_facts(result));
     page.section("Recordings");
     let rows: Vec<Vec<String>> = result
         .recordings
@@ -90,6 +78,24 @@ pub fn precision(
     );
     page.settings("Settings", &json!(settings));
     Ok(page.html())
+}
+
+/// Bias, spread and row time over all recordings, each with its name.
+#[must_use]
+pub fn precision_facts(result: &Precision) -> Vec<(&'static str, String)> {
+    let mut facts = Vec::new();
+    if let Some(bias) = &result.bias {
+        spread_rows(&mut facts, "bias from perfect sync", bias);
+    }
+    let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
+    facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
+    if let Some(paper) = &result.paper_bias {
+        spread_rows(&mut facts, "published pipeline: bias", paper);
+        if let Some(t) = result.paper_row_time_us {
+            facts.push(("published pipeline: row time", format!("{t:.4} µs")));
+        }
+    }
+    facts
 }
 
 fn precision_verdict(result: &Precision) -> (Level, String) {
@@ -152,6 +158,23 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
         r.bias_at_end_us
     );
     let mut page = Page::new("Frame sync: drift", level, &verdict);
+    page.facts(&drift_facts(r));
+    notes(&mut page, &r.path.display().to_string(), &r.notes);
+    page.section("Frame with the rows found");
+    picture(&mut page, &drift.footage, &drift.track, settings)?;
+    page.section("Row profile and drift");
+    page.figure(
+        &plot::drift(drift, settings),
+        "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
+         against time with the fitted line.",
+    );
+    page.settings("Settings", &json!(settings));
+    Ok(page.html())
+}
+
+/// What was found of a recording, each with its name.
+#[must_use]
+pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
     let mut facts = Vec::new();
     let mut fact = |name, value: String| facts.push((name, value));
     fact("recording", r.path.display().to_string());
@@ -171,11 +194,17 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
     );
     fact(
         "frames about the line",
-        format!("{:.3} µs (standard deviation)", r.residual_sd_us),
+        format!(
+            "{:.3} µs (standard deviation), {} far off it left out",
+            r.residual_sd_us, r.outliers
+        ),
     );
     fact(
         "row time",
-        format!("{:.4} ± {:.4} µs", r.row_time_us, r.row_time_sigma_us),
+        format!(
+            "{:.4} ± {:.4} µs, exposure {:.1} µs",
+            r.row_time_us, r.row_time_sigma_us, r.exposure_us
+        ),
     );
     fact("which flash", identity_text(&r.identity));
     if let Some(window) = window_text(r) {
@@ -192,18 +221,7 @@ pub fn drift(drift: &EvaluatedDrift, settings: &Settings) -> Result<String, Eval
             ),
         );
     }
-    page.facts(&facts);
-    notes(&mut page, &r.path.display().to_string(), &r.notes);
-    page.section("Frame with the rows found");
-    picture(&mut page, &drift.footage, &drift.track, settings)?;
-    page.section("Row profile and drift");
-    page.figure(
-        &plot::drift(drift, settings),
-        "Brightness of the sensor's rows with the fitted train of flashes; and the train's place \
-         against time with the fitted line.",
-    );
-    page.settings("Settings", &json!(settings));
-    Ok(page.html())
+    facts
 }
 
 /// Which flash is which, in words.
@@ -235,7 +253,7 @@ pub fn identity_text(identity: &Identity) -> String {
 }
 
 /// The part of the recording that was found by itself, in words.
-pub fn window_text(drift: &Drift) -> Option<String> {
+fn window_text(drift: &Drift) -> Option<String> {
     let [from, to] = drift.window_s?;
     Some(format!(
         "{from:.1} s to {to:.1} s of the recording, found by itself: before or after that the \

@@ -9,9 +9,9 @@ use jiff::civil::Date;
 use serde::Serialize;
 
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome, file_step, refuse_to_overwrite};
+use crate::outcome::{ExitStatus, Failure, Outcome, file_step, refuse_to_overwrite, write_file};
 use evaluate::calibrate::{read_bias, write_bias};
-use evaluate::drift::{self, Drift, EvaluatedDrift};
+use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
 use evaluate::frame::{Region, Rotation};
 use evaluate::precision::{self, Evaluated, Precision, Spread};
@@ -174,7 +174,7 @@ struct Timing {
 }
 
 /// What was written into the rig profile.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Serialize)]
 struct Calibrated {
     profile: PathBuf,
     /// Bias that was subtracted while recording, µs; mean over recordings.
@@ -224,69 +224,57 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
 impl From<EvaluateError> for Failure {
     fn from(error: EvaluateError) -> Self {
         use EvaluateError as E;
-        let status = match &error {
-            E::Train(_)
-            | E::Rotation(_)
-            | E::RegionSyntax(_)
-            | E::RegionOutside { .. }
-            | E::Setting(_)
-            | E::NotAVideo { .. }
-            | E::NotAnImage { .. }
-            | E::NoImages(_)
-            | E::Timestamps { .. }
-            | E::Profile { .. } => ExitStatus::Usage,
-            E::Io { .. } => ExitStatus::Storage,
-            E::NoFlashes { .. }
-            | E::Chance { .. }
-            | E::OnlyFlicker { .. }
-            | E::TooFewFrames { .. } => ExitStatus::Refused,
-            _ => ExitStatus::Error,
+        let (status, step) = match &error {
+            E::Train(_) | E::Rotation(_) | E::RegionSyntax(_) | E::Setting(_) => (
+                ExitStatus::Usage,
+                "change the option; `smartdepthsync help evaluate` explains each",
+            ),
+            E::RegionOutside { .. } => (ExitStatus::Usage, REGION),
+            E::TooFewRows { .. } | E::Unsupported { .. } => (ExitStatus::Error, REGION),
+            E::FrameSize { .. } => (
+                ExitStatus::Error,
+                "evaluate recordings of one camera mode at a time",
+            ),
+            E::Ffmpeg(_) => (
+                ExitStatus::Error,
+                "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder \
+                 of images",
+            ),
+            E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => (
+                ExitStatus::Usage,
+                "give a video, or a folder of png, jpg or pgm images, one a frame",
+            ),
+            E::Io { source, .. } => (ExitStatus::Storage, file_step(source.kind())),
+            E::Timestamps { .. } => (
+                ExitStatus::Usage,
+                "give the app's `..._timestamps.csv`: one integer of nanoseconds a line",
+            ),
+            E::NoFrames { .. } => (
+                ExitStatus::Error,
+                "choose another --from and --to within the recording",
+            ),
+            E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => (
+                ExitStatus::Refused,
+                "look at the video: the re-transmitter's flashes must be in view, on a picture that \
+                 is otherwise still",
+            ),
+            E::Chance { .. } => (
+                ExitStatus::Refused,
+                "begin the video a second before the depth camera runs, so that it also shows the \
+                 scene alone; or give --row-time and --exposure if they are known",
+            ),
+            E::Profile { .. } => (
+                ExitStatus::Usage,
+                "check the path; `smartdepthsync profile check` says what is wrong in a profile",
+            ),
+            E::Picture(_) => (ExitStatus::Error, "leave --report out, and report this"),
         };
-        Self::new(status, error.to_string()).next_step(next_step(&error))
+        Self::new(status, error.to_string()).next_step(step)
     }
 }
 
-/// What to do about an evaluation that could not be made.
-fn next_step(error: &EvaluateError) -> &'static str {
-    use EvaluateError as E;
-    match error {
-        E::Train(_) | E::Rotation(_) | E::RegionSyntax(_) | E::Setting(_) => {
-            "change the option; `smartdepthsync help evaluate` explains each"
-        }
-        E::RegionOutside { .. } | E::TooFewRows { .. } | E::Unsupported { .. } => {
-            "give a --region inside the picture, or leave it out"
-        }
-        E::FrameSize { .. } => "evaluate recordings of one camera mode at a time",
-        E::Ffmpeg(_) => {
-            "install ffmpeg (Debian, Ubuntu: `sudo apt-get install ffmpeg`), or give a folder of \
-             images"
-        }
-        E::NotAVideo { .. } | E::NotAnImage { .. } | E::NoImages(_) => {
-            "give a video, or a folder of png, jpg or pgm images, one a frame"
-        }
-        E::Io { source, .. } => file_step(source.kind()),
-        E::Timestamps { .. } => {
-            "give the app's `..._timestamps.csv`: one integer of nanoseconds a line"
-        }
-        E::NoFrames { .. } => "choose another --from and --to within the recording",
-        E::NoFlashes { .. } | E::OnlyFlicker { .. } | E::TooFewFrames { .. } => {
-            "look at the video: the re-transmitter's flashes must be in view, on a picture that is \
-             otherwise still"
-        }
-        E::Chance { .. } => {
-            "begin the video a second before the depth camera runs, so that it also shows the scene \
-             alone; or give --row-time and --exposure if they are known"
-        }
-        E::Profile { .. } => {
-            "check the path; `smartdepthsync profile check` says what is wrong in a profile"
-        }
-        E::Picture(_) => "leave --report out, and report this",
-    }
-}
-
-fn write_file(path: &Path, text: &str) -> Result<(), Failure> {
-    files::replace(path, text.as_bytes()).map_err(|error| Failure::file("write", path, &error))
-}
+/// What to do about a part of the picture that gives nothing.
+const REGION: &str = "give a --region inside the picture, or leave it out";
 
 fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Failure> {
     let started = Instant::now();
@@ -347,14 +335,14 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
     let output = PrecisionOutput {
         settings: &settings,
         precision: &result,
-        calibrated: calibrated.clone(),
+        calibrated,
         timing: Timing {
             total_s: started.elapsed().as_secs_f64(),
             waiting_for_input_s: waited,
         },
     };
     context.print(&output, || {
-        precision_text(&result, &shown, calibrated.as_ref())
+        precision_text(&result, &shown, output.calibrated.as_ref())
     })?;
     Ok(if context.interrupt.requested() {
         Outcome::Interrupted
@@ -459,17 +447,7 @@ fn precision_text(
         "scene taken from {}",
         reference_text(shown.result.reference)
     );
-    if let Some(s) = &result.bias {
-        spread_text(&mut text, "all", s);
-        let _ = writeln!(
-            text,
-            "  row time   {:.4} ± {:.4} µs",
-            result.row_time_us, result.row_time_sigma_us
-        );
-    }
-    if let Some(s) = &result.paper_bias {
-        spread_text(&mut text, "published pipeline, all", s);
-    }
+    facts_text(&mut text, report::precision_facts(result));
     if let Some(c) = calibrated {
         let _ = writeln!(
             text,
@@ -483,28 +461,9 @@ fn precision_text(
     text
 }
 
-fn spread_text(text: &mut String, name: &str, s: &Spread) {
-    let _ = writeln!(
-        text,
-        "{name} {} recording{}\n  bias       mean {:+.3}{} µs, median {:+.3} µs",
-        s.count,
-        if s.count == 1 { "" } else { "s" },
-        s.mean_us,
-        // The published pipeline says nothing about the uncertainty of one recording.
-        if s.mean_sigma_us > 0.0 {
-            format!(" ± {:.3}", s.mean_sigma_us)
-        } else {
-            String::new()
-        },
-        s.median_us
-    );
-    if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
-        (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
-    {
-        let _ = writeln!(
-            text,
-            "  spread     IQR {iqr:.3} ± {iqr_sigma:.3} µs, SD {sd:.3} ± {sd_sigma:.3} µs"
-        );
+fn facts_text(text: &mut String, facts: Vec<(&str, String)>) {
+    for (name, value) in facts {
+        let _ = writeln!(text, "{name:<29} {value}");
     }
 }
 
@@ -531,7 +490,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
             waiting_for_input_s,
         },
     };
-    context.print(&output, || drift_text(&evaluated))?;
+    context.print(&output, || drift_text(&evaluated.result))?;
     Ok(if context.interrupt.requested() {
         Outcome::Interrupted
     } else {
@@ -539,37 +498,11 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     })
 }
 
-fn drift_text(drift: &EvaluatedDrift) -> String {
-    let r = &drift.result;
-    let mut text = format!(
-        "{}\n  drift      {:+.4} ± {:.4} µs/min, depth minus phone (1 σ), over {:.1} s\n  bias       {:+.3} µs at the start, {:+.3} µs at the end\n  frames     {}; {:.3} µs about the line, {} far off it left out\n  row time   {:.4} ± {:.4} µs, exposure {:.1} µs\n  flashes    {}\n  scene      taken from {}\n",
-        r.path.display(),
-        r.drift_us_per_min,
-        r.drift_sigma_us_per_min,
-        r.span_s,
-        r.bias_at_start_us,
-        r.bias_at_end_us,
-        counts_text(&r.frames),
-        r.residual_sd_us,
-        r.outliers,
-        r.row_time_us,
-        r.row_time_sigma_us,
-        r.exposure_us,
-        identity_text(&r.identity),
-        reference_text(r.reference),
-    );
-    if let Some(window) = report::window_text(r) {
-        let _ = writeln!(text, "  window     {window}");
-    }
-    if let Some(p) = &r.paper {
-        let _ = writeln!(
-            text,
-            "  published  {:+.4} ± {:.4} µs/min from {} frames, row time {:.4} µs",
-            p.drift_us_per_min, p.drift_sigma_us_per_min, p.frames, p.row_time_us
-        );
-    }
-    for note in &r.notes {
-        let _ = writeln!(text, "  note       {note}");
+fn drift_text(drift: &Drift) -> String {
+    let mut text = String::new();
+    facts_text(&mut text, report::drift_facts(drift));
+    for note in &drift.notes {
+        let _ = writeln!(text, "{:<29} {note}", "note");
     }
     text
 }
