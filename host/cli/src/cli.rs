@@ -2,7 +2,7 @@
 //!
 //! A new subcommand is a module in `commands/` with a documented
 //! `#[derive(clap::Args)] pub(crate) struct Args` and
-//! `pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure>`,
+//! `pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>`,
 //! a variant of [`Command`] and an arm in [`Command::run`].
 //!
 //! Results go to standard output (text, or one JSON document with `--json`);
@@ -22,7 +22,7 @@ use tracing_subscriber::filter::LevelFilter;
 
 use crate::commands;
 use crate::log::LogOutput;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
 use phone::StopSignal;
 
@@ -116,7 +116,7 @@ enum Command {
 }
 
 impl Command {
-    fn run(&self, context: &Context) -> Result<Outcome, Failure> {
+    fn run(&self, context: &Context) -> Result<ExitStatus, Failure> {
         match self {
             Self::Info(args) => commands::info::run(args, context),
             Self::Offset(args) => commands::offset::run(args, context),
@@ -364,7 +364,7 @@ pub fn main(args: impl IntoIterator<Item = OsString>) -> ExitStatus {
         said: Said::default(),
     };
     match cli.command.run(&context) {
-        Ok(outcome) => outcome.into(),
+        Ok(status) => status,
         Err(failure) => {
             tell_failure(&context, &failure);
             failure.status()
@@ -396,12 +396,9 @@ fn print_error(failure: &Failure) {
 /// A file that reaches the largest size allowed is an error of writing, as a full disk
 /// is, and no reason to be ended by a signal: trigger and phone would go on.
 fn outlive_largest_file() {
-    #[cfg(unix)]
-    {
-        let seen = Arc::new(AtomicBool::new(false));
-        if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen) {
-            tracing::warn!("the largest file size ends the program: {error}");
-        }
+    let seen = Arc::new(AtomicBool::new(false));
+    if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, seen) {
+        tracing::warn!("the largest file size ends the program: {error}");
     }
 }
 
@@ -429,15 +426,7 @@ fn is_coloured() -> bool {
 
 /// Whether the terminal was closed: there is nobody to tell it to.
 fn is_closed_terminal(error: &io::Error) -> bool {
-    #[cfg(unix)]
-    {
-        rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = error;
-        false
-    }
+    rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
 }
 
 /// Writes lines.

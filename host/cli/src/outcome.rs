@@ -1,8 +1,9 @@
 //! How a command ends: the exit codes, in one place, and errors that know theirs.
 //!
-//! A command returns `Result<Outcome, Failure>`. An [`Outcome`] is a command that
-//! did its work, perhaps with loss; a [`Failure`] knows its exit code. Errors of the
-//! libraries convert into [`Failure`]s (see `advice`), so commands simply use `?`.
+//! A command returns `Result<ExitStatus, Failure>`: the status of one that did its work,
+//! perhaps with loss, and has printed the result; or a [`Failure`] that knows its exit code.
+//! Errors of the libraries convert into [`Failure`]s (see `advice`), so commands simply use
+//! `?`.
 //!
 //! Every error says what to do next: its own next step, else what its exit code
 //! suggests.
@@ -75,6 +76,11 @@ impl ExitStatus {
         Self::Interrupted,
     ];
 
+    /// Of a command that has finished, perhaps with loss.
+    pub(crate) const fn of_loss(lossy: bool) -> Self {
+        if lossy { Self::Loss } else { Self::Good }
+    }
+
     /// The number.
     #[must_use]
     pub const fn code(self) -> u8 {
@@ -115,40 +121,6 @@ impl ExitStatus {
 impl From<ExitStatus> for ExitCode {
     fn from(status: ExitStatus) -> Self {
         Self::from(status.code())
-    }
-}
-
-/// How a command ended that ran to its end.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Everything that was asked for was done.
-    Good,
-    /// Finished, with loss.
-    Loss,
-    /// The result is there, but below a quality gate.
-    Refused,
-    /// The user stopped it early; what there was is kept.
-    Interrupted,
-    /// The printed result says what is wrong; no error message follows.
-    Told(ExitStatus),
-}
-
-impl Outcome {
-    /// The outcome of a command that has finished, perhaps with loss.
-    pub(crate) const fn of_loss(lossy: bool) -> Self {
-        if lossy { Self::Loss } else { Self::Good }
-    }
-}
-
-impl From<Outcome> for ExitStatus {
-    fn from(outcome: Outcome) -> Self {
-        match outcome {
-            Outcome::Good => Self::Good,
-            Outcome::Loss => Self::Loss,
-            Outcome::Refused => Self::Refused,
-            Outcome::Interrupted => Self::Interrupted,
-            Outcome::Told(status) => status,
-        }
     }
 }
 

@@ -12,7 +12,7 @@ use protocol::Ticks;
 use super::PortArg;
 use super::record::parse_duration;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome, write_file};
+use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
 ///
@@ -101,7 +101,7 @@ impl Operator for Person<'_> {
 ///
 /// The board cannot be reached, is in use or is reset meanwhile; the report cannot be
 /// written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let parts: Vec<Part> = match args.parts.as_slice() {
         [] => Part::ALL.to_vec(),
         some => some.iter().copied().map(Part::from).collect(),
@@ -120,8 +120,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     write_file(&page, &bring_up::page(&report))?;
     context.print(&report, || text(&report, &page))?;
     Ok(match report.count(Verdict::Fail) {
-        0 => Outcome::Good,
-        _ => Outcome::Refused,
+        0 => ExitStatus::Good,
+        _ => ExitStatus::Refused,
     })
 }
 

@@ -4,7 +4,7 @@ use clap::CommandFactory as _;
 use clap_complete::Shell;
 
 use crate::cli::{Cli, Context};
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 
 /// Print the completions for a shell, for example
 /// `smartdepthsync completions bash > ~/.local/share/bash-completion/completions/smartdepthsync`.
@@ -26,7 +26,7 @@ struct Script {
 /// # Errors
 ///
 /// Standard output cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let mut script = Vec::new();
     clap_complete::generate(
         args.shell,
@@ -39,5 +39,5 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         script: String::from_utf8_lossy(&script).into_owned(),
     };
     context.print(&script, || script.script.clone())?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }

@@ -10,7 +10,7 @@ use super::PortArg;
 use crate::advice::at_phone;
 use crate::checks;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
 use crate::rig_profile::ProfileArg;
@@ -45,11 +45,11 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// None but those of printing; what is wrong is in the result.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let checks = look(args, context);
     context.print_checks(&checks, || checks::text(&checks.checks))?;
     if context.interrupt.requested() {
-        return Ok(Outcome::Interrupted);
+        return Ok(ExitStatus::Interrupted);
     }
     Ok(checks.outcome())
 }

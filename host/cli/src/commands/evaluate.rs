@@ -9,7 +9,7 @@ use jiff::civil::Date;
 use serde::Serialize;
 
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome, file_step, refuse_to_overwrite, write_file};
+use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};
 use evaluate::footage::Footage;
@@ -209,12 +209,7 @@ struct DriftOutput<'a> {
 /// # Errors
 ///
 /// Nothing could be measured, or a file cannot be read or written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
-    match &args.what {
-        What::Precision(PrecisionArgs { common, .. }) | What::Drift(DriftArgs { common, .. }) => {
-            common.check_targets()?;
-        }
-    }
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     match &args.what {
         What::Precision(args) => run_precision(args, context),
         What::Drift(args) => run_drift(args, context),
@@ -276,7 +271,8 @@ impl From<EvaluateError> for Failure {
 /// What to do about a part of the picture that gives nothing.
 const REGION: &str = "give a --region inside the picture, or leave it out";
 
-fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Failure> {
+fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, Failure> {
+    args.common.check_targets()?;
     let started = Instant::now();
     let settings = args.common.settings(None)?;
     // A profile that cannot be read is found out before hours of work.
@@ -307,7 +303,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
     )?;
     let Some(shown) = shown else {
         if context.interrupt.requested() {
-            return Ok(Outcome::Interrupted);
+            return Ok(ExitStatus::Interrupted);
         }
         return Err(Failure::new(
             ExitStatus::Refused,
@@ -345,11 +341,11 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<Outcome, Fai
         precision_text(&result, &shown, output.calibrated.as_ref())
     })?;
     Ok(if context.interrupt.requested() {
-        Outcome::Interrupted
+        ExitStatus::Interrupted
     } else if result.left_out.is_empty() {
-        Outcome::Good
+        ExitStatus::Good
     } else {
-        Outcome::Loss
+        ExitStatus::Loss
     })
 }
 
@@ -467,7 +463,8 @@ fn facts_text(text: &mut String, facts: Vec<(&str, String)>) {
     }
 }
 
-fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
+fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure> {
+    args.common.check_targets()?;
     let started = Instant::now();
     let settings = args.common.settings(args.timestamps.clone())?;
     let recording = Footage::read(&args.input, &settings, None, &|| {
@@ -492,9 +489,9 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<Outcome, Failure> {
     };
     context.print(&output, || drift_text(&evaluated.result))?;
     Ok(if context.interrupt.requested() {
-        Outcome::Interrupted
+        ExitStatus::Interrupted
     } else {
-        Outcome::Good
+        ExitStatus::Good
     })
 }
 

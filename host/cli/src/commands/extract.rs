@@ -7,7 +7,7 @@ use indicatif::ProgressBar;
 
 use crate::cli::Context;
 use crate::decimal::parse_us_nanos;
-use crate::outcome::{ExitStatus, Failure, Outcome, file_step};
+use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};
 use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
@@ -135,8 +135,8 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// There is no recording, the output folder cannot be used, or a file cannot be
-/// written. Missing and damaged parts end in [`Outcome::Loss`].
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+/// written. Missing and damaged parts end in [`ExitStatus::Loss`].
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
     let out = match &args.out {
         Some(out) => out.clone(),
@@ -189,7 +189,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         Ok(report) => report,
         Err(ExtractError::Cancelled) => {
             context.say("stopped; run the same command again to go on");
-            return Ok(Outcome::Interrupted);
+            return Ok(ExitStatus::Interrupted);
         }
         Err(error) => return Err(error.into()),
     };
@@ -201,7 +201,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     context.print(&report, || {
         format!("{}written to {}", report.text(), job.out.display())
     })?;
-    Ok(Outcome::of_loss(!report.losses.is_empty()))
+    Ok(ExitStatus::of_loss(!report.losses.is_empty()))
 }
 
 /// `RECORDING-FORMAT` beside the recording.

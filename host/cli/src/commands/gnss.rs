@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::PortArg;
 use crate::cli::Context;
 use crate::decimal::parse_us_ticks;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use board::gnss::{NMEA_DELAY_MS, parse_baud, utc_at_zero};
 
@@ -82,7 +82,7 @@ struct PrintedSettings {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let mut board = args.port.open()?;
     let report = match args.action {
         Action::Start {
@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     };
     let report = PrintedGnss::from(&report?);
     context.print(&report, || report.text())?;
-    Ok(Outcome::of_loss(
+    Ok(ExitStatus::of_loss(
         report.status.late > 0 || report.status.missed > 0,
     ))
 }

@@ -15,7 +15,7 @@ use super::PortArg;
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::decimal::seconds;
-use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite};
+use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use crate::record::preflight::IMU_WIRING;
 use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
 use board::{Board, Event, Stream};
@@ -136,7 +136,7 @@ struct PrintedImu {
 ///
 /// The board cannot be reached, its IMU gives nothing, or the file cannot be
 /// written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     // What is in the way is told before the board is asked for anything.
     if let Some(path) = &args.csv {
         refuse_to_overwrite(path, args.overwrite)?;
@@ -169,8 +169,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     context.print(&report, || report.text())?;
     let impaired = report.missed > 0 || summary.is_impaired();
     Ok(match streamed {
-        Some(()) => Outcome::of_loss(impaired),
-        None => Outcome::Interrupted,
+        Some(()) => ExitStatus::of_loss(impaired),
+        None => ExitStatus::Interrupted,
     })
 }
 

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::PortArg;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::record::preflight::firmware_version;
 use crate::rig_profile::{Place, ProfileArg};
 use board::imu::describe;
@@ -74,7 +74,7 @@ struct PrintedStatus {
 /// # Errors
 ///
 /// The board cannot be reached.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let mut board = args.port.open()?;
     let (_, round_trip) = board.ping()?;
     let imu = board.imu()?;
@@ -83,10 +83,10 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let was_up = args.watch == 0 || watch(args.watch, &mut board, context, &mut info.status)?;
     context.print_json(&info)?;
     if !was_up {
-        return Ok(Outcome::Interrupted);
+        return Ok(ExitStatus::Interrupted);
     }
     let link = board.conversation();
-    Ok(Outcome::of_loss(
+    Ok(ExitStatus::of_loss(
         link.counts().lost() > 0 || link.damaged_frames() > 0,
     ))
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::CommandFactory as _;
 
 use crate::cli::{Cli, Context};
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 
 /// Write the manual pages, one a command, into a folder, for example
 /// `smartdepthsync man ~/.local/share/man/man1`.
@@ -26,7 +26,7 @@ struct Written {
 /// # Errors
 ///
 /// The folder cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let failed = |error: std::io::Error| {
         Failure::new(
             ExitStatus::Storage,
@@ -53,5 +53,5 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             args.folder.display()
         )
     })?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }

@@ -10,7 +10,7 @@ use super::record::parse_duration;
 use crate::advice::imu_scale;
 use crate::cli::Context;
 use crate::live_data::{FoxgloveArg, LiveData};
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::record::{Connector as _, SerialConnector};
 use crate::view::gauge::Gauge;
 use crate::view::lines::line;
@@ -57,7 +57,7 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// The board cannot be reached, or does not come back.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let onlookers = args.foxglove.open(context)?;
     let mut board = args.port.open()?;
     let scale = imu_scale(&board.imu()?)?;
@@ -114,7 +114,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let snapshot = monitor.gauge.snapshot(None, None);
     context.print_json(&snapshot)?;
     let losses = &snapshot.losses;
-    Ok(Outcome::of_loss(losses.messages + losses.damaged > 0))
+    Ok(ExitStatus::of_loss(losses.messages + losses.damaged > 0))
 }
 
 /// A board that is looked at.

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::number_in;
 use crate::advice;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::{Device, SyncReport};
 use phone::gyro_csv::{self, GyroFile};
 use twist_sync::{
@@ -205,8 +205,8 @@ fn typical_rate(track: &GyroTrack) -> Option<f64> {
 /// # Errors
 ///
 /// A file cannot be read or is damaged, or the plot cannot be written. A refused
-/// estimate is no error but [`Outcome::Refused`].
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+/// estimate is no error but [`ExitStatus::Refused`].
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let options = args.options();
     let mut mcu = read(&args.mcu)?;
     let mut phone = read(&args.phone)?;
@@ -227,8 +227,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         context.say(format!("exported: {}", folder.display()));
     }
     let (outcome, faults) = match &result {
-        Ok(estimate) => (Outcome::Good, &estimate.report.faults),
-        Err(refusal) => (Outcome::Refused, &refusal.report.faults),
+        Ok(estimate) => (ExitStatus::Good, &estimate.report.faults),
+        Err(refusal) => (ExitStatus::Refused, &refusal.report.faults),
     };
     context.print(&output, || text(&output, faults))?;
     Ok(outcome)

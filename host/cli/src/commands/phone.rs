@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::number_in;
 use crate::advice::{TICK_SENSORS, at_phone};
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;
 use phone::{ImuRequest, PhoneClient, PhoneError, Sensor, SensorRecording, Settings, VideoTarget};
@@ -115,7 +115,7 @@ struct GetFilesArgs {
 ///
 /// The phone cannot be reached, does not keep to its protocol, or refuses; or
 /// a file cannot be written. All are [`Failure`]s.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     if let Request::GetFiles(files) = &args.request {
         return get_files(files, context);
     }
@@ -153,7 +153,7 @@ fn ask(
     settings: Settings,
     request: &Request,
     context: &Context,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     let mut client = PhoneClient::connect(address, settings)?;
     match request {
         Request::Imu(imu) => return record_imu(&mut client, imu, context),
@@ -162,7 +162,7 @@ fn ask(
         Request::GetVideo(video) => get_video(&mut client, video, context)?,
         Request::GetFiles(files) => return get_files(files, context),
     }
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }
 
 /// What a recording of one sensor was like.
@@ -267,7 +267,7 @@ fn record_imu(
     client: &mut PhoneClient,
     args: &ImuArgs,
     context: &Context,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     let request = imu_request(args);
     let bar = context.spinner();
     let seconds = args.seconds.as_secs_f64();
@@ -312,7 +312,7 @@ fn record_imu(
             .map(|sensor| format!("{sensor}: the phone sent no file: {TICK_SENSORS}"));
         came.chain(missing).collect::<Vec<_>>().join("\n")
     })?;
-    Ok(Outcome::of_loss(empty || !recording.missing.is_empty()))
+    Ok(ExitStatus::of_loss(empty || !recording.missing.is_empty()))
 }
 
 fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
@@ -397,7 +397,7 @@ fn get_video(
     })
 }
 
-fn get_files(args: &GetFilesArgs, context: &Context) -> Result<Outcome, Failure> {
+fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failure> {
     #[derive(Serialize)]
     struct Copied {
         files: Vec<PathBuf>,
@@ -414,7 +414,7 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<Outcome, Failure>
         let lines = copied.files.iter().map(|path| path.display().to_string());
         lines.collect::<Vec<_>>().join("\n")
     })?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

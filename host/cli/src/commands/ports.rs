@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use serde::Serialize;
 
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use board::transport::ports::{self, Port};
 
 /// Options of `ports`.
@@ -29,7 +29,7 @@ struct Ports<'a> {
 ///
 /// The system does not list its ports; or no board, where only boards were
 /// asked for.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let mut ports = ports::list().map_err(|error| {
         Failure::new(
             ExitStatus::Error,
@@ -47,7 +47,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         }
     }
     context.print(&Ports { ports: &ports }, || text(&ports))?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }
 
 fn text(ports: &[Port]) -> String {

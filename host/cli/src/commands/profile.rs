@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::setup::CameraArg;
 use crate::cli::Context;
 use crate::new_profile::{self, Camera};
-use crate::outcome::{ExitStatus, Failure, Outcome, write_file};
+use crate::outcome::{ExitStatus, Failure, write_file};
 use frame_sync::learn;
 use frame_sync::train::frame_period;
 use phone::frame_timestamps;
@@ -90,7 +90,7 @@ struct PrintedLesson {
 /// # Errors
 ///
 /// A file cannot be read or written, or nothing can be learnt.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     match &args.action {
         Action::Init { file, camera } => init(file, camera, context),
         Action::Check { file } => {
@@ -100,7 +100,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
                 Failure::new(ExitStatus::Error, message)
             })?;
             context.print(&profile, || text)?;
-            Ok(Outcome::Good)
+            Ok(ExitStatus::Good)
         }
         Action::Learn {
             file,
@@ -114,7 +114,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
             let phone = phone.as_deref().unwrap_or(&session.profile.phone.name);
             let taught = teach(file, &session, phone, timestamps)?;
             context.print(&taught.lesson, || taught.lesson.text(file))?;
-            Ok(Outcome::Good)
+            Ok(ExitStatus::Good)
         }
         Action::ImportKalibr { file, chain, phone } => {
             import(file, chain, phone.as_deref(), context)
@@ -127,7 +127,7 @@ fn import(
     chain: &Path,
     phone: Option<&str>,
     context: &Context,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     let text = read(file)?;
     let profile = Profile::parse(&text, Some(file))?;
     if let Some(name) = phone
@@ -164,10 +164,10 @@ fn import(
             file.display()
         )
     })?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }
 
-fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<Outcome, Failure> {
+fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus, Failure> {
     let model = given.camera.or_else(|| Model::find(DEFAULT_CAMERA));
     let text = match model {
         Some(model) if *given != CameraArg::default() => {
@@ -183,7 +183,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<Outcome, Fa
     context.print(&PrintedProfile { profile: file }, || {
         format!("wrote {}; set the phone's address in it", file.display())
     })?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }
 
 /// What a profile was taught of a phone.

@@ -12,7 +12,7 @@ use crate::checks::{self, text_of_judgement};
 use crate::cli::Context;
 use crate::decimal::Decimal;
 use crate::live_data::FoxgloveArg;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::record::track::Track;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
@@ -130,7 +130,7 @@ struct PrintedSession<'a> {
 /// # Errors
 ///
 /// A step failed; what was recorded before is kept.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let (mut profile, place) = args.profile.load()?;
     for phone in &args.phone {
         profile.set_address(phone)?;

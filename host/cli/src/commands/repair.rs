@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use verify::repair::{Repaired, repair};
 
 /// Write what can be read of a damaged or unfinished recording as a new, whole
@@ -26,12 +26,12 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// There is no such recording, or the new one cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let result = repair(&args.recording, &args.out, &|| {
         context.interrupt.requested()
     })?;
     context.print(&result, || text(&result))?;
-    Ok(Outcome::of_loss(result.lost))
+    Ok(ExitStatus::of_loss(result.lost))
 }
 
 fn text(result: &Repaired) -> String {

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::checks::text_of_judgement;
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use recording::session_file::SessionFile;
 use session_report::Judgement;
@@ -32,7 +32,7 @@ struct Written {
 /// # Errors
 ///
 /// There is no such recording, or its folder cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let recording = args.recording.find(context)?;
     let folder = recordings::folder_of(&recording);
     let file = SessionFile::load(folder)?;
@@ -44,5 +44,5 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
         let verdict = text_of_judgement(&written.verdict);
         format!("{verdict}report       {}", written.report.display())
     })?;
-    Ok(Outcome::Good)
+    Ok(ExitStatus::Good)
 }

@@ -13,7 +13,7 @@ use toml_edit::{Array, value};
 use super::{PortArg, doctor, number_in};
 use crate::cli::Context;
 use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
-use crate::outcome::{ExitStatus, Failure, Outcome, refuse_to_overwrite, write_file};
+use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
 use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
 use phone::adb;
@@ -149,7 +149,7 @@ struct Answers {
 ///
 /// An answer is missing or cannot be used, or the profile cannot be written. What is wrong
 /// with the rig is in the result.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     refuse_to_overwrite(&args.profile, args.overwrite)?;
     let known = match args.phone {
         Some(_) => None,

@@ -16,7 +16,7 @@ use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
 use crate::cli::Context;
 use crate::decimal::seconds;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use related::{Related, Whole};
 
 /// Loops and clocks are looked at so often over a recording.
@@ -116,8 +116,8 @@ struct LoopOutput {
 /// # Errors
 ///
 /// A file cannot be read or written, or has no gyroscope. Recordings that cannot be
-/// related are no error but [`Outcome::Refused`].
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+/// related are no error but [`ExitStatus::Refused`].
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     if args.delay_us.len() > args.recordings.len() {
         return Err(Failure::new(
             ExitStatus::Usage,
@@ -219,9 +219,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
     let lossy = recordings.iter().any(|r| !r.damage.is_empty());
     context.print(&output, || text(&output))?;
     Ok(if output.accepted {
-        Outcome::of_loss(lossy)
+        ExitStatus::of_loss(lossy)
     } else {
-        Outcome::Refused
+        ExitStatus::Refused
     })
 }
 

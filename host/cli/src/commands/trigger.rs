@@ -13,7 +13,7 @@ use super::PortArg;
 use crate::arrival::PlannedArrival;
 use crate::cli::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use board::{Board, BoardError, Event};
 use evaluate::train::TrainGeometry;
 
@@ -109,7 +109,7 @@ impl PeriodArg {
 /// # Errors
 ///
 /// The board cannot be reached or refuses.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     // Wrong options are told before the port is opened.
     if let Action::Period { period } = &args.action
         && period.given().is_none()
@@ -152,7 +152,7 @@ fn act(
     board: &mut Board,
     output: Output,
     context: &Context,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     let status = match *action {
         Action::Latency { train, pulses } => {
             return latency::measure(board, context, &train, pulses as usize);
@@ -204,7 +204,7 @@ fn act(
     }
     context.print(&report, || report.text(&status))?;
     let lossy = status.late > 0 || status.readback.missing > 0;
-    Ok(Outcome::of_loss(lossy))
+    Ok(ExitStatus::of_loss(lossy))
 }
 
 /// Moves the train, and waits for it to arrive if that is wanted.
@@ -214,11 +214,11 @@ fn align(
     context: &Context,
     to: TriggerAlign,
     wait: bool,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     let plan = board.align(output, to)?;
     let mut report = PrintedMove::from(&plan);
     context.print_text(|| report.text())?;
-    let mut outcome = Outcome::Good;
+    let mut outcome = ExitStatus::Good;
     if wait {
         let arrived;
         (arrived, outcome) = wait_for_arrival(board, output, context, &plan)?;
@@ -237,7 +237,7 @@ fn wait_for_arrival(
     output: Output,
     context: &Context,
     plan: &AlignPlan,
-) -> Result<(Option<Arrived>, Outcome), Failure> {
+) -> Result<(Option<Arrived>, ExitStatus), Failure> {
     let planned = PlannedArrival::from(plan);
     let command = "arrival of the align";
     let stop = || context.interrupt.requested();
@@ -251,11 +251,11 @@ fn wait_for_arrival(
         Ok::<_, Failure>(is_overdue.then_some(None))
     })?;
     match listened {
-        None => Ok((None, Outcome::Interrupted)),
-        Some(Some(arrived)) => Ok((Some(arrived), Outcome::Good)),
+        None => Ok((None, ExitStatus::Interrupted)),
+        Some(Some(arrived)) => Ok((Some(arrived), ExitStatus::Good)),
         Some(None) if planned.has_come(&board.output(output)?) => {
             tracing::warn!("the train runs on its grid, but its arrival was not reported");
-            Ok((None, Outcome::Loss))
+            Ok((None, ExitStatus::Loss))
         }
         Some(None) => Err(BoardError::NoAnswer { command }.into()),
     }

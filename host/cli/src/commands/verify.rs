@@ -1,7 +1,7 @@
 //! `smartdepthsync verify`: is a recording whole.
 
 use crate::cli::Context;
-use crate::outcome::{Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::RecordingArg;
 use verify::{Verdict, verify};
 
@@ -21,13 +21,13 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// There is no such recording.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<Outcome, Failure> {
+pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
     let report = verify(&args.recording.find(context)?, &|| {
         context.interrupt.requested()
     })?;
     context.print(&report, || report.text())?;
     Ok(match report.verdict {
-        Verdict::Whole => Outcome::Good,
-        Verdict::Incomplete | Verdict::Damaged => Outcome::Loss,
+        Verdict::Whole => ExitStatus::Good,
+        Verdict::Incomplete | Verdict::Damaged => ExitStatus::Loss,
     })
 }

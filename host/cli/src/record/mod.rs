@@ -44,7 +44,7 @@ use protocol::TICK_HZ;
 
 use crate::cli::Context;
 use crate::live_data::FoxgloveArg;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::Place;
 use board::BoardError;
 use board::transport::serial::SerialLink;
@@ -138,7 +138,7 @@ impl<E: Into<Failure>> From<E> for Stop {
 #[derive(Debug)]
 pub(crate) struct Ended {
     /// How it ended.
-    pub(crate) result: Result<Outcome, Failure>,
+    pub(crate) result: Result<ExitStatus, Failure>,
     /// The recording's folder.
     pub(crate) folder: PathBuf,
     /// What was decided.
@@ -174,8 +174,8 @@ pub(crate) fn run(
     let ended = journal.outcome_of(&result);
     let outcome = match result {
         Err(Stop::Failed(failure)) => Err(failure),
-        Err(Stop::Interrupted) => Ok(Outcome::Interrupted),
-        Ok(()) => Ok(Outcome::of_loss(journal.has_problems())),
+        Err(Stop::Interrupted) => Ok(ExitStatus::Interrupted),
+        Ok(()) => Ok(ExitStatus::of_loss(journal.has_problems())),
     };
     journal.file.outcome = Some(ended);
     let saved = journal.file.save(&journal.folder);

@@ -17,7 +17,7 @@ use super::depth_recorder::left_over;
 use super::rounds::free_space;
 use crate::advice::refusal_step;
 use crate::new_profile::summary;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::Place;
 use board::Board;
 use board::imu::{ImuLook, describe};
@@ -68,8 +68,8 @@ pub(crate) struct Checks {
 
 impl Checks {
     /// How a command ends that prints them: as the first bad one says.
-    pub(crate) fn outcome(&self) -> Outcome {
-        self.failed.map_or(Outcome::Good, Outcome::Told)
+    pub(crate) fn outcome(&self) -> ExitStatus {
+        self.failed.unwrap_or(ExitStatus::Good)
     }
 
     /// The first bad one as an error.

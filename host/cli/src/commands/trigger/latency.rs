@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use protocol::{DeviceToHost, TICK_HZ, TrainState};
 
 use crate::cli::Context;
-use crate::outcome::{ExitStatus, Failure, Outcome};
+use crate::outcome::{ExitStatus, Failure};
 use board::{Board, Event};
 use evaluate::latency::{Latency, latency};
 use evaluate::train::TrainGeometry;
@@ -19,7 +19,7 @@ pub(super) fn measure(
     context: &Context,
     train: &TrainGeometry,
     wanted: usize,
-) -> Result<Outcome, Failure> {
+) -> Result<ExitStatus, Failure> {
     if board.trigger()?.state == TrainState::Stopped {
         return Err(Failure::new(
             ExitStatus::Refused,
@@ -44,7 +44,7 @@ pub(super) fn measure(
         Ok::<_, Failure>((pulses.len() > wanted || is_quiet).then_some(()))
     })?;
     if listened.is_none() {
-        return Ok(Outcome::Interrupted);
+        return Ok(ExitStatus::Interrupted);
     }
     let Some(found) = latency(&pulses, &captures, train) else {
         return Err(Failure::new(
@@ -60,7 +60,7 @@ pub(super) fn measure(
         .next_step("check that the depth camera runs on the trigger, that the photodiode on PA2 sees its flashes and nothing else, and that --train is the depth mode's"));
     };
     context.print(&found, || text(&found))?;
-    Ok(Outcome::of_loss(found.left_out > 0))
+    Ok(ExitStatus::of_loss(found.left_out > 0))
 }
 
 fn text(found: &Latency) -> String {
