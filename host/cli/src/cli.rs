@@ -316,7 +316,12 @@ impl Interrupt {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Whether to stop, for those who talk to a phone.
+    /// Whether to stop, for those who ask it again and again.
+    pub(crate) fn question(&self) -> impl Fn() -> bool {
+        || self.requested()
+    }
+
+    /// The same for those who talk to a phone.
     pub(crate) fn stop_signal(&self) -> StopSignal {
         let interrupt = self.clone();
         StopSignal::new(move || interrupt.requested())

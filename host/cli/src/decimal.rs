@@ -4,7 +4,11 @@
 //! `33330.652` µs is 1,599,871.296 ticks, and a period must be exactly that: no
 //! number here ever becomes a float.
 
-use protocol::{Period, TICK_HZ};
+use std::time::Duration;
+
+use protocol::{Period, TICK_HZ, Ticks};
+
+use crate::record;
 
 /// The most digits of a number, before and behind the point together.
 const MAX_DIGITS: usize = 18;
@@ -138,6 +142,34 @@ pub(crate) fn parse_us_nanos(text: &str) -> Result<i64, DecimalError> {
         .ok_or(DecimalError::NotNanos)
 }
 
+/// For clap: a duration such as `90s`, `5m`, `1h`, `1.5m` or seconds without a unit, as whole
+/// ticks.
+///
+/// # Errors
+///
+/// It is none, or not within 0 and a week.
+pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
+    let units = [("s", 1), ("m", 60), ("h", 3_600)];
+    let (number, unit) = units
+        .into_iter()
+        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
+        .unwrap_or((text, 1));
+    let number = number.parse::<Decimal>().ok();
+    number
+        .and_then(|number| u64::try_from(number.times(record::seconds(unit))).ok())
+        .filter(|&ticks| ticks <= record::seconds(7 * 24 * 3_600))
+        .ok_or("expected a duration such as 90s, 5m or 1h, at most a week")
+}
+
+/// For clap: the same in real time.
+///
+/// # Errors
+///
+/// As [`parse_duration`].
+pub(crate) fn parse_real_time(text: &str) -> Result<Duration, &'static str> {
+    parse_duration(text).map(|ticks| Duration::from_secs_f64(Ticks(ticks).as_secs_f64()))
+}
+
 /// Nanoseconds as seconds with all their digits.
 pub(crate) fn seconds(nanos: impl Into<i128>) -> String {
     let nanos: i128 = nanos.into();
@@ -153,7 +185,6 @@ pub(crate) fn seconds(nanos: impl Into<i128>) -> String {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use protocol::Ticks;
 
     use super::*;
 
@@ -247,6 +278,18 @@ mod tests {
             "1.-2",
         ] {
             assert!(parse_us_nanos(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn durations_are_exact_ticks() {
+        assert_eq!(parse_duration("5m"), Ok(300 * 48_000_000));
+        assert_eq!(parse_duration("90"), Ok(90 * 48_000_000));
+        assert_eq!(parse_duration("90s"), Ok(90 * 48_000_000));
+        assert_eq!(parse_duration("1.5h"), Ok(5_400 * 48_000_000));
+        assert_eq!(parse_duration("0.5"), Ok(24_000_000));
+        for text in ["", "m", "-1s", "5 m", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
+            assert!(parse_duration(text).is_err(), "{text}");
         }
     }
 

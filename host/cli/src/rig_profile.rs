@@ -25,7 +25,7 @@ pub(crate) struct ProfileArg {
 }
 
 /// Where a profile comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
     /// Given with `--profile`.
@@ -37,11 +37,12 @@ pub enum Source {
     /// In the user's configuration folder.
     User,
     /// The published rig's, a part of the program.
+    #[default]
     Published,
 }
 
 /// The profile that a command uses.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Place {
     /// The file; none for the published rig's.
     pub path: Option<PathBuf>,
@@ -123,10 +124,7 @@ fn first_of(here: &Path, of_environment: Option<PathBuf>, user: Option<PathBuf>)
     }
     match user.filter(|path| path.is_file()) {
         Some(path) => Place::at(path, Source::User),
-        None => Place {
-            path: None,
-            source: Source::Published,
-        },
+        None => Place::default(),
     }
 }
 

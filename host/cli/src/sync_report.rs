@@ -2,7 +2,17 @@
 //! board's gyroscope (`mcu`), stream b the phone's.
 
 use serde::Serialize;
-use twist_sync::{Action, Fault, FaultKind, Gate, LeftOut, Report, Stream, Warning, Why};
+use twist_sync::{
+    Action, Estimate, Fault, FaultKind, Gate, LeftOut, Refusal, Report, Stream, Warning, Why,
+};
+
+/// What was found on the way to an estimate or to a refusal.
+pub(crate) const fn report_of(result: &Result<Estimate, Refusal>) -> &Report {
+    match result {
+        Ok(estimate) => &estimate.report,
+        Err(refusal) => &refusal.report,
+    }
+}
 
 /// Whose gyroscope a stream is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -7,11 +7,10 @@ use std::time::Duration;
 
 use bring_up::{HandsOn, Operator, Part, Report, Verdict};
 use clap::ValueEnum;
-use protocol::Ticks;
 
 use super::PortArg;
-use super::record::parse_duration;
 use crate::cli::Context;
+use crate::decimal::parse_real_time;
 use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.
@@ -29,8 +28,8 @@ pub(crate) struct Args {
     #[arg(long)]
     hands_off: bool,
     /// How long the crystal is compared with this computer's clock: 60s, 5m
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
-    clock_time: u64,
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
+    clock_time: Duration,
     /// Folder for bring-up.json and bring-up.html
     #[arg(long, value_name = "FOLDER", default_value = "bring-up")]
     out: PathBuf,
@@ -112,8 +111,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         context,
         hands_off: args.hands_off,
     };
-    let clock = Duration::from_secs_f64(Ticks(args.clock_time).as_secs_f64());
-    let report = bring_up::run(&mut board, &mut person, &parts, clock)?;
+    let report = bring_up::run(&mut board, &mut person, &parts, args.clock_time)?;
     let json = serde_json::to_string_pretty(&report)?;
     let page = args.out.join("bring-up.html");
     write_file(&args.out.join("bring-up.json"), &json)?;

@@ -99,7 +99,7 @@ fn listen_for(
     let end = now.0.saturating_add(ticks);
     board.listen(
         "any message",
-        &|| context.interrupt.requested(),
+        &context.interrupt.question(),
         |board, event| {
             event.iter().for_each(&mut take);
             let is_over = board.conversation().latest().0 >= end;

@@ -288,7 +288,7 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         &settings,
         usize::from(args.frames),
         args.common.method == Method::Paper,
-        &|| context.interrupt.requested(),
+        &context.interrupt.question(),
         &mut |path, result, waited_here| {
             done += 1;
             waited += waited_here.as_secs_f64();
@@ -467,9 +467,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     args.common.check_targets()?;
     let started = Instant::now();
     let settings = args.common.settings(args.timestamps.clone())?;
-    let recording = Footage::read(&args.input, &settings, None, &|| {
-        context.interrupt.requested()
-    })?;
+    let recording = Footage::read(&args.input, &settings, None, &context.interrupt.question())?;
     let waiting_for_input_s = recording.waited.as_secs_f64();
     let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
     if let Some(path) = &args.common.plot {

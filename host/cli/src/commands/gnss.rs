@@ -10,7 +10,6 @@ use super::PortArg;
 use crate::cli::Context;
 use crate::decimal::parse_us_ticks;
 use crate::outcome::{ExitStatus, Failure};
-use board::Board;
 use board::gnss::{NMEA_DELAY_MS, parse_baud, utc_at_zero};
 
 /// Options of `gnss`.
@@ -95,8 +94,17 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             pulse_low,
         } => {
             let utc_at_zero = match utc {
-                Some(utc) => at_zero(utc, &mut board)?,
-                None => by_this_computer(&mut board)?,
+                Some(utc) => {
+                    let (now, _) = board.ping()?;
+                    utc.saturating_sub_unsigned(now.0 / u64::from(TICK_HZ))
+                }
+                None => utc_at_zero(&mut board)?.ok_or_else(|| {
+                    Failure::new(
+                        ExitStatus::Usage,
+                        "this computer's clock is set before 1970",
+                    )
+                    .next_step("set it, or give the time with --utc")
+                })?,
             };
             let settings = GnssSettings {
                 utc_at_zero,
@@ -121,24 +129,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     Ok(ExitStatus::of_loss(
         report.status.late > 0 || report.status.missed > 0,
     ))
-}
-
-/// Unix time of the board's tick 0 by this computer's clock.
-fn by_this_computer(board: &mut Board) -> Result<i64, Failure> {
-    utc_at_zero(board)?.ok_or_else(|| {
-        Failure::new(
-            ExitStatus::Usage,
-            "this computer's clock is set before 1970",
-        )
-        .next_step("set it, or give the time with --utc")
-    })
-}
-
-/// Unix time of the board's tick 0 if the present second is `utc`.
-fn at_zero(utc: i64, board: &mut Board) -> Result<i64, Failure> {
-    let (ticks, _) = board.ping()?;
-    let seconds = ticks.0 / u64::from(TICK_HZ);
-    Ok(utc.saturating_sub(i64::try_from(seconds).unwrap_or(i64::MAX)))
 }
 
 impl From<&GnssReport> for PrintedGnss {

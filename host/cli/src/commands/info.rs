@@ -100,17 +100,20 @@ fn watch(
 ) -> Result<bool, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let mut before = None;
-    let stop = || context.interrupt.requested();
-    let watched = board.listen("status message", &stop, |board, event| {
-        if let Some(Event::Message(DeviceToHost::Status(status))) = event {
-            let report = PrintedStatus::from(&status);
-            context.print_text(|| report.text(before))?;
-            before.get_or_insert(report.dropped.total());
-            reports.push(report);
-        }
-        let is_over = board.conversation().latest().0 >= end;
-        Ok::<_, Failure>(is_over.then_some(()))
-    })?;
+    let watched = board.listen(
+        "status message",
+        &context.interrupt.question(),
+        |board, event| {
+            if let Some(Event::Message(DeviceToHost::Status(status))) = event {
+                let report = PrintedStatus::from(&status);
+                context.print_text(|| report.text(before))?;
+                before.get_or_insert(report.dropped.total());
+                reports.push(report);
+            }
+            let is_over = board.conversation().latest().0 >= end;
+            Ok::<_, Failure>(is_over.then_some(()))
+        },
+    )?;
     Ok(watched.is_some())
 }
 

@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
 use super::PortArg;
-use super::record::parse_duration;
 use crate::advice::imu_scale;
 use crate::cli::Context;
+use crate::decimal::parse_duration;
 use crate::live_data::{FoxgloveArg, LiveData};
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::{Connector as _, SerialConnector};

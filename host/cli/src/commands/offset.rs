@@ -12,7 +12,7 @@ use super::number_in;
 use crate::advice;
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
-use crate::sync_report::{Device, SyncReport};
+use crate::sync_report::{Device, SyncReport, report_of};
 use phone::gyro_csv::{self, GyroFile};
 use twist_sync::{
     Action, Estimate, Fault, FaultKind, GyroTrack, Options, Refusal, Stream, estimate_offset,
@@ -138,10 +138,6 @@ impl Output {
     ) -> Self {
         let estimate = result.as_ref().ok();
         let refusal = result.as_ref().err();
-        let report = match result {
-            Ok(estimate) => &estimate.report,
-            Err(refusal) => &refusal.report,
-        };
         Self {
             accepted: estimate.is_some(),
             refusal: refusal.map(|refusal| refusal.report.failures()),
@@ -154,7 +150,7 @@ impl Output {
             bias: estimate.map(|e| e.bias),
             mcu_delay_s: options.a_delay_s,
             phone_delay_s: options.b_delay_s,
-            report: report.into(),
+            report: report_of(result).into(),
             mcu,
             phone,
         }
@@ -226,12 +222,11 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         export::write(folder, [&mcu.track, &phone.track], &options)?;
         context.say(format!("exported: {}", folder.display()));
     }
-    let (outcome, faults) = match &result {
-        Ok(estimate) => (ExitStatus::Good, &estimate.report.faults),
-        Err(refusal) => (ExitStatus::Refused, &refusal.report.faults),
-    };
-    context.print(&output, || text(&output, faults))?;
-    Ok(outcome)
+    context.print(&output, || text(&output, &report_of(&result).faults))?;
+    Ok(match output.accepted {
+        true => ExitStatus::Good,
+        false => ExitStatus::Refused,
+    })
 }
 
 fn read(path: &Path) -> Result<GyroFile, Failure> {

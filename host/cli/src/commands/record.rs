@@ -2,23 +2,18 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-use protocol::TICK_HZ;
 use serde::Serialize;
 
 use super::profile::{Lesson, teach};
 use crate::checks::{self, text_of_judgement};
 use crate::cli::Context;
-use crate::decimal::Decimal;
-use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::track::Track;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
 use phone::adb::get_files_command;
 use phone::video_files;
-use recording::folder::check_name;
 use recording::session_file::{OtherPhone, SessionFile};
 use session_report::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
 use timebase::PhoneNanos;
@@ -41,44 +36,12 @@ pub(crate) struct Args {
     /// Of several phones, the one that the trigger is aligned to, instead of the profile's
     #[arg(long, value_name = "NAME")]
     reference: Option<String>,
-    /// Folder in which the recording's folder is made
-    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
-    out: PathBuf,
-    /// Name of the recording's folder [default: date and time]
-    #[arg(long, value_parser = check_name)]
-    name: Option<String>,
-    /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
-    #[arg(long, value_parser = parse_duration)]
-    duration: Option<u64>,
-    /// Never prompt; stop at the first failure
-    #[arg(long)]
-    yes: bool,
-    /// How long to wait for a lost USB link to come back, in real time
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
-    link_patience: u64,
-    /// Plain lines instead of the live view
-    #[arg(long)]
-    plain: bool,
-    /// Set a mark this long after the start; may be given more than once
-    #[arg(long, value_name = "AFTER", value_parser = parse_duration)]
-    marker: Vec<u64>,
-    /// Twists before the recording: two know the rate of the clocks today, three and more
-    /// how it changes while the rig warms up
-    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=5))]
-    twists: u32,
-    /// Between two of these twists, in board time
-    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
-    twist_gap: u64,
-    /// Twist again at the end: a far better skew, and `profile learn` needs it
-    #[arg(long)]
-    second_twist: bool,
+    #[command(flatten)]
+    options: Options,
     /// Record for 90 s between two twists, and write what that teaches about the phone's
     /// clocks into the rig profile
     #[arg(long)]
     calibrate: bool,
-    /// Download the phone's video at the end
-    #[arg(long)]
-    fetch_video: bool,
     /// Follow the phone's clock through adb while it records, so that the trigger stays on
     /// its frames for hours; an error if that cannot be. Unless given, it is followed where an
     /// adb server runs and has the phone
@@ -87,27 +50,6 @@ pub(crate) struct Args {
     /// Do not follow the phone's clock: nothing is started on the phone
     #[arg(long, conflicts_with = "track")]
     no_track: bool,
-    #[command(flatten)]
-    foxglove: FoxgloveArg,
-}
-
-/// A duration such as `90s`, `5m`, `1h`, `1.5m` or seconds without a unit, as
-/// whole ticks.
-///
-/// # Errors
-///
-/// It is none, or not within 0 and a week.
-pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
-    let units = [("s", 1), ("m", 60), ("h", 3_600)];
-    let (number, unit) = units
-        .into_iter()
-        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
-        .unwrap_or((text, 1));
-    let number = number.parse::<Decimal>().ok();
-    number
-        .and_then(|number| u64::try_from(number.times(record::seconds(unit))).ok())
-        .filter(|&ticks| ticks <= record::seconds(7 * 24 * 3_600))
-        .ok_or("expected a duration such as 90s, 5m or 1h, at most a week")
 }
 
 /// What `--json` prints.
@@ -142,27 +84,17 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         true => Some(calibrates(args, &place)?),
         false => None,
     };
-    let length = args.calibrate.then_some(CALIBRATION_TICKS);
-    let options = Options {
-        out: args.out.clone(),
-        name: args.name.clone(),
-        track: match (args.track, args.no_track) {
-            (true, _) => Track::Always,
-            (_, true) => Track::Never,
-            _ => Track::IfThere,
-        },
-        duration: args.duration.or(length),
-        profile: place.clone(),
-        link_patience: Duration::from_secs_f64(args.link_patience as f64 / f64::from(TICK_HZ)),
-        plain: args.plain,
-        yes: args.yes,
-        markers: args.marker.clone(),
-        twists: args.twists,
-        twist_gap: args.twist_gap,
-        second_twist: args.second_twist || args.calibrate,
-        fetch_video: args.fetch_video,
-        foxglove: args.foxglove.clone(),
+    let mut options = args.options.clone();
+    options.profile = place.clone();
+    options.track = match (args.track, args.no_track) {
+        (true, _) => Track::Always,
+        (_, true) => Track::Never,
+        _ => Track::IfThere,
     };
+    if args.calibrate {
+        options.duration.get_or_insert(CALIBRATION_TICKS);
+        options.second_twist = true;
+    }
     let mut connector = SerialConnector {
         port: args.port.clone(),
     };
@@ -213,7 +145,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
 /// The profile that a calibration teaches.
 fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     let file = place.file()?;
-    match args.duration {
+    match args.options.duration {
         Some(ticks) if ticks < record::seconds(60) => Err(Failure::new(
             ExitStatus::Usage,
             "a calibration needs a minute or more between its two twists",
@@ -298,12 +230,11 @@ fn what_was_recorded(text: &mut String, report: &PrintedSession<'_>) {
     if let Some(html) = &report.report {
         let _ = writeln!(text, "report       {}", html.display());
     }
-    let seconds = |ticks: u64| ticks as f64 / f64::from(TICK_HZ);
     if let Some(span) = session.recorded {
         let _ = writeln!(
             text,
             "length       {:.3} s of board time",
-            seconds(span.to.0.saturating_sub(span.from.0))
+            (span.to - span.from).as_secs_f64()
         );
     }
     if let Some(clock) = session.clock {
@@ -375,21 +306,4 @@ fn phone_line(phone: &OtherPhone) -> String {
         );
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn durations_are_exact_ticks() {
-        assert_eq!(parse_duration("5m"), Ok(300 * 48_000_000));
-        assert_eq!(parse_duration("90"), Ok(90 * 48_000_000));
-        assert_eq!(parse_duration("90s"), Ok(90 * 48_000_000));
-        assert_eq!(parse_duration("1.5h"), Ok(5_400 * 48_000_000));
-        assert_eq!(parse_duration("0.5"), Ok(24_000_000));
-        for text in ["", "m", "-1s", "5 m", "1d", "1.2.3", "9999h", "1e3", "5µ"] {
-            assert!(parse_duration(text).is_err(), "{text}");
-        }
-    }
 }

@@ -27,9 +27,7 @@ pub(crate) struct Args {
 ///
 /// There is no such recording, or the new one cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let result = repair(&args.recording, &args.out, &|| {
-        context.interrupt.requested()
-    })?;
+    let result = repair(&args.recording, &args.out, &context.interrupt.question())?;
     context.print(&result, || text(&result))?;
     Ok(ExitStatus::of_loss(result.lost))
 }

@@ -36,8 +36,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let recording = args.recording.find(context)?;
     let folder = recordings::folder_of(&recording);
     let file = SessionFile::load(folder)?;
-    let stop = || context.interrupt.requested();
-    let report = session_report::write(folder, &file, &stop)?;
+    let report = session_report::write(folder, &file, &context.interrupt.question())?;
     let verdict = Judgement::of(folder, &file);
     let written = Written { report, verdict };
     context.print_checks(&written, || {

@@ -249,18 +249,20 @@ fn topic_of(path: &Path) -> (PathBuf, Option<String>) {
 
 fn inputs(args: &Args, recordings: &[GyroRecording], delays: &[f64]) -> Vec<Input> {
     let all = args.recordings.iter().zip(recordings).zip(delays);
-    let last = |r: &GyroRecording| r.times.last().copied().unwrap_or(0);
-    let input =
-        |(k, ((path, recording), delay)): (usize, ((&PathBuf, &GyroRecording), &f64))| Input {
-            number: k + 1,
-            file: path.display().to_string(),
-            form: recording.form.clone(),
-            samples: recording.times.len(),
-            duration_s: last(recording).saturating_sub(recording.first()) as f64 * 1e-9,
-            delay_s: *delay,
-            damage: recording.damage.clone(),
-        };
-    all.enumerate().map(input).collect()
+    all.enumerate()
+        .map(|(k, ((path, recording), &delay_s))| {
+            let last = recording.times.last().copied().unwrap_or(0);
+            Input {
+                number: k + 1,
+                file: path.display().to_string(),
+                form: recording.form.clone(),
+                samples: recording.times.len(),
+                duration_s: last.saturating_sub(recording.first()) as f64 * 1e-9,
+                delay_s,
+                damage: recording.damage.clone(),
+            }
+        })
+        .collect()
 }
 
 /// Seconds as whole nanoseconds from a time on.

@@ -22,9 +22,10 @@ pub(crate) struct Args {
 ///
 /// There is no such recording.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let report = verify(&args.recording.find(context)?, &|| {
-        context.interrupt.requested()
-    })?;
+    let report = verify(
+        &args.recording.find(context)?,
+        &context.interrupt.question(),
+    )?;
     context.print(&report, || report.text())?;
     Ok(match report.verdict {
         Verdict::Whole => ExitStatus::Good,

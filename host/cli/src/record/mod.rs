@@ -43,45 +43,62 @@ use std::time::Duration;
 use protocol::TICK_HZ;
 
 use crate::cli::Context;
+use crate::decimal::{parse_duration, parse_real_time};
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::Place;
 use board::BoardError;
 use board::transport::serial::SerialLink;
 use board::transport::{Link, ports};
+use recording::folder::check_name;
 use recording::profile::Profile;
 use recording::session_file::SessionFile;
 
-/// What a session is asked to do.
-#[derive(Clone, Debug)]
+/// What a session is asked to do. Times are ticks of board time.
+#[derive(Clone, Debug, clap::Args)]
 pub struct Options {
-    /// Folder in which the recording's folder is made.
+    /// Folder in which the recording's folder is made
+    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
     pub out: PathBuf,
-    /// Name of the recording's folder; date and time if not given.
+    /// Name of the recording's folder [default: date and time]
+    #[arg(long, value_parser = check_name)]
     pub name: Option<String>,
-    /// How long to record in ticks of board time; until stopped if not given.
+    /// How long to record, in board time: 90s, 5m, 1h; until stopped if not given
+    #[arg(long, value_parser = parse_duration)]
     pub duration: Option<u64>,
     /// Where the profile is from.
+    #[arg(skip)]
     pub profile: Place,
-    /// How long a lost link to the board is waited for, in real time.
-    pub link_patience: Duration,
-    /// Plain lines even on a terminal.
-    pub plain: bool,
-    /// Never prompt; stop at the first failure.
+    /// Never prompt; stop at the first failure
+    #[arg(long)]
     pub yes: bool,
-    /// Marks to be set by themselves: ticks after the begin of the recording.
+    /// How long to wait for a lost USB link to come back, in real time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_real_time)]
+    pub link_patience: Duration,
+    /// Plain lines instead of the live view
+    #[arg(long)]
+    pub plain: bool,
+    /// Set a mark this long after the start; may be given more than once
+    #[arg(long = "marker", value_name = "AFTER", value_parser = parse_duration)]
     pub markers: Vec<u64>,
     /// Whether the phone's clock is to be followed.
+    #[arg(skip)]
     pub track: track::Track,
-    /// Twists before the recording.
+    /// Twists before the recording: two know the rate of the clocks today, three and more
+    /// how it changes while the rig warms up
+    #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=5))]
     pub twists: u32,
-    /// Between two of them, ticks of board time.
+    /// Between two of these twists, in board time
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration)]
     pub twist_gap: u64,
-    /// Twist once more at the end.
+    /// Twist again at the end: a far better skew, and `profile learn` needs it
+    #[arg(long)]
     pub second_twist: bool,
-    /// Download the phone's video at the end.
+    /// Download the phone's video at the end
+    #[arg(long)]
     pub fetch_video: bool,
     /// Live data for Foxglove, if wanted.
+    #[command(flatten)]
     pub foxglove: FoxgloveArg,
 }
 

@@ -13,7 +13,7 @@ use super::rig::Rig;
 use super::steps::{ask, is_repeatable, odd_answer};
 use super::{Options as SessionOptions, Stop};
 use crate::outcome::{ExitStatus, Failure};
-use crate::sync_report::SyncReport;
+use crate::sync_report::{SyncReport, report_of};
 use crate::view::lacking_motion;
 use frame_sync::alignment::{skew_prior, with_known_skew};
 use frame_sync::rates::Course;
@@ -253,11 +253,7 @@ fn relate(
         ..Options::default()
     };
     let result = estimate_offset(board.track, &phone_track, &options);
-    let report = match &result {
-        Ok(estimate) => &estimate.report,
-        Err(refusal) => &refusal.report,
-    };
-    let report = SyncReport::from(report);
+    let report = SyncReport::from(report_of(&result));
     let estimate = result.as_ref().ok();
     let twist = Twist {
         phone_gyro: Some(name.clone()),

@@ -7,6 +7,7 @@ use std::path::Path;
 use super::fault_found;
 use crate::cli::Context;
 use crate::outcome::Failure;
+use crate::sync_report::report_of;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};
 use twist_sync::compare::{self, Pair};
 use twist_sync::{
@@ -31,10 +32,7 @@ pub(in crate::commands) fn svg(
     options: &Options,
 ) -> String {
     let [a_ink, b_ink, ..] = COLOURS;
-    let report = match result {
-        Ok(estimate) => &estimate.report,
-        Err(refusal) => &refusal.report,
-    };
+    let report = report_of(result);
     let outs = [(a, Stream::A), (b, Stream::B)]
         .map(|(track, stream)| compare::left_out(&report.faults, stream, track.len()));
     let axis = |track: &GyroTrack, axis: usize| {

@@ -6,6 +6,7 @@ use twist_sync::{
 };
 
 use crate::commands::offset::fault_text;
+use crate::sync_report::report_of;
 
 /// A recording up to this length is taken as a whole, seconds: a twist.
 const LONGEST_TWIST_S: f64 = 60.0;
@@ -44,10 +45,8 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
     }
     let options = delayed(Options::default());
     let result = estimate_offset(a, b, &options);
-    let (report, estimates) = match &result {
-        Ok(estimate) => (&estimate.report, vec![estimate.clock]),
-        Err(refusal) => (&refusal.report, Vec::new()),
-    };
+    let report = report_of(&result);
+    let estimates: Vec<ClockRelation> = result.iter().map(|estimate| estimate.clock).collect();
     let course = ClockCourse::from_estimates(&estimates, options.wander);
     let names = ["the first", "the second"];
     let faults = report.faults.iter();

@@ -29,8 +29,7 @@ pub(super) fn measure(
     }
     let (mut pulses, mut captures) = (Vec::new(), Vec::new());
     let mut last_sign = board.conversation().latest();
-    let stop = || context.interrupt.requested();
-    let listened = board.listen("pulses", &stop, |board, event| {
+    let listened = board.listen("pulses", &context.interrupt.question(), |board, event| {
         match event {
             Some(Event::Message(DeviceToHost::Pulse(pulse))) if pulse.output.is_camera() => {
                 pulses.push(pulse.at);
