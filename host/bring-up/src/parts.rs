@@ -47,15 +47,6 @@ const fn period(picos: u64) -> Period {
     }
 }
 
-/// `7 to 8 ticks`, `7 ticks`, `nothing`.
-fn ticks(extent: Extent) -> String {
-    match extent.0 {
-        None => String::from("nothing"),
-        Some((low, high)) if low == high => format!("{low} ticks"),
-        Some((low, high)) => format!("{low} to {high} ticks"),
-    }
-}
-
 /// A board that is being measured.
 pub(crate) struct Session<'a> {
     pub(crate) board: &'a mut Board,
@@ -169,18 +160,14 @@ impl<'a> Session<'a> {
         self.check(
             "edges on their ticks",
             trains.grid_error.within(0, 0),
-            format!(
-                "{} pulses, {} off",
-                trains.on_grid,
-                ticks(trains.grid_error)
-            ),
+            trains.on_grid_text(),
             "0 ticks off the exact sum of start and periods",
             "the timer's compare or the firmware's arithmetic",
         );
         self.check(
             "slew",
             moved.within(-1 - i64::from(SLEW), 1 + i64::from(SLEW)),
-            format!("periods differ by {} while moving", ticks(moved)),
+            format!("periods differ by {moved} while moving"),
             format!("{SLEW} ticks, and 1 for the fraction"),
             "the firmware's way to another phase; a camera may lose frames",
         );
@@ -189,9 +176,7 @@ impl<'a> Session<'a> {
             trains.read_back == trains.pulses && trains.read_back_delay.within(0, MAX_DELAY),
             format!(
                 "{} of {} pulses seen on PA3, {} later",
-                trains.read_back,
-                trains.pulses,
-                ticks(trains.read_back_delay)
+                trains.read_back, trains.pulses, trains.read_back_delay
             ),
             format!("all of them, at most {MAX_DELAY} ticks later"),
             "the wire from PA5 to PA3, or what it passes on its way",
@@ -209,9 +194,7 @@ impl<'a> Session<'a> {
             trains.captured == trains.pulses && steady && trains.delay.within(0, MAX_DELAY),
             format!(
                 "{} of {} pulses captured on PA2, {} after their edge",
-                trains.captured,
-                trains.pulses,
-                ticks(trains.delay)
+                trains.captured, trains.pulses, trains.delay
             ),
             format!("all of them, after one constant of at most {MAX_DELAY} ticks"),
             "the wire to PA2; or an edge that is not made by the timer",
@@ -219,7 +202,7 @@ impl<'a> Session<'a> {
         self.check(
             width,
             trains.width_error.within(-TICK_OF_DOUBT, TICK_OF_DOUBT),
-            format!("{} from what was asked for", ticks(trains.width_error)),
+            format!("{} from what was asked for", trains.width_error),
             "0 ticks, 1 in doubt",
             "the falling edge was not armed in time",
         );

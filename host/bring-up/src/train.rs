@@ -1,5 +1,7 @@
 //! A train of pulses against the arithmetic that made it, and against its captures.
 
+use std::fmt;
+
 use protocol::{Capture, Edge, Period, Pulse, TickDelta, Ticks, TriggerStatus};
 
 /// Where the pulses of a train must be: the floor of an exact sum.
@@ -38,6 +40,17 @@ impl Grid {
 /// Smallest and largest of some numbers of ticks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Extent(pub(crate) Option<(i64, i64)>);
+
+impl fmt::Display for Extent {
+    /// `7 to 8 ticks`, `7 ticks`, `nothing`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            None => f.write_str("nothing"),
+            Some((low, high)) if low == high => write!(f, "{low} ticks"),
+            Some((low, high)) => write!(f, "{low} to {high} ticks"),
+        }
+    }
+}
 
 impl Extent {
     pub(crate) fn add(&mut self, value: i64) {
@@ -84,6 +97,11 @@ impl Trains {
         for pulse in pulses {
             self.compared(grid.error(pulse));
         }
+    }
+
+    /// How many pulses were compared and how far they were off, in words.
+    pub(crate) fn on_grid_text(&self) -> String {
+        format!("{} pulses, {} off", self.on_grid, self.grid_error)
     }
 
     /// A pulse was compared with its grid and is so far off.

@@ -5,7 +5,7 @@ use protocol::{
     ImuClock, ImuModel, ImuSetup, ImuState, MIN_PULSE_WIDTH, Output, Status, TickDelta,
 };
 
-use super::{HANDS_TIME, PERIOD, Session, ticks};
+use super::{HANDS_TIME, PERIOD, Session};
 use crate::bench::{Heard, millis};
 use crate::train::Trains;
 use crate::{BringUpError, HandsOn, Histogram};
@@ -138,11 +138,7 @@ impl Session<'_> {
         self.check(
             "trigger beside a failed IMU",
             trains.grid_error.within(0, 0),
-            format!(
-                "{} pulses, {} off",
-                trains.on_grid,
-                ticks(trains.grid_error)
-            ),
+            trains.on_grid_text(),
             "0 ticks off",
             "the recovery of the bus keeps the trigger's handler from running",
         );
