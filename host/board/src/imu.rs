@@ -4,7 +4,9 @@
 //! Samples keep the time of their data-ready edge: the delay of the sensor's
 //! low-pass is *not* subtracted here ([`Scale::gyro_delay_us`]).
 
-use protocol::{AccelRange, GyroRange, ImuFlags, ImuModel, ImuSample, ImuSetup, TICK_HZ, Ticks};
+use protocol::{
+    AccelRange, GyroRange, ImuFlags, ImuModel, ImuSample, ImuSetup, LowPass, TICK_HZ, Ticks,
+};
 use serde::{Deserialize, Serialize};
 
 /// Standard gravity, m/s².
@@ -38,6 +40,52 @@ fn mpu_9150_zero() -> f64 {
     35.0
 }
 
+/// Bandwidths of the gyroscope's low-pass, Hz.
+pub const LOW_PASSES: [(u32, LowPass); 6] = [
+    (188, LowPass::Hz188),
+    (98, LowPass::Hz98),
+    (42, LowPass::Hz42),
+    (20, LowPass::Hz20),
+    (10, LowPass::Hz10),
+    (5, LowPass::Hz5),
+];
+
+/// Full scales of the gyroscope, °/s.
+pub const GYRO_RANGES: [(u32, GyroRange); 4] = [
+    (250, GyroRange::Dps250),
+    (500, GyroRange::Dps500),
+    (1_000, GyroRange::Dps1000),
+    (2_000, GyroRange::Dps2000),
+];
+
+/// Full scales of the accelerometer, g.
+pub const ACCEL_RANGES: [(u32, AccelRange); 4] = [
+    (2, AccelRange::G2),
+    (4, AccelRange::G4),
+    (8, AccelRange::G8),
+    (16, AccelRange::G16),
+];
+
+/// The setting that a number stands for.
+///
+/// # Errors
+///
+/// It stands for none; the numbers that do, in words.
+pub fn setting<T: Copy>(number: u32, settings: &[(u32, T)]) -> Result<T, String> {
+    let known = settings.iter().find(|(known, _)| *known == number);
+    known.map(|(_, setting)| *setting).ok_or_else(|| {
+        let numbers = settings.iter().map(|(known, _)| known.to_string());
+        let mut numbers: Vec<String> = numbers.collect();
+        let last = numbers.pop().unwrap_or_default();
+        format!("{} or {last}", numbers.join(", "))
+    })
+}
+
+fn number_of<T: PartialEq>(setting: T, settings: &[(u32, T)]) -> u32 {
+    let known = settings.iter().find(|(_, known)| *known == setting);
+    known.map_or(0, |(number, _)| *number)
+}
+
 /// Which sensor it is and how it is set up, with what its data sheet says of that.
 #[must_use]
 pub fn describe(setup: &ImuSetup) -> String {
@@ -46,18 +94,8 @@ pub fn describe(setup: &ImuSetup) -> String {
     if sensor.model == ImuModel::Unknown {
         return name.to_owned();
     }
-    let rate = match setup.config.gyro_range {
-        GyroRange::Dps250 => 250,
-        GyroRange::Dps500 => 500,
-        GyroRange::Dps1000 => 1_000,
-        GyroRange::Dps2000 => 2_000,
-    };
-    let force = match setup.config.accel_range {
-        AccelRange::G2 => 2,
-        AccelRange::G4 => 4,
-        AccelRange::G8 => 8,
-        AccelRange::G16 => 16,
-    };
+    let rate = number_of(setup.config.gyro_range, &GYRO_RANGES);
+    let force = number_of(setup.config.accel_range, &ACCEL_RANGES);
     format!(
         "{name}, ±{rate} °/s, ±{force} g, low-pass {} Hz with a delay of {} ms, noise {} m°/s/√Hz \
          and {} µg/√Hz",
@@ -355,7 +393,7 @@ impl ImuLook {
 
 #[cfg(test)]
 mod tests {
-    use protocol::{ImuClock, ImuConfig, ImuSensor, ImuState, ImuStatus, LowPass};
+    use protocol::{ImuClock, ImuConfig, ImuSensor, ImuState, ImuStatus};
 
     use super::*;
 

@@ -17,7 +17,9 @@ use crate::cli::Context;
 use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use crate::record::preflight::IMU_WIRING;
-use board::imu::{Sample, Scale, Summary, SummaryReport, describe};
+use board::imu::{
+    ACCEL_RANGES, GYRO_RANGES, LOW_PASSES, Sample, Scale, Summary, SummaryReport, describe, setting,
+};
 use board::{Board, Event, Stream};
 
 /// How long, in board time, samples may stay away before it is given up. The
@@ -50,13 +52,13 @@ pub(crate) struct Settings {
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     rate: Option<u8>,
     /// Low-pass of the sensor, Hz: of those that it has, the nearest is set
-    #[arg(long, value_name = "HZ", value_parser = parse_low_pass)]
+    #[arg(long, value_name = "HZ", value_parser = |text: &str| parse_setting(text, &LOW_PASSES))]
     low_pass: Option<LowPass>,
     /// Full scale of the gyroscope, °/s
-    #[arg(long, value_name = "DPS", value_parser = parse_gyro_range)]
+    #[arg(long, value_name = "DPS", value_parser = |text: &str| parse_setting(text, &GYRO_RANGES))]
     gyro_range: Option<GyroRange>,
     /// Full scale of the accelerometer, g
-    #[arg(long, value_name = "G", value_parser = parse_accel_range)]
+    #[arg(long, value_name = "G", value_parser = |text: &str| parse_setting(text, &ACCEL_RANGES))]
     accel_range: Option<AccelRange>,
 }
 
@@ -81,36 +83,9 @@ fn parse_rate(text: &str) -> Result<u8, String> {
         .ok_or_else(|| String::from("expected a divisor of 1000 from 5 to 1000: 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10, 8 or 5"))
 }
 
-fn parse_low_pass(text: &str) -> Result<LowPass, &'static str> {
-    Ok(match text {
-        "188" => LowPass::Hz188,
-        "98" => LowPass::Hz98,
-        "42" => LowPass::Hz42,
-        "20" => LowPass::Hz20,
-        "10" => LowPass::Hz10,
-        "5" => LowPass::Hz5,
-        _ => return Err("expected 188, 98, 42, 20, 10 or 5"),
-    })
-}
-
-fn parse_gyro_range(text: &str) -> Result<GyroRange, &'static str> {
-    Ok(match text {
-        "250" => GyroRange::Dps250,
-        "500" => GyroRange::Dps500,
-        "1000" => GyroRange::Dps1000,
-        "2000" => GyroRange::Dps2000,
-        _ => return Err("expected 250, 500, 1000 or 2000"),
-    })
-}
-
-fn parse_accel_range(text: &str) -> Result<AccelRange, &'static str> {
-    Ok(match text {
-        "2" => AccelRange::G2,
-        "4" => AccelRange::G4,
-        "8" => AccelRange::G8,
-        "16" => AccelRange::G16,
-        _ => return Err("expected 2, 4, 8 or 16"),
-    })
+fn parse_setting<T: Copy>(text: &str, settings: &[(u32, T)]) -> Result<T, String> {
+    let number = text.parse().unwrap_or(0);
+    setting(number, settings).map_err(|expected| format!("expected {expected}"))
 }
 
 /// What `--json` prints.
