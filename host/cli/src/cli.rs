@@ -19,9 +19,11 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use serde_json::json;
 use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::layer::SubscriberExt as _;
+use tracing_subscriber::util::SubscriberInitExt as _;
 
 use crate::commands;
-use crate::log::LogOutput;
+use crate::log::{self, Lines};
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
 use phone::StopSignal;
@@ -414,13 +416,13 @@ fn start_log(global: &Global) {
         2 => LevelFilter::DEBUG,
         _ => LevelFilter::TRACE,
     };
-    let builder = tracing_subscriber::fmt()
-        .with_max_level(level)
-        .with_writer(LogOutput::new(level))
+    let lines = tracing_subscriber::fmt::layer()
+        .with_writer(|| Lines)
         .with_ansi(io::stderr().is_terminal());
+    let log = tracing_subscriber::registry().with(log::targets(level));
     match global.log_format {
-        LogFormat::Text => builder.without_time().with_target(false).init(),
-        LogFormat::Json => builder.json().init(),
+        LogFormat::Text => log.with(lines.without_time().with_target(false)).init(),
+        LogFormat::Json => log.with(lines.json()).init(),
     }
 }
 

@@ -8,10 +8,7 @@
 use std::io::{self, Write};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use tracing::Metadata;
-use tracing_subscriber::filter::LevelFilter;
-use tracing_subscriber::fmt::MakeWriter;
-use tracing_subscriber::fmt::writer::OptionalWriter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
 
 /// How much is held back, in bytes.
 const MOST: usize = 64 << 10;
@@ -69,36 +66,15 @@ pub(crate) fn release() {
 /// What serves live data. Whoever connects makes it log errors, which are theirs.
 const SERVER: &str = "foxglove";
 
-/// Standard error for log lines, for `tracing_subscriber`.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct LogOutput {
-    /// Whether the server of live data is heard too.
-    server: bool,
-}
-
-impl LogOutput {
-    /// For a log from this level on: the server's is for those who ask for more.
-    pub(crate) fn new(least: LevelFilter) -> Self {
-        Self {
-            server: least >= LevelFilter::INFO,
-        }
-    }
-}
-
-impl<'a> MakeWriter<'a> for LogOutput {
-    type Writer = OptionalWriter<Lines>;
-
-    fn make_writer(&'a self) -> Self::Writer {
-        OptionalWriter::some(Lines)
-    }
-
-    fn make_writer_for(&'a self, meta: &Metadata<'_>) -> Self::Writer {
-        if self.server || !meta.target().starts_with(SERVER) {
-            OptionalWriter::some(Lines)
-        } else {
-            OptionalWriter::none()
-        }
-    }
+/// What is logged from this level on: the server's is for those who ask for more.
+pub(crate) fn targets(least: LevelFilter) -> Targets {
+    let of_server = match least >= LevelFilter::INFO {
+        true => least,
+        false => LevelFilter::OFF,
+    };
+    Targets::new()
+        .with_default(least)
+        .with_target(SERVER, of_server)
 }
 
 /// Takes whole lines.
