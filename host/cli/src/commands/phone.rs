@@ -116,22 +116,15 @@ struct GetFilesArgs {
 /// The phone cannot be reached, does not keep to its protocol, or refuses; or
 /// a file cannot be written. All are [`Failure`]s.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    if let Request::GetFiles(files) = &args.request {
-        return get_files(files, context);
-    }
-    let address = args.connection.phone.as_deref().ok_or_else(|| {
-        PhoneError::Argument(
-            "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
-        )
-    })?;
     let mut settings = Settings {
         connect: args.connection.timeout.min(Duration::from_secs(5)),
         margin: args.connection.timeout,
         stop: context.interrupt.stop_signal(),
         ..Settings::default()
     };
-    if let Request::GetVideo(video) = &args.request {
-        if !video.recorded {
+    match &args.request {
+        Request::GetFiles(files) => return get_files(files, context),
+        Request::GetVideo(video) if !video.recorded => {
             return Err(PhoneError::Argument(
                 "has the app made a video since it was opened? Without one it ends at this \
                  request. If it has, give --recorded"
@@ -139,12 +132,18 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             )
             .into());
         }
-        settings.max_video = video.max_bytes;
-        settings.video_ready = video.ready;
+        Request::GetVideo(video) => {
+            settings.max_video = video.max_bytes;
+            settings.video_ready = video.ready;
+        }
+        Request::Imu(imu) => check_imu(imu)?,
+        Request::Start | Request::Stop => {}
     }
-    if let Request::Imu(imu) = &args.request {
-        check_imu(imu)?;
-    }
+    let address = args.connection.phone.as_deref().ok_or_else(|| {
+        PhoneError::Argument(
+            "which phone? Give --phone <host>, as the app's dialog shows it".to_owned(),
+        )
+    })?;
     ask(address, settings, &args.request, context).map_err(|failure| at_phone(failure, address))
 }
 

@@ -131,7 +131,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     };
     if output.is_camera() && fraction != 0 {
         return Err(Failure::new(
-            crate::outcome::ExitStatus::Usage,
+            ExitStatus::Usage,
             "a fraction of a tick is for outputs 2 to 4; the camera's train begins on whole ticks",
         )
         .next_step("leave the fraction out, or choose an output with --output 2, 3 or 4"));
@@ -144,18 +144,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         .next_step("leave --output out"));
     }
     let mut board = args.port.open()?;
-    act(&args.action, &mut board, output, context)
-}
-
-fn act(
-    action: &Action,
-    board: &mut Board,
-    output: Output,
-    context: &Context,
-) -> Result<ExitStatus, Failure> {
-    let status = match *action {
+    let status = match args.action {
         Action::Latency { train, pulses } => {
-            return latency::measure(board, context, &train, pulses as usize);
+            return latency::measure(&mut board, context, &train, pulses as usize);
         }
         Action::Start {
             period,
@@ -189,7 +180,7 @@ fn act(
                 period,
                 slew: slew_us,
             };
-            return align(board, output, context, to, !no_wait);
+            return align(&mut board, output, context, to, !no_wait);
         }
         Action::Period { period } => match period.given() {
             Some(period) => board.set_period(output, period)?,
