@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::CommandFactory as _;
+use serde_json::json;
 
 use crate::cli::{Cli, Context};
 use crate::outcome::{ExitStatus, Failure};
@@ -16,24 +17,13 @@ pub(crate) struct Args {
     folder: PathBuf,
 }
 
-#[derive(Debug, serde::Serialize)]
-struct Written {
-    pages: Vec<PathBuf>,
-}
-
 /// Runs the command.
 ///
 /// # Errors
 ///
 /// The folder cannot be written.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let failed = |error: std::io::Error| {
-        Failure::new(
-            ExitStatus::Storage,
-            format!("cannot write {}: {error}", args.folder.display()),
-        )
-        .next_step("give a folder that you may write to")
-    };
+    let failed = |error: std::io::Error| Failure::file("write", &args.folder, &error);
     std::fs::create_dir_all(&args.folder).map_err(failed)?;
     clap_mangen::generate_to(Cli::command(), &args.folder).map_err(failed)?;
     let mut pages = Vec::new();
@@ -45,13 +35,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
     }
     pages.sort();
-    let written = Written { pages };
-    context.print(&written, || {
-        format!(
-            "{} pages written to {}",
-            written.pages.len(),
-            args.folder.display()
-        )
+    context.print(&json!({ "pages": pages }), || {
+        format!("{} pages written to {}", pages.len(), args.folder.display())
     })?;
     Ok(ExitStatus::Good)
 }

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use clap::Subcommand;
 use serde::Serialize;
+use serde_json::json;
 
 use super::number_in;
 use crate::advice::{TICK_SENSORS, at_phone};
@@ -354,9 +355,7 @@ fn start(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
 
 fn stop(client: &mut PhoneClient, context: &Context) -> Result<(), Failure> {
     client.stop_video()?;
-    context.print(&serde_json::json!({ "stopped": true }), || {
-        "video stopped".to_owned()
-    })
+    context.print(&json!({ "stopped": true }), || "video stopped".to_owned())
 }
 
 fn get_video(
@@ -397,10 +396,6 @@ fn get_video(
 }
 
 fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failure> {
-    #[derive(Serialize)]
-    struct Copied {
-        files: Vec<PathBuf>,
-    }
     let phase = PhoneNanos(args.phase);
     let stop = context.interrupt.stop_signal();
     let copied = adb::fetch(phase, &args.out, args.video, &stop);
@@ -408,9 +403,8 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failu
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
         PhoneError::from(error)
     })?;
-    let copied = Copied { files };
-    context.print(&copied, || {
-        let lines = copied.files.iter().map(|path| path.display().to_string());
+    context.print(&json!({ "files": files }), || {
+        let lines = files.iter().map(|path| path.display().to_string());
         lines.collect::<Vec<_>>().join("\n")
     })?;
     Ok(ExitStatus::Good)

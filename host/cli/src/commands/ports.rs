@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
+use board::BoardError;
 use board::transport::ports::{self, Port};
 
 /// Options of `ports`.
@@ -30,13 +31,7 @@ struct Ports<'a> {
 /// The system does not list its ports; or no board, where only boards were
 /// asked for.
 pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
-    let mut ports = ports::list().map_err(|error| {
-        Failure::new(
-            ExitStatus::Error,
-            format!("cannot list the serial ports: {error}"),
-        )
-        .next_step("give the board's port to the other commands with --port")
-    })?;
+    let mut ports = ports::list().map_err(|error| BoardError::Ports(error.to_string()))?;
     if args.boards {
         ports.retain(|port| port.board);
         if ports.is_empty() {

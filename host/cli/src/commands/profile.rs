@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use serde::Serialize;
+use serde_json::json;
 
 use super::setup::CameraArg;
 use crate::cli::Context;
@@ -68,12 +69,6 @@ enum Action {
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
     },
-}
-
-/// What `profile init --json` prints.
-#[derive(Debug, Serialize)]
-struct PrintedProfile<'a> {
-    profile: &'a Path,
 }
 
 /// What `profile learn --json` prints.
@@ -180,7 +175,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
     File::create_new(file)
         .and_then(|mut created| created.write_all(text.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
-    context.print(&PrintedProfile { profile: file }, || {
+    context.print(&json!({ "profile": file }), || {
         format!("wrote {}; set the phone's address in it", file.display())
     })?;
     Ok(ExitStatus::Good)

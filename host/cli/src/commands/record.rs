@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::PortArg;
 use super::profile::{Lesson, teach};
 use crate::checks::{self, text_of_judgement};
 use crate::cli::Context;
@@ -25,9 +26,8 @@ const CALIBRATION_TICKS: u64 = record::seconds(90);
 /// Options of `record`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// The board's serial port; may be left out if exactly one board is plugged in
-    #[arg(long, value_name = "PATH")]
-    port: Option<String>,
+    #[command(flatten)]
+    port: PortArg,
     #[command(flatten)]
     profile: ProfileArg,
     /// A phone's address, instead of the profile's; of several phones with its name
@@ -96,7 +96,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         options.second_twist = true;
     }
     let mut connector = SerialConnector {
-        port: args.port.clone(),
+        port: args.port.port.clone(),
     };
     let Ended {
         result,

@@ -379,7 +379,7 @@ const CASES: &[Case] = &[
         "60s or more",
     ),
     // The rest.
-    ("man text.txt/man1", 13, "text.txt", "write to"),
+    ("man text.txt/man1", 13, "text.txt", "give a folder"),
 ];
 
 /// Commands that cannot fail by what they are given, beyond the command line.
