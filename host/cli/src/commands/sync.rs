@@ -148,20 +148,14 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         .map(|k| args.delay_us.get(k).map_or(0.0, |us| us * 1e-6))
         .collect();
     let count = tracks.len();
-    let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| (a, b)));
-    let pairs: Vec<((usize, usize), Related)> = pairs
-        .map(|(a, b)| {
-            let delays = (delays[a], delays[b]);
-            ((a, b), related::related(&tracks[a], &tracks[b], delays))
-        })
+    let pairs = (0..count).flat_map(|a| (a + 1..count).map(move |b| [a, b]));
+    let pairs: Vec<Related> = pairs
+        .map(|of| related::related(of, &tracks, &delays))
         .collect();
-    let good = pairs.iter().filter_map(|((a, b), related)| {
+    let good = pairs.iter().filter_map(|related| {
+        let [a, b] = related.of;
         let course = related.course.as_ref().ok()?.clone();
-        Some(twist_sync::network::Pair {
-            a: *a,
-            b: *b,
-            course,
-        })
+        Some(twist_sync::network::Pair { a, b, course })
     });
     let network = Network::new(count, good.collect());
     let mut output = Output {
@@ -170,40 +164,34 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         recordings: inputs(args, &recordings, &delays),
         pairs: pairs
             .iter()
-            .map(|((a, b), related)| pair(related, (*a, &recordings[*a]), (*b, &recordings[*b])))
+            .map(|related| pair(related, &recordings))
             .collect(),
         clocks: Vec::new(),
         loops: Vec::new(),
         warnings,
     };
     if let Some(path) = &args.plot {
-        let svg = match (&pairs[..], &tracks[..]) {
-            (
-                [
-                    (
-                        _,
-                        Related {
-                            whole: Some(whole), ..
-                        },
-                    ),
-                ],
-                [a, b],
-            ) => {
-                let Whole { result, options } = &**whole;
+        let twist = match pairs.as_slice() {
+            [only] => only.whole.as_deref(),
+            _ => None,
+        };
+        let svg = match twist {
+            Some(Whole { result, options }) => {
                 // With the offset of the clocks, not that of the first samples.
                 let between = recordings[1].first().saturating_sub(recordings[0].first());
                 let between_s = between as f64 * 1e-9;
                 let b = GyroTrack {
-                    epoch_s: b.epoch_s + between_s,
-                    ..b.clone()
+                    epoch_s: tracks[1].epoch_s + between_s,
+                    ..tracks[1].clone()
                 };
                 let mut result = result.clone();
                 if let Ok(estimate) = &mut result {
                     estimate.clock.offset += between_s;
                 }
-                twist_plot::svg(["recording 1", "recording 2"], [a, &b], &result, options)
+                let names = ["recording 1", "recording 2"];
+                twist_plot::svg(names, [&tracks[0], &b], &result, options)
             }
-            _ => plot::svg(&pairs),
+            None => plot::svg(&pairs),
         };
         twist_plot::write(path, &svg, context)?;
     }
@@ -270,11 +258,9 @@ fn nanos_from(first: i64, seconds: f64) -> i64 {
     first.saturating_add((seconds * 1e9).round() as i64)
 }
 
-fn pair(
-    related: &Related,
-    (a, of_a): (usize, &GyroRecording),
-    (b, of_b): (usize, &GyroRecording),
-) -> PairOutput {
+fn pair(related: &Related, recordings: &[GyroRecording]) -> PairOutput {
+    let [a, b] = related.of;
+    let (of_a, of_b) = (&recordings[a], &recordings[b]);
     let course = related.course.as_ref().ok();
     let middle = course.map(|course| {
         let (from, to) = course.span();

@@ -8,16 +8,13 @@ use super::related::Related;
 /// Points of a course.
 const POINTS: u32 = 300;
 
-pub(super) fn svg(pairs: &[((usize, usize), Related)]) -> String {
-    let charts: Vec<Chart> = pairs
-        .iter()
-        .map(|(of, related)| chart(*of, related))
-        .collect();
+pub(super) fn svg(pairs: &[Related]) -> String {
+    let charts: Vec<Chart> = pairs.iter().map(chart).collect();
     stack(SIZE, &charts)
 }
 
-fn chart((a, b): (usize, usize), related: &Related) -> Chart {
-    let (a, b) = (a + 1, b + 1);
+fn chart(related: &Related) -> Chart {
+    let [a, b] = related.of.map(|k| k + 1);
     let course = match &related.course {
         Ok(course) => course,
         Err(why) => {

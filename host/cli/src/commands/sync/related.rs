@@ -15,6 +15,8 @@ const LONGEST_WITH_TWIST_S: f64 = 600.0;
 
 /// Two recordings.
 pub(super) struct Related {
+    /// Which, by their places in the list.
+    pub(super) of: [usize; 2],
     /// The relation with times from each recording's first sample, or why there is none.
     pub(super) course: Result<ClockCourse, String>,
     pub(super) estimates: Vec<ClockRelation>,
@@ -31,17 +33,18 @@ pub(super) struct Whole {
     pub(super) options: Options,
 }
 
-/// Relates two recordings whose low-pass filters have these delays in seconds.
-pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Related {
+/// Relates two of the recordings, whose low-pass filters have these delays in seconds.
+pub(super) fn related(of: [usize; 2], tracks: &[GyroTrack], delays: &[f64]) -> Related {
     let length_s = |track: &GyroTrack| track.t.last().copied().unwrap_or(0.0);
+    let [a, b] = of.map(|k| &tracks[k]);
     let delayed = |options: Options| Options {
-        a_delay_s: delays.0,
-        b_delay_s: delays.1,
+        a_delay_s: delays[of[0]],
+        b_delay_s: delays[of[1]],
         ..options
     };
     let (short_s, long_s) = (length_s(a).min(length_s(b)), length_s(a).max(length_s(b)));
     if short_s > LONGEST_TWIST_S || long_s > LONGEST_WITH_TWIST_S {
-        return over_time(a, b, &delayed(Options::of_windows()));
+        return over_time(of, a, b, &delayed(Options::of_windows()));
     }
     let options = delayed(Options::default());
     let result = estimate_offset(a, b, &options);
@@ -51,6 +54,7 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
     let names = ["the first", "the second"];
     let faults = report.faults.iter();
     Related {
+        of,
         course: course.ok_or_else(|| report.failures()),
         estimates,
         windows: 1,
@@ -60,13 +64,14 @@ pub(super) fn related(a: &GyroTrack, b: &GyroTrack, delays: (f64, f64)) -> Relat
     }
 }
 
-fn over_time(a: &GyroTrack, b: &GyroTrack, options: &Options) -> Related {
+fn over_time(of: [usize; 2], a: &GyroTrack, b: &GyroTrack, options: &Options) -> Related {
     let found = course_of_tracks(a, b, None, options);
     let (course, estimates, windows) = match found {
         Ok(clock) => (Ok(clock.course), clock.estimates, clock.windows),
         Err(error) => (Err(error.to_string()), Vec::new(), 0),
     };
     Related {
+        of,
         course,
         estimates,
         windows,
