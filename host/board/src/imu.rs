@@ -106,6 +106,15 @@ pub fn describe(setup: &ImuSetup) -> String {
     )
 }
 
+/// The last fault of the sensor, in words.
+#[must_use]
+pub fn last_fault(setup: &ImuSetup) -> String {
+    setup.status.last_fault.map_or_else(
+        || String::from("no fault is noted"),
+        |fault| format!("last fault: {fault:?}"),
+    )
+}
+
 /// One sample in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {

@@ -73,8 +73,8 @@ impl Session<'_> {
     ) -> Result<Heard, BringUpError> {
         let mut heard = Heard::default();
         let end = self.board.ping()?.0 + length;
-        let stop = || self.operator.wants_to_stop();
-        let listened = self.board.listen("any message", &stop, |board, event| {
+        let stop = self.operator.stop;
+        let listened = self.board.listen("any message", stop, |board, event| {
             match event {
                 Some(Event::Message(message)) => heard.take(message),
                 Some(Event::Lost { count, .. }) => heard.lost += u64::from(count),

@@ -57,28 +57,16 @@ impl Part {
     ];
 }
 
-/// Something that a person does at the board. Whether it was done is seen in what the
-/// board measures; nobody has to confirm it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum HandsOn {
-    /// Take the wire at PA2 from PA5 to PE11.
-    MoveStrobeWire,
-    /// Unplug SDA of the IMU.
-    UnplugSda,
-    /// Plug SDA in again.
-    PlugSda,
-}
-
-/// Whoever is at the board.
-pub trait Operator {
-    /// Says what is being measured.
-    fn begins(&mut self, part: Part);
-
-    /// Asks for something; false if nobody is there to do it.
-    fn asked(&mut self, what: HandsOn) -> bool;
-
+/// Whoever is at the board. Whether something was done is seen in what the board measures;
+/// nobody has to confirm it.
+#[derive(Clone, Copy)]
+pub struct Operator<'a> {
+    /// Tells them what is measured, and what to do.
+    pub say: &'a dyn Fn(&str),
+    /// Whether anybody is there to do it.
+    pub is_there: bool,
     /// Whether to stop.
-    fn wants_to_stop(&self) -> bool;
+    pub stop: &'a dyn Fn() -> bool,
 }
 
 /// How a check came out.
@@ -193,7 +181,7 @@ pub enum BringUpError {
 /// The board is in use, does not answer, or is reset meanwhile; or the operator stops.
 pub fn run(
     board: &mut board::Board,
-    operator: &mut dyn Operator,
+    operator: Operator<'_>,
     parts: &[Part],
     clock: Duration,
 ) -> Result<Report, BringUpError> {

@@ -13,7 +13,7 @@ use protocol::{
 
 use crate::bench::{Heard, millis};
 use crate::train::{Extent, Grid, Trains};
-use crate::{BringUpError, Check, HandsOn, Histogram, Operator, Part, Verdict};
+use crate::{BringUpError, Check, Histogram, Operator, Part, Verdict};
 
 /// 30 a second; not a whole number of ticks.
 const PERIOD: Period = period(33_333_333_333);
@@ -50,7 +50,7 @@ const fn period(picos: u64) -> Period {
 /// A board that is being measured.
 pub(crate) struct Session<'a> {
     pub(crate) board: &'a mut Board,
-    pub(crate) operator: &'a mut dyn Operator,
+    pub(crate) operator: Operator<'a>,
     part: Part,
     pub(crate) checks: Vec<Check>,
     pub(crate) intervals: Histogram,
@@ -59,10 +59,7 @@ pub(crate) struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    pub(crate) fn new(
-        board: &'a mut Board,
-        operator: &'a mut dyn Operator,
-    ) -> Result<Self, BringUpError> {
+    pub(crate) fn new(board: &'a mut Board, operator: Operator<'a>) -> Result<Self, BringUpError> {
         let mut running = board.trigger()?.state != TrainState::Stopped;
         if board.hello().board.has_outputs() {
             running |= board.output(Output::Two)?.state != TrainState::Stopped;
@@ -82,7 +79,13 @@ impl<'a> Session<'a> {
 
     pub(crate) fn measure(&mut self, part: Part, clock: Duration) -> Result<(), BringUpError> {
         self.part = part;
-        self.operator.begins(part);
+        (self.operator.say)(match part {
+            Part::Trigger => "trigger: edges, widths, aligns ...",
+            Part::Outputs => "output 2 ...",
+            Part::Imu => "IMU: data-ready ...",
+            Part::Link => "USB: throughput, a host that does not read ...",
+            Part::Clock => "crystal ...",
+        });
         match part {
             Part::Trigger => self.trigger(),
             Part::Outputs => self.outputs(),
@@ -90,6 +93,14 @@ impl<'a> Session<'a> {
             Part::Link => self.link(),
             Part::Clock => self.clock(clock),
         }
+    }
+
+    /// Asks for something to be done at the board; false if nobody is there.
+    fn asks(&self, what: &str) -> bool {
+        if self.operator.is_there {
+            (self.operator.say)(what);
+        }
+        self.operator.is_there
     }
 
     pub(crate) fn stop_everything(&mut self) -> Result<(), BringUpError> {
@@ -263,7 +274,7 @@ impl<'a> Session<'a> {
             self.skip(NAME, "this board has no output 2", REASON);
             return Ok(());
         }
-        if !self.operator.asked(HandsOn::MoveStrobeWire) {
+        if !self.asks("-> move the wire at PA2 from PA5 to PE11") {
             self.skip(NAME, "nobody there to move the wire", REASON);
             return Ok(());
         }

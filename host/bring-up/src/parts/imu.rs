@@ -1,6 +1,6 @@
 //! Data-ready, and the recovery from an unplugged SDA.
 
-use board::imu::{Scale, Summary};
+use board::imu::{Scale, Summary, last_fault};
 use protocol::{
     ImuClock, ImuModel, ImuSetup, ImuState, MIN_PULSE_WIDTH, Output, Status, TickDelta,
 };
@@ -8,7 +8,7 @@ use protocol::{
 use super::{HANDS_TIME, PERIOD, Session};
 use crate::bench::{Heard, millis};
 use crate::train::Trains;
-use crate::{BringUpError, HandsOn, Histogram};
+use crate::{BringUpError, Histogram};
 
 /// How long samples must come again without a break, at 500 a second.
 const IMU_BACK: TickDelta = millis(1_000);
@@ -22,7 +22,11 @@ impl Session<'_> {
             self.check(
                 "data-ready",
                 false,
-                format!("the IMU is {:?}; {}", setup.status.state, fault(&setup)),
+                format!(
+                    "the IMU is {:?}; {}",
+                    setup.status.state,
+                    last_fault(&setup)
+                ),
                 "samples",
                 "the IMU's supply, SCL, SDA with their pull-ups, or INT at PA1",
             );
@@ -103,7 +107,7 @@ impl Session<'_> {
         const NAME: &str = "recovery of the IMU";
         const REASON: &str = "the I2C bus is not freed, or the sensor is not set up again";
         let grid = self.start(Output::Camera, PERIOD, MIN_PULSE_WIDTH)?;
-        if !self.operator.asked(HandsOn::UnplugSda) {
+        if !self.asks("-> unplug SDA of the IMU (PB7)") {
             self.stop(Output::Camera)?;
             self.skip(NAME, "nobody there to unplug SDA", REASON);
             return Ok(());
@@ -115,7 +119,7 @@ impl Session<'_> {
             self.skip(NAME, "SDA was not unplugged within two minutes", REASON);
             return Ok(());
         }
-        self.operator.asked(HandsOn::PlugSda);
+        self.asks("-> plug SDA in again");
         heard.append(self.hear_until(HANDS_TIME, |h| h.imu.len() > 1)?);
         let back = self.hear(IMU_BACK)?;
         let runs = back.statuses.last().is_some_and(|status| !failed(status));
@@ -144,13 +148,6 @@ impl Session<'_> {
         );
         Ok(())
     }
-}
-
-fn fault(setup: &ImuSetup) -> String {
-    setup.status.last_fault.map_or_else(
-        || String::from("no fault is noted"),
-        |fault| format!("last fault: {fault:?}"),
-    )
 }
 
 /// At most 60 bins.

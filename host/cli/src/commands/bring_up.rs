@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bring_up::{HandsOn, Operator, Part, Report, Verdict};
+use bring_up::{Operator, Part, Report, Verdict};
 use clap::ValueEnum;
 
 use super::PortArg;
@@ -62,38 +62,6 @@ impl From<PartArg> for Part {
     }
 }
 
-struct Person<'a> {
-    context: &'a Context,
-    hands_off: bool,
-}
-
-impl Operator for Person<'_> {
-    fn begins(&mut self, part: Part) {
-        self.context.say(match part {
-            Part::Trigger => "trigger: edges, widths, aligns ...",
-            Part::Outputs => "output 2 ...",
-            Part::Imu => "IMU: data-ready ...",
-            Part::Link => "USB: throughput, a host that does not read ...",
-            Part::Clock => "crystal ...",
-        });
-    }
-
-    fn asked(&mut self, what: HandsOn) -> bool {
-        if !self.hands_off {
-            self.context.say(match what {
-                HandsOn::MoveStrobeWire => "-> move the wire at PA2 from PA5 to PE11",
-                HandsOn::UnplugSda => "-> unplug SDA of the IMU (PB7)",
-                HandsOn::PlugSda => "-> plug SDA in again",
-            });
-        }
-        !self.hands_off
-    }
-
-    fn wants_to_stop(&self) -> bool {
-        self.context.interrupt.requested()
-    }
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -107,11 +75,12 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     };
     let mut board = args.port.open()?;
     std::fs::create_dir_all(&args.out).map_err(|error| Failure::file("make", &args.out, &error))?;
-    let mut person = Person {
-        context,
-        hands_off: args.hands_off,
+    let operator = Operator {
+        say: &|text| context.say(text),
+        is_there: !args.hands_off,
+        stop: &context.interrupt.question(),
     };
-    let report = bring_up::run(&mut board, &mut person, &parts, args.clock_time)?;
+    let report = bring_up::run(&mut board, operator, &parts, args.clock_time)?;
     let json = serde_json::to_string_pretty(&report)?;
     let page = args.out.join("bring-up.html");
     write_file(&args.out.join("bring-up.json"), &json)?;

@@ -13,6 +13,7 @@ use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};
+use crate::recordings;
 use crate::rig_profile::ProfileArg;
 use board::imu::{ImuLook, Scale};
 use board::{Board, Event};
@@ -30,7 +31,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "HOST[:PORT]")]
     pub(crate) phone: Option<String>,
     /// Folder for recordings
-    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
+    #[arg(long, value_name = "FOLDER", default_value = recordings::FOLDER)]
     pub(crate) out: PathBuf,
     /// Do not try the trigger (no pulses on the wire)
     #[arg(long)]

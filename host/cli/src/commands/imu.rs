@@ -18,7 +18,8 @@ use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use crate::record::preflight::IMU_WIRING;
 use board::imu::{
-    ACCEL_RANGES, GYRO_RANGES, LOW_PASSES, Sample, Scale, Summary, SummaryReport, describe, setting,
+    ACCEL_RANGES, GYRO_RANGES, LOW_PASSES, Sample, Scale, Summary, SummaryReport, describe,
+    last_fault, setting,
 };
 use board::{Board, Event, Stream};
 
@@ -209,12 +210,6 @@ fn no_samples(board: &mut Board) -> Failure {
         Ok(setup) => setup,
         Err(error) => return error.into(),
     };
-    let fault = setup
-        .status
-        .last_fault
-        .map_or(String::from("no fault reported"), |fault| {
-            format!("{fault:?}")
-        });
     let state = match setup.status.state {
         ImuState::Starting => "being set up",
         ImuState::Running => "running",
@@ -222,7 +217,10 @@ fn no_samples(board: &mut Board) -> Failure {
     };
     Failure::new(
         ExitStatus::Error,
-        format!("no IMU samples for 5 s of board time (IMU {state}; last fault: {fault})"),
+        format!(
+            "no IMU samples for 5 s of board time (IMU {state}; {})",
+            last_fault(&setup)
+        ),
     )
     .next_step(IMU_WIRING)
 }

@@ -46,6 +46,7 @@ use crate::cli::Context;
 use crate::decimal::{parse_duration, parse_real_time};
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure};
+use crate::recordings;
 use crate::rig_profile::Place;
 use board::BoardError;
 use board::transport::serial::SerialLink;
@@ -58,7 +59,7 @@ use recording::session_file::SessionFile;
 #[derive(Clone, Debug, clap::Args)]
 pub struct Options {
     /// Folder in which the recording's folder is made
-    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
+    #[arg(long, value_name = "FOLDER", default_value = recordings::FOLDER)]
     pub out: PathBuf,
     /// Name of the recording's folder [default: date and time]
     #[arg(long, value_parser = check_name)]

@@ -20,7 +20,7 @@ use crate::new_profile::summary;
 use crate::outcome::{ExitStatus, Failure};
 use crate::rig_profile::Place;
 use board::Board;
-use board::imu::{ImuLook, describe};
+use board::imu::{ImuLook, describe, last_fault};
 use recording::profile::Profile;
 use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, Verdict};
 
@@ -317,17 +317,15 @@ impl Checks {
     pub(crate) fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
         let report = look.report();
         if setup.status.state != ImuState::Running || report.samples == 0 {
-            let fault = setup
-                .status
-                .last_fault
-                .map_or(String::from("no fault reported"), |fault| {
-                    format!("{fault:?}")
-                });
             self.bad(
                 "IMU",
                 Failure::new(
                     ExitStatus::Refused,
-                    format!("no samples ({:?}, {fault})", setup.status.state),
+                    format!(
+                        "no samples ({:?}, {})",
+                        setup.status.state,
+                        last_fault(setup)
+                    ),
                 )
                 .next_step(IMU_WIRING),
             );
