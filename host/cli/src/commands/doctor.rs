@@ -98,15 +98,12 @@ fn listen_for(
 ) -> Result<(), Failure> {
     let (now, _) = board.ping()?;
     let end = now.0.saturating_add(ticks);
-    board.listen(
-        "any message",
-        &context.interrupt.question(),
-        |board, event| {
-            event.iter().for_each(&mut take);
-            let is_over = board.conversation().latest().0 >= end;
-            Ok::<_, Failure>(is_over.then_some(()))
-        },
-    )?;
+    let stop = context.interrupt.question();
+    board.listen("any message", &stop, |board, event| {
+        event.iter().for_each(&mut take);
+        let is_over = board.conversation().latest().0 >= end;
+        Ok::<_, Failure>(is_over.then_some(()))
+    })?;
     Ok(())
 }
 

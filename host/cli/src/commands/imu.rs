@@ -162,45 +162,41 @@ fn stream(
     let bar = context.progress(Some(args.seconds.into()), "{bar:30} {pos}/{len} s  {msg}");
     let length = i64::from(args.seconds) * i64::from(TICK_HZ);
     let mut last_sign = board.conversation().latest();
-    let streamed = board.listen(
-        "IMU samples",
-        &context.interrupt.question(),
-        |board, event| {
-            match event {
-                Some(Event::Message(DeviceToHost::Imu(raw))) => {
-                    let sample = scale.apply(&raw);
-                    let first = summary.first().unwrap_or(sample.at);
-                    if (sample.at - first).0 >= length {
-                        return Ok(Some(()));
-                    }
-                    summary.add(&sample);
-                    last_sign = sample.at;
-                    if let Some(csv) = csv {
-                        csv.sample(&sample)?;
-                    }
-                    if summary.samples().is_multiple_of(50) {
-                        show(&bar, summary);
-                    }
+    let stop = context.interrupt.question();
+    let streamed = board.listen("IMU samples", &stop, |board, event| {
+        match event {
+            Some(Event::Message(DeviceToHost::Imu(raw))) => {
+                let sample = scale.apply(&raw);
+                let first = summary.first().unwrap_or(sample.at);
+                if (sample.at - first).0 >= length {
+                    return Ok(Some(()));
                 }
-                Some(Event::Lost {
-                    stream: Stream::Imu,
-                    ..
-                }) => summary.gap(),
-                Some(Event::Restarted { .. }) => {
-                    return Err(Failure::new(
-                        ExitStatus::LinkLost,
-                        "the board was reset meanwhile",
-                    )
-                    .next_step("`smartdepthsync info` says why"));
+                summary.add(&sample);
+                last_sign = sample.at;
+                if let Some(csv) = csv {
+                    csv.sample(&sample)?;
                 }
-                _ if (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS as i64 => {
-                    return Err(no_samples(board));
+                if summary.samples().is_multiple_of(50) {
+                    show(&bar, summary);
                 }
-                _ => {}
             }
-            Ok(None)
-        },
-    )?;
+            Some(Event::Lost {
+                stream: Stream::Imu,
+                ..
+            }) => summary.gap(),
+            Some(Event::Restarted { .. }) => {
+                return Err(
+                    Failure::new(ExitStatus::LinkLost, "the board was reset meanwhile")
+                        .next_step("`smartdepthsync info` says why"),
+                );
+            }
+            _ if (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS as i64 => {
+                return Err(no_samples(board));
+            }
+            _ => {}
+        }
+        Ok(None)
+    })?;
     bar.finish_and_clear();
     Ok(streamed)
 }

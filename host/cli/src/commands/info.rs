@@ -80,9 +80,9 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let imu = board.imu()?;
     let mut info = PrintedInfo::new(board.hello(), round_trip, imu, args.profile.place());
     context.print_text(|| info.text())?;
-    let was_up = args.watch == 0 || watch(args.watch, &mut board, context, &mut info.status)?;
+    let is_complete = args.watch == 0 || watch(args.watch, &mut board, context, &mut info.status)?;
     context.print_json(&info)?;
-    if !was_up {
+    if !is_complete {
         return Ok(ExitStatus::Interrupted);
     }
     let link = board.conversation();
@@ -100,20 +100,17 @@ fn watch(
 ) -> Result<bool, Failure> {
     let end = board.hello().now.0 + u64::from(seconds) * u64::from(TICK_HZ);
     let mut before = None;
-    let watched = board.listen(
-        "status message",
-        &context.interrupt.question(),
-        |board, event| {
-            if let Some(Event::Message(DeviceToHost::Status(status))) = event {
-                let report = PrintedStatus::from(&status);
-                context.print_text(|| report.text(before))?;
-                before.get_or_insert(report.dropped.total());
-                reports.push(report);
-            }
-            let is_over = board.conversation().latest().0 >= end;
-            Ok::<_, Failure>(is_over.then_some(()))
-        },
-    )?;
+    let stop = context.interrupt.question();
+    let watched = board.listen("status message", &stop, |board, event| {
+        if let Some(Event::Message(DeviceToHost::Status(status))) = event {
+            let report = PrintedStatus::from(&status);
+            context.print_text(|| report.text(before))?;
+            before.get_or_insert(report.dropped.total());
+            reports.push(report);
+        }
+        let is_over = board.conversation().latest().0 >= end;
+        Ok::<_, Failure>(is_over.then_some(()))
+    })?;
     Ok(watched.is_some())
 }
 

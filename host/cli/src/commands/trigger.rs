@@ -231,7 +231,8 @@ fn wait_for_arrival(
 ) -> Result<(Option<Arrived>, ExitStatus), Failure> {
     let planned = PlannedArrival::from(plan);
     let command = "arrival of the align";
-    let listened = board.listen(command, &context.interrupt.question(), |board, event| {
+    let stop = context.interrupt.question();
+    let listened = board.listen(command, &stop, |board, event| {
         if let Some(Event::Message(DeviceToHost::Arrived(arrived))) = event
             && (arrived.output, arrived.pulse, arrived.at) == (output, planned.pulse, planned.at)
         {

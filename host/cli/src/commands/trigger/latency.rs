@@ -29,7 +29,8 @@ pub(super) fn measure(
     }
     let (mut pulses, mut captures) = (Vec::new(), Vec::new());
     let mut last_sign = board.conversation().latest();
-    let listened = board.listen("pulses", &context.interrupt.question(), |board, event| {
+    let stop = context.interrupt.question();
+    let listened = board.listen("pulses", &stop, |board, event| {
         match event {
             Some(Event::Message(DeviceToHost::Pulse(pulse))) if pulse.output.is_camera() => {
                 pulses.push(pulse.at);
