@@ -2,12 +2,12 @@
 
 use board::imu::{Scale, Summary, last_fault};
 use protocol::{
-    ImuClock, ImuModel, ImuSetup, ImuState, MIN_PULSE_WIDTH, Output, Status, TickDelta,
+    ImuClock, ImuModel, ImuSetup, ImuState, ImuStatus, MIN_PULSE_WIDTH, Output, Status, TickDelta,
 };
 
 use super::{HANDS_TIME, PERIOD, Session};
 use crate::bench::{Heard, millis};
-use crate::train::Trains;
+use crate::train::{Extent, Trains};
 use crate::{BringUpError, Histogram};
 
 /// How long samples must come again without a break, at 500 a second.
@@ -54,11 +54,10 @@ impl Session<'_> {
         let nominal = f64::from(before.interval);
         let mean = report.interval_mean_ticks.unwrap_or(f64::NAN);
         let off_ppm = (mean / nominal - 1.0) * 1e6;
-        let extent = report.interval_min_ticks.zip(report.interval_max_ticks);
-        let extent = extent.map_or_else(
-            || String::from("nothing"),
-            |(least, most)| format!("{least} to {most} ticks"),
-        );
+        let mut extent = Extent::default();
+        for &interval in &intervals {
+            extent.add(interval as i64);
+        }
         let external = after.status.clock == ImuClock::External;
         // On the board's clock the sensor divides the board's own crystal.
         let most_ppm = match after.sensor.model {
@@ -78,14 +77,8 @@ impl Session<'_> {
             "the wire to CLKIN (PA8, or PB0 for an ICM-42688-P); without it the sensor's own clock \
              is off by a percent or more",
         );
-        let lost = heard.lost
-            + u64::from(
-                after
-                    .status
-                    .overcaptures
-                    .saturating_sub(before.status.overcaptures),
-            )
-            + u64::from(after.status.late.saturating_sub(before.status.late));
+        let counted = |status: &ImuStatus| u64::from(status.overcaptures) + u64::from(status.late);
+        let lost = heard.lost + counted(&after.status).saturating_sub(counted(&before.status));
         let gaps = intervals
             .iter()
             .filter(|&&i| i as f64 > 1.5 * nominal)

@@ -4,8 +4,7 @@ use std::time::Duration;
 
 use board::imu::Scale;
 use protocol::{
-    CORE_HZ, Dropped, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, Status,
-    TickDelta,
+    CORE_HZ, HandlerTime, Handlers, MIN_PULSE_GAP, MIN_PULSE_WIDTH, Output, Status, TickDelta,
 };
 use twist_sync::robust::median;
 
@@ -61,12 +60,13 @@ impl Session<'_> {
         std::thread::sleep(STALL);
         let stalled = self.hear(millis(3_000))?;
         let rest = self.stop(Output::Camera)?;
-        let before = full.statuses.last().map(|status| dropped(&status.dropped));
-        let after = stalled
-            .statuses
-            .last()
-            .map(|status| dropped(&status.dropped));
-        let counted = after.zip(before).map(|(a, b)| a.saturating_sub(b));
+        // Of the numbered streams, as the board counts.
+        let dropped = |heard: &Heard| {
+            let all = heard.statuses.last()?.dropped;
+            Some(all.total() - u64::from(all.answers))
+        };
+        let counted = dropped(&stalled).zip(dropped(&full));
+        let counted = counted.map(|(after, before)| after.saturating_sub(before));
         self.check(
             "a host that does not read",
             counted == Some(stalled.lost) && stalled.damaged == 0,
@@ -196,9 +196,4 @@ fn cycles_us(cycles: u32) -> f64 {
 
 fn micros(ticks: i64) -> f64 {
     TickDelta(ticks).as_secs_f64() * 1e6
-}
-
-/// What the board has dropped of the numbered streams.
-const fn dropped(all: &Dropped) -> u64 {
-    all.total() - all.answers as u64
 }
