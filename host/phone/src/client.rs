@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use super::DEFAULT_PORT;
 use super::answer::{MalformedAnswer, ServerVersion};
-use super::connection::{Connection, Patience};
-use super::download::{Pace, SavedVideo, VideoTarget, check_free, receive};
+use super::connection::Connection;
+use super::download::{SavedVideo, VideoTarget, check_free, receive};
 use super::error::PhoneError;
 use super::requests::{
     ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoHeaderBody, VideoStart,
@@ -124,7 +124,7 @@ impl PhoneClient {
     /// Connects to the app at `address`, `<host>` or `<host>:<port>`.
     pub fn connect(address: &str, settings: Settings) -> Result<Self, PhoneError> {
         let address = with_port(address)?;
-        let connection = Connection::open(&address, settings.connect, settings.stop.clone())?;
+        let connection = Connection::open(&address, &settings)?;
         Ok(Self {
             address,
             settings,
@@ -151,11 +151,7 @@ impl PhoneClient {
         // The app serves one client at a time: leave before knocking again.
         self.connection = None;
         self.served = false;
-        self.connection = Some(Connection::open(
-            &self.address,
-            self.settings.connect,
-            self.settings.stop.clone(),
-        )?);
+        self.connection = Some(Connection::open(&self.address, &self.settings)?);
         Ok(())
     }
 
@@ -165,12 +161,8 @@ impl PhoneClient {
         const REQUEST: &str = "an empty request";
         let margin = self.settings.margin;
         let answer = self.in_step(|connection| {
-            connection.send(REQUEST, "\n", margin)?;
-            let patience = Patience {
-                first: margin,
-                margin,
-            };
-            connection.answer(REQUEST, SMALL_ANSWER, patience, |_, _| Ok(()))
+            connection.send(REQUEST, "\n")?;
+            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
         });
         let version = match answer {
             Ok(version) | Err(PhoneError::Refused { version, .. }) => version,
@@ -195,10 +187,9 @@ impl PhoneClient {
         if !self.served {
             self.probe()?;
         }
-        let margin = self.settings.margin;
         let version = self.in_step(|connection| {
-            connection.send(request, line, margin)?;
-            connection.answer(request, limit, Patience { first, margin }, body)
+            connection.send(request, line)?;
+            connection.answer(request, limit, first, body)
         })?;
         self.version = Some(version);
         Ok(())
@@ -409,16 +400,9 @@ impl PhoneClient {
         if let VideoTarget::File(path) = target {
             check_free(path, overwrite)?;
         }
-        let margin = self.settings.margin;
         self.wait_until_free(self.settings.video_ready)?;
         let header = self.video_header()?;
-        self.in_step(|connection| {
-            let pace = Pace {
-                idle: margin,
-                window: margin.saturating_mul(2),
-            };
-            receive(connection, header, target, overwrite, pace, progress)
-        })
+        self.in_step(|connection| receive(connection, header, target, overwrite, progress))
     }
 
     fn video_header(&mut self) -> Result<VideoHeader, PhoneError> {

@@ -1,11 +1,11 @@
 //! One TCP connection with a deadline on every read and write.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{BufRead as _, BufReader, ErrorKind, Write as _};
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
 use super::answer::{AnswerDecoder, AnswerEvent, MalformedAnswer, ServerVersion};
-use super::client::StopSignal;
+use super::client::{Settings, StopSignal};
 use super::error::PhoneError;
 
 /// Bytes read at once.
@@ -17,33 +17,20 @@ const SLICE: Duration = Duration::from_millis(100);
 /// Least number of bytes that must come within a window: slower is a crawl.
 pub(super) const CRAWL_FLOOR: u64 = 32 * 1024;
 
-/// How long an answer is waited for.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Patience {
-    /// For all of it, if little comes.
-    pub(super) first: Duration,
-    /// For each [`CRAWL_FLOOR`] bytes of it.
-    pub(super) margin: Duration,
-}
-
 /// A connection to the app with what has been read from it but not yet used.
 #[derive(Debug)]
 pub(super) struct Connection {
-    stream: TcpStream,
-    buffer: Vec<u8>,
-    start: usize,
-    end: usize,
+    reader: BufReader<TcpStream>,
+    /// [`Settings::margin`].
+    pub(super) margin: Duration,
     stop: StopSignal,
 }
 
 impl Connection {
-    /// Connects to `address`, trying each of its addresses in turn within `timeout` in all.
-    pub(super) fn open(
-        address: &str,
-        timeout: Duration,
-        stop: StopSignal,
-    ) -> Result<Self, PhoneError> {
-        let deadline = Instant::now() + timeout;
+    /// Connects to `address`, trying each of its addresses in turn within
+    /// [`Settings::connect`] in all.
+    pub(super) fn open(address: &str, settings: &Settings) -> Result<Self, PhoneError> {
+        let deadline = Instant::now() + settings.connect;
         let targets: Vec<SocketAddr> = address
             .to_socket_addrs()
             .map_err(|source| PhoneError::Connect {
@@ -59,11 +46,9 @@ impl Connection {
                     // Requests are single short writes that must not wait.
                     let _ = stream.set_nodelay(true);
                     return Ok(Self {
-                        stream,
-                        buffer: vec![0; BUFFER],
-                        start: 0,
-                        end: 0,
-                        stop,
+                        reader: BufReader::with_capacity(BUFFER, stream),
+                        margin: settings.margin,
+                        stop: settings.stop.clone(),
                     });
                 }
                 Err(e) => last = e,
@@ -77,16 +62,11 @@ impl Connection {
 
     /// Sends the line of a request, after making sure that nothing is left over
     /// that could be taken for its answer.
-    pub(super) fn send(
-        &mut self,
-        request: &'static str,
-        line: &str,
-        timeout: Duration,
-    ) -> Result<(), PhoneError> {
+    pub(super) fn send(&mut self, request: &'static str, line: &str) -> Result<(), PhoneError> {
         let broken = |source| PhoneError::Connection { request, source };
-        self.stream.set_nonblocking(true).map_err(broken)?;
-        let pending = self.read_once();
-        self.stream.set_nonblocking(false).map_err(broken)?;
+        self.stream().set_nonblocking(true).map_err(broken)?;
+        let pending = self.reader.fill_buf().map(<[u8]>::len);
+        self.stream().set_nonblocking(false).map_err(broken)?;
         match pending {
             Ok(0) => {
                 return Err(PhoneError::Closed {
@@ -94,34 +74,31 @@ impl Connection {
                     received: 0,
                 });
             }
+            Ok(count) => return Err(PhoneError::Unrequested { count }),
             Err(e) if e.kind() != ErrorKind::WouldBlock => return Err(broken(e)),
-            _ => {}
+            Err(_) => {}
         }
-        if self.end > self.start {
-            let count = self.end - self.start;
-            return Err(PhoneError::Unrequested { count });
-        }
-        self.stream
-            .set_write_timeout(Some(timeout.max(Duration::from_millis(1))))
+        let waited = self.margin;
+        self.stream()
+            .set_write_timeout(Some(waited.max(Duration::from_millis(1))))
             .map_err(broken)?;
-        self.stream
+        self.stream()
             .write_all(line.as_bytes())
             .map_err(|source| match source.kind() {
-                ErrorKind::WouldBlock | ErrorKind::TimedOut => PhoneError::SendTimeout {
-                    request,
-                    waited: timeout,
-                },
+                ErrorKind::WouldBlock | ErrorKind::TimedOut => {
+                    PhoneError::SendTimeout { request, waited }
+                }
                 _ => PhoneError::Connection { request, source },
             })
     }
 
     /// Reads one whole answer; `body` gets each body line with its number. It is waited
-    /// for `first`, and for another `margin` whenever [`CRAWL_FLOOR`] more bytes came.
+    /// for `first`, and for another margin whenever [`CRAWL_FLOOR`] more bytes came.
     pub(super) fn answer(
         &mut self,
         request: &'static str,
         limit: u64,
-        Patience { first, margin }: Patience,
+        first: Duration,
         mut body: impl FnMut(u64, &str) -> Result<(), MalformedAnswer>,
     ) -> Result<ServerVersion, PhoneError> {
         let malformed = |source| match source {
@@ -134,7 +111,8 @@ impl Connection {
         let mut decoder = AnswerDecoder::new(limit);
         let mut version = None;
         loop {
-            let mut input = self.buffer.get(self.start..self.end).unwrap_or_default();
+            let mut input = self.reader.buffer();
+            let unread = input.len();
             let mut finished = None;
             loop {
                 let number = decoder.line_number().saturating_add(1);
@@ -161,13 +139,14 @@ impl Connection {
                     }
                 }
             }
-            self.start = self.end - input.len();
+            let used = unread - input.len();
+            self.reader.consume(used);
             if let Some(result) = finished {
                 return result;
             }
             if decoder.bytes() >= renewed_at + CRAWL_FLOOR {
                 renewed_at = decoder.bytes();
-                deadline = deadline.max(Instant::now() + margin);
+                deadline = deadline.max(Instant::now() + self.margin);
             }
             if self.fill(request, deadline, deadline - begun)? == 0 {
                 return Err(PhoneError::Closed {
@@ -180,30 +159,22 @@ impl Connection {
 
     /// Bytes that were read but not used yet; at least one unless the phone has
     /// closed the connection.
-    pub(super) fn bytes(
-        &mut self,
-        request: &'static str,
-        patience: Duration,
-    ) -> Result<&[u8], PhoneError> {
-        if self.start == self.end {
-            self.fill(request, Instant::now() + patience, patience)?;
+    pub(super) fn bytes(&mut self, request: &'static str) -> Result<&[u8], PhoneError> {
+        if self.reader.buffer().is_empty() {
+            self.fill(request, Instant::now() + self.margin, self.margin)?;
         }
-        Ok(self.buffer.get(self.start..self.end).unwrap_or_default())
+        Ok(self.reader.buffer())
     }
 
     /// Marks `count` of [`Self::bytes`] as used.
     pub(super) fn consume(&mut self, count: usize) {
-        self.start = (self.start + count).min(self.end);
+        self.reader.consume(count);
     }
 
     /// Whether any byte comes within `patience`.
     pub(super) fn more_comes(&mut self, patience: Duration) -> bool {
-        if self.end > self.start {
-            return true;
-        }
-        let timeout = patience.max(Duration::from_millis(1));
-        self.stream.set_read_timeout(Some(timeout)).is_ok()
-            && matches!(self.read_once(), Ok(n) if n > 0)
+        self.stream().set_read_timeout(Some(patience)).is_ok()
+            && matches!(self.reader.fill_buf(), Ok(bytes) if !bytes.is_empty())
     }
 
     /// Reads some bytes into the empty buffer; 0 at the end of the stream.
@@ -225,11 +196,11 @@ impl Connection {
                 });
             }
             let wait = left.min(SLICE).max(Duration::from_millis(1));
-            self.stream
+            self.stream()
                 .set_read_timeout(Some(wait))
                 .map_err(|source| PhoneError::Connection { request, source })?;
-            match self.read_once() {
-                Ok(n) => return Ok(n),
+            match self.reader.fill_buf() {
+                Ok(bytes) => return Ok(bytes.len()),
                 Err(e) => match e.kind() {
                     ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => {}
                     ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted => return Ok(0),
@@ -239,18 +210,7 @@ impl Connection {
         }
     }
 
-    /// One read behind what is in the buffer; an empty buffer starts over.
-    fn read_once(&mut self) -> std::io::Result<usize> {
-        if self.start == self.end {
-            self.start = 0;
-            self.end = 0;
-        }
-        let room = self.buffer.get_mut(self.end..).unwrap_or_default();
-        if room.is_empty() {
-            return Err(ErrorKind::WouldBlock.into());
-        }
-        let n = self.stream.read(room)?;
-        self.end += n;
-        Ok(n)
+    fn stream(&self) -> &TcpStream {
+        self.reader.get_ref()
     }
 }

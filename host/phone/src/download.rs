@@ -47,15 +47,6 @@ pub struct SavedVideo {
     pub phone_name: String,
 }
 
-/// How slow a download may be.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Pace {
-    /// Longest time without any byte.
-    pub(super) idle: Duration,
-    /// Time within which at least [`CRAWL_FLOOR`] bytes must come.
-    pub(super) window: Duration,
-}
-
 /// Refuses a target that is in the way.
 pub(super) fn check_free(path: &Path, overwrite: bool) -> Result<(), PhoneError> {
     if !overwrite && path.symlink_metadata().is_ok() {
@@ -72,12 +63,13 @@ pub(super) fn receive(
     header: VideoHeader,
     target: &VideoTarget,
     overwrite: bool,
-    pace: Pace,
     progress: &mut dyn FnMut(u64, u64),
 ) -> Result<SavedVideo, PhoneError> {
     const REQUEST: &str = "get_video";
     let path = target.path(&header.file_name);
     check_free(&path, overwrite)?;
+    // Within it, at least CRAWL_FLOOR bytes must come.
+    let window = connection.margin.saturating_mul(2);
     let folder = files::folder_of(&path);
     let mut file = files::new_file_in(folder).map_err(|source| PhoneError::File {
         action: "create a file in",
@@ -90,7 +82,7 @@ pub(super) fn receive(
     let mut window_bytes = 0u64;
     progress(0, header.size);
     while received < header.size {
-        let bytes = connection.bytes(REQUEST, pace.idle)?;
+        let bytes = connection.bytes(REQUEST)?;
         if bytes.is_empty() {
             return Err(PhoneError::VideoTooShort {
                 received,
@@ -106,13 +98,13 @@ pub(super) fn receive(
         received += taken as u64;
         window_bytes += taken as u64;
         progress(received, header.size);
-        if window_start.elapsed() >= pace.window {
+        if window_start.elapsed() >= window {
             if window_bytes < CRAWL_FLOOR && received < header.size {
                 return Err(PhoneError::TooSlow {
                     received,
                     size: header.size,
                     floor: CRAWL_FLOOR,
-                    window: pace.window,
+                    window,
                 });
             }
             window_start = Instant::now();

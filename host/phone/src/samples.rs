@@ -112,14 +112,13 @@ pub(crate) fn parse_sample(line: &str) -> Option<PhoneSample> {
 
 /// The line of `sample`, as the app writes it but for the number of digits:
 /// each value is the shortest text that reads back as the same number.
-#[must_use]
-pub fn sample_line(sample: &PhoneSample) -> String {
+fn sample_line(sample: &PhoneSample) -> String {
     let [x, y, z] = sample.xyz;
     format!("{x},{y},{z},{}", sample.time.0)
 }
 
-/// Saves samples as the app does, a [`sample_line`] each; the file appears only when
-/// it is whole.
+/// Saves samples as the app does, a line each; the file appears only when it is whole.
+/// Its folder is made if there is none.
 ///
 /// # Errors
 ///
@@ -130,7 +129,9 @@ pub fn save_samples(
     overwrite: bool,
 ) -> Result<(), PhoneError> {
     let write = || {
-        let file = files::new_file_in(files::folder_of(path))?;
+        let folder = files::folder_of(path);
+        std::fs::create_dir_all(folder)?;
+        let file = files::new_file_in(folder)?;
         let mut out = BufWriter::new(file);
         for sample in samples {
             writeln!(out, "{}", sample_line(sample))?;

@@ -13,66 +13,58 @@ use std::time::Duration;
 
 use crate::adb;
 use crate::{
-    ImuRequest, PhoneClient, PhoneError, PhoneSample, SavedVideo, Sensor, Settings, StopSignal,
-    VideoStart, VideoTarget,
+    ImuRequest, PhoneClient, PhoneError, PhoneSample, SavedVideo, Sensor, ServerVersion, Settings,
+    StopSignal, VideoStart, VideoTarget,
 };
 use timebase::PhoneNanos;
 
-/// What the phone is asked.
-#[derive(Clone, Debug)]
-pub enum Request {
-    /// Is it there, and which version is it?
-    Probe,
-    /// Record the gyroscope.
-    Gyroscope(Duration),
-    /// Start a video, at this time of the phone's clock if it is known.
-    StartVideo(Option<PhoneNanos>),
-    /// Stop the video.
-    StopVideo,
-    /// Does it record a video?
-    IsRecording,
-    /// Wait until a video that was stopped is closed.
-    AwaitClosed,
-    /// Download the last video into a folder.
-    FetchVideo(PathBuf),
-    /// Copy the other files of the video with this phase into a folder, by `adb`.
-    FetchFiles(PhoneNanos, PathBuf),
-}
-
-/// What it answered.
-#[derive(Clone, Debug)]
-pub enum Answer {
-    /// To [`Request::Probe`]: the version.
-    Version(String),
-    /// To [`Request::Gyroscope`].
-    Gyroscope(Vec<PhoneSample>),
-    /// To [`Request::StartVideo`].
-    Started(VideoStart),
-    /// To [`Request::StopVideo`].
-    Stopped,
-    /// To [`Request::IsRecording`].
-    Recording(bool),
-    /// To [`Request::AwaitClosed`].
-    Closed,
-    /// To [`Request::FetchVideo`].
-    Fetched(SavedVideo),
-    /// To [`Request::FetchFiles`]: where they are.
-    Files(Vec<PathBuf>),
-}
-
-/// The thread and its mail boxes.
+/// The thread of one phone. Dropping it ends the request under way.
 pub struct PhoneTask {
     requests: Option<Sender<Request>>,
-    answers: Receiver<Result<Answer, PhoneError>>,
-    cancel: Arc<AtomicBool>,
-    progress: Arc<Progress>,
+    phone: Arc<Phone>,
     thread: Option<JoinHandle<()>>,
 }
 
-#[derive(Debug, Default)]
-struct Progress {
+/// What the thread does.
+type Request = Box<dyn FnOnce(&Phone) + Send>;
+
+/// How the thread reaches the phone, and what is seen of that from outside.
+struct Phone {
+    address: String,
+    settings: Settings,
+    cancel: Arc<AtomicBool>,
+    /// Bytes of the download that are there, and in all.
     done: AtomicU64,
     whole: AtomicU64,
+}
+
+impl Phone {
+    fn connect(&self) -> Result<PhoneClient, PhoneError> {
+        PhoneClient::connect(&self.address, self.settings.clone())
+    }
+}
+
+/// An answer of the phone that is on its way.
+pub struct Pending<T> {
+    answer: Receiver<Result<T, PhoneError>>,
+    cancel: Arc<AtomicBool>,
+}
+
+impl<T> Pending<T> {
+    /// The answer, once it is there; it is given once.
+    #[must_use]
+    pub fn answer(&self) -> Option<Result<T, PhoneError>> {
+        match self.answer.try_recv() {
+            Ok(answer) => Some(answer),
+            Err(TryRecvError::Empty) => None,
+            Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
+        }
+    }
+
+    /// Ends the request with [`PhoneError::Cancelled`], within about 100 ms.
+    pub fn cancel(&self) {
+        self.cancel.store(true, Ordering::Relaxed);
+    }
 }
 
 impl PhoneTask {
@@ -83,124 +75,125 @@ impl PhoneTask {
     /// The system gives no thread.
     pub fn start(address: String) -> std::io::Result<Self> {
         let (requests, inbox) = channel::<Request>();
-        let (outbox, answers) = channel();
         let cancel = Arc::new(AtomicBool::new(false));
-        let progress = Arc::new(Progress::default());
         let cancelled = Arc::clone(&cancel);
-        let shown = Arc::clone(&progress);
+        let phone = Arc::new(Phone {
+            address,
+            settings: Settings {
+                stop: StopSignal::new(move || cancelled.load(Ordering::Relaxed)),
+                ..Settings::default()
+            },
+            cancel,
+            done: AtomicU64::new(0),
+            whole: AtomicU64::new(0),
+        });
+        let asked = Arc::clone(&phone);
         let thread = std::thread::Builder::new()
             .name(String::from("phone"))
-            .spawn(move || {
-                let phone = Phone {
-                    address,
-                    cancel: cancelled,
-                    progress: shown,
-                };
-                while let Ok(request) = inbox.recv() {
-                    if outbox.send(phone.answer(&request)).is_err() {
-                        return;
-                    }
-                }
-            })?;
+            .spawn(move || inbox.iter().for_each(|request| request(&asked)))?;
         Ok(Self {
             requests: Some(requests),
-            answers,
-            cancel,
-            progress,
+            phone,
             thread: Some(thread),
         })
     }
 
-    /// Asks; the answer is to be taken by [`PhoneTask::answer`].
-    pub fn ask(&self, request: Request) {
-        self.cancel.store(false, Ordering::Relaxed);
-        self.progress.done.store(0, Ordering::Relaxed);
-        if let Some(requests) = &self.requests {
-            // Fails only if the thread has died, which `answer` tells.
-            let _ = requests.send(request);
-        }
-    }
-
-    /// The answer, once it is there.
+    /// Is it there, and which version is it?
     #[must_use]
-    pub fn answer(&self) -> Option<Result<Answer, PhoneError>> {
-        match self.answers.try_recv() {
-            Ok(answer) => Some(answer),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
-        }
+    pub fn probe(&self) -> Pending<ServerVersion> {
+        self.ask(|phone| phone.connect()?.probe())
     }
 
-    /// Ends the request under way with [`PhoneError::Cancelled`], within about
-    /// 100 ms.
-    pub fn cancel(&self) {
-        self.cancel.store(true, Ordering::Relaxed);
+    /// Records the gyroscope.
+    #[must_use]
+    pub fn gyroscope(&self, length: Duration) -> Pending<Vec<PhoneSample>> {
+        self.ask(move |phone| {
+            let recording = phone.connect()?.imu(ImuRequest::gyroscope(length))?;
+            recording.take(Sensor::Gyroscope)
+        })
+    }
+
+    /// Starts a video, at this time of the phone's clock if it is known.
+    #[must_use]
+    pub fn start_video(&self, asked: Option<PhoneNanos>) -> Pending<VideoStart> {
+        self.ask(move |phone| phone.connect()?.start_video(asked))
+    }
+
+    /// Stops the video.
+    #[must_use]
+    pub fn stop_video(&self) -> Pending<()> {
+        self.ask(|phone| phone.connect()?.stop_video())
+    }
+
+    /// Does it record a video?
+    #[must_use]
+    pub fn is_recording(&self) -> Pending<bool> {
+        self.ask(|phone| phone.connect()?.is_recording())
+    }
+
+    /// Waits until a video that was stopped is closed.
+    #[must_use]
+    pub fn await_closed(&self) -> Pending<()> {
+        self.ask(|phone| phone.connect()?.wait_until_free(phone.settings.busy))
+    }
+
+    /// Downloads the last video into a folder.
+    #[must_use]
+    pub fn fetch_video(&self, folder: PathBuf) -> Pending<SavedVideo> {
+        self.ask(|phone| {
+            let mut progress = |done, whole| {
+                phone.done.store(done, Ordering::Relaxed);
+                phone.whole.store(whole, Ordering::Relaxed);
+            };
+            let target = VideoTarget::Folder(folder);
+            phone.connect()?.get_video(&target, false, &mut progress)
+        })
+    }
+
+    /// Copies the other files of the video with this phase into a folder, by `adb`; gives
+    /// where they are.
+    #[must_use]
+    pub fn fetch_files(&self, phase: PhoneNanos, folder: PathBuf) -> Pending<Vec<PathBuf>> {
+        self.ask(move |phone| Ok(adb::fetch(phase, &folder, false, &phone.settings.stop)?))
     }
 
     /// Bytes of the download that are there, and in all.
     #[must_use]
     pub fn progress(&self) -> (u64, u64) {
         (
-            self.progress.done.load(Ordering::Relaxed),
-            self.progress.whole.load(Ordering::Relaxed),
+            self.phone.done.load(Ordering::Relaxed),
+            self.phone.whole.load(Ordering::Relaxed),
         )
+    }
+
+    fn ask<T: Send + 'static>(
+        &self,
+        request: impl FnOnce(&Phone) -> Result<T, PhoneError> + Send + 'static,
+    ) -> Pending<T> {
+        self.phone.cancel.store(false, Ordering::Relaxed);
+        self.phone.done.store(0, Ordering::Relaxed);
+        let (sender, answer) = channel();
+        if let Some(requests) = &self.requests {
+            // Fails only if the thread has died, which the answer tells.
+            let _ = requests.send(Box::new(move |phone| {
+                // Fails only if nobody waits for it.
+                let _ = sender.send(request(phone));
+            }));
+        }
+        Pending {
+            answer,
+            cancel: Arc::clone(&self.phone.cancel),
+        }
     }
 }
 
 impl Drop for PhoneTask {
     fn drop(&mut self) {
-        self.cancel();
+        self.phone.cancel.store(true, Ordering::Relaxed);
         self.requests = None;
         if let Some(thread) = self.thread.take() {
             // A panic there has been told by its message.
             let _ = thread.join();
-        }
-    }
-}
-
-struct Phone {
-    address: String,
-    cancel: Arc<AtomicBool>,
-    progress: Arc<Progress>,
-}
-
-impl Phone {
-    fn answer(&self, request: &Request) -> Result<Answer, PhoneError> {
-        let cancel = Arc::clone(&self.cancel);
-        let settings = Settings {
-            stop: StopSignal::new(move || cancel.load(Ordering::Relaxed)),
-            ..Settings::default()
-        };
-        let connect = || PhoneClient::connect(&self.address, settings.clone());
-        match request {
-            Request::Probe => {
-                let version = connect()?.probe()?;
-                Ok(Answer::Version(version.to_string()))
-            }
-            Request::Gyroscope(duration) => {
-                let recording = connect()?.imu(ImuRequest::gyroscope(*duration))?;
-                recording.take(Sensor::Gyroscope).map(Answer::Gyroscope)
-            }
-            Request::StartVideo(asked) => connect()?.start_video(*asked).map(Answer::Started),
-            Request::StopVideo => connect()?.stop_video().map(|()| Answer::Stopped),
-            Request::IsRecording => connect()?.is_recording().map(Answer::Recording),
-            Request::AwaitClosed => {
-                connect()?.wait_until_free(settings.busy)?;
-                Ok(Answer::Closed)
-            }
-            Request::FetchFiles(phase, folder) => {
-                let files = adb::fetch(*phase, folder, false, &settings.stop)?;
-                Ok(Answer::Files(files))
-            }
-            Request::FetchVideo(folder) => {
-                let target = VideoTarget::Folder(folder.clone());
-                let mut progress = |done, whole| {
-                    self.progress.done.store(done, Ordering::Relaxed);
-                    self.progress.whole.store(whole, Ordering::Relaxed);
-                };
-                let saved = connect()?.get_video(&target, false, &mut progress);
-                saved.map(Answer::Fetched)
-            }
         }
     }
 }

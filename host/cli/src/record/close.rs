@@ -6,14 +6,14 @@ use super::further;
 use super::journal::Journal;
 use super::observers::Observers;
 use super::rig::Rig;
-use super::steps::{is_repeatable, odd_answer, step};
+use super::steps::{is_repeatable, step};
 use super::twist::second_twist;
 use super::{Options, Stop};
 use crate::advice::phone_status;
 use crate::outcome::ExitStatus;
 use board::Conversation;
 use phone::adb::{copy_command, get_files_command};
-use phone::task::{Answer, PhoneTask, Request};
+use phone::task::PhoneTask;
 use protocol::Output;
 use verify::watch::Finding;
 
@@ -100,11 +100,8 @@ fn stop_videos(rig: &mut Rig<'_>) {
     let mut running = rig.phones.take_running_videos();
     let mut failing_since = None;
     while !running.is_empty() {
-        let requests = running
-            .iter()
-            .map(|&place| (place, Request::StopVideo))
-            .collect();
-        let answers = match rig.ask_phones(requests, |_| {}) {
+        let stop = |_, task: &PhoneTask| task.stop_video();
+        let answers = match rig.ask_phones(std::mem::take(&mut running), stop, |_| {}) {
             Ok(answers) => answers,
             Err(Stop::Failed(failure)) => {
                 rig.journal.last_problem("phone_lost", failure.to_string());
@@ -114,7 +111,6 @@ fn stop_videos(rig: &mut Rig<'_>) {
         };
         let is_first = failing_since.is_none();
         let since = *failing_since.get_or_insert_with(Instant::now);
-        running.clear();
         for (place, answer) in answers {
             let Err(error) = answer else { continue };
             if phone_status(&error) == ExitStatus::Phone && since.elapsed() < STOP_PATIENCE {
@@ -190,11 +186,11 @@ fn fetch_files(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
     let own = rig.phones.profile(place);
     let own = rig.journal.file.phone_folder(&own.name);
     let folder = rig.journal.folder.join(&own);
-    let request = Request::FetchFiles(video.phase, folder.clone());
-    let answer = rig.ask_phones(vec![(place, request)], |_| {})?.pop();
+    let fetch = |_, task: &PhoneTask| task.fetch_files(video.phase, folder.clone());
+    let answer = rig.ask_phones([place], fetch, |_| {})?.pop();
     let label = rig.phones.label(place);
     let text = match answer {
-        Some((_, Ok(Answer::Files(files)))) => {
+        Some((_, Ok(files))) => {
             for name in files.iter().filter_map(|path| path.file_name()) {
                 let name = own.join(name).to_string_lossy().into_owned();
                 rig.journal.file.files.push(name);
@@ -207,7 +203,7 @@ fn fetch_files(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
             get_files_command(video.phase, &folder, false),
             copy_command(video.phase, &folder)
         ),
-        _ => return Ok(()),
+        None => return Ok(()),
     };
     rig.journal.info("phone_files", &text)
 }
@@ -231,7 +227,8 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
     let folder = rig.journal.folder.join(&own);
     let label = rig.phones.label(place);
     let bar = rig.context.spinner();
-    let answers = rig.ask_phones(vec![(place, Request::FetchVideo(folder))], |rig| {
+    let fetch = |_, task: &PhoneTask| task.fetch_video(folder.clone());
+    let answers = rig.ask_phones([place], fetch, |rig| {
         let task = rig.phones.task(place);
         let (done, whole) = task.map_or((0, 0), PhoneTask::progress);
         bar.set_message(format!(
@@ -244,23 +241,14 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
     let Some((_, answer)) = answers?.pop() else {
         return Ok(());
     };
-    match answer.map_err(|error| rig.phones.failure(place, error))? {
-        Answer::Fetched(video) => {
-            if let Some(name) = video.path.file_name() {
-                let name = own.join(name).to_string_lossy().into_owned();
-                rig.journal.file.files.push(name);
-            }
-            rig.journal.info(
-                "video",
-                &format!(
-                    "the video is {} ({} bytes)",
-                    video.path.display(),
-                    video.size
-                ),
-            )
-        }
-        other => Err(odd_answer(&other).into()),
+    let video = answer.map_err(|error| rig.phones.failure(place, error))?;
+    if let Some(name) = video.path.file_name() {
+        let name = own.join(name).to_string_lossy().into_owned();
+        rig.journal.file.files.push(name);
     }
+    let (path, size) = (video.path.display(), video.size);
+    rig.journal
+        .info("video", &format!("the video is {path} ({size} bytes)"))
 }
 
 /// Finishes the files.

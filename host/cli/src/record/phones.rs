@@ -18,7 +18,7 @@ use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
 use frame_sync::rates::Course;
-use phone::task::{Answer, PhoneTask, Request};
+use phone::task::{Pending, PhoneTask};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
 use recording::session_file::{OtherPhone, PhoneInfo, RateChange, Video};
@@ -39,7 +39,7 @@ struct Seat {
 }
 
 /// What each phone answered, by its place.
-pub(super) type Answers = Vec<(usize, Result<Answer, PhoneError>)>;
+pub(super) type Answers<T> = Vec<(usize, Result<T, PhoneError>)>;
 
 /// Starts the thread of a phone and asks it for its version.
 fn connect_one(
@@ -51,11 +51,10 @@ fn connect_one(
         Failure::new(ExitStatus::Error, format!("no thread: {error}"))
             .next_step("close other programs: the system gives no more threads")
     })?;
-    task.ask(Request::Probe);
+    let asked = task.probe();
     let version = loop {
-        match task.answer() {
-            Some(Ok(Answer::Version(version))) => break Some(version),
-            Some(Ok(_)) => break None,
+        match asked.answer() {
+            Some(Ok(version)) => break Some(version.to_string()),
             Some(Err(error)) => return Err(named(profile, phone, error).into()),
             None if context.interrupt.requested() => return Err(Stop::Interrupted),
             None => std::thread::sleep(Duration::from_millis(10)),
@@ -209,37 +208,17 @@ impl<'a> Phones<'a> {
 
     /// Calls off what asks whether videos run.
     fn call_off_checks(&mut self) {
-        let asked = |(place, seat): (usize, &mut Seat)| seat.check.call_off().then_some(place);
-        let waiting: Vec<usize> = self
-            .seats
-            .iter_mut()
-            .enumerate()
-            .filter_map(asked)
-            .collect();
-        self.call_off(&waiting);
+        let seats = self.seats.iter_mut();
+        call_off(seats.filter_map(|seat| seat.check.call_off()));
     }
+}
 
-    /// The answers that are there of the phones that are waited for.
-    fn take_answers(&self, waiting: &mut Vec<usize>, answers: &mut Answers) {
-        waiting.retain(
-            |&place| match self.task(place).and_then(PhoneTask::answer) {
-                Some(answer) => {
-                    answers.push((place, answer));
-                    false
-                }
-                None => true,
-            },
-        );
-    }
-
-    /// Calls off what these phones were asked: the next requests need the threads.
-    fn call_off(&self, waiting: &[usize]) {
-        let tasks = || waiting.iter().filter_map(|&place| self.task(place));
-        tasks().for_each(PhoneTask::cancel);
-        for task in tasks() {
-            while task.answer().is_none() {
-                std::thread::sleep(Duration::from_millis(10));
-            }
+/// Calls off what phones were asked: the next requests need their threads.
+fn call_off<T>(asked: impl Iterator<Item = Pending<T>>) {
+    let asked: Vec<_> = asked.inspect(Pending::cancel).collect();
+    for request in asked {
+        while request.answer().is_none() {
+            std::thread::sleep(Duration::from_millis(10));
         }
     }
 }
@@ -247,27 +226,29 @@ impl<'a> Phones<'a> {
 impl Rig<'_> {
     /// Asks phones at the same time and pumps until all have answered. What they say is
     /// in the result, by their places.
-    pub(super) fn ask_phones(
+    pub(super) fn ask_phones<T>(
         &mut self,
-        requests: Vec<(usize, Request)>,
+        places: impl IntoIterator<Item = usize>,
+        ask: impl Fn(usize, &PhoneTask) -> Pending<T>,
         mut meanwhile: impl FnMut(&mut Self),
-    ) -> Result<Answers, Stop> {
+    ) -> Result<Answers<T>, Stop> {
         self.phones.call_off_checks();
-        let mut waiting: Vec<usize> = Vec::new();
-        for (place, request) in requests {
-            if let Some(task) = self.phones.task(place) {
-                task.ask(request);
-                waiting.push(place);
-            }
-        }
+        let asked = |place| Some((place, ask(place, self.phones.task(place)?)));
+        let mut waiting: Vec<_> = places.into_iter().filter_map(asked).collect();
         let mut answers = Answers::new();
         let result = self.pump_until(|rig| {
             meanwhile(rig);
-            rig.phones.take_answers(&mut waiting, &mut answers);
+            waiting.retain(|(place, request)| match request.answer() {
+                Some(answer) => {
+                    answers.push((*place, answer));
+                    false
+                }
+                None => true,
+            });
             waiting.is_empty().then_some(())
         });
         if result.is_err() {
-            self.phones.call_off(&waiting);
+            call_off(waiting.into_iter().map(|(_, request)| request));
         }
         answers.sort_by_key(|&(place, _)| place);
         result.map(|()| answers)
@@ -277,26 +258,24 @@ impl Rig<'_> {
 /// Starts the videos of all phones that have not yet begun one. If a phone does not,
 /// the others do all the same.
 pub(super) fn start_videos(rig: &mut Rig<'_>) -> Result<(), Stop> {
-    let mut requests = Vec::new();
-    let now = rig.now();
+    let mut without_video = Vec::new();
     for (place, seat) in rig.phones.seats.iter_mut().enumerate() {
         if rig.journal.video(place).is_none() {
             seat.video_may_run = true;
-            let asked = rig.journal.clock(place);
-            let asked = asked.map(|clock| clock.ticks_to_phone(now));
-            requests.push((place, Request::StartVideo(asked)));
+            without_video.push(place);
         }
     }
+    let now = rig.now();
+    let clocks = rig.phones.places().map(|place| rig.journal.clock(place));
+    let times: Vec<_> = clocks
+        .map(|clock| Some(clock?.ticks_to_phone(now)))
+        .collect();
+    let start = |place: usize, task: &PhoneTask| task.start_video(times[place]);
     let mut failed = None;
     let mut unknown = Vec::new();
-    for (place, answer) in rig.ask_phones(requests, |_| {})? {
+    for (place, answer) in rig.ask_phones(without_video, start, |_| {})? {
         match answer {
-            Ok(Answer::Started(start)) => {
-                began(&rig.phones, &mut rig.journal, place, start)?;
-            }
-            Ok(other) => {
-                failed.get_or_insert(super::steps::odd_answer(&other));
-            }
+            Ok(start) => began(&rig.phones, &mut rig.journal, place, start)?,
             Err(error) => {
                 let failure = rig.phones.failure(place, error);
                 failed.get_or_insert(failure);
@@ -314,13 +293,9 @@ fn stop_after_failure(rig: &mut Rig<'_>, places: &[usize]) -> Result<(), Stop> {
     if places.is_empty() {
         return Ok(());
     }
-    let of = |request: Request| {
-        places
-            .iter()
-            .map(|&place| (place, request.clone()))
-            .collect()
-    };
-    for (place, answer) in rig.ask_phones(of(Request::StopVideo), |_| {})? {
+    let places = places.iter().copied();
+    let stop = |_, task: &PhoneTask| task.stop_video();
+    for (place, answer) in rig.ask_phones(places.clone(), stop, |_| {})? {
         let label = rig.phones.label(place);
         let text = match answer {
             Ok(_) => format!("{label} was told to stop"),
@@ -329,7 +304,8 @@ fn stop_after_failure(rig: &mut Rig<'_>, places: &[usize]) -> Result<(), Stop> {
         rig.journal.info("video", &text)?;
     }
     // A video that does not end in time is told by the next request.
-    rig.ask_phones(of(Request::AwaitClosed), |_| {}).map(drop)
+    rig.ask_phones(places, |_, task| task.await_closed(), |_| {})
+        .map(drop)
 }
 
 fn began(
@@ -338,24 +314,22 @@ fn began(
     place: usize,
     start: VideoStart,
 ) -> Result<(), Stop> {
-    let VideoStart {
-        phase,
-        frame_duration_ns,
-        exposure_ns,
-    } = start;
     let video = Video {
-        phase,
-        frame_duration_ns,
-        exposure_ns,
+        phase: start.phase,
+        frame_duration_ns: start.frame_duration_ns,
+        exposure_ns: start.exposure_ns,
     };
     journal.set_video(place, video);
     journal.save()?;
-    let exposure = exposure_ns.map_or(String::from("not reported"), |ns| {
-        format!("{:.3} ms", ns as f64 * 1e-6)
-    });
+    let exposure = video
+        .exposure_ns
+        .map_or(String::from("not reported"), |ns| {
+            format!("{:.3} ms", ns as f64 * 1e-6)
+        });
     let text = format!(
-        "{} records: frame period {frame_duration_ns:.3} ns, exposure {exposure}",
-        phones.label(place)
+        "{} records: frame period {:.3} ns, exposure {exposure}",
+        phones.label(place),
+        video.frame_duration_ns
     );
     journal.info("video", &text)
 }

@@ -1,7 +1,6 @@
 //! The steps of a session.
 
 use indicatif::ProgressBar;
-use phone::task::Answer;
 use protocol::{Output, Period, TICK_HZ, Ticks, TrainState, TriggerAlign, TriggerStart};
 
 use super::connect::{check_readback, preflight};
@@ -325,14 +324,6 @@ pub(super) fn is_repeatable(failure: &Failure) -> bool {
 pub(super) fn ask(rig: &mut Rig<'_>, prompt: &str) -> Result<Choice, Stop> {
     rig.context.say(prompt);
     rig.pump_until(|rig| rig.operator.answer())
-}
-
-pub(super) fn odd_answer(answer: &Answer) -> Failure {
-    Failure::new(
-        ExitStatus::Phone,
-        format!("the phone gave another answer than expected: {answer:?}"),
-    )
-    .next_step("restart the app and try again")
 }
 
 fn recording_bar(context: &Context, duration: Option<u64>) -> ProgressBar {

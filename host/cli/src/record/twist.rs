@@ -1,16 +1,14 @@
 //! The twist: it relates the clock of each phone to the board's.
 
-use std::path::Path;
 use std::time::{Duration, Instant};
 
-use phone::task::{Answer, Request};
 use protocol::{TICK_HZ, Ticks};
 
 use super::journal::Journal;
 use super::operator::Choice;
 use super::phones::Phones;
 use super::rig::Rig;
-use super::steps::{ask, is_repeatable, odd_answer};
+use super::steps::{ask, is_repeatable};
 use super::{Options as SessionOptions, Stop};
 use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::{SyncReport, report_of};
@@ -19,8 +17,7 @@ use frame_sync::alignment::{skew_prior, with_known_skew};
 use frame_sync::rates::Course;
 use frame_sync::twists::{KnownSkew, Twists};
 use phone::PhoneSample;
-use phone::samples::sample_line;
-use recording::RecordingError;
+use phone::task::PhoneTask;
 use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
 use timebase::ClockModel;
@@ -240,7 +237,7 @@ fn relate(
     let name = folder.join(format!("twist_{number}_phone_gyro.csv"));
     let name = name.to_string_lossy().into_owned();
     let label = format!("twist {number}{}", phones.whose(place));
-    save_samples(&journal.folder, &name, samples)?;
+    phone::save_samples(&journal.folder.join(&name), samples, true)?;
     let phone_times: Vec<_> = samples.iter().map(|sample| sample.time).collect();
     let phone_rates = samples.iter().map(|sample| sample.xyz).collect();
     let phone_track = phone_track(&phone_times, phone_rates);
@@ -300,12 +297,12 @@ fn relate(
 /// The phones' samples of one twist, by their places; the board's go into the rig
 /// meanwhile.
 fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>, Stop> {
-    let request = Request::Gyroscope(Duration::from_secs(length.into()));
+    let length = Duration::from_secs(length.into());
     let places = rig.phones.places();
-    let requests = places.map(|place| (place, request.clone())).collect();
+    let record = |_, task: &PhoneTask| task.gyroscope(length);
     let bar = rig.context.spinner();
     let mut shown = Instant::now();
-    let answers = rig.ask_phones(requests, |rig| {
+    let answers = rig.ask_phones(places, record, |rig| {
         if shown.elapsed() > Duration::from_millis(300) {
             shown = Instant::now();
             bar.set_message(motion_hint(
@@ -316,10 +313,7 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
     bar.finish_and_clear();
     let mut samples = Vec::new();
     for (place, answer) in answers? {
-        match answer.map_err(|error| rig.phones.failure(place, error))? {
-            Answer::Gyroscope(recorded) => samples.push(recorded),
-            other => return Err(odd_answer(&other).into()),
-        }
+        samples.push(answer.map_err(|error| rig.phones.failure(place, error))?);
     }
     // The board's samples of the last moment are still on their way.
     rig.pump_for(TWIST_MARGIN)?;
@@ -355,28 +349,11 @@ fn sharpen(journal: &mut Journal<'_>, twists: &Twists, learnt: &KnownSkew) -> Re
     Ok(sharper.unwrap_or(*twists).course())
 }
 
-fn save_samples(recording: &Path, name: &str, samples: &[PhoneSample]) -> Result<(), Stop> {
-    let mut text = String::new();
-    for sample in samples {
-        text.push_str(&sample_line(sample));
-        text.push('\n');
-    }
-    let path = recording.join(name);
-    let folder = path.parent().unwrap_or(recording);
-    let written = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, text));
-    Ok(written.map_err(|source| RecordingError::Io {
-        action: "write",
-        path,
-        source,
-    })?)
-}
-
 /// Twists once more and joins what it says with the first; of each phone by itself.
 pub(super) fn second_twist(rig: &mut Rig<'_>, first: &[Option<ClockModel>]) -> Result<(), Stop> {
     // The phones' sensors are free only when their videos are closed.
     let places = rig.phones.places();
-    let requests = places.map(|place| (place, Request::AwaitClosed)).collect();
-    rig.ask_phones(requests, |_| {})?;
+    rig.ask_phones(places, |_, task| task.await_closed(), |_| {})?;
     let Some(second) = twist(rig, Leave::Allowed)? else {
         return rig.journal.info("twist", "the second twist was left out");
     };

@@ -5,7 +5,7 @@
 //! ([`phone::PhoneClient::is_recording`]).
 
 use phone::PhoneError;
-use phone::task::{Answer, PhoneTask, Request};
+use phone::task::{Pending, PhoneTask};
 use protocol::Ticks;
 use recording::writer::Severity;
 use verify::watch::Finding;
@@ -18,31 +18,30 @@ use super::{Stop, seconds};
 const EVERY: u64 = seconds(5);
 
 /// What is known of one phone's video.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub(super) struct VideoCheck {
     next: Ticks,
-    asked: bool,
+    asked: Option<Pending<bool>>,
     away: bool,
     ended: bool,
 }
 
 impl VideoCheck {
-    /// Forgets that it was asked; whether it was.
-    pub(super) const fn call_off(&mut self) -> bool {
-        std::mem::replace(&mut self.asked, false)
+    /// What was asked and not answered; it is not waited for any more.
+    pub(super) const fn call_off(&mut self) -> Option<Pending<bool>> {
+        self.asked.take()
     }
 
     /// An answer, if there is one; asks if it is time to.
-    fn look(&mut self, task: &PhoneTask, now: Ticks) -> Option<Result<Answer, PhoneError>> {
-        if self.asked {
-            let answer = task.answer()?;
-            self.asked = false;
+    fn look(&mut self, task: &PhoneTask, now: Ticks) -> Option<Result<bool, PhoneError>> {
+        if let Some(asked) = &self.asked {
+            let answer = asked.answer()?;
+            self.asked = None;
             return Some(answer);
         }
         if !self.ended && now >= self.next {
             self.next = Ticks(now.0.saturating_add(EVERY));
-            self.asked = true;
-            task.ask(Request::IsRecording);
+            self.asked = Some(task.is_recording());
         }
         None
     }
@@ -59,7 +58,7 @@ impl Rig<'_> {
                 continue;
             };
             match check.look(task, now) {
-                Some(Ok(Answer::Recording(false))) => {
+                Some(Ok(false)) => {
                     check.ended = true;
                     let text = format!(
                         "the video of {label} has ended: it was stopped by hand, or its app was \
@@ -72,7 +71,7 @@ impl Rig<'_> {
                         Some(format!("{label}: video ended")),
                     )?;
                 }
-                Some(Ok(_)) if check.away => {
+                Some(Ok(true)) if check.away => {
                     check.away = false;
                     self.journal
                         .info("phone_back", &format!("{label} records on"))?;
