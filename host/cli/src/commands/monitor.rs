@@ -64,8 +64,8 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
     let id = protocol::usb::serial_number(&board.hello().board_id).to_string();
     let profile = args.profile.as_deref().map(Profile::load).transpose()?;
     let mut gauge = Gauge::default();
-    gauge.state = String::from(STATE);
-    gauge.board.clone_from(&id);
+    gauge.latest.state = String::from(STATE);
+    gauge.latest.board.clone_from(&id);
     if let Some(profile) = &profile {
         gauge.know_rig(profile);
     }
@@ -190,8 +190,8 @@ impl Monitor<'_> {
     /// Waits until the board is back, or the user stops.
     fn relink(&mut self, board: &mut Board, error: &LinkError) {
         self.gauge.warning("link_lost", &error.to_string());
-        self.gauge.reconnects += 1;
-        self.gauge.state = String::from("link lost");
+        self.gauge.latest.losses.reconnects += 1;
+        self.gauge.latest.state = String::from("link lost");
         if let Some(screen) = &self.screen {
             screen.show(self.gauge.snapshot(None, None));
         }
@@ -202,7 +202,7 @@ impl Monitor<'_> {
             }
             std::thread::sleep(Duration::from_millis(300));
         }
-        self.gauge.state = String::from(STATE);
+        self.gauge.latest.state = String::from(STATE);
     }
 
     /// A plain line, where there is no view and it is time for one.

@@ -138,7 +138,7 @@ fn new_journal<'a>(
     let hello = sides.board.hello();
     let id = protocol::usb::serial_number(&hello.board_id).to_string();
     live.gauge.know_rig(profile);
-    live.gauge.board.clone_from(&id);
+    live.gauge.latest.board.clone_from(&id);
     file.board = Some(BoardInfo {
         id,
         firmware: firmware_version(hello),

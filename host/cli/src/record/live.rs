@@ -56,7 +56,6 @@ pub struct Live {
     shown: Instant,
     said: Ticks,
     step: Step,
-    disk: Option<Disk>,
     looked: Ticks,
     begun: Option<(Ticks, u64)>,
 }
@@ -78,7 +77,6 @@ impl Live {
             shown: Instant::now(),
             said: Ticks::ZERO,
             step: Step::Preparing,
-            disk: None,
             looked: Ticks::ZERO,
             begun: None,
         }
@@ -109,7 +107,7 @@ impl Live {
             self.gauge.start_counting();
         }
         self.step = step;
-        self.gauge.state = match step {
+        self.gauge.latest.state = match step {
             Step::Preparing => String::from("preparing"),
             Step::Twist(number) => format!("twist {number}"),
             Step::Aligning => String::from("aligning"),
@@ -140,7 +138,6 @@ impl Live {
             return;
         }
         let mut snapshot = self.gauge.snapshot(clock, alignment);
-        snapshot.disk = self.disk;
         if let Step::Recording(from) = self.step {
             snapshot.recording = Some(Recording {
                 elapsed_s: now.0.saturating_sub(from.0) as f64 / f64::from(TICK_HZ),
@@ -180,7 +177,7 @@ impl Live {
         let grown = size.saturating_sub(first);
         let left_s = (time > SIZE_TICKS && grown > 0)
             .then(|| free as f64 / (grown as f64 / (time as f64 / f64::from(TICK_HZ))));
-        self.disk = Some(Disk { free, left_s });
+        self.gauge.latest.disk = Some(Disk { free, left_s });
     }
 }
 

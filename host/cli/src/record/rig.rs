@@ -273,7 +273,7 @@ impl<'a> Rig<'a> {
         let enough = self.profile.align.max_offset_sigma_us * ENOUGH;
         let live = &mut self.journal.live;
         live.step(step, (length, enough));
-        live.gauge.reconnects = file.reconnects;
+        live.gauge.latest.losses.reconnects = file.reconnects;
         live.gauge.know_phones(&file.phones);
         live.show(
             self.journal.now,

@@ -5,9 +5,7 @@ use std::collections::VecDeque;
 
 use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainState};
 
-use super::{
-    Clock, Losses, OtherPhone, Rates, Sensor, Snapshot, Trigger, Twist, Warning, todo_for,
-};
+use super::{Clock, Losses, OtherPhone, Sensor, Snapshot, Twist, Warning, todo_for};
 use crate::record::track::Tracked;
 use board::imu::{Sample, Scale};
 use recording::profile::Profile;
@@ -61,30 +59,18 @@ impl Rate {
 /// The latest state of everything.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gauge {
-    /// What the session does.
-    pub(crate) state: String,
-    /// The board's ID.
-    pub(crate) board: String,
-    /// How often the link was lost.
-    pub(crate) reconnects: u32,
-    now: Ticks,
+    /// What is known at once; [`Gauge::snapshot`] adds the rest.
+    pub(crate) latest: Snapshot,
     gyro: VecDeque<(Ticks, [f64; 3])>,
-    trigger: Trigger,
     last_pulse: Option<Ticks>,
     imu: Rate,
     pulses: Rate,
     captures: Rate,
-    load_percent: f64,
-    temperature: Option<f64>,
-    imu_running: Option<bool>,
-    losses: Losses,
-    dropped: Option<(u64, u64)>,
+    /// What the board had dropped when counting began.
+    dropped_before: Option<u64>,
     coach: Option<(Coach, f64, f64)>,
-    markers: VecDeque<(Ticks, String)>,
-    warnings: VecDeque<Warning>,
     /// Outputs 2 to 4, then the lidar.
     sensors: [Connected; 4],
-    phones: Vec<OtherPhone>,
     /// 1-sigma of a phase above which a twist is due, µs.
     enough_us: Option<f64>,
     /// The phase, where the phone's clock is followed.
@@ -164,8 +150,8 @@ impl Gauge {
 
     /// What a session knows of its further phones by now.
     pub(crate) fn know_phones(&mut self, phones: &[session_file::OtherPhone]) {
-        let now = BoardSeconds::from(self.now);
-        self.phones = phones
+        let now = BoardSeconds::from(self.latest.now);
+        self.latest.phones = phones
             .iter()
             .map(|phone| OtherPhone {
                 name: phone.name.clone(),
@@ -190,8 +176,8 @@ impl Gauge {
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => {
                 self.time(pulse.at);
                 self.pulses.add(pulse.at);
-                self.trigger.pulse = Some(pulse.number);
-                self.trigger.readback_ns = pulse
+                self.latest.trigger.pulse = Some(pulse.number);
+                self.latest.trigger.readback_ns = pulse
                     .readback
                     .map(|ticks| f64::from(ticks) * 1e9 / f64::from(TICK_HZ));
                 self.last_pulse = Some(pulse.at);
@@ -202,10 +188,8 @@ impl Gauge {
             }
             DeviceToHost::Status(status) => {
                 self.time(status.at);
-                self.load_percent = f64::from(status.cpu_permille) / 10.0;
-                self.imu_running = Some(status.imu.state == ImuState::Running);
-                let trigger = &status.trigger;
-                self.trigger.state = state_word(trigger.state).to_owned();
+                self.latest.rates.load_percent = f64::from(status.cpu_permille) / 10.0;
+                self.latest.rates.imu_running = Some(status.imu.state == ImuState::Running);
                 for (sensor, status) in self.sensors.iter_mut().zip(&status.outputs) {
                     sensor.state = Some(status.state);
                     sensor.late = status.late;
@@ -213,20 +197,23 @@ impl Gauge {
                 let lidar = &mut self.sensors[LIDAR];
                 lidar.state = Some(status.gnss.state);
                 lidar.late = status.gnss.late.saturating_add(status.gnss.missed);
-                self.trigger.fps = (trigger.state != TrainState::Stopped)
-                    .then(|| trigger.period.as_secs_f64().recip());
-                self.trigger.readback_missing = trigger.readback.missing;
-                self.trigger.late = trigger.late;
-                if trigger.state == TrainState::Stopped {
-                    self.trigger.readback_ns = None;
+                let (train, trigger) = (&status.trigger, &mut self.latest.trigger);
+                trigger.state = state_word(train.state).to_owned();
+                trigger.fps = (train.state != TrainState::Stopped)
+                    .then(|| train.period.as_secs_f64().recip());
+                trigger.readback_missing = train.readback.missing;
+                trigger.late = train.late;
+                if train.state == TrainState::Stopped {
+                    trigger.readback_ns = None;
                 }
                 let sum = status.dropped.total();
-                let first = self.dropped.map_or(sum, |(first, _)| first.min(sum));
-                self.dropped = Some((first, sum));
+                let before = self.dropped_before.map_or(sum, |before| before.min(sum));
+                self.dropped_before = Some(before);
+                self.latest.losses.dropped = sum - before;
             }
             DeviceToHost::Hello(hello) => {
                 // After a reset of the board its time is an earlier one.
-                self.now = hello.now;
+                self.latest.now = hello.now;
             }
             DeviceToHost::Pulse(pulse) => {
                 self.time(pulse.at);
@@ -247,11 +234,11 @@ impl Gauge {
     }
 
     fn time(&mut self, at: Ticks) {
-        self.now = self.now.max(at);
+        self.latest.now = self.latest.now.max(at);
     }
 
     fn sample(&mut self, sample: &Sample) {
-        self.temperature = Some(sample.temperature);
+        self.latest.rates.temperature = Some(sample.temperature);
         if let Some((coach, ..)) = &mut self.coach {
             coach.add(sample.at.as_secs_f64(), sample.gyro);
         }
@@ -274,35 +261,38 @@ impl Gauge {
 
     /// Messages that are missing.
     pub(crate) const fn lost(&mut self, count: u32) {
-        self.losses.messages = self.losses.messages.saturating_add(count as u64);
+        let messages = &mut self.latest.losses.messages;
+        *messages = messages.saturating_add(count as u64);
     }
 
     /// A damaged frame.
     pub(crate) const fn damaged(&mut self) {
-        self.losses.damaged = self.losses.damaged.saturating_add(1);
+        let damaged = &mut self.latest.losses.damaged;
+        *damaged = damaged.saturating_add(1);
     }
 
     /// What was lost is counted from here on.
     pub(crate) fn start_counting(&mut self) {
-        self.losses = Losses::default();
-        self.dropped = None;
+        self.latest.losses = Losses {
+            reconnects: self.latest.losses.reconnects,
+            ..Losses::default()
+        };
+        self.dropped_before = None;
     }
 
     /// A mark of the user.
     pub(crate) fn marker(&mut self, at: Ticks, label: &str) {
-        keep(&mut self.markers, (at, label.to_owned()));
+        keep(&mut self.latest.markers, (at, label.to_owned()));
     }
 
     /// Something went wrong. `kind` is its stable word.
     pub(crate) fn warning(&mut self, kind: &str, text: &str) {
-        keep(
-            &mut self.warnings,
-            Warning {
-                at: self.now,
-                text: text.to_owned(),
-                todo: todo_for(kind),
-            },
-        );
+        let warning = Warning {
+            at: self.latest.now,
+            text: text.to_owned(),
+            todo: todo_for(kind),
+        };
+        keep(&mut self.latest.warnings, warning);
     }
 
     /// A twist begins: so long in s, and what is enough in µs.
@@ -320,7 +310,7 @@ impl Gauge {
     pub(crate) fn phase_known(&self, alignment: &Alignment, now: BoardSeconds) -> (f64, bool) {
         let sigma = match self.tracked {
             Some(tracked) => tracked.sigma_us,
-            None => phase_sigma_us_now(alignment, now, self.temperature),
+            None => phase_sigma_us_now(alignment, now, self.latest.rates.temperature),
         };
         (sigma, self.enough_us.is_some_and(|enough| sigma > enough))
     }
@@ -331,8 +321,10 @@ impl Gauge {
         clock: Option<&ClockModel>,
         alignment: Option<&Alignment>,
     ) -> Snapshot {
-        let board_now = BoardSeconds::from(self.now);
-        let mut trigger = self.trigger.clone();
+        let now = self.latest.now;
+        let board_now = BoardSeconds::from(now);
+        let mut snapshot = self.latest.clone();
+        let trigger = &mut snapshot.trigger;
         if let (Some(alignment), Some(at)) = (alignment, self.last_pulse)
             && alignment.arrival.is_some_and(|arrival| at >= arrival)
         {
@@ -346,48 +338,25 @@ impl Gauge {
             trigger.phase_sigma_us = Some(sigma);
             trigger.twist_due = twist_due;
         }
-        let mut losses = self.losses;
-        losses.reconnects = self.reconnects;
-        losses.dropped = self.dropped.map_or(0, |(first, last)| last - first);
-        Snapshot {
-            state: self.state.clone(),
-            board: self.board.clone(),
-            now: self.now,
-            gyro: self
-                .gyro
-                .iter()
-                .map(|(at, rate)| (at.as_secs_f64(), *rate))
-                .collect(),
-            trigger,
-            clock: clock.map(|clock| clock_at(clock, board_now)),
-            sensors: (0..)
-                .zip(&self.sensors)
-                .filter_map(|(place, sensor)| sensor.shown(place, self.now))
-                .collect(),
-            phones: self.phones.clone(),
-            rates: Rates {
-                imu: self.imu.per_second(self.now),
-                pulses: self.pulses.per_second(self.now),
-                captures: self.captures.per_second(self.now),
-                load_percent: self.load_percent,
-                temperature: self.temperature,
-                imu_running: self.imu_running,
-            },
-            losses,
-            twist: self
-                .coach
-                .as_ref()
-                .map(|(coach, length_s, enough_us)| Twist {
-                    elapsed_s: coach.elapsed_s(),
-                    length_s: *length_s,
-                    sigma_us: coach.sigma_s().map(|sigma| sigma * 1e6),
-                    enough_us: *enough_us,
-                    rms: coach.rms(),
-                }),
-            markers: self.markers.iter().cloned().collect(),
-            warnings: self.warnings.iter().cloned().collect(),
-            ..Snapshot::default()
-        }
+        let gyro = self.gyro.iter();
+        snapshot.gyro = gyro.map(|(at, rate)| (at.as_secs_f64(), *rate)).collect();
+        snapshot.clock = clock.map(|clock| clock_at(clock, board_now));
+        snapshot.sensors = (0..)
+            .zip(&self.sensors)
+            .filter_map(|(place, sensor)| sensor.shown(place, now))
+            .collect();
+        snapshot.rates.imu = self.imu.per_second(now);
+        snapshot.rates.pulses = self.pulses.per_second(now);
+        snapshot.rates.captures = self.captures.per_second(now);
+        let coach = self.coach.as_ref();
+        snapshot.twist = coach.map(|(coach, length_s, enough_us)| Twist {
+            elapsed_s: coach.elapsed_s(),
+            length_s: *length_s,
+            sigma_us: coach.sigma_s().map(|sigma| sigma * 1e6),
+            enough_us: *enough_us,
+            rms: coach.rms(),
+        });
+        snapshot
     }
 }
 
@@ -401,10 +370,10 @@ fn clock_at(clock: &ClockModel, now: BoardSeconds) -> Clock {
     }
 }
 
-fn keep<T>(list: &mut VecDeque<T>, item: T) {
-    list.push_back(item);
-    while list.len() > KEPT {
-        list.pop_front();
+fn keep<T>(list: &mut Vec<T>, item: T) {
+    list.push(item);
+    if list.len() > KEPT {
+        list.remove(0);
     }
 }
 
