@@ -12,9 +12,12 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
+use std::os::unix::process::{CommandExt as _, ExitStatusExt as _};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus as ProcessStatus, Stdio};
 use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process_group};
 
 use crate::outcome::{ExitStatus, Failure};
 use recording::profile::{Depth, StopSignal};
@@ -62,7 +65,8 @@ fn parent_and_group(process: &Path) -> Option<(u32, u32)> {
 pub(crate) struct DepthRecorder {
     child: Child,
     name: String,
-    stop: StopSignal,
+    /// What asks it to stop.
+    stop: Signal,
     patience: Duration,
     ended: bool,
     /// Goes with the recorder.
@@ -79,24 +83,16 @@ const GUARD: &str =
 
 impl Guard {
     /// `None` where there is no shell: the recorder then outlives a kill.
-    fn over(group: u32, stop: StopSignal, patience_s: u32) -> Option<Self> {
-        let signal = match stop {
-            StopSignal::Interrupt => "INT",
-            StopSignal::Terminate => "TERM",
-        };
+    fn over(group: u32, signal: &str, patience_s: u32) -> Option<Self> {
         let mut command = Command::new("sh");
         command
             .args(["-c", GUARD, &group.to_string(), signal])
             .arg(patience_s.to_string())
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
-            .stderr(Stdio::null());
-        #[cfg(unix)]
-        {
-            use std::os::unix::process::CommandExt as _;
+            .stderr(Stdio::null())
             // A Ctrl-C at the terminal is not for it.
-            command.process_group(0);
-        }
+            .process_group(0);
         match command.spawn() {
             Ok(child) => Some(Self(child)),
             Err(error) => {
@@ -143,20 +139,20 @@ impl DepthRecorder {
             .env(STARTED_BY, std::process::id().to_string())
             .stdin(Stdio::null())
             .stdout(log)
-            .stderr(log_too);
-        #[cfg(unix)]
-        {
-            use std::os::unix::process::CommandExt as _;
-            command.process_group(0);
-        }
+            .stderr(log_too)
+            .process_group(0);
         let child = command.spawn().map_err(|error| failed(error.to_string()))?;
         let recorder = &depth.recorder;
+        let (stop, signal) = match recorder.stop {
+            StopSignal::Interrupt => (Signal::INT, "INT"),
+            StopSignal::Terminate => (Signal::TERM, "TERM"),
+        };
         Ok(Some(Self {
-            _guard: Guard::over(child.id(), recorder.stop, recorder.stop_timeout_s),
+            _guard: Guard::over(child.id(), signal, recorder.stop_timeout_s),
             child,
             name: program.clone(),
-            stop: depth.recorder.stop,
-            patience: Duration::from_secs(depth.recorder.stop_timeout_s.into()),
+            stop,
+            patience: Duration::from_secs(recorder.stop_timeout_s.into()),
             ended: false,
         }))
     }
@@ -191,7 +187,7 @@ impl DepthRecorder {
         if self.ended {
             return None;
         }
-        self.ask_to_stop();
+        self.signal(self.stop);
         let asked = Instant::now();
         while asked.elapsed() < self.patience {
             match self.child.try_wait() {
@@ -214,18 +210,8 @@ impl DepthRecorder {
         ))
     }
 
-    #[cfg(unix)]
-    fn ask_to_stop(&self) {
-        self.signal(match self.stop {
-            StopSignal::Interrupt => rustix::process::Signal::INT,
-            StopSignal::Terminate => rustix::process::Signal::TERM,
-        });
-    }
-
     /// To the whole group, as a Ctrl-C at a terminal does.
-    #[cfg(unix)]
-    fn signal(&self, signal: rustix::process::Signal) {
-        use rustix::process::{Pid, kill_process_group};
+    fn signal(&self, signal: Signal) {
         let group = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
         if let Some(group) = group
             && let Err(error) = kill_process_group(group, signal)
@@ -233,17 +219,13 @@ impl DepthRecorder {
             tracing::warn!("cannot signal the depth recorder: {error}");
         }
     }
-
-    #[cfg(not(unix))]
-    fn ask_to_stop(&self) {}
 }
 
 impl Drop for DepthRecorder {
     /// Nothing that we started outlives us; the guard goes last.
     fn drop(&mut self) {
         if !self.ended {
-            #[cfg(unix)]
-            self.signal(rustix::process::Signal::KILL);
+            self.signal(Signal::KILL);
             // Fails only if it has ended already.
             let _ = self.child.kill();
             let _ = self.child.wait();
@@ -252,21 +234,9 @@ impl Drop for DepthRecorder {
 }
 
 /// Whether it ended as a program does that was asked to.
-fn asked_for(status: ProcessStatus, stop: StopSignal) -> bool {
-    #[cfg(unix)]
-    {
-        use std::os::unix::process::ExitStatusExt as _;
-        let number = match stop {
-            StopSignal::Interrupt => 2,
-            StopSignal::Terminate => 15,
-        };
-        status.success() || status.signal() == Some(number) || status.code() == Some(128 + number)
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = stop;
-        status.success()
-    }
+fn asked_for(status: ProcessStatus, stop: Signal) -> bool {
+    let number = stop.as_raw();
+    status.success() || status.signal() == Some(number) || status.code() == Some(128 + number)
 }
 
 fn fill_in(text: &str, depth: &Depth, folder: &Path) -> String {

@@ -89,14 +89,6 @@ impl Rounds {
 /// Free space for this user on the disk of a folder, bytes; `None` where it
 /// cannot be told.
 pub(crate) fn free_space(folder: &std::path::Path) -> Option<u64> {
-    #[cfg(unix)]
-    {
-        let stat = rustix::fs::statvfs(folder).ok()?;
-        Some(stat.f_bavail.saturating_mul(stat.f_frsize))
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = folder;
-        None
-    }
+    let stat = rustix::fs::statvfs(folder).ok()?;
+    Some(stat.f_bavail.saturating_mul(stat.f_frsize))
 }
