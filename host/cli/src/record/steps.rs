@@ -211,42 +211,33 @@ fn record(rig: &mut Rig<'_>, options: &Options, alignment: &Alignment) -> Result
     let mut due_twist_told = false;
     let mut due: Vec<u64> = options.markers.clone();
     due.sort_unstable_by(|a, b| b.cmp(a));
-    let result = rig.pump_until(|rig| {
+    let mut look = |rig: &mut Rig<'_>| {
         bar.set_position((rig.now().0.saturating_sub(from.0)) / u64::from(TICK_HZ));
         while let Some(&next) = due.last()
             && rig.now().0 >= from.0.saturating_add(next)
         {
             due.pop();
-            if let Err(stop) = mark(&mut rig.journal, Ticks(from.0 + next), None) {
-                return Some(Err(stop));
-            }
+            mark(&mut rig.journal, Ticks(from.0 + next), None)?;
         }
-        if let Err(stop) = rig.watch_videos() {
-            return Some(Err(stop));
-        }
-        if let Err(stop) = track::steer(rig) {
-            return Some(Err(stop));
-        }
+        rig.watch_videos()?;
+        track::steer(rig)?;
         if !due_twist_told && is_twist_due(rig) {
             due_twist_told = true;
-            if let Err(stop) = tell_due_twist(rig) {
-                return Some(Err(stop));
-            }
+            tell_due_twist(rig)?;
         }
         match rig.operator.mark() {
             Some(Some(label)) => {
                 let label = (!label.is_empty()).then_some(label);
                 let now = rig.now();
-                if let Err(stop) = mark(&mut rig.journal, now, label) {
-                    return Some(Err(stop));
-                }
+                mark(&mut rig.journal, now, label)?;
             }
-            Some(None) => return Some(Ok(())),
+            Some(None) => return Ok(Some(())),
             None => {}
         }
         let now = rig.link.overdue(rig.now());
-        end.is_some_and(|end| now.0 >= end).then_some(Ok(()))
-    });
+        Ok(end.is_some_and(|end| now.0 >= end).then_some(()))
+    };
+    let result = rig.pump_until(|rig| look(rig).transpose());
     bar.finish_and_clear();
     result?
 }
