@@ -26,7 +26,6 @@ pub struct Operator {
 }
 
 enum Input {
-    Nobody,
     Lines(Receiver<String>),
     Keys(Receiver<Key>),
 }
@@ -34,11 +33,9 @@ enum Input {
 impl Operator {
     /// Nobody is there: every prompt is answered with "go on".
     #[must_use]
-    pub const fn absent() -> Self {
-        Self {
-            input: Input::Nobody,
-            asks: false,
-        }
+    pub fn absent() -> Self {
+        // Keys that nobody presses.
+        Self::at_keys(channel().1, false)
     }
 
     /// Somebody is there. The thread ends with the process: a read of standard
@@ -75,7 +72,6 @@ impl Operator {
     /// Lines typed before a prompt are no answer to it.
     pub(crate) fn forget_typed(&self) {
         match &self.input {
-            Input::Nobody => {}
             Input::Lines(lines) => lines.try_iter().for_each(drop),
             Input::Keys(keys) => keys.try_iter().for_each(drop),
         }
@@ -87,7 +83,6 @@ impl Operator {
             return Some(Choice::Continue);
         }
         match &self.input {
-            Input::Nobody => Some(Choice::Continue),
             Input::Keys(keys) => match keys.try_recv() {
                 Ok(Key::GoOn) => Some(Choice::Continue),
                 Ok(Key::Repeat) => Some(Choice::Repeat),
@@ -109,7 +104,6 @@ impl Operator {
     /// a mark. The end of the input is nothing: a recording may go on without it.
     pub(crate) fn mark(&self) -> Option<Option<String>> {
         match &self.input {
-            Input::Nobody => None,
             Input::Keys(keys) => match keys.try_recv().ok()? {
                 Key::Quit => Some(None),
                 Key::Mark => Some(Some(String::new())),
