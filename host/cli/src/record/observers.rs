@@ -134,22 +134,14 @@ pub(super) fn take_message(
             (capture.at, writer.capture(&capture, phone))
         }
         DeviceToHost::Status(status) => (status.at, writer.status(&status, &link.id)),
-        DeviceToHost::Arrived(arrived) if arrived.output.is_camera() => {
-            let text = format!(
-                "the trigger arrived at pulse {}, {} ticks from its grid",
-                arrived.pulse, arrived.remaining.0
-            );
-            let written = writer.log(arrived.at, Severity::Info, "arrived", &text);
-            (arrived.at, written)
-        }
         DeviceToHost::Arrived(arrived) => {
-            let text = format!(
-                "{} arrived at pulse {}, {} ticks from its grid",
-                profile.output_name(arrived.output),
-                arrived.pulse,
-                arrived.remaining.0
-            );
-            let written = writer.log(arrived.at, Severity::Info, "output_arrived", &text);
+            let (kind, name) = match arrived.output.is_camera() {
+                true => ("arrived", String::from("the trigger")),
+                false => ("output_arrived", profile.output_name(arrived.output)),
+            };
+            let (pulse, remaining) = (arrived.pulse, arrived.remaining.0);
+            let text = format!("{name} arrived at pulse {pulse}, {remaining} ticks from its grid");
+            let written = writer.log(arrived.at, Severity::Info, kind, &text);
             (arrived.at, written)
         }
         DeviceToHost::Pps(pps) => (pps.at, writer.pps(&pps, profile.lidar_name())),
