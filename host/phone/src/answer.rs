@@ -55,12 +55,10 @@ impl fmt::Display for ServerVersion {
 /// One step of an answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum AnswerEvent<'a> {
-    /// The answer is a success of a known version; body lines follow.
-    Success(ServerVersion),
     /// One line of a success' body, without its end.
     Line(&'a str),
-    /// The answer is complete and was a success.
-    End,
+    /// The answer is complete and was a success; the version of the server.
+    End(ServerVersion),
     /// The answer is complete and was an error.
     Refused {
         /// Version of the server.
@@ -122,7 +120,9 @@ enum State {
     Version {
         success: bool,
     },
-    Body,
+    Body {
+        version: ServerVersion,
+    },
     ErrorText {
         version: ServerVersion,
         text: Option<String>,
@@ -217,22 +217,22 @@ impl AnswerDecoder {
                         let found = shorten(line);
                         return self.fail(MalformedAnswer::UnknownVersion { found });
                     };
-                    if *success {
-                        self.state = State::Body;
-                        return Ok(Some(AnswerEvent::Success(version)));
-                    }
-                    self.state = State::ErrorText {
-                        version,
-                        text: None,
+                    self.state = match *success {
+                        true => State::Body { version },
+                        false => State::ErrorText {
+                            version,
+                            text: None,
+                        },
                     };
                 }
-                State::Body if line == "end" => {
+                State::Body { version } if line == "end" => {
+                    let version = *version;
                     self.state = State::Done;
-                    return Ok(Some(AnswerEvent::End));
+                    return Ok(Some(AnswerEvent::End(version)));
                 }
                 // The line is borrowed again here: a borrow that is returned
                 // from one arm of a loop would last through all of it.
-                State::Body => {
+                State::Body { .. } => {
                     return Ok(Some(AnswerEvent::Line(
                         std::str::from_utf8(&self.line).unwrap_or_default(),
                     )));
@@ -309,7 +309,8 @@ mod tests {
             loop {
                 match decoder.next(&mut input) {
                     Ok(Some(event)) => {
-                        let done = matches!(event, AnswerEvent::End | AnswerEvent::Refused { .. });
+                        let done =
+                            matches!(event, AnswerEvent::End(_) | AnswerEvent::Refused { .. });
                         out.push(format!("{event:?}"));
                         if done {
                             return (out, at + n - input.len());
@@ -331,15 +332,7 @@ mod tests {
     fn stops_exactly_behind_the_end_line() {
         let text = b"SUCCESS\nv.0.1.1\n17\nname.mp4\nend\nend\nSUCCESS\n";
         let (seen, taken) = events(text, &[7], 1000);
-        assert_eq!(
-            seen,
-            [
-                "Success(V0_1_1)",
-                "Line(\"17\")",
-                "Line(\"name.mp4\")",
-                "End"
-            ]
-        );
+        assert_eq!(seen, ["Line(\"17\")", "Line(\"name.mp4\")", "End(V0_1_1)"]);
         assert_eq!(&text[taken..], b"end\nSUCCESS\n");
     }
 
@@ -362,10 +355,10 @@ mod tests {
         let (seen, _) = events(b"SUCCESS\nv.0.1.2\n", &[100], 1000);
         assert!(seen[0].contains("v.0.1.2"), "{seen:?}");
         let (seen, _) = events(b"SUCCESS\nv.0.1\n\xff\xfe\n", &[100], 1000);
-        assert!(seen[1].contains("NotText"), "{seen:?}");
+        assert!(seen[0].contains("NotText"), "{seen:?}");
         let long = [b"SUCCESS\nv.0.1\n".to_vec(), vec![b'x'; 2000]].concat();
         let (seen, _) = events(&long, &[100], 100_000);
-        assert!(seen[1].contains("LineTooLong"), "{seen:?}");
+        assert!(seen[0].contains("LineTooLong"), "{seen:?}");
         let endless = [b"SUCCESS\nv.0.1\n".to_vec(), b"1\n".repeat(2000)].concat();
         let (seen, _) = events(&endless, &[100], 1000);
         assert!(seen.last().unwrap().contains("TooLarge"), "{seen:?}");

@@ -109,36 +109,24 @@ impl Connection {
         let mut deadline = begun + first;
         let mut renewed_at = 0;
         let mut decoder = AnswerDecoder::new(limit);
-        let mut version = None;
         loop {
             let mut input = self.reader.buffer();
             let unread = input.len();
-            let mut finished = None;
-            loop {
+            let finished = loop {
                 let number = decoder.line_number().saturating_add(1);
                 match decoder.next(&mut input).map_err(malformed)? {
-                    None => break,
-                    Some(AnswerEvent::Success(v)) => version = Some(v),
+                    None => break None,
                     Some(AnswerEvent::Line(line)) => body(number, line).map_err(malformed)?,
-                    Some(AnswerEvent::End) => {
-                        finished = Some(version.ok_or(PhoneError::Malformed {
-                            request,
-                            source: MalformedAnswer::Missing {
-                                expected: "a version",
-                            },
-                        }));
-                        break;
-                    }
+                    Some(AnswerEvent::End(version)) => break Some(Ok(version)),
                     Some(AnswerEvent::Refused { version, text }) => {
-                        finished = Some(Err(PhoneError::Refused {
+                        break Some(Err(PhoneError::Refused {
                             request,
                             text,
                             version,
                         }));
-                        break;
                     }
                 }
-            }
+            };
             let used = unread - input.len();
             self.reader.consume(used);
             if let Some(result) = finished {
