@@ -236,7 +236,7 @@ fn adb_step(error: &AdbError) -> Option<&'static str> {
         AdbError::NotFound { .. } => {
             "the app may save elsewhere, or the files of the video be deleted: copy them by hand, and give their folder to `extract --phone`"
         }
-        AdbError::Size { .. } | AdbError::Failed { .. } => "try again once the phone is idle",
+        AdbError::Failed { .. } => "try again once the phone is idle",
         AdbError::Io { source, .. } => file_step(source.kind()),
         AdbError::Cancelled => "run the command again when you are ready",
     })

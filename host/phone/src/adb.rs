@@ -75,17 +75,7 @@ pub enum AdbError {
         /// The timestamp that was looked for.
         phase: PhoneNanos,
     },
-    /// A file came otherwise than it is on the phone.
-    #[error("{name} is {expected} bytes on the phone, but {found} bytes came")]
-    Size {
-        /// Its name.
-        name: String,
-        /// Bytes on the phone.
-        expected: u64,
-        /// Bytes that came.
-        found: u64,
-    },
-    /// It failed.
+    /// It failed, or a file came otherwise than it is on the phone.
     #[error("`adb {command}` failed: {reason}")]
     Failed {
         /// What it was to do.
@@ -337,10 +327,9 @@ impl<'a> Adb<'a> {
         self.run(&["-s", device, "pull", &file.path, &target], None)?;
         let found = size(part.path()).map_err(io("read"))?;
         if found != file.size {
-            return Err(AdbError::Size {
-                name: name.to_owned(),
-                expected: file.size,
-                found,
+            return Err(AdbError::Failed {
+                command: format!("pull {name}"),
+                reason: format!("it is {} bytes there, but {found} bytes came", file.size),
             });
         }
         files::put_in_place(part, &path, false).map_err(io("write"))?;
