@@ -35,7 +35,7 @@ fn serve(host: &File, battery: &mut Battery) -> bool {
             if !host.is_ready(PATIENCE_S) {
                 return false;
             }
-            match host.receive(&mut question[come..]) {
+            match host.read(&mut question[come..]) {
                 Some(more) if more > 0 => come += more,
                 _ => return true,
             }

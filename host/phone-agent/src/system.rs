@@ -23,7 +23,6 @@ mod number {
     pub(super) const BIND: usize = 200;
     pub(super) const LISTEN: usize = 201;
     pub(super) const SENDTO: usize = 206;
-    pub(super) const RECVFROM: usize = 207;
     pub(super) const ACCEPT4: usize = 242;
 }
 
@@ -37,7 +36,6 @@ mod number {
     pub(super) const BIND: usize = 282;
     pub(super) const LISTEN: usize = 284;
     pub(super) const SENDTO: usize = 290;
-    pub(super) const RECVFROM: usize = 292;
     pub(super) const OPENAT: usize = 322;
     pub(super) const UNLINKAT: usize = 328;
     pub(super) const PPOLL: usize = 336;
@@ -201,16 +199,7 @@ impl File {
         call(number::PPOLL, [asked, 1, patience, 0, 0, 0]) > 0
     }
 
-    /// Bytes that have come; 0 at the end of a connection.
-    pub(crate) fn receive(&self, to: &mut [u8]) -> Option<usize> {
-        let place = to.as_mut_ptr() as usize;
-        let got = call(
-            number::RECVFROM,
-            [self.0 as usize, place, to.len(), 0, 0, 0],
-        );
-        usize::try_from(got).ok()
-    }
-
+    /// Bytes of a file, or that have come; 0 at the end of it or of a connection.
     pub(crate) fn read(&self, to: &mut [u8]) -> Option<usize> {
         let place = to.as_mut_ptr() as usize;
         let got = call(number::READ, [self.0 as usize, place, to.len(), 0, 0, 0]);
