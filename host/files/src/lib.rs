@@ -22,6 +22,7 @@
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, ErrorKind, Read as _, Write as _};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use tempfile::NamedTempFile;
@@ -151,17 +152,12 @@ fn permissions_of(path: &Path) -> io::Result<Option<Permissions>> {
 /// Made with `permissions` from the start, so that what only its owner may read is
 /// never open to others.
 fn temporary(folder: &Path, permissions: Option<Permissions>) -> io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".smartdepthsync-").suffix(".part");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt as _;
+    tempfile::Builder::new()
+        .prefix(".smartdepthsync-")
+        .suffix(".part")
         // The system takes the umask off; `tempfile` alone would make it 0600.
-        builder.permissions(permissions.unwrap_or_else(|| Permissions::from_mode(0o666)));
-    }
-    #[cfg(not(unix))]
-    let _ = permissions;
-    builder.tempfile_in(folder)
+        .permissions(permissions.unwrap_or_else(|| Permissions::from_mode(0o666)))
+        .tempfile_in(folder)
 }
 
 /// Makes the new name last. The file is in its place by then, so a file system or a
@@ -181,9 +177,8 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 }
 
 #[cfg(test)]
-#[cfg(unix)]
 mod tests {
-    use std::os::unix::fs::{PermissionsExt as _, symlink};
+    use std::os::unix::fs::symlink;
 
     use super::*;
 
