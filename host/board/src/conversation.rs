@@ -18,8 +18,8 @@ use std::time::Duration;
 
 use crate::streams::{Stream, StreamCounts};
 use protocol::{
-    Answer, Command, Decoder, DeviceToHost, FrameError, Hello, HostToDevice, LinkCounters,
-    MAX_FRAME, PROTOCOL_VERSION, Ticks, encode, hello_version,
+    Answer, Command, Decoder, DeviceToHost, FrameError, HostToDevice, LinkCounters, MAX_FRAME,
+    PROTOCOL_VERSION, Ticks, encode, hello_version,
 };
 
 /// The most messages that are held back until the run is known: over a minute of
@@ -322,7 +322,8 @@ impl Conversation {
                     self.events.push_back(Event::OtherVersion { found });
                     return;
                 }
-                self.hello(hello);
+                self.run(hello.epoch);
+                self.time(hello.now);
             }
             DeviceToHost::Answer(answer) => {
                 match self.waiting.iter().position(|&(id, _)| id == answer.id) {
@@ -343,11 +344,6 @@ impl Conversation {
             self.time(at);
         }
         self.events.push_back(Event::Message(message));
-    }
-
-    fn hello(&mut self, hello: &Hello) {
-        self.run(hello.epoch);
-        self.time(hello.now);
     }
 
     /// Notices that this is another run of the board.

@@ -150,16 +150,8 @@ pub struct StreamCounts {
 impl StreamCounts {
     /// The count of one stream.
     #[must_use]
-    pub const fn of(&self, stream: Stream) -> StreamCount {
-        match stream {
-            Stream::Status => self.status,
-            Stream::Pulses => self.pulses,
-            Stream::Captures => self.captures,
-            Stream::Imu => self.imu,
-            Stream::Filler => self.filler,
-            Stream::Outputs => self.outputs,
-            Stream::Pps => self.pps,
-        }
+    pub const fn of(mut self, stream: Stream) -> StreamCount {
+        *self.get_mut(stream)
     }
 
     /// Messages missing on all streams.

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 use protocol::{
-    Filler, ImuFlags, ImuSample, MAX_FILLER, Output, Refusal, Reply, ResetCause, SELF_TEST_KEY,
-    SayHello, SelfTest, StopTrigger,
+    Filler, Hello, ImuFlags, ImuSample, MAX_FILLER, Output, Refusal, Reply, ResetCause,
+    SELF_TEST_KEY, SayHello, SelfTest, StopTrigger,
 };
 
 use super::*;
