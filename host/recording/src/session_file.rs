@@ -108,8 +108,8 @@ pub const CHECK_LEARNT: &str = "learnt clocks";
 /// Name of the check of the trigger's read-back.
 pub const CHECK_READBACK: &str = "trigger read-back";
 
-/// How a check ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// How a check ended, from good to bad.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// As it should be.

@@ -59,7 +59,11 @@ pub fn write(
 /// The report as a page.
 fn page(folder: &Path, session: &SessionFile, curves: &Curves) -> Page {
     let judged = Judgement::of(folder, session);
-    let mut page = Page::new(&title(&session.name), judged.level(), &judged.text);
+    let mut page = Page::new(
+        &title(&session.name),
+        verdict::level(judged.verdict),
+        &judged.text,
+    );
     for part in &judged.parts {
         page.note(verdict::level(part.verdict), &part.line());
     }

@@ -44,15 +44,8 @@ impl Judgement {
                 depth(folder, session),
             ],
         };
-        let verdict =
-            parts
-                .iter()
-                .map(|part| part.verdict)
-                .fold(Verdict::Good, |worst, verdict| match (worst, verdict) {
-                    (Verdict::Bad, _) | (_, Verdict::Bad) => Verdict::Bad,
-                    (Verdict::Warning, _) | (_, Verdict::Warning) => Verdict::Warning,
-                    _ => Verdict::Good,
-                });
+        let verdicts = parts.iter().map(|part| part.verdict);
+        let verdict = verdicts.max().unwrap_or(Verdict::Good);
         let open: Vec<&str> = parts
             .iter()
             .filter(|part| part.verdict != Verdict::Good)
@@ -77,13 +70,9 @@ impl Judgement {
             parts,
         }
     }
-
-    /// The colour of the page.
-    pub(crate) const fn level(&self) -> Level {
-        level(self.verdict)
-    }
 }
 
+/// The colour of the page.
 pub(crate) const fn level(verdict: Verdict) -> Level {
     match verdict {
         Verdict::Good => Level::Good,
@@ -115,25 +104,28 @@ fn part(name: &str, verdict: Verdict, found: String, next: Vec<String>) -> Check
 }
 
 fn nothing_recorded(session: &SessionFile) -> Check {
-    let found = match session.outcome {
-        Some(SessionOutcome::Interrupted) => {
-            "Interrupted before the recording began: nothing was recorded."
-        }
+    let delete = "record again; this folder can be deleted";
+    let (found, next) = match session.outcome {
+        Some(SessionOutcome::Interrupted) => (
+            String::from("Interrupted before the recording began: nothing was recorded."),
+            delete,
+        ),
         Some(SessionOutcome::Failed) => {
-            return part(
-                "board and phone",
-                Verdict::Bad,
-                format!(
-                    "The session failed before the recording began: {}.",
-                    reason(session)
-                ),
-                vec![String::from("record again")],
-            );
+            let reason = reason(session);
+            let found = format!("The session failed before the recording began: {reason}.");
+            (found, "record again")
         }
-        _ => "The session ended before the recording began: nothing was recorded.",
+        _ => (
+            String::from("The session ended before the recording began: nothing was recorded."),
+            delete,
+        ),
     };
-    let next = vec![String::from("record again; this folder can be deleted")];
-    part("board and phone", Verdict::Bad, found.to_owned(), next)
+    part(
+        "board and phone",
+        Verdict::Bad,
+        found,
+        vec![next.to_owned()],
+    )
 }
 
 fn reason(session: &SessionFile) -> &str {
@@ -193,10 +185,7 @@ fn board_and_phone(folder: &Path, session: &SessionFile) -> Check {
         if missing.is_empty() {
             continue;
         }
-        verdict = match verdict {
-            Verdict::Good => Verdict::Warning,
-            worse => worse,
-        };
+        verdict = verdict.max(Verdict::Warning);
         found += &format!(
             "; not in the folder yet: the {} of {name}",
             missing.join(", ")
