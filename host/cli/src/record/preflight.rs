@@ -197,13 +197,6 @@ impl Checks {
         // The folder may not be there yet: the nearest one above it is.
         let place = out
             .ancestors()
-            .map(|folder| {
-                if folder.as_os_str().is_empty() {
-                    Path::new(".")
-                } else {
-                    folder
-                }
-            })
             .find(|folder| folder.exists())
             .unwrap_or_else(|| Path::new("."));
         match free_space(place) {
@@ -359,17 +352,9 @@ impl Checks {
             ),
             (ImuClock::Unknown, _) => self.warn("IMU clock", "not known yet", IMU_WIRING),
         }
-        let at_rest = report
-            .gyro_noise_rad_s
-            .iter()
-            .flatten()
-            .all(|&axis| axis <= GYRO_NOISE_LIMIT);
-        if at_rest {
-            let noise = report
-                .gyro_noise_rad_s
-                .iter()
-                .flatten()
-                .fold(0.0_f64, |most, &axis| most.max(axis));
+        let axes = report.gyro_noise_rad_s.into_iter().flatten();
+        let noise = axes.fold(0.0, f64::max);
+        if noise <= GYRO_NOISE_LIMIT {
             self.good("IMU noise", format!("{noise:.5} rad/s"));
             self.gravity(report.accel_mean_m_s2);
             return;
