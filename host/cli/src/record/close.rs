@@ -229,8 +229,7 @@ fn fetch_video(rig: &mut Rig<'_>, place: usize) -> Result<(), Stop> {
     let bar = rig.context.spinner();
     let fetch = |_, task: &PhoneTask| task.fetch_video(folder.clone());
     let answers = rig.ask_phones([place], fetch, |rig| {
-        let task = rig.phones.task(place);
-        let (done, whole) = task.map_or((0, 0), PhoneTask::progress);
+        let (done, whole) = rig.phones.task(place).progress();
         bar.set_message(format!(
             "downloading the video of {label}: {} of {} MB",
             done / 1_000_000,

@@ -20,8 +20,7 @@ use board::Board;
 use board::imu::{ImuLook, Scale};
 use recording::folder;
 use recording::profile::Profile;
-use recording::session_file::Verdict;
-use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile};
+use recording::session_file::{BoardInfo, ImuInfo, OtherPhone, PhoneInfo, SessionFile, Verdict};
 use recording::writer::{Severity, Writer};
 
 /// Both sides of a rig, once they have answered.
@@ -29,8 +28,7 @@ struct Sides<'a> {
     board: Board,
     imu: ImuInfo,
     phones: Phones<'a>,
-    first: PhoneInfo,
-    others: Vec<OtherPhone>,
+    apps: Vec<PhoneInfo>,
 }
 
 /// Connects to board and phone, and makes the recording's folder once both are
@@ -107,13 +105,12 @@ fn reach<'a>(
         setup = board.configure_imu(wanted)?;
     }
     let scale = imu_scale(&setup)?;
-    let (phones, first, others) = phones::connect(profile, context)?;
+    let (phones, apps) = phones::connect(profile, context)?;
     Ok(Sides {
         board,
         imu: ImuInfo { setup, scale },
         phones,
-        first,
-        others,
+        apps,
     })
 }
 
@@ -151,8 +148,19 @@ fn new_journal<'a>(
         reset_cause: hello.reset_cause,
     });
     file.imu = Some(sides.imu.clone());
-    file.phone = Some(sides.first.clone());
-    file.phones.clone_from(&sides.others);
+    let mut apps = sides.apps.iter().cloned();
+    file.phone = apps.next();
+    let others = profile.phones.iter().zip(apps);
+    file.phones = others
+        .map(|(phone, info)| OtherPhone {
+            name: phone.name.clone(),
+            info,
+            twists: Vec::new(),
+            clock: None,
+            video: None,
+            placement: None,
+        })
+        .collect();
     Ok(Journal::new(context, live, writer, folder, file))
 }
 

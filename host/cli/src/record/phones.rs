@@ -21,17 +21,18 @@ use frame_sync::rates::Course;
 use phone::task::{Pending, PhoneTask};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
-use recording::session_file::{OtherPhone, PhoneInfo, RateChange, Video};
+use recording::session_file::{PhoneInfo, RateChange, Video};
 use timebase::ClockModel;
 use verify::watch::Finding;
 
 /// The phones, each on its own thread.
 pub struct Phones<'a> {
     profile: &'a Profile,
-    seats: Vec<Seat>,
+    seats: Vec<Seat<'a>>,
 }
 
-struct Seat {
+struct Seat<'a> {
+    phone: &'a Phone,
     task: PhoneTask,
     change: RateChange,
     video_may_run: bool,
@@ -64,28 +65,16 @@ fn connect_one(
     Ok((task, PhoneInfo { address, version }))
 }
 
-/// Connects to all phones. Gives what is kept of the first and of the further ones.
+/// Connects to all phones. Gives what is kept of each app too, by its place.
 pub(super) fn connect<'a>(
     profile: &'a Profile,
     context: &Context,
-) -> Result<(Phones<'a>, PhoneInfo, Vec<OtherPhone>), Stop> {
+) -> Result<(Phones<'a>, Vec<PhoneInfo>), Stop> {
     has_address(profile)?;
-    let (task, first) = connect_one(profile, &profile.phone, context)?;
-    let mut tasks = vec![task];
-    let mut others = Vec::new();
-    for phone in &profile.phones {
-        let (task, info) = connect_one(profile, phone, context)?;
-        tasks.push(task);
-        others.push(OtherPhone {
-            name: phone.name.clone(),
-            info,
-            twists: Vec::new(),
-            clock: None,
-            video: None,
-            placement: None,
-        });
-    }
-    Ok((Phones::new(profile, tasks), first, others))
+    let phones = profile.all_phones();
+    let connected = phones.map(|phone| connect_one(profile, phone, context));
+    let (tasks, infos) = connected.collect::<Result<_, _>>()?;
+    Ok((Phones::new(profile, tasks), infos))
 }
 
 /// Whether the profile says where its phones are.
@@ -115,7 +104,8 @@ impl<'a> Phones<'a> {
     /// The phones with these threads, in the profile's order.
     #[must_use]
     pub fn new(profile: &'a Profile, tasks: Vec<PhoneTask>) -> Self {
-        let seat = |task| Seat {
+        let seat = |(phone, task)| Seat {
+            phone,
             task,
             change: RateChange::default(),
             video_may_run: false,
@@ -123,30 +113,24 @@ impl<'a> Phones<'a> {
         };
         Self {
             profile,
-            seats: tasks.into_iter().map(seat).collect(),
+            seats: profile.all_phones().zip(tasks).map(seat).collect(),
         }
     }
 
-    /// The phone at a place in the profile; the first for a place that there is not.
+    /// The profile of the phone at a place.
     pub(super) fn profile(&self, place: usize) -> &'a Phone {
-        let phone = self.profile.all_phones().nth(place);
-        phone.unwrap_or(&self.profile.phone)
+        self.seats[place].phone
     }
 
     /// Keeps how the rate of the clock at a place changes.
     pub(super) fn set_change(&mut self, place: usize, change: RateChange) {
-        if let Some(seat) = self.seats.get_mut(place) {
-            seat.change = change;
-        }
+        self.seats[place].change = change;
     }
 
     /// A relation of the clock at a place, with how its rate changes.
     pub(super) fn course(&self, place: usize, clock: ClockModel) -> Course {
-        let change = self.seats.get(place).map(|seat| seat.change);
-        Course {
-            clock,
-            change: change.unwrap_or_default(),
-        }
+        let change = self.seats[place].change;
+        Course { clock, change }
     }
 
     /// The places of all phones.
@@ -182,14 +166,14 @@ impl<'a> Phones<'a> {
     }
 
     /// The thread of the phone at a place.
-    pub(super) fn task(&self, place: usize) -> Option<&PhoneTask> {
-        self.seats.get(place).map(|seat| &seat.task)
+    pub(super) fn task(&self, place: usize) -> &PhoneTask {
+        &self.seats[place].task
     }
 
     /// The phones that may be recording a video; they are taken to be stopped
     /// from here on.
     pub(super) fn take_running_videos(&mut self) -> Vec<usize> {
-        let running = |(place, seat): (usize, &mut Seat)| {
+        let running = |(place, seat): (usize, &mut Seat<'_>)| {
             std::mem::take(&mut seat.video_may_run).then_some(place)
         };
         self.seats
@@ -202,8 +186,8 @@ impl<'a> Phones<'a> {
     /// What is known of the video of the phone at a place, and its thread; none if it may
     /// not be recording one.
     pub(super) fn video_check(&mut self, place: usize) -> Option<(&mut VideoCheck, &PhoneTask)> {
-        let seat = self.seats.get_mut(place).filter(|s| s.video_may_run)?;
-        Some((&mut seat.check, &seat.task))
+        let seat = &mut self.seats[place];
+        seat.video_may_run.then_some((&mut seat.check, &seat.task))
     }
 
     /// Calls off what asks whether videos run.
@@ -233,8 +217,8 @@ impl Rig<'_> {
         mut meanwhile: impl FnMut(&mut Self),
     ) -> Result<Answers<T>, Stop> {
         self.phones.call_off_checks();
-        let asked = |place| Some((place, ask(place, self.phones.task(place)?)));
-        let mut waiting: Vec<_> = places.into_iter().filter_map(asked).collect();
+        let asked = |place| (place, ask(place, self.phones.task(place)));
+        let mut waiting: Vec<_> = places.into_iter().map(asked).collect();
         let mut answers = Answers::new();
         let result = self.pump_until(|rig| {
             meanwhile(rig);
@@ -335,28 +319,19 @@ fn began(
 }
 
 /// States where the frames of the further phones lie against the trigger's grid.
+///
+/// Once the board was reset and its trigger is on the grid again, it does so anew: the
+/// grid goes on as it was, but it is against the phones only as well as their clocks are
+/// known in the new run. A phone that was left out still is, and is not told again.
 pub(super) fn place_others(phones: &Phones<'_>, journal: &mut Journal<'_>) -> Result<(), Stop> {
     for place in phones.places().skip(1) {
-        if !place_other(phones, journal, place)? && journal.file.alignment.is_some() {
+        if !place_other(phones, journal, place)? && journal.file.runs.is_empty() {
             let name = &phones.profile(place).name;
             journal.problem(Finding::warning(
                 "phone_left_out",
                 format!("phone {name} records no video"),
             ))?;
         }
-    }
-    Ok(())
-}
-
-/// The same once the board was reset and its trigger is on the grid again. The grid
-/// goes on as it was, but it is against the phones only as well as their clocks are
-/// known in the new run. A phone that was left out still is.
-pub(super) fn place_others_again(
-    phones: &Phones<'_>,
-    journal: &mut Journal<'_>,
-) -> Result<(), Stop> {
-    for place in phones.places().skip(1) {
-        place_other(phones, journal, place)?;
     }
     Ok(())
 }

@@ -253,7 +253,7 @@ impl Rig<'_> {
         let text = "the trigger runs on its former grid again";
         self.journal.info("trigger_restarted", text)?;
         self.journal.save()?;
-        phones::place_others_again(&self.phones, &mut self.journal)?;
+        phones::place_others(&self.phones, &mut self.journal)?;
         match further::start(self) {
             Err(Stop::Failed(failure)) => self.journal.problem(Finding::error(
                 "outputs_not_restarted",
