@@ -162,23 +162,15 @@ impl DepthRecorder {
         if self.ended {
             return None;
         }
-        match self.child.try_wait() {
-            Ok(None) => None,
+        let what = match self.child.try_wait() {
+            Ok(None) => return None,
             Ok(Some(status)) => {
-                self.ended = true;
-                Some(format!(
-                    "the depth recorder `{}` ended by itself ({status}); its output is in {LOG_FILE}",
-                    self.name
-                ))
+                format!("ended by itself ({status}); its output is in {LOG_FILE}")
             }
-            Err(error) => {
-                self.ended = true;
-                Some(format!(
-                    "the depth recorder `{}` cannot be monitored: {error}",
-                    self.name
-                ))
-            }
-        }
+            Err(error) => format!("cannot be monitored: {error}"),
+        };
+        self.ended = true;
+        Some(format!("the depth recorder `{}` {what}", self.name))
     }
 
     /// Asks it to stop, waits, and kills it if it does not. `while_waiting` is
