@@ -22,6 +22,7 @@ use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
 use timebase::ClockModel;
 use timebase::{board_track, phone_track};
+use twist_sync::coach::Coach;
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// How often a twist is tried when nobody is there to decide.
@@ -322,14 +323,12 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
 
 /// Whether the motion suffices, from the board's samples so far.
 fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
-    let count = samples.len().max(1) as f64;
-    let mut rms = [0.0; 3];
-    for axis in 0..3 {
-        let sum: f64 = samples.iter().map(|(_, rate)| rate[axis].powi(2)).sum();
-        rms[axis] = (sum / count).sqrt();
+    let mut coach = Coach::default();
+    for (at, rate) in samples {
+        coach.add(at.as_secs_f64(), *rate);
     }
-    let hint = lacking_motion(rms).unwrap_or("good");
-    let [x, y, z] = rms;
+    let [x, y, z] = coach.rms();
+    let hint = lacking_motion([x, y, z]).unwrap_or("good");
     format!("x {x:.1}  y {y:.1}  z {z:.1} rad/s rms: {hint}")
 }
 
