@@ -245,22 +245,19 @@ fn meter(title: &'static str, colour: Color, full: f64, label: String) -> Gauge<
 fn wrapped(first: &str, text: &str, width: u16) -> Vec<String> {
     let width = usize::from(width);
     let further = " ".repeat(first.chars().count().min(width / 2));
-    let mut lines = vec![first.to_owned()];
+    let mut lines = Vec::new();
+    let mut line = first.to_owned();
     for word in text.split_whitespace() {
-        let line = lines.last_mut().map_or(0, |line| line.chars().count());
-        let is_first = lines
-            .last()
-            .is_some_and(|line| line.trim().is_empty() || line == first);
-        if !is_first && line + 1 + word.chars().count() > width {
-            lines.push(further.clone());
+        let has_words = line != first && line != further;
+        if has_words && line.chars().count() + 1 + word.chars().count() > width {
+            lines.push(std::mem::replace(&mut line, further.clone()));
         }
-        if let Some(line) = lines.last_mut() {
-            if !line.is_empty() && !line.ends_with(' ') {
-                line.push(' ');
-            }
-            line.push_str(word);
+        if !line.is_empty() && !line.ends_with(' ') {
+            line.push(' ');
         }
+        line.push_str(word);
     }
+    lines.push(line);
     lines
 }
 
