@@ -145,9 +145,10 @@ struct Remote {
 }
 
 /// The program, and when to give up.
-pub(crate) struct Adb<'a> {
+#[derive(Clone)]
+pub(crate) struct Adb {
     program: PathBuf,
-    stop: &'a StopSignal,
+    stop: StopSignal,
 }
 
 /// Copies the files of the video with this phase into `folder`: frame timestamps and
@@ -217,10 +218,11 @@ fn ready(list: &str) -> Result<Vec<String>, AdbError> {
         .collect())
 }
 
-impl<'a> Adb<'a> {
+impl Adb {
     /// The program on the search path.
-    pub(crate) fn find(stop: &'a StopSignal) -> Result<Self, AdbError> {
+    pub(crate) fn find(stop: &StopSignal) -> Result<Self, AdbError> {
         let program = files::program("adb").ok_or(AdbError::NoProgram)?;
+        let stop = stop.clone();
         Ok(Self { program, stop })
     }
 
@@ -229,7 +231,7 @@ impl<'a> Adb<'a> {
     }
 
     pub(crate) const fn stop(&self) -> &StopSignal {
-        self.stop
+        &self.stop
     }
 
     /// The one phone that is ready.
@@ -251,16 +253,15 @@ impl<'a> Adb<'a> {
         self.run(&[&["-s", device], what].concat(), Some(PATIENCE))
     }
 
-    /// Removes a file of the phone as far as that can be done in a moment, also where the
-    /// caller is to stop.
-    pub(crate) fn remove(&self, device: &str, file: &str) {
-        let adb = Adb {
-            program: self.program.clone(),
-            stop: &StopSignal::default(),
+    /// Runs the program to tidy up behind what was done with a phone, as far as that can be
+    /// done in a moment, also where the caller is to stop.
+    pub(crate) fn tidy_up(&self, device: &str, what: &[&str]) {
+        let adb = Self {
+            stop: StopSignal::default(),
+            ..self.clone()
         };
-        let line = format!("rm -f {file}");
         // A phone that is gone has lost more than this.
-        let _ = adb.run(&["-s", device, "shell", &line], Some(MOMENT));
+        let _ = adb.run(&[&["-s", device], what].concat(), Some(MOMENT));
     }
 
     pub(crate) fn cannot_run(&self, source: std::io::Error) -> AdbError {

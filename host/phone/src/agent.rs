@@ -71,7 +71,7 @@ pub struct Agent {
 
 /// The program as it was started once, and the port to it, which is given back at its end.
 struct Running {
-    adb: PathBuf,
+    adb: Adb,
     device: String,
     port: u16,
     shell: Child,
@@ -96,7 +96,7 @@ impl Running {
     /// Copies it to the phone, starts it there, and asks it until it answers. Where it does
     /// not, its file is removed.
     fn start(
-        adb: &Adb<'_>,
+        adb: &Adb,
         device: &str,
         now: fn() -> Duration,
     ) -> Result<(Self, TcpStream), AdbError> {
@@ -120,13 +120,13 @@ impl Running {
             Ok((running, stream))
         });
         if started.is_err() {
-            adb.remove(device, &file);
+            adb.tidy_up(device, &["shell", &format!("rm -f {file}")]);
         }
         started
     }
 
     /// Starts what was copied, and finds a port to it.
-    fn launch(adb: &Adb<'_>, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
+    fn launch(adb: &Adb, device: &str, file: &str, socket: &str) -> Result<Self, AdbError> {
         adb.shell(device, &format!("chmod 755 {file}"))?;
         let mut shell = Command::new(adb.program())
             .args(["-s", device, "shell", &format!("{file} {socket}")])
@@ -148,7 +148,7 @@ impl Running {
         });
         match port {
             Ok(port) => Ok(Self {
-                adb: adb.program().to_owned(),
+                adb: adb.clone(),
                 device: device.to_owned(),
                 port,
                 shell,
@@ -168,13 +168,9 @@ impl Drop for Running {
         // The phone may be gone, and then nothing of it is left.
         let _ = self.shell.kill();
         let _ = self.shell.wait();
-        let _ = Command::new(&self.adb)
-            .args(["-s", &self.device, "forward", "--remove"])
-            .arg(format!("tcp:{}", self.port))
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
+        let port = format!("tcp:{}", self.port);
+        let remove = ["forward", "--remove", &port];
+        self.adb.tidy_up(&self.device, &remove);
     }
 }
 
