@@ -40,13 +40,6 @@ pub struct VideoFiles {
 }
 
 impl VideoFiles {
-    fn count(&self) -> usize {
-        [&self.video, &self.frames, &self.gyro, &self.accel]
-            .iter()
-            .filter(|file| file.is_some())
-            .count()
-    }
-
     /// What is missing, each in a word or two.
     #[must_use]
     pub fn missing_kinds(&self) -> Vec<&'static str> {
@@ -196,7 +189,10 @@ fn join_renamed(groups: &BTreeMap<String, VideoFiles>) -> Option<VideoFiles> {
     let mut videos = groups.values().filter(|group| group.video.is_some());
     let mut sets = groups.values().filter(|group| group.video.is_none());
     let (video, set) = (videos.next()?, sets.next()?);
-    if videos.next().is_some() || sets.next().is_some() || video.count() > 1 {
+    let is_alone = [&video.frames, &video.gyro, &video.accel]
+        .iter()
+        .all(|file| file.is_none());
+    if videos.next().is_some() || sets.next().is_some() || !is_alone {
         return None;
     }
     Some(VideoFiles {
