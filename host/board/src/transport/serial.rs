@@ -10,7 +10,7 @@
 use std::io::{self, Read, Write};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -111,11 +111,7 @@ impl SerialLink {
         let (stopped, queued) = (Arc::clone(&stop), Arc::clone(&waiting));
         let reader = std::thread::Builder::new()
             .name(String::from("link reader"))
-            .spawn(move || {
-                read_until_stopped(reading, &stopped, &queued, |chunk| {
-                    sender.send(chunk).is_ok()
-                });
-            })
+            .spawn(move || read_until_stopped(reading, &stopped, &queued, &sender))
             .map_err(|error| other(error.to_string()))?;
         Ok(Self {
             port,
@@ -214,7 +210,7 @@ fn read_until_stopped(
     mut port: Box<dyn SerialPort>,
     stop: &AtomicBool,
     waiting: &AtomicUsize,
-    mut send: impl FnMut(io::Result<Vec<u8>>) -> bool,
+    sender: &Sender<io::Result<Vec<u8>>>,
 ) {
     let mut buffer = vec![0; 16 * 1024];
     while !stop.load(Ordering::Relaxed) {
@@ -233,7 +229,7 @@ fn read_until_stopped(
             Err(error) => Err(error),
         };
         let ends = chunk.is_err();
-        if !send(chunk) || ends {
+        if sender.send(chunk).is_err() || ends {
             return;
         }
     }
