@@ -8,10 +8,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use protocol::{
-    AlignPlan, AlignTrigger, ConfigureImu, DeviceToHost, GnssReport, GnssSettings, Hello,
-    ImuConfig, ImuSetup, Output, Period, Ping, QueryGnss, QueryImu, QueryTrigger, Refusal, Reply,
-    Request, SayHello, SetPeriod, StartGnss, StartTrigger, StopGnss, StopTrigger, Ticks,
-    TriggerAlign, TriggerStart, TriggerStatus,
+    AlignPlan, AlignTrigger, ConfigureImu, DeviceToHost, GnssReport, Hello, ImuConfig, ImuSetup,
+    Output, Period, Ping, QueryGnss, QueryImu, QueryTrigger, Refusal, Reply, Request, SayHello,
+    SetPeriod, StartTrigger, StopGnss, StopTrigger, Ticks, TriggerAlign, TriggerStart,
+    TriggerStatus,
 };
 
 use crate::conversation::{Conversation, Event};
@@ -236,15 +236,6 @@ impl Board {
     /// As [`Board::call`].
     pub fn gnss(&mut self) -> Result<GnssReport> {
         self.call(QueryGnss)
-    }
-
-    /// Starts the pulse per second.
-    ///
-    /// # Errors
-    ///
-    /// As [`Board::call`].
-    pub(crate) fn start_gnss(&mut self, settings: GnssSettings) -> Result<GnssReport> {
-        self.call(StartGnss(settings))
     }
 
     /// Stops the pulse per second.

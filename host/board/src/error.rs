@@ -66,8 +66,7 @@ pub enum BoardError {
 }
 
 /// A refusal in words.
-#[must_use]
-pub fn explain(refusal: &Refusal) -> String {
+fn explain(refusal: &Refusal) -> String {
     let micros = |ticks: u32| f64::from(ticks) * 1e6 / f64::from(protocol::TICK_HZ);
     match *refusal {
         Refusal::PeriodOutOfRange => String::from("the period must be within 1 ms and 1 s"),

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use protocol::{Baud, GnssReport, GnssSettings, Ticks};
+use protocol::{Baud, GnssReport, GnssSettings, StartGnss, Ticks};
 
 use crate::{Board, Result};
 
@@ -55,7 +55,7 @@ fn utc_by(wall: Duration, ticks: Ticks, round_trip: Duration) -> i64 {
 /// settings or another epoch.
 pub fn start(board: &mut Board, settings: GnssSettings) -> Result<GnssReport> {
     let running = board.gnss()?.settings;
-    board.start_gnss(with_running_epoch(running, settings))
+    board.call(StartGnss(with_running_epoch(running, settings)))
 }
 
 fn with_running_epoch(running: Option<GnssSettings>, settings: GnssSettings) -> GnssSettings {

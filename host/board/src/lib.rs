@@ -19,5 +19,5 @@ pub mod transport;
 
 pub use calls::{Board, choose_port};
 pub use conversation::{Conversation, Event};
-pub use error::{BoardError, Result, explain, reset_cause};
+pub use error::{BoardError, Result, reset_cause};
 pub use streams::{Stream, StreamCount, StreamCounts};

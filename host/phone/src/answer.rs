@@ -114,6 +114,17 @@ pub enum MalformedAnswer {
     },
 }
 
+impl MalformedAnswer {
+    /// The line with this number is not what belongs there.
+    pub(crate) fn line(line: u64, expected: &'static str, got: &str) -> Self {
+        Self::Line {
+            line,
+            expected,
+            got: shorten(got),
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum State {
     Status,
@@ -202,12 +213,9 @@ impl AnswerDecoder {
                         "SUCCESS" => true,
                         "ERROR" => false,
                         other => {
-                            let e = MalformedAnswer::Line {
-                                line: self.lines,
-                                expected: "SUCCESS or ERROR",
-                                got: shorten(other),
-                            };
-                            return self.fail(e);
+                            let expected = "SUCCESS or ERROR";
+                            let wrong = MalformedAnswer::line(self.lines, expected, other);
+                            return self.fail(wrong);
                         }
                     };
                     self.state = State::Version { success };

@@ -8,7 +8,7 @@ use super::DEFAULT_PORT;
 use super::answer::{MalformedAnswer, ServerVersion};
 use super::connection::Connection;
 use super::download::{SavedVideo, VideoTarget, check_free, receive};
-use super::error::PhoneError;
+use super::error::{PROBE, PhoneError};
 use super::requests::{
     ImuBody, ImuRecording, ImuRequest, SMALL_ANSWER, VideoHeader, VideoHeaderBody, VideoStart,
     VideoStartBody,
@@ -134,12 +134,6 @@ impl PhoneClient {
         })
     }
 
-    /// The address with its port.
-    #[must_use]
-    pub fn address(&self) -> &str {
-        &self.address
-    }
-
     /// Version of the app, known from its first answer on.
     #[must_use]
     pub fn version(&self) -> Option<ServerVersion> {
@@ -158,11 +152,10 @@ impl PhoneClient {
     /// Asks whether the app is there and which version it is, without any
     /// effect on it: an empty line, which the app answers with an error.
     pub fn probe(&mut self) -> Result<ServerVersion, PhoneError> {
-        const REQUEST: &str = "an empty request";
         let margin = self.settings.margin;
         let answer = self.in_step(|connection| {
-            connection.send(REQUEST, "\n")?;
-            connection.answer(REQUEST, SMALL_ANSWER, margin, |_, _| Ok(()))
+            connection.send(PROBE, "\n")?;
+            connection.answer(PROBE, SMALL_ANSWER, margin, |_, _| Ok(()))
         });
         let version = match answer {
             Ok(version) | Err(PhoneError::Refused { version, .. }) => version,

@@ -7,6 +7,9 @@ use super::adb::AdbError;
 use super::answer::{MalformedAnswer, ServerVersion};
 use super::samples::Sensor;
 
+/// The request that has no effect on the app: an empty line.
+pub(super) const PROBE: &str = "an empty request";
+
 /// An error of the phone client: what was expected and what came.
 #[derive(Debug, thiserror::Error)]
 pub enum PhoneError {
@@ -223,7 +226,6 @@ impl PhoneError {
     /// Whether the app was not asked for anything yet: nothing can come of it.
     #[must_use]
     pub fn is_before_request(&self) -> bool {
-        const PROBE: &str = "an empty request";
         match self {
             Self::Timeout { request, .. }
             | Self::SendTimeout { request, .. }

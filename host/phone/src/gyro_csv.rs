@@ -244,6 +244,7 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
         .iter()
         .map(|f| f.trim_start_matches('#').trim().to_lowercase())
         .collect();
+    let wrong = |expected: &str| damaged(line, expected, fields.join(","));
     let expected =
         "a header with a time column and columns x, y, z, or the phone app's x,y,z,nanoseconds";
     // The words of a name, units taken off the end.
@@ -266,7 +267,7 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
     let time = names
         .iter()
         .position(|n| is_time(n))
-        .ok_or_else(|| damaged(line, expected, fields.join(",")))?;
+        .ok_or_else(|| wrong(expected))?;
     let axis = |letter: char| {
         let is_axis = |name: &str| {
             words(name).iter().any(|w| {
@@ -289,16 +290,11 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
             (0..names.len()).filter(|&i| i != time && is_axis(&names[i]) && !of_other(&names[i]));
         match (found.next(), found.next()) {
             (Some(i), None) => Ok(i),
-            (None, _) => Err(damaged(
-                line,
-                format!("{expected} (no column for {letter})"),
-                fields.join(","),
-            )),
-            (Some(_), Some(_)) => Err(damaged(
-                line,
-                format!("one column for {letter} of the gyroscope only"),
-                fields.join(","),
-            )),
+            (None, _) => Err(wrong(&format!("{expected} (no column for {letter})"))),
+            (Some(_), Some(_)) => {
+                let one = format!("one column for {letter} of the gyroscope only");
+                Err(wrong(&one))
+            }
         }
     };
     let columns = [time, axis('x')?, axis('y')?, axis('z')?];
@@ -309,7 +305,7 @@ fn header(fields: &[&str], line: u64) -> Result<Layout, CsvError> {
     let rates = match columns[1..].iter().filter(|c| in_degrees(c)).count() {
         0 => RateUnit::RadPerSecond,
         3 => RateUnit::DegPerSecond,
-        _ => return Err(damaged(line, "rates of one unit", fields.join(","))),
+        _ => return Err(wrong("rates of one unit")),
     };
     let named = match words(&names[time]).last().map(String::as_str) {
         Some("ns" | "nanos" | "nsec" | "nanoseconds") => Some(TimeUnit::Nanoseconds),
@@ -347,38 +343,26 @@ impl Rows {
                 format!("{}: {}", fields.len(), fields.join(",")),
             ));
         }
-        let rate = |axis: usize| {
-            let text = fields[layout.columns[1 + axis]];
-            number(text).ok_or_else(|| {
-                damaged(
-                    line,
-                    format!("a number (rate) in column {}", layout.columns[1 + axis] + 1),
-                    format!("\"{text}\""),
-                )
-            })
+        let [time, x, y, z] = layout.columns;
+        let wrong = |expected: &str, column: usize, more: &str| {
+            let expected = format!("{expected} in column {}{more}", column + 1);
+            damaged(line, expected, format!("\"{}\"", fields[column]))
         };
-        let rates = [rate(0)?, rate(1)?, rate(2)?];
-        let text = fields[layout.columns[0]];
-        let column = layout.columns[0] + 1;
+        let value = |what: &str, column: usize| {
+            number(fields[column]).ok_or_else(|| wrong(what, column, ""))
+        };
+        let rate = |column: usize| value("a number (rate)", column);
+        let rates = [rate(x)?, rate(y)?, rate(z)?];
         let integer = match layout.form {
             Form::PhoneApp => true,
             Form::Header { unit, .. } => unit == TimeUnit::Nanoseconds,
         };
-        let whole = text.parse::<i64>();
+        let whole = fields[time].parse::<i64>();
         if integer && whole.is_err() {
-            return Err(damaged(
-                line,
-                format!("integer nanoseconds in column {column} ({})", layout.form),
-                format!("\"{text}\""),
-            ));
+            let form = format!(" ({})", layout.form);
+            return Err(wrong("integer nanoseconds", time, &form));
         }
-        let time = number(text).ok_or_else(|| {
-            damaged(
-                line,
-                format!("a number (time) in column {column}"),
-                format!("\"{text}\""),
-            )
-        })?;
+        let time = value("a number (time)", time)?;
         self.integers.extend(whole);
         self.times.push(time);
         self.rates.push(rates);

@@ -5,7 +5,7 @@
 
 use std::time::Duration;
 
-use super::answer::{MalformedAnswer, shorten};
+use super::answer::MalformedAnswer;
 use super::error::PhoneError;
 use super::samples::{PhoneSample, SAMPLE_LINE, Sensor, parse_sample};
 use timebase::PhoneNanos;
@@ -183,11 +183,7 @@ impl ImuBody {
 
     /// Takes one line; `number` is its number in the answer.
     pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
-        let wrong = |expected| MalformedAnswer::Line {
-            line: number,
-            expected,
-            got: shorten(line),
-        };
+        let wrong = |expected| MalformedAnswer::line(number, expected, line);
         if let Some(recording) = &mut self.current {
             if line == "sensor_end" {
                 self.done.extend(self.current.take());
@@ -257,11 +253,7 @@ impl VideoStartBody {
     /// Takes one line; `number` is its number in the answer. Lines that later
     /// versions of the app may add are passed over.
     pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
-        let wrong = |expected| MalformedAnswer::Line {
-            line: number,
-            expected,
-            got: shorten(line),
-        };
+        let wrong = |expected| MalformedAnswer::line(number, expected, line);
         let line_text = line.trim();
         if self.phase.is_none() {
             let phase = line_text
@@ -326,10 +318,9 @@ impl VideoHeaderBody {
     pub fn line(&mut self, number: u64, line: &str) -> Result<(), MalformedAnswer> {
         if self.size.is_none() {
             let size = line.trim().parse().ok().filter(|&size| size > 0);
-            let size = size.ok_or_else(|| MalformedAnswer::Line {
-                line: number,
-                expected: "the size of the video in bytes, above 0",
-                got: shorten(line),
+            let size = size.ok_or_else(|| {
+                let expected = "the size of the video in bytes, above 0";
+                MalformedAnswer::line(number, expected, line)
             })?;
             self.size = Some(size);
         } else if self.file_name.is_none() {

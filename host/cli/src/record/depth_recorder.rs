@@ -121,7 +121,7 @@ impl DepthRecorder {
         let Some((program, arguments)) = depth.recorder.command.split_first() else {
             return Ok(None);
         };
-        let failed = |reason: String| {
+        let failed = |reason: std::io::Error| {
             Failure::new(
                 ExitStatus::DepthRecorder,
                 format!("cannot start the depth recorder `{program}`: {reason}"),
@@ -131,8 +131,8 @@ impl DepthRecorder {
                  empty list records without it",
             )
         };
-        let log = File::create(folder.join(LOG_FILE)).map_err(|error| failed(error.to_string()))?;
-        let log_too = log.try_clone().map_err(|error| failed(error.to_string()))?;
+        let log = File::create(folder.join(LOG_FILE)).map_err(failed)?;
+        let log_too = log.try_clone().map_err(failed)?;
         let mut command = Command::new(program);
         command
             .args(arguments.iter().map(|text| fill_in(text, depth, folder)))
@@ -141,7 +141,7 @@ impl DepthRecorder {
             .stdout(log)
             .stderr(log_too)
             .process_group(0);
-        let child = command.spawn().map_err(|error| failed(error.to_string()))?;
+        let child = command.spawn().map_err(failed)?;
         let recorder = &depth.recorder;
         let (stop, signal) = match recorder.stop {
             StopSignal::Interrupt => (Signal::INT, "INT"),

@@ -128,15 +128,10 @@ impl Gauge {
     /// What the sensors of a rig are called, and how well clocks must be known.
     pub(crate) fn know_rig(&mut self, profile: &Profile) {
         self.enough_us = Some(profile.align.max_offset_sigma_us);
-        for output in Output::FURTHER {
-            let number = output.number();
-            let sensor = profile
-                .outputs
-                .iter()
-                .find(|sensor| sensor.output == number);
-            if let Some(place) = self.sensor(output) {
-                place.name = sensor.map(|sensor| sensor.name.clone());
-            }
+        for (place, output) in self.sensors.iter_mut().zip(Output::FURTHER) {
+            let mut sensors = profile.outputs.iter();
+            let sensor = sensors.find(|sensor| sensor.output == output.number());
+            place.name = sensor.map(|sensor| sensor.name.clone());
         }
         let lidar = profile.lidar.as_ref();
         self.sensors[LIDAR].name = lidar.map(|lidar| lidar.name.clone());
