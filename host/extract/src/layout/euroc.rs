@@ -11,40 +11,29 @@
 
 use std::fmt::Write;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use recording::profile::{DistortionModel, Pose};
 
 use super::noise::{self, Noise};
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, number};
+use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
 use crate::image::write_whole;
-use crate::time::{BoardNanos, in_name};
+use crate::time::in_name;
 
 pub(super) struct Euroc;
 
 pub(super) const IMU_HEADER: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],\
     a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n";
 
-fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("mav0/{folder}/data/{}.png", in_name(at)))
-}
-
 impl Layout for Euroc {
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        image("cam0", at)
-    }
-
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        image("depth0", at)
-    }
-
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(PathBuf::from(format!("mav0/cam1/data/{}.jpg", in_name(at))))
-    }
-
-    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image("ir0", at))
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        Some(match kind {
+            ImageKind::Color => "mav0/cam0/data",
+            ImageKind::Depth => "mav0/depth0/data",
+            ImageKind::Infrared => "mav0/ir0/data",
+            ImageKind::Camera => "mav0/cam1/data",
+        })
     }
 
     fn board_imu(&self) -> ImuTable {

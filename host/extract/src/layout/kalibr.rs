@@ -15,18 +15,16 @@
 
 use std::fmt::Write;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
-use super::{Facts, ImuTable, Layout, SequenceTables, number};
+use super::{Facts, ImageKind, ImuTable, Layout, SequenceTables, number};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
 use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Kalibr;
-
-const FOLDER: &str = "kalibr";
 
 const IMU_HEADER: &str = "timestamp,omega_x,omega_y,omega_z,alpha_x,alpha_y,alpha_z\n";
 
@@ -38,10 +36,6 @@ fn moved_row(row: &mut String, sample: &ImuRow) {
     super::imu_row(row, &sample);
 }
 
-fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
-    PathBuf::from(format!("{FOLDER}/{folder}/{}.{ending}", in_name(moved(at))))
-}
-
 const fn imu(path: &'static str) -> ImuTable {
     ImuTable {
         row: moved_row,
@@ -50,20 +44,17 @@ const fn imu(path: &'static str) -> ImuTable {
 }
 
 impl Layout for Kalibr {
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        image("cam0", at, "png")
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        Some(match kind {
+            ImageKind::Color => "kalibr/cam0",
+            ImageKind::Depth => "kalibr/depth0",
+            ImageKind::Infrared => "kalibr/ir0",
+            ImageKind::Camera => "kalibr/cam1",
+        })
     }
 
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        image("depth0", at, "png")
-    }
-
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image("cam1", at, "jpg"))
-    }
-
-    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image("ir0", at, "png"))
+    fn image_name(&self, at: BoardNanos) -> String {
+        in_name(moved(at))
     }
 
     fn board_imu(&self) -> ImuTable {
@@ -75,7 +66,7 @@ impl Layout for Kalibr {
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
-        let base = folder.join(FOLDER);
+        let base = folder.join("kalibr");
         super::further::write(folder, tables)?;
         let imus = [
             (

@@ -24,7 +24,7 @@ use protocol::ImuSensor;
 
 use super::board_data::{ImuRow, TimePair};
 use super::geometry::{Cameras, View};
-use super::time::BoardNanos;
+use super::time::{BoardNanos, in_name};
 
 /// Which format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
@@ -100,6 +100,19 @@ impl ImuTable {
     }
 }
 
+/// Images that formats have places for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ImageKind {
+    /// The phone's.
+    Color,
+    /// Depth.
+    Depth,
+    /// Infrared of the depth camera.
+    Infrared,
+    /// Colour of the depth camera, as its JPEG files.
+    Camera,
+}
+
 /// A written image.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ImageRow {
@@ -171,23 +184,24 @@ pub(crate) struct SequenceTables<'a> {
 
 /// A format.
 pub(crate) trait Layout: Sync {
-    /// Whether the phone's images are a part of it.
-    fn has_color(&self) -> bool {
-        true
+    /// The folder of images, with forward slashes; `None` if the format has no place for
+    /// them.
+    fn folder(&self, kind: ImageKind) -> Option<&'static str>;
+
+    /// What the file of an image is called, without its ending.
+    fn image_name(&self, at: BoardNanos) -> String {
+        in_name(at)
     }
 
-    /// A phone image.
-    fn color_path(&self, at: BoardNanos) -> PathBuf;
-
-    /// A depth image.
-    fn depth_path(&self, at: BoardNanos) -> PathBuf;
-
-    /// A colour image of the depth camera, a JPEG file; `None` if the format has no place
-    /// for it.
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf>;
-
-    /// An infrared image; `None` if the format has no place for it.
-    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf>;
+    /// The file of an image; `None` if the format has no place for it.
+    fn image_path(&self, kind: ImageKind, at: BoardNanos) -> Option<PathBuf> {
+        let (folder, name) = (self.folder(kind)?, self.image_name(at));
+        let ending = match kind {
+            ImageKind::Camera => "jpg",
+            ImageKind::Color | ImageKind::Depth | ImageKind::Infrared => "png",
+        };
+        Some(PathBuf::from(format!("{folder}/{name}.{ending}")))
+    }
 
     /// Depth in the format's unit from big-endian millimetres, and how many pixels
     /// did not fit.
@@ -278,13 +292,4 @@ fn harmless(name: &str) -> String {
 pub(crate) fn number(value: f64, digits: usize) -> String {
     let text = format!("{value:.digits$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
-}
-
-/// `name.extension` of a relative path with forward slashes, as the formats have it.
-fn slashed(path: &Path) -> String {
-    let parts: Vec<String> = path
-        .components()
-        .map(|part| part.as_os_str().to_string_lossy().into_owned())
-        .collect();
-    parts.join("/")
 }

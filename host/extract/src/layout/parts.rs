@@ -1,23 +1,14 @@
 //! Images that are files only until a larger file holds them.
 //!
-//! They lie below [`PARTS`], so that an extraction that was stopped goes on. When the larger
+//! They lie below `.parts`, so that an extraction that was stopped goes on. When the larger
 //! file is whole they are removed, unless the next run can add to them. One whose images are
 //! gone is finished.
 
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::SequenceTables;
-use crate::time::{BoardNanos, in_name};
-
-/// Their folder.
-const PARTS: &str = ".parts";
-
-/// The place of an image.
-pub(super) fn image(folder: &str, at: BoardNanos, ending: &str) -> PathBuf {
-    PathBuf::from(format!("{PARTS}/{folder}/{}.{ending}", in_name(at)))
-}
 
 /// Makes `whole` of the images by `make`, if they are there, and removes them.
 pub(super) fn join(
@@ -44,7 +35,7 @@ pub(super) fn join(
         }
         None => make()?,
     }
-    let parts = folder.join(PARTS);
+    let parts = folder.join(".parts");
     if parts.exists() && !tables.unfinished {
         fs::remove_dir_all(parts)?;
     }

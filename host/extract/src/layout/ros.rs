@@ -25,7 +25,7 @@ use recording::rosbag2;
 
 use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
+use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::bag::writer::{BagWriter, Ros1Message};
 use crate::board_data::ImuRow;
 use crate::geometry::CameraFacts;
@@ -51,20 +51,13 @@ impl Ros {
 }
 
 impl Layout for Ros {
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        parts::image("cam0", at, "png")
-    }
-
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        parts::image("depth0", at, "png")
-    }
-
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(parts::image("cam1", at, "jpg"))
-    }
-
-    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(parts::image("ir0", at, "png"))
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        Some(match kind {
+            ImageKind::Color => ".parts/cam0",
+            ImageKind::Depth => ".parts/depth0",
+            ImageKind::Infrared => ".parts/ir0",
+            ImageKind::Camera => ".parts/cam1",
+        })
     }
 
     fn board_imu(&self) -> ImuTable {

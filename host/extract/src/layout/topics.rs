@@ -15,19 +15,13 @@
 
 use std::fmt::Write;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
+use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
 use crate::image::write_whole;
-use crate::time::{BoardNanos, in_name};
 
 pub(super) struct Topics;
-
-const COLOR: &str = "smartphone_video_frames";
-const DEPTH: &str = "_azure_depth_image_raw";
-const CAMERA: &str = "_azure_rgb_image_raw";
-const INFRARED: &str = "_azure_ir_image_raw";
 
 fn board_row(row: &mut String, sample: &ImuRow) {
     push_sample(row, sample);
@@ -38,25 +32,14 @@ fn board_row(row: &mut String, sample: &ImuRow) {
     row.push('\n');
 }
 
-fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", in_name(at)))
-}
-
 impl Layout for Topics {
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        image(COLOR, at)
-    }
-
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        image(DEPTH, at)
-    }
-
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(PathBuf::from(format!("{CAMERA}/{}.jpg", in_name(at))))
-    }
-
-    fn infrared_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        Some(image(INFRARED, at))
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        Some(match kind {
+            ImageKind::Color => "smartphone_video_frames",
+            ImageKind::Depth => "_azure_depth_image_raw",
+            ImageKind::Infrared => "_azure_ir_image_raw",
+            ImageKind::Camera => "_azure_rgb_image_raw",
+        })
     }
 
     fn board_imu(&self) -> ImuTable {
@@ -80,10 +63,10 @@ impl Layout for Topics {
     }
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, _facts: &Facts) -> io::Result<()> {
-        transformation(&folder.join(COLOR), &tables.color)?;
-        transformation(&folder.join(DEPTH), &tables.depth)?;
-        transformation(&folder.join(INFRARED), &tables.infrared)?;
-        transformation(&folder.join(CAMERA), &tables.camera)?;
+        transformation(folder, &tables.color)?;
+        transformation(folder, &tables.depth)?;
+        transformation(folder, &tables.infrared)?;
+        transformation(folder, &tables.camera)?;
         for (topic, name) in &tables.names {
             let mut text = String::new();
             for pair in tables.times.iter().filter(|pair| &*pair.topic == *topic) {
@@ -95,21 +78,24 @@ impl Layout for Topics {
     }
 }
 
+/// Writes the stamps of images beside them.
 fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
-    if rows.is_empty() {
+    let Some(first) = rows.first() else {
         return Ok(());
-    }
+    };
+    let path = first.path.with_file_name("transformation_metainf.csv");
     let mut text = String::from("seq,old_stamp,new_stamp\n");
     for (seq, row) in rows.iter().enumerate() {
         let _ = writeln!(text, "{seq},{},{}", row.own, row.at.0);
     }
-    write_whole(&folder.join("transformation_metainf.csv"), text.as_bytes())
+    write_whole(&folder.join(path), text.as_bytes())
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::harmless;
     use super::*;
+    use crate::time::BoardNanos;
 
     #[test]
     fn topics_are_folders_and_nothing_else() {

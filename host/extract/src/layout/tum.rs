@@ -9,9 +9,9 @@
 use std::borrow::Cow;
 use std::fmt::Write;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, slashed};
+use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables};
 use crate::board_data::ImuRow;
 use crate::image::{depth_to_tum, write_whole};
 use crate::pairs;
@@ -34,31 +34,18 @@ fn accel_row(row: &mut String, sample: &ImuRow) {
     let _ = writeln!(row, "{} {x} {y} {z}", decimal_seconds(sample.at.0, 6));
 }
 
-fn image(folder: &str, at: BoardNanos) -> PathBuf {
-    PathBuf::from(format!("{folder}/{}.png", seconds_in_name(at, 6)))
-}
-
 impl Layout for Tum {
-    fn has_color(&self) -> bool {
-        !self.of_camera
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        match kind {
+            ImageKind::Color => (!self.of_camera).then_some("rgb"),
+            ImageKind::Depth => Some("depth"),
+            ImageKind::Infrared => None,
+            ImageKind::Camera => self.of_camera.then_some("rgb"),
+        }
     }
 
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        image("rgb", at)
-    }
-
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        image("depth", at)
-    }
-
-    fn camera_path(&self, at: BoardNanos) -> Option<PathBuf> {
-        let name = seconds_in_name(at, 6);
-        self.of_camera
-            .then(|| PathBuf::from(format!("rgb/{name}.jpg")))
-    }
-
-    fn infrared_path(&self, _at: BoardNanos) -> Option<PathBuf> {
-        None
+    fn image_name(&self, at: BoardNanos) -> String {
+        seconds_in_name(at, 6)
     }
 
     fn depth_pixels<'a>(&self, millimetres: &'a [u8]) -> (Cow<'a, [u8]>, u64) {
@@ -125,7 +112,7 @@ fn camera_pairs(tables: &SequenceTables<'_>) -> Vec<(usize, usize)> {
 }
 
 fn line(row: &ImageRow) -> String {
-    format!("{} {}", decimal_seconds(row.at.0, 6), slashed(&row.path))
+    format!("{} {}", decimal_seconds(row.at.0, 6), row.path.display())
 }
 
 fn list(path: &Path, what: &str, rows: &[ImageRow]) -> io::Result<()> {

@@ -7,7 +7,7 @@ use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{self, Matched};
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
-use crate::layout::{Facts, calibration_path, number};
+use crate::layout::{Facts, ImageKind, calibration_path, number};
 use crate::mkv::k4a::ColorTrack;
 use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
@@ -288,12 +288,10 @@ impl Extraction<'_> {
             None => DepthPlace::default(),
             Some(at) => {
                 let folder = self.place.out.join(sequences.folder(sequences.at(at)));
-                let infrared = layout
-                    .infrared_path(at)
-                    .filter(|_| self.job.options.infrared);
+                let path = |kind| Some(folder.join(layout.image_path(kind, at)?));
                 DepthPlace {
-                    depth: Some(folder.join(layout.depth_path(at))),
-                    infrared: infrared.map(|path| folder.join(path)),
+                    depth: path(ImageKind::Depth),
+                    infrared: path(ImageKind::Infrared).filter(|_| self.job.options.infrared),
                 }
             }
         };
@@ -301,7 +299,7 @@ impl Extraction<'_> {
         let color_place = |frame: &CameraFrame| {
             let at = frame.at.filter(|_| is_jpeg)?;
             let folder = self.place.out.join(sequences.folder(sequences.at(at)));
-            Some(folder.join(layout.camera_path(at)?))
+            Some(folder.join(layout.image_path(ImageKind::Camera, at)?))
         };
         let places = CameraPlaces {
             depth: frames.iter().map(place_of).collect(),

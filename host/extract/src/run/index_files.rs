@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ExtractError, Extraction};
 use crate::board_data::TimePair;
 use crate::image_tables::{DepthOutcome, VideoOutcome};
-use crate::layout::{Facts, ImageRow, SequenceTables, file_names};
+use crate::layout::{Facts, ImageKind, ImageRow, SequenceTables, file_names};
 use crate::pairs::Pair;
 use crate::report::SequenceReport;
 use crate::sequence::Sequences;
@@ -101,6 +101,10 @@ impl Extraction<'_> {
         let layout = self.layout();
         let decoded = written.video.map_or(0, |video| video.decoded);
         let listed = |list: &[usize], index: usize| list.binary_search(&index).is_ok();
+        let row = |kind, at, own| {
+            let path = layout.image_path(kind, at)?;
+            Some(ImageRow { at, own, path })
+        };
         let mut tables = SequenceTables {
             unfinished: self.unfinished,
             ..SequenceTables::default()
@@ -112,11 +116,8 @@ impl Extraction<'_> {
             let there = frame.image.is_some_and(|image| (image as u64) < decoded);
             if there && sequences.at(frame.at) == sequence {
                 color_places[index] = Some(tables.color.len());
-                tables.color.push(ImageRow {
-                    at: frame.at,
-                    own: frame.phone.0,
-                    path: layout.color_path(frame.at),
-                });
+                let row = row(ImageKind::Color, frame.at, frame.phone.0);
+                tables.color.extend(row);
             }
         }
         for (index, frame) in written.depth.iter().enumerate() {
@@ -128,15 +129,10 @@ impl Extraction<'_> {
                 continue;
             }
             depth_places[index] = Some(tables.depth.len());
-            let row = |path| ImageRow {
-                at,
-                own: frame.device.0,
-                path,
-            };
-            tables.depth.push(row(layout.depth_path(at)));
-            let infrared = layout.infrared_path(at);
-            if let Some(path) = infrared.filter(|_| listed(&images.infrared, index)) {
-                tables.infrared.push(row(path));
+            let own = frame.device.0;
+            tables.depth.extend(row(ImageKind::Depth, at, own));
+            if listed(&images.infrared, index) {
+                tables.infrared.extend(row(ImageKind::Infrared, at, own));
             }
         }
         for (index, frame) in written.camera.iter().enumerate() {
@@ -144,10 +140,8 @@ impl Extraction<'_> {
                 .images
                 .is_some_and(|images| listed(&images.color, index));
             let at = frame.at.filter(|&at| there && sequences.at(at) == sequence);
-            if let Some((at, path)) = at.and_then(|at| Some((at, layout.camera_path(at)?))) {
-                let own = frame.device.0;
-                tables.camera.push(ImageRow { at, own, path });
-            }
+            let row = at.and_then(|at| row(ImageKind::Camera, at, frame.device.0));
+            tables.camera.extend(row);
         }
         let place = |pair: &Pair| {
             let color = *color_places.get(pair.color)?;

@@ -13,6 +13,7 @@ use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
 use crate::inputs::PhoneInput;
+use crate::layout::ImageKind;
 use crate::phone_clock::{self, PhoneClock, Runs};
 use crate::phone_rows::PhoneRows;
 use crate::report::{ClockReport, Constants, Loss, PhoneReport};
@@ -174,7 +175,7 @@ impl Extraction<'_> {
             return Ok(None);
         }
         let layout = self.layout();
-        if !layout.has_color() {
+        if layout.folder(ImageKind::Color).is_none() {
             return Ok(None);
         }
         let last = phone.frames.iter().filter_map(|frame| frame.image).max();
@@ -186,7 +187,8 @@ impl Extraction<'_> {
                     .out
                     .join(&input.folder)
                     .join(sequences.folder(sequences.at(frame.at)));
-                *place = Some(folder.join(layout.color_path(frame.at)));
+                let path = layout.image_path(ImageKind::Color, frame.at);
+                *place = path.map(|path| folder.join(path));
             }
         }
         let step = match &input.name {

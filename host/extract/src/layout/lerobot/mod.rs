@@ -16,7 +16,7 @@ mod table;
 
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rayon::prelude::*;
 use serde_json::{Value, json};
@@ -26,9 +26,8 @@ use self::stats::Stats;
 use self::table::{Kind, Table, Values};
 use super::euroc::IMU_HEADER;
 use super::ros::IMAGES_AT_A_TIME;
-use super::{Facts, ImageRow, ImuTable, Layout, SequenceTables, parts};
+use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::image::{Decoded, decode_png, read_png, write_whole};
-use crate::time::BoardNanos;
 
 pub(super) struct Lerobot;
 
@@ -43,20 +42,12 @@ const TASK: &str = "recording";
 const ROWS_AT_A_TIME: usize = 64;
 
 impl Layout for Lerobot {
-    fn color_path(&self, at: BoardNanos) -> PathBuf {
-        parts::image("phone", at, "png")
-    }
-
-    fn depth_path(&self, at: BoardNanos) -> PathBuf {
-        parts::image("depth", at, "png")
-    }
-
-    fn camera_path(&self, _at: BoardNanos) -> Option<PathBuf> {
-        None
-    }
-
-    fn infrared_path(&self, _at: BoardNanos) -> Option<PathBuf> {
-        None
+    fn folder(&self, kind: ImageKind) -> Option<&'static str> {
+        match kind {
+            ImageKind::Color => Some(".parts/phone"),
+            ImageKind::Depth => Some(".parts/depth"),
+            ImageKind::Infrared | ImageKind::Camera => None,
+        }
     }
 
     fn board_imu(&self) -> ImuTable {
