@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use video::Encoder;
 
 use self::stats::Stats;
-use self::table::{Kind, Table, Values};
+use self::table::{Column, Table};
 use super::euroc::IMU_HEADER;
 use super::ros::IMAGES_AT_A_TIME;
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
@@ -84,28 +84,19 @@ fn write(folder: &Path, pairs: &[Pair<'_>], facts: &Facts) -> io::Result<()> {
         .map_or(30, |rate| rate.round().max(1.0) as u32);
     let (phone_size, phone) = write_video(folder, pairs, fps)?;
     let (depth_size, depth) = write_rows(folder, pairs, fps)?;
-    let count = pairs.len() as i64;
-    let numbers =
-        |at: &dyn Fn(usize) -> f64| Stats::of_numbers((0..pairs.len()).map(at)).json(false);
-    let stats = json!({
-        PHONE: phone.json(true),
-        DEPTH: depth.json(true),
-        "phone_time_ns": numbers(&|row| pairs[row].0.at.0 as f64),
-        "depth_time_ns": numbers(&|row| pairs[row].1.at.0 as f64),
-        "timestamp": numbers(&|row| f64::from(timestamp(row, fps))),
-        "frame_index": numbers(&|row| row as f64),
-        "episode_index": numbers(&|_| 0.0),
-        "index": numbers(&|row| row as f64),
-        "task_index": numbers(&|_| 0.0),
-    });
+    let mut stats = json!({ PHONE: phone.json(true), DEPTH: depth.json(true) });
+    let mut features = image_features(fps, phone_size, depth_size);
+    for (name, column) in columns(pairs, Vec::new(), 0, fps) {
+        if let Some((kind, numbers)) = column.numbers() {
+            stats[name] = Stats::of_numbers(numbers.into_iter()).json(false);
+            features[name] = json!({ "dtype": kind, "shape": [1], "names": null });
+        }
+    }
     write_json(&folder.join("meta/stats.json"), &stats)?;
     write_tasks(&folder.join("meta/tasks.parquet"))?;
-    write_episode(&folder.join(EPISODES), count, f64::from(fps))?;
+    write_episode(&folder.join(EPISODES), pairs.len(), f64::from(fps))?;
     // Last: with it the dataset is whole.
-    write_json(
-        &folder.join(INFO),
-        &info(count, fps, phone_size, depth_size),
-    )
+    write_json(&folder.join(INFO), &info(pairs.len(), fps, features))
 }
 
 /// Seconds of a frame as the format counts them.
@@ -160,20 +151,35 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
     Ok((size, stats))
 }
 
+/// The columns of rows with these files of depth; the first row has the number `first`.
+fn columns(
+    pairs: &[Pair<'_>],
+    depth: Vec<Vec<u8>>,
+    first: usize,
+    fps: u32,
+) -> Vec<(&'static str, Column)> {
+    let rows = first..first + pairs.len();
+    let phone_times = pairs.iter().map(|(phone, _)| phone.at.0).collect();
+    let depth_times = pairs.iter().map(|(_, depth)| depth.at.0).collect();
+    let timestamps = rows.clone().map(|row| timestamp(row, fps)).collect();
+    let numbers: Vec<i64> = rows.map(|row| row as i64).collect();
+    let zeros = vec![0; pairs.len()];
+    vec![
+        (DEPTH, Column::Image(depth)),
+        ("phone_time_ns", Column::Int(phone_times)),
+        ("depth_time_ns", Column::Int(depth_times)),
+        ("timestamp", Column::Float(timestamps)),
+        ("frame_index", Column::Int(numbers.clone())),
+        ("episode_index", Column::Int(zeros.clone())),
+        ("index", Column::Int(numbers)),
+        ("task_index", Column::Int(zeros)),
+    ]
+}
+
 /// The rows with depth and times; size and statistics of depth.
 fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, Stats)> {
-    let columns = [
-        (DEPTH, Kind::Image),
-        ("phone_time_ns", Kind::Int),
-        ("depth_time_ns", Kind::Int),
-        ("timestamp", Kind::Float),
-        ("frame_index", Kind::Int),
-        ("episode_index", Kind::Int),
-        ("index", Kind::Int),
-        ("task_index", Kind::Int),
-    ]
-    .map(|(name, kind)| (name.to_owned(), kind));
-    let mut table = Table::create(&folder.join(DATA), &columns, None)?;
+    let none = columns(&[], Vec::new(), 0, fps);
+    let mut table = Table::create(&folder.join(DATA), &none, None)?;
     let (mut size, mut stats) = ((0, 0), Stats::new(1));
     let mut first = 0;
     for pairs in pairs.chunks(ROWS_AT_A_TIME) {
@@ -188,26 +194,14 @@ fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, 
                 Ok((file, image.size, stats))
             })
             .collect();
-        let mut bytes = Vec::with_capacity(pairs.len());
+        let mut files = Vec::with_capacity(pairs.len());
         for image in images {
-            let (image, its_size, its) = image?;
-            bytes.push(image);
+            let (file, its_size, its) = image?;
+            files.push(file);
             size = its_size;
             stats.join(&its);
         }
-        let rows = first..first + pairs.len();
-        let numbers: Vec<i64> = rows.clone().map(|row| row as i64).collect();
-        let zeros = Values::Int(vec![0; pairs.len()]);
-        table.put(vec![
-            Values::Bytes(bytes),
-            Values::Int(pairs.iter().map(|(phone, _)| phone.at.0).collect()),
-            Values::Int(pairs.iter().map(|(_, depth)| depth.at.0).collect()),
-            Values::Float(rows.map(|row| timestamp(row, fps)).collect()),
-            Values::Int(numbers.clone()),
-            zeros.clone(),
-            Values::Int(numbers),
-            zeros,
-        ])?;
+        table.put(columns(pairs, files, first, fps))?;
         first += pairs.len();
     }
     table.finish()?;
@@ -216,8 +210,6 @@ fn write_rows(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size, 
 
 /// The one task; pandas finds the row by its text.
 fn write_tasks(path: &Path) -> io::Result<()> {
-    let columns = [("task_index", Kind::Int), ("task", Kind::Text)];
-    let columns = columns.map(|(name, kind)| (name.to_owned(), kind));
     let column = |name: &str, pandas: &str, numpy: &str| {
         json!({
             "name": name, "field_name": name, "pandas_type": pandas, "numpy_type": numpy,
@@ -229,41 +221,48 @@ fn write_tasks(path: &Path) -> io::Result<()> {
         "column_indexes": [],
         "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
     });
+    let columns = vec![
+        ("task_index", Column::Int(vec![0])),
+        ("task", Column::Text(TASK)),
+    ];
     let mut table = Table::create(path, &columns, Some(("pandas", about.to_string())))?;
-    table.put(vec![Values::Int(vec![0]), Values::text(TASK)])?;
+    table.put(columns)?;
     table.finish()
 }
 
 /// The one episode: where its rows and its part of the video are.
-fn write_episode(path: &Path, count: i64, fps: f64) -> io::Result<()> {
-    let int = |name: &str, value: i64| (name.to_owned(), Kind::Int, Values::Int(vec![value]));
-    let seconds = |name: String, value: f64| (name, Kind::Double, Values::Double(vec![value]));
-    let columns = [
-        int("episode_index", 0),
-        (String::from("tasks"), Kind::TextList, Values::text(TASK)),
-        int("length", count),
-        int("data/chunk_index", 0),
-        int("data/file_index", 0),
-        int("dataset_from_index", 0),
-        int("dataset_to_index", count),
-        int(&format!("videos/{PHONE}/chunk_index"), 0),
-        int(&format!("videos/{PHONE}/file_index"), 0),
-        seconds(format!("videos/{PHONE}/from_timestamp"), 0.0),
-        seconds(format!("videos/{PHONE}/to_timestamp"), count as f64 / fps),
-        int("meta/episodes/chunk_index", 0),
-        int("meta/episodes/file_index", 0),
+fn write_episode(path: &Path, count: usize, fps: f64) -> io::Result<()> {
+    let int = |value: usize| Column::Int(vec![value as i64]);
+    let seconds = |value: f64| Column::Double(vec![value]);
+    let in_video = [
+        "chunk_index",
+        "file_index",
+        "from_timestamp",
+        "to_timestamp",
     ];
-    let (mut kinds, mut values) = (Vec::new(), Vec::new());
-    for (name, kind, value) in columns {
-        kinds.push((name, kind));
-        values.push(value);
-    }
-    let mut table = Table::create(path, &kinds, None)?;
-    table.put(values)?;
+    let [chunk, file, from, to] = in_video.map(|name| format!("videos/{PHONE}/{name}"));
+    let columns = vec![
+        ("episode_index", int(0)),
+        ("tasks", Column::TextList(TASK)),
+        ("length", int(count)),
+        ("data/chunk_index", int(0)),
+        ("data/file_index", int(0)),
+        ("dataset_from_index", int(0)),
+        ("dataset_to_index", int(count)),
+        (&chunk, int(0)),
+        (&file, int(0)),
+        (&from, seconds(0.0)),
+        (&to, seconds(count as f64 / fps)),
+        ("meta/episodes/chunk_index", int(0)),
+        ("meta/episodes/file_index", int(0)),
+    ];
+    let mut table = Table::create(path, &columns, None)?;
+    table.put(columns)?;
     table.finish()
 }
 
-fn info(count: i64, fps: u32, phone: Size, depth: Size) -> Value {
+/// What the images are; the numbers beside them follow.
+fn image_features(fps: u32, phone: Size, depth: Size) -> Value {
     let image = |kind: &str, (width, height): Size, channels: u32, about: Value| {
         json!({
             "dtype": kind,
@@ -272,11 +271,17 @@ fn info(count: i64, fps: u32, phone: Size, depth: Size) -> Value {
             "info": about,
         })
     };
-    let number = |kind: &str| json!({ "dtype": kind, "shape": [1], "names": null });
     let video = json!({
         "video.height": phone.1, "video.width": phone.0, "video.codec": "h264",
         "video.fps": fps, "video.channels": 3, "is_depth_map": false, "has_audio": false,
     });
+    json!({
+        PHONE: image("video", phone, 3, video),
+        DEPTH: image("image", depth, 1, json!({ "is_depth_map": true, "depth_unit": "mm" })),
+    })
+}
+
+fn info(count: usize, fps: u32, features: Value) -> Value {
     json!({
         "codebase_version": "v3.0",
         "robot_type": null,
@@ -290,16 +295,6 @@ fn info(count: i64, fps: u32, phone: Size, depth: Size) -> Value {
         "splits": { "train": "0:1" },
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "features": {
-            PHONE: image("video", phone, 3, video),
-            DEPTH: image("image", depth, 1, json!({ "is_depth_map": true, "depth_unit": "mm" })),
-            "phone_time_ns": number("int64"),
-            "depth_time_ns": number("int64"),
-            "timestamp": number("float32"),
-            "frame_index": number("int64"),
-            "episode_index": number("int64"),
-            "index": number("int64"),
-            "task_index": number("int64"),
-        },
+        "features": features,
     })
 }

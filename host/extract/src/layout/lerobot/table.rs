@@ -13,75 +13,85 @@ use parquet::schema::parser::parse_message_type;
 
 use crate::image::WholeFile;
 
-/// What a column holds.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Kind {
-    Int,
-    Float,
-    Double,
-    Text,
-    /// Lists of one text each.
-    TextList,
-    /// Files of images, as Hugging Face's `Image` has them: `bytes`, and a `path` that is
-    /// not there.
-    Image,
-}
-
 /// Values of a column.
 #[derive(Clone, Debug)]
-pub(super) enum Values {
+pub(super) enum Column {
     Int(Vec<i64>),
     Float(Vec<f32>),
     Double(Vec<f64>),
-    /// Of texts, lists and images.
-    Bytes(Vec<Vec<u8>>),
+    /// One text.
+    Text(&'static str),
+    /// One list of one text.
+    TextList(&'static str),
+    /// Files of images, as Hugging Face's `Image` has them: `bytes`, and a `path` that is
+    /// not there.
+    Image(Vec<Vec<u8>>),
 }
 
-impl Values {
-    fn len(&self) -> usize {
+type Rows<'a> = SerializedRowGroupWriter<'a, WholeFile>;
+
+impl Column {
+    /// What the schema says of it.
+    fn field(&self, name: &str) -> String {
         match self {
-            Self::Int(values) => values.len(),
-            Self::Float(values) => values.len(),
-            Self::Double(values) => values.len(),
-            Self::Bytes(values) => values.len(),
+            Self::Int(_) => format!("optional int64 {name};\n"),
+            Self::Float(_) => format!("optional float {name};\n"),
+            Self::Double(_) => format!("optional double {name};\n"),
+            Self::Text(_) => format!("optional binary {name} (STRING);\n"),
+            Self::TextList(_) => format!(
+                "optional group {name} (LIST) {{ repeated group list {{ \
+                 optional binary element (STRING); }} }}\n"
+            ),
+            Self::Image(_) => format!(
+                "optional group {name} {{ optional binary bytes; \
+                 optional binary path (STRING); }}\n"
+            ),
         }
     }
 
-    pub(super) fn text(text: &str) -> Self {
-        Self::Bytes(vec![text.as_bytes().to_vec()])
+    /// What numbers are called, and the numbers; nothing of others.
+    pub(super) fn numbers(&self) -> Option<(&'static str, Vec<f64>)> {
+        match self {
+            Self::Int(values) => Some(("int64", values.iter().map(|&v| v as f64).collect())),
+            Self::Float(values) => {
+                Some(("float32", values.iter().copied().map(f64::from).collect()))
+            }
+            Self::Double(_) | Self::Text(_) | Self::TextList(_) | Self::Image(_) => None,
+        }
+    }
+
+    /// Writes it as the next one. How much of the nesting is there: all of it, but for the
+    /// paths of images.
+    fn write(self, rows: &mut Rows<'_>) -> Result<(), ParquetError> {
+        match self {
+            Self::Int(values) => leaf::<Int64Type>(rows, &values, &vec![1; values.len()]),
+            Self::Float(values) => leaf::<FloatType>(rows, &values, &vec![1; values.len()]),
+            Self::Double(values) => leaf::<DoubleType>(rows, &values, &vec![1; values.len()]),
+            Self::Text(text) => leaf::<ByteArrayType>(rows, &[text.into()], &[1]),
+            Self::TextList(text) => leaf::<ByteArrayType>(rows, &[text.into()], &[3]),
+            Self::Image(files) => {
+                let files: Vec<ByteArray> = files.into_iter().map(ByteArray::from).collect();
+                leaf::<ByteArrayType>(rows, &files, &vec![2; files.len()])?;
+                leaf::<ByteArrayType>(rows, &[], &vec![1; files.len()])
+            }
+        }
     }
 }
 
 /// A file that is being written.
 pub(super) struct Table {
-    kinds: Vec<Kind>,
     file: SerializedFileWriter<WholeFile>,
 }
 
 impl Table {
-    /// Begins a file with these columns, and with `about` (key and value) in its end.
+    /// Begins a file with columns like these, and with `about` (key and value) in its end.
     pub(super) fn create(
         path: &Path,
-        columns: &[(String, Kind)],
+        columns: &[(&str, Column)],
         about: Option<(&str, String)>,
     ) -> io::Result<Self> {
-        let fields: String = columns
-            .iter()
-            .map(|(name, kind)| match kind {
-                Kind::Int => format!("optional int64 {name};\n"),
-                Kind::Float => format!("optional float {name};\n"),
-                Kind::Double => format!("optional double {name};\n"),
-                Kind::Text => format!("optional binary {name} (STRING);\n"),
-                Kind::TextList => format!(
-                    "optional group {name} (LIST) {{ repeated group list {{ \
-                     optional binary element (STRING); }} }}\n"
-                ),
-                Kind::Image => format!(
-                    "optional group {name} {{ optional binary bytes; \
-                     optional binary path (STRING); }}\n"
-                ),
-            })
-            .collect();
+        let fields = columns.iter().map(|(name, column)| column.field(name));
+        let fields: String = fields.collect();
         let schema = parse_message_type(&format!("message schema {{\n{fields}}}"));
         let about = about.map(|(key, value)| vec![KeyValue::new(key.to_owned(), value)]);
         let properties = WriterProperties::builder()
@@ -93,46 +103,17 @@ impl Table {
             .build();
         let file = SerializedFileWriter::new(
             WholeFile::create(path)?,
-            Arc::new(schema.map_err(failed)?),
+            Arc::new(schema?),
             Arc::new(properties),
-        );
-        Ok(Self {
-            kinds: columns.iter().map(|&(_, kind)| kind).collect(),
-            file: file.map_err(failed)?,
-        })
+        )?;
+        Ok(Self { file })
     }
 
-    /// Adds rows: the values of each column, in order and equally many.
-    pub(super) fn put(&mut self, columns: Vec<Values>) -> io::Result<()> {
-        self.put_rows(columns).map_err(failed)
-    }
-
-    fn put_rows(&mut self, columns: Vec<Values>) -> Result<(), ParquetError> {
+    /// Adds rows: columns as the file was begun with, each of equally many values.
+    pub(super) fn put(&mut self, columns: Vec<(&str, Column)>) -> io::Result<()> {
         let mut rows = self.file.next_row_group()?;
-        for (&kind, values) in self.kinds.iter().zip(columns) {
-            // How much of the nesting is there: all of it.
-            let level = match kind {
-                Kind::Int | Kind::Float | Kind::Double | Kind::Text => 1,
-                Kind::TextList => 3,
-                Kind::Image => 2,
-            };
-            let levels = vec![level; values.len()];
-            let starts = vec![0; values.len()];
-            let levels = (levels.as_slice(), starts.as_slice());
-            match values {
-                Values::Int(values) => leaf::<Int64Type>(&mut rows, &values, levels)?,
-                Values::Float(values) => leaf::<FloatType>(&mut rows, &values, levels)?,
-                Values::Double(values) => leaf::<DoubleType>(&mut rows, &values, levels)?,
-                Values::Bytes(values) => {
-                    let values: Vec<ByteArray> = values.into_iter().map(ByteArray::from).collect();
-                    leaf::<ByteArrayType>(&mut rows, &values, levels)?;
-                }
-            }
-            if matches!(kind, Kind::Image) {
-                // Images are there and their paths are not.
-                let levels = vec![1; levels.0.len()];
-                leaf::<ByteArrayType>(&mut rows, &[], (&levels, &starts))?;
-            }
+        for (_, column) in columns {
+            column.write(&mut rows)?;
         }
         rows.close()?;
         Ok(())
@@ -140,23 +121,20 @@ impl Table {
 
     /// Finishes the file.
     pub(super) fn finish(self) -> io::Result<()> {
-        self.file.into_inner().map_err(failed)?.finish()
+        self.file.into_inner()?.finish()
     }
 }
 
-/// Writes the next column; `levels` are definition and repetition of each value.
+/// Writes the next column; `levels` say how much of the nesting of each value is there.
 fn leaf<T: DataType>(
-    rows: &mut SerializedRowGroupWriter<'_, WholeFile>,
+    rows: &mut Rows<'_>,
     values: &[T::T],
-    (levels, starts): (&[i16], &[i16]),
+    levels: &[i16],
 ) -> Result<(), ParquetError> {
     let column = rows.next_column()?;
     let mut column = column.ok_or_else(|| ParquetError::General("too many columns".into()))?;
+    let starts = vec![0; levels.len()];
     let writer = column.typed::<T>();
-    writer.write_batch(values, Some(levels), Some(starts))?;
+    writer.write_batch(values, Some(levels), Some(&starts))?;
     column.close()
-}
-
-fn failed(error: ParquetError) -> io::Error {
-    io::Error::other(error)
 }
