@@ -10,9 +10,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, BoardStream, Images};
+use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, Images};
 use super::mkv::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
-use super::ros2_depth::{Ros2Bag, Ros2Error, Ros2Images};
+use super::ros2_depth::{Ros2Bag, Ros2Error};
 use super::time::{DeviceNanos, SECOND};
 use recording::foreign;
 use twist_sync::GyroSample;
@@ -41,14 +41,6 @@ pub enum DepthError {
         path: PathBuf,
         /// Why.
         error: K4aError,
-    },
-    /// Reading failed on the way.
-    #[error("reading {path}: {error}")]
-    Io {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        error: std::io::Error,
     },
     /// The bag.
     #[error(transparent)]
@@ -123,14 +115,6 @@ pub(crate) struct DepthImage {
 }
 
 impl DepthInput {
-    /// The file.
-    pub(crate) fn path(&self) -> &Path {
-        match self {
-            Self::Mkv(path) | Self::Bag(path) => path,
-            Self::Ros2(bag) => &bag.path,
-        }
-    }
-
     /// The files that are read.
     pub(crate) fn files(&self) -> Vec<PathBuf> {
         match self {
@@ -148,10 +132,7 @@ impl DepthInput {
     }
 
     fn recording(path: &Path) -> Result<Recording<BufReader<File>>, DepthError> {
-        Recording::open(path).map_err(|error| DepthError::Mkv {
-            path: path.to_owned(),
-            error,
-        })
+        Recording::open(path).map_err(in_file(path))
     }
 
     /// Reads times and what stands beside the images.
@@ -172,18 +153,32 @@ impl DepthInput {
     /// # Errors
     ///
     /// It cannot be opened.
-    pub(crate) fn images(&self) -> Result<DepthImages, DepthError> {
-        let source = match self {
-            Self::Mkv(path) => Source::Mkv(Box::new(Self::recording(path)?)),
-            Self::Bag(path) => Source::Bag(BoardInput::Bag(path.clone()).open(Images::Pixels)?),
-            Self::Ros2(bag) => Source::Ros2(Box::new(bag.open(Images::Pixels)?)),
-        };
-        Ok(DepthImages {
-            source,
-            path: self.path().to_owned(),
-            next: 0,
-            next_color: 0,
-            waiting: Vec::new().into_iter(),
+    pub(crate) fn images(&self) -> Result<CameraImages, DepthError> {
+        Ok(match self {
+            Self::Mkv(path) => {
+                let recording = Self::recording(path)?;
+                let size = recording.image_bytes();
+                let (mut next, mut next_color) = (0, 0);
+                let batches = batches(Some((recording, path.clone())), Content::Pixels);
+                Box::new(batches.flat_map(move |batch| match batch {
+                    Ok(batch) => images_of(batch, size, &mut next, &mut next_color),
+                    Err(error) => vec![Err(error)],
+                }))
+            }
+            Self::Bag(path) => {
+                let mut stream = BoardInput::Bag(path.clone()).open(Images::Pixels)?;
+                let events = std::iter::from_fn(move || stream.next_event().transpose());
+                Box::new(numbered(events.filter_map(|event| match event {
+                    Ok(BoardEvent::Image(image)) => Some(Ok(image)),
+                    Ok(_) => None,
+                    Err(error) => Some(Err(error.into())),
+                })))
+            }
+            Self::Ros2(bag) => {
+                let mut images = bag.open(Images::Pixels)?;
+                let images = std::iter::from_fn(move || images.next_image().transpose());
+                Box::new(numbered(images.map(|image| Ok(image?))))
+            }
         })
     }
 
@@ -195,19 +190,12 @@ impl DepthInput {
     pub(crate) fn gyro(
         &self,
     ) -> Result<impl Iterator<Item = Result<GyroSample, DepthError>> + use<>, DepthError> {
-        let mut recording = match self {
-            Self::Mkv(path) => Some(Self::recording(path)?),
+        let opened = match self {
+            Self::Mkv(path) => Some((Self::recording(path)?, path.clone())),
             Self::Bag(_) | Self::Ros2(_) => None,
         };
-        let path = self.path().to_owned();
-        let batches = std::iter::from_fn(move || {
-            let batch = recording.as_mut()?.next_batch(Content::Times);
-            if !matches!(batch, Ok(Some(_))) {
-                recording = None;
-            }
-            batch.map_err(reading(&path)).transpose()
-        });
         let mut last = i64::MIN;
+        let batches = batches(opened, Content::Times);
         let samples = batches.flat_map(move |batch| match batch {
             Err(error) => vec![Err(error)],
             Ok(batch) => {
@@ -228,8 +216,23 @@ impl DepthInput {
     }
 }
 
-fn reading(path: &Path) -> impl Fn(std::io::Error) -> DepthError + '_ {
-    |error| DepthError::Io {
+/// What a file holds, cluster by cluster, up to the first that cannot be read.
+fn batches(
+    mut opened: Option<(Recording<BufReader<File>>, PathBuf)>,
+    content: Content,
+) -> impl Iterator<Item = Result<Batch, DepthError>> {
+    std::iter::from_fn(move || {
+        let (recording, path) = opened.as_mut()?;
+        let batch = recording.next_batch(content).map_err(in_file(path));
+        if !matches!(batch, Ok(Some(_))) {
+            opened = None;
+        }
+        batch.transpose()
+    })
+}
+
+fn in_file(path: &Path) -> impl Fn(K4aError) -> DepthError + '_ {
+    |error| DepthError::Mkv {
         path: path.to_owned(),
         error,
     }
@@ -274,7 +277,7 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
     }
     loop {
         let batch = recording.next_batch(Content::Times);
-        let Some(batch) = batch.map_err(reading(path))? else {
+        let Some(batch) = batch.map_err(in_file(path))? else {
             break;
         };
         index.has_imu |= !batch.imu.is_empty();
@@ -334,101 +337,48 @@ impl DepthIndex {
     }
 }
 
-enum Source {
-    Mkv(Box<Recording<BufReader<File>>>),
-    Bag(Box<dyn BoardStream>),
-    Ros2(Box<Ros2Images>),
-}
-
 /// Images one after the other.
-pub(crate) struct DepthImages {
-    source: Source,
-    path: PathBuf,
-    next: usize,
-    next_color: usize,
-    waiting: std::vec::IntoIter<CameraImage>,
-}
+type CameraImages = Box<dyn Iterator<Item = Result<CameraImage, DepthError>> + Send>;
 
-impl DepthImages {
-    /// The next images (perhaps none); `None` at the end.
-    fn read(&mut self) -> Result<Option<Vec<CameraImage>>, DepthError> {
-        match &mut self.source {
-            Source::Mkv(recording) => {
-                let size = recording.image_bytes();
-                let batch = recording.next_batch(Content::Pixels);
-                let batch = batch.map_err(reading(&self.path))?;
-                Ok(batch.map(|mut batch| {
-                    let mut images = Vec::new();
-                    for image in std::mem::take(&mut batch.color) {
-                        images.push(CameraImage::Color(self.next_color, image.bytes));
-                        self.next_color += 1;
-                    }
-                    images.extend(images_of(batch, size, &mut self.next));
-                    images
-                }))
-            }
-            Source::Bag(stream) => {
-                let Some(event) = stream.next_event()? else {
-                    return Ok(None);
-                };
-                let BoardEvent::Image(image) = event else {
-                    return Ok(Some(Vec::new()));
-                };
-                Ok(Some(vec![self.of_bag(image)]))
-            }
-            Source::Ros2(images) => {
-                let image = images.next_image()?;
-                Ok(image.map(|image| vec![self.of_bag(image)]))
-            }
-        }
-    }
-
-    fn of_bag(&mut self, image: BagImage) -> CameraImage {
-        let index = self.next;
-        self.next += 1;
-        CameraImage::Depth(DepthImage {
+/// The images of a bag.
+fn numbered(
+    images: impl Iterator<Item = Result<BagImage, DepthError>>,
+) -> impl Iterator<Item = Result<CameraImage, DepthError>> {
+    images.enumerate().map(|(index, image)| {
+        Ok(CameraImage::Depth(DepthImage {
             index,
-            depth: image.pixels,
+            depth: image?.pixels,
             infrared: None,
             damaged: false,
-        })
-    }
+        }))
+    })
 }
 
-impl Iterator for DepthImages {
-    type Item = Result<CameraImage, DepthError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        loop {
-            if let Some(image) = self.waiting.next() {
-                return Some(Ok(image));
-            }
-            match self.read().transpose()? {
-                Ok(images) => self.waiting = images.into_iter(),
-                Err(error) => return Some(Err(error)),
-            }
-        }
+/// The images of a cluster; `size` is that of a whole one in bytes.
+fn images_of(
+    batch: Batch,
+    size: usize,
+    next: &mut usize,
+    next_color: &mut usize,
+) -> Vec<Result<CameraImage, DepthError>> {
+    let mut images = Vec::new();
+    for image in batch.color {
+        images.push(Ok(CameraImage::Color(*next_color, image.bytes)));
+        *next_color += 1;
     }
-}
-
-fn images_of(batch: Batch, size: usize, next: &mut usize) -> Vec<CameraImage> {
     let mut infrared = batch.ir;
-    let images = batch.depth.into_iter().map(|image| {
-        let index = *next;
-        *next += 1;
+    for image in batch.depth {
         let partner = infrared
             .iter()
             .position(|ir| ir.at == image.at && ir.bytes.len() == size);
-        CameraImage::Depth(DepthImage {
-            index,
+        let is_whole = image.bytes.len() == size;
+        images.push(Ok(CameraImage::Depth(DepthImage {
+            index: *next,
             infrared: partner.map(|place| infrared.swap_remove(place).bytes),
-            depth: if image.bytes.len() == size {
-                image.bytes
-            } else {
-                Vec::new()
-            },
+            depth: if is_whole { image.bytes } else { Vec::new() },
             damaged: !batch.intact,
-        })
-    });
-    images.collect()
+        })));
+        *next += 1;
+    }
+    images
 }

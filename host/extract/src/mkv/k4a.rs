@@ -301,17 +301,15 @@ impl<R: Read + Seek> Recording<R> {
     /// # Errors
     ///
     /// Reading fails.
-    pub fn next_batch(&mut self, content: Content) -> std::io::Result<Option<Batch>> {
+    pub fn next_batch(&mut self, content: Content) -> Result<Option<Batch>, K4aError> {
         let imu = self.imu;
         let wanted = |track| match content {
             Content::Times => Some(track) == imu,
             // All of it, whatever the track: the checksum is over the whole cluster.
             Content::Pixels => true,
         };
-        let Some(cluster) = self.mkv.next_cluster(&wanted)? else {
-            return Ok(None);
-        };
-        Ok(Some(self.sort_out(cluster)))
+        let cluster = self.mkv.next_cluster(&wanted).map_err(MkvError::from)?;
+        Ok(cluster.map(|cluster| self.sort_out(cluster)))
     }
 
     fn sort_out(&self, cluster: Cluster) -> Batch {
