@@ -4,6 +4,7 @@
 //! at all), so that an extraction that was stopped goes on. Memory is a few
 //! batches of limited size.
 
+use std::borrow::Cow;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
@@ -28,6 +29,9 @@ pub enum ImagesError {
     /// The depth recording.
     #[error(transparent)]
     Depth(#[from] DepthError),
+    /// The video.
+    #[error(transparent)]
+    Video(#[from] VideoError),
     /// An image cannot be written.
     #[error("writing {path}: {error}")]
     Write {
@@ -100,90 +104,70 @@ pub(crate) fn write_depth(
         }
         CameraImage::Color(_, jpeg) => jpeg.len(),
     };
-    let written = in_batches(input.images()?, bytes, progress, |batch| {
-        let results: Vec<Result<One, ImagesError>> = batch
+    let images = input.images()?.map(|image| Ok(image?));
+    in_batches(images, bytes, progress, |batch| {
+        let written: Result<Vec<DepthOutcome>, ImagesError> = batch
             .par_iter()
             .map(|image| match image {
                 CameraImage::Depth(image) => {
                     let place = places.depth.get(image.index);
-                    write_one(image, place, (size, registration), layout).map(One::Depth)
+                    write_one(image, place, (size, registration), layout)
                 }
                 CameraImage::Color(index, jpeg) => {
                     let place = places.color.get(*index).and_then(Option::as_deref);
-                    write_jpeg(place, jpeg).map(|written| One::Color(*index, written))
+                    write_jpeg(*index, place, jpeg)
                 }
             })
             .collect();
-        for result in results {
-            match result? {
-                One::Depth(one) => {
-                    progress.at(one.index as u64 + 1);
-                    outcome.take(one);
-                }
-                One::Color(index, Some(true)) => outcome.color.push(index),
-                One::Color(index, Some(false)) => outcome.color_broken.push(index),
-                One::Color(_, None) => {}
+        for one in written? {
+            outcome.take(one);
+        }
+        for image in &batch {
+            if let CameraImage::Depth(image) = image {
+                progress.at(image.index as u64 + 1);
             }
         }
         Ok(())
-    });
-    match written {
-        Ok(()) => progress.end(),
-        Err(BatchError::Source(error)) => return Err(error.into()),
-        Err(BatchError::Images(error)) => return Err(error),
-    }
+    })?;
+    progress.end();
     Ok(outcome)
 }
 
-enum One {
-    Depth(OneDepth),
-    /// Whether it was written; nothing if it has no place.
-    Color(usize, Option<bool>),
-}
-
 /// Writes a JPEG file as it came, unless it is none.
-fn write_jpeg(place: Option<&Path>, jpeg: &[u8]) -> Result<Option<bool>, ImagesError> {
+fn write_jpeg(
+    index: usize,
+    place: Option<&Path>,
+    jpeg: &[u8],
+) -> Result<DepthOutcome, ImagesError> {
+    let mut one = DepthOutcome::default();
     let Some(path) = place else {
-        return Ok(None);
+        return Ok(one);
     };
     // Start of image, and the end of it somewhere behind: the camera fills up its frames.
     let begins = jpeg.starts_with(&[0xFF, 0xD8]);
     if !begins || !jpeg.windows(2).rev().any(|pair| pair == [0xFF, 0xD9]) {
-        return Ok(Some(false));
+        one.color_broken.push(index);
+        return Ok(one);
     }
-    if !path.exists() {
-        write_whole(path, jpeg).map_err(|error| ImagesError::Write {
-            path: path.to_owned(),
-            error,
-        })?;
-    }
-    Ok(Some(true))
-}
-
-struct OneDepth {
-    index: usize,
-    written: bool,
-    infrared: bool,
-    broken: bool,
-    damaged: bool,
-    empty: bool,
-    out_of_range: u64,
+    write_missing(path, || Ok(jpeg.into()))?;
+    one.color.push(index);
+    Ok(one)
 }
 
 impl DepthOutcome {
-    fn take(&mut self, one: OneDepth) {
-        self.written += u64::from(one.written);
-        self.out_of_range += one.out_of_range;
-        let lists = [
-            (one.infrared, &mut self.infrared),
-            (one.broken, &mut self.broken),
-            (one.damaged, &mut self.damaged),
-            (one.empty, &mut self.empty),
-        ];
-        for (is_so, list) in lists {
-            if is_so {
-                list.push(one.index);
-            }
+    /// Takes that of further images.
+    fn take(&mut self, other: Self) {
+        self.written += other.written;
+        self.out_of_range += other.out_of_range;
+        for (list, further) in [
+            (&mut self.infrared, other.infrared),
+            (&mut self.broken, other.broken),
+            (&mut self.damaged, other.damaged),
+            (&mut self.empty, other.empty),
+            (&mut self.color, other.color),
+            (&mut self.color_broken, other.color_broken),
+        ] {
+            list.extend(further);
         }
     }
 }
@@ -193,41 +177,47 @@ fn write_one(
     place: Option<&DepthPlace>,
     (size, registration): ((u32, u32), Option<&Registration>),
     layout: &dyn Layout,
-) -> Result<OneDepth, ImagesError> {
-    let mut one = OneDepth {
-        index: image.index,
-        written: false,
-        infrared: false,
-        broken: image.depth.is_empty(),
-        damaged: image.damaged,
-        empty: !image.depth.is_empty() && image.depth.iter().all(|&byte| byte == 0),
-        out_of_range: 0,
+) -> Result<DepthOutcome, ImagesError> {
+    let its = |is_so: bool| Vec::from_iter(is_so.then_some(image.index));
+    let is_broken = image.depth.is_empty();
+    let mut one = DepthOutcome {
+        broken: its(is_broken),
+        damaged: its(image.damaged),
+        empty: its(!is_broken && image.depth.iter().all(|&byte| byte == 0)),
+        ..DepthOutcome::default()
     };
     let Some(place) = place else {
         return Ok(one);
     };
-    if let Some(path) = place.depth.as_ref().filter(|_| !one.broken) {
+    if let Some(path) = place.depth.as_ref().filter(|_| !is_broken) {
         let seen = registration.map(|registration| registration.apply(&image.depth));
         let (pixels, lost) = layout.depth_pixels(seen.as_deref().unwrap_or(&image.depth));
         one.out_of_range = lost;
         let size = registration.map_or(size, |registration| registration.out);
-        write_missing(path, size, Pixels::Gray16(&pixels))?;
-        one.written = true;
+        write_png(path, size, Pixels::Gray16(&pixels))?;
+        one.written = 1;
     }
     if let (Some(path), Some(pixels)) = (&place.infrared, &image.infrared) {
-        write_missing(path, size, Pixels::Gray16(pixels))?;
-        one.infrared = true;
+        write_png(path, size, Pixels::Gray16(pixels))?;
+        one.infrared.push(image.index);
     }
     Ok(one)
 }
 
+fn write_png(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
+    write_missing(path, || Ok(encode_png(size.0, size.1, pixels)?.into()))
+}
+
 /// Writes an image unless it is there.
-fn write_missing(path: &Path, size: (u32, u32), pixels: Pixels<'_>) -> Result<(), ImagesError> {
+fn write_missing<'a>(
+    path: &Path,
+    image: impl FnOnce() -> io::Result<Cow<'a, [u8]>>,
+) -> Result<(), ImagesError> {
     if path.exists() {
         return Ok(());
     }
-    encode_png(size.0, size.1, pixels)
-        .and_then(|png| write_whole(path, &png))
+    image()
+        .and_then(|image| write_whole(path, &image))
         .map_err(|error| ImagesError::Write {
             path: path.to_owned(),
             error,
@@ -275,7 +265,7 @@ pub(crate) fn write_video(
         let written: Result<Vec<bool>, ImagesError> = batch
             .par_iter()
             .map(|(index, frame)| match places.get(*index) {
-                Some(Some(path)) => write_missing(path, size, Pixels::Rgb8(frame)).map(|()| true),
+                Some(Some(path)) => write_png(path, size, Pixels::Rgb8(frame)).map(|()| true),
                 _ => Ok(false),
             })
             .collect();
@@ -284,29 +274,22 @@ pub(crate) fn write_video(
         Ok(())
     });
     match written {
-        Ok(()) => {}
-        Err(BatchError::Source(error)) => outcome.error = Some(VideoError::to_string(&error)),
-        Err(BatchError::Images(error)) => return Err(error),
+        Err(ImagesError::Video(error)) => outcome.error = Some(error.to_string()),
+        written => written?,
     }
     progress.end();
     Ok(outcome)
 }
 
-/// An error of the reading or of the writing side.
-enum BatchError<E> {
-    Source(E),
-    Images(ImagesError),
-}
-
 /// Reads in a thread of its own, and gives what it reads to `each` in batches, whose
 /// size is told by `bytes`. What was read before an error is given too.
-fn in_batches<T: Send, E: Send>(
-    mut source: impl Iterator<Item = Result<T, E>> + Send,
+fn in_batches<T: Send>(
+    mut source: impl Iterator<Item = Result<T, ImagesError>> + Send,
     bytes: impl Fn(&T) -> usize + Send,
     progress: &dyn Progress,
     mut each: impl FnMut(Vec<T>) -> Result<(), ImagesError>,
-) -> Result<(), BatchError<E>> {
-    let (sender, receiver) = sync_channel::<Result<Vec<T>, E>>(1);
+) -> Result<(), ImagesError> {
+    let (sender, receiver) = sync_channel::<Result<Vec<T>, ImagesError>>(1);
     std::thread::scope(|scope| {
         scope.spawn(move || {
             let mut more = true;
@@ -334,9 +317,9 @@ fn in_batches<T: Send, E: Send>(
         // The receiver is dropped on leaving, so that a reader that still sends stops.
         for batch in receiver {
             if progress.cancelled() {
-                return Err(BatchError::Images(ImagesError::Cancelled));
+                return Err(ImagesError::Cancelled);
             }
-            each(batch.map_err(BatchError::Source)?).map_err(BatchError::Images)?;
+            each(batch?)?;
         }
         Ok(())
     })
