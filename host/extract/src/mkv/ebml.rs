@@ -39,36 +39,30 @@ pub enum EbmlError {
     },
 }
 
-/// The size of an element.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Size {
-    /// Bytes of data.
-    Known(u64),
-    /// Until an element of a higher level, or the end of the file.
-    Unknown,
-}
+/// Bytes of the longest head.
+const LONGEST_HEAD: u64 = 12;
 
 /// The head of an element.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Head {
     /// The ID with its marker bits, as the Matroska specification writes it.
     pub(crate) id: u32,
-    /// Size of the data.
-    pub(crate) size: Size,
+    /// Size of the data; `None`: until an element of a higher level, or the end of the
+    /// file.
+    pub(crate) size: Option<u64>,
     /// Position of the first byte of the head.
     pub(crate) at: u64,
     /// Position of the first byte of the data.
     pub(crate) data: u64,
+    /// As it stands in the file.
+    pub(crate) bytes: Vec<u8>,
 }
 
 impl Head {
     /// The first position behind the element; `None` for an unknown size or one
     /// that no file can have.
     pub(crate) fn end(&self) -> Option<u64> {
-        match self.size {
-            Size::Known(size) => self.data.checked_add(size),
-            Size::Unknown => None,
-        }
+        self.data.checked_add(self.size?)
     }
 }
 
@@ -162,64 +156,45 @@ impl<R: Read + Seek> Source<R> {
         Ok(())
     }
 
-    fn read_byte(&mut self, at: u64) -> Result<u8, EbmlError> {
-        let mut byte = [0];
-        match self.reader.read_exact(&mut byte) {
-            Ok(()) => {
-                self.position += 1;
-                Ok(byte[0])
-            }
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
-                Err(EbmlError::Truncated { at })
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
     /// Reads an element's head. `None` at the end of the file.
     ///
     /// # Errors
     ///
-    /// The bytes are no head, or the file ends within it. The position is then
-    /// somewhere within the head.
+    /// The bytes are no head, or the file ends within it. The position is then behind
+    /// the first byte.
     pub(crate) fn head(&mut self) -> Result<Option<Head>, EbmlError> {
         let at = self.position;
-        if self.remaining() == 0 {
+        let length = self.remaining().min(LONGEST_HEAD);
+        let mut bytes = Vec::new();
+        self.read_into(length, LONGEST_HEAD, &mut bytes)?;
+        let Some(&first) = bytes.first() else {
             return Ok(None);
-        }
-        let first = self.read_byte(at)?;
-        let Some(length) = id_length(first) else {
-            return Err(EbmlError::Invalid {
-                at,
-                what: "the first byte begins no element ID",
+        };
+        let parts = memory_id(&bytes).and_then(|(id, rest)| Some((id, variable(rest)?)));
+        let Some((id, (size, rest))) = parts else {
+            self.seek(at + 1)?;
+            let size = id_length(first).map(|length| bytes.get(length));
+            return Err(match size {
+                None => EbmlError::Invalid {
+                    at,
+                    what: "the first byte begins no element ID",
+                },
+                Some(Some(0)) => EbmlError::Invalid {
+                    at,
+                    what: "the size is longer than eight bytes",
+                },
+                Some(_) => EbmlError::Truncated { at },
             });
         };
-        let mut id = u32::from(first);
-        for _ in 1..length {
-            id = id << 8 | u32::from(self.read_byte(at)?);
-        }
-        let first = self.read_byte(at)?;
-        let length = first.leading_zeros() + 1;
-        if length > 8 {
-            return Err(EbmlError::Invalid {
-                at,
-                what: "the size is longer than eight bytes",
-            });
-        }
-        let mut size = u64::from(first) & !(0x80_u64 >> (length - 1));
-        for _ in 1..length {
-            size = size << 8 | u64::from(self.read_byte(at)?);
-        }
-        let all_ones = (1_u64 << (7 * length)) - 1;
+        bytes.truncate(bytes.len() - rest.len());
+        let data = at + bytes.len() as u64;
+        self.seek(data)?;
         Ok(Some(Head {
             id,
-            size: if size == all_ones {
-                Size::Unknown
-            } else {
-                Size::Known(size)
-            },
+            size,
             at,
-            data: self.position,
+            data,
+            bytes,
         }))
     }
 
@@ -274,9 +249,20 @@ pub(crate) fn text(data: &[u8]) -> String {
     String::from_utf8_lossy(&data[..end]).into_owned()
 }
 
+/// The content of the first element of an ID in a master element that is in memory.
+pub(crate) fn child(data: &[u8], id: u32) -> Option<&[u8]> {
+    all(data, id).next()
+}
+
+/// The content of all elements of an ID in a master element that is in memory.
+pub(crate) fn all(data: &[u8], id: u32) -> impl Iterator<Item = &[u8]> {
+    let of_id = children(data).filter(move |(child, _)| *child == id);
+    of_id.map(|(_, data)| data)
+}
+
 /// The elements of a master element that is in memory; stops at the first that
 /// is broken or goes beyond the end.
-pub(crate) fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
+fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
     let mut rest = data;
     std::iter::from_fn(move || {
         let (id, after) = memory_id(rest)?;
@@ -329,16 +315,13 @@ mod tests {
     #[test]
     fn heads_have_sizes_of_every_length() {
         let head = head_of(&[0x1A, 0x45, 0xDF, 0xA3, 0x9F]);
-        assert_eq!(
-            (head.id, head.size, head.data),
-            (0x1A45_DFA3, Size::Known(31), 5)
-        );
-        assert_eq!(head_of(&[0xEC, 0x40, 0x02]).size, Size::Known(2));
-        assert_eq!(head_of(&[0xEC, 0xFF]).size, Size::Unknown);
+        assert_eq!((head.id, head.size, head.data), (0x1A45_DFA3, Some(31), 5));
+        assert_eq!(head_of(&[0xEC, 0x40, 0x02]).size, Some(2));
+        assert_eq!(head_of(&[0xEC, 0xFF]).size, None);
         let eight = head_of(&[0xEC, 0x01, 0, 0, 0, 0, 0, 1, 0]);
-        assert_eq!(eight.size, Size::Known(256));
+        assert_eq!(eight.size, Some(256));
         let unknown = head_of(&[0xEC, 0x01, 255, 255, 255, 255, 255, 255, 255]);
-        assert_eq!(unknown.size, Size::Unknown);
+        assert_eq!(unknown.size, None);
     }
 
     #[test]

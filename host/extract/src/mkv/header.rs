@@ -48,81 +48,62 @@ impl Header {
     }
 }
 
+/// Adds items to those that are kept, as long as there is room.
+fn keep<T>(kept: &mut Vec<T>, items: impl Iterator<Item = T>) {
+    let room = MAX_ITEMS.saturating_sub(kept.len());
+    kept.extend(items.take(room));
+}
+
+fn unsigned(data: &[u8], id: u32) -> Option<u64> {
+    ebml::unsigned(ebml::child(data, id)?)
+}
+
+fn text(data: &[u8], id: u32) -> Option<String> {
+    ebml::child(data, id).map(ebml::text)
+}
+
+fn bytes(data: &[u8], id: u32) -> Vec<u8> {
+    ebml::child(data, id).unwrap_or_default().to_vec()
+}
+
 pub(super) fn read_info(data: &[u8], header: &mut Header) {
-    let find = |wanted| ebml::children(data).find(|(child, _)| *child == wanted);
-    header.written_by = find(id::WRITING_APP).map(|(_, data)| ebml::text(data));
+    header.written_by = text(data, id::WRITING_APP);
     // Present but without a scale: the specification's default of one millisecond.
-    header.scale = find(id::TIMESTAMP_SCALE)
-        .and_then(|(_, data)| ebml::unsigned(data))
+    header.scale = unsigned(data, id::TIMESTAMP_SCALE)
         .filter(|&scale| scale > 0)
         .or(Some(1_000_000));
 }
 
 pub(super) fn read_tracks(data: &[u8], tracks: &mut Vec<Track>) {
-    for (child, data) in ebml::children(data) {
-        if child != id::TRACK_ENTRY || tracks.len() >= MAX_ITEMS {
-            continue;
-        }
-        let mut track = Track::default();
-        for (child, data) in ebml::children(data) {
-            match child {
-                id::TRACK_NUMBER => track.number = ebml::unsigned(data).unwrap_or(0),
-                id::TRACK_UID => track.uid = ebml::unsigned(data).unwrap_or(0),
-                id::NAME => track.name = ebml::text(data),
-                id::CODEC_ID => track.codec = ebml::text(data),
-                id::CODEC_PRIVATE => track.codec_private = data.to_vec(),
-                id::VIDEO => track.pixels = read_pixels(data),
-                _ => {}
-            }
-        }
-        tracks.push(track);
-    }
+    let entries = ebml::all(data, id::TRACK_ENTRY).map(|track| Track {
+        number: unsigned(track, id::TRACK_NUMBER).unwrap_or(0),
+        uid: unsigned(track, id::TRACK_UID).unwrap_or(0),
+        name: text(track, id::NAME).unwrap_or_default(),
+        codec: text(track, id::CODEC_ID).unwrap_or_default(),
+        codec_private: bytes(track, id::CODEC_PRIVATE),
+        pixels: ebml::child(track, id::VIDEO).and_then(read_pixels),
+    });
+    keep(tracks, entries);
 }
 
-fn read_pixels(data: &[u8]) -> Option<(u64, u64)> {
-    let value = |wanted| {
-        ebml::children(data)
-            .find(|(child, _)| *child == wanted)
-            .and_then(|(_, data)| ebml::unsigned(data))
-    };
-    Some((value(id::PIXEL_WIDTH)?, value(id::PIXEL_HEIGHT)?))
+fn read_pixels(video: &[u8]) -> Option<(u64, u64)> {
+    let width = unsigned(video, id::PIXEL_WIDTH)?;
+    Some((width, unsigned(video, id::PIXEL_HEIGHT)?))
 }
 
 pub(super) fn read_attachments(data: &[u8], attachments: &mut Vec<(String, Vec<u8>)>) {
-    for (child, data) in ebml::children(data) {
-        if child != id::ATTACHED_FILE || attachments.len() >= MAX_ITEMS {
-            continue;
-        }
-        let mut file = (String::new(), Vec::new());
-        for (child, data) in ebml::children(data) {
-            match child {
-                id::FILE_NAME => file.0 = ebml::text(data),
-                id::FILE_DATA => file.1 = data.to_vec(),
-                _ => {}
-            }
-        }
-        attachments.push(file);
-    }
+    let files = ebml::all(data, id::ATTACHED_FILE).map(|file| {
+        let name = text(file, id::FILE_NAME).unwrap_or_default();
+        (name, bytes(file, id::FILE_DATA))
+    });
+    keep(attachments, files);
 }
 
 pub(super) fn read_tags(data: &[u8], tags: &mut Vec<(String, String)>) {
-    for (child, data) in ebml::children(data) {
-        if child != id::TAG {
-            continue;
-        }
-        for (child, data) in ebml::children(data) {
-            if child != id::SIMPLE_TAG || tags.len() >= MAX_ITEMS {
-                continue;
-            }
-            let mut tag = (String::new(), String::new());
-            for (child, data) in ebml::children(data) {
-                match child {
-                    id::TAG_NAME => tag.0 = ebml::text(data),
-                    id::TAG_STRING => tag.1 = ebml::text(data),
-                    _ => {}
-                }
-            }
-            tags.push(tag);
-        }
-    }
+    let simple = ebml::all(data, id::TAG).flat_map(|tag| ebml::all(tag, id::SIMPLE_TAG));
+    let pairs = simple.map(|tag| {
+        let name = text(tag, id::TAG_NAME).unwrap_or_default();
+        (name, text(tag, id::TAG_STRING).unwrap_or_default())
+    });
+    keep(tags, pairs);
 }

@@ -9,7 +9,7 @@
 use std::io::{self, Read, Seek};
 
 use super::block::{Block, Check};
-use super::ebml::{self, EbmlError, Head, Size, Source};
+use super::ebml::{self, EbmlError, Head, Source};
 use super::header::{Header, read_attachments, read_info, read_tags, read_tracks};
 use super::id;
 
@@ -209,7 +209,7 @@ impl<R: Read + Seek> Mkv<R> {
     }
 
     fn read_top_level(&mut self, head: &Head) -> Result<(), MkvError> {
-        let Size::Known(size) = head.size else {
+        let Some(size) = head.size else {
             // Only segments and clusters may have no size: nothing to step over.
             self.note(head.at, 0, format!("element {:X} has no size", head.id));
             return Ok(());
@@ -307,7 +307,7 @@ impl<R: Read + Seek> Mkv<R> {
             if TOP_LEVEL.contains(&head.id) {
                 // The end of a cluster of unknown size, or a cluster whose size
                 // is wrong. The next call begins here.
-                if cluster.size != Size::Unknown {
+                if cluster.size.is_some() {
                     self.note(
                         cluster.at,
                         0,
@@ -404,9 +404,7 @@ impl<R: Read + Seek> Mkv<R> {
         let block = if head.id == id::SIMPLE_BLOCK {
             Some(self.buffer.as_slice())
         } else {
-            ebml::children(&self.buffer)
-                .find(|(child, _)| *child == id::BLOCK)
-                .map(|(_, data)| data)
+            ebml::child(&self.buffer, id::BLOCK)
         };
         let frames = block.and_then(Block::parse).and_then(|block| {
             let sizes = block.frames()?;
@@ -438,7 +436,7 @@ impl<R: Read + Seek> Mkv<R> {
     fn cut_off(&mut self, at: u64, cluster: &Head) {
         let length = self.source.length();
         // A cluster of unknown size may end with the file.
-        if cluster.size != Size::Unknown || at < length {
+        if cluster.size.is_some() || at < length {
             self.note(
                 at,
                 length - at.min(length),
@@ -490,14 +488,12 @@ fn check_document<R: Read + Seek>(source: &mut Source<R>) -> Result<(), MkvError
         Err(EbmlError::Io(error)) => return Err(error.into()),
         _ => return Err(not("something else")),
     };
-    let Size::Known(size) = head.size else {
+    let Some(size) = head.size else {
         return Err(not("an EBML head without a size"));
     };
     let mut data = Vec::new();
     source.read_into(size, 4096, &mut data)?;
-    let kind = ebml::children(&data)
-        .find(|(child, _)| *child == id::DOC_TYPE)
-        .map(|(_, data)| ebml::text(data));
+    let kind = ebml::child(&data, id::DOC_TYPE).map(ebml::text);
     match kind.as_deref() {
         Some("matroska" | "webm") => Ok(()),
         Some(other) => Err(not(&format!("document type {:?}", clip(other)))),
