@@ -292,7 +292,7 @@ fn index_mkv(path: &Path, progress: &mut dyn FnMut(u64)) -> Result<DepthIndex, D
         progress(recording.position());
     }
     let damage = recording.damage().iter().take(MAX_FAULTS);
-    index.faults.extend(damage.map(ToString::to_string));
+    index.faults.extend(damage.cloned());
     if !recording.was_closed() {
         index.faults.push(
             "the recorder did not close the file: its information, index and last moments are missing".into(),

@@ -272,7 +272,7 @@ fn kinect(path: &Path) -> Result<GyroRecording, GyroFileError> {
             out.rates.push(sample.gyro.map(f64::from));
         }
     }
-    out.damage = file.damage().iter().map(ToString::to_string).collect();
+    out.damage = file.damage().to_vec();
     if out.times.is_empty() {
         return Err(GyroFileError::None {
             form: "an Azure Kinect recording",

@@ -135,7 +135,7 @@ pub(crate) fn bag1(path: &Path, topic: Option<&str>) -> Result<GyroRecording, Gy
     }
     out.others = others.into_iter().collect();
     for damage in bag.damage() {
-        out.damage.add(damage.to_string());
+        out.damage.add(damage.clone());
     }
     out.chosen("ROS 1 bag", topic)
 }

@@ -5,10 +5,13 @@
 //! read before stays valid.
 
 use std::collections::HashMap;
+use std::fmt::Display;
 use std::io::{self, Read};
 use std::sync::Arc;
 
 use recording::chunks::{Budget, FOREIGN_RATIO};
+
+use crate::faults::Faults;
 
 /// The first line of a bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
@@ -69,27 +72,12 @@ pub struct Message<'a> {
     pub data: &'a [u8],
 }
 
-/// A part that could not be read.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Damage {
-    /// Where in the file.
-    pub at: u64,
-    /// What was wrong.
-    pub what: String,
-}
-
-impl std::fmt::Display for Damage {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "byte {}: {}", self.at, self.what)
-    }
-}
-
 /// An open bag.
 pub struct Bag<R> {
     reader: R,
     position: u64,
     connections: HashMap<u32, Connection>,
-    damage: Vec<Damage>,
+    damage: Faults,
     closed: bool,
     ended: bool,
     chunk: Vec<u8>,
@@ -119,7 +107,7 @@ impl<R: Read> Bag<R> {
             reader,
             position: MAGIC.len() as u64,
             connections: HashMap::new(),
-            damage: Vec::new(),
+            damage: Faults::new(MAX_DAMAGE),
             closed: false,
             ended: false,
             chunk: Vec::new(),
@@ -133,10 +121,10 @@ impl<R: Read> Bag<R> {
         self.position
     }
 
-    /// What could not be read so far.
+    /// What could not be read so far, in words.
     #[must_use]
-    pub fn damage(&self) -> &[Damage] {
-        &self.damage
+    pub fn damage(&self) -> &[String] {
+        self.damage.first()
     }
 
     /// Whether the bag was closed by its recorder (its header names an index).
@@ -160,12 +148,17 @@ impl<R: Read> Bag<R> {
             let Some((header, length)) = self.record_head()? else {
                 return Ok(false);
             };
-            match field_u8(&header, "op") {
-                Some(OP_CHUNK) => {
-                    self.read_chunk(at, &header, length)?;
-                    self.each_message(at, &mut each)?;
-                    return Ok(true);
-                }
+            let kind = field_u8(&header, "op");
+            if kind == Some(OP_CHUNK) {
+                self.read_chunk(at, &header, length)?;
+                self.each_message(at, &mut each)?;
+                return Ok(true);
+            }
+            let data = self.read(at, length, "record")?;
+            if self.ended {
+                return Ok(false);
+            }
+            match kind {
                 Some(OP_BAG) => {
                     if let Some(name) = field(&header, "encryptor").filter(|name| !name.is_empty())
                     {
@@ -174,26 +167,13 @@ impl<R: Read> Bag<R> {
                     }
                     self.closed =
                         field_u64(&header, "index_pos").is_some_and(|position| position > 0);
-                    self.skip(at, length)?;
                 }
-                Some(OP_CONNECTION) => {
-                    let data = self.data(at, length)?;
-                    if let Some(data) = data {
-                        add_connection(&mut self.connections, &header, &data);
-                    }
-                }
-                Some(OP_INDEX | OP_CHUNK_INFO) => self.skip(at, length)?,
+                Some(OP_CONNECTION) => add_connection(&mut self.connections, &header, &data),
+                Some(OP_INDEX | OP_CHUNK_INFO) => {}
                 // Messages outside of chunks: not in any bag of version 2.0 that
                 // rosbag writes, but its reader takes them.
-                Some(OP_MESSAGE) => {
-                    if let Some(data) = self.data(at, length)? {
-                        self.give(at, &header, &data, &mut each)?;
-                    }
-                }
-                _ => {
-                    self.note(at, "a record without a known kind");
-                    self.skip(at, length)?;
-                }
+                Some(OP_MESSAGE) => self.give(at, &header, &data, &mut each)?,
+                _ => self.note(at, "a record without a known kind"),
             }
         }
         Ok(false)
@@ -256,9 +236,10 @@ impl<R: Read> Bag<R> {
             self.end(at, "a record's header is longer than any real one");
             return Ok(None);
         }
-        let Some(header) = self.data(at, length)? else {
+        let header = self.read(at, length, "record")?;
+        if self.ended {
             return Ok(None);
-        };
+        }
         let Some(length) = self.length(at)? else {
             self.end(at, "the bag ends within a record");
             return Ok(None);
@@ -275,14 +256,7 @@ impl<R: Read> Bag<R> {
         self.chunk.clear();
         // The last chunk of a bag that was not closed may be cut off: what is
         // there of it counts.
-        let mut packed = Vec::new();
-        let read = (&mut self.reader)
-            .take(length.into())
-            .read_to_end(&mut packed)?;
-        self.position += read as u64;
-        if read < length as usize {
-            self.end(at, "the bag ends within a chunk");
-        }
+        let packed = self.read(at, length, "chunk")?;
         let limit = MAX_DATA + 1;
         let result = match field(header, "compression") {
             Some(b"none") | None => {
@@ -299,12 +273,12 @@ impl<R: Read> Bag<R> {
                 let other = String::from_utf8_lossy(other);
                 let other: String = other.chars().take(SHOWN_NAME).collect();
                 let text = format!("chunk compression {other:?}; expected none, bz2 or lz4");
-                self.note(at, &text);
+                self.note(at, text);
                 return Ok(());
             }
         };
         if let Err(error) = result {
-            self.note(at, &format!("a chunk cannot be unpacked in full: {error}"));
+            self.note(at, format!("a chunk cannot be unpacked in full: {error}"));
         }
         let unpacked = self.chunk.len() as u64;
         if unpacked > MAX_DATA {
@@ -317,7 +291,7 @@ impl<R: Read> Bag<R> {
                 "the bag unpacks to more than {FOREIGN_RATIO} times its length, which no real one \
                  does; the rest is left out"
             );
-            self.end(at, &text);
+            self.end(at, text);
         }
         Ok(())
     }
@@ -338,40 +312,26 @@ impl<R: Read> Bag<R> {
         }
     }
 
-    fn data(&mut self, at: u64, length: u32) -> Result<Option<Vec<u8>>, BagError> {
+    /// Reads so many bytes of `what`; fewer where the bag ends within it, which is noted.
+    fn read(&mut self, at: u64, length: u32, what: &str) -> Result<Vec<u8>, BagError> {
         let mut data = Vec::new();
         let read = (&mut self.reader)
             .take(length.into())
             .read_to_end(&mut data)?;
         self.position += read as u64;
         if read < length as usize {
-            self.end(at, "the bag ends within a record");
-            return Ok(None);
+            self.end(at, format!("the bag ends within a {what}"));
         }
-        Ok(Some(data))
+        Ok(data)
     }
 
-    fn skip(&mut self, at: u64, length: u32) -> Result<(), BagError> {
-        let skipped = io::copy(&mut (&mut self.reader).take(length.into()), &mut io::sink())?;
-        self.position += skipped;
-        if skipped < length.into() {
-            self.end(at, "the bag ends within a record");
-        }
-        Ok(())
-    }
-
-    fn end(&mut self, at: u64, what: &str) {
+    fn end(&mut self, at: u64, what: impl Display) {
         self.ended = true;
         self.note(at, what);
     }
 
-    fn note(&mut self, at: u64, what: &str) {
-        if self.damage.len() < MAX_DAMAGE {
-            self.damage.push(Damage {
-                at,
-                what: what.into(),
-            });
-        }
+    fn note(&mut self, at: u64, what: impl Display) {
+        self.damage.add(format!("byte {at}: {what}"));
     }
 }
 

@@ -106,8 +106,7 @@ impl BoardStream for BagStream {
     }
 
     fn damage(&self) -> Vec<String> {
-        let damage = self.bag.damage().iter();
-        let mut all: Vec<String> = damage.map(ToString::to_string).collect();
+        let mut all = self.bag.damage().to_vec();
         all.extend(self.sorter.faults.words("messages that cannot be read"));
         all
     }

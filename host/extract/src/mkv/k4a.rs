@@ -16,7 +16,7 @@ use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
 use super::header::{Header, Track};
-use super::reader::{Cluster, Damage, Frame, Mkv, MkvError};
+use super::reader::{Cluster, Frame, Mkv, MkvError};
 use crate::time::DeviceNanos;
 
 /// The recorder's unit of time.
@@ -284,9 +284,9 @@ impl<R: Read + Seek> Recording<R> {
         Some(&found.1)
     }
 
-    /// What could not be read so far.
+    /// What could not be read so far, in words.
     #[must_use]
-    pub fn damage(&self) -> &[Damage] {
+    pub fn damage(&self) -> &[String] {
         self.mkv.damage()
     }
 

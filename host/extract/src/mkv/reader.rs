@@ -6,12 +6,14 @@
 //! at the next place that looks like a cluster, and the loss is in
 //! [`Mkv::damage`]. A cluster with a CRC-32 element is checked against it.
 
+use std::fmt::Display;
 use std::io::{self, Read, Seek};
 
 use super::block::{Block, Check};
 use super::ebml::{self, EbmlError, Head, Source};
 use super::header::{Header, read_attachments, read_info, read_tags, read_tracks};
 use super::id;
+use crate::faults::Faults;
 
 /// Most bytes of one cluster (the camera's hold 32 ms; the largest colour mode,
 /// uncompressed 4K, makes 66 MB of them).
@@ -86,23 +88,6 @@ pub(crate) struct Cluster {
     pub(crate) crc_ok: Option<bool>,
 }
 
-/// A part of the file that could not be read.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Damage {
-    /// Where it begins.
-    pub at: u64,
-    /// How many bytes were left out.
-    pub bytes: u64,
-    /// What was wrong.
-    pub what: String,
-}
-
-impl std::fmt::Display for Damage {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "byte {}, {} bytes: {}", self.at, self.bytes, self.what)
-    }
-}
-
 /// Whose bytes are wanted; of other tracks only time and size are given.
 pub(crate) type Wanted<'a> = &'a dyn Fn(u64) -> bool;
 
@@ -111,7 +96,7 @@ pub(crate) struct Mkv<R> {
     source: Source<R>,
     header: Header,
     end: u64,
-    damage: Vec<Damage>,
+    damage: Faults,
     buffer: Vec<u8>,
 }
 
@@ -141,7 +126,7 @@ impl<R: Read + Seek> Mkv<R> {
                 has_size: end.is_some_and(|end| end <= length),
                 ..Header::default()
             },
-            damage: Vec::new(),
+            damage: Faults::new(MAX_DAMAGE),
             buffer: Vec::new(),
         };
         mkv.read_header()?;
@@ -153,9 +138,9 @@ impl<R: Read + Seek> Mkv<R> {
         &self.header
     }
 
-    /// What could not be read so far.
-    pub(crate) fn damage(&self) -> &[Damage] {
-        &self.damage
+    /// What could not be read so far, in words.
+    pub(crate) fn damage(&self) -> &[String] {
+        self.damage.first()
     }
 
     /// How far reading is, in bytes.
@@ -173,7 +158,7 @@ impl<R: Read + Seek> Mkv<R> {
                 Err(error) => {
                     let at = self.source.position();
                     let found = self.source.find(id::CLUSTER, at)?;
-                    self.note(at, self.source.position() - at, error.to_string());
+                    self.note(at, self.source.position() - at, error);
                     if found {
                         continue;
                     }
@@ -224,11 +209,7 @@ impl<R: Read + Seek> Mkv<R> {
             Ok(()) => {}
             Err(EbmlError::Io(error)) => return Err(error.into()),
             Err(error) => {
-                self.note(
-                    head.at,
-                    size.min(self.source.remaining()),
-                    error.to_string(),
-                );
+                self.note(head.at, size.min(self.source.remaining()), error);
                 self.source.seek(head.data.saturating_add(size))?;
                 return Ok(());
             }
@@ -271,7 +252,7 @@ impl<R: Read + Seek> Mkv<R> {
                 Err(EbmlError::Io(error)) => return Err(error),
                 Err(error) => {
                     let found = self.source.find(id::CLUSTER, at + 1)?;
-                    self.note(at, self.source.position() - at, error.to_string());
+                    self.note(at, self.source.position() - at, error);
                     if !found {
                         return Ok(None);
                     }
@@ -308,11 +289,8 @@ impl<R: Read + Seek> Mkv<R> {
                 // The end of a cluster of unknown size, or a cluster whose size
                 // is wrong. The next call begins here.
                 if cluster.size.is_some() {
-                    self.note(
-                        cluster.at,
-                        0,
-                        "a cluster is shorter than its size says".into(),
-                    );
+                    let what = "a cluster is shorter than its size says";
+                    self.note(cluster.at, 0, what);
                     crc = Check::default();
                 }
                 self.source.seek(at)?;
@@ -411,12 +389,8 @@ impl<R: Read + Seek> Mkv<R> {
             Some((block.track, block.time, sizes))
         });
         let Some((track, relative, parts)) = frames else {
-            let at = head.at;
-            self.note(
-                at,
-                size,
-                "a block whose head or lacing makes no sense".into(),
-            );
+            let what = "a block whose head or lacing makes no sense";
+            self.note(head.at, size, what);
             return Ok(true);
         };
         let keep = wanted(track);
@@ -437,11 +411,8 @@ impl<R: Read + Seek> Mkv<R> {
         let length = self.source.length();
         // A cluster of unknown size may end with the file.
         if cluster.size.is_some() || at < length {
-            self.note(
-                at,
-                length - at.min(length),
-                "the file ends within a cluster".into(),
-            );
+            let rest = length - at.min(length);
+            self.note(at, rest, "the file ends within a cluster");
         }
         // Seeking to the end of a readable file cannot fail in a way that matters:
         // the next read says so.
@@ -452,14 +423,14 @@ impl<R: Read + Seek> Mkv<R> {
     fn broken(&mut self, cluster: u64, at: u64, error: &EbmlError) -> io::Result<()> {
         let _ = self.source.find(id::CLUSTER, at.max(cluster + 4))?;
         let next = self.source.position();
-        self.note(at, next - at, error.to_string());
+        self.note(at, next - at, error);
         Ok(())
     }
 
-    fn note(&mut self, at: u64, bytes: u64, what: String) {
-        if self.damage.len() < MAX_DAMAGE {
-            self.damage.push(Damage { at, bytes, what });
-        }
+    /// Notes bytes that are left out, and what was wrong.
+    fn note(&mut self, at: u64, bytes: u64, what: impl Display) {
+        let what = format!("byte {at}, {bytes} bytes: {what}");
+        self.damage.add(what);
     }
 }
 
