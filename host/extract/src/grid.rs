@@ -8,6 +8,7 @@
 //! frame becomes the nearest.
 
 use super::depth_clock::fit::straight;
+use super::pairs::nearest;
 use super::time::BoardNanos;
 
 /// Pulses that a line is fitted through, at least.
@@ -44,15 +45,10 @@ pub(crate) fn measure(frames: &[BoardNanos], centres: &[BoardNanos]) -> Option<G
     let mut points: Vec<(f64, f64)> = Vec::new();
     let first = centres.first()?.0;
     for centre in centres {
-        let after = frames.partition_point(|frame| frame < centre);
-        let near = [after.checked_sub(1), Some(after)]
-            .into_iter()
-            .flatten()
-            .filter_map(|place| frames.get(place))
-            .map(|frame| centre.0.saturating_sub(frame.0))
-            .min_by_key(|distance| distance.unsigned_abs());
+        let near = nearest(frames, centre.0, |frame| frame.0);
+        let distance = near.map(|place| centre.0.saturating_sub(frames[place].0));
         // Before the first frame, behind the last, or where frames are missing.
-        let Some(distance) = near.filter(|distance| distance.abs() <= period / 2 + period / 8)
+        let Some(distance) = distance.filter(|distance| distance.abs() <= period / 2 + period / 8)
         else {
             continue;
         };

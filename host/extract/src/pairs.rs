@@ -26,11 +26,11 @@ pub(crate) fn find(
 ) -> Vec<Pair> {
     let mut pairs = Vec::with_capacity(color.len().min(depth.len()));
     for &(index, at) in color {
-        let Some(partner) = nearest(depth, at) else {
+        let Some(partner) = nearest(depth, at.0, |frame| frame.1.0) else {
             continue;
         };
         let (depth_index, depth_at) = depth[partner];
-        let back = nearest(color, depth_at).map(|place| color[place].0);
+        let back = nearest(color, depth_at.0, |frame| frame.1.0).map(|place| color[place].0);
         let difference = depth_at.0.saturating_sub(at.0);
         if back == Some(index) && difference.saturating_abs() <= limit {
             pairs.push(Pair {
@@ -43,16 +43,11 @@ pub(crate) fn find(
     pairs
 }
 
-/// Place of the entry nearest in time; the earlier of two that are as near.
-fn nearest(sorted: &[(usize, BoardNanos)], at: BoardNanos) -> Option<usize> {
-    let after = sorted.partition_point(|entry| entry.1 < at);
-    let distance =
-        |place: &usize| (i128::from(sorted[*place].1.0) - i128::from(at.0)).unsigned_abs();
-    let candidates = [
-        after.checked_sub(1),
-        Some(after).filter(|&place| place < sorted.len()),
-    ];
-    candidates.into_iter().flatten().min_by_key(distance)
+/// Place of the entry nearest to a time, ns; the earlier of two that are as near.
+pub(crate) fn nearest<T>(sorted: &[T], at: i64, time: impl Fn(&T) -> i64) -> Option<usize> {
+    let after = sorted.partition_point(|entry| time(entry) < at);
+    let candidates = after.saturating_sub(1)..sorted.len().min(after + 1);
+    candidates.min_by_key(|&place| time(&sorted[place]).abs_diff(at))
 }
 
 /// Counts of differences in bins.

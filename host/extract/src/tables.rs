@@ -10,7 +10,7 @@ use super::depth::DepthIndex;
 use super::depth_clock::{DepthMatch, FrameState, PulseTime};
 use super::frames::FrameTiming;
 use super::image::WholeFile;
-use super::pairs::Pair;
+use super::pairs::{Pair, nearest};
 use super::time::{BoardNanos, DeviceNanos, PhoneNanos, PiecewiseMap, SECOND};
 
 /// A frame of the phone.
@@ -128,12 +128,7 @@ pub(crate) fn camera_frames(
         .collect();
     near.sort_by_key(|frame| frame.0);
     let time_of = |stamp: DeviceNanos| -> Option<BoardNanos> {
-        let after = near.partition_point(|frame| frame.0 < stamp);
-        let next = [after.checked_sub(1), Some(after)]
-            .into_iter()
-            .flatten()
-            .filter_map(|place| near.get(place))
-            .min_by_key(|frame| frame.0.0.abs_diff(stamp.0))?;
+        let next = near[nearest(&near, stamp.0, |frame| frame.0.0)?];
         let clock = &found?.clock;
         let way = clock.apply(stamp)?.0.checked_sub(clock.apply(next.0)?.0)?;
         // A frame that has no depth frame near it is of a part without times.
