@@ -113,33 +113,25 @@ impl Lens {
 
     /// The pixel of a point at (x, y, 1); `None` outside of the model.
     pub(crate) fn project(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
-        let (x, y) = match self.model {
+        let ([p1, p2], [cx, cy], mixed) = match self.model {
             Model::Brown {
-                tangential: [p1, p2],
-                center: [cx, cy],
+                tangential,
+                center,
                 mixed,
                 ..
-            } => {
-                let (x, y) = (x - cx, y - cy);
-                let square = x * x + y * y;
-                if square > self.radius * self.radius {
-                    return None;
-                }
-                let stretch = self.stretch(square);
-                (
-                    x * stretch + (square + 2.0 * x * x) * p2 + mixed * x * y * p1 + cx,
-                    y * stretch + (square + 2.0 * y * y) * p1 + mixed * x * y * p2 + cy,
-                )
-            }
-            Model::Equidistant(_) => {
-                let square = x * x + y * y;
-                if square > self.radius * self.radius {
-                    return None;
-                }
-                let stretch = self.stretch(square);
-                (x * stretch, y * stretch)
-            }
+            } => (tangential, center, mixed),
+            Model::Equidistant(_) => ([0.0; 2], [0.0; 2], 0.0),
         };
+        let (x, y) = (x - cx, y - cy);
+        let square = x * x + y * y;
+        if square > self.radius * self.radius {
+            return None;
+        }
+        let stretch = self.stretch(square);
+        let (x, y) = (
+            x * stretch + (square + 2.0 * x * x) * p2 + mixed * x * y * p1 + cx,
+            y * stretch + (square + 2.0 * y * y) * p1 + mixed * x * y * p2 + cy,
+        );
         let pixel = [
             x * self.focal[0] + self.center[0],
             y * self.focal[1] + self.center[1],
