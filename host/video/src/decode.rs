@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{ChildStdout, Command, Stdio};
 use std::sync::OnceLock;
 
-use super::ffmpeg::{Ffmpeg, run_error};
-use super::{Info, VideoError, file_url, probe, program};
+use super::ffmpeg::Ffmpeg;
+use super::{Info, VideoError, file_url, probe, program, run_error};
 
 /// What a frame is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,7 +87,7 @@ impl Video {
             return Ok(true);
         }
         self.pipe = None;
-        let read = read.map_err(run_error)?;
+        let read = read.map_err(|error| run_error("ffmpeg", error))?;
         match self.ffmpeg.end()? {
             Some(complaint) => Err(VideoError::Decode(complaint)),
             None if read > 0 => Err(VideoError::Decode("it ends within a frame".to_owned())),

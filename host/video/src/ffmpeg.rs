@@ -4,7 +4,7 @@ use std::io::{self, Read};
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
-use super::{VideoError, start_error};
+use super::{VideoError, run_error};
 
 /// Bytes of ffmpeg's messages that are kept.
 const MAX_MESSAGES: u64 = 16 * 1024;
@@ -22,7 +22,7 @@ impl Ffmpeg {
         let mut child = command
             .stderr(Stdio::piped())
             .spawn()
-            .map_err(|error| start_error("ffmpeg", error))?;
+            .map_err(|error| run_error("ffmpeg", error))?;
         Ok(Self {
             messages: child
                 .stderr
@@ -44,7 +44,8 @@ impl Ffmpeg {
 
     /// Waits until it has ended; returns what it complained about.
     pub(super) fn end(&mut self) -> Result<Option<String>, VideoError> {
-        let status = self.child.wait().map_err(run_error)?;
+        let status = self.child.wait();
+        let status = status.map_err(|error| run_error("ffmpeg", error))?;
         let messages = self.messages.take().and_then(|thread| thread.join().ok());
         // The first line names the cause; with `-v error` there is little else.
         Ok(match messages.unwrap_or_default().lines().next() {
@@ -59,14 +60,6 @@ impl Drop for Ffmpeg {
         // Both calls may find that it has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
-    }
-}
-
-/// It could not be run to its end.
-pub(super) fn run_error(source: io::Error) -> VideoError {
-    VideoError::Run {
-        program: "ffmpeg",
-        source,
     }
 }
 

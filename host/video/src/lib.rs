@@ -85,7 +85,7 @@ fn file_url(path: &Path) -> OsString {
     url
 }
 
-fn start_error(program: &'static str, source: io::Error) -> VideoError {
+fn run_error(program: &'static str, source: io::Error) -> VideoError {
     match source.kind() {
         ErrorKind::NotFound => VideoError::Missing(program),
         _ => VideoError::Run { program, source },

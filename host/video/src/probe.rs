@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::{MAX_SIDE, VideoError, file_url, program, start_error};
+use super::{MAX_SIDE, VideoError, file_url, program, run_error};
 
 /// What a file says about its first video.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,7 +61,7 @@ pub fn probe(path: &Path) -> Result<Info, VideoError> {
         .arg("-i")
         .arg(file_url(path))
         .output()
-        .map_err(|error| start_error("ffprobe", error))?;
+        .map_err(|error| run_error("ffprobe", error))?;
     if output.status.success() {
         return parse_probe(&output.stdout);
     }
