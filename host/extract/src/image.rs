@@ -8,6 +8,8 @@ use std::fs::{self, File};
 use std::io::{self, BufRead, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use tempfile::TempPath;
+
 /// An image as it is written.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Pixels<'a> {
@@ -121,8 +123,8 @@ pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// removed.
 #[derive(Debug)]
 pub(crate) struct WholeFile {
-    writer: Option<BufWriter<File>>,
-    partial: PathBuf,
+    writer: BufWriter<File>,
+    partial: TempPath,
     path: PathBuf,
 }
 
@@ -140,11 +142,8 @@ impl WholeFile {
         name.push(".partial");
         let partial = path.with_file_name(name);
         Ok(Self {
-            writer: Some(BufWriter::with_capacity(
-                256 * 1024,
-                File::create(&partial)?,
-            )),
-            partial,
+            writer: BufWriter::with_capacity(256 * 1024, File::create(&partial)?),
+            partial: TempPath::try_from_path(partial)?,
             path: path.to_owned(),
         })
     }
@@ -155,40 +154,25 @@ impl WholeFile {
     ///
     /// Writing or renaming fails.
     pub(crate) fn finish(mut self) -> io::Result<()> {
-        if let Some(mut writer) = self.writer.take() {
-            writer.flush()?;
-        }
-        fs::rename(&self.partial, &self.path)
+        self.writer.flush()?;
+        drop(self.writer);
+        Ok(self.partial.persist(self.path)?)
     }
 }
 
 impl Write for WholeFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match &mut self.writer {
-            Some(writer) => writer.write(bytes),
-            None => Err(io::Error::other("the file is finished")),
-        }
+        self.writer.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.writer.as_mut().map_or(Ok(()), Write::flush)
+        self.writer.flush()
     }
 }
 
 impl Seek for WholeFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match &mut self.writer {
-            Some(writer) => writer.seek(to),
-            None => Err(io::Error::other("the file is finished")),
-        }
-    }
-}
-
-impl Drop for WholeFile {
-    fn drop(&mut self) {
-        if self.writer.take().is_some() {
-            let _ = fs::remove_file(&self.partial);
-        }
+        self.writer.seek(to)
     }
 }
 

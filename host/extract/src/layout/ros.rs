@@ -12,8 +12,8 @@
 //!
 //! Images are files first ([`parts`]).
 
-use std::fs::{self, File};
-use std::io::{self, BufRead, BufReader};
+use std::fs;
+use std::io;
 use std::iter::Peekable;
 use std::path::{Path, PathBuf};
 
@@ -208,8 +208,19 @@ fn fill<B: Bag>(
         streams.push((Box::new(events) as Events<'_>).peekable());
     }
     for imu in &imus {
-        let lines = BufReader::new(File::open(&imu.path)?).lines();
-        let events = lines.map(move |line| Ok(Event::Sample(imu, sample(&line?)?)));
+        let rows = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .from_path(&imu.path)?;
+        let events = rows.into_deserialize().map(move |row| {
+            let (at, gyro, accel) = row?;
+            let sample = ImuRow {
+                at: BoardNanos(at),
+                gyro,
+                accel,
+                temperature: None,
+            };
+            Ok(Event::Sample(imu, sample))
+        });
         streams.push((Box::new(events) as Events<'_>).peekable());
     }
     loop {
@@ -333,27 +344,6 @@ fn next_batch<'a>(streams: &mut [Peekable<Events<'a>>]) -> io::Result<Vec<Event<
         batch.push(event);
     }
     Ok(batch)
-}
-
-/// A line of the tables of samples.
-fn sample(line: &str) -> io::Result<ImuRow> {
-    let read = || {
-        let (at, rest) = line.split_once(',')?;
-        let numbers: Vec<f64> = rest
-            .split(',')
-            .map(|cell| cell.parse().ok())
-            .collect::<Option<_>>()?;
-        let [gx, gy, gz, ax, ay, az] = numbers[..] else {
-            return None;
-        };
-        Some(ImuRow {
-            at: BoardNanos(at.parse().ok()?),
-            gyro: [gx, gy, gz],
-            accel: [ax, ay, az],
-            temperature: None,
-        })
-    };
-    read().ok_or_else(|| io::Error::other(format!("a row of samples cannot be read: {line}")))
 }
 
 fn header(at: BoardNanos, name: &str) -> Header {
