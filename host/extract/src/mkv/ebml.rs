@@ -117,12 +117,9 @@ impl<R: Read + Seek> Source<R> {
     /// Seeking fails.
     pub(crate) fn seek(&mut self, position: u64) -> io::Result<()> {
         let position = position.min(self.length);
-        let distance = i128::from(position) - i128::from(self.position);
-        if let Ok(near) = i64::try_from(distance) {
-            self.reader.seek_relative(near)?;
-        } else {
-            self.reader.seek(SeekFrom::Start(position))?;
-        }
+        // No file is longer than an i64 can say.
+        let distance = position.wrapping_sub(self.position) as i64;
+        self.reader.seek_relative(distance)?;
         self.position = position;
         Ok(())
     }
@@ -231,22 +228,14 @@ impl<R: Read + Seek> Source<R> {
 
 /// An unsigned integer of at most eight bytes.
 pub(crate) fn unsigned(data: &[u8]) -> Option<u64> {
-    if data.len() > 8 {
-        return None;
-    }
-    Some(
-        data.iter()
-            .fold(0, |value, &byte| value << 8 | u64::from(byte)),
-    )
+    let next = |value, &byte: &u8| value << 8 | u64::from(byte);
+    (data.len() <= 8).then(|| data.iter().fold(0, next))
 }
 
 /// UTF-8 text without the zeros that may follow it; wrong bytes are replaced.
 pub(crate) fn text(data: &[u8]) -> String {
-    let end = data
-        .iter()
-        .position(|&byte| byte == 0)
-        .unwrap_or(data.len());
-    String::from_utf8_lossy(&data[..end]).into_owned()
+    let text = data.split(|&byte| byte == 0).next();
+    String::from_utf8_lossy(text.unwrap_or_default()).into_owned()
 }
 
 /// The content of the first element of an ID in a master element that is in memory.
@@ -276,8 +265,7 @@ fn children(data: &[u8]) -> impl Iterator<Item = (u32, &[u8])> {
 
 fn memory_id(data: &[u8]) -> Option<(u32, &[u8])> {
     let length = id_length(*data.first()?)?;
-    let bytes = data.get(..length)?;
-    let id = bytes.iter().fold(0, |id, &byte| id << 8 | u32::from(byte));
+    let id = unsigned(data.get(..length)?)? as u32;
     Some((id, &data[length..]))
 }
 
@@ -289,12 +277,8 @@ pub(crate) fn variable(data: &[u8]) -> Option<(Option<u64>, &[u8])> {
     if length > 8 {
         return None;
     }
-    let bytes = data.get(..length)?;
-    let value = bytes
-        .iter()
-        .fold(0, |value, &byte| value << 8 | u64::from(byte));
     let ones = (1_u64 << (7 * length)) - 1;
-    let value = value & ones;
+    let value = unsigned(data.get(..length)?)? & ones;
     Some(((value != ones).then_some(value), &data[length..]))
 }
 

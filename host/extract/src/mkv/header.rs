@@ -46,6 +46,22 @@ impl Header {
         let found = self.tags.iter().find(|(tag, _)| tag == name)?;
         Some(&found.1)
     }
+
+    /// Whether it is in elements of this ID.
+    pub(super) fn takes(id: u32) -> bool {
+        matches!(id, id::INFO | id::TRACKS | id::ATTACHMENTS | id::TAGS)
+    }
+
+    /// Takes what is in such an element.
+    pub(super) fn take(&mut self, id: u32, data: &[u8]) {
+        match id {
+            id::INFO => read_info(data, self),
+            id::TRACKS => keep(&mut self.tracks, read_tracks(data)),
+            id::ATTACHMENTS => keep(&mut self.attachments, read_attachments(data)),
+            id::TAGS => keep(&mut self.tags, read_tags(data)),
+            _ => {}
+        }
+    }
 }
 
 /// Adds items to those that are kept, as long as there is room.
@@ -66,7 +82,7 @@ fn bytes(data: &[u8], id: u32) -> Vec<u8> {
     ebml::child(data, id).unwrap_or_default().to_vec()
 }
 
-pub(super) fn read_info(data: &[u8], header: &mut Header) {
+fn read_info(data: &[u8], header: &mut Header) {
     header.written_by = text(data, id::WRITING_APP);
     // Present but without a scale: the specification's default of one millisecond.
     header.scale = unsigned(data, id::TIMESTAMP_SCALE)
@@ -74,16 +90,15 @@ pub(super) fn read_info(data: &[u8], header: &mut Header) {
         .or(Some(1_000_000));
 }
 
-pub(super) fn read_tracks(data: &[u8], tracks: &mut Vec<Track>) {
-    let entries = ebml::all(data, id::TRACK_ENTRY).map(|track| Track {
+fn read_tracks(data: &[u8]) -> impl Iterator<Item = Track> {
+    ebml::all(data, id::TRACK_ENTRY).map(|track| Track {
         number: unsigned(track, id::TRACK_NUMBER).unwrap_or(0),
         uid: unsigned(track, id::TRACK_UID).unwrap_or(0),
         name: text(track, id::NAME).unwrap_or_default(),
         codec: text(track, id::CODEC_ID).unwrap_or_default(),
         codec_private: bytes(track, id::CODEC_PRIVATE),
         pixels: ebml::child(track, id::VIDEO).and_then(read_pixels),
-    });
-    keep(tracks, entries);
+    })
 }
 
 fn read_pixels(video: &[u8]) -> Option<(u64, u64)> {
@@ -91,19 +106,17 @@ fn read_pixels(video: &[u8]) -> Option<(u64, u64)> {
     Some((width, unsigned(video, id::PIXEL_HEIGHT)?))
 }
 
-pub(super) fn read_attachments(data: &[u8], attachments: &mut Vec<(String, Vec<u8>)>) {
-    let files = ebml::all(data, id::ATTACHED_FILE).map(|file| {
+fn read_attachments(data: &[u8]) -> impl Iterator<Item = (String, Vec<u8>)> {
+    ebml::all(data, id::ATTACHED_FILE).map(|file| {
         let name = text(file, id::FILE_NAME).unwrap_or_default();
         (name, bytes(file, id::FILE_DATA))
-    });
-    keep(attachments, files);
+    })
 }
 
-pub(super) fn read_tags(data: &[u8], tags: &mut Vec<(String, String)>) {
-    let simple = ebml::all(data, id::TAG).flat_map(|tag| ebml::all(tag, id::SIMPLE_TAG));
-    let pairs = simple.map(|tag| {
+fn read_tags(data: &[u8]) -> impl Iterator<Item = (String, String)> {
+    let tags = ebml::all(data, id::TAG).flat_map(|tag| ebml::all(tag, id::SIMPLE_TAG));
+    tags.map(|tag| {
         let name = text(tag, id::TAG_NAME).unwrap_or_default();
         (name, text(tag, id::TAG_STRING).unwrap_or_default())
-    });
-    keep(tags, pairs);
+    })
 }

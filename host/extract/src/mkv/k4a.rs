@@ -23,8 +23,6 @@ use crate::time::DeviceNanos;
 const RECORDER_SCALE: u64 = 1_000;
 /// Largest image side that is accepted.
 const MAX_SIDE: u64 = 8192;
-/// Bytes of one IMU record.
-const IMU_RECORD: usize = 40;
 /// How many clusters are searched for a first IMU record.
 const IMU_SEARCH: usize = 200;
 
@@ -149,8 +147,7 @@ pub struct Recording<R> {
     ir: Option<u64>,
     imu: Option<u64>,
     color: Option<ColorTrack>,
-    width: u32,
-    height: u32,
+    size: (u32, u32),
     scale: i64,
     offset: StartOffset,
 }
@@ -192,10 +189,10 @@ impl<R: Read + Seek> Recording<R> {
             .ok_or_else(|| K4aError::NoDepth {
                 found: describe(&header.tracks),
             })?;
-        let (width, height) = image_size(depth)?;
+        let size = image_size(depth)?;
         let number = depth.number;
         let ir = find_track(header, "IR", "K4A_IR_TRACK")
-            .filter(|track| is_b16g(track) && image_size(track).ok() == Some((width, height)))
+            .filter(|track| is_b16g(track) && image_size(track).ok() == Some(size))
             .map(|track| track.number);
         let imu = find_track(header, "IMU", "K4A_IMU_TRACK")
             .filter(|track| track.codec == "S_K4A/IMU")
@@ -220,8 +217,7 @@ impl<R: Read + Seek> Recording<R> {
             ir,
             imu,
             color,
-            width,
-            height,
+            size,
             scale,
             offset,
             mkv,
@@ -231,13 +227,13 @@ impl<R: Read + Seek> Recording<R> {
     /// Width and height of the images in pixels.
     #[must_use]
     pub fn size(&self) -> (u32, u32) {
-        (self.width, self.height)
+        self.size
     }
 
     /// Bytes of a whole image.
     #[must_use]
     pub fn image_bytes(&self) -> usize {
-        self.width as usize * self.height as usize * 2
+        self.size.0 as usize * self.size.1 as usize * 2
     }
 
     /// Where device time begins.
@@ -415,24 +411,21 @@ fn describe(tracks: &[Track]) -> String {
 
 /// {u64 acceleration time, 3 × f32, u64 angular rate time, 3 × f32}, little-endian.
 fn imu_record(data: &[u8]) -> Option<CameraImu> {
-    if data.len() != IMU_RECORD {
-        return None;
-    }
-    let time = |at: usize| -> Option<DeviceNanos> {
-        let nanos = u64::from_le_bytes(data.get(at..at + 8)?.try_into().ok()?);
-        Some(DeviceNanos(i64::try_from(nanos).ok()?))
+    let sensor = |bytes: &[u8]| {
+        let (time, axes) = bytes.split_first_chunk::<8>()?;
+        let (&[x, y, z], []) = axes.as_chunks::<4>() else {
+            return None;
+        };
+        let at = i64::try_from(u64::from_le_bytes(*time)).ok()?;
+        Some((DeviceNanos(at), [x, y, z].map(f32::from_le_bytes)))
     };
-    let axes = |at: usize| -> Option<[f32; 3]> {
-        let mut axes = [0.0; 3];
-        for (axis, bytes) in axes.iter_mut().zip(data.get(at..at + 12)?.chunks_exact(4)) {
-            *axis = f32::from_le_bytes(bytes.try_into().ok()?);
-        }
-        Some(axes)
-    };
+    let (accel, gyro) = data.split_at_checked(20)?;
+    let (accel_at, accel) = sensor(accel)?;
+    let (gyro_at, gyro) = sensor(gyro)?;
     Some(CameraImu {
-        accel_at: time(0)?,
-        accel: axes(8)?,
-        gyro_at: time(20)?,
-        gyro: axes(28)?,
+        accel_at,
+        accel,
+        gyro_at,
+        gyro,
     })
 }

@@ -11,7 +11,7 @@ use std::io::{self, Read, Seek};
 
 use super::block::{Block, Check};
 use super::ebml::{self, EbmlError, Head, Source};
-use super::header::{Header, read_attachments, read_info, read_tags, read_tracks};
+use super::header::Header;
 use super::id;
 use crate::faults::Faults;
 
@@ -80,8 +80,6 @@ pub(crate) struct Frame {
 /// One cluster.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cluster {
-    /// Where it begins in the file.
-    pub(crate) at: u64,
     /// Its frames as they stand in the file.
     pub(crate) frames: Vec<Frame>,
     /// Whether it agrees with its CRC; `None` if it has none or was not read in full.
@@ -199,27 +197,15 @@ impl<R: Read + Seek> Mkv<R> {
             self.note(head.at, 0, format!("element {:X} has no size", head.id));
             return Ok(());
         };
-        let wanted = matches!(head.id, id::INFO | id::TRACKS | id::ATTACHMENTS | id::TAGS);
-        if !wanted {
-            self.source.seek(head.data.saturating_add(size))?;
-            return Ok(());
-        }
-        let mut data = Vec::new();
-        match self.source.read_into(size, MAX_HEADER, &mut data) {
-            Ok(()) => {}
-            Err(EbmlError::Io(error)) => return Err(error.into()),
-            Err(error) => {
-                self.note(head.at, size.min(self.source.remaining()), error);
-                self.source.seek(head.data.saturating_add(size))?;
-                return Ok(());
+        if Header::takes(head.id) {
+            let mut data = Vec::new();
+            match self.source.read_into(size, MAX_HEADER, &mut data) {
+                Ok(()) => self.header.take(head.id, &data),
+                Err(EbmlError::Io(error)) => return Err(error.into()),
+                Err(error) => self.note(head.at, size.min(self.source.remaining()), error),
             }
         }
-        match head.id {
-            id::INFO => read_info(&data, &mut self.header),
-            id::TRACKS => read_tracks(&data, &mut self.header.tracks),
-            id::ATTACHMENTS => read_attachments(&data, &mut self.header.attachments),
-            _ => read_tags(&data, &mut self.header.tags),
-        }
+        self.source.seek(head.data.saturating_add(size))?;
         Ok(())
     }
 
@@ -267,10 +253,7 @@ impl<R: Read + Seek> Mkv<R> {
         let length = self.source.length();
         let end = cluster.end().unwrap_or(length);
         let limit = cluster.data.saturating_add(MAX_CLUSTER).min(length);
-        let mut out = Cluster {
-            at: cluster.at,
-            ..Cluster::default()
-        };
+        let mut out = Cluster::default();
         let mut crc = Check::default();
         let mut time: i64 = 0;
         loop {
@@ -283,7 +266,7 @@ impl<R: Read + Seek> Mkv<R> {
                 Ok(Some(head)) => head,
                 Err(EbmlError::Truncated { .. }) => break self.cut_off(at, cluster),
                 Err(EbmlError::Io(error)) => return Err(error.into()),
-                Err(error) => break self.broken(out.at, at, &error)?,
+                Err(error) => break self.broken(cluster.at, at, &error)?,
             };
             if TOP_LEVEL.contains(&head.id) {
                 // The end of a cluster of unknown size, or a cluster whose size
@@ -301,7 +284,7 @@ impl<R: Read + Seek> Mkv<R> {
                     at,
                     what: "an element is larger than its cluster",
                 };
-                break self.broken(out.at, at, &error)?;
+                break self.broken(cluster.at, at, &error)?;
             };
             if child_end > length {
                 break self.cut_off(at, cluster);
@@ -312,7 +295,7 @@ impl<R: Read + Seek> Mkv<R> {
                     size: child_end - cluster.data,
                     limit: MAX_CLUSTER,
                 };
-                break self.broken(out.at, at, &error)?;
+                break self.broken(cluster.at, at, &error)?;
             }
             let size = child_end - head.data;
             match head.id {
@@ -375,10 +358,7 @@ impl<R: Read + Seek> Mkv<R> {
             }
             self.source.seek(head.data)?;
         }
-        let mut buffer = std::mem::take(&mut self.buffer);
-        let read = self.source.read_into(size, MAX_CLUSTER, &mut buffer);
-        self.buffer = buffer;
-        read?;
+        self.source.read_into(size, MAX_CLUSTER, &mut self.buffer)?;
         let block = if head.id == id::SIMPLE_BLOCK {
             Some(self.buffer.as_slice())
         } else {
