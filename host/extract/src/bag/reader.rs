@@ -78,7 +78,6 @@ pub struct Bag<R> {
     position: u64,
     connections: HashMap<u32, Connection>,
     damage: Faults,
-    closed: bool,
     ended: bool,
     chunk: Vec<u8>,
     budget: Budget,
@@ -108,7 +107,6 @@ impl<R: Read> Bag<R> {
             position: MAGIC.len() as u64,
             connections: HashMap::new(),
             damage: Faults::new(MAX_DAMAGE),
-            closed: false,
             ended: false,
             chunk: Vec::new(),
             budget: Budget::new(FOREIGN_RATIO),
@@ -125,12 +123,6 @@ impl<R: Read> Bag<R> {
     #[must_use]
     pub fn damage(&self) -> &[String] {
         self.damage.first()
-    }
-
-    /// Whether the bag was closed by its recorder (its header names an index).
-    #[must_use]
-    pub fn was_closed(&self) -> bool {
-        self.closed
     }
 
     /// Reads on to the end of the next chunk and gives its messages to `each`.
@@ -165,8 +157,6 @@ impl<R: Read> Bag<R> {
                         let name = String::from_utf8_lossy(name).into_owned();
                         return Err(BagError::Encrypted(name).into());
                     }
-                    self.closed =
-                        field_u64(&header, "index_pos").is_some_and(|position| position > 0);
                 }
                 Some(OP_CONNECTION) => add_connection(&mut self.connections, &header, &data),
                 Some(OP_INDEX | OP_CHUNK_INFO) => {}
@@ -381,10 +371,6 @@ fn field_u8(header: &[u8], name: &str) -> Option<u8> {
 
 fn field_u32(header: &[u8], name: &str) -> Option<u32> {
     Some(u32::from_le_bytes(field(header, name)?.try_into().ok()?))
-}
-
-fn field_u64(header: &[u8], name: &str) -> Option<u64> {
-    Some(u64::from_le_bytes(field(header, name)?.try_into().ok()?))
 }
 
 /// ROS time (u32 seconds, u32 nanoseconds) in ns.

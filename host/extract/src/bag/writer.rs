@@ -378,9 +378,15 @@ mod tests {
             chunks += 1;
         }
         assert_eq!(number, count);
-        assert!(
-            chunks > 1 && bag.was_closed() && bag.damage().is_empty(),
-            "{chunks}"
-        );
+        assert!(chunks > 1 && bag.damage().is_empty(), "{chunks}");
+        // The header names the index, which begins with the connection.
+        let name = b"index_pos=";
+        let place = bytes.windows(name.len()).position(|bytes| bytes == name);
+        let (index, _) = bytes[place.unwrap() + name.len()..]
+            .split_first_chunk::<8>()
+            .unwrap();
+        let index = &bytes[u64::from_le_bytes(*index) as usize..];
+        let op = fields(&[("op", &[OP_CONNECTION])]);
+        assert_eq!(&index[4..4 + op.len()], op);
     }
 }
