@@ -73,18 +73,19 @@ pub(crate) fn each_event<E: From<Stopped>>(
     Ok(stream.damage())
 }
 
-/// The board's gyroscope.
+/// The board's gyroscope within a span.
 ///
 /// # Errors
 ///
 /// The recording cannot be opened.
-pub(crate) fn board<'a>(
+fn board<'a>(
     input: &BoardInput,
+    (from, to): (BoardNanos, BoardNanos),
     progress: &'a dyn Progress,
 ) -> Result<GyroStream<'a, StreamError>, StreamError> {
     let mut stream = input.open(Images::Skip)?;
     let mut count = 0_u64;
-    let mut last = i64::MIN;
+    let mut last = from.0.saturating_sub(1);
     Ok(Box::new(std::iter::from_fn(move || {
         loop {
             count += 1;
@@ -94,6 +95,7 @@ pub(crate) fn board<'a>(
             match stream.next_event() {
                 Err(error) => return Some(Err(error.into())),
                 Ok(None) => return None,
+                Ok(Some(BoardEvent::Imu(row))) if row.at > to => return None,
                 // Windows are cut in order of time.
                 Ok(Some(BoardEvent::Imu(row))) if row.at.0 > last => {
                     last = row.at.0;
@@ -120,7 +122,7 @@ pub(crate) fn related<'a>(
 ) -> Result<Result<RecordingClock, String>, Stopped> {
     let way = |at: BoardNanos| at.0.saturating_sub(from.0).unsigned_abs();
     progress.begin(what, way(to));
-    let board = || board_between(input, (from, to), progress);
+    let board = || board(input, (from, to), progress);
     let related = estimate_course(&board, other, prior, options, every, &|at| {
         progress.at(way(BoardNanos(at)));
     });
@@ -131,27 +133,6 @@ pub(crate) fn related<'a>(
         Err(RecordingError::Read(StreamError::Board(error))) => Err(Stopped::Board(error)),
         Err(error) => Ok(Err(error.to_string())),
     }
-}
-
-/// The board's gyroscope within a span.
-///
-/// # Errors
-///
-/// The recording cannot be opened.
-pub(crate) fn board_between<'a>(
-    input: &BoardInput,
-    (from, to): (BoardNanos, BoardNanos),
-    progress: &'a dyn Progress,
-) -> Result<GyroStream<'a, StreamError>, StreamError> {
-    let before = move |sample: &Result<GyroSample, StreamError>| {
-        sample.as_ref().is_ok_and(|sample| sample.at < from.0)
-    };
-    let until = move |sample: &Result<GyroSample, StreamError>| {
-        sample.as_ref().map_or(true, |sample| sample.at <= to.0)
-    };
-    Ok(Box::new(
-        board(input, progress)?.skip_while(before).take_while(until),
-    ))
 }
 
 /// The phone's gyroscope.
