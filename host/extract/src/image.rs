@@ -25,22 +25,14 @@ pub(crate) enum Pixels<'a> {
 ///
 /// The number of bytes is not that of the size.
 pub(crate) fn encode_png(width: u32, height: u32, pixels: Pixels<'_>) -> io::Result<Vec<u8>> {
-    let mut out = Vec::with_capacity(match pixels {
-        Pixels::Gray16(bytes) | Pixels::Rgb8(bytes) => bytes.len() / 2,
-    });
-    let mut encoder = png::Encoder::new(&mut out, width, height);
-    let bytes = match pixels {
-        Pixels::Gray16(bytes) => {
-            encoder.set_color(png::ColorType::Grayscale);
-            encoder.set_depth(png::BitDepth::Sixteen);
-            bytes
-        }
-        Pixels::Rgb8(bytes) => {
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            bytes
-        }
+    let (bytes, color, depth) = match pixels {
+        Pixels::Gray16(bytes) => (bytes, png::ColorType::Grayscale, png::BitDepth::Sixteen),
+        Pixels::Rgb8(bytes) => (bytes, png::ColorType::Rgb, png::BitDepth::Eight),
     };
+    let mut out = Vec::with_capacity(bytes.len() / 2);
+    let mut encoder = png::Encoder::new(&mut out, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header().map_err(io::Error::other)?;
     writer.write_image_data(bytes).map_err(io::Error::other)?;
