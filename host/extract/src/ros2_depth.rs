@@ -14,7 +14,7 @@ use recording::messages::camera::Image as RosImage;
 use recording::messages::{RosMessage as _, from_cdr};
 
 use crate::bag::messages::{Header, Image};
-use crate::board_data::{BagImage, Images, millimetres};
+use crate::board_data::{BagImage, Images};
 use crate::faults::Faults;
 
 const KIND: &str = RosImage::TYPE;
@@ -174,20 +174,8 @@ impl Taken {
             step: image.step,
             data: &image.data,
         };
-        let pixels = match self.images {
-            Images::Pixels => millimetres(&image).unwrap_or_else(|what| {
-                self.faults
-                    .add(format!("a depth image at {stamp} ns {what}"));
-                Vec::new()
-            }),
-            Images::Stamps | Images::Skip => Vec::new(),
-        };
-        self.waiting.push_back(BagImage {
-            stamp,
-            width: image.width,
-            height: image.height,
-            pixels,
-        });
+        let image = BagImage::of(&image, self.images, &mut self.faults);
+        self.waiting.push_back(image);
     }
 }
 

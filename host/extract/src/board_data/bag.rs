@@ -147,7 +147,10 @@ impl Sorter {
             }
             _ if topic.ends_with("depth/image_raw") && self.images != Images::Skip => {
                 expect(message, Image::KIND)?;
-                Image::parse(message.data).map(|image| self.image(&image))
+                Image::parse(message.data).map(|image| {
+                    let image = BagImage::of(&image, self.images, &mut self.faults);
+                    self.events.push_back(BoardEvent::Image(image));
+                })
             }
             _ => Ok(()),
         };
@@ -203,28 +206,6 @@ impl Sorter {
             other: times.time_ref,
         }));
     }
-
-    fn image(&mut self, image: &Image<'_>) {
-        let pixels = if self.images == Images::Pixels {
-            match millimetres(image) {
-                Ok(pixels) => pixels,
-                Err(what) => {
-                    // It still counts as a frame: frames are numbered.
-                    self.faults
-                        .add(format!("a depth image at {} ns {what}", image.header.stamp));
-                    Vec::new()
-                }
-            }
-        } else {
-            Vec::new()
-        };
-        self.events.push_back(BoardEvent::Image(BagImage {
-            stamp: image.header.stamp,
-            width: image.width,
-            height: image.height,
-            pixels,
-        }));
-    }
 }
 
 fn expect(message: &Message<'_>, expected: &'static str) -> Result<(), BoardError> {
@@ -238,8 +219,29 @@ fn expect(message: &Message<'_>, expected: &'static str) -> Result<(), BoardErro
     })
 }
 
+impl BagImage {
+    /// The image of a message, with its pixels if they are wanted.
+    pub(crate) fn of(image: &Image<'_>, images: Images, faults: &mut Faults) -> Self {
+        let stamp = image.header.stamp;
+        let pixels = match images {
+            Images::Pixels => millimetres(image).unwrap_or_else(|what| {
+                // It still counts as a frame: frames are numbered.
+                faults.add(format!("a depth image at {stamp} ns {what}"));
+                Vec::new()
+            }),
+            Images::Stamps | Images::Skip => Vec::new(),
+        };
+        Self {
+            stamp,
+            width: image.width,
+            height: image.height,
+            pixels,
+        }
+    }
+}
+
 /// An image's pixels as big-endian millimetres.
-pub(crate) fn millimetres(image: &Image<'_>) -> Result<Vec<u8>, &'static str> {
+fn millimetres(image: &Image<'_>) -> Result<Vec<u8>, &'static str> {
     let bytes = match image.encoding {
         "16UC1" | "mono16" => 2,
         "32FC1" => 4,

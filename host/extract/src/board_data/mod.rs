@@ -10,8 +10,6 @@ mod mcap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-pub(crate) use bag::millimetres;
-
 use super::depth_clock::PulseTime;
 use super::later_runs::{Moves, RunMark};
 use super::time::BoardNanos;
