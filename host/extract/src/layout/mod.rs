@@ -68,8 +68,8 @@ impl Format {
             Self::Tum => &tum::OF_PHONE,
             Self::Topics => &topics::Topics,
             Self::Kalibr => &kalibr::Kalibr,
-            Self::Ros2 => &ros::Ros::TWO,
-            Self::Ros1 => &ros::Ros::ONE,
+            Self::Ros2 => &ros::Ros::Two,
+            Self::Ros1 => &ros::Ros::One,
             Self::Lerobot => &lerobot::Lerobot,
         }
     }

@@ -28,7 +28,6 @@ use super::offset::{moved, write_offset};
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::bag::writer::{BagWriter, Ros1Message};
 use crate::board_data::ImuRow;
-use crate::geometry::CameraFacts;
 use crate::image::{Decoded, WholeFile, read_png, write_whole};
 use crate::time::BoardNanos;
 
@@ -41,13 +40,9 @@ pub(super) const IMAGES_AT_A_TIME: usize = 4;
 const MESSAGES_AT_A_TIME: usize = 512;
 
 /// A bag of one of the two versions.
-pub(super) struct Ros {
-    is_two: bool,
-}
-
-impl Ros {
-    pub(super) const ONE: Self = Self { is_two: false };
-    pub(super) const TWO: Self = Self { is_two: true };
+pub(super) enum Ros {
+    One,
+    Two,
 }
 
 impl Layout for Ros {
@@ -71,10 +66,9 @@ impl Layout for Ros {
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         super::further::write(folder, tables)?;
         write_offset(folder)?;
-        let path = if self.is_two {
-            folder.join("ros2").join(MCAP_FILE)
-        } else {
-            folder.join("data.bag")
+        let path = match self {
+            Self::One => folder.join("data.bag"),
+            Self::Two => folder.join("ros2").join(MCAP_FILE),
         };
         parts::join(folder, &path, tables, || {
             self.write_bag(&path, folder, tables, facts)
@@ -91,20 +85,22 @@ impl Ros {
         facts: &Facts,
     ) -> io::Result<()> {
         let mut file = WholeFile::create(path)?;
-        if !self.is_two {
-            let mut bag = BagWriter::create(&mut file)?;
-            fill(&mut bag, folder, tables, facts)?;
-            bag.finish()?;
-            return file.finish();
+        match self {
+            Self::One => {
+                let mut bag = BagWriter::create(&mut file)?;
+                fill(&mut bag, folder, tables, facts)?;
+                bag.finish()?;
+                file.finish()
+            }
+            Self::Two => {
+                let mut bag = rosbag2::Bag::create(&mut file).map_err(io::Error::other)?;
+                fill(&mut bag, folder, tables, facts)?;
+                let metadata = bag.finish(MCAP_FILE).map_err(io::Error::other)?;
+                file.finish()?;
+                let path = path.with_file_name(rosbag2::METADATA_FILE);
+                write_whole(&path, metadata.as_bytes())
+            }
         }
-        let mut bag = rosbag2::Bag::create(&mut file).map_err(io::Error::other)?;
-        fill(&mut bag, folder, tables, facts)?;
-        let metadata = bag.finish(MCAP_FILE).map_err(io::Error::other)?;
-        file.finish()?;
-        write_whole(
-            &path.with_file_name(rosbag2::METADATA_FILE),
-            metadata.as_bytes(),
-        )
     }
 }
 
@@ -149,19 +145,20 @@ impl<W: io::Write + io::Seek> Bag for BagWriter<W> {
 /// A camera of the bag.
 struct Camera<'a> {
     name: &'static str,
-    /// Encoding of its 16-bit images; nothing for JPEG files, whose size nobody reads.
-    gray: Option<&'static str>,
+    form: Form,
     rows: &'a [ImageRow],
-    size: Option<(u32, u32)>,
-    facts: &'a CameraFacts,
+    intrinsics: Option<&'a Intrinsics>,
     /// Number of its first topic; the one behind it has its `CameraInfo`, if that is known.
     topic: usize,
 }
 
-impl Camera<'_> {
-    fn topics(&self) -> usize {
-        1 + usize::from(self.facts.intrinsics.is_some())
-    }
+/// What images are.
+#[derive(Clone, Copy)]
+enum Form {
+    /// PNG files: 16-bit ones have this encoding.
+    Png(&'static str),
+    /// JPEG files, whose size nobody reads; it is this one.
+    Jpeg(Option<(u32, u32)>),
 }
 
 /// An IMU of the bag.
@@ -195,10 +192,9 @@ fn fill<B: Bag>(
     tables: &SequenceTables<'_>,
     facts: &Facts,
 ) -> io::Result<()> {
-    let infrared = CameraFacts::default();
-    let cameras = add_cameras(bag, tables, facts, &infrared)?;
-    let first = cameras.iter().map(Camera::topics).sum();
-    let imus = add_imus(bag, first, folder, facts)?;
+    let mut topics = 0;
+    let cameras = add_cameras(bag, &mut topics, tables, facts)?;
+    let imus = add_imus(bag, &mut topics, folder, facts)?;
     let mut streams: Vec<Peekable<Events<'_>>> = Vec::new();
     for camera in &cameras {
         let events = camera
@@ -245,59 +241,49 @@ fn fill<B: Bag>(
 /// `CameraInfo`: one of zeros keeps Rerun from showing the images.
 fn add_cameras<'a, B: Bag>(
     bag: &mut B,
+    topics: &mut usize,
     tables: &'a SequenceTables<'_>,
     facts: &'a Facts,
-    infrared: &'a CameraFacts,
 ) -> io::Result<Vec<Camera<'a>>> {
+    let (gray, depth) = (Form::Png("mono16"), Form::Png("16UC1"));
+    let jpeg = Form::Jpeg(facts.camera_size);
     let known = &facts.cameras;
-    let camera = |name, gray, rows, size, facts| Camera {
-        name,
-        gray,
-        rows,
-        size,
-        facts,
-        topic: 0,
-    };
-    let gray = Some("mono16");
-    let mut cameras = vec![
-        camera("cam0", gray, &tables.color, facts.color_size, &known.phone),
-        camera(
-            "cam1",
-            None,
-            &tables.camera,
-            facts.camera_size,
-            &known.color,
-        ),
-        camera(
-            "depth0",
-            Some("16UC1"),
-            &tables.depth,
-            facts.depth_size,
-            &known.depth,
-        ),
-        camera("ir0", gray, &tables.infrared, facts.infrared_size, infrared),
-    ];
-    cameras.retain(|camera| !camera.rows.is_empty());
-    let mut next = 0;
-    for camera in &mut cameras {
-        camera.topic = next;
-        next += camera.topics();
-        let name = camera.name;
-        match camera.gray {
-            Some(_) => bag.add::<Image>(&format!("/{name}/image_raw"))?,
-            None => bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?,
+    let mut cameras = Vec::new();
+    for (name, form, rows, intrinsics) in [
+        ("cam0", gray, &tables.color, &known.phone.intrinsics),
+        ("cam1", jpeg, &tables.camera, &known.color.intrinsics),
+        ("depth0", depth, &tables.depth, &known.depth.intrinsics),
+        ("ir0", gray, &tables.infrared, &None),
+    ] {
+        if rows.is_empty() {
+            continue;
         }
-        if camera.facts.intrinsics.is_some() {
+        cameras.push(Camera {
+            name,
+            form,
+            rows,
+            intrinsics: intrinsics.as_ref(),
+            topic: *topics,
+        });
+        match form {
+            Form::Png(_) => bag.add::<Image>(&format!("/{name}/image_raw"))?,
+            Form::Jpeg(_) => {
+                bag.add::<CompressedImage>(&format!("/{name}/image_raw/compressed"))?
+            }
+        }
+        *topics += 1;
+        if intrinsics.is_some() {
             bag.add::<CameraInfo>(&format!("/{name}/camera_info"))?;
+            *topics += 1;
         }
     }
     Ok(cameras)
 }
 
-/// Adds a topic for each IMU that has samples; `first` is the number of the first.
+/// Adds a topic for each IMU that has samples.
 fn add_imus<B: Bag>(
     bag: &mut B,
-    first: usize,
+    topics: &mut usize,
     folder: &Path,
     facts: &Facts,
 ) -> io::Result<Vec<Samples>> {
@@ -315,8 +301,9 @@ fn add_imus<B: Bag>(
                 name,
                 path,
                 variances: noise.variances(rate),
-                topic: first + imus.len(),
+                topic: *topics,
             });
+            *topics += 1;
         }
     }
     Ok(imus)
@@ -361,32 +348,35 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
     };
     let path = folder.join(&row.path);
     let header = header(row.at, camera.name);
-    let (bytes, size) = if let Some(gray) = camera.gray {
-        let Decoded {
-            size,
-            is_rgb,
-            pixels,
-        } = read_png(&path)?;
-        let image = Image {
-            header: header.clone(),
-            height: size.1,
-            width: size.0,
-            encoding: String::from(if is_rgb { "rgb8" } else { gray }),
-            is_bigendian: 0,
-            step: size.0 * if is_rgb { 3 } else { 2 },
-            data: pixels,
-        };
-        (B::encode(&image)?, size)
-    } else {
-        let image = CompressedImage {
-            header: header.clone(),
-            format: String::from("jpeg"),
-            data: fs::read(path)?,
-        };
-        (B::encode(&image)?, camera.size.unwrap_or_default())
+    let (bytes, size) = match camera.form {
+        Form::Png(gray) => {
+            let Decoded {
+                size,
+                is_rgb,
+                pixels,
+            } = read_png(&path)?;
+            let image = Image {
+                header: header.clone(),
+                height: size.1,
+                width: size.0,
+                encoding: String::from(if is_rgb { "rgb8" } else { gray }),
+                is_bigendian: 0,
+                step: size.0 * if is_rgb { 3 } else { 2 },
+                data: pixels,
+            };
+            (B::encode(&image)?, size)
+        }
+        Form::Jpeg(size) => {
+            let image = CompressedImage {
+                header: header.clone(),
+                format: String::from("jpeg"),
+                data: fs::read(path)?,
+            };
+            (B::encode(&image)?, size.unwrap_or_default())
+        }
     };
     let mut messages = vec![(camera.topic, bytes)];
-    if let Some(known) = &camera.facts.intrinsics {
+    if let Some(known) = camera.intrinsics {
         let info = camera_info(header, size, known);
         messages.push((camera.topic + 1, B::encode(&info)?));
     }
@@ -394,13 +384,8 @@ fn messages<B: Bag>(event: &Event<'_>, folder: &Path) -> io::Result<Vec<(usize, 
 }
 
 fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
-    let covariance = |variance: f64| {
-        let mut matrix = [0.0; 9];
-        for place in [0, 4, 8] {
-            matrix[place] = variance;
-        }
-        matrix
-    };
+    let covariance =
+        |variance| std::array::from_fn(|place| if place % 4 == 0 { variance } else { 0.0 });
     let [rate, force] = imu.variances;
     let mut unknown = [0.0; 9];
     unknown[0] = -1.0;
