@@ -115,7 +115,11 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
     let path = folder.join(format!("videos/{PHONE}/chunk-000/file-000.mp4"));
     fs::create_dir_all(files::folder_of(&path))?;
     let partial = path.with_extension("partial");
-    let mut video: Option<(Encoder, Size)> = None;
+    let Some((first, _)) = pairs.first() else {
+        return Err(io::Error::other("there are no images"));
+    };
+    let size = read_png(&folder.join(&first.path))?.size;
+    let mut video = Encoder::create(&partial, size, fps).map_err(io::Error::other)?;
     let mut stats = Stats::new(3);
     for pairs in pairs.chunks(IMAGES_AT_A_TIME) {
         let images: Vec<io::Result<(Decoded, Stats)>> = pairs
@@ -129,24 +133,17 @@ fn write_video(folder: &Path, pairs: &[Pair<'_>], fps: u32) -> io::Result<(Size,
         for image in images {
             let (image, its) = image?;
             stats.join(&its);
-            if video.is_none() {
-                let encoder = Encoder::create(&partial, image.size, fps);
-                video = Some((encoder.map_err(io::Error::other)?, image.size));
+            if size != image.size {
+                return Err(io::Error::other(format!(
+                    "the phone's images have two sizes, {} x {} and {} x {}: a LeRobot video \
+                     has one; choose another --format",
+                    size.0, size.1, image.size.0, image.size.1
+                )));
             }
-            if let Some((encoder, size)) = &mut video {
-                if *size != image.size {
-                    return Err(io::Error::other(format!(
-                        "the phone's images have two sizes, {} x {} and {} x {}: a LeRobot video \
-                         has one; choose another --format",
-                        size.0, size.1, image.size.0, image.size.1
-                    )));
-                }
-                encoder.write(&image.pixels).map_err(io::Error::other)?;
-            }
+            video.write(&image.pixels).map_err(io::Error::other)?;
         }
     }
-    let (encoder, size) = video.ok_or_else(|| io::Error::other("there are no images"))?;
-    encoder.finish().map_err(io::Error::other)?;
+    video.finish().map_err(io::Error::other)?;
     fs::rename(&partial, &path)?;
     Ok((size, stats))
 }
