@@ -69,19 +69,14 @@ impl Layout for Tum {
 
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         super::further::write(folder, tables)?;
-        let color = if self.of_camera {
-            &tables.camera
+        let (color, size) = if self.of_camera {
+            (&tables.camera, facts.camera_size)
         } else {
-            &tables.color
+            (&tables.color, facts.color_size)
         };
         list(&folder.join("rgb.txt"), "color images", color)?;
         list(&folder.join("depth.txt"), "depth maps", &tables.depth)?;
         // Whoever reads pairs lays the two images over one another.
-        let size = if self.of_camera {
-            facts.camera_size
-        } else {
-            facts.color_size
-        };
         if size.is_none() || size != facts.depth_size || !facts.registered {
             return Ok(());
         }
