@@ -79,7 +79,6 @@ pub struct Bag<R> {
     connections: HashMap<u32, Connection>,
     damage: Faults,
     ended: bool,
-    chunk: Vec<u8>,
     budget: Budget,
 }
 
@@ -108,7 +107,6 @@ impl<R: Read> Bag<R> {
             connections: HashMap::new(),
             damage: Faults::new(MAX_DAMAGE),
             ended: false,
-            chunk: Vec::new(),
             budget: Budget::new(FOREIGN_RATIO),
         })
     }
@@ -142,8 +140,8 @@ impl<R: Read> Bag<R> {
             };
             let kind = field_u8(&header, "op");
             if kind == Some(OP_CHUNK) {
-                self.read_chunk(at, &header, length)?;
-                self.each_message(at, &mut each)?;
+                let chunk = self.read_chunk(at, &header, length)?;
+                self.each_message(at, &chunk, &mut each)?;
                 return Ok(true);
             }
             let data = self.read(at, length, "record")?;
@@ -172,12 +170,11 @@ impl<R: Read> Bag<R> {
     fn each_message<E: From<BagError>>(
         &mut self,
         at: u64,
+        chunk: &[u8],
         each: &mut impl FnMut(Message<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let chunk = std::mem::take(&mut self.chunk);
-        let mut rest = chunk.as_slice();
-        let mut result = Ok(());
-        while !rest.is_empty() && result.is_ok() {
+        let mut rest = chunk;
+        while !rest.is_empty() {
             let Some((header, data, after)) = split_record(rest) else {
                 self.note(at, "a chunk ends within a record");
                 break;
@@ -185,15 +182,14 @@ impl<R: Read> Bag<R> {
             rest = after;
             match field_u8(header, "op") {
                 Some(OP_CONNECTION) => add_connection(&mut self.connections, header, data),
-                Some(OP_MESSAGE) => result = self.give(at, header, data, each),
+                Some(OP_MESSAGE) => self.give(at, header, data, each)?,
                 _ => {
                     self.note(at, "a chunk holds something that is no message");
                     break;
                 }
             }
         }
-        self.chunk = chunk;
-        result
+        Ok(())
     }
 
     fn give<E>(
@@ -242,48 +238,48 @@ impl<R: Read> Bag<R> {
     }
 
     /// Reads and unpacks a chunk; what cannot be unpacked is left empty.
-    fn read_chunk(&mut self, at: u64, header: &[u8], length: u32) -> Result<(), BagError> {
-        self.chunk.clear();
+    fn read_chunk(&mut self, at: u64, header: &[u8], length: u32) -> Result<Vec<u8>, BagError> {
         // The last chunk of a bag that was not closed may be cut off: what is
         // there of it counts.
         let packed = self.read(at, length, "chunk")?;
         let limit = MAX_DATA + 1;
+        let mut chunk = Vec::new();
         let result = match field(header, "compression") {
             Some(b"none") | None => {
-                self.chunk = packed;
+                chunk = packed;
                 Ok(0)
             }
             Some(b"bz2") => bzip2::read::BzDecoder::new(packed.as_slice())
                 .take(limit)
-                .read_to_end(&mut self.chunk),
+                .read_to_end(&mut chunk),
             Some(b"lz4") => lz4_flex::frame::FrameDecoder::new(packed.as_slice())
                 .take(limit)
-                .read_to_end(&mut self.chunk),
+                .read_to_end(&mut chunk),
             Some(other) => {
                 let other = String::from_utf8_lossy(other);
                 let other: String = other.chars().take(SHOWN_NAME).collect();
                 let text = format!("chunk compression {other:?}; expected none, bz2 or lz4");
                 self.note(at, text);
-                return Ok(());
+                return Ok(chunk);
             }
         };
         if let Err(error) = result {
             self.note(at, format!("a chunk cannot be unpacked in full: {error}"));
         }
-        let unpacked = self.chunk.len() as u64;
+        let unpacked = chunk.len() as u64;
         if unpacked > MAX_DATA {
-            self.chunk.clear();
+            chunk.clear();
             self.note(at, "a chunk is larger than any real one when unpacked");
         }
         if !self.budget.takes(unpacked, self.position) {
-            self.chunk.clear();
+            chunk.clear();
             let text = format!(
                 "the bag unpacks to more than {FOREIGN_RATIO} times its length, which no real one \
                  does; the rest is left out"
             );
             self.end(at, text);
         }
-        Ok(())
+        Ok(chunk)
     }
 
     fn length(&mut self, at: u64) -> Result<Option<u32>, BagError> {

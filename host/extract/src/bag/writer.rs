@@ -161,7 +161,6 @@ fn time(nanos: u64) -> [u8; 8] {
 /// A bag that is being written.
 pub(crate) struct BagWriter<W> {
     to: W,
-    position: u64,
     /// Records of the topics.
     connections: Vec<Vec<u8>>,
     chunk: Vec<u8>,
@@ -185,7 +184,6 @@ impl<W: Write + Seek> BagWriter<W> {
         to.write_all(&bag_record(0, 0, 0))?;
         Ok(Self {
             to,
-            position: (MAGIC.len() + BAG_RECORD) as u64,
             connections: Vec::new(),
             chunk: Vec::new(),
             span: None,
@@ -242,16 +240,11 @@ impl<W: Write + Seek> BagWriter<W> {
         Ok(())
     }
 
-    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.position += bytes.len() as u64;
-        self.to.write_all(bytes)
-    }
-
     fn close_chunk(&mut self) -> io::Result<()> {
         let Some((first, last)) = self.span.take() else {
             return Ok(());
         };
-        let at = self.position;
+        let at = self.to.stream_position()?;
         let chunk = std::mem::take(&mut self.chunk);
         let header = fields(&[
             ("op", &[OP_CHUNK]),
@@ -261,8 +254,8 @@ impl<W: Write + Seek> BagWriter<W> {
         let mut head = Vec::new();
         push_bytes(&mut head, &header);
         push_words(&mut head, &[chunk.len() as u32]);
-        self.write(&head)?;
-        self.write(&chunk)?;
+        self.to.write_all(&head)?;
+        self.to.write_all(&chunk)?;
         self.chunk = chunk;
         self.chunk.clear();
         let mut counts = Vec::new();
@@ -279,7 +272,7 @@ impl<W: Write + Seek> BagWriter<W> {
                 ("conn", &number.to_le_bytes()),
                 ("count", &count.to_le_bytes()),
             ];
-            self.write(&record(header, &entries))?;
+            self.to.write_all(&record(header, &entries))?;
         }
         let header: &[(&str, &[u8])] = &[
             ("op", &[OP_CHUNK_INFO]),
@@ -301,12 +294,11 @@ impl<W: Write + Seek> BagWriter<W> {
     /// Writing fails.
     pub(crate) fn finish(mut self) -> io::Result<()> {
         self.close_chunk()?;
-        let index = self.position;
-        for connection in std::mem::take(&mut self.connections) {
-            self.write(&connection)?;
+        let index = self.to.stream_position()?;
+        for connection in &self.connections {
+            self.to.write_all(connection)?;
         }
-        let chunks = std::mem::take(&mut self.chunks);
-        self.write(&chunks)?;
+        self.to.write_all(&self.chunks)?;
         self.to.seek(SeekFrom::Start(MAGIC.len() as u64))?;
         let count = self.index.len() as u32;
         self.to
