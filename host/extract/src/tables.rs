@@ -1,10 +1,10 @@
 //! The frames of both cameras as tables, with their times in board time.
 
-use std::fmt::Write as _;
-use std::io::{self, Write};
+use std::io::{self, Write as _};
 use std::path::Path;
 
 use recording::profile::Direction;
+use serde::Serialize;
 
 use super::depth::DepthIndex;
 use super::depth_clock::{DepthMatch, FrameState, PulseTime};
@@ -153,40 +153,35 @@ pub(crate) fn write_camera(
     frames: &[CameraFrame],
     exposure: Option<i64>,
 ) -> io::Result<()> {
-    let header = "#frame,device_timestamp [ns],start_of_exposure [ns],timestamp [ns]";
-    write_rows(path, header, frames, |text, index, frame| {
-        let start = frame
-            .at
-            .zip(exposure)
-            .map(|(at, exposure)| at.0.saturating_sub(exposure / 2));
-        let _ = write!(
-            text,
-            "{index},{},{},{}",
-            frame.device.0,
-            optional(start),
-            optional(frame.at.map(|at| at.0))
-        );
-    })
+    let header = "#frame,device_timestamp [ns],start_of_exposure [ns],timestamp [ns]\n";
+    let row = |(index, frame): (usize, &CameraFrame)| {
+        let known = frame.at.zip(exposure);
+        let start = known.map(|(at, exposure)| at.0.saturating_sub(exposure / 2));
+        (index, frame.device, start, frame.at)
+    };
+    write_rows(path, header, frames.iter().enumerate().map(row))
 }
 
-fn optional<T: std::fmt::Display>(value: Option<T>) -> String {
-    value.map_or_else(String::new, |value| value.to_string())
-}
-
-fn write_rows<T>(
+/// Writes rows of cells behind a header, which has its line end.
+///
+/// # Errors
+///
+/// Writing fails.
+pub(crate) fn write_rows<T: Serialize>(
     path: &Path,
     header: &str,
-    items: &[T],
-    mut row: impl FnMut(&mut String, usize, &T),
+    rows: impl Iterator<Item = T>,
 ) -> io::Result<()> {
     let mut file = WholeFile::create(path)?;
-    writeln!(file, "{header}")?;
-    let mut text = String::new();
-    for (index, item) in items.iter().enumerate() {
-        text.clear();
-        row(&mut text, index, item);
-        writeln!(file, "{text}")?;
+    file.write_all(header.as_bytes())?;
+    let mut table = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(&mut file);
+    for row in rows {
+        table.serialize(row)?;
     }
+    table.flush()?;
+    drop(table);
     file.finish()
 }
 
@@ -217,20 +212,14 @@ pub(crate) fn write_phone(
 /// Writing fails.
 fn write_color(path: &Path, frames: &[ColorFrame], shutter: Option<Shutter>) -> io::Result<()> {
     let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame,\
-                  row_time [ns],readout";
-    let shutter = shutter.map_or_else(
-        || String::from(","),
-        |(row, direction)| format!("{row},{}", direction.name()),
-    );
-    write_rows(path, header, frames, |text, index, frame| {
-        let image = optional(frame.image);
-        // Writing into a String cannot fail.
-        let _ = write!(
-            text,
-            "{index},{},{},{},{image},{shutter}",
-            frame.phone.0, frame.start.0, frame.at.0
-        );
-    })
+                  row_time [ns],readout\n";
+    let readout = shutter.map(|(_, direction)| direction.name());
+    let row_time = shutter.map(|(row_time, _)| row_time);
+    let row = |(index, frame): (usize, &ColorFrame)| {
+        let times = (frame.phone, frame.start, frame.at);
+        (index, times, frame.image, row_time, readout)
+    };
+    write_rows(path, header, frames.iter().enumerate().map(row))
 }
 
 /// Writes `depth_frames.csv`.
@@ -243,31 +232,19 @@ pub(crate) fn write_depth(
     frames: &[DepthFrame],
     pulses: &[PulseTime],
 ) -> io::Result<()> {
-    let header =
-        "#frame,device_timestamp [ns],timestamp [ns],pulse,train,number,residual [ns],state,whole";
-    write_rows(path, header, frames, |text, index, frame| {
+    let header = "#frame,device_timestamp [ns],timestamp [ns],pulse,train,number,residual [ns],state,whole\n";
+    let row = |(index, frame): (usize, &DepthFrame)| {
         let pulse = frame.pulse.and_then(|pulse| pulses.get(pulse));
-        let state = match frame.state {
-            Some(FrameState::Matched) => "matched",
-            Some(FrameState::Doubled) => "doubled",
-            Some(FrameState::BeforeFirstPulse) => "before_first_pulse",
-            Some(FrameState::AfterLastPulse) => "after_last_pulse",
-            Some(FrameState::OffPulse) => "off_pulse",
-            Some(FrameState::FreeRunning) => "free_running",
-            Some(FrameState::NotMatched) | None => "not_matched",
-        };
-        let _ = write!(
-            text,
-            "{index},{},{},{},{},{},{},{state},{}",
-            frame.device.0,
-            optional(frame.at.map(|at| at.0)),
-            optional(frame.pulse),
-            optional(pulse.map(|pulse| pulse.train)),
-            optional(pulse.map(|pulse| pulse.number)),
+        (
+            (index, frame.device, frame.at, frame.pulse),
+            pulse.map(|pulse| pulse.train),
+            pulse.map(|pulse| pulse.number),
             frame.residual,
-            u8::from(frame.whole)
-        );
-    })
+            frame.state.unwrap_or(FrameState::NotMatched),
+            u8::from(frame.whole),
+        )
+    };
+    write_rows(path, header, frames.iter().enumerate().map(row))
 }
 
 /// Writes `pulses.csv`.
@@ -291,15 +268,11 @@ pub(crate) fn write_pulses(
             *slot = Some(index);
         }
     }
-    let header = "#pulse,train,number,timestamp [ns],depth_frame";
-    write_rows(path, header, pulses, |text, index, pulse| {
-        let frame = optional(frame_of[index]);
-        let _ = write!(
-            text,
-            "{index},{},{},{},{frame}",
-            pulse.train, pulse.number, pulse.at.0
-        );
-    })
+    let rows = pulses.iter().zip(frame_of).enumerate();
+    let rows =
+        rows.map(|(index, (pulse, frame))| (index, pulse.train, pulse.number, pulse.at, frame));
+    let header = "#pulse,train,number,timestamp [ns],depth_frame\n";
+    write_rows(path, header, rows)
 }
 
 /// Writes `pairs.csv`. Indices are those of the frame tables.
@@ -313,22 +286,11 @@ fn write_pairs(
     color: &[ColorFrame],
     depth: &[DepthFrame],
 ) -> io::Result<()> {
-    let header =
-        "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],depth_minus_phone [ns]";
-    write_rows(path, header, pairs, |text, _, pair| {
-        let phone = color.get(pair.color).map(|frame| frame.at.0);
-        let centre = depth
-            .get(pair.depth)
-            .and_then(|frame| frame.at)
-            .map(|at| at.0);
-        let _ = write!(
-            text,
-            "{},{},{},{},{}",
-            pair.color,
-            optional(phone),
-            pair.depth,
-            optional(centre),
-            pair.difference
-        );
-    })
+    let header = "#phone_frame,phone_timestamp [ns],depth_frame,depth_timestamp [ns],depth_minus_phone [ns]\n";
+    let row = |pair: &Pair| {
+        let phone = color.get(pair.color).map(|frame| frame.at);
+        let centre = depth.get(pair.depth).and_then(|frame| frame.at);
+        (pair.color, phone, pair.depth, centre, pair.difference)
+    };
+    write_rows(path, header, pairs.iter().map(row))
 }

@@ -9,6 +9,7 @@
 //! | `imu1` | the phone's IMU: accelerations interpolated to the gyroscope's times |
 //! | `depth0`, `ir0` | depth (mm) and infrared: an extension of the format |
 
+use std::ffi::OsStr;
 use std::fmt::Write;
 use std::io;
 use std::path::Path;
@@ -19,6 +20,7 @@ use super::noise::{self, Noise};
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
 use crate::image::write_whole;
+use crate::tables::write_rows;
 use crate::time::in_name;
 
 pub(super) struct Euroc;
@@ -118,18 +120,14 @@ fn images(
     if rows.is_empty() {
         return Ok(());
     }
-    let mut text = String::from("#timestamp [ns],filename\n");
-    for row in rows {
-        let name = row.path.file_name().unwrap_or_default();
-        let _ = writeln!(text, "{},{}", in_name(row.at), name.display());
-    }
-    write_whole(&folder.join("data.csv"), text.as_bytes())?;
+    let named = rows.iter().map(|row| {
+        let name = row.path.file_name().map(OsStr::to_string_lossy);
+        (in_name(row.at), name)
+    });
+    write_rows(&folder.join("data.csv"), "#timestamp [ns],filename\n", named)?;
     // One stamp a line and nothing else, as ORB-SLAM3 wants it.
-    let mut times = String::new();
-    for row in rows {
-        let _ = writeln!(times, "{}", in_name(row.at));
-    }
-    write_whole(&folder.join("times.txt"), times.as_bytes())?;
+    let times = rows.iter().map(|row| (in_name(row.at),));
+    write_rows(&folder.join("times.txt"), "", times)?;
     let (width, height) = size.unwrap_or((0, 0));
     let yaml = format!(
         "sensor_type: camera\ncomment: {comment}\n{}rate_hz: {}\nresolution: [{width}, {height}]\n{}",

@@ -19,7 +19,7 @@ use std::path::Path;
 
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, push_sample};
 use crate::board_data::ImuRow;
-use crate::image::write_whole;
+use crate::tables::write_rows;
 
 pub(super) struct Topics;
 
@@ -68,11 +68,9 @@ impl Layout for Topics {
         transformation(folder, &tables.infrared)?;
         transformation(folder, &tables.camera)?;
         for (topic, name) in &tables.names {
-            let mut text = String::new();
-            for pair in tables.times.iter().filter(|pair| &*pair.topic == *topic) {
-                let _ = writeln!(text, "{},{},{}", pair.seq, pair.stamp.0, pair.other);
-            }
-            write_whole(&folder.join(name).join("time_ref.csv"), text.as_bytes())?;
+            let pairs = tables.times.iter().filter(|pair| &*pair.topic == *topic);
+            let rows = pairs.map(|pair| (pair.seq, pair.stamp, pair.other));
+            write_rows(&folder.join(name).join("time_ref.csv"), "", rows)?;
         }
         Ok(())
     }
@@ -84,11 +82,9 @@ fn transformation(folder: &Path, rows: &[ImageRow]) -> io::Result<()> {
         return Ok(());
     };
     let path = first.path.with_file_name("transformation_metainf.csv");
-    let mut text = String::from("seq,old_stamp,new_stamp\n");
-    for (seq, row) in rows.iter().enumerate() {
-        let _ = writeln!(text, "{seq},{},{}", row.own, row.at.0);
-    }
-    write_whole(&folder.join(path), text.as_bytes())
+    let rows = rows.iter().enumerate();
+    let rows = rows.map(|(seq, row)| (seq, row.own, row.at));
+    write_rows(&folder.join(path), "seq,old_stamp,new_stamp\n", rows)
 }
 
 #[cfg(test)]
