@@ -16,7 +16,7 @@ use std::path::Path;
 
 use recording::profile::{DistortionModel, Pose};
 
-use super::noise::{self, Noise};
+use super::noise::Noise;
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, number};
 use crate::geometry::CameraFacts;
 use crate::image::write_whole;
@@ -86,22 +86,20 @@ impl Layout for Euroc {
             facts.depth_rate,
             (facts.infrared_size, &CameraFacts::default()),
         )?;
-        if let Some(rate) = facts.board_imu_rate {
-            let comment = format!(
-                "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
-                facts.board_imu_delay
-            );
-            let text = imu_yaml(&comment, rate, &Noise::of(&facts.board_sensor));
-            write_whole(&base.join("imu0/sensor.yaml"), text.as_bytes())?;
-        }
-        if let Some(rate) = facts.phone_imu_rate {
-            let comment = format!(
-                "IMU of the phone in board time; accelerations interpolated to the gyroscope's times, \
-                 low-pass delay of {} ns subtracted",
-                facts.phone_imu_delay
-            );
-            let text = imu_yaml(&comment, rate, &noise::PHONE);
-            write_whole(&base.join("imu1/sensor.yaml"), text.as_bytes())?;
+        let board = format!(
+            "IMU of the board; times are data-ready edges less the low-pass delay of {} ns",
+            facts.board_imu_delay
+        );
+        let phone = format!(
+            "IMU of the phone in board time; accelerations interpolated to the gyroscope's times, \
+             low-pass delay of {} ns subtracted",
+            facts.phone_imu_delay
+        );
+        for ((name, rate, noise), comment) in facts.imus().into_iter().zip([board, phone]) {
+            if let Some(rate) = rate {
+                let text = imu_yaml(&comment, rate, &noise);
+                write_whole(&base.join(name).join("sensor.yaml"), text.as_bytes())?;
+            }
         }
         write_whole(
             &base.join("body.yaml"),
@@ -124,7 +122,11 @@ fn images(
         let name = row.path.file_name().map(OsStr::to_string_lossy);
         (in_name(row.at), name)
     });
-    write_rows(&folder.join("data.csv"), "#timestamp [ns],filename\n", named)?;
+    write_rows(
+        &folder.join("data.csv"),
+        "#timestamp [ns],filename\n",
+        named,
+    )?;
     // One stamp a line and nothing else, as ORB-SLAM3 wants it.
     let times = rows.iter().map(|row| (in_name(row.at),));
     write_rows(&folder.join("times.txt"), "", times)?;

@@ -17,7 +17,7 @@ use std::fmt::Write;
 use std::io;
 use std::path::Path;
 
-use super::noise::{self, Noise};
+use super::noise::Noise;
 use super::offset::{moved, write_offset};
 use super::{Facts, ImageKind, ImuTable, Layout, SequenceTables, number};
 use crate::board_data::ImuRow;
@@ -68,17 +68,9 @@ impl Layout for Kalibr {
     fn finish(&self, folder: &Path, tables: &SequenceTables<'_>, facts: &Facts) -> io::Result<()> {
         let base = folder.join("kalibr");
         super::further::write(folder, tables)?;
-        let imus = [
-            (
-                "imu0",
-                facts.board_imu_rate,
-                &Noise::of(&facts.board_sensor),
-            ),
-            ("imu1", facts.phone_imu_rate, &noise::PHONE),
-        ];
-        for (name, rate, noise) in imus {
+        for (name, rate, noise) in facts.imus() {
             if let Some(rate) = rate {
-                let text = imu_yaml(name, rate, noise);
+                let text = imu_yaml(name, rate, &noise);
                 write_whole(&base.join(format!("{name}.yaml")), text.as_bytes())?;
             }
         }

@@ -22,6 +22,7 @@ use std::path::{Path, PathBuf};
 
 use protocol::ImuSensor;
 
+use self::noise::Noise;
 use super::board_data::{ImuRow, TimePair};
 use super::geometry::{Cameras, View};
 use super::time::{BoardNanos, in_name};
@@ -159,6 +160,16 @@ pub(crate) struct Facts {
     pub(crate) depth_center: i64,
     /// From the phone's frame timestamp to the image's time, ns.
     pub(crate) color_middle: i64,
+}
+
+impl Facts {
+    /// The IMUs of board and phone, as most formats call them: samples a second, and noise.
+    fn imus(&self) -> [(&'static str, Option<f64>, Noise); 2] {
+        [
+            ("imu0", self.board_imu_rate, Noise::of(&self.board_sensor)),
+            ("imu1", self.phone_imu_rate, noise::PHONE),
+        ]
+    }
 }
 
 /// What a sequence's index files are made of.

@@ -23,7 +23,6 @@ use recording::messages::{Header, Imu, Time, to_cdr};
 use recording::profile::{DistortionModel, Intrinsics};
 use recording::rosbag2;
 
-use super::noise::{self, Noise};
 use super::offset::{moved, write_offset};
 use super::{Facts, ImageKind, ImageRow, ImuTable, Layout, SequenceTables, parts};
 use crate::bag::writer::{BagWriter, Ros1Message};
@@ -287,13 +286,9 @@ fn add_imus<B: Bag>(
     folder: &Path,
     facts: &Facts,
 ) -> io::Result<Vec<Samples>> {
-    let board = Noise::of(&facts.board_sensor);
-    let both: [(_, _, _, &Noise); 2] = [
-        ("imu0", BOARD_IMU, facts.board_imu_rate, &board),
-        ("imu1", PHONE_IMU, facts.phone_imu_rate, &noise::PHONE),
-    ];
     let mut imus = Vec::new();
-    for (name, path, rate, noise) in both {
+    let both = facts.imus().into_iter().zip([BOARD_IMU, PHONE_IMU]);
+    for ((name, rate, noise), path) in both {
         let path = folder.join(path);
         if path.exists() {
             bag.add::<Imu>(&format!("/{name}"))?;
