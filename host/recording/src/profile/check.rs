@@ -10,7 +10,7 @@ use crate::camera::Model;
 
 use super::{Depth, Learnt, Lidar, Phone, Profile, ProfileError, TriggerOutput};
 
-/// A key, its value, what it may be at least and at most, and the unit.
+/// A key of a table, its value, what it may be at least and at most, and the unit.
 type Row = (&'static str, f64, RangeInclusive<f64>, &'static str);
 
 /// For spans of time in µs.
@@ -27,17 +27,21 @@ pub(super) fn check(profile: &Profile) -> Result<(), ProfileError> {
     check_phones(profile)?;
     check_depth(&profile.depth)?;
     let (align, sync) = (&profile.align, &profile.frame_sync);
-    within(&[
-        ("align.slew_us", align.slew_us, 0.0..=16_000.0, "µs"),
-        (
-            "align.max_offset_sigma_us",
-            align.max_offset_sigma_us,
-            1.0..=10_000.0,
-            "µs",
-        ),
-        ("frame_sync.bias_us", sync.bias_us, SIGNED, "µs"),
-        ("frame_sync.bias_sigma_us", sync.bias_sigma_us, SPAN, "µs"),
-    ])?;
+    let sigma = align.max_offset_sigma_us;
+    within(
+        "align",
+        &[
+            ("slew_us", align.slew_us, 0.0..=16_000.0, "µs"),
+            ("max_offset_sigma_us", sigma, 1.0..=10_000.0, "µs"),
+        ],
+    )?;
+    within(
+        "frame_sync",
+        &[
+            ("bias_us", sync.bias_us, SIGNED, "µs"),
+            ("bias_sigma_us", sync.bias_sigma_us, SPAN, "µs"),
+        ],
+    )?;
     profile.imu_config().map(drop)
 }
 
@@ -56,16 +60,14 @@ fn check_outputs(outputs: &[TriggerOutput]) -> Result<(), ProfileError> {
             return Err(wrong("outputs.output", found, "each output once"));
         }
         check_sensor_name("outputs.name", &sensor.name, earlier)?;
-        within(&[
-            (
-                "outputs.every",
-                f64::from(sensor.every),
-                1.0..=30.0,
-                "pulses",
-            ),
-            ("outputs.delay_us", sensor.delay_us, SPAN, "µs"),
-            ("outputs.width_us", sensor.width_us, 50.0..=1e6, "µs"),
-        ])?;
+        within(
+            "outputs",
+            &[
+                ("every", f64::from(sensor.every), 1.0..=30.0, "pulses"),
+                ("delay_us", sensor.delay_us, SPAN, "µs"),
+                ("width_us", sensor.width_us, 50.0..=1e6, "µs"),
+            ],
+        )?;
     }
     Ok(())
 }
@@ -116,11 +118,14 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
             "a name that can be a folder's, without a slash or '='",
         ));
     }
-    within(&[
-        ("phone.exposure_us", phone.exposure_us, SPAN, "µs"),
-        ("phone.readout_us", phone.readout_us, SPAN, "µs"),
-        ("phone.rows", f64::from(phone.rows), 2.0..=1e5, ""),
-    ])?;
+    within(
+        "phone",
+        &[
+            ("exposure_us", phone.exposure_us, SPAN, "µs"),
+            ("readout_us", phone.readout_us, SPAN, "µs"),
+            ("rows", f64::from(phone.rows), 2.0..=1e5, ""),
+        ],
+    )?;
     if let Some(row) = phone.middle_row
         && !(0.0..=f64::from(phone.rows - 1)).contains(&row)
     {
@@ -130,16 +135,14 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
             "0 to the last row",
         ));
     }
-    within(&[
-        ("phone.gyro_delay_us", phone.gyro_delay_us, SPAN, "µs"),
-        (
-            "phone.gyro_delay_sigma_us",
-            phone.gyro_delay_sigma_us,
-            SPAN,
-            "µs",
-        ),
-        ("phone.twist_s", f64::from(phone.twist_s), 3.0..=60.0, "s"),
-    ])?;
+    within(
+        "phone",
+        &[
+            ("gyro_delay_us", phone.gyro_delay_us, SPAN, "µs"),
+            ("gyro_delay_sigma_us", phone.gyro_delay_sigma_us, SPAN, "µs"),
+            ("twist_s", f64::from(phone.twist_s), 3.0..=60.0, "s"),
+        ],
+    )?;
     if let Some(pose) = &phone.from_imu {
         pose.check("phone.from_imu")?;
     }
@@ -158,35 +161,20 @@ fn check_phone(phone: &Phone) -> Result<(), ProfileError> {
 }
 
 fn check_learnt(learnt: &Learnt) -> Result<(), ProfileError> {
-    let (skew, sigma) = (learnt.skew.unwrap_or(0.0), learnt.skew_sigma.unwrap_or(0.0));
-    within(&[
-        (
-            "phone.learnt.frame_period_ns",
-            learnt.frame_period_ns,
-            1e6..=1e9,
-            "ns",
-        ),
-        (
-            "phone.learnt.frame_period_sigma_ns",
-            learnt.frame_period_sigma_ns,
-            0.0..=1e6,
-            "ns",
-        ),
-        (
-            "phone.learnt.frame_jitter_ns",
-            learnt.frame_jitter_ns.unwrap_or(0.0),
-            0.0..=1e7,
-            "ns",
-        ),
-        (
-            "phone.learnt.exposure_us",
-            learnt.exposure_us.unwrap_or(0.0),
-            SPAN,
-            "µs",
-        ),
-        ("phone.learnt.skew", skew, -1e-3..=1e-3, ""),
-        ("phone.learnt.skew_sigma", sigma, 0.0..=1e-3, ""),
-    ])
+    let (period, sigma) = (learnt.frame_period_ns, learnt.frame_period_sigma_ns);
+    let or_0 = |value: Option<f64>| value.unwrap_or(0.0);
+    let jitter = or_0(learnt.frame_jitter_ns);
+    within(
+        "phone.learnt",
+        &[
+            ("frame_period_ns", period, 1e6..=1e9, "ns"),
+            ("frame_period_sigma_ns", sigma, 0.0..=1e6, "ns"),
+            ("frame_jitter_ns", jitter, 0.0..=1e7, "ns"),
+            ("exposure_us", or_0(learnt.exposure_us), SPAN, "µs"),
+            ("skew", or_0(learnt.skew), -1e-3..=1e-3, ""),
+            ("skew_sigma", or_0(learnt.skew_sigma), 0.0..=1e-3, ""),
+        ],
+    )
 }
 
 fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
@@ -205,26 +193,15 @@ fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
     if let Some(pose) = &depth.color_from_imu {
         pose.check("depth.color_from_imu")?;
     }
-    within(&[
-        (
-            "depth.center_offset_us",
-            depth.center_offset_us,
-            SIGNED,
-            "µs",
-        ),
-        (
-            "depth.center_offset_sigma_us",
-            depth.center_offset_sigma_us,
-            SPAN,
-            "µs",
-        ),
-        (
-            "depth.pulse_width_us",
-            depth.pulse_width_us,
-            8.0..=10_000.0,
-            "µs",
-        ),
-    ])
+    let (center, sigma) = (depth.center_offset_us, depth.center_offset_sigma_us);
+    within(
+        "depth",
+        &[
+            ("center_offset_us", center, SIGNED, "µs"),
+            ("center_offset_sigma_us", sigma, SPAN, "µs"),
+            ("pulse_width_us", depth.pulse_width_us, 8.0..=10_000.0, "µs"),
+        ],
+    )
 }
 
 impl Profile {
@@ -242,52 +219,49 @@ impl Profile {
                 let expected = "1000 divided by a whole number up to 256";
                 wrong("imu.rate_hz", imu.rate_hz.to_string(), expected)
             })?;
-        let low_pass = match imu.low_pass_hz {
-            188 => Ok(LowPass::Hz188),
-            98 => Ok(LowPass::Hz98),
-            42 => Ok(LowPass::Hz42),
-            20 => Ok(LowPass::Hz20),
-            10 => Ok(LowPass::Hz10),
-            5 => Ok(LowPass::Hz5),
-            other => Err(wrong(
-                "imu.low_pass_hz",
-                other.to_string(),
-                "188, 98, 42, 20, 10 or 5",
-            )),
-        }?;
-        let gyro_range = match imu.gyro_range_dps {
-            250 => Ok(GyroRange::Dps250),
-            500 => Ok(GyroRange::Dps500),
-            1_000 => Ok(GyroRange::Dps1000),
-            2_000 => Ok(GyroRange::Dps2000),
-            other => Err(wrong(
-                "imu.gyro_range_dps",
-                other.to_string(),
-                "250, 500, 1000 or 2000",
-            )),
-        }?;
-        let accel_range = match imu.accel_range_g {
-            2 => Ok(AccelRange::G2),
-            4 => Ok(AccelRange::G4),
-            8 => Ok(AccelRange::G8),
-            16 => Ok(AccelRange::G16),
-            other => Err(wrong(
-                "imu.accel_range_g",
-                other.to_string(),
-                "2, 4, 8 or 16",
-            )),
-        }?;
+        let low_passes = [
+            (188, LowPass::Hz188),
+            (98, LowPass::Hz98),
+            (42, LowPass::Hz42),
+            (20, LowPass::Hz20),
+            (10, LowPass::Hz10),
+            (5, LowPass::Hz5),
+        ];
+        let gyro_ranges = [
+            (250, GyroRange::Dps250),
+            (500, GyroRange::Dps500),
+            (1_000, GyroRange::Dps1000),
+            (2_000, GyroRange::Dps2000),
+        ];
+        let accel_ranges = [
+            (2, AccelRange::G2),
+            (4, AccelRange::G4),
+            (8, AccelRange::G8),
+            (16, AccelRange::G16),
+        ];
         Ok(ImuConfig {
             divider,
-            low_pass,
-            gyro_range,
-            accel_range,
+            low_pass: setting("imu.low_pass_hz", imu.low_pass_hz, &low_passes)?,
+            gyro_range: setting("imu.gyro_range_dps", imu.gyro_range_dps, &gyro_ranges)?,
+            accel_range: setting("imu.accel_range_g", imu.accel_range_g, &accel_ranges)?,
         })
     }
 }
 
-/// Refuses the first value that is out of its bounds.
-pub(super) fn within(rows: &[Row]) -> Result<(), ProfileError> {
+/// The sensor's setting that a number in a profile stands for.
+fn setting<T: Copy>(key: &str, number: u32, settings: &[(u32, T)]) -> Result<T, ProfileError> {
+    let known = settings.iter().find(|(known, _)| *known == number);
+    known.map(|(_, setting)| *setting).ok_or_else(|| {
+        let numbers = settings.iter().map(|(known, _)| known.to_string());
+        let mut numbers: Vec<String> = numbers.collect();
+        let last = numbers.pop().unwrap_or_default();
+        let expected = format!("{} or {last}", numbers.join(", "));
+        wrong(key, number.to_string(), expected)
+    })
+}
+
+/// Refuses the first value of a table that is out of its bounds.
+pub(super) fn within(table: &str, rows: &[Row]) -> Result<(), ProfileError> {
     for (key, value, bounds, unit) in rows {
         if !bounds.contains(value) {
             let unit = match *unit {
@@ -295,17 +269,21 @@ pub(super) fn within(rows: &[Row]) -> Result<(), ProfileError> {
                 unit => format!(" ({unit})"),
             };
             let expected = format!("{} to {}{unit}", bounds.start(), bounds.end());
-            return Err(wrong(key, value.to_string(), expected));
+            return Err(wrong(format!("{table}.{key}"), value.to_string(), expected));
         }
     }
     Ok(())
 }
 
-pub(super) fn wrong(key: &'static str, found: String, expected: impl Into<String>) -> ProfileError {
+pub(super) fn wrong(
+    key: impl Into<String>,
+    found: String,
+    expected: impl Into<String>,
+) -> ProfileError {
     ProfileError::Value {
         path: None,
         line: None,
-        key,
+        key: key.into(),
         found,
         expected: expected.into(),
     }

@@ -29,7 +29,7 @@ pub enum ProfileError {
         /// Its line, counted from 1, if the value is written there.
         line: Option<usize>,
         /// The key with its tables.
-        key: &'static str,
+        key: String,
         /// The value.
         found: String,
         /// What is accepted.
@@ -65,22 +65,15 @@ pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) 
 }
 
 /// An error with the file and the line that it is in.
-pub(super) fn located(error: ProfileError, text: &str, file: Option<&Path>) -> ProfileError {
-    match error {
-        ProfileError::Value {
-            key,
-            found,
-            expected,
-            ..
-        } => ProfileError::Value {
-            path: file.map(Path::to_owned),
-            line: line_of(text, key),
-            key,
-            found,
-            expected,
-        },
-        other => other,
+pub(super) fn located(mut error: ProfileError, text: &str, file: Option<&Path>) -> ProfileError {
+    if let ProfileError::Value {
+        path, line, key, ..
+    } = &mut error
+    {
+        *path = file.map(Path::to_owned);
+        *line = line_of(text, key);
     }
+    error
 }
 
 /// The first line, counted from 1, that sets a key: its last name in the table that the

@@ -170,19 +170,17 @@ impl Intrinsics {
         let side = 1.0..=16_384.0;
         let [fx, fy] = self.focal;
         let [cx, cy] = self.center;
-        within(&[
-            (
-                "phone.cameras.width",
-                self.width.into(),
-                side.clone(),
-                "pixels",
-            ),
-            ("phone.cameras.height", self.height.into(), side, "pixels"),
-            ("phone.cameras.focal", fx, 1.0..=1e6, "pixels"),
-            ("phone.cameras.focal", fy, 1.0..=1e6, "pixels"),
-            ("phone.cameras.center", cx, -1e5..=1e5, "pixels"),
-            ("phone.cameras.center", cy, -1e5..=1e5, "pixels"),
-        ])?;
+        within(
+            "phone.cameras",
+            &[
+                ("width", self.width.into(), side.clone(), "pixels"),
+                ("height", self.height.into(), side, "pixels"),
+                ("focal", fx, 1.0..=1e6, "pixels"),
+                ("focal", fy, 1.0..=1e6, "pixels"),
+                ("center", cx, -1e5..=1e5, "pixels"),
+                ("center", cy, -1e5..=1e5, "pixels"),
+            ],
+        )?;
         let expected = self.distortion.coefficients();
         let finite = self.coefficients.iter().all(|value| value.abs() <= 1e4);
         if self.coefficients.len() == expected && finite {
