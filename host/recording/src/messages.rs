@@ -243,15 +243,6 @@ pub struct Log {
     pub line: u32,
 }
 
-impl Log {
-    /// Level of information.
-    pub const INFO: u8 = 20;
-    /// Level of a warning.
-    pub const WARN: u8 = 30;
-    /// Level of an error.
-    pub const ERROR: u8 = 40;
-}
-
 impl RosMessage for Log {
     const TYPE: &'static str = "rcl_interfaces/msg/Log";
     const DEFINITION: &'static str = "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\n\

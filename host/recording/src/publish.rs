@@ -20,15 +20,15 @@ use timebase::ClockModel as ClockRelation;
 use timebase::PhoneNanos;
 use timebase::runs::Joint;
 
-/// How bad something is that is said.
+/// How bad something is that is said, with the level that ROS has for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
     /// As it should be.
-    Info,
+    Info = 20,
     /// Something may be missing.
-    Warning,
+    Warning = 30,
     /// Something is missing or broken.
-    Error,
+    Error = 40,
 }
 
 /// Where the messages of the topics go.
@@ -202,7 +202,8 @@ impl<O: Output> Publisher<O> {
         self.time_reference(Item::Marker, at, phone, label)
     }
 
-    /// A relation of the clocks that holds from now on.
+    /// A relation of the clocks that holds from now on; `phone` is the name of a further
+    /// phone, whose it is.
     ///
     /// # Errors
     ///
@@ -210,27 +211,27 @@ impl<O: Output> Publisher<O> {
     pub fn clock_model(
         &mut self,
         at: Ticks,
+        phone: Option<&str>,
         clock: &ClockRelation,
         source: &str,
     ) -> Result<(), RecordingError> {
-        let message = clock_message(clock, "board", source);
-        self.put(at, Item::Clock(message))
-    }
-
-    /// The same of a further phone, with its name.
-    ///
-    /// # Errors
-    ///
-    /// As [`Publisher::imu`].
-    pub fn phone_clock_model(
-        &mut self,
-        at: Ticks,
-        name: &str,
-        clock: &ClockRelation,
-        source: &str,
-    ) -> Result<(), RecordingError> {
-        let message = clock_message(clock, name, source);
-        self.put(at, Item::PhoneClock(message))
+        let [[a, b], [c, d]] = clock.covariance;
+        let message = ClockModel {
+            header: header(clock.reference.ticks(), phone.unwrap_or("board")),
+            reference_s: clock.reference.0,
+            offset_s: clock.offset,
+            skew: clock.skew,
+            covariance: [a, b, c, d],
+            wander: clock.wander.0,
+            source: source.to_owned(),
+        };
+        self.put(
+            at,
+            match phone {
+                None => Item::Clock(message),
+                Some(_) => Item::PhoneClock(message),
+            },
+        )
     }
 
     /// The board was reset: a later run begins. `since` is tick 0 of it, `last` the
@@ -316,11 +317,7 @@ impl<O: Output> Publisher<O> {
             at,
             Item::Log(Log {
                 stamp: stamp(at),
-                level: match severity {
-                    Severity::Info => Log::INFO,
-                    Severity::Warning => Log::WARN,
-                    Severity::Error => Log::ERROR,
-                },
+                level: severity as u8,
                 name: String::from("smartdepthsync"),
                 msg: text.to_owned(),
                 file: String::new(),
@@ -391,18 +388,5 @@ fn pulse_message(pulse: &protocol::Pulse, frame_id: &str) -> Pulse {
         aligned: pulse.aligned,
         readback: pulse.readback.is_some(),
         readback_ticks: pulse.readback.unwrap_or(0),
-    }
-}
-
-fn clock_message(clock: &ClockRelation, frame_id: &str, source: &str) -> ClockModel {
-    let [[a, b], [c, d]] = clock.covariance;
-    ClockModel {
-        header: header(clock.reference.ticks(), frame_id),
-        reference_s: clock.reference.0,
-        offset_s: clock.offset,
-        skew: clock.skew,
-        covariance: [a, b, c, d],
-        wander: clock.wander.0,
-        source: source.to_owned(),
     }
 }

@@ -120,7 +120,9 @@ fn everything_comes_back_as_it_was_written() {
         .unwrap();
     writer.status(&status(Ticks(48_000_000)), "AB").unwrap();
     writer.marker(Ticks(77), None, "door").unwrap();
-    writer.clock_model(Ticks(78), &clock(), "twist 1").unwrap();
+    writer
+        .clock_model(Ticks(78), None, &clock(), "twist 1")
+        .unwrap();
     writer
         .log(Ticks(79), Severity::Warning, "imu_gap", "2 samples")
         .unwrap();

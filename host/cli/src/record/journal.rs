@@ -200,13 +200,14 @@ impl<'a> Journal<'a> {
         clock: ClockModel,
         source: &str,
     ) -> Result<(), Stop> {
-        let Some(phone) = self.other_phone(place) else {
+        let other = self.other_phone(place).map(|phone| {
+            phone.clock = Some(clock);
+            phone.name.clone()
+        });
+        if other.is_none() {
             self.file.clock = Some(clock);
-            return self.write(|writer, now| writer.clock_model(now, &clock, source));
-        };
-        phone.clock = Some(clock);
-        let name = phone.name.clone();
-        self.write(|writer, now| writer.phone_clock_model(now, &name, &clock, source))
+        }
+        self.write(|writer, now| writer.clock_model(now, other.as_deref(), &clock, source))
     }
 
     /// The video of the phone at a place, once it has begun.
