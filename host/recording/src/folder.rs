@@ -19,12 +19,8 @@ const TRIES: u32 = 1_000;
 ///
 /// No folder can be made there.
 pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
-    let failed = |path: &Path, source| RecordingError::Io {
-        action: "make the folder",
-        path: path.to_owned(),
-        source,
-    };
-    std::fs::create_dir_all(parent).map_err(|error| failed(parent, error))?;
+    let failed = |path| RecordingError::io("make the folder", path);
+    std::fs::create_dir_all(parent).map_err(failed(parent))?;
     let mut path = parent.join(name);
     for number in 2..=TRIES {
         match std::fs::create_dir(&path) {
@@ -32,10 +28,10 @@ pub fn create(parent: &Path, name: &str) -> Result<PathBuf, RecordingError> {
             Err(error) if error.kind() == ErrorKind::AlreadyExists => {
                 path = parent.join(format!("{name}_{number}"));
             }
-            Err(error) => return Err(failed(&path, error)),
+            Err(error) => return Err(failed(&path)(error)),
         }
     }
-    Err(failed(&path, ErrorKind::AlreadyExists.into()))
+    Err(failed(&path)(ErrorKind::AlreadyExists.into()))
 }
 
 /// Whether a path is named as what the recorder of an Azure Kinect writes: `….mkv`.

@@ -42,7 +42,7 @@ pub mod session_file;
 pub mod topic;
 pub mod writer;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use topic::{Item, Topic};
 
@@ -114,6 +114,23 @@ fn mcap_reason(error: &mcap::McapError) -> String {
 }
 
 impl RecordingError {
+    /// Makes what the system said of a file into such an error; `action` is what was tried.
+    pub fn io(action: &'static str, path: &Path) -> impl Fn(std::io::Error) -> Self {
+        move |source| Self::Io {
+            action,
+            path: path.to_owned(),
+            source,
+        }
+    }
+
+    /// Makes what is wrong with an MCAP file into such an error.
+    pub fn mcap(path: &Path) -> impl Fn(mcap::McapError) -> Self {
+        move |source| Self::Mcap {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
     /// Whether the disk is full (or the quota, or the largest file).
     #[must_use]
     pub fn is_disk_full(&self) -> bool {

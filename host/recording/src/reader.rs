@@ -61,11 +61,7 @@ impl Reader {
             folder_or_file.to_owned()
         };
         Ok(Self {
-            chunks: Chunks::open(&path, OWN_RATIO).map_err(|source| RecordingError::Io {
-                action: "read",
-                path: path.clone(),
-                source,
-            })?,
+            chunks: Chunks::open(&path, OWN_RATIO).map_err(RecordingError::io("read", &path))?,
             path,
             topics: BTreeMap::new(),
             chunk: None,
@@ -95,11 +91,7 @@ impl Reader {
                 }
                 Err(ChunksError::Mcap(source)) => return Err(self.failed(source)),
                 Err(ChunksError::Read(source)) => {
-                    return Err(RecordingError::Io {
-                        action: "read",
-                        path: self.path.clone(),
-                        source,
-                    });
+                    return Err(RecordingError::io("read", &self.path)(source));
                 }
             };
             match packed.unpack(Vec::new()) {
@@ -162,10 +154,7 @@ impl Reader {
     }
 
     fn failed(&self, source: McapError) -> RecordingError {
-        RecordingError::Mcap {
-            path: self.path.clone(),
-            source,
-        }
+        RecordingError::mcap(&self.path)(source)
     }
 }
 

@@ -13,10 +13,10 @@ use std::path::Path;
 
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
-use mcap::{McapError, Summary};
+use mcap::{McapError, Summary, WriteOptions};
 
 use super::messages::RosMessage;
-use super::{MCAP_FILE, writer};
+use super::{MCAP_FILE, RecordingError, writer};
 
 /// Bytes of a chunk of a bag of images.
 const CHUNK_BYTES: u64 = 4 << 20;
@@ -36,42 +36,11 @@ pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  d
     liveliness: 1\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  \
     avoid_ros_namespace_conventions: false\n";
 
-/// Where a message goes in a file: its channel and its running number.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Channel {
-    pub(crate) id: u16,
-    sequence: u32,
-}
-
-impl Channel {
-    /// Head of the next message, at board time in ns.
-    pub(crate) const fn next(&mut self, nanos: u64) -> MessageHeader {
-        let sequence = self.sequence;
-        self.sequence = sequence.wrapping_add(1);
-        MessageHeader {
-            channel_id: self.id,
-            sequence,
-            log_time: nanos,
-            publish_time: nanos,
-        }
-    }
-}
-
-/// Adds a topic, with type and schema of its messages.
-pub(crate) fn add_topic<W: io::Write + io::Seek>(
-    mcap: &mut mcap::Writer<W>,
-    name: &str,
-    (kind, schema): (&str, String),
-) -> Result<u16, McapError> {
-    let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
-    let schema = mcap.add_schema(kind, "ros2msg", schema.as_bytes())?;
-    mcap.add_channel(schema, name, "cdr", &metadata)
-}
-
 /// A bag of any messages that is being written, packed by LZ4.
 pub struct Bag<W: io::Write> {
-    mcap: mcap::Writer<NoSeek<W>>,
-    channels: Vec<Channel>,
+    pub(crate) mcap: mcap::Writer<NoSeek<W>>,
+    /// Of each topic its channel, and the running number of its next message.
+    topics: Vec<(u16, u32)>,
 }
 
 impl<W: io::Write> Bag<W> {
@@ -81,10 +50,13 @@ impl<W: io::Write> Bag<W> {
     ///
     /// Writing fails.
     pub fn create(to: W) -> Result<Self, McapError> {
-        let options = writer::options().chunk_size(Some(CHUNK_BYTES));
+        Self::with_options(writer::options().chunk_size(Some(CHUNK_BYTES)), to)
+    }
+
+    pub(crate) fn with_options(options: WriteOptions, to: W) -> Result<Self, McapError> {
         Ok(Self {
             mcap: options.create(NoSeek::new(to))?,
-            channels: Vec::new(),
+            topics: Vec::new(),
         })
     }
 
@@ -94,8 +66,15 @@ impl<W: io::Write> Bag<W> {
     ///
     /// Writing fails.
     pub fn add_topic<M: RosMessage>(&mut self, name: &str) -> Result<(), McapError> {
-        let id = add_topic(&mut self.mcap, name, (M::TYPE, M::schema()))?;
-        self.channels.push(Channel { id, sequence: 0 });
+        self.add(name, M::TYPE, &M::schema())
+    }
+
+    /// The same, with type and schema of its messages.
+    pub(crate) fn add(&mut self, name: &str, kind: &str, schema: &str) -> Result<(), McapError> {
+        let metadata = BTreeMap::from([(QOS_KEY.to_owned(), QOS.to_owned())]);
+        let schema = self.mcap.add_schema(kind, "ros2msg", schema.as_bytes())?;
+        let channel = self.mcap.add_channel(schema, name, "cdr", &metadata)?;
+        self.topics.push((channel, 0));
         Ok(())
     }
 
@@ -106,10 +85,17 @@ impl<W: io::Write> Bag<W> {
     ///
     /// Writing fails.
     pub fn put(&mut self, topic: usize, nanos: u64, cdr: &[u8]) -> Result<(), McapError> {
-        let Some(channel) = self.channels.get_mut(topic) else {
+        let Some((channel_id, next)) = self.topics.get_mut(topic) else {
             return Ok(());
         };
-        self.mcap.write_to_known_channel(&channel.next(nanos), cdr)
+        let header = MessageHeader {
+            channel_id: *channel_id,
+            sequence: *next,
+            log_time: nanos,
+            publish_time: nanos,
+        };
+        *next = next.wrapping_add(1);
+        self.mcap.write_to_known_channel(&header, cdr)
     }
 
     /// Finishes it, and gives the text of `metadata.yaml` for the name of its file.
@@ -127,16 +113,14 @@ impl<W: io::Write> Bag<W> {
 /// # Errors
 ///
 /// It cannot be written.
-pub fn save(folder: &Path, summary: &Summary) -> io::Result<()> {
-    files::replace(
-        &folder.join(METADATA_FILE),
-        text(MCAP_FILE, summary).as_bytes(),
-    )
+pub fn save(folder: &Path, summary: &Summary) -> Result<(), RecordingError> {
+    let path = folder.join(METADATA_FILE);
+    files::replace(&path, text(MCAP_FILE, summary).as_bytes())
+        .map_err(RecordingError::io("write", &path))
 }
 
 /// The content of `metadata.yaml` for a bag of one MCAP file.
-#[must_use]
-pub fn text(file: &str, summary: &Summary) -> String {
+fn text(file: &str, summary: &Summary) -> String {
     let stats = summary.stats.as_ref();
     let (start, end, count) = stats.map_or((0, 0, 0), |stats| {
         (

@@ -494,18 +494,13 @@ impl SessionFile {
     /// It cannot be written.
     pub fn save(&self, folder: &Path) -> Result<(), RecordingError> {
         let path = folder.join(SESSION_FILE);
-        let io = |source| RecordingError::Io {
-            action: "write",
-            path: path.clone(),
-            source,
-        };
         let mut text =
             serde_json::to_string_pretty(self).map_err(|error| RecordingError::Session {
                 path: path.clone(),
                 reason: error.to_string(),
             })?;
         text.push('\n');
-        files::replace(&path, text.as_bytes()).map_err(io)
+        files::replace(&path, text.as_bytes()).map_err(RecordingError::io("write", &path))
     }
 
     /// Reads it from a recording's folder.
@@ -516,11 +511,8 @@ impl SessionFile {
     /// program never writes.
     pub fn load(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(SESSION_FILE);
-        let text = files::read_text(&path, MAX_LENGTH).map_err(|source| RecordingError::Io {
-            action: "read",
-            path: path.clone(),
-            source,
-        })?;
+        let text =
+            files::read_text(&path, MAX_LENGTH).map_err(RecordingError::io("read", &path))?;
         let wrong = |reason: String| RecordingError::Session {
             path: path.clone(),
             reason,

@@ -14,16 +14,15 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{BufWriter, Cursor, Seek, Write};
+use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
-use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
 pub use super::publish::{Output, Publisher, Severity};
-use super::rosbag2::{self, Channel, METADATA_FILE};
+use super::rosbag2::{self, Bag};
 use super::session_file::SessionFile;
 use super::topic::Topic;
 use super::{MCAP_FILE, PROFILE_FILE, RecordingError, SESSION_FILE};
@@ -43,10 +42,10 @@ pub type Writer = Publisher<McapFile>;
 
 /// The file that is being written.
 pub struct McapFile {
-    mcap: mcap::Writer<NoSeek<BufWriter<File>>>,
+    /// With a topic for each of ours, in their order.
+    bag: Bag<BufWriter<File>>,
     file: File,
     path: PathBuf,
-    channels: [Channel; Topic::ALL.len()],
     last: Ticks,
     chunk_from: Option<Ticks>,
     waits_since: Option<Duration>,
@@ -67,22 +66,14 @@ impl Writer {
     /// It is there already or cannot be written.
     pub fn create(folder: &Path) -> Result<Self, RecordingError> {
         let path = folder.join(MCAP_FILE);
-        let io = |source| RecordingError::Io {
-            action: "write",
-            path: path.clone(),
-            source,
-        };
-        let file = File::create_new(&path).map_err(io)?;
+        let io = RecordingError::io("write", &path);
+        let file = File::create_new(&path).map_err(&io)?;
         let copy = file.try_clone().map_err(io)?;
-        let mut mcap = options()
-            .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
-            .map_err(|source| mcap_error(&path, source))?;
-        let channels = make_channels(&mut mcap).map_err(|source| mcap_error(&path, source))?;
+        let bag = bag_of_topics(BufWriter::with_capacity(1 << 20, file));
         let mut file = McapFile {
-            mcap,
+            bag: bag.map_err(RecordingError::mcap(&path))?,
             file: copy,
             path,
-            channels,
             last: Ticks::ZERO,
             chunk_from: None,
             waits_since: None,
@@ -140,8 +131,8 @@ impl Writer {
     ///
     /// As [`Publisher::imu`].
     pub fn finish_with(mut self, session: &SessionFile) -> Result<(), RecordingError> {
-        attach(&mut self.0.mcap, self.0.last, session)
-            .map_err(|source| mcap_error(&self.0.path, source))?;
+        attach(&mut self.0.bag.mcap, self.0.last, session)
+            .map_err(RecordingError::mcap(&self.0.path))?;
         self.finish()
     }
 
@@ -152,18 +143,10 @@ impl Writer {
     ///
     /// As [`Publisher::imu`].
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        let summary = self
-            .0
-            .mcap
-            .finish()
-            .map_err(|source| mcap_error(&self.0.path, source))?;
+        let summary = self.0.bag.mcap.finish();
+        let summary = summary.map_err(RecordingError::mcap(&self.0.path))?;
         self.0.sync()?;
-        let folder = self.0.path.parent().unwrap_or(Path::new(""));
-        rosbag2::save(folder, &summary).map_err(|source| RecordingError::Io {
-            action: "write",
-            path: folder.join(METADATA_FILE),
-            source,
-        })
+        rosbag2::save(self.0.path.parent().unwrap_or(Path::new("")), &summary)
     }
 }
 
@@ -205,9 +188,8 @@ pub fn attach<W: Write + Seek>(
 
 impl McapFile {
     fn flush(&mut self) -> Result<(), RecordingError> {
-        self.mcap
-            .flush()
-            .map_err(|source| mcap_error(&self.path, source))?;
+        let flushed = self.bag.mcap.flush();
+        flushed.map_err(RecordingError::mcap(&self.path))?;
         self.chunk_from = None;
         self.waits_since = None;
         self.dirty = false;
@@ -219,11 +201,8 @@ impl McapFile {
 
     fn sync(&mut self) -> Result<(), RecordingError> {
         self.synced = Instant::now();
-        self.file.sync_data().map_err(|source| RecordingError::Io {
-            action: "write",
-            path: self.path.clone(),
-            source,
-        })
+        let synced = self.file.sync_data();
+        synced.map_err(RecordingError::io("write", &self.path))
     }
 }
 
@@ -233,12 +212,8 @@ impl Output for McapFile {
     }
 
     fn put(&mut self, topic: Topic, at: Ticks, data: &[u8]) -> Result<(), RecordingError> {
-        let nanos = at.as_nanos();
-        if let Some(channel) = self.channels.get_mut(topic as usize) {
-            self.mcap
-                .write_to_known_channel(&channel.next(nanos), data)
-                .map_err(|source| mcap_error(&self.path, source))?;
-        }
+        let put = self.bag.put(topic as usize, at.as_nanos(), data);
+        put.map_err(RecordingError::mcap(&self.path))?;
         self.dirty = true;
         self.last = self.last.max(at);
         let from = *self.chunk_from.get_or_insert(at);
@@ -249,13 +224,6 @@ impl Output for McapFile {
             Some(mirror) => mirror.put(topic, at, data),
             None => Ok(()),
         }
-    }
-}
-
-fn mcap_error(path: &Path, source: mcap::McapError) -> RecordingError {
-    RecordingError::Mcap {
-        path: path.to_owned(),
-        source,
     }
 }
 
@@ -275,20 +243,15 @@ pub fn options() -> WriteOptions {
 ///
 /// # Errors
 ///
-/// None that is known: it writes into memory.
+/// None that is known: what it writes goes nowhere.
 pub fn known_channels() -> Result<mcap::Summary, mcap::McapError> {
-    let mut mcap = options().create(NoSeek::new(Cursor::new(Vec::new())))?;
-    make_channels(&mut mcap)?;
-    mcap.finish()
+    bag_of_topics(io::sink())?.mcap.finish()
 }
 
-fn make_channels<W: Write + Seek>(
-    mcap: &mut mcap::Writer<W>,
-) -> Result<[Channel; Topic::ALL.len()], mcap::McapError> {
-    let mut channels = [Channel::default(); Topic::ALL.len()];
-    for (channel, topic) in channels.iter_mut().zip(Topic::ALL) {
-        let kind = (topic.message_type(), topic.schema());
-        channel.id = rosbag2::add_topic(mcap, topic.name(), kind)?;
+fn bag_of_topics<W: Write>(to: W) -> Result<Bag<W>, mcap::McapError> {
+    let mut bag = Bag::with_options(options(), to)?;
+    for topic in Topic::ALL {
+        bag.add(topic.name(), topic.message_type(), &topic.schema())?;
     }
-    Ok(channels)
+    Ok(bag)
 }

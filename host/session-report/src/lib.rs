@@ -48,11 +48,7 @@ pub fn write(
         file.write_all(html.as_bytes())?;
         files::put_in_place(file, &path, true)
     });
-    written.map_err(|source| RecordingError::Io {
-        action: "write",
-        path: path.clone(),
-        source,
-    })?;
+    written.map_err(RecordingError::io("write", &path))?;
     Ok(path)
 }
 

@@ -65,13 +65,9 @@ pub(crate) fn walk(
     sink: &mut dyn Sink,
     stop: &dyn Fn() -> bool,
 ) -> Result<FileReport, RecordingError> {
-    let io = |source| RecordingError::Io {
-        action: "read",
-        path: path.to_owned(),
-        source,
-    };
-    let mut scan = Scan::open(path).map_err(io)?;
-    let magic = has_magic(path).map_err(io)?;
+    let io = RecordingError::io("read", path);
+    let mut scan = Scan::open(path).map_err(&io)?;
+    let magic = has_magic(path).map_err(&io)?;
     let mut walk = Walk {
         sink,
         topics: BTreeMap::new(),
@@ -82,17 +78,14 @@ pub(crate) fn walk(
         },
         counted: 0,
     };
-    while let Some(piece) = scan.next_piece().map_err(io)? {
+    while let Some(piece) = scan.next_piece().map_err(&io)? {
         if stop() {
             return Err(RecordingError::Stopped);
         }
         walk.piece(piece, &scan, findings)?;
     }
     if !magic && walk.report.chunks == 0 {
-        return Err(RecordingError::Mcap {
-            path: path.to_owned(),
-            source: mcap::McapError::BadMagic,
-        });
+        return Err(RecordingError::mcap(path)(mcap::McapError::BadMagic));
     }
     if walk.report.closed && !walk.report.data_complete {
         findings.add(Grade::Error, "no_end_of_data", None, || {

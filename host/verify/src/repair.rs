@@ -11,9 +11,9 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use mcap::Attachment;
 use mcap::records::{Channel, MessageHeader, SchemaHeader};
 use mcap::write::NoSeek;
-use mcap::{Attachment, McapError};
 use protocol::Ticks;
 use serde::Serialize;
 
@@ -58,9 +58,9 @@ pub fn repair(
     let from = mcap_of(recording);
     let is_folder = recording.is_dir();
     // Before anything is made: is there something to repair.
-    Scan::open(&from).map_err(|source| io("read", &from, source))?;
+    Scan::open(&from).map_err(RecordingError::io("read", &from))?;
     let to = if is_folder {
-        std::fs::create_dir(out).map_err(|source| io("make the folder", out, source))?;
+        std::fs::create_dir(out).map_err(RecordingError::io("make the folder", out))?;
         out.join(MCAP_FILE)
     } else {
         out.to_owned()
@@ -123,13 +123,13 @@ struct Copy {
 
 impl Copy {
     fn create(path: &Path) -> Result<Self, RecordingError> {
-        let file = File::create_new(path).map_err(|source| io("write", path, source))?;
+        let file = File::create_new(path).map_err(RecordingError::io("write", path))?;
         let copy = file
             .try_clone()
-            .map_err(|source| io("write", path, source))?;
+            .map_err(RecordingError::io("write", path))?;
         let mcap = options()
             .create(NoSeek::new(BufWriter::with_capacity(1 << 20, file)))
-            .map_err(|source| failed(path, source))?;
+            .map_err(RecordingError::mcap(path))?;
         Ok(Self {
             mcap,
             file: copy,
@@ -155,19 +155,16 @@ impl Copy {
                 .iter()
                 .try_for_each(|old| self.mcap.attach(old)),
         };
-        attached.map_err(|source| failed(&self.path, source))?;
+        attached.map_err(RecordingError::mcap(&self.path))?;
         let summary = self
             .mcap
             .finish()
-            .map_err(|source| failed(&self.path, source))?;
+            .map_err(RecordingError::mcap(&self.path))?;
         self.file
             .sync_all()
-            .map_err(|source| io("write", &self.path, source))?;
+            .map_err(RecordingError::io("write", &self.path))?;
         match folder {
-            Some(folder) => {
-                let wrong = |source| io("write", &folder.join(METADATA_FILE), source);
-                rosbag2::save(folder, &summary).map_err(wrong)
-            }
+            Some(folder) => rosbag2::save(folder, &summary),
             None => Ok(()),
         }
     }
@@ -228,13 +225,11 @@ impl Sink for Copy {
         }
         self.mcap
             .write_to_known_channel(header, data)
-            .map_err(|source| failed(&self.path, source))
+            .map_err(RecordingError::mcap(&self.path))
     }
 
     fn end_of_chunk(&mut self) -> Result<(), RecordingError> {
-        self.mcap
-            .flush()
-            .map_err(|source| failed(&self.path, source))
+        self.mcap.flush().map_err(RecordingError::mcap(&self.path))
     }
 
     fn attachment(&mut self, body: Vec<u8>) {
@@ -325,12 +320,12 @@ fn copy_files(
     copied: &mut Vec<String>,
 ) -> Result<(), RecordingError> {
     let here = from.join(below);
-    for entry in std::fs::read_dir(&here).map_err(|source| io("read", &here, source))? {
-        let entry = entry.map_err(|source| io("read", &here, source))?;
+    for entry in std::fs::read_dir(&here).map_err(RecordingError::io("read", &here))? {
+        let entry = entry.map_err(RecordingError::io("read", &here))?;
         let name = below.join(entry.file_name());
         let kind = entry
             .file_type()
-            .map_err(|source| io("read", &entry.path(), source))?;
+            .map_err(RecordingError::io("read", &entry.path()))?;
         // Made anew.
         let own = [MCAP_FILE, SESSION_FILE, METADATA_FILE];
         if own.iter().any(|own| name == Path::new(own)) {
@@ -342,11 +337,10 @@ fn copy_files(
             if same_file(&entry.path(), to) {
                 continue;
             }
-            std::fs::create_dir(&target)
-                .map_err(|source| io("make the folder", &target, source))?;
+            std::fs::create_dir(&target).map_err(RecordingError::io("make the folder", &target))?;
             copy_files(from, to, &name, copied)?;
         } else if kind.is_file() {
-            std::fs::copy(entry.path(), &target).map_err(|source| io("write", &target, source))?;
+            std::fs::copy(entry.path(), &target).map_err(RecordingError::io("write", &target))?;
             copied.push(name.to_string_lossy().into_owned());
         }
     }
@@ -358,20 +352,5 @@ fn same_file(a: &Path, b: &Path) -> bool {
     match (a.canonicalize(), b.canonicalize()) {
         (Ok(a), Ok(b)) => a == b,
         _ => false,
-    }
-}
-
-fn io(action: &'static str, path: &Path, source: std::io::Error) -> RecordingError {
-    RecordingError::Io {
-        action,
-        path: path.to_owned(),
-        source,
-    }
-}
-
-fn failed(path: &Path, source: McapError) -> RecordingError {
-    RecordingError::Mcap {
-        path: path.to_owned(),
-        source,
     }
 }
