@@ -6,10 +6,10 @@ use std::path::Path;
 
 use mcap::records::Record;
 
-use super::{Message, Next};
+use super::{Message, Next, Part};
 use crate::chunks::{Chunks, FOREIGN_RATIO, parse};
 
-pub(super) struct Part {
+pub(super) struct File {
     chunks: Chunks,
     /// Of the last chunk, for the next one.
     memory: Vec<u8>,
@@ -24,7 +24,7 @@ struct Channel {
     schema: u16,
 }
 
-impl Part {
+impl File {
     pub(super) fn open(path: &Path) -> io::Result<Self> {
         Ok(Self {
             chunks: Chunks::open(path, FOREIGN_RATIO)?,
@@ -33,8 +33,10 @@ impl Part {
             channels: HashMap::new(),
         })
     }
+}
 
-    pub(super) fn next_chunk(&mut self, each: &mut dyn FnMut(Message<'_>)) -> Next {
+impl Part for File {
+    fn next_chunk(&mut self, each: &mut dyn FnMut(Message<'_>)) -> Next {
         let packed = match self.chunks.next_packed() {
             Ok(Some(packed)) => packed,
             Ok(None) => return Next::End,
@@ -86,11 +88,12 @@ impl Part {
         }
     }
 
-    pub(super) fn topics(&self) -> impl Iterator<Item = &str> {
-        self.channels.values().map(|channel| channel.topic.as_str())
+    fn topics(&self) -> Vec<String> {
+        let channels = self.channels.values();
+        channels.map(|channel| channel.topic.clone()).collect()
     }
 
-    pub(super) const fn position(&self) -> u64 {
+    fn position(&self) -> u64 {
         self.chunks.position()
     }
 }

@@ -48,15 +48,22 @@ pub enum Next {
 pub struct Messages {
     parts: VecDeque<PathBuf>,
     /// The part that is being read, with its name.
-    open: Option<(String, Part)>,
+    open: Option<(String, Box<dyn Part + Send>)>,
     topics: BTreeSet<String>,
     /// Bytes of the parts that were read to their end.
     before: u64,
 }
 
-enum Part {
-    Mcap(Box<mcap::Part>),
-    Sqlite(Box<sqlite::Part>),
+/// A part of a bag.
+trait Part {
+    /// Gives the messages of the next chunk to `each`.
+    fn next_chunk(&mut self, each: &mut dyn FnMut(Message<'_>)) -> Next;
+
+    /// The topics so far.
+    fn topics(&self) -> Vec<String>;
+
+    /// About as many bytes of it were read so far.
+    fn position(&self) -> u64;
 }
 
 impl Messages {
@@ -83,17 +90,13 @@ impl Messages {
                     return Next::End;
                 };
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
-                match Part::open(&path) {
+                match open_part(&path) {
                     Ok(part) => self.open = Some((name.into_owned(), part)),
                     Err(why) => return Next::Damaged(format!("{name}: {why}")),
                 }
                 continue;
             };
-            let next = match part {
-                Part::Mcap(part) => part.next_chunk(&mut each),
-                Part::Sqlite(part) => part.next_chunk(&mut each),
-            };
-            match next {
+            match part.next_chunk(&mut each) {
                 Next::Given => return Next::Given,
                 Next::Damaged(why) => return Next::Damaged(format!("{name}: {why}")),
                 Next::End => {
@@ -118,34 +121,18 @@ impl Messages {
     }
 }
 
-impl Part {
-    fn open(path: &Path) -> Result<Self, String> {
-        let mut first = Vec::new();
-        let begin = files::open(path).and_then(|file| {
-            let length = sqlite::MAGIC.len() as u64;
-            file.take(length).read_to_end(&mut first)
-        });
-        begin.map_err(|error| error.to_string())?;
-        if first == sqlite::MAGIC {
-            return sqlite::Part::open(path).map(|part| Self::Sqlite(Box::new(part)));
-        }
-        let part = mcap::Part::open(path).map_err(|error| error.to_string())?;
-        Ok(Self::Mcap(Box::new(part)))
+fn open_part(path: &Path) -> Result<Box<dyn Part + Send>, String> {
+    let mut first = Vec::new();
+    let begin = files::open(path).and_then(|file| {
+        let length = sqlite::MAGIC.len() as u64;
+        file.take(length).read_to_end(&mut first)
+    });
+    begin.map_err(|error| error.to_string())?;
+    if first == sqlite::MAGIC {
+        return Ok(Box::new(sqlite::Tables::open(path)?));
     }
-
-    fn topics(&self) -> Vec<String> {
-        match self {
-            Self::Mcap(part) => part.topics().map(str::to_owned).collect(),
-            Self::Sqlite(part) => part.topics().map(str::to_owned).collect(),
-        }
-    }
-
-    fn position(&self) -> u64 {
-        match self {
-            Self::Mcap(part) => part.position(),
-            Self::Sqlite(part) => part.position(),
-        }
-    }
+    let file = mcap::File::open(path).map_err(|error| error.to_string())?;
+    Ok(Box::new(file))
 }
 
 /// Whether a path may be such a bag: a folder as `ros2 bag record` leaves it, which is no

@@ -12,7 +12,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::limits::Limit;
 use rusqlite::{Connection, OpenFlags};
 
-use super::{Message, Next};
+use super::{Message, Next, Part};
 use crate::chunks::Budget;
 
 /// What such a file begins with.
@@ -38,7 +38,7 @@ const TOPICS: &str = "SELECT id, name, type, serialization_format FROM topics NO
 const MESSAGES: &str = "SELECT rowid, topic_id, data FROM messages NOT INDEXED \
     WHERE rowid > ?1 ORDER BY rowid";
 
-pub(super) struct Part {
+pub(super) struct Tables {
     connection: Connection,
     length: u64,
     topics: HashMap<i64, Topic>,
@@ -57,7 +57,7 @@ struct Topic {
     encoding: String,
 }
 
-impl Part {
+impl Tables {
     /// Opens it, or says in words why not.
     pub(super) fn open(path: &Path) -> Result<Self, String> {
         let length = path.metadata().map_err(|error| error.to_string())?.len();
@@ -96,22 +96,6 @@ impl Part {
         })
     }
 
-    pub(super) fn next_chunk(&mut self, each: &mut dyn FnMut(Message<'_>)) -> Next {
-        if let Some(damage) = self.damage.take() {
-            return Next::Damaged(damage);
-        }
-        if self.ended {
-            return Next::End;
-        }
-        self.rows(each).unwrap_or_else(|error| {
-            self.ended = true;
-            Next::Damaged(format!(
-                "cannot be read beyond message {}: {error}",
-                self.last
-            ))
-        })
-    }
-
     fn rows(&mut self, each: &mut dyn FnMut(Message<'_>)) -> rusqlite::Result<Next> {
         let mut statement = self.connection.prepare(MESSAGES)?;
         let mut rows = statement.query([self.last])?;
@@ -143,13 +127,31 @@ impl Part {
         self.ended = true;
         Ok(Next::Given)
     }
+}
 
-    pub(super) fn topics(&self) -> impl Iterator<Item = &str> {
-        self.topics.values().map(|topic| topic.name.as_str())
+impl Part for Tables {
+    fn next_chunk(&mut self, each: &mut dyn FnMut(Message<'_>)) -> Next {
+        if let Some(damage) = self.damage.take() {
+            return Next::Damaged(damage);
+        }
+        if self.ended {
+            return Next::End;
+        }
+        self.rows(each).unwrap_or_else(|error| {
+            self.ended = true;
+            Next::Damaged(format!(
+                "cannot be read beyond message {}: {error}",
+                self.last
+            ))
+        })
     }
 
-    /// About.
-    pub(super) fn position(&self) -> u64 {
+    fn topics(&self) -> Vec<String> {
+        let topics = self.topics.values();
+        topics.map(|topic| topic.name.clone()).collect()
+    }
+
+    fn position(&self) -> u64 {
         self.given.min(self.length)
     }
 }
