@@ -54,15 +54,37 @@ impl Finding {
     }
 }
 
-/// The board's counters when the watch began.
-#[derive(Clone, Copy, Debug)]
-struct Baseline {
-    late: u32,
-    readback_missing: u32,
-    imu_late: u32,
-    overcaptures: u32,
-    recoveries: u32,
-}
+/// A counter of the board that grows only when something goes wrong: a stable word, the
+/// counter, and what it counts.
+type Counter = (&'static str, fn(&Status) -> u32, &'static str);
+
+const COUNTERS: [Counter; 5] = [
+    (
+        "trigger_late",
+        |status| status.trigger.late,
+        "trigger edges came late",
+    ),
+    (
+        "readback_missing",
+        |status| status.trigger.readback.missing,
+        "pulses were not seen on the trigger wire",
+    ),
+    (
+        "imu_late",
+        |status| status.imu.late,
+        "IMU samples were read late",
+    ),
+    (
+        "captures_lost",
+        |status| status.strobe_overcaptures,
+        "edges on the strobe input were lost",
+    ),
+    (
+        "imu_recovered",
+        |status| status.imu.recoveries,
+        "times the IMU was set up again after a fault",
+    ),
+];
 
 /// The state of the watch.
 #[derive(Debug)]
@@ -74,7 +96,7 @@ pub struct Watch {
     off_grid: bool,
     last_imu: Ticks,
     imu_away: bool,
-    baseline: Option<Baseline>,
+    last_status: Option<Status>,
     /// Streams whose numbers were told not to follow.
     disordered: Vec<Stream>,
 }
@@ -91,7 +113,7 @@ impl Watch {
             off_grid: false,
             last_imu: now,
             imu_away: false,
-            baseline: None,
+            last_status: None,
             disordered: Vec::new(),
         }
     }
@@ -189,51 +211,14 @@ impl Watch {
 
     /// A status.
     pub fn status(&mut self, status: &Status, findings: &mut Vec<Finding>) {
-        let now = Baseline {
-            late: status.trigger.late,
-            readback_missing: status.trigger.readback.missing,
-            imu_late: status.imu.late,
-            overcaptures: status.strobe_overcaptures,
-            recoveries: status.imu.recoveries,
-        };
-        if let Some(before) = self.baseline {
-            let mut grown = |kind, before: u32, now: u32, what: &str| {
-                if now > before {
-                    findings.push(Finding::warning(kind, format!("{} {what}", now - before)));
+        if let Some(before) = self.last_status.replace(status.clone()) {
+            for (kind, counter, what) in COUNTERS {
+                let more = counter(status).saturating_sub(counter(&before));
+                if more > 0 {
+                    findings.push(Finding::warning(kind, format!("{more} {what}")));
                 }
-            };
-            grown(
-                "trigger_late",
-                before.late,
-                now.late,
-                "trigger edges came late",
-            );
-            grown(
-                "readback_missing",
-                before.readback_missing,
-                now.readback_missing,
-                "pulses were not seen on the trigger wire",
-            );
-            grown(
-                "imu_late",
-                before.imu_late,
-                now.imu_late,
-                "IMU samples were read late",
-            );
-            grown(
-                "captures_lost",
-                before.overcaptures,
-                now.overcaptures,
-                "edges on the strobe input were lost",
-            );
-            grown(
-                "imu_recovered",
-                before.recoveries,
-                now.recoveries,
-                "times the IMU was set up again after a fault",
-            );
+            }
         }
-        self.baseline = Some(now);
         if status.imu.state == ImuState::Failed && !self.imu_away {
             self.imu_away = true;
             findings.push(Finding::error(
