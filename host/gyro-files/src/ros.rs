@@ -97,7 +97,7 @@ pub(crate) fn bag2(path: &Path, topic: Option<&str>) -> Result<GyroRecording, Gy
                 Ok(imu) => out.add(
                     message.topic,
                     imu.header.stamp.nanos(),
-                    imu.angular_velocity.into(),
+                    imu.angular_velocity,
                 ),
                 Err(_) => out.broken += 1,
             }

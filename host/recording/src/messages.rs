@@ -96,29 +96,6 @@ pub struct Header {
     pub frame_id: String,
 }
 
-/// `geometry_msgs/msg/Vector3`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Vector3 {
-    /// Along x.
-    pub x: f64,
-    /// Along y.
-    pub y: f64,
-    /// Along z.
-    pub z: f64,
-}
-
-impl From<[f64; 3]> for Vector3 {
-    fn from([x, y, z]: [f64; 3]) -> Self {
-        Self { x, y, z }
-    }
-}
-
-impl From<Vector3> for [f64; 3] {
-    fn from(vector: Vector3) -> Self {
-        [vector.x, vector.y, vector.z]
-    }
-}
-
 /// `sensor_msgs/msg/Imu`. Orientation is not known: its covariance begins with −1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Imu {
@@ -129,11 +106,11 @@ pub struct Imu {
     /// −1, then zeros: no orientation.
     pub orientation_covariance: [f64; 9],
     /// rad/s.
-    pub angular_velocity: Vector3,
+    pub angular_velocity: [f64; 3],
     /// rad²/s²; zeros: not known.
     pub angular_velocity_covariance: [f64; 9],
     /// m/s².
-    pub linear_acceleration: Vector3,
+    pub linear_acceleration: [f64; 3],
     /// m²/s⁴; zeros: not known.
     pub linear_acceleration_covariance: [f64; 9],
 }

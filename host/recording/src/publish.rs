@@ -68,9 +68,9 @@ impl<O: Output> Publisher<O> {
                 header: header.clone(),
                 orientation: [0.0, 0.0, 0.0, 1.0],
                 orientation_covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-                angular_velocity: sample.gyro.into(),
+                angular_velocity: sample.gyro,
                 angular_velocity_covariance: [0.0; 9],
-                linear_acceleration: sample.accel.into(),
+                linear_acceleration: sample.accel,
                 linear_acceleration_covariance: [0.0; 9],
             }),
         )?;

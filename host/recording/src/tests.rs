@@ -157,8 +157,8 @@ fn everything_comes_back_as_it_was_written() {
         panic!("{:?}", entries[0]);
     };
     assert_eq!(entries[0].at, sample(3).at);
-    assert_eq!(<[f64; 3]>::from(imu.angular_velocity), sample(3).gyro);
-    assert_eq!(<[f64; 3]>::from(imu.linear_acceleration), sample(3).accel);
+    assert_eq!(imu.angular_velocity, sample(3).gyro);
+    assert_eq!(imu.linear_acceleration, sample(3).accel);
     assert_eq!(imu.orientation_covariance[0], -1.0);
     let Item::Trigger(trigger) = &entries[2].item else {
         panic!("{:?}", entries[2]);

@@ -77,7 +77,7 @@ impl Curves {
         let x = at.as_secs_f64();
         match item {
             Item::Imu(imu) => {
-                let rates: [f64; 3] = imu.angular_velocity.into();
+                let rates = imu.angular_velocity;
                 for (envelope, rate) in self.gyro.iter_mut().zip(rates) {
                     envelope.add(x, rate);
                 }

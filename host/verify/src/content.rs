@@ -408,8 +408,7 @@ impl Content {
             Item::Link(frame) => self.frame(frame, ticks, findings),
             Item::Imu(imu) => {
                 self.in_own_frame(Stream::Imu, &imu.header, at, findings);
-                let values: [f64; 3] = imu.angular_velocity.into();
-                if values.iter().any(|value| !value.is_finite()) {
+                if imu.angular_velocity.iter().any(|rate| !rate.is_finite()) {
                     findings.add(Grade::Error, "not_a_number", Some(ticks), || {
                         String::from("an IMU sample is not a number")
                     });

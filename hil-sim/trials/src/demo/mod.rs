@@ -124,7 +124,7 @@ fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result
             continue;
         }
         if let Item::Imu(sample) = entry.item {
-            let [x, y, z]: [f64; 3] = sample.angular_velocity.into();
+            let [x, y, z] = sample.angular_velocity;
             let _ = writeln!(csv, "{:.9},{x},{y},{z}", entry.at.as_secs_f64());
         }
     }

@@ -503,7 +503,7 @@ fn compare(recording: &Path, file: &SessionFile, truth: &RunTruth) -> Result<Com
                     temperature: record.values.temperature,
                     gyro: record.values.gyro,
                 });
-                let found: [f64; 3] = imu.angular_velocity.into();
+                let found = imu.angular_velocity;
                 if found != expected.gyro {
                     return Err(format!(
                         "the sample at {:?} is {found:?}, in the registers {:?}",

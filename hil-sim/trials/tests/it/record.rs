@@ -96,8 +96,8 @@ fn as_sent(folder: &Path, session: &SessionFile, samples: &[SampleRecord]) {
         let entry = entry.unwrap();
         match entry.item {
             Item::Imu(sample) => {
-                let rate: [f64; 3] = sample.angular_velocity.into();
-                let force: [f64; 3] = sample.linear_acceleration.into();
+                let rate = sample.angular_velocity;
+                let force = sample.linear_acceleration;
                 rows.push((entry.at.as_nanos(), [rate, force].concat()));
             }
             Item::Pulse(pulse) => {

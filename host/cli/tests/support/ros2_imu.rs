@@ -11,9 +11,9 @@ pub(crate) fn message(at: i64, rate: [f64; 3]) -> Result<Vec<u8>, CdrError> {
         },
         orientation: [0.0; 4],
         orientation_covariance: [0.0; 9],
-        angular_velocity: rate.into(),
+        angular_velocity: rate,
         angular_velocity_covariance: [0.0; 9],
-        linear_acceleration: [0.0; 3].into(),
+        linear_acceleration: [0.0; 3],
         linear_acceleration_covariance: [0.0; 9],
     })
 }

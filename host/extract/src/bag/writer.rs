@@ -4,7 +4,7 @@
 use std::io::{self, Seek, SeekFrom, Write};
 
 use recording::messages::camera::{CameraInfo, CompressedImage, Image};
-use recording::messages::{Header, Imu, RosMessage, SEPARATOR, Vector3};
+use recording::messages::{Header, Imu, RosMessage, SEPARATOR};
 
 use super::reader::{MAGIC, OP_BAG, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION, OP_INDEX, OP_MESSAGE};
 
@@ -119,13 +119,12 @@ impl Ros1Message for Imu {
     const MD5: &'static str = "6a62c6daae103f4ff57a132d6f95cec2";
 
     fn write_ros1(&self, out: &mut Vec<u8>) {
-        let numbers = |vector: Vector3| <[f64; 3]>::from(vector);
         push_header(out, &self.header);
         push_numbers(out, &self.orientation);
         push_numbers(out, &self.orientation_covariance);
-        push_numbers(out, &numbers(self.angular_velocity));
+        push_numbers(out, &self.angular_velocity);
         push_numbers(out, &self.angular_velocity_covariance);
-        push_numbers(out, &numbers(self.linear_acceleration));
+        push_numbers(out, &self.linear_acceleration);
         push_numbers(out, &self.linear_acceleration_covariance);
     }
 }
@@ -334,9 +333,9 @@ mod tests {
             },
             orientation: [0.0, 0.0, 0.0, 1.0],
             orientation_covariance: [0.0; 9],
-            angular_velocity: [f64::from(number), 2.0, 3.0].into(),
+            angular_velocity: [f64::from(number), 2.0, 3.0],
             angular_velocity_covariance: [0.5; 9],
-            linear_acceleration: [4.0, 5.0, 6.0].into(),
+            linear_acceleration: [4.0, 5.0, 6.0],
             linear_acceleration_covariance: [0.25; 9],
         };
         let mut file = io::Cursor::new(Vec::new());
@@ -361,7 +360,7 @@ mod tests {
                 assert_eq!(message.connection.kind, "sensor_msgs/Imu");
                 assert_eq!(message.received, expected.header.stamp.nanos());
                 let found = messages::Imu::parse(message.data).unwrap();
-                assert_eq!(found.gyro, <[f64; 3]>::from(expected.angular_velocity));
+                assert_eq!(found.gyro, expected.angular_velocity);
                 number += 1;
                 Ok::<(), BagError>(())
             })

@@ -340,8 +340,8 @@ fn message(item: Item, seq: u32, out: &mut Vec<Decoded>) {
     let decoded = match item {
         Item::Imu(imu) => Decoded::Event(BoardEvent::Imu(ImuRow {
             at: stamp(&imu.header),
-            gyro: imu.angular_velocity.into(),
-            accel: imu.linear_acceleration.into(),
+            gyro: imu.angular_velocity,
+            accel: imu.linear_acceleration,
             temperature: None,
         })),
         Item::Temperature(value) => Decoded::Temperature(stamp(&value.header), value.temperature),

@@ -388,9 +388,9 @@ fn imu_of(imu: &Samples, row: &ImuRow) -> Imu {
         header: header(row.at, imu.name),
         orientation: [0.0, 0.0, 0.0, 1.0],
         orientation_covariance: unknown,
-        angular_velocity: row.gyro.into(),
+        angular_velocity: row.gyro,
         angular_velocity_covariance: covariance(rate),
-        linear_acceleration: row.accel.into(),
+        linear_acceleration: row.accel,
         linear_acceleration_covariance: covariance(force),
     }
 }
