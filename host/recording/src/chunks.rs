@@ -323,8 +323,12 @@ impl Chunk {
     }
 }
 
-/// A record by its opcode; `None` if it is no such.
-pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
+/// A record by its opcode; `None` if it is no such, or one of a kind that nobody has a use
+/// for.
+///
+/// The parser of attachments takes four bytes for granted, so they are left out.
+#[must_use]
+pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     strings_fit(opcode, body)?;
     mcap::parse_record(opcode, body).ok()
 }
@@ -341,7 +345,8 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         op::SCHEMA => (2, 2),
         op::CHANNEL => (4, 2),
         op::CHUNK => (28, 1),
-        _ => return Some(()),
+        op::FOOTER | op::MESSAGE | op::STATISTICS | op::DATA_END => return Some(()),
+        _ => return None,
     };
     let mut rest = body.get(fixed..)?;
     for _ in 0..strings {

@@ -83,20 +83,6 @@ pub struct Scan {
     ended: bool,
 }
 
-/// Whether a file begins as MCAP files do.
-///
-/// # Errors
-///
-/// It cannot be read.
-pub fn has_magic(path: &Path) -> io::Result<bool> {
-    let mut magic = [0; mcap::MAGIC.len()];
-    match files::open(path)?.read_exact(&mut magic) {
-        Ok(()) => Ok(magic == *mcap::MAGIC),
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
-        Err(error) => Err(error),
-    }
-}
-
 impl Scan {
     /// Begins at the front of a file.
     ///
@@ -356,24 +342,4 @@ fn piece_of(at: u64, header: &ChunkHeader, chunk: Result<Chunk, BadChunk>) -> Pi
             times: (header.message_start_time, header.message_end_time),
         },
     }
-}
-
-/// A record by its opcode; `None` if it is no such, or one of a kind that the
-/// walk has no use for.
-///
-/// The parser of attachments takes four bytes for granted, so they are left out.
-#[must_use]
-pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
-    matches!(
-        opcode,
-        op::HEADER
-            | op::FOOTER
-            | op::SCHEMA
-            | op::CHANNEL
-            | op::MESSAGE
-            | op::STATISTICS
-            | op::DATA_END
-    )
-    .then(|| chunks::parse(opcode, body))
-    .flatten()
 }

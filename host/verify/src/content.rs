@@ -7,7 +7,8 @@ mod counters;
 mod pulses;
 mod topics;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
+use std::path::Path;
 
 use mcap::records::MessageHeader;
 use protocol::{
@@ -19,7 +20,7 @@ use pulses::Pulses;
 use topics::Topics;
 
 use super::file::Sink;
-use super::{FileReport, Findings, Grade, GridReport, StreamReport, TopicReport};
+use super::{FORM, FileReport, Findings, Grade, Report, StreamReport};
 use board::Stream;
 use recording::messages::{BoardRun, Header, LinkFrame};
 use recording::reader::ticks_of_nanos;
@@ -41,17 +42,6 @@ const fn topic_of(stream: Stream) -> Option<Topic> {
         // It says nothing, and is in the frames of the link alone.
         Stream::Filler => None,
     }
-}
-
-/// What the messages say; see [`super::Report`].
-pub(crate) struct Outcome {
-    /// First and last board time, ns.
-    pub(crate) span: Option<(u64, u64)>,
-    pub(crate) runs: u64,
-    pub(crate) damaged_frames: u64,
-    pub(crate) streams: BTreeMap<&'static str, StreamReport>,
-    pub(crate) topics: BTreeMap<String, TopicReport>,
-    pub(crate) grid: Option<GridReport>,
 }
 
 /// One numbered stream in the frames of the link, and its topic.
@@ -119,15 +109,16 @@ impl Content {
         }
     }
 
-    /// What came of it.
+    /// What came of it, of `recording` whose bytes are `file`.
     pub(crate) fn finish(
         mut self,
-        file: &FileReport,
+        recording: &Path,
+        file: FileReport,
         session: Option<&SessionFile>,
-        findings: &mut Findings,
-    ) -> Outcome {
+        mut findings: Findings,
+    ) -> Report {
         self.counters
-            .close_run(self.missing(), self.gaps > 0, findings);
+            .close_run(self.missing(), self.gaps > 0, &mut findings);
         let whole = file.closed && self.gaps == 0;
         for (numbers, stream) in self.streams.iter().zip(Stream::ALL) {
             let left = numbers.pending.len() as u64;
@@ -154,13 +145,18 @@ impl Content {
             }
         }
         if let Some(session) = session.filter(|_| whole) {
-            self.compare_with(session, findings);
+            self.compare_with(session, &mut findings);
         }
-        Outcome {
-            span: self.topics.span(),
-            grid: self.pulses.report(),
-            runs: self.runs,
+        let seconds = |nanos| ticks_of_nanos(nanos).as_secs_f64();
+        Report {
+            form: FORM,
+            recording: recording.display().to_string(),
+            verdict: findings.verdict(),
+            file,
+            board_time_s: self.topics.span().map(|span| span.map(seconds)),
+            board_runs: self.runs,
             damaged_frames: self.damaged_frames,
+            grid: self.pulses.report(),
             streams: Stream::ALL
                 .iter()
                 .zip(&self.streams)
@@ -168,6 +164,7 @@ impl Content {
                 .map(|(of, stream)| (of.name(), stream.report))
                 .collect(),
             topics: self.topics.reports(),
+            findings: findings.0,
         }
     }
 
@@ -284,22 +281,15 @@ impl Content {
             let steps = u64::from(seq.wrapping_sub(number));
             let distance = at.0.saturating_sub(last.0);
             if distance > interval.saturating_mul(steps) + interval / 2 && !self.after_gap {
-                let grade = if told { Grade::Warning } else { Grade::Error };
-                let kind = if told {
-                    "imu_gap"
+                let (grade, kind, why) = if told {
+                    (Grade::Warning, "imu_gap", "as the board itself says")
                 } else {
-                    "imu_gap_unexplained"
+                    let why = "and the board does not say why";
+                    (Grade::Error, "imu_gap_unexplained", why)
                 };
                 findings.add(grade, kind, Some(at), || {
-                    format!(
-                        "{:.1} ms without IMU samples{}",
-                        distance as f64 / 48_000.0,
-                        if told {
-                            ", as the board itself says"
-                        } else {
-                            ", and the board does not say why"
-                        }
-                    )
+                    let silence = distance as f64 / 48_000.0;
+                    format!("{silence:.1} ms without IMU samples, {why}")
                 });
             }
         }

@@ -7,8 +7,9 @@ use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 
 use super::{FileReport, Findings, Grade};
 use recording::RecordingError;
+use recording::chunks::parse;
 use recording::reader::ticks_of_nanos;
-use recording::scan::{Piece, Scan, has_magic, parse};
+use recording::scan::{Piece, Scan};
 use recording::writer::known_channels;
 
 /// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
@@ -17,13 +18,11 @@ const NAME: usize = 1_000;
 /// What is done with what can be read.
 pub(crate) trait Sink {
     /// The definition of a type.
-    fn schema(&mut self, header: &SchemaHeader, data: &[u8]) -> Result<(), RecordingError> {
-        let _ = (header, data);
+    fn schema(&mut self, _header: &SchemaHeader, _data: &[u8]) -> Result<(), RecordingError> {
         Ok(())
     }
 
-    fn channel(&mut self, channel: &Channel) -> Result<(), RecordingError> {
-        let _ = channel;
+    fn channel(&mut self, _channel: &Channel) -> Result<(), RecordingError> {
         Ok(())
     }
 
@@ -40,9 +39,7 @@ pub(crate) trait Sink {
     }
 
     /// The body of the record of an attached file.
-    fn attachment(&mut self, body: Vec<u8>) {
-        let _ = body;
-    }
+    fn attachment(&mut self, _body: Vec<u8>) {}
 
     /// Something is missing here.
     fn gap(&mut self) {}
@@ -53,6 +50,8 @@ struct Walk<'s> {
     topics: BTreeMap<u16, String>,
     /// The topics are taken from this program, not from the file.
     assumed: bool,
+    /// The file begins as MCAP files do; else its first bytes are skipped.
+    has_magic: bool,
     report: FileReport,
     counted: u64,
 }
@@ -67,11 +66,11 @@ pub(crate) fn walk(
 ) -> Result<FileReport, RecordingError> {
     let io = RecordingError::io("read", path);
     let mut scan = Scan::open(path).map_err(&io)?;
-    let magic = has_magic(path).map_err(&io)?;
     let mut walk = Walk {
         sink,
         topics: BTreeMap::new(),
         assumed: false,
+        has_magic: true,
         report: FileReport {
             bytes: scan.length(),
             ..FileReport::default()
@@ -84,7 +83,7 @@ pub(crate) fn walk(
         }
         walk.piece(piece, &scan, findings)?;
     }
-    if !magic && walk.report.chunks == 0 {
+    if !walk.has_magic && walk.report.chunks == 0 {
         return Err(RecordingError::mcap(path)(mcap::McapError::BadMagic));
     }
     if walk.report.closed && !walk.report.data_complete {
@@ -170,6 +169,7 @@ impl Walk<'_> {
             Piece::Record(opcode, body) => self.record(opcode, &body, findings)?,
             Piece::Skipped { from, to } => {
                 let bytes = to - from;
+                self.has_magic &= from > 0;
                 self.report.skipped_bytes += bytes;
                 findings.add(Grade::Error, "bytes_damaged", None, || {
                     format!("{bytes} bytes from byte {from} on are no records")

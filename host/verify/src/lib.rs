@@ -28,7 +28,6 @@ use std::path::Path;
 use protocol::Ticks;
 use serde::Serialize;
 
-use recording::reader::ticks_of_nanos;
 use recording::session_file::{SessionFile, SessionOutcome};
 use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
 
@@ -103,6 +102,14 @@ impl Findings {
     #[must_use]
     pub(crate) fn all(&self) -> &[Finding] {
         &self.0
+    }
+
+    fn verdict(&self) -> Verdict {
+        match self.0.iter().map(|finding| finding.grade).max() {
+            Some(Grade::Error) => Verdict::Damaged,
+            Some(Grade::Warning) => Verdict::Incomplete,
+            Some(Grade::Note) | None => Verdict::Whole,
+        }
     }
 }
 
@@ -244,30 +251,7 @@ pub fn verify(recording: &Path, stop: &dyn Fn() -> bool) -> Result<Report, Recor
     if let Some(session) = &session {
         check_session(session, &path, &file, &mut findings);
     }
-    let content = content.finish(&file, session.as_ref(), &mut findings);
-    let worst = findings.0.iter().map(|finding| finding.grade).max();
-    Ok(Report {
-        form: FORM,
-        recording: recording.display().to_string(),
-        verdict: match worst {
-            Some(Grade::Error) => Verdict::Damaged,
-            Some(Grade::Warning) => Verdict::Incomplete,
-            Some(Grade::Note) | None => Verdict::Whole,
-        },
-        file,
-        board_time_s: content.span.map(|(from, to)| {
-            [
-                ticks_of_nanos(from).as_secs_f64(),
-                ticks_of_nanos(to).as_secs_f64(),
-            ]
-        }),
-        board_runs: content.runs,
-        damaged_frames: content.damaged_frames,
-        streams: content.streams,
-        topics: content.topics,
-        grid: content.grid,
-        findings: findings.0,
-    })
+    Ok(content.finish(recording, file, session.as_ref(), findings))
 }
 
 fn check_session(session: &SessionFile, path: &Path, file: &FileReport, findings: &mut Findings) {

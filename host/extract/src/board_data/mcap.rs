@@ -20,9 +20,8 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
 use rayon::prelude::*;
-use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, Packed};
+use recording::chunks::{BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, Packed, parse};
 use recording::messages::{self, ClockModel};
-use recording::scan::parse;
 use recording::{Item, Topic};
 use timebase::{BoardSeconds, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange};

@@ -37,7 +37,7 @@ struct TopicState {
 #[derive(Default)]
 pub(super) struct Topics {
     topics: BTreeMap<String, TopicState>,
-    span: Option<(u64, u64)>,
+    span: Option<[u64; 2]>,
 }
 
 impl Topics {
@@ -49,7 +49,7 @@ impl Topics {
     }
 
     /// First and last board time, ns.
-    pub(super) const fn span(&self) -> Option<(u64, u64)> {
+    pub(super) const fn span(&self) -> Option<[u64; 2]> {
         self.span
     }
 
@@ -110,10 +110,8 @@ impl Topics {
                 );
             }
             state.last = Some(at);
-            self.span = Some(
-                self.span
-                    .map_or((at, at), |(from, to)| (from.min(at), to.max(at))),
-            );
+            let [from, to] = self.span.unwrap_or([at; 2]);
+            self.span = Some([from.min(at), to.max(at)]);
         }
     }
 }
