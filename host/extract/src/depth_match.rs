@@ -10,7 +10,7 @@
 use super::board_data::BoardInput;
 use super::depth::{DepthIndex, DepthInput};
 use super::depth_clock::{
-    Ambiguity, Assignment, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
+    Ambiguity, Decision, DepthMatch, FrameState, Hint, MatchError, match_frames,
 };
 use super::gyro_clock;
 use super::later_runs::depth::{OverResets, Reset, match_over_resets};
@@ -139,14 +139,11 @@ pub(crate) fn find(
     }
     let error = match found {
         Ok(found) => return Ok(Ok(found)),
-        Err(error) => error,
-    };
-    let error = match error {
-        MatchError::Ambiguous(left) => MatchError::Ambiguous(Ambiguity {
+        Err(MatchError::Ambiguous(left)) => MatchError::Ambiguous(Ambiguity {
             has_imu: index.has_imu,
             ..left
         }),
-        other => other,
+        Err(error) => error,
     };
     if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
         let hint = if index.has_imu {
@@ -225,19 +222,10 @@ pub(crate) fn free_running(
     }));
     let (from, to) = clock.course.span();
     let model = clock.course.at(0.5 * (from + to));
-    let frame = Assignment {
-        state: FrameState::FreeRunning,
-        pulse: None,
-        residual: 0,
-    };
     let found = DepthMatch {
-        frames: vec![frame; index.frames.len()],
-        missing: Vec::new(),
-        decision: Decision::Hint { left: 0 },
         rate_error: model.skew,
         rate_sigma: model.covariance[1][1].max(0.0).sqrt(),
-        residual: 0.0,
-        clock: map,
+        ..DepthMatch::by_clock(index.frames.len(), FrameState::FreeRunning, map)
     };
     let remark = format!(
         "the depth camera ran on its own clock: its frames are timed through the gyroscopes of camera and \
@@ -343,18 +331,6 @@ fn by_offset(frames: &[DeviceNanos], delta: i64, center: i64) -> DepthMatch {
         let board = at.saturating_add(delta).saturating_sub(center);
         (DeviceNanos(at), BoardNanos(board))
     };
-    let off = Assignment {
-        state: FrameState::OffPulse,
-        pulse: None,
-        residual: 0,
-    };
-    DepthMatch {
-        frames: vec![off; frames.len()],
-        missing: Vec::new(),
-        decision: Decision::Hint { left: 0 },
-        rate_error: 0.0,
-        rate_sigma: 0.0,
-        residual: 0.0,
-        clock: PiecewiseMap::from_knots([knot(first.0), knot(first.0.saturating_add(SECOND))]),
-    }
+    let clock = PiecewiseMap::from_knots([knot(first.0), knot(first.0.saturating_add(SECOND))]);
+    DepthMatch::by_clock(frames.len(), FrameState::OffPulse, clock)
 }

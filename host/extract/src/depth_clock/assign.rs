@@ -2,7 +2,7 @@
 
 use super::fit;
 use super::pattern::{Fitted, Grid, distance};
-use super::{Decision, DepthMatch, PulseTime};
+use super::{Decision, DepthMatch};
 use crate::time::DeviceNanos;
 
 /// A frame may be this far from its pulse (ns) or ten times the scatter: more is
@@ -41,15 +41,25 @@ pub(crate) struct Assignment {
     pub(crate) residual: i64,
 }
 
+impl Assignment {
+    /// Of a frame that no pulse has made.
+    pub(crate) const fn without_pulse(state: FrameState) -> Self {
+        Self {
+            state,
+            pulse: None,
+            residual: 0,
+        }
+    }
+}
+
 pub(super) fn assign(
     grid: &Grid,
     shift: i64,
     fitted: &Fitted,
     frames: &[DeviceNanos],
-    pulses: &[PulseTime],
     decision: Decision,
 ) -> DepthMatch {
-    let (device_zero, board_zero) = grid.zeros();
+    let pulses = grid.pulse_times.len();
     let ratio = grid.ratio();
     // distance(frame)·ratio − distance(pulse) = smooth, with the distance modulo a
     // period: the whole periods are in the shift.
@@ -61,11 +71,11 @@ pub(super) fn assign(
     let tolerance = (10.0 * fitted.scatter)
         .max(TOLERANCE)
         .min(grid.period * 0.4);
-    let mut taken: Vec<Option<(usize, f64)>> = vec![None; pulses.len()];
+    let mut taken: Vec<Option<(usize, f64)>> = vec![None; pulses];
     let mut out: Vec<Assignment> = Vec::with_capacity(frames.len());
     for (index, frame) in frames.iter().enumerate() {
-        let time = to_pulse(distance(frame.0, device_zero.0));
-        let (nearest, residual) = nearest_pulse(pulses, board_zero.0, time);
+        let time = to_pulse(distance(frame.0, grid.device_zero.0));
+        let (nearest, residual) = grid.nearest_pulse(time);
         let state = if residual.abs() <= tolerance {
             match taken[nearest] {
                 Some((_, other)) if other.abs() <= residual.abs() => FrameState::Doubled,
@@ -81,7 +91,7 @@ pub(super) fn assign(
             }
         } else if nearest == 0 && residual < 0.0 {
             FrameState::BeforeFirstPulse
-        } else if nearest + 1 == pulses.len() && residual > 0.0 {
+        } else if nearest + 1 == pulses && residual > 0.0 {
             FrameState::AfterLastPulse
         } else {
             FrameState::OffPulse
@@ -111,20 +121,6 @@ pub(super) fn assign(
         rate_error,
         rate_sigma,
         residual: fitted.scatter,
-        clock: fit::knots(device_zero, board_zero, end, to_pulse),
-    }
-}
-
-/// Index of the pulse nearest to a distance from the first one, and how far
-/// behind it that is.
-fn nearest_pulse(pulses: &[PulseTime], zero: i64, time: f64) -> (usize, f64) {
-    let behind = |index: usize| time - distance(pulses[index].at.0, zero);
-    let after = pulses.partition_point(|pulse| distance(pulse.at.0, zero) < time);
-    let left = after.saturating_sub(1);
-    let right = after.min(pulses.len() - 1);
-    if behind(left).abs() <= behind(right).abs() {
-        (left, behind(left))
-    } else {
-        (right, behind(right))
+        clock: fit::knots(grid.device_zero, grid.board_zero, end, to_pulse),
     }
 }

@@ -105,6 +105,25 @@ pub(crate) struct DepthMatch {
     pub(crate) clock: PiecewiseMap<DeviceNanos, BoardNanos>,
 }
 
+impl DepthMatch {
+    /// So many frames, all of this state, that have no pulse: a clock alone times them.
+    pub(crate) fn by_clock(
+        frames: usize,
+        state: FrameState,
+        clock: PiecewiseMap<DeviceNanos, BoardNanos>,
+    ) -> Self {
+        Self {
+            frames: vec![Assignment::without_pulse(state); frames],
+            missing: Vec::new(),
+            decision: Decision::Hint { left: 0 },
+            rate_error: 0.0,
+            rate_sigma: 0.0,
+            residual: 0.0,
+            clock,
+        }
+    }
+}
+
 /// Why frames and pulses were not matched.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(crate) enum MatchError {
@@ -238,7 +257,7 @@ pub(crate) fn match_frames(
     pulses: &[PulseTime],
     hint: Option<Hint>,
 ) -> Result<DepthMatch, MatchError> {
-    match_grid(grid_of(frames, pulses)?, frames, pulses, hint)
+    matched(frames, pulses, hint, false)
 }
 
 /// The same for a camera that streamed before the first of the pulses came.
@@ -247,26 +266,23 @@ pub(crate) fn match_running(
     pulses: &[PulseTime],
     hint: Option<Hint>,
 ) -> Result<DepthMatch, MatchError> {
-    let grid = grid_of(frames, pulses)?.of_running_camera();
-    match_grid(grid, frames, pulses, hint)
+    matched(frames, pulses, hint, true)
 }
 
-fn grid_of(frames: &[DeviceNanos], pulses: &[PulseTime]) -> Result<pattern::Grid, MatchError> {
+fn matched(
+    frames: &[DeviceNanos],
+    pulses: &[PulseTime],
+    hint: Option<Hint>,
+    was_running: bool,
+) -> Result<DepthMatch, MatchError> {
     if frames.len() < MIN_FRAMES || pulses.len() < MIN_FRAMES {
         return Err(MatchError::TooFew {
             frames: frames.len(),
             pulses: pulses.len(),
         });
     }
-    pattern::Grid::new(frames, pulses)
-}
-
-fn match_grid(
-    grid: pattern::Grid,
-    frames: &[DeviceNanos],
-    pulses: &[PulseTime],
-    hint: Option<Hint>,
-) -> Result<DepthMatch, MatchError> {
+    let mut grid = pattern::Grid::new(frames, pulses)?;
+    grid.earlier_pulses |= was_running;
     let found = pattern::search(&grid);
     if found.scatter > grid.period * 0.1 {
         return Err(MatchError::NotFollowing {
@@ -275,9 +291,7 @@ fn match_grid(
     }
     let (shift, decision) = decide(&grid, &found, hint)?;
     let fitted = grid.fit(shift);
-    Ok(assign::assign(
-        &grid, shift, &fitted, frames, pulses, decision,
-    ))
+    Ok(assign::assign(&grid, shift, &fitted, frames, decision))
 }
 
 fn decide(

@@ -64,18 +64,21 @@ pub(crate) struct Grid {
     frame_period: f64,
     /// (ordinal, distance from the first frame in ns of the device), in time order.
     frames: Vec<(i64, f64)>,
-    /// Pulse index at each ordinal, distance from the first pulse in ns.
-    pulses: Vec<Option<(usize, f64)>>,
+    /// Distance of the pulse at each ordinal from the first one, ns.
+    pulses: Vec<Option<f64>>,
+    /// The same of each pulse, in order.
+    pub(super) pulse_times: Vec<f64>,
     /// Ordinal of each pulse.
     ordinals: Vec<i64>,
-    /// Whether pulses were there before the first recorded one.
-    earlier_pulses: bool,
+    /// Whether pulses were there before the first recorded one, or the camera streamed
+    /// without them: frames may lie in front of it.
+    pub(super) earlier_pulses: bool,
     /// Whether the trigger moved faster than the camera follows for certain.
     pub(super) moved_fast: bool,
     /// Device time of the first frame.
-    device_zero: DeviceNanos,
+    pub(super) device_zero: DeviceNanos,
     /// Board time of the first pulse.
-    board_zero: BoardNanos,
+    pub(super) board_zero: BoardNanos,
 }
 
 /// What the search found.
@@ -144,12 +147,12 @@ impl Grid {
             .unwrap_or(0)
             .min(pulses.len() * 64 + 1_000_000);
         let mut at_ordinal = vec![None; length];
-        for (index, (&ordinal, &time)) in ordinals.iter().zip(&pulse_times).enumerate() {
+        for (&ordinal, &time) in ordinals.iter().zip(&pulse_times) {
             if let Some(slot) = usize::try_from(ordinal)
                 .ok()
                 .and_then(|o| at_ordinal.get_mut(o))
             {
-                *slot = Some((index, time));
+                *slot = Some(time);
             }
         }
         Ok(Self {
@@ -157,26 +160,13 @@ impl Grid {
             frame_period,
             frames: frame_ordinals.into_iter().zip(times).collect(),
             pulses: at_ordinal,
+            pulse_times,
             ordinals,
             earlier_pulses: pulses.first().is_some_and(|pulse| pulse.number > 0),
             moved_fast,
             device_zero: zero,
             board_zero,
         })
-    }
-
-    /// The camera streamed before the first of the pulses: frames may lie in front of
-    /// it.
-    pub(super) fn of_running_camera(self) -> Self {
-        Self {
-            earlier_pulses: true,
-            ..self
-        }
-    }
-
-    /// Device and board times that distances count from.
-    pub(super) fn zeros(&self) -> (DeviceNanos, BoardNanos) {
-        (self.device_zero, self.board_zero)
     }
 
     /// Distance of the last frame from the first, ns of the device.
@@ -191,11 +181,7 @@ impl Grid {
 
     fn pulse(&self, ordinal: i64) -> Option<f64> {
         let slot = usize::try_from(ordinal).ok()?;
-        self.pulses
-            .get(slot)
-            .copied()
-            .flatten()
-            .map(|pulse| pulse.1)
+        self.pulses.get(slot).copied().flatten()
     }
 
     /// (scaled distance of the frame, frame − pulse, whole periods taken off) of
@@ -287,29 +273,26 @@ impl Grid {
         let shifts = near.filter_map(|&(ordinal, time)| {
             let device = DeviceNanos(self.device_zero.0.saturating_add(time as i64));
             let board = map.apply(device).0.saturating_sub(center);
-            let pulse = self.nearest_ordinal(distance(board, self.board_zero.0))?;
-            Some((pulse - ordinal) as f64)
+            let (pulse, behind) = self.nearest_pulse(distance(board, self.board_zero.0));
+            let is_near = behind.abs() < self.period * 0.5;
+            is_near.then(|| (self.ordinals[pulse] - ordinal) as f64)
         });
         let shifts: Vec<f64> = shifts.collect();
         (!shifts.is_empty()).then(|| median(shifts) as i64)
     }
 
-    fn nearest_ordinal(&self, time: f64) -> Option<i64> {
-        // Pulses are in time order, with gaps: search among those that are there.
-        let after = self
-            .ordinals
-            .partition_point(|&ordinal| self.pulse(ordinal).is_some_and(|pulse| pulse < time));
-        let candidates = [after.checked_sub(1), Some(after)];
-        candidates
-            .into_iter()
-            .flatten()
-            .filter_map(|index| {
-                let ordinal = *self.ordinals.get(index)?;
-                Some((ordinal, (self.pulse(ordinal)? - time).abs()))
-            })
-            .filter(|&(_, distance)| distance < self.period * 0.5)
-            .min_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(ordinal, _)| ordinal)
+    /// Index of the pulse nearest to a distance from the first one, and how far
+    /// behind it that is.
+    pub(super) fn nearest_pulse(&self, time: f64) -> (usize, f64) {
+        let behind = |index: usize| time - self.pulse_times[index];
+        let after = self.pulse_times.partition_point(|&pulse| pulse < time);
+        let left = after.saturating_sub(1);
+        let right = after.min(self.pulse_times.len() - 1);
+        if behind(left).abs() <= behind(right).abs() {
+            (left, behind(left))
+        } else {
+            (right, behind(right))
+        }
     }
 
     /// Shifts at which at least half of the frames lie within the pulses, or as many

@@ -37,11 +37,7 @@ impl Recording<'_> {
                         FrameState::OffPulse => in_gaps += 1,
                         _ => {}
                     }
-                    Assignment {
-                        state,
-                        pulse: None,
-                        residual: 0,
-                    }
+                    Assignment::without_pulse(state)
                 })
             })
             .collect();
