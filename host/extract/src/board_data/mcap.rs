@@ -42,29 +42,16 @@ const SPARE_BYTES: usize = 1 << 20;
 /// How many faults are kept with their text.
 const MAX_FAULTS: usize = 50;
 
-/// Whether the messages of a topic are looked at.
-const fn is_of_use(topic: Topic) -> bool {
-    match topic {
-        Topic::Imu
-        | Topic::Temperature
-        | Topic::Trigger
-        | Topic::Pulse
-        | Topic::Clock
-        | Topic::PhoneClock
-        | Topic::Marker
-        | Topic::Output
-        | Topic::Gnss
-        | Topic::Exchange
-        | Topic::Run => true,
-        Topic::Strobe
-        | Topic::Capture
-        | Topic::Status
-        | Topic::Link
-        | Topic::HostTime
-        | Topic::Period
-        | Topic::Log => false,
-    }
-}
+/// Topics whose messages become nothing, and so are not even decoded.
+const PASSED_OVER: [Topic; 7] = [
+    Topic::Strobe,
+    Topic::Capture,
+    Topic::Status,
+    Topic::Link,
+    Topic::HostTime,
+    Topic::Period,
+    Topic::Log,
+];
 
 /// Names of the published system.
 const CAMERAS: &str = "/mcu_cameras_ts";
@@ -130,11 +117,10 @@ impl McapStream {
             // Only an index and statistics are missing.
             Err(_) if self.chunks.data_complete() => {}
             Err(ChunksError::Read(error)) => return Err(BoardError::Open { path, error }),
-            Err(error @ ChunksError::Mcap(mcap::McapError::BadMagic)) => {
-                let what = error.to_string();
-                return Err(BoardError::NotMcap { path, what });
-            }
-            Err(error) if at <= mcap::MAGIC.len() as u64 => {
+            Err(error)
+                if at <= mcap::MAGIC.len() as u64
+                    || matches!(error, ChunksError::Mcap(mcap::McapError::BadMagic)) =>
+            {
                 let what = error.to_string();
                 return Err(BoardError::NotMcap { path, what });
             }
@@ -268,8 +254,8 @@ impl Unpacked {
             let Some(Record::Channel(channel)) = parse(opcode, data) else {
                 return None;
             };
-            let topic = Topic::of(&channel.topic).filter(|topic| is_of_use(*topic))?;
-            Some((channel.id, topic))
+            let topic = Topic::of(&channel.topic)?;
+            (!PASSED_OVER.contains(&topic)).then_some((channel.id, topic))
         });
         Self {
             channels: channels.collect(),
