@@ -16,7 +16,7 @@ use recording::MCAP_FILE;
 use recording::camera::{MODELS, Model};
 use recording::folder::{depth_recordings, is_mkv};
 use recording::foreign::is_bag;
-use recording::profile::{Direction, Intrinsics, Phone, Pose, Profile};
+use recording::profile::{Intrinsics, Phone, Pose, Profile};
 use recording::session_file::{OtherPhone, PHONES_FOLDER, SessionFile};
 use twist_sync::Prior;
 
@@ -59,8 +59,8 @@ pub(crate) struct PhoneInput {
     pub(crate) files: Option<VideoFiles>,
     /// What the session says about it.
     pub(crate) rig: RigFacts,
-    /// What the profile says about its camera.
-    pub(crate) camera: PhoneCamera,
+    /// What the profile says about it.
+    pub(crate) profile: Option<Phone>,
     /// Its folder below the output; the output itself for the phone that the trigger
     /// was aligned to.
     pub(crate) folder: PathBuf,
@@ -80,46 +80,27 @@ impl PhoneInput {
 
     /// A text about it, with its name where that is needed.
     pub(crate) fn about(&self, text: &str) -> String {
-        match &self.name {
-            Some(name) if self.is_other() => format!("{name}: {text}"),
-            _ => text.to_owned(),
-        }
-    }
-}
-
-/// What the profile says of a phone's camera.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct PhoneCamera {
-    cameras: Vec<Intrinsics>,
-    from_imu: Option<Pose>,
-    direction: Direction,
-    rows: u32,
-    readout_ns: Option<i64>,
-}
-
-impl PhoneCamera {
-    fn of(phone: &Phone) -> Self {
-        Self {
-            cameras: phone.cameras.clone(),
-            from_imu: phone.from_imu,
-            direction: phone.readout_direction,
-            rows: phone.rows,
-            readout_ns: nanos(phone.readout_us),
+        match self.other_name() {
+            Some(name) => format!("{name}: {text}"),
+            None => text.to_owned(),
         }
     }
 
-    /// What is known of it for images of this size; `readout` (ns) goes before the
+    /// What is known of its camera for images of this size; `readout` (ns) goes before the
     /// profile's.
-    pub(crate) fn facts(&self, size: Option<(u32, u32)>, readout: Option<i64>) -> CameraFacts {
+    pub(crate) fn camera(&self, size: Option<(u32, u32)>, readout: Option<i64>) -> CameraFacts {
+        let Some(phone) = &self.profile else {
+            return CameraFacts::default();
+        };
         let own = |camera: &&Intrinsics| Some(camera.size()) == size;
-        let last = i64::from(self.rows.saturating_sub(1));
+        let last = i64::from(phone.rows.saturating_sub(1));
         CameraFacts {
-            intrinsics: self.cameras.iter().find(own).cloned(),
-            from_imu: self.from_imu,
+            intrinsics: phone.cameras.iter().find(own).cloned(),
+            from_imu: phone.from_imu,
             shutter: readout
-                .or(self.readout_ns)
+                .or(nanos(phone.readout_us))
                 .filter(|_| last > 0)
-                .map(|readout| (readout / last, self.direction)),
+                .map(|readout| (readout / last, phone.readout_direction)),
         }
     }
 }
@@ -224,6 +205,13 @@ pub enum InputsError {
     },
 }
 
+fn unreadable(path: &Path) -> impl Fn(io::Error) -> InputsError {
+    move |error| InputsError::Io {
+        path: path.to_owned(),
+        error,
+    }
+}
+
 /// The published system's low-pass setting: 184/188 Hz, delay 1.9 ms.
 const PUBLISHED_DELAY_NS: i64 = 1_900_000;
 
@@ -239,11 +227,9 @@ pub(crate) fn find(
     (depth, topic): (Option<&Path>, Option<&str>),
     phones: &[(String, PathBuf)],
 ) -> Result<Inputs, InputsError> {
-    let meta = fs::metadata(recording).map_err(|error| InputsError::Io {
-        path: recording.to_owned(),
-        error,
-    })?;
-    let folder = meta.is_dir();
+    let folder = fs::metadata(recording)
+        .map_err(unreadable(recording))?
+        .is_dir();
     let board = if folder {
         find_board(recording)?
     } else {
@@ -306,6 +292,7 @@ pub(crate) fn find(
             .map(|name| name.to_string_lossy().into_owned()),
         Err(_) => None,
     };
+    let profile = session.as_ref().map(|session| &session.profile);
     Ok(Inputs {
         name: name.unwrap_or_else(|| "recording".into()),
         board,
@@ -315,19 +302,12 @@ pub(crate) fn find(
         board_id: session
             .as_ref()
             .and_then(|session| Some(session.board.as_ref()?.id.clone())),
-        lidar: session
-            .as_ref()
-            .map(|session| session.profile.lidar_name().to_owned()),
-        camera: session
-            .as_ref()
-            .and_then(|session| session.profile.depth.model())
+        lidar: profile.map(|profile| profile.lidar_name().to_owned()),
+        camera: profile
+            .and_then(|profile| profile.depth.model())
             .unwrap_or(MODELS[0]),
-        depth_mode: session
-            .as_ref()
-            .map(|session| session.profile.depth.mode.clone()),
-        color_from_imu: session
-            .as_ref()
-            .and_then(|session| session.profile.depth.color_from_imu),
+        depth_mode: profile.map(|profile| profile.depth.mode.clone()),
+        color_from_imu: profile.and_then(|profile| profile.depth.color_from_imu),
         recorded: session.and_then(|session| {
             let span = session.recorded?;
             let nanos = |ticks: protocol::Ticks| i64::try_from(ticks.as_nanos()).ok();
@@ -374,7 +354,7 @@ fn find_phones(
         name: Some(session.profile.phone.name.clone()),
         files: files_of(&session.profile.phone.name, phone)?,
         rig,
-        camera: PhoneCamera::of(&session.profile.phone),
+        profile: Some(session.profile.phone.clone()),
         folder: PathBuf::new(),
     };
     let mut others = Vec::new();
@@ -384,7 +364,7 @@ fn find_phones(
             name: Some(phone.name.clone()),
             files: files_of(&phone.name, None)?,
             rig: facts_of_other(phone, said, &session.profile, rig),
-            camera: PhoneCamera::of(phone),
+            profile: Some(phone.clone()),
             folder: Path::new(PHONES_FOLDER).join(&phone.name),
         });
     }
@@ -472,7 +452,7 @@ fn facts_of(session: &SessionFile) -> RigFacts {
             .as_ref()
             .map_or_else(ImuSensor::default, |imu| imu.setup.sensor),
         exposure_ns: exposure,
-        middle_row_ns: nanos(alignment.map_or(profile.middle_row_us(), |a| a.middle_row_us)),
+        middle_row_ns: nanos(alignment.map_or(profile.phone.middle_row_us(), |a| a.middle_row_us)),
         // A measured bias says that the depth image is exposed later than its
         // nominal centre, against the phone's middle row.
         depth_center_ns: nanos(center + bias),
@@ -494,13 +474,10 @@ fn nanos(us: f64) -> Option<i64> {
 
 /// The ROS 1 bags in a folder, in order.
 fn bags_in(folder: &Path) -> Result<Vec<PathBuf>, InputsError> {
-    let fail = |error| InputsError::Io {
-        path: folder.to_owned(),
-        error,
-    };
+    let fail = unreadable(folder);
     let mut paths = Vec::new();
-    for entry in fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
+    for entry in fs::read_dir(folder).map_err(&fail)? {
+        let path = entry.map_err(&fail)?.path();
         if path.is_file() && ends_with(&path, &BAG) {
             paths.push(path);
         }
@@ -535,10 +512,7 @@ fn find_board(folder: &Path) -> Result<BoardInput, InputsError> {
 }
 
 fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsError> {
-    fs::metadata(path).map_err(|error| InputsError::Io {
-        path: path.to_owned(),
-        error,
-    })?;
+    fs::metadata(path).map_err(unreadable(path))?;
     if is_mkv(path) {
         Ok(DepthInput::Mkv(path.to_owned()))
     } else if is_bag(path) {
@@ -555,10 +529,7 @@ fn depth_file(path: &Path, topic: Option<&str>) -> Result<DepthInput, InputsErro
 
 /// The depth recording in a recording's folder.
 fn find_depth(folder: &Path, topic: Option<&str>) -> Result<Option<DepthInput>, InputsError> {
-    let found = depth_recordings(folder).map_err(|error| InputsError::Io {
-        path: folder.to_owned(),
-        error,
-    })?;
+    let found = depth_recordings(folder).map_err(unreadable(folder))?;
     match found.as_slice() {
         [] => Ok(None),
         [one] => depth_file(one, topic).map(Some),

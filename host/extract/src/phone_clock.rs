@@ -5,6 +5,8 @@
 //! Where the board was reset, each run has a relation of its own, which also says where
 //! the run lies ([`super::later_runs`]).
 
+use std::path::Path;
+
 use super::board_data::BoardInput;
 use super::gyro_clock::{self, residual_rms, window_results};
 use super::inputs::PhoneInput;
@@ -16,7 +18,6 @@ use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
 use frame_sync::train::frame_period;
-use phone::video_files::VideoFiles;
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};
@@ -60,22 +61,13 @@ struct RunClock {
     offset: i64,
 }
 
-/// What becomes of the board's runs, where there are several.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Runs {
-    /// Each is moved to where the phone's clock has it behind the one before.
-    Moved,
-    /// They stay where they are: another phone's clock has put them there.
-    Kept,
-}
-
 /// What is known of a phone's clock before it is looked for, for each run of the
 /// board.
 ///
 /// Of a further phone it is what was said of that phone alone: the recording's own
 /// clock models and pairs of times are of the one that the trigger was aligned to.
 /// `moved` is how much later the last run is in `survey` than in the session, ns.
-pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
+fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Option<Prior>> {
     let known = survey.clocks_of(input.other_name());
     let latest = known.last().copied().flatten().map(gyro_clock::prior);
     // The session's relation is that of the last run.
@@ -100,20 +92,26 @@ pub(crate) fn priors(input: &PhoneInput, survey: &Survey, moved: i64) -> Vec<Opt
     known.into_iter().enumerate().map(own).collect()
 }
 
-/// Finds the relation, for each run of the board by itself; `priors` are those of the
-/// runs ([`priors`]). The inner error says in words why there is none.
+/// Finds the relation, for each run of the board by itself. Each run is moved to where the
+/// phone's clock has it behind the one before; with a further phone they stay where the
+/// clock of the first has put them. The inner error says in words why there is none.
 ///
 /// # Errors
 ///
 /// Stopped, or the board's recording cannot be read.
 pub(crate) fn find(
     board: &BoardInput,
-    files: &VideoFiles,
+    input: &PhoneInput,
     survey: &Survey,
-    (priors, runs_are): (&[Option<Prior>], Runs),
     constants: &Constants,
     progress: &dyn Progress,
 ) -> Result<Result<PhoneClock, String>, Stopped> {
+    let gyro = input.files.as_ref().and_then(|files| files.gyro.as_deref());
+    let moved = match board {
+        BoardInput::Mcap(_, moves) => moves.last(),
+        BoardInput::Bag(_) => 0,
+    };
+    let priors = priors(input, survey, moved);
     let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
     let mut runs = Vec::new();
     let mut remarks = Vec::new();
@@ -122,7 +120,7 @@ pub(crate) fn find(
     let ends = ends.chain([BoardNanos(last.saturating_add(BEYOND * SECOND))]);
     for (index, to) in ends.enumerate() {
         let own = priors.get(index).copied().flatten();
-        let run = find_run(board, files, survey, own, constants, (from, to), progress)?;
+        let run = find_run(board, gyro, survey, own, constants, (from, to), progress)?;
         match run {
             Ok((run, remark)) => {
                 runs.push(run);
@@ -142,13 +140,13 @@ pub(crate) fn find(
         return Ok(Err(remarks.join("; ")));
     }
     // Of a further phone, and behind a reset, no clock is followed.
-    if let Some(first) = runs.first_mut().filter(|_| runs_are == Runs::Moved) {
+    if let Some(first) = runs.first_mut().filter(|_| !input.is_other()) {
         first.follow(&survey.exchanges, priors.first().copied().flatten());
     }
     let courses: Vec<_> = runs.iter().map(RunClock::by_gyros).collect();
-    let joints = match runs_are {
-        Runs::Moved => joints(&courses, &survey.runs),
-        Runs::Kept => Vec::new(),
+    let joints = match input.is_other() {
+        true => Vec::new(),
+        false => joints(&courses, &survey.runs),
     };
     let moves = moves(&joints);
     let knots = runs.iter().enumerate();
@@ -166,14 +164,14 @@ pub(crate) fn find(
 /// The relation within one run; with it, what is worth knowing.
 fn find_run(
     board: &BoardInput,
-    files: &VideoFiles,
+    gyro: Option<&Path>,
     survey: &Survey,
     prior: Option<Prior>,
     constants: &Constants,
     span: (BoardNanos, BoardNanos),
     progress: &dyn Progress,
 ) -> Result<Result<(RunClock, Option<String>), String>, Stopped> {
-    let Some(gyro) = &files.gyro else {
+    let Some(gyro) = gyro else {
         return Ok(from_prior(
             prior,
             span,
@@ -314,9 +312,9 @@ impl PhoneClock {
     /// The same without what exchanges have added.
     fn plain_model_at(&self, at: BoardNanos) -> Option<ClockModel> {
         self.model_by(
-            |run| match &run.followed {
-                Some((_, plain)) => Some(plain),
-                None => run.course.as_ref(),
+            |run| {
+                let plain = run.followed.as_ref().map(|(_, plain)| plain);
+                plain.or(run.course.as_ref())
             },
             at,
         )
@@ -501,17 +499,9 @@ mod tests {
         survey.imu.last_ns = 600 * SECOND;
         let board = BoardInput::Mcap(PathBuf::from("none"), Moves::default());
         let clock = |survey: &Survey| {
-            let (files, constants) = (VideoFiles::default(), Constants::default());
-            let priors = [prior(102.0)];
-            let how = (priors.as_slice(), Runs::Moved);
-            let found = find(
-                &board,
-                &files,
-                survey,
-                how,
-                &constants,
-                &crate::progress::Silent,
-            );
+            let phone = input("left", "", prior(102.0));
+            let silent = crate::progress::Silent;
+            let found = find(&board, &phone, survey, &Constants::default(), &silent);
             found.unwrap().unwrap()
         };
         let error_us = |clock: &PhoneClock| {

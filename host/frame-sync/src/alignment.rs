@@ -193,7 +193,7 @@ pub fn plan(profile: &Profile, course: &Course, video: &Video) -> Result<Planned
         ));
         profile.phone.exposure_us
     });
-    let middle_row_us = profile.middle_row_us();
+    let middle_row_us = profile.phone.middle_row_us();
     let center_offset_us = profile.depth.center_offset_us;
     let bias_us = profile.frame_sync.bias_us;
     let constant_sigma_us = profile.constant_sigma_us();

@@ -457,13 +457,6 @@ impl Profile {
     pub const fn frame_ratio(&self) -> u32 {
         30 / self.depth.fps
     }
-
-    /// From the start of exposure of the first row to that of the row that is
-    /// synchronised, µs.
-    #[must_use]
-    pub fn middle_row_us(&self) -> f64 {
-        self.phone.middle_row_us()
-    }
 }
 
 /// Gives each of the further phones the defaults of what it leaves out; name and

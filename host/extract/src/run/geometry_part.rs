@@ -41,7 +41,7 @@ impl Extraction<'_> {
             .map(|(calibration, color)| calibration.color_from_depth.inverse().after(&color));
         let readout = self.job.options.readout_ns;
         let mut cameras = Cameras {
-            phone: phone.camera.facts(video, readout),
+            phone: phone.camera(video, readout),
             ..Cameras::default()
         };
         if let Ok(calibration) = &calibration {

@@ -156,7 +156,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<ExtractReport, ExtractE
     let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
     let depth_frames = depth.as_ref().map_or(&[][..], |depth| &depth.frames);
     let pairs = find_pairs(color, depth_frames, &survey);
-    let shutter = input.camera.facts(None, job.options.readout_ns).shutter;
+    let shutter = input.camera(None, job.options.readout_ns).shutter;
     run.write_tables(&survey, (color, shutter), depth_frames, &pairs)?;
 
     let video = run.write_phone_images(&input, phone.as_ref(), &sequences)?;

@@ -26,23 +26,22 @@ impl Extraction<'_> {
         let color = phone.as_ref().map_or(&[][..], |phone| &phone.frames);
         let pairs = find_pairs(color, depth, survey);
         let folder = self.place.out.join(&input.folder);
-        let known = input.camera.facts(None, None);
+        let known = input.camera(None, None);
         tables::write_phone(&folder, (color, known.shutter), &pairs, depth)
             .map_err(|error| self.failed(error))?;
         let video = self.write_phone_images(input, phone.as_ref(), sequences)?;
+        let size = video.as_ref().and_then(|video| video.size);
         let delay = constants.phone_imu_delay_ns;
         let imu = self.write_phone_imu(input, phone.as_ref(), sequences, delay)?;
         if phone.is_some() {
             let facts = Facts {
                 color_rate: rate_of(color.iter().map(|frame| frame.at)),
                 phone_imu_rate: imu.rate,
-                color_size: video.as_ref().and_then(|video| video.size),
+                color_size: size,
                 phone_imu_delay: delay,
                 color_middle: constants.color_middle_ns,
                 cameras: Cameras {
-                    phone: input
-                        .camera
-                        .facts(video.as_ref().and_then(|video| video.size), None),
+                    phone: input.camera(size, None),
                     ..Cameras::default()
                 },
                 ..Facts::default()

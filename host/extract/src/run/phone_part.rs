@@ -7,14 +7,13 @@ use phone::video_files::VideoFiles;
 use video::{Pixels, Video, VideoError, presentation_times};
 
 use super::{ExtractError, Extraction};
-use crate::board_data::BoardInput;
 use crate::faults::Faults;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
 use crate::inputs::PhoneInput;
 use crate::layout::ImageKind;
-use crate::phone_clock::{self, PhoneClock, Runs};
+use crate::phone_clock::{self, PhoneClock};
 use crate::phone_rows::PhoneRows;
 use crate::report::{ClockReport, Constants, Loss, PhoneReport};
 use crate::sequence::Sequences;
@@ -48,9 +47,9 @@ impl Extraction<'_> {
         constants: &Constants,
     ) -> Result<Option<Phone>, ExtractError> {
         let Some(files) = input.files.clone() else {
-            let how = match &input.name {
-                Some(name) if input.is_other() => format!("--phone {name}=PATH"),
-                _ => String::from("--phone"),
+            let how = match input.other_name() {
+                Some(name) => format!("--phone {name}=PATH"),
+                None => String::from("--phone"),
             };
             let what = format!(
                 "there are no files of the phone (its video .mp4 and beside it the .csv files of frame \
@@ -78,20 +77,7 @@ impl Extraction<'_> {
         }
         let stamps: Vec<PhoneNanos> = rows_of_frames.iter().flatten().copied().collect();
         let board = &self.inputs.board;
-        let moved = match board {
-            BoardInput::Mcap(_, moves) => moves.last(),
-            BoardInput::Bag(_) => 0,
-        };
-        let priors = phone_clock::priors(input, survey, moved);
-        // Where the board was reset, all phones are on the axis of the first.
-        let runs = if input.is_other() {
-            Runs::Kept
-        } else {
-            Runs::Moved
-        };
-        let how = (priors.as_slice(), runs);
-        let found = phone_clock::find(board, &files, survey, how, constants, self.progress)?;
-        let clock = match found {
+        let clock = match phone_clock::find(board, input, survey, constants, self.progress)? {
             Ok(clock) => {
                 let about = clock.remarks.iter().map(|remark| input.about(remark));
                 self.remarks.extend(about);
@@ -191,9 +177,9 @@ impl Extraction<'_> {
                 *place = path.map(|path| folder.join(path));
             }
         }
-        let step = match &input.name {
-            Some(name) if input.is_other() => format!("video-{name}"),
-            _ => String::from("video"),
+        let step = match input.other_name() {
+            Some(name) => format!("video-{name}"),
+            None => String::from("video"),
         };
         let outcome = match self.place.done::<VideoOutcome>(&step) {
             Some(outcome) => outcome,
