@@ -11,8 +11,6 @@
 //! rounded by 10⁻¹⁰ ns and a century by less than a nanosecond. Rates are limited
 //! to ±10 %: no two clocks of a rig are further apart.
 
-use std::fmt;
-
 use protocol::units::Ticks;
 use serde::{Deserialize, Serialize};
 
@@ -22,7 +20,7 @@ pub(crate) use timebase::PhoneNanos;
 pub(crate) const SECOND: i64 = 1_000_000_000;
 
 /// Largest rate error that a map accepts (dimensionless).
-pub(crate) const MAX_RATE: f64 = 0.1;
+const MAX_RATE: f64 = 0.1;
 
 const FRACTION_BITS: u32 = 62;
 
@@ -35,12 +33,6 @@ macro_rules! nanos {
         )]
         #[serde(transparent)]
         $vis struct $name(pub i64);
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(f, "{} ns", self.0)
-            }
-        }
 
         impl ClockNanos for $name {
             fn from_nanos(nanos: i64) -> Self {

@@ -91,12 +91,6 @@ impl ClockModel {
         BoardSeconds(self.relation().b_to_a(phone.0))
     }
 
-    /// The tick of the board at a phone time in nanoseconds.
-    #[must_use]
-    pub fn phone_to_ticks(&self, phone: PhoneNanos) -> Ticks {
-        self.to_board(phone.seconds()).ticks()
-    }
-
     /// The same relation with its reference moved to `board`: a prediction, with
     /// the covariance grown by the wander over the distance.
     #[must_use]
@@ -127,7 +121,7 @@ mod tests {
         };
         for ticks in [0, 1, 48_000_000 * 60, 48_000_000 * 86_400] {
             let there = m.ticks_to_phone(Ticks(ticks));
-            let back = m.phone_to_ticks(there);
+            let back = m.to_board(there.seconds()).ticks();
             assert!((back - Ticks(ticks)).unsigned_abs() <= 1, "{ticks}");
         }
     }
