@@ -55,6 +55,15 @@ pub const SESSION_FILE: &str = "session.json";
 /// Name of the rig profile that is attached to the MCAP file.
 pub const PROFILE_FILE: &str = "profile.toml";
 
+/// The MCAP file of a recording: the one in its folder, or the file itself.
+#[must_use]
+pub fn mcap_of(recording: &Path) -> PathBuf {
+    match recording.is_dir() {
+        true => recording.join(MCAP_FILE),
+        false => recording.to_owned(),
+    }
+}
+
 /// What can go wrong with a recording's files.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {

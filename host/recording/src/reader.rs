@@ -14,7 +14,7 @@ use protocol::Ticks;
 use super::chunks::{self, BadChunk, Chunk, Chunks, ChunksError, OWN_RATIO, split_record};
 pub use super::topic::Item;
 use super::topic::Topic;
-use super::{MCAP_FILE, RecordingError};
+use super::{RecordingError, mcap_of};
 
 /// A message with its time.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,11 +55,7 @@ impl Reader {
     ///
     /// The file cannot be read.
     pub fn open(folder_or_file: &Path) -> Result<Self, RecordingError> {
-        let path = if folder_or_file.is_dir() {
-            folder_or_file.join(MCAP_FILE)
-        } else {
-            folder_or_file.to_owned()
-        };
+        let path = mcap_of(folder_or_file);
         Ok(Self {
             chunks: Chunks::open(&path, OWN_RATIO).map_err(RecordingError::io("read", &path))?,
             path,

@@ -29,7 +29,7 @@ use protocol::Ticks;
 use serde::Serialize;
 
 use recording::session_file::{SessionFile, SessionOutcome};
-use recording::{MCAP_FILE, RecordingError, SESSION_FILE};
+use recording::{MCAP_FILE, RecordingError, SESSION_FILE, mcap_of};
 
 /// Version of the form of [`Report`].
 const FORM: u32 = 1;
@@ -202,15 +202,6 @@ pub struct Report {
     pub grid: Option<GridReport>,
     /// Everything that was found.
     pub findings: Vec<Finding>,
-}
-
-/// The file of a recording: the one in a folder, or the file itself.
-fn mcap_of(recording: &Path) -> std::path::PathBuf {
-    if recording.is_dir() {
-        recording.join(MCAP_FILE)
-    } else {
-        recording.to_owned()
-    }
 }
 
 /// The session file beside a recording's file, if it is there and can be read.

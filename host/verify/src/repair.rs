@@ -18,13 +18,13 @@ use protocol::Ticks;
 use serde::Serialize;
 
 use super::file::{Sink, walk};
-use super::{FileReport, Findings, Report, mcap_of, session_of, verify};
+use super::{FileReport, Findings, Report, session_of, verify};
 use recording::reader::ticks_of_nanos;
 use recording::rosbag2::{self, METADATA_FILE};
 use recording::scan::Scan;
 use recording::session_file::{Problem, SessionFile, SessionOutcome};
 use recording::writer::{attach, options};
-use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic};
+use recording::{MCAP_FILE, RecordingError, SESSION_FILE, Topic, mcap_of};
 
 /// The result of a repair.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -2,6 +2,15 @@
 
 use super::{Basis, Center, Input, Mode, Model, Pulse, Recording, Trap};
 
+const BEGIN: Mode = Mode {
+    name: "848x480",
+    rates: &[30, 15, 10, 5],
+    center: Center::Begins(0.0),
+    sigma_us: 1_000.0,
+    basis: Basis::Assumed,
+    source: "the exposure begins with the edge; the delay is not published",
+};
+
 pub(super) const MODEL: Model = Model {
     id: "gemini-330",
     name: "Orbbec Gemini 330 family (USB)",
@@ -17,21 +26,10 @@ pub(super) const MODEL: Model = Model {
     own_rate: "the same; in HARDWARE_TRIGGERING more than the pulses times framesPerTrigger",
     recording: Recording::Ros2Bag,
     modes: &[
-        Mode {
-            name: "848x480",
-            rates: &[30, 15, 10, 5],
-            center: Center::Begins(0.0),
-            sigma_us: 1_000.0,
-            basis: Basis::Assumed,
-            source: "the exposure begins with the edge; the delay is not published",
-        },
+        BEGIN,
         Mode {
             name: "1280x800",
-            rates: &[30, 15, 10, 5],
-            center: Center::Begins(0.0),
-            sigma_us: 1_000.0,
-            basis: Basis::Assumed,
-            source: "the exposure begins with the edge; the delay is not published",
+            ..BEGIN
         },
     ],
     traps: &[
