@@ -325,8 +325,6 @@ impl Chunk {
 
 /// A record by its opcode; `None` if it is no such, or one of a kind that nobody has a use
 /// for.
-///
-/// The parser of attachments takes four bytes for granted, so they are left out.
 #[must_use]
 pub fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     strings_fit(opcode, body)?;
@@ -345,6 +343,7 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         op::SCHEMA => (2, 2),
         op::CHANNEL => (4, 2),
         op::CHUNK => (28, 1),
+        op::ATTACHMENT => (16, 2),
         op::FOOTER | op::MESSAGE | op::STATISTICS | op::DATA_END => return Some(()),
         _ => return None,
     };
@@ -352,6 +351,10 @@ fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     for _ in 0..strings {
         let (long, after) = length(rest)?;
         rest = after.get(long..)?;
+    }
+    if opcode == op::ATTACHMENT {
+        // The parser takes the length of the data and the checksum for granted.
+        rest.get(..12)?;
     }
     if opcode == op::CHANNEL {
         let (long, after) = length(rest)?;

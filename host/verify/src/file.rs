@@ -39,7 +39,7 @@ pub(crate) trait Sink {
     }
 
     /// The body of the record of an attached file.
-    fn attachment(&mut self, _body: Vec<u8>) {}
+    fn attachment(&mut self, _body: &[u8]) {}
 
     /// Something is missing here.
     fn gap(&mut self) {}
@@ -165,7 +165,7 @@ impl Walk<'_> {
                 });
                 self.sink.gap();
             }
-            Piece::Record(op::ATTACHMENT, body) => self.sink.attachment(body),
+            Piece::Record(op::ATTACHMENT, body) => self.sink.attachment(&body),
             Piece::Record(opcode, body) => self.record(opcode, &body, findings)?,
             Piece::Skipped { from, to } => {
                 let bytes = to - from;

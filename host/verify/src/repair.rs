@@ -12,13 +12,14 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use mcap::Attachment;
-use mcap::records::{Channel, MessageHeader, SchemaHeader};
+use mcap::records::{Channel, MessageHeader, Record, SchemaHeader, op};
 use mcap::write::NoSeek;
 use protocol::Ticks;
 use serde::Serialize;
 
 use super::file::{Sink, walk};
 use super::{FileReport, Findings, Report, session_of, verify};
+use recording::chunks::parse;
 use recording::reader::ticks_of_nanos;
 use recording::rosbag2::{self, METADATA_FILE};
 use recording::scan::Scan;
@@ -232,12 +233,18 @@ impl Sink for Copy {
         self.mcap.flush().map_err(RecordingError::mcap(&self.path))
     }
 
-    fn attachment(&mut self, body: Vec<u8>) {
-        match attachment(&body) {
-            Some(attachment)
+    fn attachment(&mut self, body: &[u8]) {
+        match parse(op::ATTACHMENT, body) {
+            Some(Record::Attachment { header, data, .. })
                 if self.attached.len() < MAX_ATTACHED && body.len() < MAX_ATTACHMENT =>
             {
-                self.attached.push(attachment);
+                self.attached.push(Attachment {
+                    log_time: header.log_time,
+                    create_time: header.create_time,
+                    name: header.name,
+                    media_type: header.media_type,
+                    data: Cow::Owned(data.into_owned()),
+                });
             }
             _ => tracing::warn!("an attached file is damaged and left out"),
         }
@@ -249,36 +256,6 @@ const MAX_ATTACHED: usize = 4;
 
 /// The largest of them, bytes.
 const MAX_ATTACHMENT: usize = 16 << 20;
-
-/// An attached file from the body of its record: times of the log and of making, name,
-/// media type, data, and the checksum of all that (0 for none).
-fn attachment(body: &[u8]) -> Option<Attachment<'static>> {
-    let (body, crc) = body.split_last_chunk::<4>()?;
-    let crc = u32::from_le_bytes(*crc);
-    if crc != 0 && crc != crc32fast::hash(body) {
-        return None;
-    }
-    let (log_time, rest) = body.split_first_chunk::<8>()?;
-    let (create_time, rest) = rest.split_first_chunk::<8>()?;
-    let (name, rest) = text(rest)?;
-    let (media_type, rest) = text(rest)?;
-    let (length, data) = rest.split_first_chunk::<8>()?;
-    let whole = u64::from_le_bytes(*length) == data.len() as u64;
-    whole.then(|| Attachment {
-        log_time: u64::from_le_bytes(*log_time),
-        create_time: u64::from_le_bytes(*create_time),
-        name,
-        media_type,
-        data: Cow::Owned(data.to_vec()),
-    })
-}
-
-fn text(bytes: &[u8]) -> Option<(String, &[u8])> {
-    let (length, rest) = bytes.split_first_chunk::<4>()?;
-    let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;
-    let (text, rest) = rest.split_at_checked(length)?;
-    Some((String::from_utf8(text.to_vec()).ok()?, rest))
-}
 
 /// The session, with the end that it could not be given.
 fn repaired_session(from: &Path, before: &FileReport, last: Ticks) -> Option<SessionFile> {
