@@ -69,8 +69,6 @@ pub struct Pulse {
     pub shortest_us: f64,
     /// What its input wants.
     pub input: Input,
-    /// Where that is said.
-    pub source: &'static str,
 }
 
 /// An input for the trigger, by what must stand between it and a pin of 3 V.

@@ -38,11 +38,11 @@ pub(super) const MODEL: Model = Model {
     name: "Azure Kinect DK",
     sync_mode: "SUBORDINATE",
     pulse: Pulse {
+        // Maker's page on external synchronisation: active high, longer than 8 µs, 5 V;
+        // its threshold is 3.5 V (SDK #1844); its own pulses are 12 µs long (#1404).
         width_us: 12.0,
         shortest_us: 8.0,
         input: Input::V5,
-        source: "maker's page on external synchronisation: active high, longer than 8 µs, 5 V; \
-                 its threshold is 3.5 V (SDK #1844); its own pulses are 12 µs long (#1404)",
     },
     rates: &[30, 15, 5],
     own_rate: "the same",

@@ -4,11 +4,11 @@
 use super::{Basis, Input, Mode, Model, Pulse, Recording, Trap, azure_kinect_dk};
 
 const PULSE: Pulse = Pulse {
+    // Orbbec, Multi-Device-Synchronization-Example, docs/FemtoSeries.md: a positive pulse
+    // of 100 µs, 1.8 V CMOS, high impedance.
     width_us: 110.0,
     shortest_us: 100.0,
     input: Input::V1p8,
-    source: "Orbbec, Multi-Device-Synchronization-Example, docs/FemtoSeries.md: a positive pulse of 100 µs, \
-             1.8 V CMOS, high impedance",
 };
 
 const MODES: [Mode; 4] = azure_kinect_dk::modes(

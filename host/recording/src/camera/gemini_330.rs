@@ -16,11 +16,11 @@ pub(super) const MODEL: Model = Model {
     name: "Orbbec Gemini 330 family (USB)",
     sync_mode: "SECONDARY_SYNCED",
     pulse: Pulse {
+        // Orbbec, Multi-Device-Synchronization-Example, docs/Gemini330Series.md: as the
+        // Femto series; the 335Le takes 3.3 V.
         width_us: 110.0,
         shortest_us: 100.0,
         input: Input::V1p8,
-        source: "Orbbec, Multi-Device-Synchronization-Example, docs/Gemini330Series.md: as the Femto series; \
-                 the 335Le takes 3.3 V",
     },
     rates: &[30, 15, 10, 5],
     own_rate: "the same; in HARDWARE_TRIGGERING more than the pulses times framesPerTrigger",

@@ -19,11 +19,11 @@ pub(super) const MODEL: Model = Model {
     name: "Luxonis OAK (global shutter)",
     sync_mode: "setFrameSyncMode(INPUT)",
     pulse: Pulse {
+        // Maker's page on frame sync: 1.8 V at the sensor, 12 to 24 V at the M8 connector
+        // (S2, Pro PoE); a shortest length is not given.
         width_us: 110.0,
         shortest_us: 100.0,
         input: Input::Isolated,
-        source: "maker's page on frame sync: 1.8 V at the sensor, 12 to 24 V at the M8 connector (S2, Pro PoE); \
-                 a shortest length is not given",
     },
     rates: &[30, 15, 10, 5],
     own_rate: "the same",

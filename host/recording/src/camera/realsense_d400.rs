@@ -20,10 +20,11 @@ pub(super) const MODEL: Model = Model {
     name: "RealSense D400 series",
     sync_mode: "inter_cam_sync_mode 4 (genlock), depth only",
     pulse: Pulse {
+        // Maker's white paper on multiple cameras: 100 µs, 1.8 V; pin 5 signal, pin 9
+        // ground.
         width_us: 110.0,
         shortest_us: 100.0,
         input: Input::V1p8,
-        source: "maker's white paper on multiple cameras: 100 µs, 1.8 V; pin 5 signal, pin 9 ground",
     },
     rates: &[30, 15, 5],
     own_rate: "twice the pulses or more (60 for 30): the camera waits for each",
