@@ -22,8 +22,9 @@ pub trait RosMessage: Serialize + DeserializeOwned {
     const TYPE: &'static str;
     /// Definition in the ROS 2 message language, without the types it uses.
     const DEFINITION: &'static str;
-    /// The types it uses, each with its definition.
-    const USES: &'static [(&'static str, &'static str)];
+    /// The types it uses, each with its definition: those of the header, if it says nothing
+    /// else.
+    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 
     /// The definition as an MCAP schema of encoding `ros2msg`.
     #[must_use]
@@ -139,7 +140,6 @@ impl RosMessage for Temperature {
     const TYPE: &'static str = "sensor_msgs/msg/Temperature";
     const DEFINITION: &'static str =
         "std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `sensor_msgs/msg/TimeReference`: one instant in two times.
@@ -157,7 +157,6 @@ impl RosMessage for TimeReference {
     const TYPE: &'static str = "sensor_msgs/msg/TimeReference";
     const DEFINITION: &'static str =
         "std_msgs/Header header\nbuiltin_interfaces/Time time_ref\nstring source\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `diagnostic_msgs/msg/KeyValue`.
@@ -251,7 +250,6 @@ impl RosMessage for Pulse {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/Pulse";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 train\n\
         uint64 number\nbool aligned\nbool readback\nint32 readback_ticks\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/Capture`: an edge on a capture input.
@@ -273,7 +271,6 @@ impl RosMessage for Capture {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/Capture";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nstring channel\n\
         bool rising\nbool after_loss\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/ClockModel`: phone time as a function of board time,
@@ -300,7 +297,6 @@ impl RosMessage for ClockModel {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/ClockModel";
     const DEFINITION: &'static str = "std_msgs/Header header\nfloat64 reference_s\n\
         float64 offset_s\nfloat64 skew\nfloat64[4] covariance\nfloat64 wander\nstring source\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/BoardRun`: the board was reset, and how its time goes
@@ -325,7 +321,6 @@ impl RosMessage for BoardRun {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/BoardRun";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint32 epoch\nstring reset_cause\n\
         uint64 shift_ticks\nfloat64 shift_sigma_s\nuint64 last_ticks\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/ClockExchange`: a clock was asked for its time.
@@ -349,7 +344,6 @@ impl RosMessage for ClockExchange {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/ClockExchange";
     const DEFINITION: &'static str = "std_msgs/Header header\nint64 sent_ns\n\
         int64 received_ns\nint64 clock_ns\nint64 monotonic_ns\nfloat64 temperature\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/TriggerPeriod`: the trigger has another period from an edge on,
@@ -374,7 +368,6 @@ impl RosMessage for TriggerPeriod {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/TriggerPeriod";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint64 ticks\nuint32 fraction\n\
         uint64 period_q32\nfloat64 phase_us\nfloat64 phase_sigma_us\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `smartdepthsync_msgs/msg/LinkFrame`: one frame of the link as it came.
@@ -389,7 +382,6 @@ pub struct LinkFrame {
 impl RosMessage for LinkFrame {
     const TYPE: &'static str = "smartdepthsync_msgs/msg/LinkFrame";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint8[] data\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// The encapsulation header of little-endian CDR.

@@ -21,8 +21,6 @@ use super::{RecordingError, mcap_of};
 pub struct Entry {
     /// Board time.
     pub at: Ticks,
-    /// Running number on its topic.
-    pub sequence: u32,
     /// The message.
     pub item: Item,
 }
@@ -139,7 +137,6 @@ impl Reader {
                         })?;
                     return Ok(Some(Entry {
                         at: ticks_of_nanos(header.log_time),
-                        sequence: header.sequence,
                         item,
                     }));
                 }

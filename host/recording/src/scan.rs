@@ -197,26 +197,22 @@ impl Scan {
             hasher.update(record.get(..covered).unwrap_or_default());
         }
         match opcode {
-            op::DATA_END => {
-                self.hasher = self.data_crc.map(|_| crc32fast::Hasher::new());
-                Ok(Some(Piece::Record(opcode, body.to_vec())))
+            op::CHUNK => {
+                let Some((header, packed)) = chunk_of(body) else {
+                    return self.search(at).map(Some);
+                };
+                let fits = self.budget.takes_chunk(&header, self.position);
+                let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), Vec::new()));
+                return Ok(Some(piece_of(at, &header, chunk)));
             }
-            op::CHUNK => match chunk_of(body) {
-                Some((header, packed)) => {
-                    let fits = self.budget.takes_chunk(&header, self.position);
-                    let chunk =
-                        fits.and_then(|()| chunks::unpack(&header, packed.into(), Vec::new()));
-                    Ok(Some(piece_of(at, &header, chunk)))
-                }
-                None => self.search(at).map(Some),
-            },
+            op::DATA_END => self.hasher = self.data_crc.map(|_| crc32fast::Hasher::new()),
             op::FOOTER => {
                 self.closed = true;
                 self.summary_crc = self.hasher.take().map(crc32fast::Hasher::finalize);
-                Ok(Some(Piece::Record(opcode, body.to_vec())))
             }
-            _ => Ok(Some(Piece::Record(opcode, body.to_vec()))),
+            _ => {}
         }
+        Ok(Some(Piece::Record(opcode, body.to_vec())))
     }
 
     /// Behind the footer stands the magic again, and nothing else.

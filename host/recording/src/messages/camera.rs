@@ -33,7 +33,6 @@ impl RosMessage for Image {
     const TYPE: &'static str = "sensor_msgs/msg/Image";
     const DEFINITION: &'static str = "std_msgs/Header header\nuint32 height\nuint32 width\n\
         string encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `sensor_msgs/msg/CompressedImage`.
@@ -51,7 +50,6 @@ pub struct CompressedImage {
 impl RosMessage for CompressedImage {
     const TYPE: &'static str = "sensor_msgs/msg/CompressedImage";
     const DEFINITION: &'static str = "std_msgs/Header header\nstring format\nuint8[] data\n";
-    const USES: &'static [(&'static str, &'static str)] = &[HEADER, TIME];
 }
 
 /// `sensor_msgs/msg/RegionOfInterest`. All zeros: the whole image.
