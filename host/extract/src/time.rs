@@ -12,7 +12,6 @@
 //! to ±10 %: no two clocks of a rig are further apart.
 
 use protocol::units::Ticks;
-use serde::{Deserialize, Serialize};
 
 pub(crate) use timebase::PhoneNanos;
 
@@ -24,26 +23,15 @@ const MAX_RATE: f64 = 0.1;
 
 const FRACTION_BITS: u32 = 62;
 
-macro_rules! nanos {
-    ($(#[$doc:meta])* $vis:vis $name:ident) => {
-        $(#[$doc])*
-        #[derive(
-            Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize,
-            Deserialize,
-        )]
-        #[serde(transparent)]
-        $vis struct $name(pub i64);
+/// An instant of board time, in nanoseconds since the board's reset.
+///
+/// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct BoardNanos(pub i64);
 
-        impl ClockNanos for $name {
-            fn from_nanos(nanos: i64) -> Self {
-                Self(nanos)
-            }
-            fn nanos(self) -> i64 {
-                self.0
-            }
-        }
-    };
-}
+/// An instant of the depth camera's own clock, in nanoseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct DeviceNanos(pub i64);
 
 /// An instant of some clock in whole nanoseconds.
 pub(crate) trait ClockNanos: Copy {
@@ -53,26 +41,20 @@ pub(crate) trait ClockNanos: Copy {
     fn nanos(self) -> i64;
 }
 
-nanos!(
-    /// An instant of board time, in nanoseconds since the board's reset.
-    ///
-    /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
-    pub(crate) BoardNanos
-);
-
-nanos!(
-    /// An instant of the depth camera's own clock, in nanoseconds.
-    pub DeviceNanos
-);
-
-impl ClockNanos for PhoneNanos {
-    fn from_nanos(nanos: i64) -> Self {
-        Self(nanos)
-    }
-    fn nanos(self) -> i64 {
-        self.0
-    }
+macro_rules! clock_nanos {
+    ($($clock:ident)+) => {$(
+        impl ClockNanos for $clock {
+            fn from_nanos(nanos: i64) -> Self {
+                Self(nanos)
+            }
+            fn nanos(self) -> i64 {
+                self.0
+            }
+        }
+    )+};
 }
+
+clock_nanos!(BoardNanos DeviceNanos PhoneNanos);
 
 impl From<Ticks> for BoardNanos {
     /// Rounds to nearest; saturates after 292 years.
