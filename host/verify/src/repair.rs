@@ -260,32 +260,30 @@ const MAX_ATTACHMENT: usize = 16 << 20;
 /// The session, with the end that it could not be given.
 fn repaired_session(from: &Path, before: &FileReport, last: Ticks) -> Option<SessionFile> {
     let mut session = session_of(from, &mut Findings::default())?;
-    if session.outcome.is_none() {
-        session.outcome = Some(SessionOutcome::Loss);
+    let text = if session.outcome.is_none() {
         if let Some(span) = &mut session.recorded {
             span.to = span.to.max(last);
         }
         // The marks are in both files; those after the last save only in one.
-        session.problems.push(Problem {
-            at: last,
-            kind: String::from("repaired"),
-            text: format!(
-                "the program was ended at {:.3} s of board time or up to a second later; the \
-                 recording was repaired",
-                last.as_secs_f64()
-            ),
-        });
+        format!(
+            "the program was ended at {:.3} s of board time or up to a second later; the \
+             recording was repaired",
+            last.as_secs_f64()
+        )
     } else if before.bad_chunks > 0 || before.skipped_bytes > 0 || before.cut_off_at.is_some() {
-        session.outcome = Some(SessionOutcome::Loss);
-        session.problems.push(Problem {
-            at: last,
-            kind: String::from("repaired"),
-            text: format!(
-                "the recording was repaired: {} damaged chunks and {} damaged bytes were left out",
-                before.bad_chunks, before.skipped_bytes
-            ),
-        });
-    }
+        format!(
+            "the recording was repaired: {} damaged chunks and {} damaged bytes were left out",
+            before.bad_chunks, before.skipped_bytes
+        )
+    } else {
+        return Some(session);
+    };
+    session.outcome = Some(SessionOutcome::Loss);
+    session.problems.push(Problem {
+        at: last,
+        kind: String::from("repaired"),
+        text,
+    });
     Some(session)
 }
 

@@ -25,32 +25,28 @@ pub struct Finding {
 }
 
 impl Finding {
+    fn new(severity: Severity, kind: &'static str, text: impl Into<String>) -> Self {
+        Self {
+            kind,
+            severity,
+            text: text.into(),
+        }
+    }
+
     /// A warning.
     #[must_use]
     pub fn warning(kind: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            kind,
-            severity: Severity::Warning,
-            text: text.into(),
-        }
+        Self::new(Severity::Warning, kind, text)
     }
 
     /// An error.
     #[must_use]
     pub fn error(kind: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            kind,
-            severity: Severity::Error,
-            text: text.into(),
-        }
+        Self::new(Severity::Error, kind, text)
     }
 
     fn info(kind: &'static str, text: impl Into<String>) -> Self {
-        Self {
-            kind,
-            severity: Severity::Info,
-            text: text.into(),
-        }
+        Self::new(Severity::Info, kind, text)
     }
 }
 

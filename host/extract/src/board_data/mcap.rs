@@ -171,8 +171,8 @@ impl McapStream {
                 Err(fault) => Err(fault.clone()),
             })
             .collect();
-        for chunk in unpacked.iter().flatten().filter(|chunk| chunk.cut_off > 0) {
-            let bytes = chunk.cut_off;
+        let cut_off = unpacked.iter().flatten().map(|chunk| chunk.cut_off);
+        for bytes in cut_off.filter(|&bytes| bytes > 0) {
             self.faults.add(format!(
                 "a chunk ends within a record: {bytes} bytes are left out"
             ));
