@@ -106,139 +106,180 @@ impl Matched {
     }
 }
 
-/// Matches depth frames to pulses.
-///
-/// # Errors
-///
-/// Stopped, or the board's recording cannot be read. The inner error says why
-/// frames and pulses were not matched.
-pub(crate) fn find(
-    board: &BoardInput,
-    input: &DepthInput,
-    index: &DepthIndex,
-    survey: &Survey,
-    constants: &Constants,
-    first_pulse: Option<usize>,
-    progress: &dyn Progress,
-) -> Result<Result<Matched, MatchError>, Stopped> {
-    let frames: Vec<DeviceNanos> = index.frames.iter().map(|frame| frame.at).collect();
-    let pulses = &survey.pulses;
-    let resets = resets(survey);
-    let look = |hint| {
-        if resets.is_empty() {
-            return match_frames(&frames, pulses, hint).map(Matched::new);
-        }
-        let over = match_over_resets(&frames, pulses, &resets, hint)?;
-        Ok(Matched::over_resets(&over))
-    };
-    progress.begin("matching depth frames to pulses", 0);
-    let found = look(first_pulse.map(Hint::FirstPulse));
-    progress.end();
-    if first_pulse.is_some() {
-        return Ok(found.map(|found| found.by("the user")));
-    }
-    let error = match found {
-        Ok(found) => return Ok(Ok(found)),
-        Err(MatchError::Ambiguous(left)) => MatchError::Ambiguous(Ambiguity {
-            has_imu: index.has_imu,
-            ..left
-        }),
-        Err(error) => error,
-    };
-    if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
-        let hint = if index.has_imu {
-            camera_hint(board, input, survey, constants, progress)?
-        } else {
-            None
+/// What frames and pulses are matched by.
+pub(crate) struct Matching<'a> {
+    pub(crate) board: &'a BoardInput,
+    pub(crate) input: &'a DepthInput,
+    pub(crate) index: &'a DepthIndex,
+    pub(crate) survey: &'a Survey,
+    pub(crate) constants: &'a Constants,
+    pub(crate) progress: &'a dyn Progress,
+}
+
+impl Matching<'_> {
+    /// Matches depth frames to pulses.
+    ///
+    /// # Errors
+    ///
+    /// Stopped, or the board's recording cannot be read. The inner error says why
+    /// frames and pulses were not matched.
+    pub(crate) fn find(
+        &self,
+        first_pulse: Option<usize>,
+    ) -> Result<Result<Matched, MatchError>, Stopped> {
+        let frames: Vec<DeviceNanos> = self.index.frames.iter().map(|frame| frame.at).collect();
+        let pulses = &self.survey.pulses;
+        let resets = resets(self.survey);
+        let look = |hint| {
+            if resets.is_empty() {
+                return match_frames(&frames, pulses, hint).map(Matched::new);
+            }
+            let over = match_over_resets(&frames, pulses, &resets, hint)?;
+            Ok(Matched::over_resets(&over))
         };
-        if let Some(hint) = hint {
-            return Ok(look(Some(hint)).map(|found| found.by("the camera's gyroscope")));
+        self.progress.begin("matching depth frames to pulses", 0);
+        let found = look(first_pulse.map(Hint::FirstPulse));
+        self.progress.end();
+        if first_pulse.is_some() {
+            return Ok(found.map(|found| found.by("the user")));
         }
-        if let Some(delta) = recorded_offset(survey)
-            && let Some(map) = shift(delta)
-        {
-            let hint = Hint::Clock {
-                map,
-                sigma: RECORDED_SIGMA,
-                center: 0,
+        let error = match found {
+            Ok(found) => return Ok(Ok(found)),
+            Err(MatchError::Ambiguous(left)) => MatchError::Ambiguous(Ambiguity {
+                has_imu: self.index.has_imu,
+                ..left
+            }),
+            Err(error) => error,
+        };
+        if let MatchError::Ambiguous(_) | MatchError::OverReset { .. } = error {
+            let hint = if self.index.has_imu {
+                self.camera_hint()?
+            } else {
+                None
             };
-            if let Ok(found) = look(Some(hint)) {
-                return Ok(Ok(found.by("the recorded offset")));
+            if let Some(hint) = hint {
+                return Ok(look(Some(hint)).map(|found| found.by("the camera's gyroscope")));
+            }
+            let recorded = recorded_offset(self.survey)
+                .and_then(|delta| AffineMap::new(DeviceNanos(0), BoardNanos(delta), 0.0));
+            if let Some(map) = recorded {
+                let hint = Hint::Clock {
+                    map,
+                    sigma: RECORDED_SIGMA,
+                    center: 0,
+                };
+                if let Ok(found) = look(Some(hint)) {
+                    return Ok(Ok(found.by("the recorded offset")));
+                }
             }
         }
+        // The published system's own way: one recorded offset for all frames.
+        if let Some(delta) = recorded_offset(self.survey) {
+            let remark = format!(
+                "depth frames have the one offset that was recorded, without pulses: {error}"
+            );
+            let found = by_offset(&frames, delta, self.constants.depth_center_ns);
+            let found = Matched {
+                remarks: vec![remark],
+                ..Matched::new(found)
+            };
+            return Ok(Ok(found.by("the recorded offset")));
+        }
+        Ok(Err(error))
     }
-    // The published system's own way: one recorded offset for all frames.
-    if let Some(delta) = recorded_offset(survey) {
-        let remark =
-            format!("depth frames have the one offset that was recorded, without pulses: {error}");
-        let found = by_offset(&frames, delta, constants.depth_center_ns);
-        let found = Matched {
+
+    /// Times the frames of a camera that ran on its own clock, through its gyroscope and the
+    /// board's. The inner error says why that is not possible.
+    ///
+    /// # Errors
+    ///
+    /// Stopped, or the board's recording cannot be read.
+    pub(crate) fn free_running(&self) -> Result<Result<Matched, MatchError>, Stopped> {
+        let failed = |why: &str| {
+            Ok(Err(MatchError::NoGyro {
+                why: why.to_owned(),
+            }))
+        };
+        if !self.index.has_imu {
+            return failed(
+                "the recording has no samples of the camera's IMU; record with the IMU on",
+            );
+        }
+        if !self.survey.runs.is_empty() {
+            return failed("the board was reset in the recording");
+        }
+        let clock = match self.camera_clock(1)? {
+            Ok(clock) => clock,
+            Err(why) => return failed(&why),
+        };
+        let imu = &self.survey.imu;
+        let (first, last) = (BoardNanos(imu.first_ns), BoardNanos(imu.last_ns));
+        // The time of an image is its stamp's: what is put on with the tables is taken off.
+        let knots = gyro_clock::knots::<DeviceNanos>(&clock.course, first, last);
+        let map = PiecewiseMap::from_knots(knots.into_iter().map(|(device, at)| {
+            let edge = at.0.saturating_sub(self.constants.depth_center_ns);
+            (device, BoardNanos(edge))
+        }));
+        let (from, to) = clock.course.span();
+        let model = clock.course.at(0.5 * (from + to));
+        let found = DepthMatch {
+            rate_error: model.skew,
+            rate_sigma: model.covariance[1][1].max(0.0).sqrt(),
+            ..DepthMatch::by_clock(self.index.frames.len(), FrameState::FreeRunning, map)
+        };
+        let remark = format!(
+            "the depth camera ran on its own clock: its frames are timed through the gyroscopes of camera and \
+             board, ± {:.1} µs (1-sigma) and a constant of up to {:.1} ms, for the low-pass delay of the \
+             camera's gyroscope is not documented",
+            model.covariance[0][0].max(0.0).sqrt() * 1e6,
+            CAMERA_SIGMA * 1e-6
+        );
+        let matched = Matched {
             remarks: vec![remark],
             ..Matched::new(found)
         };
-        return Ok(Ok(found.by("the recorded offset")));
+        Ok(Ok(matched.by("the camera's own clock")))
     }
-    Ok(Err(error))
-}
 
-/// Times the frames of a camera that ran on its own clock, through its gyroscope and the
-/// board's. The inner error says why that is not possible.
-///
-/// # Errors
-///
-/// Stopped, or the board's recording cannot be read.
-pub(crate) fn free_running(
-    board: &BoardInput,
-    input: &DepthInput,
-    index: &DepthIndex,
-    survey: &Survey,
-    constants: &Constants,
-    progress: &dyn Progress,
-) -> Result<Result<Matched, MatchError>, Stopped> {
-    let failed = |why: &str| {
-        Ok(Err(MatchError::NoGyro {
-            why: why.to_owned(),
+    fn camera_hint(&self) -> Result<Option<Hint>, Stopped> {
+        // Without a relation the pulses stay ambiguous, which is what is said.
+        let Ok(clock) = self.camera_clock(EVERY)? else {
+            return Ok(None);
+        };
+        let (from, to) = clock.course.span();
+        let at = 0.5 * (from + to);
+        let model = clock.course.at(at);
+        let board = (at * 1e9).round() as i64;
+        let offset = (model.offset * 1e9).round() as i64;
+        let map = AffineMap::new(
+            DeviceNanos(board.saturating_add(offset)),
+            BoardNanos(board),
+            1.0 / (1.0 + model.skew) - 1.0,
+        );
+        Ok(map.map(|map| Hint::Clock {
+            map,
+            sigma: CAMERA_SIGMA,
+            center: self.constants.depth_center_ns,
         }))
-    };
-    if !index.has_imu {
-        return failed("the recording has no samples of the camera's IMU; record with the IMU on");
     }
-    if !survey.runs.is_empty() {
-        return failed("the board was reset in the recording");
+
+    /// The relation of the camera's clock to the board's by their gyroscopes, from each
+    /// `every`-th window.
+    fn camera_clock(&self, every: usize) -> Result<Result<RecordingClock, String>, Stopped> {
+        let options = Options {
+            a_delay_s: self.constants.board_imu_delay_ns as f64 * 1e-9,
+            ..Options::of_windows()
+        };
+        let (first, last) = (self.survey.imu.first_ns, self.survey.imu.last_ns);
+        streams::related(
+            "relating the depth camera's clock by its gyroscope",
+            (self.board, (BoardNanos(first), BoardNanos(last))),
+            (&|| streams::camera(self.input, self.progress), &options),
+            None,
+            every,
+            self.progress,
+        )
     }
-    let clock = match camera_clock(board, input, survey, constants, 1, progress)? {
-        Ok(clock) => clock,
-        Err(why) => return failed(&why),
-    };
-    let (first, last) = (
-        BoardNanos(survey.imu.first_ns),
-        BoardNanos(survey.imu.last_ns),
-    );
-    // The time of an image is its stamp's: what is put on with the tables is taken off.
-    let knots = gyro_clock::knots::<DeviceNanos>(&clock.course, first, last);
-    let map = PiecewiseMap::from_knots(knots.into_iter().map(|(device, at)| {
-        let edge = at.0.saturating_sub(constants.depth_center_ns);
-        (device, BoardNanos(edge))
-    }));
-    let (from, to) = clock.course.span();
-    let model = clock.course.at(0.5 * (from + to));
-    let found = DepthMatch {
-        rate_error: model.skew,
-        rate_sigma: model.covariance[1][1].max(0.0).sqrt(),
-        ..DepthMatch::by_clock(index.frames.len(), FrameState::FreeRunning, map)
-    };
-    let remark = format!(
-        "the depth camera ran on its own clock: its frames are timed through the gyroscopes of camera and \
-         board, ± {:.1} µs (1-sigma) and a constant of up to {:.1} ms, for the low-pass delay of the \
-         camera's gyroscope is not documented",
-        model.covariance[0][0].max(0.0).sqrt() * 1e6,
-        CAMERA_SIGMA * 1e-6
-    );
-    let matched = Matched {
-        remarks: vec![remark],
-        ..Matched::new(found)
-    };
-    Ok(Ok(matched.by("the camera's own clock")))
 }
 
 /// Where the board's runs after resets begin among the pulses. A run without pulses is
@@ -259,68 +300,11 @@ fn resets(survey: &Survey) -> Vec<Reset> {
     resets
 }
 
-fn camera_hint(
-    board: &BoardInput,
-    input: &DepthInput,
-    survey: &Survey,
-    constants: &Constants,
-    progress: &dyn Progress,
-) -> Result<Option<Hint>, Stopped> {
-    // Without a relation the pulses stay ambiguous, which is what is said.
-    let Ok(clock) = camera_clock(board, input, survey, constants, EVERY, progress)? else {
-        return Ok(None);
-    };
-    let (from, to) = clock.course.span();
-    let at = 0.5 * (from + to);
-    let model = clock.course.at(at);
-    let board = (at * 1e9).round() as i64;
-    let offset = (model.offset * 1e9).round() as i64;
-    let map = AffineMap::new(
-        DeviceNanos(board.saturating_add(offset)),
-        BoardNanos(board),
-        1.0 / (1.0 + model.skew) - 1.0,
-    );
-    Ok(map.map(|map| Hint::Clock {
-        map,
-        sigma: CAMERA_SIGMA,
-        center: constants.depth_center_ns,
-    }))
-}
-
-/// The relation of the camera's clock to the board's by their gyroscopes, from each
-/// `every`-th window.
-fn camera_clock(
-    board: &BoardInput,
-    input: &DepthInput,
-    survey: &Survey,
-    constants: &Constants,
-    every: usize,
-    progress: &dyn Progress,
-) -> Result<Result<RecordingClock, String>, Stopped> {
-    let options = Options {
-        a_delay_s: constants.board_imu_delay_ns as f64 * 1e-9,
-        ..Options::of_windows()
-    };
-    let (first, last) = (survey.imu.first_ns, survey.imu.last_ns);
-    streams::related(
-        "relating the depth camera's clock by its gyroscope",
-        (board, (BoardNanos(first), BoardNanos(last))),
-        (&|| streams::camera(input, progress), &options),
-        None,
-        every,
-        progress,
-    )
-}
-
 /// Board − depth stamp by the published system's `/depth_to_mcu_offset`.
 fn recorded_offset(survey: &Survey) -> Option<i64> {
     let is_it = |topic: &str| topic.ends_with("depth_to_mcu_offset");
     let pair = survey.times.iter().find(|pair| is_it(&pair.topic))?;
     pair.stamp.0.checked_sub(pair.other)
-}
-
-fn shift(delta: i64) -> Option<AffineMap<DeviceNanos, BoardNanos>> {
-    AffineMap::new(DeviceNanos(0), BoardNanos(delta), 0.0)
 }
 
 /// All frames by one offset. The edge-to-centre time is in the offset already, so

@@ -5,7 +5,7 @@ use super::{ExtractError, Extraction, rate_of};
 use crate::board_data::BoardInput;
 use crate::depth::{DepthIndex, DepthInput};
 use crate::depth_clock::{DepthMatch, FrameState, MatchError};
-use crate::depth_match::{self, Matched};
+use crate::depth_match::{Matched, Matching};
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
 use crate::layout::{Facts, ImageKind, calibration_path, number};
 use crate::mkv::k4a::ColorTrack;
@@ -13,7 +13,7 @@ use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, CameraFrame, DepthFrame};
-use recording::camera::{Center, Model};
+use recording::camera::Center;
 
 /// The depth camera's part after reading.
 pub(super) struct Depth {
@@ -108,25 +108,22 @@ impl Extraction<'_> {
         survey: &Survey,
         constants: &Constants,
     ) -> Result<Result<Matched, MatchError>, ExtractError> {
-        let board = &self.inputs.board;
+        let matching = Matching {
+            board: &self.inputs.board,
+            input,
+            index,
+            survey,
+            constants,
+            progress: self.progress,
+        };
         if self.job.options.free_running {
-            let timed =
-                depth_match::free_running(board, input, index, survey, constants, self.progress)?;
-            return Ok(timed);
+            return Ok(matching.free_running()?);
         }
         if let Some(sync) = index.sync.as_ref().filter(|sync| *sync != "SUBORDINATE") {
             let sync = sync.chars().take(32).collect();
             return Ok(Err(MatchError::OtherSync { sync }));
         }
-        Ok(depth_match::find(
-            board,
-            input,
-            index,
-            survey,
-            constants,
-            self.job.options.first_pulse,
-            self.progress,
-        )?)
+        Ok(matching.find(self.job.options.first_pulse)?)
     }
 
     fn write_camera_table(
@@ -186,10 +183,7 @@ impl Extraction<'_> {
     /// the longer exposure (issue 868 of the camera's SDK): a colour exposure longer than
     /// the train of infrared pulses makes depth later by half of the difference.
     fn add_color_exposure(&mut self, index: &DepthIndex, constants: &mut Constants) {
-        let half_train = index
-            .mode
-            .as_deref()
-            .and_then(|mode| nominal_center(self.inputs.camera, mode));
+        let half_train = index.mode.as_deref().and_then(|mode| self.nominal(mode));
         let (Some(exposure), Some(half_train)) = (self.job.options.camera_exposure_ns, half_train)
         else {
             self.remarks.push(String::from(
@@ -218,9 +212,8 @@ impl Extraction<'_> {
         if file == profile {
             return;
         }
-        let change = nominal_center(self.inputs.camera, file)
-            .zip(nominal_center(self.inputs.camera, profile))
-            .map(|(file, profile)| file - profile);
+        let change = self.nominal(file).zip(self.nominal(profile));
+        let change = change.map(|(file, profile)| file - profile);
         let file: String = file.chars().take(32).collect();
         let what = match change {
             Some(0) => {
@@ -241,10 +234,19 @@ impl Extraction<'_> {
         ));
     }
 
+    /// From the edge to the middle of exposure in a mode of the camera, ns, where that is
+    /// always the same.
+    fn nominal(&self, mode: &str) -> Option<i64> {
+        match self.inputs.camera.mode(mode)?.center {
+            Center::Fixed(center_us) => Some((center_us * 1e3).round() as i64),
+            Center::Begins(_) | Center::EndsAtNext => None,
+        }
+    }
+
     /// The edge-to-centre time of the camera's mode, where nothing better is known.
     fn nominal_center(&mut self, index: &DepthIndex, constants: &mut Constants) {
         let mode = index.mode.as_deref();
-        match mode.and_then(|mode| nominal_center(self.inputs.camera, mode)) {
+        match mode.and_then(|mode| self.nominal(mode)) {
             Some(center) => {
                 constants.depth_center_ns = center;
                 let mode = mode.unwrap_or_default();
@@ -366,15 +368,6 @@ impl Extraction<'_> {
             return Ok(());
         };
         self.write(calibration_path(self.job.format), calibration)
-    }
-}
-
-/// From the edge to the middle of exposure in a mode of the camera, ns, where that is always
-/// the same.
-fn nominal_center(model: &Model, mode: &str) -> Option<i64> {
-    match model.mode(mode)?.center {
-        Center::Fixed(center_us) => Some((center_us * 1e3).round() as i64),
-        Center::Begins(_) | Center::EndsAtNext => None,
     }
 }
 
