@@ -15,7 +15,7 @@ pub use error::ProfileError;
 pub use geometry::{Direction, DistortionModel, Intrinsics, Pose};
 
 use crate::camera::{DEFAULT_CAMERA, Model};
-use error::{in_line, located};
+use error::{in_line, located, syntax};
 use jiff::Timestamp;
 use jiff::civil::Date;
 use protocol::{Output, TICK_HZ};
@@ -334,10 +334,7 @@ impl Profile {
     ///
     /// As [`Profile::load`].
     pub fn parse(text: &str, path: Option<&Path>) -> Result<Self, ProfileError> {
-        let syntax = |error: toml::de::Error| ProfileError::Syntax {
-            path: path.map(Path::to_owned),
-            reason: error.to_string(),
-        };
+        let syntax = |error: toml::de::Error| syntax(path, error.to_string());
         // Into a table first: a text that is not TOML at all is reported with its line.
         let mut given: toml::Table = text.parse().map_err(syntax)?;
         let mut whole: toml::Table = DEFAULT.parse().map_err(syntax)?;
@@ -353,11 +350,6 @@ impl Profile {
             profile.set_reference(&name)?;
         }
         Ok(profile)
-    }
-
-    /// Whether each value is one that it may have.
-    pub(crate) fn check(&self) -> Result<(), ProfileError> {
-        check::check(self)
     }
 
     /// All phones, the one that the trigger is aligned to first.

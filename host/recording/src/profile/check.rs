@@ -19,32 +19,6 @@ const SPAN: RangeInclusive<f64> = 0.0..=1e6;
 /// For differences of times in µs.
 const SIGNED: RangeInclusive<f64> = -1e6..=1e6;
 
-pub(super) fn check(profile: &Profile) -> Result<(), ProfileError> {
-    check_outputs(&profile.outputs)?;
-    if let Some(lidar) = &profile.lidar {
-        check_lidar(lidar, &profile.outputs)?;
-    }
-    check_phones(profile)?;
-    check_depth(&profile.depth)?;
-    let (align, sync) = (&profile.align, &profile.frame_sync);
-    let sigma = align.max_offset_sigma_us;
-    within(
-        "align",
-        &[
-            ("slew_us", align.slew_us, 0.0..=16_000.0, "µs"),
-            ("max_offset_sigma_us", sigma, 1.0..=10_000.0, "µs"),
-        ],
-    )?;
-    within(
-        "frame_sync",
-        &[
-            ("bias_us", sync.bias_us, SIGNED, "µs"),
-            ("bias_sigma_us", sync.bias_sigma_us, SPAN, "µs"),
-        ],
-    )?;
-    profile.imu_config().map(drop)
-}
-
 fn check_outputs(outputs: &[TriggerOutput]) -> Result<(), ProfileError> {
     for (index, sensor) in outputs.iter().enumerate() {
         if !(2..=4).contains(&sensor.output) {
@@ -205,6 +179,33 @@ fn check_depth(depth: &Depth) -> Result<(), ProfileError> {
 }
 
 impl Profile {
+    /// Whether each value is one that it may have.
+    pub(crate) fn check(&self) -> Result<(), ProfileError> {
+        check_outputs(&self.outputs)?;
+        if let Some(lidar) = &self.lidar {
+            check_lidar(lidar, &self.outputs)?;
+        }
+        check_phones(self)?;
+        check_depth(&self.depth)?;
+        let (align, sync) = (&self.align, &self.frame_sync);
+        let sigma = align.max_offset_sigma_us;
+        within(
+            "align",
+            &[
+                ("slew_us", align.slew_us, 0.0..=16_000.0, "µs"),
+                ("max_offset_sigma_us", sigma, 1.0..=10_000.0, "µs"),
+            ],
+        )?;
+        within(
+            "frame_sync",
+            &[
+                ("bias_us", sync.bias_us, SIGNED, "µs"),
+                ("bias_sigma_us", sync.bias_sigma_us, SPAN, "µs"),
+            ],
+        )?;
+        self.imu_config().map(drop)
+    }
+
     /// Settings of the board's IMU.
     ///
     /// # Errors

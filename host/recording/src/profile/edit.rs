@@ -4,14 +4,8 @@ use std::path::Path;
 
 use toml_edit::{DocumentMut, Table, TomlError};
 
+use super::error::syntax;
 use super::{Profile, ProfileError};
-
-fn syntax(path: &Path, reason: String) -> ProfileError {
-    ProfileError::Syntax {
-        path: Some(path.to_owned()),
-        reason,
-    }
-}
 
 /// A profile, and its text to be written into: comments and order stay.
 ///
@@ -22,7 +16,7 @@ pub fn open(text: &str, path: &Path) -> Result<(Profile, DocumentMut), ProfileEr
     let profile = Profile::parse(text, Some(path))?;
     let document = text
         .parse()
-        .map_err(|error: TomlError| syntax(path, error.to_string()))?;
+        .map_err(|error: TomlError| syntax(Some(path), error.to_string()))?;
     Ok((profile, document))
 }
 
@@ -50,7 +44,7 @@ pub fn phone_table<'a>(
             .get_mut("phones")
             .and_then(|phones| phones.as_array_of_tables_mut())
             .and_then(|phones| phones.get_mut(place))
-            .ok_or_else(|| syntax(path, String::from("`phones` is no list of tables"))),
+            .ok_or_else(|| syntax(Some(path), String::from("`phones` is no list of tables"))),
         None => table(document, "phone", path),
     }
 }
@@ -69,5 +63,5 @@ pub(crate) fn table<'a>(
         .entry(name)
         .or_insert(toml_edit::table())
         .as_table_mut()
-        .ok_or_else(|| syntax(path, format!("`{name}` is no table")))
+        .ok_or_else(|| syntax(Some(path), format!("`{name}` is no table")))
 }

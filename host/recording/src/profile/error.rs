@@ -42,6 +42,13 @@ fn place(path: Option<&Path>, line: Option<usize>) -> String {
     in_file(path) + &line
 }
 
+pub(super) fn syntax(path: Option<&Path>, reason: String) -> ProfileError {
+    ProfileError::Syntax {
+        path: path.map(Path::to_owned),
+        reason,
+    }
+}
+
 /// A text that has the form of TOML but not that of a profile. What was left out has been
 /// filled in by then, so the line is looked for by the key that is wrong.
 pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) -> ProfileError {
@@ -57,11 +64,8 @@ pub(super) fn in_line(text: &str, path: Option<&Path>, error: &toml::de::Error) 
     };
     let line = key.and_then(|key| line_of(text, &key));
     let line = line.map_or(String::new(), |line| format!("line {line}: "));
-    ProfileError::Syntax {
-        path: path.map(Path::to_owned),
-        // The parser puts the table on a line of its own.
-        reason: format!("{line}{}", reason.replace('\n', " ")),
-    }
+    // The parser puts the table on a line of its own.
+    syntax(path, format!("{line}{}", reason.replace('\n', " ")))
 }
 
 /// An error with the file and the line that it is in.
