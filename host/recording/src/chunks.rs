@@ -165,7 +165,7 @@ enum Content {
 
 /// The records of a chunk whose checksum is right.
 #[derive(Debug)]
-pub struct Chunk(Vec<u8>);
+pub struct Chunk(pub(crate) Vec<u8>);
 
 impl Chunks {
     /// Begins at the front of a file that may unpack to `ratio` times its length.

@@ -21,6 +21,8 @@ use super::{RecordingError, mcap_of};
 pub struct Entry {
     /// Board time.
     pub at: Ticks,
+    /// Running number on its topic.
+    pub sequence: u32,
     /// The message.
     pub item: Item,
 }
@@ -137,6 +139,7 @@ impl Reader {
                         })?;
                     return Ok(Some(Entry {
                         at: ticks_of_nanos(header.log_time),
+                        sequence: header.sequence,
                         item,
                     }));
                 }

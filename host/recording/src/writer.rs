@@ -14,13 +14,14 @@
 
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, Write};
+use std::io::{BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 
 use mcap::{Attachment, Compression, WriteOptions};
 use protocol::{TICK_HZ, Ticks};
 
+use super::chunks::Chunk;
 pub use super::publish::{Output, Publisher, Severity};
 use super::rosbag2::{self, Bag};
 use super::session_file::SessionFile;
@@ -238,17 +239,19 @@ pub fn options() -> WriteOptions {
         .disable_seeking(true)
 }
 
-/// The topics of every recording with their numbers and types, as the writer
-/// makes them.
+/// What describes the topics of every recording, as the writer makes it: records of types
+/// and topics, among others.
 ///
 /// # Errors
 ///
-/// None that is known: what it writes goes nowhere.
-pub fn known_channels() -> Result<mcap::Summary, mcap::McapError> {
-    bag_of_topics(io::sink())?.mcap.finish()
+/// None that is known: it writes into memory.
+pub fn known_topics() -> Result<Chunk, mcap::McapError> {
+    let mut bytes = Vec::new();
+    bag_of_topics(&mut bytes)?.mcap.finish()?;
+    Ok(Chunk(bytes.split_off(mcap::MAGIC.len())))
 }
 
-fn bag_of_topics<W: Write>(to: W) -> Result<Bag<W>, mcap::McapError> {
+pub(crate) fn bag_of_topics<W: Write>(to: W) -> Result<Bag<W>, mcap::McapError> {
     let mut bag = Bag::with_options(options(), to)?;
     for topic in Topic::ALL {
         bag.add(topic.name(), topic.message_type(), &topic.schema())?;

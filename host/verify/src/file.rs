@@ -10,7 +10,7 @@ use recording::RecordingError;
 use recording::chunks::parse;
 use recording::reader::ticks_of_nanos;
 use recording::scan::{Piece, Scan};
-use recording::writer::known_channels;
+use recording::writer::known_topics;
 
 /// The longest name of a topic that is taken, bytes. There may be 65,536 of them.
 const NAME: usize = 1_000;
@@ -255,7 +255,7 @@ impl Walk<'_> {
     /// describes the same ones in the same order.
     fn assume(&mut self, findings: &mut Findings) -> Result<(), RecordingError> {
         self.assumed = true;
-        let Ok(known) = known_channels() else {
+        let Ok(known) = known_topics() else {
             return Ok(());
         };
         findings.add(Grade::Warning, "topics_assumed", None, || {
@@ -263,25 +263,10 @@ impl Walk<'_> {
                 "the part that describes the topics is damaged; those of this program are taken",
             )
         });
-        for (id, channel) in &known.channels {
-            if let Some(schema) = &channel.schema {
-                self.sink.schema(
-                    &SchemaHeader {
-                        id: schema.id,
-                        name: schema.name.clone(),
-                        encoding: schema.encoding.clone(),
-                    },
-                    &schema.data,
-                )?;
+        for (opcode, body) in known.records() {
+            if matches!(opcode, op::SCHEMA | op::CHANNEL) {
+                self.record(opcode, body, findings)?;
             }
-            self.sink.channel(&Channel {
-                id: *id,
-                schema_id: channel.schema.as_ref().map_or(0, |schema| schema.id),
-                topic: channel.topic.clone(),
-                message_encoding: channel.message_encoding.clone(),
-                metadata: channel.metadata.clone(),
-            })?;
-            self.topics.insert(*id, channel.topic.clone());
         }
         Ok(())
     }
