@@ -26,11 +26,11 @@ const FRACTION_BITS: u32 = 62;
 /// An instant of board time, in nanoseconds since the board's reset.
 ///
 /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub(crate) struct BoardNanos(pub i64);
 
 /// An instant of the depth camera's own clock, in nanoseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub struct DeviceNanos(pub i64);
 
 /// An instant of some clock in whole nanoseconds.
