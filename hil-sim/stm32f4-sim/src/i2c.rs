@@ -4,7 +4,7 @@
 //! which the event ends on the wire (the ninth clock of a byte). Addresses are
 //! 7 bit. Targets do not stretch the clock.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::time::SimTime;
 
@@ -124,8 +124,8 @@ impl<T: crate::model::PinModel> crate::model::PinModel for Shared<T> {
     }
 }
 
-/// Locks a shared target. A panic elsewhere while it was locked is not hidden
+/// Locks what is shared. A panic elsewhere while it was locked is not hidden
 /// (the test that panicked has failed already), but does not cascade.
-pub fn lock<T>(shared: &Shared<T>) -> std::sync::MutexGuard<'_, T> {
+pub fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

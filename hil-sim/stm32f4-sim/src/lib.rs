@@ -48,7 +48,7 @@ pub mod clock;
 pub mod cpu;
 pub mod firmware;
 pub mod i2c;
-pub mod i2c_bus;
+mod i2c_bus;
 pub mod model;
 pub mod model_bench;
 pub mod pin;

@@ -50,6 +50,16 @@ impl Random {
         self.0.next_u64()
     }
 
+    /// A whole number below `end`; 0 if that is 0.
+    pub fn below(&mut self, end: usize) -> usize {
+        (self.bits() % (end as u64).max(1)) as usize
+    }
+
+    /// One of these, of which there must be one at least.
+    pub fn one_of<'a, T>(&mut self, all: &'a [T]) -> &'a T {
+        &all[self.below(all.len())]
+    }
+
     /// Fills a slice with random bytes.
     pub fn fill(&mut self, bytes: &mut [u8]) {
         self.0.fill_bytes(bytes);

@@ -3,9 +3,11 @@
 use crate::clock::{Clock, Rate};
 use crate::time::SimTime;
 
+/// The low-speed oscillator's typical rate (DS8626 table 42: 17 to 47 kHz).
+const LSI_HZ: u64 = 32_000;
+
 #[derive(Debug)]
 pub(crate) struct Iwdg {
-    lsi: Rate,
     unlocked: bool,
     running: bool,
     pr: u32,
@@ -15,10 +17,9 @@ pub(crate) struct Iwdg {
 }
 
 impl Iwdg {
-    /// A stopped watchdog on an oscillator of rate `lsi`.
-    pub(crate) fn new(lsi: Rate) -> Self {
+    /// A stopped watchdog.
+    pub(crate) fn new() -> Self {
         Self {
-            lsi,
             unlocked: false,
             running: false,
             pr: 0,
@@ -28,7 +29,7 @@ impl Iwdg {
     }
 
     pub(crate) fn reset(&mut self) {
-        *self = Self::new(self.lsi);
+        *self = Self::new();
     }
 
     pub(crate) fn next_event(&self) -> SimTime {
@@ -71,7 +72,7 @@ impl Iwdg {
     fn reload(&mut self, now: SimTime) {
         if self.running {
             let divider = 4u64 << self.pr.min(6);
-            let clock = Clock::new(self.lsi, now, 0);
+            let clock = Clock::new(Rate::hz(LSI_HZ), now, 0);
             self.deadline = clock.time_of((u64::from(self.rlr) + 1) * divider);
         }
     }
@@ -83,7 +84,7 @@ mod tests {
 
     #[test]
     fn bites_when_it_is_not_fed() {
-        let mut w = Iwdg::new(Rate::hz(32_000));
+        let mut w = Iwdg::new();
         let t0 = SimTime::from_nanos(1_000_000);
         w.write(0x04, 3, t0);
         assert_eq!(w.pr, 0, "locked until the key is given");

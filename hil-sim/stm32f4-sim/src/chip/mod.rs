@@ -78,8 +78,6 @@ pub(crate) struct ChipConfig {
     pub(crate) part: Part,
     /// Frequency of the crystal, if there is one.
     pub(crate) crystal: Option<Rate>,
-    /// Rate of the low-speed oscillator.
-    pub(crate) low_speed: Rate,
     pub(crate) unique_id: [u32; 3],
     /// The wires of I2C1's bus.
     pub(crate) i2c: Option<I2cWires>,
@@ -206,8 +204,8 @@ impl Soc {
                 random: seed.stream(BUS_ERROR_STREAM),
                 probability: config.bus_errors,
             }),
-            i2c_bus: I2cBus::new(),
-            iwdg: Iwdg::new(config.low_speed),
+            i2c_bus: I2cBus::default(),
+            iwdg: Iwdg::new(),
             uart: std::array::from_fn(|_| Uart::new()),
             rng: Rng::new(seed.stream(RNG_STREAM)),
             adc: Adc::new(config.die, config.part.temperature_channel()),

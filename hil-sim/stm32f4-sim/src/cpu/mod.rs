@@ -28,7 +28,7 @@ mod state;
 #[cfg(test)]
 mod differential;
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use rsemu::core::device::{Device, ResetKind};
 use rsemu::core::error::BusError;
@@ -36,6 +36,7 @@ use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
 
 use crate::chip::Soc;
+use crate::i2c::lock;
 use access::Bus;
 use code::Code;
 use exec::Stop;
@@ -93,10 +94,6 @@ pub struct CpuStats {
 /// The address space that rsemu's core sees: everything is the [`Soc`]'s.
 #[derive(Debug)]
 struct SocPort(Arc<Mutex<Soc>>);
-
-pub(crate) fn lock(soc: &Mutex<Soc>) -> MutexGuard<'_, Soc> {
-    soc.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 impl MemOps for SocPort {
     fn read(&self, offset: u64, dst: &mut [u8], attrs: MemAttrs) -> MemResult {

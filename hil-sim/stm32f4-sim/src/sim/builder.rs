@@ -16,8 +16,6 @@ use crate::pin::Pin;
 use crate::random::{RAM_STREAM, Seed};
 use crate::rtt::{LogLine, Rtt};
 
-/// The low-speed oscillator's typical rate (DS8626 table 42).
-const LSI_HZ: u64 = 32_000;
 /// Clocks that the synchroniser of a timer's input takes, unless the builder is told
 /// otherwise: two flip-flops and the detector of the edge. A guess, no manual has it.
 pub const INPUT_SYNCHRONISER: u64 = 3;
@@ -62,7 +60,6 @@ impl SimBuilder {
             chip: ChipConfig {
                 part: Part::default(),
                 crystal: None,
-                low_speed: Rate::hz(LSI_HZ),
                 unique_id: [0x0041_0028, 0x3231_470a, 0x3039_3137],
                 i2c: None,
                 bus_errors: BUS_ERRORS,
@@ -131,13 +128,6 @@ impl SimBuilder {
     #[must_use]
     pub fn tolerate_failures(mut self) -> Self {
         self.tolerate_failures = true;
-        self
-    }
-
-    /// Rate of the low-speed oscillator (17 to 47 kHz; 32 kHz typical).
-    #[must_use]
-    pub fn low_speed_oscillator(mut self, rate: Rate) -> Self {
-        self.chip.low_speed = rate;
         self
     }
 

@@ -3,8 +3,8 @@
 use super::{ResetCause, Sim};
 use crate::backtrace;
 use crate::chip::rules::End;
-use crate::cpu::lock;
 use crate::firmware::FirmwareError;
+use crate::i2c::lock;
 use crate::rtt::LogLine;
 use crate::time::{SimDuration, SimTime};
 

@@ -23,10 +23,11 @@ pub use crate::chip::part::Part;
 pub use crate::chip::rcc::ResetCause;
 use crate::chip::{self, Soc};
 use crate::clock::Rate;
-use crate::cpu::{Cpu, CpuStats, Event, lock};
-use crate::firmware::{Firmware, Symbol};
+use crate::cpu::{Cpu, CpuStats, Event};
+use crate::firmware::Firmware;
+use crate::i2c::lock;
 use crate::random::Random;
-use crate::rtt::{LogLevel, LogLine, Rtt, Words};
+use crate::rtt::{LogLine, Rtt, Words};
 use crate::time::{SimDuration, SimTime};
 
 /// Longest stretch of cycles between two looks at the log.
@@ -280,13 +281,6 @@ impl Sim {
         &self.log
     }
 
-    /// Lines of the log of at least this level.
-    pub fn log_from(&self, level: LogLevel) -> impl Iterator<Item = &LogLine> {
-        self.log
-            .iter()
-            .filter(move |l| l.level >= level && l.level != LogLevel::Print)
-    }
-
     fn with_chip<T>(&self, f: impl FnOnce(&mut Soc) -> T) -> T {
         let mut soc = lock(&self.soc);
         f(&mut soc)
@@ -323,16 +317,6 @@ impl Sim {
     #[must_use]
     pub fn peek(&self, address: u32, len: usize) -> Option<Vec<u8>> {
         self.with_chip(|s| s.peek(address, len))
-    }
-
-    /// Reads a static of the firmware by the end of its path.
-    #[must_use]
-    pub fn peek_symbol(&self, path: &str) -> Option<Vec<u8>> {
-        let Symbol { address, size } = self
-            .firmware
-            .symbol(path)
-            .or_else(|| self.firmware.find_symbol(path))?;
-        self.peek(address, size as usize)
     }
 
     /// The core's call stack as it is now.

@@ -5,7 +5,6 @@ use std::collections::BTreeSet;
 use super::{Sim, SimError};
 use crate::chip::Soc;
 use crate::clock::Rate;
-use crate::i2c_bus::I2cBus;
 use crate::pin::{Drive, Level, Pin};
 use crate::time::{SimDuration, SimTime};
 use crate::usb::{DeviceInfo, UsbState, UsbTraffic};
@@ -62,12 +61,6 @@ impl Sim {
         self.with_chip(Soc::usb_read)
     }
 
-    /// Bytes that wait to be taken.
-    #[must_use]
-    pub fn usb_available(&self) -> usize {
-        self.with_chip(|s| s.usb.available())
-    }
-
     /// Pulls the USB cable out. The board stays powered.
     pub fn usb_unplug(&mut self) {
         self.with_chip(Soc::unplug);
@@ -100,13 +93,12 @@ impl Sim {
 
     // ---- the I2C bus -----------------------------------------------------------------
 
-    /// Works on the I2C bus: holds SDA, cuts the wires, withholds an acknowledge.
-    pub fn i2c_bus<T>(&mut self, f: impl FnOnce(&mut I2cBus) -> T) -> T {
+    /// Holds SDA of the I2C bus low, or lets it go. Clock pulses do not free it.
+    pub fn hold_sda(&mut self, held: bool) {
         self.with_chip(|s| {
-            let result = f(&mut s.i2c_bus);
+            s.i2c_bus.hold_sda(held);
             s.i2c_bus_changed();
-            result
-        })
+        });
     }
 
     // ---- pins --------------------------------------------------------------------------

@@ -67,7 +67,7 @@ impl Scene {
             Fault::UsbUnplugged => self.rig.usb_plug(),
             Fault::HostStalled => self.rig.usb_set_reading(!begins),
             Fault::CorruptedFromBoard | Fault::CorruptedToBoard => self.corrupt(turn),
-            Fault::I2cHeld => self.rig.i2c_bus(|bus| bus.hold_sda(begins)),
+            Fault::I2cHeld => self.rig.hold_sda(begins),
             Fault::ImuPowerCut if begins => self.imu(ImuFault::PowerOff),
             Fault::ImuPowerCut => self.imu(ImuFault::PowerOn),
             Fault::ImuClockCut => self.imu(ImuFault::ClockCut(begins)),

@@ -45,7 +45,7 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let target = Arc::new(Mutex::new(Registers::default()));
-        let mut bus = I2cBus::new();
+        let mut bus = I2cBus::default();
         bus.add(Box::new(target.clone()));
         let mut i2c = I2c::new(BusErrors {
             random: Seed(1).stream(15u64),

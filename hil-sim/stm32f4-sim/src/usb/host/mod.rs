@@ -72,10 +72,6 @@ pub struct UsbTraffic {
     pub bytes_in: u64,
     /// Bytes of the serial port to the device.
     pub bytes_out: u64,
-    /// Bulk packets from the device.
-    pub packets_in: u64,
-    /// Bulk packets to the device.
-    pub packets_out: u64,
     /// Completed enumerations.
     pub enumerations: u64,
 }
@@ -239,12 +235,6 @@ impl UsbHost {
     #[must_use]
     pub(crate) fn log(&self) -> &[(SimTime, String)] {
         &self.log
-    }
-
-    /// Bytes of the serial port that have arrived and were not taken yet.
-    #[must_use]
-    pub(crate) fn available(&self) -> usize {
-        self.from_device.len()
     }
 
     /// Takes all bytes that have arrived.
