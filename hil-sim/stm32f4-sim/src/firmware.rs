@@ -30,66 +30,20 @@ impl core::fmt::Debug for Firmware {
     }
 }
 
-/// The ELF could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum FirmwareError {
-    /// No file there.
-    #[error("no firmware ELF at {path}{}{hint}", if hint.is_empty() { "" } else { ": " })]
-    Missing {
-        /// Where it should be.
-        path: PathBuf,
-        /// What to do, as whoever set the simulation up puts it.
-        hint: &'static str,
-    },
-    /// Not readable.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// Not what is expected.
-    #[error("{path} is not a firmware of this board: {why}")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        why: String,
-    },
-}
-
-impl FirmwareError {
-    /// With what to do when there is no file.
-    pub(crate) fn with_hint(self, hint: &'static str) -> Self {
-        match self {
-            Self::Missing { path, .. } => Self::Missing { path, hint },
-            other => other,
-        }
-    }
-}
-
 impl Firmware {
-    /// Reads an ELF.
+    /// Reads an ELF; without one there, `hint` says what to do.
     ///
     /// # Errors
     ///
     /// If there is none, or it is none for a Cortex-M with flash at `0x0800_0000`.
-    pub fn load(path: &Path) -> Result<Self, FirmwareError> {
+    pub fn load(path: &Path, hint: &str) -> Result<Self, String> {
+        let name = path.display();
         if !path.is_file() {
-            return Err(FirmwareError::Missing {
-                path: path.to_path_buf(),
-                hint: "",
-            });
+            let colon = if hint.is_empty() { "" } else { ": " };
+            return Err(format!("no firmware ELF at {name}{colon}{hint}"));
         }
-        let bytes = std::fs::read(path).map_err(|source| FirmwareError::Read {
-            path: path.to_path_buf(),
-            source,
-        })?;
-        let bad = |why: String| FirmwareError::Format {
-            path: path.to_path_buf(),
-            why,
-        };
+        let bytes = std::fs::read(path).map_err(|error| format!("cannot read {name}: {error}"))?;
+        let bad = |why: String| format!("{name} is not a firmware of this board: {why}");
         let file = object::File::parse(&*bytes).map_err(|e| bad(e.to_string()))?;
         if file.architecture() != object::Architecture::Arm {
             return Err(bad(format!("it is for {:?}", file.architecture())));

@@ -1,34 +1,18 @@
 //! The firmware's defmt log, read from its RTT buffer as a debugger would.
 
 use defmt_decoder::{DecodeError, Table};
+use defmt_parser::Level;
 
 use crate::firmware::Firmware;
 use crate::time::SimTime;
-
-/// How important a line is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum LogLevel {
-    /// Details.
-    Trace,
-    /// Diagnosis.
-    Debug,
-    /// News.
-    Info,
-    /// Something is not as it should be.
-    Warn,
-    /// Something failed.
-    Error,
-    /// Printed without a level.
-    Print,
-}
 
 /// A line of the firmware's log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LogLine {
     /// Virtual time at which the simulator read it (within 60 us of its writing).
     pub at: SimTime,
-    /// How important it is.
-    pub level: LogLevel,
+    /// How important it is; nothing where it was printed without a level.
+    level: Option<Level>,
     /// The text.
     pub message: String,
     /// Source file and line, if the ELF has them.
@@ -37,15 +21,9 @@ pub struct LogLine {
 
 impl core::fmt::Display for LogLine {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        let level = match self.level {
-            LogLevel::Trace => "TRACE",
-            LogLevel::Debug => "DEBUG",
-            LogLevel::Info => "INFO ",
-            LogLevel::Warn => "WARN ",
-            LogLevel::Error => "ERROR",
-            LogLevel::Print => "     ",
-        };
-        write!(f, "{:>14} {level} {}", self.at.to_string(), self.message)?;
+        let level = self.level.map_or("", |level| level.as_str());
+        let level = level.to_uppercase();
+        write!(f, "{:>14} {level:<5} {}", self.at.to_string(), self.message)?;
         if let Some(location) = &self.location {
             write!(f, " ({location})")?;
         }
@@ -144,7 +122,7 @@ impl Rtt {
     fn decode(&self, bytes: &[u8], at: SimTime) -> LogLine {
         let broken = |why: &str| LogLine {
             at,
-            level: LogLevel::Error,
+            level: Some(Level::Error),
             message: format!(
                 "log frame of {} bytes cannot be decoded: {why}",
                 bytes.len()
@@ -159,14 +137,7 @@ impl Rtt {
         match decoder.decode() {
             Ok(frame) => LogLine {
                 at,
-                level: match frame.level() {
-                    Some(defmt_parser::Level::Trace) => LogLevel::Trace,
-                    Some(defmt_parser::Level::Debug) => LogLevel::Debug,
-                    Some(defmt_parser::Level::Info) => LogLevel::Info,
-                    Some(defmt_parser::Level::Warn) => LogLevel::Warn,
-                    Some(defmt_parser::Level::Error) => LogLevel::Error,
-                    None => LogLevel::Print,
-                },
+                level: frame.level(),
                 message: frame.display_message().to_string(),
                 location: self.locations.get(&frame.index()).map(|l| {
                     let file = l.file.file_name().map_or_else(

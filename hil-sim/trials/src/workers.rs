@@ -1,6 +1,8 @@
 //! Runs of a campaign beside each other.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
+
+use stm32f4_sim::i2c::lock;
 
 /// Does `work` on each item, `jobs` at a time; gives the results in the order of the items.
 ///
@@ -12,12 +14,7 @@ pub(crate) fn each<T: Sync, R: Send>(
     work: impl Fn(&T) -> R + Sync,
 ) -> Vec<R> {
     let waiting = Mutex::new(items.iter().enumerate());
-    let next = || {
-        waiting
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .next()
-    };
+    let next = || lock(&waiting).next();
     let worker = || {
         let mut done = Vec::new();
         while let Some((place, item)) = next() {

@@ -193,11 +193,11 @@ impl Soc {
             gpio: Gpio::new(),
             exti: Exti::default(),
             tim: [
-                Tim::new(false, 4, true, config.synchroniser),
-                Tim::new(true, 4, false, config.synchroniser),
-                Tim::new(false, 4, false, config.synchroniser),
-                Tim::new(false, 4, false, config.synchroniser),
-                Tim::new(true, 4, false, config.synchroniser),
+                Tim::new(false, true, config.synchroniser),
+                Tim::new(true, false, config.synchroniser),
+                Tim::new(false, false, config.synchroniser),
+                Tim::new(false, false, config.synchroniser),
+                Tim::new(true, false, config.synchroniser),
             ],
             dma: [Dma::default(), Dma::default()],
             i2c: I2c::new(BusErrors {
@@ -397,6 +397,20 @@ impl Soc {
     // ---- after something changed ----------------------------------------------
 
     fn after_tim(&mut self, n: usize) {
+        self.set_timer_irqs(n);
+        self.update_timer_pins(n);
+        self.reschedule_tim(n);
+        self.ask_for_timers();
+    }
+
+    /// After a capture, which does not change the timer's pins.
+    fn after_capture(&mut self, n: usize) {
+        self.set_timer_irqs(n);
+        self.reschedule_tim(n);
+        self.ask_for_timers();
+    }
+
+    fn set_timer_irqs(&mut self, n: usize) {
         let (first, second) = self.tim[n].irq();
         match n {
             TIM1 => {
@@ -408,9 +422,6 @@ impl Soc {
             TIM4 => self.set_irq(30, first),
             _ => self.set_irq(50, first),
         }
-        self.update_timer_pins(n);
-        self.reschedule_tim(n);
-        self.ask_for_timers();
     }
 
     fn reschedule_tim(&mut self, n: usize) {

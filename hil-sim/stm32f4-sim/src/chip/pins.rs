@@ -150,24 +150,6 @@ impl Soc {
         }
     }
 
-    /// After a capture: its interrupt and the timer's next event, but not its
-    /// pins (an input does not change them).
-    fn after_capture(&mut self, tim: usize) {
-        let (first, second) = self.tim[tim].irq();
-        match tim {
-            TIM1 => {
-                self.set_irq(25, first);
-                self.set_irq(27, second);
-            }
-            TIM2 => self.set_irq(28, first),
-            TIM3 => self.set_irq(29, first),
-            TIM4 => self.set_irq(30, first),
-            _ => self.set_irq(50, first),
-        }
-        self.reschedule_tim(tim);
-        self.ask_for_timers();
-    }
-
     /// A bus clear: software clocks SCL, or makes a stop condition.
     fn bus_by_hand(&mut self, wires: I2cWires, pin: Pin, high: bool) {
         if self.i2c.owns_bus() || (pin != wires.scl && pin != wires.sda) {

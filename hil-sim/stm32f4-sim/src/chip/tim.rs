@@ -27,6 +27,9 @@ use input::Input;
 /// of a resynchronisation and not of its length (RM0090 17.3.20).
 pub(crate) const SLAVE_DELAY: u64 = 2;
 
+/// Channels of each timer.
+const CHANNELS: usize = 4;
+
 const CR1_CEN: u32 = 1 << 0;
 const CR1_UDIS: u32 = 1 << 1;
 const CR1_URS: u32 = 1 << 2;
@@ -49,7 +52,6 @@ enum Channel {
 #[derive(Debug)]
 pub(crate) struct Tim {
     mask: u32,
-    channels: usize,
     advanced: bool,
     clock: Clock,
     cr1: u32,
@@ -81,12 +83,11 @@ pub(crate) struct Tim {
 }
 
 impl Tim {
-    /// A 32-bit (`wide`) or 16-bit timer with `channels` channels.
-    pub(crate) fn new(wide: bool, channels: usize, advanced: bool, synchroniser: u64) -> Self {
+    /// A 32-bit (`wide`) or 16-bit timer.
+    pub(crate) fn new(wide: bool, advanced: bool, synchroniser: u64) -> Self {
         let mask = if wide { u32::MAX } else { 0xffff };
         Self {
             mask,
-            channels,
             advanced,
             clock: Clock::new(Rate::hz(16_000_000), SimTime::ZERO, 0),
             cr1: 0,
@@ -117,7 +118,7 @@ impl Tim {
     pub(crate) fn reset(&mut self, now: SimTime) {
         let clock = self.clock;
         let wide = self.mask == u32::MAX;
-        *self = Self::new(wide, self.channels, self.advanced, self.synchroniser);
+        *self = Self::new(wide, self.advanced, self.synchroniser);
         self.clock = clock;
         self.base_edge = clock.edge_at(now);
     }
@@ -192,7 +193,7 @@ impl Tim {
             && at <= now
         {
             self.count_to(at);
-            for ti in 0..self.channels {
+            for ti in 0..CHANNELS {
                 let through = self.through(ti);
                 while let Some(rising) = self.inputs[ti].pop(self.clock.edge_at(at), through) {
                     self.capture(ti, rising);
@@ -227,7 +228,7 @@ impl Tim {
             self.base_edge += wrap * div;
             self.base_count = 0;
             self.update_event(true);
-            for ch in 0..self.channels {
+            for ch in 0..CHANNELS {
                 if self.ccr[ch] == 0 {
                     self.compare(ch);
                 }
@@ -241,7 +242,7 @@ impl Tim {
 
     /// The counter passes `steps` values without a wrap.
     fn pass(&mut self, steps: u32) {
-        for ch in 0..self.channels {
+        for ch in 0..CHANNELS {
             let ahead = self.ccr[ch].wrapping_sub(self.base_count);
             if self.ccr[ch] > self.base_count && ahead <= steps {
                 self.compare(ch);
@@ -294,7 +295,7 @@ impl Tim {
                 self.sr |= SR_UIF;
             }
         }
-        for ch in 0..self.channels {
+        for ch in 0..CHANNELS {
             self.pwm_level(ch);
         }
         if overflow && self.cr1 & CR1_OPM != 0 {
@@ -318,7 +319,7 @@ impl Tim {
 
     /// Level that channel `ch` drives on its pin, or nothing if it drives none.
     pub(crate) fn output(&self, ch: usize) -> Option<bool> {
-        if ch >= self.channels || !self.enabled(ch) || self.channel(ch) != Channel::Output {
+        if !self.enabled(ch) || self.channel(ch) != Channel::Output {
             return None;
         }
         if self.advanced && self.bdtr & BDTR_MOE == 0 {
@@ -355,7 +356,7 @@ impl Tim {
 
     /// When the next edge that is on its way through an input is captured.
     fn next_capture(&self) -> Option<SimTime> {
-        (0..self.channels)
+        (0..CHANNELS)
             .filter_map(|ti| self.inputs[ti].next(self.through(ti)))
             .min()
             .map(|edge| self.clock.time_of(edge))
@@ -363,7 +364,7 @@ impl Tim {
 
     /// An edge of input `TI(ti+1)` has come through.
     fn capture(&mut self, ti: usize, rising: bool) {
-        for ch in 0..self.channels {
+        for ch in 0..CHANNELS {
             if self.channel(ch) != Channel::Input(ti) || !self.enabled(ch) {
                 continue;
             }
@@ -421,7 +422,7 @@ impl Tim {
         let wrap = self.steps_to_wrap();
         let mut steps = u64::MAX;
         let mut pwm = false;
-        for ch in 0..self.channels {
+        for ch in 0..CHANNELS {
             if self.channel(ch) != Channel::Output {
                 continue;
             }
@@ -512,10 +513,10 @@ impl Tim {
             0x14 => self.generate(value, now),
             0x18 | 0x1c => {
                 self.ccmr[((offset - 0x18) / 4) as usize] = value & 0xffff;
-                if (0..self.channels).any(|ti| self.filter(ti) > input::MAX_FILTER) {
+                if (0..CHANNELS).any(|ti| self.filter(ti) > input::MAX_FILTER) {
                     return false;
                 }
-                for ch in 0..self.channels {
+                for ch in 0..CHANNELS {
                     if self.channel(ch) == Channel::Output && !self.preloaded(ch) {
                         self.ccr[ch] = self.ccr_next[ch];
                     }
@@ -526,7 +527,7 @@ impl Tim {
             // The prescaler goes on: only an update event begins it anew.
             0x24 => {
                 self.base_count = value & self.mask;
-                for ch in 0..self.channels {
+                for ch in 0..CHANNELS {
                     self.pwm_level(ch);
                 }
             }
@@ -557,7 +558,7 @@ impl Tim {
 
     /// EGR: events made by software.
     fn generate(&mut self, value: u32, now: SimTime) {
-        for ch in 0..self.channels {
+        for ch in 0..CHANNELS {
             if value & (2 << ch) != 0 {
                 if self.channel(ch) == Channel::Output {
                     self.flag(ch);

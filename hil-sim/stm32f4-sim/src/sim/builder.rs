@@ -211,7 +211,7 @@ impl SimBuilder {
     /// If the ELF cannot be used, the I2C bus is wired to pins that are not I2C1's, or an
     /// output of the chip does not reach what a model takes as high.
     pub fn build(self) -> Result<Sim, SimError> {
-        let firmware = Firmware::load(&self.elf).map_err(|e| e.with_hint(self.missing_hint))?;
+        let firmware = Firmware::load(&self.elf, self.missing_hint).map_err(SimError::Firmware)?;
         if let Some(I2cWires { scl, sda }) = self.chip.i2c
             && !(I2C1_SCL.contains(&scl) && I2C1_SDA.contains(&sda))
         {

@@ -3,7 +3,6 @@
 use super::{ResetCause, Sim};
 use crate::backtrace;
 use crate::chip::rules::End;
-use crate::firmware::FirmwareError;
 use crate::i2c::lock;
 use crate::rtt::LogLine;
 use crate::time::{SimDuration, SimTime};
@@ -78,8 +77,8 @@ impl core::fmt::Display for Failure {
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     /// The ELF cannot be used.
-    #[error(transparent)]
-    Firmware(#[from] FirmwareError),
+    #[error("{0}")]
+    Firmware(String),
     /// The board cannot be set up.
     #[error("the simulated board cannot be set up: {0}")]
     Setup(String),

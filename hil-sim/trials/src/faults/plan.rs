@@ -186,7 +186,7 @@ impl Plan {
             })
             .collect();
         for _ in 0..random.bits() % 4 {
-            let fault = fitting[(random.bits() % fitting.len() as u64) as usize];
+            let fault = *random.one_of(&fitting);
             let again = faults
                 .iter()
                 .any(|f| *f == fault || f.is_reset() && fault.is_reset());

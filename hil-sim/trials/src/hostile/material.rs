@@ -6,7 +6,7 @@ use std::io::{Cursor, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use board::imu::Sample;
 use protocol::{ImuFlags, Output, Period, Pulse, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
@@ -17,7 +17,6 @@ use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use twist_sync::simulate::{self, TwistSpec};
 
 use super::bag::{self, Message};
-use super::{path, tool};
 
 #[path = "../../../../host/cli/tests/support/ros2_imu.rs"]
 mod ros2_imu;
@@ -66,10 +65,10 @@ impl Files {
     /// In a run's folder.
     #[must_use]
     pub fn in_folder(root: &Path) -> Self {
-        let work = path(root, "work");
+        let work = root.join("work");
         let recording = work.join("walk");
         Self {
-            bait: path(root, "bait"),
+            bait: root.join("bait"),
             mcap: recording.join(MCAP_FILE),
             bag: work.join("published.bag"),
             session: recording.join(recording::SESSION_FILE),
@@ -135,8 +134,9 @@ impl Material {
                 "yuv420p",
             ])
             .arg(&files.video)
-            .status();
-        tool("ffmpeg", made)?;
+            .status()
+            .context("running ffmpeg: install it")?;
+        ensure!(made.success(), "ffmpeg failed: {made}");
         write_depth(&files.depth)?;
         let messages = published(&twist.a);
         fs::write(&files.bag, bag::bag(&messages, bag::NOT_PACKED, 1))?;

@@ -19,16 +19,15 @@ mod mutate;
 mod opens;
 
 use std::collections::BTreeMap;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result};
 use smartdepthsync::outcome::ExitStatus;
 
 use crate::workers;
-use limits::Ended;
 use material::Material;
 use mutate::Draw;
 use rig::random::{Seed, Stream};
@@ -207,23 +206,17 @@ fn run(
             what,
         }))
     };
-    let Ended {
-        code,
-        how,
-        said,
-        peak,
-        took,
-        strays,
-    } = ended;
-    let said: String = said.chars().take(2_000).collect();
-    if !strays.is_empty() {
-        let strays = strays.join(", ");
+    let said: String = ended.said.chars().take(2_000).collect();
+    if !ended.strays.is_empty() {
+        let strays = ended.strays.join(", ");
         return finding(format!("opened outside of its folder: {strays}"));
     }
-    let Some(code) = code else {
+    let Some(code) = ended.code else {
         return finding(format!(
-            "{how}, after {took:.1?} with {} MB: {said}",
-            peak / 1_000_000
+            "{}, after {:.1?} with {} MB: {said}",
+            ended.how,
+            ended.took,
+            ended.peak / 1_000_000
         ));
     };
     let is_documented = ExitStatus::ALL
@@ -235,78 +228,63 @@ fn run(
     Ok(Ok(Verdict {
         command,
         exit_code: code,
-        peak,
-        took,
+        peak: ended.peak,
+        took: ended.took,
     }))
 }
 
 fn arguments(draw: &mut Draw<'_>, command: Command, files: &material::Files) -> Vec<OsString> {
-    let recording = || OsString::from(&files.recording);
-    let out = files.work.join("out");
-    let words = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
+    let words = |words: &[&dyn AsRef<OsStr>]| {
+        let words = words.iter().map(|word| word.as_ref().to_owned());
+        words.collect::<Vec<OsString>>()
+    };
+    let (recording, out) = (&files.recording, &files.work.join("out"));
+    let formats = ["euroc", "tum", "topics"];
     match command {
         Command::Extract => {
-            let format = *draw.one_of(&["euroc", "tum", "topics"]);
-            let mut all = words(&["extract", "--format", format, "--out"]);
-            all.extend([out.into(), recording()]);
-            all
+            let format = draw.one_of(&formats);
+            words(&[&"extract", &"--format", format, &"--out", out, recording])
         }
         Command::Bag => {
-            let format = *draw.one_of(&["euroc", "tum", "topics"]);
-            let mut all = words(&["extract", "--format", format, "--exposure-us", "4000"]);
-            all.extend(words(&["--readout-us", "11006", "--out"]));
-            all.extend([out.into(), files.bag.clone().into(), "--phone".into()]);
-            all.push(recording());
+            let format = draw.one_of(&formats);
+            let mut all = words(&[&"extract", &"--format", format, &"--exposure-us", &"4000"]);
+            all.extend(words(&[
+                &"--readout-us",
+                &"11006",
+                &"--out",
+                out,
+                &files.bag,
+            ]));
+            all.extend(words(&[&"--phone", recording]));
             all
         }
-        Command::Offset => {
-            let mut all = words(&["offset", "--mcu"]);
-            all.push(files.board_csv.clone().into());
-            all.push("--phone".into());
-            all.push(files.phone_csv.clone().into());
-            all
-        }
-        Command::Sync => {
-            let mut all = words(&["sync", "--write"]);
-            all.extend([out.into(), files.sqlite_bag.clone().into()]);
-            all.push(files.phone_csv.clone().into());
-            all
-        }
-        Command::Verify => vec!["verify".into(), recording()],
-        Command::Repair => vec!["repair".into(), recording(), out.into()],
-        Command::Report => vec!["report".into(), recording()],
-        Command::Evaluate => {
-            vec![
-                "evaluate".into(),
-                "precision".into(),
-                files.video.clone().into(),
-            ]
-        }
-        Command::Learn => {
-            let mut all = words(&["profile", "learn"]);
-            all.push(files.profile.clone().into());
-            all.push("--recording".into());
-            all.push(recording());
-            all.push("--timestamps".into());
-            all.push(files.timestamps.clone().into());
-            all
-        }
-        Command::Check => vec![
-            "profile".into(),
-            "check".into(),
-            files.profile.clone().into(),
-        ],
+        Command::Offset => words(&[
+            &"offset",
+            &"--mcu",
+            &files.board_csv,
+            &"--phone",
+            &files.phone_csv,
+        ]),
+        Command::Sync => words(&[
+            &"sync",
+            &"--write",
+            out,
+            &files.sqlite_bag,
+            &files.phone_csv,
+        ]),
+        Command::Verify => words(&[&"verify", recording]),
+        Command::Repair => words(&[&"repair", recording, out]),
+        Command::Report => words(&[&"report", recording]),
+        Command::Evaluate => words(&[&"evaluate", &"precision", &files.video]),
+        Command::Learn => words(&[
+            &"profile",
+            &"learn",
+            &files.profile,
+            &"--recording",
+            recording,
+            &"--timestamps",
+            &files.timestamps,
+        ]),
+        Command::Check => words(&[&"profile", &"check", &files.profile]),
     }
-}
-
-/// Makes sure that the tools of the campaign are there.
-fn tool(name: &str, made: std::io::Result<std::process::ExitStatus>) -> Result<()> {
-    let status = made.with_context(|| format!("running {name}: install it"))?;
-    ensure!(status.success(), "{name} failed: {status}");
-    Ok(())
-}
-
-/// A folder that is given as a path.
-fn path(folder: &Path, name: &str) -> PathBuf {
-    folder.join(name)
 }

@@ -74,12 +74,11 @@ impl<'a> Draw<'a> {
 
     /// A number below `end`; 0 if that is 0.
     pub(super) fn below(&mut self, end: usize) -> usize {
-        let end = u64::try_from(end.max(1)).unwrap_or(1);
-        usize::try_from(self.random.bits() % end).unwrap_or_default()
+        self.random.below(end)
     }
 
     pub(super) fn one_of<'b, T>(&mut self, all: &'b [T]) -> &'b T {
-        &all[self.below(all.len())]
+        self.random.one_of(all)
     }
 
     /// A name that leads to the bait, or does something to a terminal, or is long.
@@ -112,18 +111,13 @@ impl<'a> Draw<'a> {
 
 /// Mutates one of the files that a command reads; says what it did.
 pub(super) fn mutate(draw: &mut Draw<'_>, command: Command, files: &Files) -> Result<String> {
-    let video = [&files.video];
     match command {
         Command::Extract => match draw.below(8) {
             0 | 1 => session(draw, &files.session),
             2..=4 => mcap(draw, &files.mcap),
-            5 => {
-                let rows = [&files.gyro, &files.timestamps];
-                let file = *draw.one_of(&rows);
-                csv(draw, file)
-            }
+            5 => csv_of_phone(draw, files),
             6 => bytes(draw, &files.depth, true),
-            _ => video_file(draw, video[0]),
+            _ => video_file(draw, &files.video),
         },
         Command::Verify | Command::Repair | Command::Report => match draw.below(6) {
             0 | 1 => session(draw, &files.session),
@@ -131,11 +125,7 @@ pub(super) fn mutate(draw: &mut Draw<'_>, command: Command, files: &Files) -> Re
             _ => mcap(draw, &files.mcap),
         },
         Command::Bag => match draw.below(4) {
-            0 => {
-                let rows = [&files.gyro, &files.timestamps];
-                let file = *draw.one_of(&rows);
-                csv(draw, file)
-            }
+            0 => csv_of_phone(draw, files),
             _ => bag_file(draw, &files.bag),
         },
         Command::Offset => {
@@ -154,7 +144,7 @@ pub(super) fn mutate(draw: &mut Draw<'_>, command: Command, files: &Files) -> Re
         Command::Evaluate => match draw.below(3) {
             0 => session(draw, &files.session),
             1 => csv(draw, &files.timestamps),
-            _ => video_file(draw, video[0]),
+            _ => video_file(draw, &files.video),
         },
         Command::Learn => match draw.below(3) {
             0 => session(draw, &files.session),
@@ -196,6 +186,13 @@ fn session(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
     }
     fs::write(file, root.to_string())?;
     Ok(what)
+}
+
+/// Writes bytes over those from a place on, as far as there are any.
+fn overwrite(bytes: &mut [u8], from: usize, value: impl IntoIterator<Item = u8>) {
+    for (slot, byte) in bytes.iter_mut().skip(from).zip(value) {
+        *slot = byte;
+    }
 }
 
 fn collect(value: &Value, place: &mut String, leaves: &mut Vec<String>) {
@@ -240,10 +237,8 @@ fn mcap(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
     }
     let what = change(draw, &mut records);
     let mut inner = Vec::new();
-    for (opcode, body) in &records {
-        inner.push(*opcode);
-        inner.extend((body.len() as u64).to_le_bytes());
-        inner.extend(body);
+    for record in &records {
+        put(&mut inner, record);
     }
     let mut chunk = Vec::new();
     chunk.extend(0_u64.to_le_bytes());
@@ -254,11 +249,15 @@ fn mcap(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
     chunk.extend((inner.len() as u64).to_le_bytes());
     chunk.extend(inner);
     let mut out = b"\x89MCAP0\r\n".to_vec();
-    out.push(CHUNK);
-    out.extend((chunk.len() as u64).to_le_bytes());
-    out.extend(chunk);
+    put(&mut out, &(CHUNK, chunk));
     fs::write(file, out).context("writing the recording")?;
     Ok(what)
+}
+
+fn put(out: &mut Vec<u8>, (opcode, body): &Record) {
+    out.push(*opcode);
+    out.extend((body.len() as u64).to_le_bytes());
+    out.extend(body);
 }
 
 fn change(draw: &mut Draw<'_>, records: &mut Vec<Record>) -> String {
@@ -292,9 +291,7 @@ fn change(draw: &mut Draw<'_>, records: &mut Vec<Record>) -> String {
                 })
                 .collect::<Vec<_>>();
             for &i in &those {
-                for (slot, byte) in records[i].1.iter_mut().skip(place).zip(value) {
-                    *slot = byte;
-                }
+                overwrite(&mut records[i].1, place, value);
             }
             format!(
                 "{} messages of channel {channel:?}: byte {place} = {value:?}",
@@ -333,14 +330,7 @@ fn change(draw: &mut Draw<'_>, records: &mut Vec<Record>) -> String {
             let length = records[which].1.len();
             let claim = [whole as u32, length as u32 * 2, u32::MAX][draw.below(3)];
             let place = MESSAGE_HEAD + 4 + 4 * draw.below(length / 4);
-            for (slot, byte) in records[which]
-                .1
-                .iter_mut()
-                .skip(place)
-                .zip(claim.to_le_bytes())
-            {
-                *slot = byte;
-            }
+            overwrite(&mut records[which].1, place, claim.to_le_bytes());
             format!("message {which}: a length of {claim} at {place}")
         }
     }
@@ -380,8 +370,7 @@ fn bag_file(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
             let place = 4 * draw.below(length / 4);
             let all = draw.below(4) == 0;
             for &index in those.iter().filter(|&&index| all || index == which) {
-                let data = messages[index].data.iter_mut().skip(place);
-                data.zip(value).for_each(|(slot, byte)| *slot = byte);
+                overwrite(&mut messages[index].data, place, value);
             }
             format!(
                 "byte {place} of {} messages = {value:?}",
@@ -413,6 +402,13 @@ fn bag_file(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
     };
     fs::write(file, bag::bag(&messages, bag::NOT_PACKED, 1))?;
     Ok(format!("bag {topic}: {what}"))
+}
+
+/// One value of one of the phone's files of rows.
+fn csv_of_phone(draw: &mut Draw<'_>, files: &Files) -> Result<String> {
+    let rows = [&files.gyro, &files.timestamps];
+    let file = *draw.one_of(&rows);
+    csv(draw, file)
 }
 
 /// One value of a file of rows.
@@ -498,13 +494,7 @@ fn bytes(draw: &mut Draw<'_>, file: &Path, tags: bool) -> Result<String> {
     };
     let value = draw.one_of(&WHOLE).to_be_bytes();
     let count = draw.below(8) + 1;
-    for (slot, byte) in bytes
-        .iter_mut()
-        .skip(at)
-        .zip(value.into_iter().rev().take(count))
-    {
-        *slot = byte;
-    }
+    overwrite(&mut bytes, at, value.into_iter().rev().take(count));
     if draw.below(6) == 0 {
         bytes.truncate(draw.below(length));
     }
@@ -539,10 +529,7 @@ fn sqlite(draw: &mut Draw<'_>, file: &Path) -> Result<String> {
             let mut data: Vec<u8> = bag.query_row(find, [row], |row| row.get(0))?;
             let at = draw.below(data.len() / 8) * 8 + 4;
             let number = draw.one_of(&REAL).to_le_bytes();
-            data.iter_mut()
-                .skip(at)
-                .zip(number)
-                .for_each(|(slot, byte)| *slot = byte);
+            overwrite(&mut data, at, number);
             return bag.execute("UPDATE messages SET data = ?1 WHERE id = ?2", (data, row));
         }
         let set = format!(

@@ -11,11 +11,12 @@ use std::time::Duration;
 
 use protocol::{Decoder, DeviceToHost, MAX_FRAME, encode};
 use rig::pty::Pty;
+use rig::random::Random;
 use rustix::fs::OFlags;
 use serde_json::{Value, json};
 use stm32f4_sim::i2c::lock;
 
-use super::{Draw, Turn};
+use super::Turn;
 
 /// Kinds of messages; those that come once or decide something more often.
 const KINDS: [&str; 10] = [
@@ -53,23 +54,26 @@ enum What {
 /// What becomes of a message.
 pub type Change = fn(&DeviceToHost) -> Vec<DeviceToHost>;
 
-pub(super) fn draw(draw: &mut Draw) -> Vec<Lie> {
-    let count = draw.below(4) + 1;
+pub(super) fn draw(random: &mut Random) -> Vec<Lie> {
+    let count = random.below(4) + 1;
     (0..count)
         .map(|_| {
-            let extreme = draw.below(extremes().len());
-            let what = match draw.below(8) {
-                0..=4 => What::Field(draw.below(1_000), extreme),
+            let extreme = random.below(extremes().len());
+            let what = match random.below(8) {
+                0..=4 => What::Field(random.below(1_000), extreme),
                 5 => What::All(extreme),
-                6 => What::Repeat(draw.one_of(&[2, 50])),
-                _ => What::Answer(draw.one_of(&["WrongKey", "TriggerStopped", "SayHello"])),
+                6 => What::Repeat(*random.one_of(&[2, 50])),
+                _ => {
+                    let instead = *random.one_of(&["WrongKey", "TriggerStopped", "SayHello"]);
+                    What::Answer(instead)
+                }
             };
             let kind = if matches!(what, What::Answer(_)) {
                 "Answer"
             } else {
-                draw.one_of(&KINDS)
+                *random.one_of(&KINDS)
             };
-            let turn = draw.turn(&FIRSTS);
+            let turn = Turn::draw(random, &FIRSTS);
             Lie { kind, turn, what }
         })
         .collect()

@@ -89,18 +89,18 @@ pub fn campaign(
 ///
 /// Something was not as promised.
 pub fn run(seed: u64, programs: &Programs, folder: &Path) -> Result<Verdict, Finding> {
-    let mut draw = Draw(Seed(seed).stream(Stream::Test));
+    let mut random = Seed(seed).stream(Stream::Test);
     // The board, the phone, or both.
-    let who = draw.below(3);
+    let who = random.below(3);
     let board = if who == 1 {
         Vec::new()
     } else {
-        board::draw(&mut draw)
+        board::draw(&mut random)
     };
     let phone = if who == 0 {
         Vec::new()
     } else {
-        phone::draw(&mut draw)
+        phone::draw(&mut random)
     };
     let lies = format!("board: {board:?}; phone: {phone:?}");
     let place = folder.join(format!("lies-{seed}"));
@@ -232,28 +232,6 @@ fn frames_are_there(recording: &Path, sent: &[Vec<u8>]) -> Result<usize, String>
     })
 }
 
-/// What is drawn for a seed.
-struct Draw(Random);
-
-impl Draw {
-    /// A number below `end`; 0 if that is 0.
-    fn below(&mut self, end: usize) -> usize {
-        (self.0.bits() % (end as u64).max(1)) as usize
-    }
-
-    fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.below(all.len())]
-    }
-
-    /// From which message or answer of its kind on, and for how many.
-    fn turn(&mut self, firsts: &[u64]) -> Turn {
-        Turn {
-            from: self.one_of(firsts),
-            count: self.one_of(&[1, 1, 50, u64::MAX]),
-        }
-    }
-}
-
 /// Which messages or answers of a kind are changed.
 #[derive(Clone, Copy, Debug)]
 struct Turn {
@@ -262,6 +240,14 @@ struct Turn {
 }
 
 impl Turn {
+    /// From which message or answer of its kind on, and for how many.
+    fn draw(random: &mut Random, firsts: &[u64]) -> Self {
+        Self {
+            from: *random.one_of(firsts),
+            count: *random.one_of(&[1, 1, 50, u64::MAX]),
+        }
+    }
+
     const fn has(self, number: u64) -> bool {
         number >= self.from && number - self.from < self.count
     }

@@ -8,7 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::{Draw, Turn};
+use super::Turn;
+use rig::random::Random;
 
 /// Requests whose answers are texts.
 const REQUESTS: [&str; 3] = ["imu?", "video_start", "video_stop"];
@@ -56,19 +57,22 @@ enum What {
     Verdict(&'static str),
 }
 
-pub(super) fn draw(draw: &mut Draw) -> Vec<Lie> {
-    let count = draw.below(4) + 1;
+pub(super) fn draw(random: &mut Random) -> Vec<Lie> {
+    let count = random.below(4) + 1;
     (0..count)
         .map(|_| {
-            let number = draw.one_of(&NUMBERS);
-            let what = match draw.below(8) {
-                0..=3 => What::Number(draw.below(10_000), number),
-                4 | 5 => What::Numbers(draw.one_of(&[1, 2, 4, 7]), number),
-                6 => What::Line(draw.below(3_000), draw.one_of(&[0, 2, 5_000])),
-                _ => What::Verdict(draw.one_of(&["ERROR", "SUCCESS", ""])),
+            let number = *random.one_of(&NUMBERS);
+            let what = match random.below(8) {
+                0..=3 => What::Number(random.below(10_000), number),
+                4 | 5 => What::Numbers(*random.one_of(&[1, 2, 4, 7]), number),
+                6 => What::Line(random.below(3_000), *random.one_of(&[0, 2, 5_000])),
+                _ => {
+                    let instead = *random.one_of(&["ERROR", "SUCCESS", ""]);
+                    What::Verdict(instead)
+                }
             };
-            let request = draw.one_of(&REQUESTS);
-            let turn = draw.turn(&[0, 0, 1, 2]);
+            let request = *random.one_of(&REQUESTS);
+            let turn = Turn::draw(random, &[0, 0, 1, 2]);
             Lie {
                 request,
                 turn,

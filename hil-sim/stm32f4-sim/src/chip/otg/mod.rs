@@ -70,14 +70,7 @@ pub(crate) enum Handshake {
 }
 
 #[derive(Clone, Copy, Debug, Default)]
-struct InEndpoint {
-    ctl: u32,
-    int: u32,
-    siz: u32,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct OutEndpoint {
+struct Endpoint {
     ctl: u32,
     int: u32,
     siz: u32,
@@ -108,8 +101,8 @@ pub(crate) struct Otg {
     daintmsk: u32,
     diepempmsk: u32,
     pcgcctl: u32,
-    inep: [InEndpoint; ENDPOINTS],
-    outep: [OutEndpoint; ENDPOINTS],
+    inep: [Endpoint; ENDPOINTS],
+    outep: [Endpoint; ENDPOINTS],
     rx_status: VecDeque<RxEntry>,
     rx_data: VecDeque<u32>,
     rx_words: usize,
@@ -140,8 +133,8 @@ impl Otg {
             daintmsk: 0,
             diepempmsk: 0,
             pcgcctl: 0,
-            inep: [InEndpoint::default(); ENDPOINTS],
-            outep: [OutEndpoint::default(); ENDPOINTS],
+            inep: [Endpoint::default(); ENDPOINTS],
+            outep: [Endpoint::default(); ENDPOINTS],
             rx_status: VecDeque::new(),
             rx_data: VecDeque::new(),
             rx_words: 0,

@@ -112,7 +112,7 @@ struct Pair {
 impl Pair {
     fn new(wide: bool) -> Self {
         // rsemu's captures at once: no synchroniser.
-        let mut ours = Tim::new(wide, 4, false, 0);
+        let mut ours = Tim::new(wide, false, 0);
         ours.set_clock(Rate::hz(RATE_HZ), SimTime::ZERO);
         Self {
             ours,

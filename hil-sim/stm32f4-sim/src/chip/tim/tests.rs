@@ -14,7 +14,7 @@ fn running() -> Tim {
 }
 
 fn running_with(synchroniser: u64) -> Tim {
-    let mut t = Tim::new(true, 4, false, synchroniser);
+    let mut t = Tim::new(true, false, synchroniser);
     t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
     t.write(0x14, 1, at(0));
     t.write(0x10, 0, at(0));
@@ -156,7 +156,7 @@ fn wraps_and_flags_the_update() {
 
 #[test]
 fn prescaler_and_reload_take_effect_with_the_update_event() {
-    let mut t = Tim::new(false, 4, false, SYNC);
+    let mut t = Tim::new(false, false, SYNC);
     t.set_clock(Rate::hz(48_000_000), SimTime::ZERO);
     t.write(0x28, 47, at(0));
     t.write(0x2c, 999, at(0));
@@ -182,7 +182,7 @@ fn software_captures_too_and_flags_a_lost_one() {
 
 #[test]
 fn a_slave_starts_with_its_master() {
-    let mut slave = Tim::new(false, 4, true, SYNC);
+    let mut slave = Tim::new(false, true, SYNC);
     slave.set_clock(Rate::hz(96_000_000), SimTime::ZERO);
     assert_eq!(slave.awaits(), None);
     slave.write(0x08, 0x16, at(5)); // TS = ITR1, SMS = trigger mode

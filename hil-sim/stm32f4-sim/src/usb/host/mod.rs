@@ -407,27 +407,24 @@ impl UsbHost {
     fn step_once(&mut self, now: SimTime, otg: &mut Otg) -> bool {
         match self.phase {
             Phase::Unplugged | Phase::NoDevice | Phase::Failed => false,
-            Phase::Debounce { until } => {
-                if now < until {
-                    self.next = self.next.min(until);
-                    return false;
-                }
+            Phase::Debounce { until }
+            | Phase::Settle { until }
+            | Phase::Reset { until, .. }
+            | Phase::Rest { until, .. }
+                if now < until =>
+            {
+                self.next = self.next.min(until);
+                false
+            }
+            Phase::Debounce { .. } => {
                 self.reset(now, Step::Descriptor8, otg);
                 true
             }
-            Phase::Settle { until } => {
-                if now < until {
-                    self.next = self.next.min(until);
-                    return false;
-                }
+            Phase::Settle { .. } => {
                 self.reset(now, Step::SetAddress, otg);
                 true
             }
-            Phase::Reset { until, then } => {
-                if now < until {
-                    self.next = self.next.min(until);
-                    return false;
-                }
+            Phase::Reset { then, .. } => {
                 otg.enumerated();
                 self.origin = now;
                 self.phase = Phase::Rest {
@@ -436,11 +433,7 @@ impl UsbHost {
                 };
                 true
             }
-            Phase::Rest { until, then } => {
-                if now < until {
-                    self.next = self.next.min(until);
-                    return false;
-                }
+            Phase::Rest { then, .. } => {
                 self.bus_free = self.bus_free.max(now);
                 self.begin(then, now);
                 true
