@@ -1,8 +1,9 @@
 //! The depth camera's flashes as they happened, for whoever sees them.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use crate::oscillator::TrueTime;
+use stm32f4_sim::i2c::lock;
 
 /// One flash of infrared light, in true time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,19 +37,15 @@ impl FlashSource for Dark {
 pub struct FlashLog(Arc<Mutex<Vec<TrueFlash>>>);
 
 impl FlashLog {
-    fn lock(&self) -> MutexGuard<'_, Vec<TrueFlash>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Adds a flash, which must not begin before the one that was added last.
     pub fn push(&self, flash: TrueFlash) {
-        self.lock().push(flash);
+        lock(&self.0).push(flash);
     }
 }
 
 impl FlashSource for FlashLog {
     fn flashes(&self, from: TrueTime, to: TrueTime) -> Vec<TrueFlash> {
-        let all = self.lock();
+        let all = lock(&self.0);
         let begin = all.partition_point(|f| f.end <= from);
         all.iter()
             .skip(begin)

@@ -25,12 +25,13 @@
 //! The warming ([`Warming`]): from power-on on the frequency moves to another one, fast at
 //! first and then ever more slowly, as the temperature of a rig does.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 
 use crate::random::Random;
 use stm32f4_sim::clock::Rate;
+use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 
 /// True time since power-on of the rig, in units of [`UNITS_PER_SECOND`].
@@ -213,17 +214,13 @@ impl Oscillator {
         self.config
     }
 
-    fn track(&self) -> std::sync::MutexGuard<'_, Track> {
-        self.track.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Units that the clock has counted at `at` since power-on, without its offset.
     /// The count stands still after 70 hours of true time.
     #[must_use]
     pub fn elapsed_at(&self, at: TrueTime) -> u64 {
         let at = at.0.min(HORIZON);
         let (second, within) = (at / UNITS_PER_SECOND, at % UNITS_PER_SECOND);
-        let (base, length) = self.track().second(second as usize);
+        let (base, length) = lock(&self.track).second(second as usize);
         let part = u128::from(within) * u128::from(length) / u128::from(UNITS_PER_SECOND);
         base + part as u64
     }
@@ -236,7 +233,7 @@ impl Oscillator {
         if local > HORIZON / 10 * 9 {
             return TrueTime::NEVER;
         }
-        let mut track = self.track();
+        let mut track = lock(&self.track);
         let second = track.find(local);
         let (base, length) = track.second(second);
         let part =
@@ -287,7 +284,7 @@ impl Oscillator {
     #[must_use]
     pub fn fraction_at(&self, at: TrueTime) -> f64 {
         let second = at.0.min(HORIZON) / UNITS_PER_SECOND;
-        let (_, length) = self.track().second(second as usize);
+        let (_, length) = lock(&self.track).second(second as usize);
         length as f64 / UNITS_PER_SECOND as f64 - 1.0
     }
 }

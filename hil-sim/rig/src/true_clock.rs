@@ -14,6 +14,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::oscillator::{BoardTime, TrueTime};
+use stm32f4_sim::i2c::lock;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::time::{SimDuration, SimTime};
@@ -43,7 +44,7 @@ struct Waiting {
 
 impl Shared {
     fn waiting(&self) -> MutexGuard<'_, Waiting> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.waiting)
     }
 
     fn note_next(&self, waiting: &Waiting) {

@@ -7,7 +7,7 @@
 use std::io::{Read as _, Write as _};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use phone_agent::{Answer, QUESTION, read_question};
@@ -16,6 +16,7 @@ use super::app::App;
 use crate::link_delay::{Link, LinkBeliefs};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
+use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::SimDuration;
 
 /// Tells the clocks until it is dropped.
@@ -56,7 +57,7 @@ impl ClockTeller {
 impl Drop for ClockTeller {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::SeqCst);
-        if let Some(stream) = &*self.open.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(stream) = &*lock(&self.open) {
             let _ = stream.shutdown(Shutdown::Both);
         }
         // Whoever waits for a connection gets one.
@@ -76,7 +77,7 @@ fn serve(
 ) {
     for stream in listener.incoming() {
         if let Ok(stream) = &stream {
-            *open.lock().unwrap_or_else(PoisonError::into_inner) = stream.try_clone().ok();
+            *lock(open) = stream.try_clone().ok();
         }
         // Looked at behind that: whoever stops it shuts what is open by then.
         if stop.load(Ordering::SeqCst) {

@@ -110,10 +110,6 @@ pub struct StreamFaults {
     pub late_every: Option<u32>,
     /// By how much that timestamp is wrong, nanoseconds.
     pub late_by_ns: i64,
-    /// A sawtooth on the timestamps: from 0 to `sawtooth_ns` over so many samples.
-    pub sawtooth_every: Option<u32>,
-    /// Height of the sawtooth, nanoseconds.
-    pub sawtooth_ns: i64,
     /// Share of samples that are missing, 0 to 1.
     pub drop: f64,
 }

@@ -2,13 +2,14 @@
 
 use std::panic::AssertUnwindSafe;
 use std::path::PathBuf;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 
 use super::app::{App, Recorder, Recording, State, VideoTruth};
 use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
 use crate::oscillator::TrueTime;
+use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
 /// A press of the record button so soon after a start is ignored, in milliseconds
@@ -187,7 +188,7 @@ impl App {
 
     /// Makes the video's file unless it is there.
     pub(super) fn render(&self, recording: &Recording) -> Result<(), String> {
-        let _one_at_a_time = self.render.lock().unwrap_or_else(PoisonError::into_inner);
+        let _one_at_a_time = lock(&self.render);
         let path = recording.names.video();
         if path.exists() {
             return Ok(());

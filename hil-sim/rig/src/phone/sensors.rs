@@ -9,7 +9,7 @@
 //! the filtered noise of two samples on either side of a block's border is not
 //! correlated, once in some seconds.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -20,6 +20,7 @@ use crate::inertial_channel::{Channel, ChannelConfig};
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
+use stm32f4_sim::i2c::lock;
 
 /// Samples that share one stream of random numbers.
 const BLOCK: u64 = 2048;
@@ -203,10 +204,6 @@ impl Sensors {
             if is_turn(faults.late_every, n) {
                 stamp = stamp.saturating_add(faults.late_by_ns);
             }
-            if let Some(every) = faults.sawtooth_every.filter(|&e| e > 0) {
-                let part = (n % u64::from(every)) as f64 / f64::from(every);
-                stamp = stamp.saturating_add((part * faults.sawtooth_ns as f64) as i64);
-            }
             out.push((!lost).then_some(Sample {
                 time_ns: stamp,
                 values,
@@ -279,7 +276,7 @@ impl Heading {
 
     /// Integrates as far as `until` seconds.
     fn reach(&self, until: f64) {
-        let mut turned = self.turned.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut turned = lock(&self.turned);
         while (turned.len() as f64) * Self::STEP <= until {
             let at = (turned.len() - 1) as f64 * Self::STEP;
             let last = turned.last().copied().unwrap_or_default();
@@ -290,7 +287,7 @@ impl Heading {
     /// The Earth's field along the rig's axes at `t` seconds, µT.
     fn field(&self, t: f64) -> [f64; 3] {
         let (known, before) = {
-            let turned = self.turned.lock().unwrap_or_else(PoisonError::into_inner);
+            let turned = lock(&self.turned);
             let known = ((t.max(0.0) / Self::STEP) as usize).min(turned.len() - 1);
             (known, turned.get(known).copied().unwrap_or_default())
         };

@@ -27,11 +27,12 @@ use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use super::app::{App, Reply};
 use crate::oscillator::TrueTime;
+use stm32f4_sim::i2c::lock;
 
 /// Bytes of an answer that wait for the next one: less than a segment.
 const TAIL: usize = 1_024;
@@ -85,41 +86,29 @@ impl Link {
     /// The app is in the background: its server is to end, at the latest then unless it
     /// serves a client.
     pub(super) fn pause(&self, app: &App) {
-        *self.ending() = Some(app.in_ms(ACCEPT_MS));
+        *lock(&self.ending) = Some(app.in_ms(ACCEPT_MS));
     }
 
     /// The app is in the foreground again. Whether its new server got the port.
     pub(super) fn resume(&self) -> std::io::Result<bool> {
-        if self.listener().is_some() {
+        if lock(&self.listener).is_some() {
             return Ok(false);
         }
-        *self.ending() = None;
+        *lock(&self.ending) = None;
         self.join().map(|()| true)
-    }
-
-    fn ending(&self) -> MutexGuard<'_, Option<TrueTime>> {
-        self.ending.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The app's process has ended, or is opened anew.
     pub(super) fn forget_background(&self) {
-        *self.ending() = None;
+        *lock(&self.ending) = None;
     }
 
     pub(super) fn set_fault(&self, fault: Option<LinkFault>) {
-        *self.fault.lock().unwrap_or_else(PoisonError::into_inner) = fault;
+        *lock(&self.fault) = fault;
     }
 
     fn fault(&self) -> Option<LinkFault> {
-        *self.fault.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn client(&self) -> MutexGuard<'_, Option<TcpStream>> {
-        self.client.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn listener(&self) -> MutexGuard<'_, Option<TcpListener>> {
-        self.listener.lock().unwrap_or_else(PoisonError::into_inner)
+        *lock(&self.fault)
     }
 
     /// Listens on `port` of the loopback interface; 0 takes a free one.
@@ -141,13 +130,13 @@ impl Link {
 
     /// Leaves the network: connections end, new ones are refused.
     pub(super) fn leave(&self) {
-        self.listener().take();
+        lock(&self.listener).take();
         self.cut();
     }
 
     /// Comes back to the network, under the same address.
     pub(super) fn join(&self) -> std::io::Result<()> {
-        let mut listener = self.listener();
+        let mut listener = lock(&self.listener);
         if listener.is_none() {
             *listener = Some(listen(self.address)?);
         }
@@ -156,7 +145,7 @@ impl Link {
 
     /// Ends the connection with the client, if there is one.
     pub(super) fn cut(&self) {
-        if let Some(client) = self.client().take() {
+        if let Some(client) = lock(&self.client).take() {
             let _ = client.shutdown(Shutdown::Both);
         }
     }
@@ -172,19 +161,19 @@ fn listen(address: SocketAddr) -> std::io::Result<TcpListener> {
 /// Serves clients until the app closes.
 pub(super) fn serve(app: &Arc<App>, link: &Link) {
     while !app.closing.load(Ordering::SeqCst) {
-        let ending = *link.ending();
+        let ending = *lock(&link.ending);
         if ending.is_some_and(|at| app.has_come(at)) {
-            link.listener().take();
+            lock(&link.listener).take();
         }
-        let accepted = link.listener().as_ref().map(TcpListener::accept);
+        let accepted = lock(&link.listener).as_ref().map(TcpListener::accept);
         match accepted {
             // Accepted by a server that is to end: closed at once.
-            Some(Ok(_)) if ending.is_some() => drop(link.listener().take()),
+            Some(Ok(_)) if ending.is_some() => drop(lock(&link.listener).take()),
             Some(Ok((stream, _))) => {
                 if stream.set_nonblocking(false).is_ok() {
-                    *link.client() = stream.try_clone().ok();
+                    *lock(&link.client) = stream.try_clone().ok();
                     Client::new(stream, app, link).serve();
-                    link.client().take();
+                    lock(&link.client).take();
                 }
             }
             _ => std::thread::sleep(POLL),
@@ -235,8 +224,8 @@ impl<'a> Client<'a> {
             if self.answer(&line).is_err() {
                 break;
             }
-            if self.link.ending().is_some() {
-                self.link.listener().take();
+            if lock(&self.link.ending).is_some() {
+                lock(&self.link.listener).take();
                 break;
             }
         }
