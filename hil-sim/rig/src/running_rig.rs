@@ -39,7 +39,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -56,18 +56,18 @@ use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::sim::{Sim, SimBuilder};
-use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
 /// Board time between two looks at the pseudo-terminal.
-const STEP: SimDuration = SimDuration::from_millis(1);
+pub(crate) const STEP: SimDuration = SimDuration::from_millis(1);
 
 /// Bytes that wait for the program at the other end before the host's driver
 /// stops asking the board for more, as an operating system does.
-const BUFFER: usize = 64 * 1024;
+pub(crate) const BUFFER: usize = 64 * 1024;
 
 /// Board time from power-on within which the serial port must be there.
-const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
+pub(crate) const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 
 /// Wall time for which the board stands still while the program reads slowly,
 /// or has not yet opened the port.
@@ -112,12 +112,6 @@ struct Noted {
     zero: Option<SimTime>,
     /// The board has been reset.
     reset: bool,
-}
-
-impl Shared {
-    fn noted(&self) -> MutexGuard<'_, Noted> {
-        self.noted.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 /// What is known about a run that nobody in it knew.
@@ -350,7 +344,7 @@ impl RunningRig {
         let mut phones = phones.into_iter();
         let (phone_clock, videos) = phones.next().unzip();
         ended?;
-        let noted = std::mem::take(&mut *self.shared.noted());
+        let noted = std::mem::take(&mut *lock(&self.shared.noted));
         Ok(RunTruth {
             parts: self.parts.clone(),
             depth: noted.depth,
@@ -426,8 +420,8 @@ impl Pacer {
 }
 
 /// The board's port as the host sees it.
-struct Port {
-    pty: Pty,
+pub(crate) struct Port {
+    pub(crate) pty: Pty,
     open: bool,
     /// From the board, not yet taken by the program.
     waiting: Vec<u8>,
@@ -436,17 +430,12 @@ struct Port {
 impl Runner {
     /// A pseudo-terminal under the rig's name for it.
     fn new_port(&self, rig: &mut Sim) -> Result<Port> {
-        rig.usb_open(false);
-        let pty = Pty::new().context("cannot make a pseudo-terminal")?;
+        let port = Port::new(rig)?;
         let _ = std::fs::remove_file(&self.link);
-        std::os::unix::fs::symlink(pty.path(), &self.link)
+        std::os::unix::fs::symlink(port.pty.path(), &self.link)
             .with_context(|| format!("cannot make {}", self.link.display()))?;
         self.shared.plugged.store(true, Ordering::SeqCst);
-        Ok(Port {
-            pty,
-            open: false,
-            waiting: Vec::new(),
-        })
+        Ok(port)
     }
 
     /// Powers the board on and runs it until its serial port is there, as it is
@@ -505,7 +494,7 @@ impl Runner {
                 Ok(Order::Corrupt(ppm)) => rig.usb_corrupt(ppm, 0),
                 Ok(Order::Speed(speed)) => pacer = Pacer::new(Some(speed), rig.now()),
                 Ok(Order::Reset) => {
-                    self.shared.noted().reset = true;
+                    lock(&self.shared.noted).reset = true;
                     rig.press_reset();
                 }
                 Err(TryRecvError::Empty) => {}
@@ -526,7 +515,7 @@ impl Runner {
     /// Takes what the models have noted, so that they keep little.
     fn note(&self, rig: &Sim) {
         self.shared.now.store(rig.now().units(), Ordering::Relaxed);
-        let mut noted = self.shared.noted();
+        let mut noted = lock(&self.shared.noted);
         // The count's zero is read off before its first wrap.
         if rig.now() < SimTime::from_nanos(60_000_000_000) && !noted.reset {
             noted.zero = zero_of(rig);
@@ -541,8 +530,18 @@ impl Runner {
 }
 
 impl Port {
+    /// A new one, that no program has opened.
+    pub(crate) fn new(rig: &mut Sim) -> Result<Self> {
+        rig.usb_open(false);
+        Ok(Self {
+            pty: Pty::new().context("cannot make a pseudo-terminal")?,
+            open: false,
+            waiting: Vec::new(),
+        })
+    }
+
     /// Moves bytes both ways; false if the program does not take its own.
-    fn move_bytes(&mut self, rig: &mut Sim) -> Result<bool> {
+    pub(crate) fn move_bytes(&mut self, rig: &mut Sim) -> Result<bool> {
         let open = self.pty.is_open()?;
         if open != self.open {
             self.open = open;
@@ -571,9 +570,9 @@ impl Port {
 
 /// When the board's tick count was zero, once the timer runs: its count now,
 /// taken off. Right only before the count's first wrap, after 89 s.
-fn zero_of(rig: &Sim) -> Option<SimTime> {
+pub(crate) fn zero_of(rig: &Sim) -> Option<SimTime> {
     let (at, count) = rig.timer(wiring::TIMEBASE);
-    let units = u64::from(count) * (UNITS_PER_SECOND / u64::from(protocol::TICK_HZ));
+    let units = u64::from(count) * wiring::UNITS_PER_TICK;
     (count > 0)
         .then(|| at.units().checked_sub(units))
         .flatten()

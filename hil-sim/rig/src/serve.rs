@@ -14,10 +14,9 @@ use crate::jumpers::Jumpers;
 use crate::motion::MotionSpec;
 use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
-use crate::pty::Pty;
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
-use crate::running_rig::Pacer;
+use crate::running_rig::{BOOT_LIMIT, BUFFER, Pacer, Port, STEP};
 use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
@@ -30,17 +29,10 @@ use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::vcd_trace::VcdTrace;
 
-/// Virtual time between two looks at the pseudo-terminal.
-const STEP: SimDuration = SimDuration::from_millis(1);
 /// Virtual time between two looks at what the models have noted.
 const NOTE_STEP: SimDuration = SimDuration::from_millis(100);
-/// Board time from power-on within which the serial port is there.
-const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 /// Wall time between two looks for a program that opens the port.
 const WAIT_STEP: Duration = Duration::from_millis(2);
-/// Bytes that wait for the program at the other end before the host stops
-/// asking the board for more, as an operating system does.
-const BUFFER: usize = 64 * 1024;
 
 /// Options of `serve`.
 #[derive(clap::Args)]
@@ -147,7 +139,7 @@ pub fn run(args: &Args) -> Result<()> {
         config.depth_camera = None;
     }
     let parts = config.build()?;
-    let mut builder = parts.wire(wiring::board_of(parts.config.board));
+    let mut builder = parts.wire(wiring::board_of(args.board, args.elf.as_deref()));
     if args.bring_up {
         let jumpers = Arc::new(Mutex::new(Jumpers::default()));
         builder = builder.model(Arc::clone(&jumpers));
@@ -162,9 +154,6 @@ pub fn run(args: &Args) -> Result<()> {
             Some(start_phone(args, &parts, &clock, port)?)
         }
     };
-    if let Some(elf) = &args.elf {
-        builder = builder.elf(elf);
-    }
     if !args.quiet {
         builder = builder.on_log(|line: &LogLine| eprintln!("{line}"));
     }
@@ -182,8 +171,8 @@ pub fn run(args: &Args) -> Result<()> {
         trace = Some(shared);
     }
     let mut rig = builder.build()?;
-    let pty = Pty::new().context("cannot make a pseudo-terminal")?;
-    println!("port: {}", pty.path().display());
+    let mut port = Port::new(&mut rig)?;
+    println!("port: {}", port.pty.path().display());
     if let Some(phone) = &phone {
         println!("phone: {}", phone.address());
     }
@@ -194,7 +183,7 @@ pub fn run(args: &Args) -> Result<()> {
             let text = owner_profile(&parts.config, phone)? + &table.recorder();
             std::fs::write(path, text)
                 .with_context(|| format!("cannot write {}", path.display()))?;
-            print!("{}", table.commands(pty.path(), path));
+            print!("{}", table.commands(port.pty.path(), path));
             Some(table)
         }
         _ => None,
@@ -215,7 +204,7 @@ pub fn run(args: &Args) -> Result<()> {
         }
     };
 
-    let result = pump(args, &mut rig, &pty, &stopped, |rig| {
+    let result = pump(args, &mut rig, &mut port, &stopped, |rig| {
         match &mut truth {
             Some(truth) => truth.poll(rig)?,
             // Nobody wants it.
@@ -284,12 +273,11 @@ fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> R
 fn pump(
     args: &Args,
     rig: &mut Sim,
-    pty: &Pty,
+    port: &mut Port,
     stopped: &AtomicBool,
     mut note: impl FnMut(&mut Sim) -> Result<()>,
 ) -> Result<()> {
     rig.usb_set_buffer_limit(BUFFER);
-    rig.usb_open(false);
     let end = args
         .length
         .map(|d| SimTime::from_nanos(u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)));
@@ -297,43 +285,21 @@ fn pump(
     if args.wait_for_host {
         rig.run_until_usb_ready(BOOT_LIMIT)?;
     }
-    while args.wait_for_host && !pty.is_open()? && !stopped() {
+    while args.wait_for_host && !port.pty.is_open()? && !stopped() {
         std::thread::sleep(WAIT_STEP);
     }
     let speed = args.speed.or(args.realtime.then_some(1.0));
     let mut pacer = Pacer::new(speed, rig.now());
     let mut next_note = rig.now();
-    let mut open = false;
-    let mut waiting: Vec<u8> = Vec::new();
-    let mut buffer = [0; 4096];
     while end.is_none_or(|end| rig.now() < end) && !stopped() {
-        let is_open = pty.is_open()?;
-        if is_open != open {
-            open = is_open;
-            rig.usb_open(open);
-        }
-        // A serial port's driver takes a few kilobytes ahead of the device.
-        if rig.usb_unsent() < buffer.len() {
-            let n = pty.read(&mut buffer)?;
-            rig.usb_write(buffer.get(..n).unwrap_or(&[]));
-        }
+        // This board goes on while the program does not take its bytes.
+        port.move_bytes(rig)?;
+        pacer.wait(rig.now());
         rig.run_for(STEP)?;
         if rig.now() >= next_note {
             note(rig)?;
             next_note = rig.now() + NOTE_STEP;
         }
-        if waiting.is_empty() {
-            waiting = rig.usb_read();
-        }
-        if !waiting.is_empty() {
-            if open {
-                let n = pty.write(&waiting)?;
-                waiting.drain(..n);
-            } else {
-                waiting.clear();
-            }
-        }
-        pacer.wait(rig.now());
     }
     Ok(())
 }

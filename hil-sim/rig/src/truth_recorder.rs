@@ -7,17 +7,16 @@
 use std::io::Write;
 
 use crate::rig_config::RigParts;
+use crate::running_rig::zero_of;
 use crate::truth::{TruthError, TruthRecord, TruthWriter};
 use crate::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Level;
 use stm32f4_sim::sim::Sim;
-use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+use stm32f4_sim::time::{SimDuration, SimTime};
 
-/// Units of board time in one tick of the board's timer.
-const TICK: u64 = UNITS_PER_SECOND / protocol::TICK_HZ as u64;
-/// Board time from one wrap of its 32-bit counter to the next.
-const WRAP: u64 = TICK << 32;
+/// Board time from one wrap of the timer's 32-bit counter to the next.
+const WRAP: u64 = wiring::UNITS_PER_TICK << 32;
 /// How often the clocks are read.
 const CLOCKS: SimDuration = SimDuration::from_secs(1);
 
@@ -75,19 +74,13 @@ impl<W: Write> TruthRecorder<W> {
     /// Notes where the board's tick count is zero: after power-on, and anew
     /// after a reset.
     fn timebase(&mut self, rig: &Sim) -> Result<(), TruthError> {
-        let (at, count) = rig.timer(wiring::TIMEBASE);
-        if count == 0 {
-            return Ok(()); // not started yet
-        }
-        let since = u64::from(count) * TICK;
-        let Some(zero) = at.units().checked_sub(since) else {
+        let Some(zero) = zero_of(rig) else {
             return Ok(());
         };
         let goes_on = self
             .zero
-            .is_some_and(|before| zero.abs_diff(before.units()) % WRAP == 0);
+            .is_some_and(|before| zero.units().abs_diff(before.units()) % WRAP == 0);
         if !goes_on {
-            let zero = SimTime::from_units(zero);
             self.zero = Some(zero);
             self.writer.write(&TruthRecord::Timebase { zero })?;
         }

@@ -8,12 +8,16 @@ use serde::{Deserialize, Serialize};
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::sim::{Part, Sim, SimBuilder, Timer};
+use stm32f4_sim::time::UNITS_PER_SECOND;
 
 /// Environment variable that names the ELF which tests and tools use.
 pub(crate) const ELF_VARIABLE: &str = "SMARTDEPTHSYNC_FIRMWARE_ELF";
 
 /// The timer whose counter is the board's time.
 pub const TIMEBASE: Timer = Timer::Tim2;
+
+/// Virtual time in one of its ticks.
+pub const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / protocol::TICK_HZ as u64;
 
 /// Camera trigger (TIM2 CH1).
 pub const TRIGGER: Pin = Pin::PA5;
@@ -64,10 +68,11 @@ pub enum BoardKind {
     BlackPill,
 }
 
-/// A board of either kind with the product's firmware and nothing wired to it.
+/// A board of either kind with nothing wired to it; without an ELF it has the product's
+/// firmware.
 #[must_use]
-pub fn board_of(kind: BoardKind) -> SimBuilder {
-    match kind {
+pub fn board_of(kind: BoardKind, elf: Option<&Path>) -> SimBuilder {
+    let board = match kind {
         BoardKind::Discovery => board(),
         BoardKind::BlackPill => {
             let mut elf = default_elf().into_os_string();
@@ -77,6 +82,10 @@ pub fn board_of(kind: BoardKind) -> SimBuilder {
                 .part(Part::Stm32f411ce)
                 .crystal(Rate::hz(BLACK_PILL_CRYSTAL_HZ))
         }
+    };
+    match elf {
+        Some(elf) => board.elf(elf),
+        None => board,
     }
 }
 

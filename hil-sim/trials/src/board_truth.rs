@@ -12,29 +12,17 @@
 
 use std::collections::VecDeque;
 
-use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks};
+use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, Ticks};
 
 use rig::imu::{SampleRecord, SimImu};
-use rig::wiring;
+use rig::wiring::{self, UNITS_PER_TICK};
 use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
-use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
-
-/// Virtual time in one tick of the board.
-pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// How long after its data-ready edge a sample is read at the latest.
 const TRANSFER: SimDuration = SimDuration::from_millis(2);
-
-/// Something that the board did or said is not what it should be.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub(crate) struct Wrong(pub String);
-
-fn wrong<T>(text: String) -> Result<T, Wrong> {
-    Err(Wrong(text))
-}
 
 /// A train as it was started: edge `k` is `floor(first + k · period)`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -152,7 +140,7 @@ impl BoardTruth {
         rig: &mut Sim,
         sensor: &Shared<SimImu>,
         at: SimTime,
-    ) -> Result<(), Wrong> {
+    ) -> Result<(), String> {
         self.take_up_to(rig, sensor, at)?;
         self.zero = None;
         self.train = None;
@@ -173,7 +161,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// A pulse is not where the arithmetic has it.
-    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<SimImu>) -> Result<(), Wrong> {
+    pub(crate) fn take(&mut self, rig: &mut Sim, sensor: &Shared<SimImu>) -> Result<(), String> {
         self.take_up_to(rig, sensor, SimTime::NEVER)
     }
 
@@ -183,7 +171,7 @@ impl BoardTruth {
         rig: &mut Sim,
         sensor: &Shared<SimImu>,
         reset: SimTime,
-    ) -> Result<(), Wrong> {
+    ) -> Result<(), String> {
         for (pin, level, at) in rig.take_edges() {
             match (pin, level) {
                 (wiring::TRIGGER, _) if at >= reset => {}
@@ -199,15 +187,15 @@ impl BoardTruth {
         Ok(())
     }
 
-    fn rise(&mut self, at: SimTime) -> Result<(), Wrong> {
+    fn rise(&mut self, at: SimTime) -> Result<(), String> {
         let (Some(zero), Some(train)) = (self.zero, self.train) else {
-            return wrong(format!("a pulse at {at} that nobody started"));
+            return Err(format!("a pulse at {at} that nobody started"));
         };
         let expected = train.period.edge(train.first, self.made as i64);
         let due = zero + expected.0 * UNITS_PER_TICK;
         if at.units() != due {
             let off = at.units() as i128 - i128::from(due);
-            return wrong(format!(
+            return Err(format!(
                 "pulse {} at {at} is {} ticks off the arithmetic",
                 self.made,
                 off as f64 / UNITS_PER_TICK as f64
@@ -219,14 +207,14 @@ impl BoardTruth {
         Ok(())
     }
 
-    fn fall(&mut self, at: SimTime) -> Result<(), Wrong> {
+    fn fall(&mut self, at: SimTime) -> Result<(), String> {
         let (Some(rise), Some(train)) = (self.rise.take(), self.train) else {
-            return wrong(format!("the end of a pulse at {at} that never began"));
+            return Err(format!("the end of a pulse at {at} that never began"));
         };
         let high = at.since(rise).units();
         let expected = u64::from(train.width) * UNITS_PER_TICK;
         if high != expected {
-            return wrong(format!(
+            return Err(format!(
                 "the pulse at {rise} is {high} units long, not {expected}"
             ));
         }
@@ -238,7 +226,7 @@ impl BoardTruth {
     /// # Errors
     ///
     /// It is about something that did not happen, or not then, or not so.
-    pub(crate) fn message(&mut self, message: &DeviceToHost) -> Result<(), Wrong> {
+    pub(crate) fn message(&mut self, message: &DeviceToHost) -> Result<(), String> {
         match message {
             DeviceToHost::Pulse(pulse) if pulse.output.is_camera() => self.pulse(pulse),
             DeviceToHost::Imu(sample) => self.sample(sample),
@@ -247,17 +235,17 @@ impl BoardTruth {
         }
     }
 
-    fn pulse(&mut self, pulse: &Pulse) -> Result<(), Wrong> {
+    fn pulse(&mut self, pulse: &Pulse) -> Result<(), String> {
         let Some(train) = self.train else {
-            return wrong(format!("a pulse without a train: {pulse:?}"));
+            return Err(format!("a pulse without a train: {pulse:?}"));
         };
         let expected = train.period.edge(train.first, pulse.number as i64);
         if pulse.at != expected {
-            return wrong(format!("{pulse:?} should be at {expected:?}"));
+            return Err(format!("{pulse:?} should be at {expected:?}"));
         }
         // Where the edge of this number was at the pin has been compared.
         if pulse.number >= self.made {
-            return wrong(format!(
+            return Err(format!(
                 "{pulse:?} has no edge at the pin, which made {}",
                 self.made
             ));
@@ -266,18 +254,18 @@ impl BoardTruth {
         Ok(())
     }
 
-    fn sample(&mut self, sample: &ImuSample) -> Result<(), Wrong> {
+    fn sample(&mut self, sample: &ImuSample) -> Result<(), String> {
         let Some(zero) = self.zero else {
-            return wrong(format!("before any hello: {sample:?}"));
+            return Err(format!("before any hello: {sample:?}"));
         };
         loop {
             let Some(record) = self.ready.pop_front() else {
-                return wrong(format!("{sample:?} has no data-ready edge"));
+                return Err(format!("{sample:?} has no data-ready edge"));
             };
             let at = captured(record.at, zero);
             if at != sample.at.0 {
                 if at > sample.at.0 {
-                    return wrong(format!(
+                    return Err(format!(
                         "{sample:?} has no data-ready edge; the next is at tick {at}"
                     ));
                 }
@@ -297,25 +285,25 @@ impl BoardTruth {
                     self.compared.disturbed += 1;
                     return Ok(());
                 }
-                return wrong(format!("{sample:?} was {values:?} in the registers"));
+                return Err(format!("{sample:?} was {values:?} in the registers"));
             }
             self.compared.samples += 1;
             return Ok(());
         }
     }
 
-    fn capture(&mut self, capture: &Capture) -> Result<(), Wrong> {
+    fn capture(&mut self, capture: &Capture) -> Result<(), String> {
         let Some(zero) = self.zero else {
-            return wrong(format!("before any hello: {capture:?}"));
+            return Err(format!("before any hello: {capture:?}"));
         };
         loop {
             let Some((at, level)) = self.strobe.pop_front() else {
-                return wrong(format!("{capture:?} has no edge at the pin"));
+                return Err(format!("{capture:?} has no edge at the pin"));
             };
             let at = captured(at, zero);
             if at != capture.at.0 {
                 if at > capture.at.0 {
-                    return wrong(format!(
+                    return Err(format!(
                         "{capture:?} has no edge at the pin; the next is at tick {at}"
                     ));
                 }
@@ -324,7 +312,7 @@ impl BoardTruth {
             }
             let rises = capture.edge == Edge::Rising;
             if rises != level.is_high() && !capture.after_loss {
-                return wrong(format!("{capture:?} went to {level:?}"));
+                return Err(format!("{capture:?} went to {level:?}"));
             }
             self.compared.captures += 1;
             return Ok(());

@@ -3,7 +3,6 @@
 //! Test code, not a part of the simulator.
 
 pub mod beliefs;
-pub mod board_link;
 pub(crate) mod board_truth;
 pub mod demo;
 pub mod faults;
@@ -12,6 +11,7 @@ pub mod hostile;
 pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
+pub mod programs;
 pub mod tracking;
 pub mod whole_chain;
 mod workers;

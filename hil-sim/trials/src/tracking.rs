@@ -19,12 +19,12 @@ use rig::beliefs::{WANDER_PPM, WARMING_PPM, WARMING_S};
 use rig::link_delay::{Link, LinkBeliefs};
 use rig::oscillator::{Oscillator, OscillatorConfig, TrueTime, Warming};
 use rig::random::{Random, Seed, Stream, log_uniform};
+use rig::wiring::UNITS_PER_TICK;
 use stm32f4_sim::time::{SimDuration, UNITS_PER_SECOND};
 use timebase::{BoardSeconds, ClockModel, PhoneNanos, Wander};
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use crate::beliefs::{self, BeliefStudy, Figure, Kind, Specimen};
-use crate::board_truth::UNITS_PER_TICK;
 use crate::workers;
 
 /// Board and phone are asked so often, s; at times that scatter by half of it.

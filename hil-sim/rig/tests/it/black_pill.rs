@@ -12,7 +12,7 @@ use stm32f4_sim::sim::{Part, SimBuilder, SimError};
 use stm32f4_sim::time::SimDuration;
 
 fn black_pill() -> SimBuilder {
-    wiring::board_of(BoardKind::BlackPill)
+    wiring::board_of(BoardKind::BlackPill, None)
 }
 
 #[test]

@@ -23,7 +23,7 @@ use rig::oscillator::{BoardTime, Oscillator, TrueTime};
 use rig::phone::{FrameTimes, PhoneConfig, gyroscope_samples};
 use rig::random::{Seed, Stream};
 use rig::rig_config::{RigConfig, RigParts};
-use rig::wiring;
+use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::i2c::lock;
@@ -34,7 +34,6 @@ use timebase::{BoardSeconds, ClockModel, PhoneNanos, board_track, phone_track};
 use twist_sync::{Options, estimate_offset};
 
 use super::Figure;
-use crate::board_truth::UNITS_PER_TICK;
 
 /// Length of a twist, and how much longer the board listens, seconds.
 const TWIST_S: f64 = 9.0;

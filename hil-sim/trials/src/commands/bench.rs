@@ -8,20 +8,20 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use protocol::{
-    Baud, DeviceToHost, GnssSettings, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period,
-    SendFiller, Sentences, StartGnss, StartTrigger, StopTrigger, TICK_HZ, TriggerStart,
+    Baud, GnssSettings, MIN_OUTPUT_WIDTH, MIN_PULSE_WIDTH, Output, Period, SendFiller, Sentences,
+    StartGnss, StartTrigger, StopTrigger, TICK_HZ, TriggerStart,
 };
-use rig::depth_camera::{DepthCamera, DepthCameraConfig};
-use rig::imu::{SimImu, SimImuConfig};
-use rig::motion::Motion;
-use rig::oscillator::{BoardTime, OscillatorConfig};
-use rig::random::{Seed, Stream};
-use rig::wiring;
+use rig::depth_camera::DepthCameraConfig;
+use rig::oscillator::OscillatorConfig;
+use rig::random::Seed;
+use rig::rig_config::RigConfig;
+use rig::wiring::{self, BoardKind};
 use serde::Serialize;
 use stm32f4_sim::cpu::{CpuStats, IrqStats};
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::SimDuration;
-use trials::board_link::BoardLink;
+
+use super::board_link::BoardLink;
 
 /// Options of `bench`.
 #[derive(clap::Args)]
@@ -138,17 +138,12 @@ pub(crate) fn run(args: &Args) -> Result<()> {
 }
 
 fn builder(args: &Args) -> SimBuilder {
-    let builder = wiring::board().seed(SEED);
-    match &args.elf {
-        Some(elf) => builder.elf(elf),
-        None => builder,
-    }
+    wiring::board_of(BoardKind::default(), args.elf.as_deref()).seed(SEED)
 }
 
 fn measure(args: &Args) -> Result<Figures> {
     let mut rig = builder(args).build()?;
-    let mut link = BoardLink::new();
-    link.hello(&mut rig, SimDuration::from_secs(5))?;
+    let mut link = BoardLink::open(&mut rig)?;
     let hello_ms = rig.now().as_secs_f64() * 1e3;
     let attach_ms = rig
         .usb_log()
@@ -180,22 +175,13 @@ fn measure(args: &Args) -> Result<Figures> {
     )?);
 
     // The whole rig: IMU at 500 Hz, trigger and camera at 30 fps.
-    let board = BoardTime::new(OscillatorConfig::default(), SEED.stream(Stream::BoardClock));
-    let imu = SimImu::new(
-        SimImuConfig::typical(SEED),
-        Motion::rest(),
-        board.clone(),
-        SEED,
-    )
-    .shared();
-    let camera = DepthCamera::new(DepthCameraConfig::default(), board, SEED)?;
-    let mut rig = builder(args)
-        .model(imu.clone())
-        .i2c_target(imu)
-        .model(camera)
-        .build()?;
-    let mut link = BoardLink::new();
-    link.hello(&mut rig, SimDuration::from_secs(5))?;
+    let config = RigConfig {
+        board_clock: OscillatorConfig::default(),
+        depth_camera: Some(DepthCameraConfig::default()),
+        ..RigConfig::published(SEED)
+    };
+    let mut rig = config.build()?.wire(builder(args)).build()?;
+    let mut link = BoardLink::open(&mut rig)?;
     rig.run_for(SimDuration::from_secs(1))?;
     figures.loads.push(load(IMU, &mut rig, &mut link, 20)?);
     let period = Period::from_ticks(TICK_HZ / 30);
@@ -281,11 +267,7 @@ fn load(name: &'static str, rig: &mut Sim, link: &mut BoardLink, seconds: u64) -
     let mut statuses = Vec::new();
     for _ in 0..seconds * 20 {
         rig.run_for(SimDuration::from_millis(50))?;
-        link.receive(rig);
-        statuses.extend(link.take().into_iter().filter_map(|message| match message {
-            DeviceToHost::Status(status) => Some(status),
-            _ => None,
-        }));
+        statuses.extend(link.take_statuses(rig));
     }
     let wall = begun.elapsed().as_secs_f64();
     if (statuses.len() as u64) + 1 < seconds {

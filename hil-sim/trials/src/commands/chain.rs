@@ -9,7 +9,7 @@ use serde::Serialize;
 use stm32f4_sim::time::SimDuration;
 use trials::beliefs::{self, BeliefOptions, Specimen};
 use trials::whole_chain::evaluation::EvaluationFigures;
-use trials::whole_chain::{Plan, Programs, believed, calibration, evaluation, extraction};
+use trials::whole_chain::{Plan, believed, calibration, evaluation, extraction};
 
 /// Options of `chain`.
 #[derive(clap::Args)]
@@ -30,12 +30,8 @@ pub(crate) struct Args {
     /// Write the figures to this file, as JSON.
     #[arg(long, value_name = "FILE", global = true)]
     json: Option<PathBuf>,
-    /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE", global = true)]
-    elf: Option<PathBuf>,
-    /// The program that is checked; the `smartdepthsync` beside this one by default.
-    #[arg(long, value_name = "FILE", global = true)]
-    program: Option<PathBuf>,
+    #[command(flatten)]
+    sessions: super::Sessions,
     /// Virtual time passes at most so many times as fast as real time.
     #[arg(long, default_value_t = 20.0, value_parser = super::speed, global = true)]
     speed: f64,
@@ -89,11 +85,7 @@ enum What {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
-    let programs = Programs {
-        smartdepthsync: super::session_program(args.program.as_deref())?,
-        elf: args.elf.clone(),
-        speed: args.speed,
-    };
+    let programs = args.sessions.programs(args.speed)?;
     match &args.what {
         What::Extract { seconds } => {
             let plan = Plan {
@@ -174,11 +166,7 @@ impl Args {
 
     fn finish(&self, figures: &impl Serialize, table: &str, good: bool) -> Result<()> {
         print!("\n{table}");
-        if let Some(path) = &self.json {
-            let json = serde_json::to_string_pretty(figures)?;
-            std::fs::write(path, json + "\n")
-                .with_context(|| format!("cannot write {}", path.display()))?;
-        }
+        super::write_json(self.json.as_deref(), figures)?;
         if !good {
             bail!("outside the limits");
         }

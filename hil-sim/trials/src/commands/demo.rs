@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use trials::demo::stage::StageOptions;
 use trials::demo::{self, DEFAULT_SECONDS, DemoOptions, SECONDS};
-use trials::whole_chain::Programs;
 use trials::whole_chain::several::{self, SeveralPlan};
 
 /// Which rig is shown.
@@ -40,12 +39,8 @@ pub(crate) struct Args {
     /// Folder for the recording, the phone's files and the report.
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     out: PathBuf,
-    /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE")]
-    elf: Option<PathBuf>,
-    /// The program of the session; the `smartdepthsync` beside this one by default.
-    #[arg(long, value_name = "FILE")]
-    program: Option<PathBuf>,
+    #[command(flatten)]
+    sessions: super::Sessions,
     /// Virtual time passes at most so many times as fast as real time.
     #[arg(long, default_value_t = 15.0, value_parser = super::speed)]
     speed: f64,
@@ -59,9 +54,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         stage: StageOptions {
             seed: args.seed,
             out: args.out.clone(),
-            elf: args.elf.clone(),
-            program: super::session_program(args.program.as_deref())?,
-            speed: args.speed,
+            programs: args.sessions.programs(args.speed)?,
             quiet: false,
             recorder: Some(std::env::current_exe().context("where is this program?")?),
         },
@@ -73,25 +66,24 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     println!("recording  {}", done.recording.display());
     println!("data set   {}", done.data.folder.display());
     println!("report     {}", done.report.display());
-    if let Some(path) = &args.json {
-        let json = serde_json::to_string_pretty(&done.figures)?;
-        std::fs::write(path, json + "\n")
-            .with_context(|| format!("cannot write {}", path.display()))?;
-        println!("figures    {}", path.display());
-    }
+    write_json(args, &done.figures)?;
     if !done.data.figures.good() {
         anyhow::bail!("a time in the data set is outside its limit");
     }
     Ok(())
 }
 
+fn write_json(args: &Args, figures: &impl serde::Serialize) -> Result<()> {
+    super::write_json(args.json.as_deref(), figures)?;
+    if let Some(path) = &args.json {
+        println!("figures    {}", path.display());
+    }
+    Ok(())
+}
+
 /// Two phones, further cameras and a lidar: each extracted and judged.
 fn run_several(args: &Args) -> Result<()> {
-    let programs = Programs {
-        smartdepthsync: super::session_program(args.program.as_deref())?,
-        elf: args.elf.clone(),
-        speed: args.speed,
-    };
+    let programs = args.sessions.programs(args.speed)?;
     let plan = SeveralPlan {
         seed: args.seed,
         seconds: args.seconds,
@@ -105,12 +97,7 @@ fn run_several(args: &Args) -> Result<()> {
     println!("  report   {}", recording.join("report.html").display());
     println!("data set   {}", data.display());
     println!("  report   {}", data.join("report.html").display());
-    if let Some(path) = &args.json {
-        let json = serde_json::to_string_pretty(&figures)?;
-        std::fs::write(path, json + "\n")
-            .with_context(|| format!("cannot write {}", path.display()))?;
-        println!("figures    {}", path.display());
-    }
+    write_json(args, &figures)?;
     if !figures.good() {
         anyhow::bail!("a figure is outside its limit");
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use trials::faults::plan::Fault;
 use trials::faults::{Finding, Verdict, campaign};
 
@@ -48,16 +48,8 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     } else {
         table(&passed, &failed);
     }
-    if !failed.is_empty() {
-        let failing: Vec<String> = failed.iter().map(|f| f.plan.seed.to_string()).collect();
-        bail!(
-            "{} of {} seeds failed: {}; `cargo xtask faults --seed N --count 1` repeats one exactly",
-            failed.len(),
-            seeds.len(),
-            failing.join(", ")
-        );
-    }
-    Ok(())
+    let failed = failed.iter().map(|finding| finding.plan.seed);
+    args.campaign.seeds.fail_for("faults", failed)
 }
 
 fn table(passed: &[Verdict], failed: &[Finding]) {

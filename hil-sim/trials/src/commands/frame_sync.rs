@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use trials::beliefs::{self, BeliefOptions, Specimen, session};
 use trials::demo::frame_sync::{self, FrameSyncOptions};
 
@@ -46,12 +46,8 @@ pub(crate) struct Args {
     /// Keep the recordings (20 MB for ten minutes).
     #[arg(long)]
     keep: bool,
-    /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE")]
-    elf: Option<PathBuf>,
-    /// The program of the sessions; the `smartdepthsync` beside this one by default.
-    #[arg(long, value_name = "FILE")]
-    program: Option<PathBuf>,
+    #[command(flatten)]
+    sessions: super::Sessions,
     /// Virtual time passes at most so many times as fast as real time.
     #[arg(long, default_value_t = 30.0, value_parser = super::speed)]
     speed: f64,
@@ -79,15 +75,7 @@ fn over_beliefs(args: &Args) -> Result<()> {
         }
     });
     println!("\n{}", study.table());
-    write_json(args, &study)
-}
-
-fn write_json(args: &Args, what: &impl serde::Serialize) -> Result<()> {
-    let Some(path) = &args.json else {
-        return Ok(());
-    };
-    let json = serde_json::to_string_pretty(what)?;
-    std::fs::write(path, json + "\n").with_context(|| format!("cannot write {}", path.display()))
+    super::write_json(args.json.as_deref(), &study)
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
@@ -100,9 +88,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         seconds: args.seconds,
         jobs: args.jobs,
         out: args.out.clone(),
-        elf: args.elf.clone(),
-        program: super::session_program(args.program.as_deref())?,
-        speed: args.speed,
+        programs: args.sessions.programs(args.speed)?,
         keep: args.keep,
     };
     let result = frame_sync::run(&options, |fresh, learnt| {
@@ -116,7 +102,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         );
     });
     println!("\n{}", result.table());
-    write_json(args, &result)?;
+    super::write_json(args.json.as_deref(), &result)?;
     if !result.failed.is_empty() {
         bail!(
             "{} of {} rigs failed; the figures are those of the others",

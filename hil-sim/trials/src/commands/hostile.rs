@@ -1,6 +1,6 @@
 //! `hil-sim hostile`: the hostile campaign.
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use trials::hostile::campaign;
 
 /// Options of `hostile`.
@@ -14,8 +14,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let program = args.program.path()?;
-    let seeds = args.seeds.all();
-    let outcome = campaign(&program, &seeds, &|seed, result| match result {
+    let outcome = campaign(&program, &args.seeds.all(), &|seed, result| match result {
         Ok(verdict) => eprintln!(
             "passed {seed}: {:?} -> exit code {}, {} MB, {:.1} s",
             verdict.command,
@@ -47,14 +46,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         outcome.passed.len(),
         outcome.failed.len()
     );
-    if !outcome.failed.is_empty() {
-        let failing: Vec<String> = outcome.failed.iter().map(|f| f.seed.to_string()).collect();
-        bail!(
-            "{} of {} seeds failed: {}; `cargo xtask hostile --seed N --count 1` repeats one",
-            outcome.failed.len(),
-            seeds.len(),
-            failing.join(", ")
-        );
-    }
-    Ok(())
+    let failed = outcome.failed.iter().map(|finding| finding.seed);
+    args.seeds.fail_for("hostile", failed)
 }

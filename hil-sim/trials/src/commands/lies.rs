@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result};
 use trials::lies::campaign;
 
 /// Options of `lies`.
@@ -30,21 +30,14 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         frames += verdict.frames;
         *codes.entry(verdict.exit_code).or_default() += 1;
     }
-    let failed: Vec<String> = results
-        .iter()
-        .filter_map(|result| Some(result.as_ref().err()?.seed.to_string()))
-        .collect();
+    let findings = || results.iter().filter_map(|result| result.as_ref().err());
+    let failed = findings().count();
     println!(
         "{} sessions passed, {} failed: {told} messages and answers changed, {frames} frames compared; \
          exit codes {codes:?}",
-        results.len() - failed.len(),
-        failed.len()
+        results.len() - failed,
+        failed
     );
-    if !failed.is_empty() {
-        bail!(
-            "seeds that failed: {}; `cargo xtask lies --seed N --count 1` repeats one",
-            failed.join(", ")
-        );
-    }
-    Ok(())
+    let failed = findings().map(|finding| finding.seed);
+    args.campaign.seeds.fail_for("lies", failed)
 }

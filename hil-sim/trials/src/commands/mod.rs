@@ -1,6 +1,7 @@
 //! The commands of `hil-sim`.
 
 pub(crate) mod bench;
+mod board_link;
 pub(crate) mod chain;
 pub(crate) mod demo;
 pub(crate) mod faults;
@@ -13,32 +14,65 @@ pub(crate) mod track_study;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, Result, bail};
 pub(crate) use rig::serve::speed;
-use trials::whole_chain::Programs;
+use serde::Serialize;
+use trials::programs::Programs;
 
 /// Virtual time against real time in a campaign with the real program.
 const SPEED: f64 = 8.0;
 
-/// A campaign of sessions with the real program.
+/// Which program is under test.
 #[derive(clap::Args)]
-pub(crate) struct Campaign {
+pub(crate) struct Program {
+    /// The program under test; the `smartdepthsync` beside this one by default.
+    #[arg(long, value_name = "FILE", global = true)]
+    program: Option<PathBuf>,
+}
+
+impl Program {
+    pub(crate) fn path(&self) -> Result<PathBuf> {
+        match &self.program {
+            Some(program) => Ok(program.clone()),
+            None => Ok(std::env::current_exe()
+                .context("cannot find this program's folder")?
+                .with_file_name(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX))),
+        }
+    }
+}
+
+/// What runs in sessions on the simulated rig.
+#[derive(clap::Args)]
+pub(crate) struct Sessions {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", global = true)]
     elf: Option<PathBuf>,
     #[command(flatten)]
     program: Program,
+}
+
+impl Sessions {
+    pub(crate) fn programs(&self, speed: f64) -> Result<Programs> {
+        Ok(Programs {
+            smartdepthsync: self.program.path()?,
+            elf: self.elf.clone(),
+            speed,
+        })
+    }
+}
+
+/// A campaign of sessions with the real program.
+#[derive(clap::Args)]
+pub(crate) struct Campaign {
+    #[command(flatten)]
+    sessions: Sessions,
     #[command(flatten)]
     pub(crate) seeds: Seeds,
 }
 
 impl Campaign {
-    pub(crate) fn programs(&self) -> anyhow::Result<Programs> {
-        Ok(Programs {
-            smartdepthsync: self.program.path()?,
-            elf: self.elf.clone(),
-            speed: SPEED,
-        })
+    pub(crate) fn programs(&self) -> Result<Programs> {
+        self.sessions.programs(SPEED)
     }
 }
 
@@ -57,28 +91,27 @@ impl Seeds {
     pub(crate) fn all(&self) -> Vec<u64> {
         (self.seed..self.seed.saturating_add(self.count)).collect()
     }
-}
 
-/// Which program runs in a campaign.
-#[derive(clap::Args)]
-pub(crate) struct Program {
-    /// The program under test; the `smartdepthsync` beside this one by default.
-    #[arg(long, value_name = "FILE")]
-    program: Option<PathBuf>,
-}
-
-impl Program {
-    pub(crate) fn path(&self) -> anyhow::Result<PathBuf> {
-        session_program(self.program.as_deref())
+    /// Names the seeds of the campaign `name` that failed, if there are any.
+    pub(crate) fn fail_for(&self, name: &str, failed: impl Iterator<Item = u64>) -> Result<()> {
+        let failed: Vec<String> = failed.map(|seed| seed.to_string()).collect();
+        if failed.is_empty() {
+            return Ok(());
+        }
+        bail!(
+            "{} of {} seeds failed: {}; `cargo xtask {name} --seed N --count 1` repeats one",
+            failed.len(),
+            self.count,
+            failed.join(", ")
+        );
     }
 }
 
-/// The program of the sessions: the given one, or the one beside this.
-pub(crate) fn session_program(given: Option<&Path>) -> anyhow::Result<PathBuf> {
-    match given {
-        Some(program) => Ok(program.to_owned()),
-        None => Ok(std::env::current_exe()
-            .context("cannot find this program's folder")?
-            .with_file_name(format!("smartdepthsync{}", std::env::consts::EXE_SUFFIX))),
-    }
+/// Writes figures to a file, as JSON, where one is asked for.
+pub(crate) fn write_json(path: Option<&Path>, figures: &impl Serialize) -> Result<()> {
+    let Some(path) = path else {
+        return Ok(());
+    };
+    let json = serde_json::to_string_pretty(figures)?;
+    std::fs::write(path, json + "\n").with_context(|| format!("cannot write {}", path.display()))
 }

@@ -5,11 +5,11 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use recording::session_file::SessionFile;
 
 use super::judge::Truth;
+use crate::programs::Programs;
 use crate::whole_chain::extraction::{self, ExtractionFigures, table};
-use crate::whole_chain::{Programs, Recorded, ask, pulses};
+use crate::whole_chain::{Recorded, ask};
 use rig::k4a_mkv::device_us;
 
 /// A data set, and how right it is.
@@ -28,15 +28,15 @@ pub struct DataSet {
 /// # Errors
 ///
 /// The extraction fails, or a frame, a pulse or a pair is not the true one.
-pub fn make(mut truth: Truth, folder: &Path, phone: &Path, program: &Path) -> Result<DataSet> {
-    let programs = Programs {
-        smartdepthsync: program.to_owned(),
-        elf: None,
-        speed: 1.0,
-    };
+pub fn make(
+    mut truth: Truth,
+    folder: &Path,
+    phone: PathBuf,
+    programs: &Programs,
+) -> Result<DataSet> {
     // Another address of its report is wanted, now that nothing is missing any more.
-    ask(&programs, &["report"], &[folder])?;
-    let report = ask(&programs, &["extract", "--overwrite"], &[folder])?;
+    ask(programs, &["report"], &[folder])?;
+    let report = ask(programs, &["extract", "--overwrite"], &[folder])?;
     let name = folder.file_name().context("the recording has no name")?;
     let data = folder.with_file_name(format!("{}-euroc", name.to_string_lossy()));
 
@@ -55,17 +55,7 @@ pub fn make(mut truth: Truth, folder: &Path, phone: &Path, program: &Path) -> Re
         delivered.len(),
         truth.depth.len()
     );
-    let pulses = pulses(folder)?;
-    let recorded = Recorded {
-        folder: folder.to_owned(),
-        phone: phone.to_owned(),
-        depth: folder.join("depth.mkv"),
-        profile: PathBuf::new(),
-        session: SessionFile::load(folder)?,
-        base: truth.timebase.refined(&pulses, &truth.depth)?,
-        truth,
-        pulses,
-    };
+    let recorded = Recorded::of(folder.to_owned(), phone, PathBuf::new(), truth)?;
     let figures = extraction::judge(&recorded, &data, &report)?;
     let strip = data.join("sample_pairs.svg");
     let strip = std::fs::read_to_string(&strip)

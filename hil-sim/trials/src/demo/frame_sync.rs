@@ -17,6 +17,7 @@ use serde::Serialize;
 
 use super::judge::{TwistVerdict, Verdict};
 use super::stage::{Stage, StageOptions};
+use crate::programs::Programs;
 use crate::workers;
 
 /// What the paper reports for its rig (66.3 µs IQR and 61.6 µs SD of the phase
@@ -36,12 +37,8 @@ pub struct FrameSyncOptions {
     pub jobs: u32,
     /// Folder of the recordings.
     pub out: PathBuf,
-    /// The firmware's ELF; the one that was built last if not given.
-    pub elf: Option<PathBuf>,
-    /// The program `smartdepthsync`.
-    pub program: PathBuf,
-    /// At most so many times real time.
-    pub speed: f64,
+    /// What runs.
+    pub programs: Programs,
     /// Recordings are kept; otherwise they go as soon as they are judged.
     pub keep: bool,
 }
@@ -250,9 +247,7 @@ fn launch(options: &FrameSyncOptions, seed: u64) -> Result<(Launch, Launch)> {
     let stage = Stage::start(StageOptions {
         seed,
         out: out.clone(),
-        elf: options.elf.clone(),
-        program: options.program.clone(),
-        speed: options.speed,
+        programs: options.programs.clone(),
         quiet: true,
         recorder: None,
     })?;

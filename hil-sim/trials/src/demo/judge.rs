@@ -188,8 +188,8 @@ fn zero_of(edge: SimTime, ticks: Ticks) -> Option<SimTime> {
     edge.units().checked_sub(units).map(SimTime::from_units)
 }
 
-/// Pulses and number of IMU samples of a recording.
-fn read_streams(folder: &Path) -> Result<(Vec<Ticks>, u64)> {
+/// All pulses of a recording, in order, and the number of its IMU samples.
+pub(crate) fn read_streams(folder: &Path) -> Result<(Vec<Ticks>, u64)> {
     let mut pulses = Vec::new();
     let mut samples = 0;
     for entry in Reader::open(folder)? {

@@ -13,13 +13,13 @@ pub mod stage;
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 
+use crate::programs::said;
 use judge::Verdict;
 use report::Figures;
 use stage::{Stage, StageOptions};
@@ -83,8 +83,8 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
     let before = taught
         .map(|recording| truth.judge(&recording))
         .transpose()?;
-    let program = &options.stage.program;
-    let data = data_set::make(truth, &recording, &phone, program).context("the data set")?;
+    let programs = &options.stage.programs;
+    let data = data_set::make(truth, &recording, phone, programs).context("the data set")?;
     let twist = twist_plot(options, &profile, &recording)?;
     let figures = Figures::new(
         &verdict,
@@ -132,7 +132,9 @@ fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result
     std::fs::write(&board, csv).with_context(|| format!("cannot write {}", board.display()))?;
     let plot = options.stage.out.join("twist.svg");
     let rig = recording::profile::Profile::load(profile)?;
-    let output = Command::new(&options.stage.program)
+    let programs = &options.stage.programs;
+    let mut command = programs.tool();
+    command
         .arg("offset")
         .arg("--mcu")
         .arg(&board)
@@ -141,16 +143,13 @@ fn twist_plot(options: &DemoOptions, profile: &Path, recording: &Path) -> Result
         .arg("--plot")
         .arg(&plot)
         .args(["--mcu-delay-us", &imu.scale.gyro_delay_us.to_string()])
-        .args(["--phone-delay-us", &rig.phone.gyro_delay_us.to_string()])
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| format!("cannot start {}", options.stage.program.display()))?;
-    if !output.status.success() {
-        bail!(
-            "the plot of the twist failed: {}",
-            String::from_utf8_lossy(&output.stderr).trim()
-        );
-    }
+        .args(["--phone-delay-us", &rig.phone.gyro_delay_us.to_string()]);
+    let output = programs.output(&mut command)?;
+    ensure!(
+        output.status.success(),
+        "the plot of the twist failed: {}",
+        said(&output)
+    );
     let svg = std::fs::read_to_string(&plot)
         .with_context(|| format!("cannot read {}", plot.display()))?;
     Ok(Some(svg))

@@ -10,17 +10,18 @@
 //! else it does has no part in the figures.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use anyhow::{Context, Result, anyhow, bail};
 
 use super::judge::Truth;
+use crate::programs::{Programs, said};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::running_rig::RunningRig;
 use rig::table::Table;
 use rig::wiring;
 use stm32f4_sim::time::SimTime;
@@ -32,12 +33,8 @@ pub struct StageOptions {
     pub seed: u64,
     /// Folder for recordings, the phone's files and the profile.
     pub out: PathBuf,
-    /// The firmware's ELF; the one that was built last if not given.
-    pub elf: Option<PathBuf>,
-    /// The program `smartdepthsync`.
-    pub program: PathBuf,
-    /// At most so many times real time.
-    pub speed: f64,
+    /// What runs.
+    pub programs: Programs,
     /// Sessions say nothing unless they fail.
     pub quiet: bool,
     /// The program `hil-sim`, whose depth recorder is used in front of a scene with
@@ -69,15 +66,9 @@ impl Stage {
         if options.recorder.is_some() {
             phone.camera.show_ball();
         }
-        let mut board = wiring::board();
-        if let Some(elf) = &options.elf {
-            board = board.elf(elf);
-        }
-        let pace = Pace {
-            speed: Some(options.speed),
-            wait_for_host: true,
-        };
-        let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
+        let programs = &options.programs;
+        let board = wiring::board_of(config.board, programs.elf.as_deref());
+        let rig = RunningRig::start(config, board, Some((phone, 0)), programs.pace())?;
         let profile = out.join("rig.toml");
         let mut text = rig.profile()?;
         let mut table = None;
@@ -122,7 +113,7 @@ impl Stage {
     /// The session fails, or finishes with loss.
     pub fn session(&self, name: &str, seconds: u32, arguments: &[&str]) -> Result<PathBuf> {
         let name = free_name(&self.options.out, name);
-        let mut command = Command::new(&self.options.program);
+        let mut command = self.options.programs.tool();
         command
             .arg("record")
             .arg("--port")
@@ -158,7 +149,7 @@ impl Stage {
             .map_err(|e| anyhow!("the simulated phone: {e}"))?;
         let videos = phone.videos();
         let video = videos.last().context("the phone has recorded no video")?;
-        let mut command = Command::new(&self.options.program);
+        let mut command = self.options.programs.tool();
         command
             .args(["profile", "learn"])
             .arg(&self.profile)
@@ -180,24 +171,15 @@ impl Stage {
 
     /// Runs a program to its end.
     fn run(&self, command: &mut Command) -> Result<()> {
-        command.stdin(Stdio::null());
-        let cannot = || {
-            format!(
-                "cannot start {}: build it with `cargo build --release -p smartdepthsync`",
-                self.options.program.display()
-            )
-        };
+        let programs = &self.options.programs;
         if self.options.quiet {
-            let output = command.output().with_context(cannot)?;
+            let output = programs.output(command)?;
             if !output.status.success() {
-                bail!(
-                    "{command:?} ended with {}: {}",
-                    output.status,
-                    String::from_utf8_lossy(&output.stderr).trim()
-                );
+                bail!("{command:?} ended with {}", said(&output));
             }
         } else {
-            let status = command.status().with_context(cannot)?;
+            let status = command.status();
+            let status = status.with_context(|| programs.cannot_start())?;
             if !status.success() {
                 bail!("{command:?} ended with {status}");
             }

@@ -10,7 +10,7 @@ use smartdepthsync::outcome::ExitStatus;
 use super::plan::{Fault, Plan};
 use super::scene::{Delivered, imu_is_well, time_of};
 use super::{Ended, TIME_OF_DAY, Verdict};
-use crate::board_truth::UNITS_PER_TICK;
+use rig::wiring::UNITS_PER_TICK;
 use stm32f4_sim::time::SimDuration;
 
 /// What a kill may cost, as the recording promises.

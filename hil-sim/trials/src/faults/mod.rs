@@ -61,11 +61,11 @@ use smartdepthsync::rig_profile::{Place, Source};
 use verify::watch::{Grid, Watch};
 
 use crate::board_truth::Train;
-pub use crate::whole_chain::Programs;
+use crate::programs::Programs;
 use crate::workers;
 use plan::Plan;
 use rig::random::Seed;
-use rig::wiring;
+use rig::wiring::{self, BoardKind};
 use scene::Report;
 use stage::Stage;
 
@@ -185,10 +185,7 @@ struct Ended {
 }
 
 fn session(plan: &Plan, elf: Option<&Path>, folder: &Path) -> Result<Ended, String> {
-    let mut builder = wiring::board();
-    if let Some(elf) = elf {
-        builder = builder.elf(elf);
-    }
+    let builder = wiring::board_of(BoardKind::default(), elf);
     let recording = folder.join(format!("seed-{}", plan.seed));
     let killed = folder.join(format!("seed-{}-killed", plan.seed));
     for place in [&recording, &killed] {

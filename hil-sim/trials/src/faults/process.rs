@@ -26,9 +26,10 @@ use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use smartdepthsync::outcome::ExitStatus;
 use verify::{Verdict as Checked, verify};
 
+use super::Verdict;
 use super::plan::{Event, Fault, Plan};
-use super::{Programs, Verdict};
-use crate::board_truth::{UNITS_PER_TICK, captured};
+use crate::board_truth::captured;
+use crate::programs::Programs;
 use rig::imu::SampleRecord;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -36,7 +37,7 @@ use rig::phone::{LinkFault, PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunTruth, RunningRig};
-use rig::wiring;
+use rig::wiring::{self, UNITS_PER_TICK};
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -199,13 +200,10 @@ pub(crate) fn start_rig(
     phone.camera.columns = 16;
     phone.camera.first_frame_ms = (20.0, 50.0);
     phone.storage = Some(place.join("phone"));
-    let mut board = wiring::board().tolerate_failures();
-    if let Some(elf) = &programs.elf {
-        board = board.elf(elf);
-    }
+    let board = wiring::board_of(config.board, programs.elf.as_deref()).tolerate_failures();
     let pace = Pace {
-        speed: Some(programs.speed),
         wait_for_host: false,
+        ..programs.pace()
     };
     RunningRig::start(config, board, Some((phone, 0)), pace).map_err(|error| format!("{error:#}"))
 }

@@ -315,7 +315,7 @@ impl Scene {
         if let Err(wrong) = self.truth.take(&mut self.rig, &self.sensor)
             && self.recording
         {
-            self.complain(wrong.0);
+            self.complain(wrong);
         }
         if self.open {
             self.pending.extend(self.rig.usb_read());
@@ -357,7 +357,7 @@ impl Scene {
         self.judge();
         self.run += 1;
         if let Err(wrong) = self.truth.restart(&mut self.rig, &self.sensor, at) {
-            self.complain(wrong.0);
+            self.complain(wrong);
         }
     }
 
@@ -394,7 +394,7 @@ impl Scene {
             _ => {}
         }
         if let Err(wrong) = self.truth.message(&message) {
-            self.complain(wrong.0);
+            self.complain(wrong);
         }
         if self.recording {
             self.report.delivered.push(Delivered {

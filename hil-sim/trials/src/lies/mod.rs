@@ -25,7 +25,7 @@ use smartdepthsync::outcome::ExitStatus;
 use verify::verify;
 
 use crate::faults::process::{Record, Session, start_rig, stop_phone};
-use crate::whole_chain::Programs;
+use crate::programs::Programs;
 use crate::workers;
 use rig::random::{Random, Seed, Stream};
 use rig::running_rig::RunningRig;

@@ -1,22 +1,24 @@
 //! The rig of a long run, the host's end of its link, and what is compared.
 
+use std::fmt::Display;
 use std::time::Duration;
 
+use anyhow::{Error, Result, anyhow};
 use board::{Conversation, Event, Stream as HostStream};
 use protocol::{
     Command, DeviceToHost, Output, Period, Request, SendFiller, StartTrigger, Status, StopTrigger,
     TICK_HZ, TriggerStart,
 };
 
-use super::{Growth, Interrupt, LongRunError, Options, Report};
-use crate::board_truth::{BoardTruth, Compared, Train, Wrong};
+use super::{Growth, Interrupt, Options, Report};
+use crate::board_truth::{BoardTruth, Compared, Train};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
-use rig::wiring;
+use rig::wiring::{self, BoardKind};
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
@@ -99,7 +101,7 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    pub(super) fn new(options: &Options) -> Result<Self, LongRunError> {
+    pub(super) fn new(options: &Options) -> Result<Self> {
         let seed = options.seed;
         let board = BoardTime::new(OscillatorConfig::default(), seed.stream(Stream::BoardClock));
         let motion = MotionSpec::always(Gesture::Walk).build(seed.stream(Stream::Motion))?;
@@ -110,15 +112,12 @@ impl Bench {
         };
         let camera = DepthCamera::new(config, board, seed)?;
         let camera = std::sync::Arc::new(std::sync::Mutex::new(camera));
-        let mut builder = wiring::board()
+        let mut rig = wiring::board_of(BoardKind::default(), options.elf.as_deref())
             .seed(seed)
             .model(sensor.clone())
             .i2c_target(sensor.clone())
-            .model(camera.clone());
-        if let Some(elf) = &options.elf {
-            builder = builder.elf(elf);
-        }
-        let mut rig = builder.build()?;
+            .model(camera.clone())
+            .build()?;
         let truth = BoardTruth::new();
         truth.watch(&mut rig);
         Ok(Self {
@@ -148,24 +147,17 @@ impl Bench {
         self.rig.now()
     }
 
-    pub(super) fn wrong(&self, what: String) -> LongRunError {
-        LongRunError::Wrong {
-            at: self.rig.now(),
-            what,
-        }
-    }
-
-    fn differs(&self, wrong: Wrong) -> LongRunError {
-        self.wrong(wrong.0)
+    fn wrong(&self, what: impl Display) -> Error {
+        anyhow!("after {} s of virtual time: {what}", self.rig.now())
     }
 
     /// Boots, waits for the IMU, starts the train.
-    pub(super) fn start(&mut self) -> Result<(), LongRunError> {
+    pub(super) fn start(&mut self) -> Result<()> {
         for _ in 0..2 * STEPS_A_SECOND {
             self.step()?;
         }
         let Some(period) = Period::from_picos(PERIOD_PICOS) else {
-            return Err(self.wrong("the period is out of range".to_owned()));
+            return Err(self.wrong("the period is out of range"));
         };
         let start = TriggerStart {
             period,
@@ -187,7 +179,7 @@ impl Bench {
         Ok(())
     }
 
-    pub(super) fn stop(&mut self) -> Result<(), LongRunError> {
+    pub(super) fn stop(&mut self) -> Result<()> {
         self.ask(StopTrigger(Output::Camera))?;
         for _ in 0..2 * STEPS_A_SECOND {
             self.step()?;
@@ -195,13 +187,13 @@ impl Bench {
         Ok(())
     }
 
-    pub(super) fn fill(&mut self, full: bool) -> Result<(), LongRunError> {
+    pub(super) fn fill(&mut self, full: bool) -> Result<()> {
         let bytes_per_second = if full { u32::MAX } else { 0 };
         self.ask(SendFiller { bytes_per_second })
     }
 
     /// Sends a command and runs on until it is answered.
-    fn ask<R: Request>(&mut self, command: R) -> Result<R::Reply, LongRunError> {
+    fn ask<R: Request>(&mut self, command: R) -> Result<R::Reply> {
         let now = Duration::from_nanos(self.rig.now().as_nanos());
         let command: Command = command.into();
         let what = format!("{command:?}");
@@ -224,20 +216,14 @@ impl Bench {
         Err(self.wrong(format!("{what} was not answered")))
     }
 
-    pub(super) fn step(&mut self) -> Result<(), LongRunError> {
+    pub(super) fn step(&mut self) -> Result<()> {
         self.rig.run_for(STEP)?;
-        self.truth
-            .take(&mut self.rig, &self.sensor)
-            .map_err(|wrong| LongRunError::Wrong {
-                at: self.rig.now(),
-                what: wrong.0,
-            })?;
         lock(&self.camera).take_frames();
         self.receive()
     }
 
     /// Takes what the board has sent through the host's side of the conversation.
-    fn receive(&mut self) -> Result<(), LongRunError> {
+    fn receive(&mut self) -> Result<()> {
         let bytes = self.rig.usb_read();
         self.conversation.receive(&bytes);
         let now = Duration::from_nanos(self.rig.now().as_nanos());
@@ -245,7 +231,7 @@ impl Bench {
         // What a message is about has happened before it was sent.
         self.truth
             .take(&mut self.rig, &self.sensor)
-            .map_err(|wrong| self.differs(wrong))?;
+            .map_err(|wrong| self.wrong(wrong))?;
         while let Some(event) = self.conversation.next_event() {
             match event {
                 Event::Message(message) => self.message(message)?,
@@ -256,18 +242,18 @@ impl Bench {
         Ok(())
     }
 
-    fn message(&mut self, message: DeviceToHost) -> Result<(), LongRunError> {
+    fn message(&mut self, message: DeviceToHost) -> Result<()> {
         if let DeviceToHost::Hello(hello) = &message {
             self.truth.begin(&self.rig, hello.now);
             self.firmware = hello.git_revision.to_string();
         }
         self.truth
             .message(&message)
-            .map_err(|wrong| self.differs(wrong))?;
+            .map_err(|wrong| self.wrong(wrong))?;
         let fields = &mut self.fields;
         match message {
             DeviceToHost::Pulse(pulse) if !pulse.output.is_camera() => {
-                return Err(self.wrong("an output that was not started".to_owned()));
+                return Err(self.wrong("an output that was not started"));
             }
             DeviceToHost::Pulse(pulse) => {
                 fields.pulse_at.see(pulse.at.0);
@@ -297,7 +283,7 @@ impl Bench {
                 self.status(status)?;
             }
             DeviceToHost::Pps(_) => {
-                return Err(self.wrong("an output that was not started".to_owned()));
+                return Err(self.wrong("an output that was not started"));
             }
             DeviceToHost::Hello(_) | DeviceToHost::Answer(_) | DeviceToHost::Arrived(_) => {}
         }
@@ -305,7 +291,7 @@ impl Bench {
     }
 
     /// A second apart, to a millisecond: sent by a task, not by a timer's edge.
-    fn status(&mut self, status: Status) -> Result<(), LongRunError> {
+    fn status(&mut self, status: Status) -> Result<()> {
         if let Some(before) = &self.status {
             let apart = status.at.0.saturating_sub(before.at.0);
             if apart.abs_diff(u64::from(TICK_HZ)) > u64::from(TICK_HZ) / 1000 {
@@ -331,9 +317,9 @@ impl Bench {
         self.status.as_ref().map_or(0, |status| status.stack_used)
     }
 
-    pub(super) fn report(&mut self, mut report: Report) -> Result<Report, LongRunError> {
+    pub(super) fn report(&mut self, mut report: Report) -> Result<Report> {
         let (Some(first), Some(last)) = (self.first_status.clone(), self.status.clone()) else {
-            return Err(self.wrong("no status came".to_owned()));
+            return Err(self.wrong("no status came"));
         };
         let compared = self.truth.compared();
         let counts = self.conversation.counts();

@@ -16,13 +16,11 @@ mod bench;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::{Result, ensure};
 use serde::Serialize;
 
 use bench::{Bench, STEPS_A_SECOND};
-use rig::depth_camera::DepthCameraError;
-use rig::motion::recorded::RecordingError;
 use rig::random::Seed;
-use stm32f4_sim::sim::SimError;
 use stm32f4_sim::time::SimTime;
 
 /// How much the resident memory may grow, in bytes: pages that the allocator
@@ -45,28 +43,6 @@ pub struct Options {
     pub strobe: bool,
     /// Virtual seconds of a slice with or without a full link.
     pub slice_s: u64,
-}
-
-/// Why a run ended early.
-#[derive(Debug, thiserror::Error)]
-pub enum LongRunError {
-    /// The firmware failed.
-    #[error(transparent)]
-    Rig(#[from] SimError),
-    /// The camera cannot be set up.
-    #[error(transparent)]
-    Camera(#[from] DepthCameraError),
-    /// The motion cannot be set up.
-    #[error(transparent)]
-    Motion(#[from] RecordingError),
-    /// Something differs.
-    #[error("after {at} s of virtual time: {what}")]
-    Wrong {
-        /// When.
-        at: SimTime,
-        /// What.
-        what: String,
-    },
 }
 
 /// Waits and runs of one interrupt, in microseconds.
@@ -101,7 +77,7 @@ pub struct Growth {
 
 /// What a run gave. Everything but wall time and memory is simulated, and the
 /// same on every machine.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
     /// The seed.
     pub seed: u64,
@@ -180,7 +156,7 @@ pub struct Progress {
 /// # Errors
 ///
 /// The firmware failed, or anything differs from what it should be.
-pub fn run(options: &Options, mut progress: impl FnMut(&Progress)) -> Result<Report, LongRunError> {
+pub fn run(options: &Options, mut progress: impl FnMut(&Progress)) -> Result<Report> {
     let mut bench = Bench::new(options)?;
     bench.start()?;
     let begun = Instant::now();
@@ -221,35 +197,19 @@ pub fn run(options: &Options, mut progress: impl FnMut(&Progress)) -> Result<Rep
     bench.stop()?;
     let report = bench.report(Report {
         seed: options.seed.0,
-        firmware: String::new(),
         virtual_s: options.seconds as f64,
         wall_s: begun.elapsed().as_secs_f64(),
         full_link_s,
         stack_used_early,
         resident,
-        pulses: 0,
-        pulses_reported: 0,
-        samples: 0,
-        captures: 0,
-        statuses: 0,
-        fillers: 0,
-        link_bytes: 0,
-        lost: 0,
-        wraps: 0,
-        growth: Vec::new(),
-        stack_used: 0,
-        stack_size: 0,
-        trigger_latency_us: 0.0,
-        worst_load_percent: 0.0,
-        interrupts: Vec::new(),
+        ..Report::default()
     })?;
-    if report.resident_growth() > GROWTH_ALLOWED {
-        return Err(bench.wrong(format!(
-            "the host's memory grew by {} bytes: {:?}",
-            report.resident_growth(),
-            report.resident
-        )));
-    }
+    ensure!(
+        report.resident_growth() <= GROWTH_ALLOWED,
+        "the host's memory grew by {} bytes: {:?}",
+        report.resident_growth(),
+        report.resident
+    );
     Ok(report)
 }
 

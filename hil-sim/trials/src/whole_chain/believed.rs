@@ -8,8 +8,9 @@ use anyhow::{Context, Result};
 use frame_sync::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
-use super::{Plan, Programs, evaluation, extraction, record};
+use super::{Plan, evaluation, extraction, record};
 use crate::beliefs::{Figure, Specimen};
+use crate::programs::Programs;
 
 /// The recording of so many seconds on a rig of the study.
 #[must_use]

@@ -8,7 +8,8 @@ use frame_sync::alignment::phase_sigma_us_at;
 use protocol::Ticks;
 use serde::Serialize;
 
-use super::{Plan, Programs, Recorded, ask, number, record};
+use super::{Plan, Recorded, ask, number, record};
+use crate::programs::Programs;
 use crate::whole_chain::evaluation::{Measured, bias, phase_at};
 use stm32f4_sim::time::SimDuration;
 

@@ -13,7 +13,8 @@ use recording::profile::Profile;
 use rig::depth_camera::{Family, FrameRecord};
 use rig::k4a_mkv::device_us;
 
-use super::{Programs, ask};
+use super::ask;
+use crate::programs::Programs;
 
 /// Size of an image.
 const SIZE: (u32, u32) = (16, 12);

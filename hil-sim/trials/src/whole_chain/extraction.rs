@@ -6,7 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 
-use super::{Plan, Programs, Recorded, ask, record};
+use super::{Plan, Recorded, ask, record};
+use crate::programs::Programs;
 use rig::depth_camera::{FrameRecord, Source};
 use rig::oscillator::Oscillator;
 use rig::phone::VideoTruth;

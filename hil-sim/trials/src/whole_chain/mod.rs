@@ -20,15 +20,14 @@ pub mod several;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
 
 use anyhow::{Context, Result, bail};
 use protocol::Ticks;
-use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
 use serde_json::Value;
 
-use crate::demo::judge::{Timebase, Truth};
+use crate::demo::judge::{Timebase, Truth, read_streams};
+use crate::programs::{Programs, said};
 use rig::beliefs::Beliefs;
 use rig::depth_camera::Family;
 use rig::imu::SensorModel;
@@ -40,7 +39,7 @@ use rig::owner_profile::owner_profile;
 use rig::phone::PhoneConfig;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::running_rig::RunningRig;
 use rig::wiring::{self, BoardKind};
 use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_NANO};
 
@@ -50,17 +49,6 @@ const TWIST_S: f64 = 45.0;
 /// Between two twists of a session, and how much longer it is twisted for each, seconds.
 const GAP_S: u32 = 20;
 const MORE_TWIST_S: f64 = 35.0;
-
-/// What all checks need.
-#[derive(Clone, Debug)]
-pub struct Programs {
-    /// The program `smartdepthsync`.
-    pub smartdepthsync: PathBuf,
-    /// The firmware's ELF; the one that was built last if not given.
-    pub elf: Option<PathBuf>,
-    /// At most so many times real time.
-    pub speed: f64,
-}
 
 /// One recording that is to be made.
 #[derive(Clone, Debug)]
@@ -145,8 +133,6 @@ pub struct Recorded {
     pub folder: PathBuf,
     /// Folder of the phone's files.
     pub phone: PathBuf,
-    /// The depth recording.
-    pub depth: PathBuf,
     /// The profile that it was made with.
     pub profile: PathBuf,
     /// What the session says.
@@ -160,11 +146,31 @@ pub struct Recorded {
 }
 
 impl Recorded {
+    /// What a session has left in `folder`.
+    pub(crate) fn of(
+        folder: PathBuf,
+        phone: PathBuf,
+        profile: PathBuf,
+        truth: Truth,
+    ) -> Result<Self> {
+        let (pulses, _) = read_streams(&folder)?;
+        Ok(Self {
+            session: SessionFile::load(&folder)?,
+            base: truth.timebase.refined(&pulses, &truth.depth)?,
+            folder,
+            phone,
+            profile,
+            truth,
+            pulses,
+        })
+    }
+
     /// Writes the depth recording of the frames in the truth, as small images that
     /// name their frame: what is in them is tested elsewhere.
     fn write_depth(&self) -> Result<()> {
-        let cannot = || format!("cannot write {}", self.depth.display());
-        let file = BufWriter::new(File::create(&self.depth).with_context(cannot)?);
+        let path = self.folder.join("depth.mkv");
+        let cannot = || format!("cannot write {}", path.display());
+        let file = BufWriter::new(File::create(&path).with_context(cannot)?);
         let frames = &self.truth.depth;
         k4a_mkv::write_frames(file, K4aSettings::small(), frames, |number, pixels| {
             for (index, pixel) in (0_u64..).zip(pixels.iter_mut()) {
@@ -211,15 +217,8 @@ fn attempt(plan: &Plan, programs: &Programs, out: &Path) -> Result<Recorded> {
     }
     let storage = run.join("phone");
     phone.storage = Some(storage.clone());
-    let mut board = wiring::board_of(plan.board);
-    if let Some(elf) = &programs.elf {
-        board = board.elf(elf);
-    }
-    let pace = Pace {
-        speed: Some(programs.speed),
-        wait_for_host: true,
-    };
-    let rig = RunningRig::start(config, board, Some((phone, 0)), pace)?;
+    let board = wiring::board_of(plan.board, programs.elf.as_deref());
+    let rig = RunningRig::start(config, board, Some((phone, 0)), programs.pace())?;
     let text = owner_profile(&known, rig.phone().context("the rig has no phone")?)?;
     let text = match &plan.profile {
         None => text + &cameras::profile_lines(plan.camera, programs, &run)?,
@@ -259,7 +258,8 @@ fn session(
 ) -> Result<Recorded> {
     let path = out.join("rig.toml");
     std::fs::write(&path, profile).with_context(|| format!("cannot write {}", path.display()))?;
-    let output = Command::new(&programs.smartdepthsync)
+    let mut command = programs.tool();
+    command
         .arg("record")
         .arg("--port")
         .arg(rig.port())
@@ -270,10 +270,8 @@ fn session(
         .args(["--name", "recording", "--yes", "--fetch-video"])
         .args(["--duration", &format!("{}s", length.seconds)])
         .args(["--twists", &length.twists.to_string()])
-        .args(["--twist-gap", &format!("{GAP_S}s")])
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| cannot_start(&programs.smartdepthsync))?;
+        .args(["--twist-gap", &format!("{GAP_S}s")]);
+    let output = programs.output(&mut command)?;
     if !output.status.success() {
         // A board that has died is the reason for whatever the session says.
         rig.stop().context("the simulated rig")?;
@@ -281,17 +279,7 @@ fn session(
     }
     let folder = out.join("recording");
     let truth = Truth::of(rig.stop().context("the simulated rig")?)?;
-    let pulses = pulses(&folder)?;
-    Ok(Recorded {
-        phone,
-        depth: folder.join("depth.mkv"),
-        profile: path,
-        session: SessionFile::load(&folder)?,
-        base: truth.timebase.refined(&pulses, &truth.depth)?,
-        folder,
-        truth,
-        pulses,
-    })
+    Recorded::of(folder, phone, path, truth)
 }
 
 /// The profile at `path` with the phone's address of the new profile: a phone is
@@ -312,49 +300,16 @@ fn moved(path: &Path, new: &str) -> Result<String> {
     Ok(text)
 }
 
-/// All pulses of a recording, in order.
-pub(crate) fn pulses(folder: &Path) -> Result<Vec<Ticks>> {
-    let mut pulses = Vec::new();
-    for entry in Reader::open(folder)? {
-        if let Item::Pulse(pulse) = entry?.item {
-            pulses.push(Ticks(pulse.ticks));
-        }
-    }
-    pulses.sort_unstable();
-    Ok(pulses)
-}
-
 /// Runs `smartdepthsync` with `--json` and gives what it prints. Exit code 4,
 /// finished with loss, is an answer too.
 pub(crate) fn ask(programs: &Programs, arguments: &[&str], paths: &[&Path]) -> Result<Value> {
-    let output = Command::new(&programs.smartdepthsync)
-        .arg("--json")
-        .args(arguments)
-        .args(paths)
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| cannot_start(&programs.smartdepthsync))?;
+    let mut command = programs.tool();
+    let output = programs.output(command.arg("--json").args(arguments).args(paths))?;
     if !matches!(output.status.code(), Some(0 | 4)) {
         bail!("smartdepthsync {arguments:?} failed: {}", said(&output));
     }
     serde_json::from_slice(&output.stdout)
         .with_context(|| format!("smartdepthsync {arguments:?} printed no JSON"))
-}
-
-fn cannot_start(program: &Path) -> String {
-    format!(
-        "cannot start {}: build it with `cargo build --release -p smartdepthsync`",
-        program.display()
-    )
-}
-
-fn said(output: &Output) -> String {
-    format!(
-        "{}: {}{}",
-        output.status,
-        String::from_utf8_lossy(&output.stdout).trim(),
-        String::from_utf8_lossy(&output.stderr).trim()
-    )
 }
 
 /// A number of a JSON answer.

@@ -14,8 +14,9 @@ use serde_json::Value;
 
 use super::extraction::{DEPTH_LIMIT_US, Errors, PHONE_LIMIT_US, depth_frames, phone_frames};
 use super::extraction::{table, whole};
-use super::{Length, Programs, Recorded, ask, session};
+use super::{Length, Recorded, ask, session};
 use crate::demo::judge::{OtherVerdict, Verdict};
+use crate::programs::Programs;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -23,7 +24,7 @@ use rig::phone::PhoneConfig;
 use rig::pin_log::PinLog;
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
-use rig::running_rig::{Pace, RunningRig};
+use rig::running_rig::RunningRig;
 use rig::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
@@ -234,17 +235,10 @@ pub fn run(
     });
     let lidar = Arc::new(Mutex::new(Lidar::new(LidarConfig::default())));
     let pins = Arc::new(Mutex::new(PinLog::new(&CAMERAS.map(|camera| camera.1))));
-    let mut board = wiring::board()
+    let board = wiring::board_of(config.board, programs.elf.as_deref())
         .model(Arc::clone(&lidar))
         .model(Arc::clone(&pins));
-    if let Some(elf) = &programs.elf {
-        board = board.elf(elf);
-    }
-    let pace = Pace {
-        speed: Some(programs.speed),
-        wait_for_host: true,
-    };
-    let rig = RunningRig::with_phones(config, board, phones.collect(), pace)?;
+    let rig = RunningRig::with_phones(config, board, phones.collect(), programs.pace())?;
     let profile = profile_of(&rig)?;
     tell(&format!(
         "recording {} s with two phones, four cameras and a lidar, and fetching the videos",

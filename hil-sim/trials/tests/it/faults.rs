@@ -4,7 +4,8 @@ use crate::support;
 use crate::turn;
 use rig::random::Seed;
 use trials::faults::plan::{Event, Fault, Plan};
-use trials::faults::{Programs, campaign, run, run_plan};
+use trials::faults::{campaign, run, run_plan};
+use trials::programs::Programs;
 
 fn programs() -> Programs {
     Programs {

@@ -8,9 +8,9 @@ use crate::turn;
 use crate::whole_rig::{OVERSHOOT_S, Session, WholeRig};
 use protocol::{DeviceToHost, ImuSample, TICK_HZ, TickDelta};
 use recording::session_file::SessionOutcome;
-use trials::faults::Programs;
 use trials::lies::board::{Change, Liar};
 use trials::lies::campaign;
+use trials::programs::Programs;
 
 /// Virtual time against real time.
 const SPEED: f64 = 10.0;

@@ -4,7 +4,7 @@
 
 use crate::support;
 use crate::turn;
-use trials::whole_chain::Programs;
+use trials::programs::Programs;
 use trials::whole_chain::several::{self, SeveralPlan};
 
 #[test]

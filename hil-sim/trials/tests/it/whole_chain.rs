@@ -20,7 +20,8 @@ use serde_json::Value;
 use stm32f4_sim::sim::INPUT_SYNCHRONISER;
 use stm32f4_sim::time::SimDuration;
 use trials::beliefs::{Kind, Specimen};
-use trials::whole_chain::{self, Plan, Programs, believed, calibration, evaluation, extraction};
+use trials::programs::Programs;
+use trials::whole_chain::{self, Plan, believed, calibration, evaluation, extraction};
 
 pub(crate) fn programs() -> Programs {
     Programs {

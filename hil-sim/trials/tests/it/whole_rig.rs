@@ -70,7 +70,7 @@ impl WholeRig {
             speed: Some(speed),
             wait_for_host: false,
         };
-        let board = wiring::board_of(config.board).tolerate_failures();
+        let board = wiring::board_of(config.board, None).tolerate_failures();
         let rig = RunningRig::with_phones(config, board, phones, pace).unwrap();
         Self { rig, folder }
     }

@@ -1,0 +1,58 @@
+//! The programs of a trial: the host tool under test and the firmware, and how they run.
+
+use std::path::PathBuf;
+use std::process::{Command, Output, Stdio};
+
+use anyhow::{Context, Result};
+use rig::running_rig::Pace;
+
+/// What all sessions need.
+#[derive(Clone, Debug)]
+pub struct Programs {
+    /// The program `smartdepthsync`.
+    pub smartdepthsync: PathBuf,
+    /// The firmware's ELF; the one that was built last if not given.
+    pub elf: Option<PathBuf>,
+    /// At most so many times real time.
+    pub speed: f64,
+}
+
+impl Programs {
+    /// The pace of a rig that waits for its first session.
+    pub(crate) fn pace(&self) -> Pace {
+        Pace {
+            speed: Some(self.speed),
+            wait_for_host: true,
+        }
+    }
+
+    /// `smartdepthsync`, with nobody at the keys.
+    pub(crate) fn tool(&self) -> Command {
+        let mut command = Command::new(&self.smartdepthsync);
+        command.stdin(Stdio::null());
+        command
+    }
+
+    /// Says why the program cannot be started.
+    pub(crate) fn cannot_start(&self) -> String {
+        format!(
+            "cannot start {}: build it with `cargo build --release -p smartdepthsync`",
+            self.smartdepthsync.display()
+        )
+    }
+
+    /// Runs a command of the program to its end, and keeps what it says.
+    pub(crate) fn output(&self, command: &mut Command) -> Result<Output> {
+        command.output().with_context(|| self.cannot_start())
+    }
+}
+
+/// How a program ended, and what it said.
+pub(crate) fn said(output: &Output) -> String {
+    format!(
+        "{}: {}{}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout).trim(),
+        String::from_utf8_lossy(&output.stderr).trim()
+    )
+}
