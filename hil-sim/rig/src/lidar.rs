@@ -14,6 +14,8 @@
 
 use std::collections::VecDeque;
 
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
 use serde::{Deserialize, Serialize};
 
 use crate::wiring;
@@ -213,19 +215,13 @@ fn checked(line: &str) -> Option<&str> {
 fn utc_of(body: &str) -> Option<i64> {
     let fields: Vec<&str> = body.split(',').collect();
     let (time, valid, date) = (fields.get(1)?, fields.get(2)?, fields.get(9)?);
-    let two = |text: &str, at: usize| text.get(at..at + 2)?.parse::<i64>().ok();
     if *valid != "A" {
         return None;
     }
-    let (hour, minute, second) = (two(time, 0)?, two(time, 2)?, two(time, 4)?);
-    let (day, month, year) = (two(date, 0)?, two(date, 2)?, 2000 + two(date, 4)?);
-    let leap = |year: i64| year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
-    let days_before = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334];
-    let of_months = *days_before.get(usize::try_from(month).ok()?.checked_sub(1)?)?;
-    let leap_day = i64::from(month > 2 && leap(year));
-    // 1970 to 2099: every fourth year is a leap year.
-    let days = (year - 1970) * 365 + (year - 1969) / 4 + of_months + leap_day + day - 1;
-    Some(days * 86_400 + hour * 3_600 + minute * 60 + second)
+    let (day, month, year) = (date.get(..2)?, date.get(2..4)?, date.get(4..6)?);
+    let told = format!("20{year}{month}{day}{}", time.get(..6)?);
+    let told = DateTime::strptime("%Y%m%d%H%M%S", told).ok()?;
+    Some(told.to_zoned(TimeZone::UTC).ok()?.timestamp().as_second())
 }
 
 impl PinModel for Lidar {

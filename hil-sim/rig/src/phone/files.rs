@@ -8,6 +8,8 @@
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use jiff::Timestamp;
+
 use super::config::StorageAccess;
 use super::java;
 use super::sensors::{Kind, Sample};
@@ -128,30 +130,11 @@ pub(super) fn csv_line(sample: &Sample) -> String {
     format!("{x},{y},{z},{}", sample.time_ns)
 }
 
-/// `yyyyMMdd_HHmmss` of a Unix time, UTC. The calendar is that of
-/// H. Hinnant's "chrono-compatible low-level date algorithms" (public domain).
+/// `yyyyMMdd_HHmmss` of a Unix time, UTC.
 fn date(unix: u64) -> String {
-    let (days, second) = (unix / 86_400, unix % 86_400);
-    let days = days + 719_468;
-    let era = days / 146_097;
-    let day_of_era = days % 146_097;
-    let year_of_era =
-        (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let shifted = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * shifted + 2) / 5 + 1;
-    let month = if shifted < 10 {
-        shifted + 3
-    } else {
-        shifted - 9
-    };
-    let year = year_of_era + era * 400 + u64::from(month <= 2);
-    format!(
-        "{year:04}{month:02}{day:02}_{:02}{:02}{:02}",
-        second / 3600,
-        second / 60 % 60,
-        second % 60
-    )
+    let time = i64::try_from(unix).map(Timestamp::from_second);
+    let time = time.ok().and_then(Result::ok).unwrap_or_default();
+    time.strftime("%Y%m%d_%H%M%S").to_string()
 }
 
 #[cfg(test)]
