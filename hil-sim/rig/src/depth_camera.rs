@@ -42,7 +42,7 @@ use std::sync::mpsc::Sender;
 
 use serde::{Deserialize, Serialize};
 
-pub use config::{DepthCameraConfig, DepthCameraError, DepthMode};
+pub use config::{DepthCameraConfig, DepthMode};
 pub use family::Family;
 
 use crate::flash_log::{FlashLog, TrueFlash};
@@ -141,11 +141,7 @@ impl DepthCamera {
     ///
     /// # Errors
     /// The configuration is none that such a camera has.
-    pub fn new(
-        config: DepthCameraConfig,
-        board: BoardTime,
-        seed: Seed,
-    ) -> Result<Self, DepthCameraError> {
+    pub fn new(config: DepthCameraConfig, board: BoardTime, seed: Seed) -> anyhow::Result<Self> {
         config.check()?;
         Ok(Self {
             clock: Oscillator::new(config.clock, seed.stream(Stream::CameraClock)),

@@ -5,12 +5,12 @@
 
 use std::sync::Arc;
 
+use anyhow::{Result, anyhow};
 use serde::{Deserialize, Serialize};
 
-use crate::depth_camera::{DepthCamera, DepthCameraConfig, DepthCameraError};
+use crate::depth_camera::{DepthCamera, DepthCameraConfig};
 use crate::flash_log::FlashLog;
 use crate::imu::{SensorModel, SimImu, SimImuConfig};
-use crate::motion::recorded::RecordingError;
 use crate::motion::{Motion, MotionSpec};
 use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use crate::random::{Seed, Stream};
@@ -35,17 +35,6 @@ pub struct RigConfig {
     pub imu: Option<SimImuConfig>,
     /// The depth camera on the trigger and strobe pins.
     pub depth_camera: Option<DepthCameraConfig>,
-}
-
-/// Why a rig cannot be built.
-#[derive(Debug, thiserror::Error)]
-pub enum RigConfigError {
-    /// The motion.
-    #[error(transparent)]
-    Motion(#[from] RecordingError),
-    /// The depth camera.
-    #[error("depth camera: {0}")]
-    DepthCamera(#[from] DepthCameraError),
 }
 
 impl RigConfig {
@@ -108,7 +97,7 @@ impl RigConfig {
     ///
     /// # Errors
     /// A motion file cannot be used, or a part has settings that it cannot have.
-    pub fn build(self) -> Result<RigParts, RigConfigError> {
+    pub fn build(self) -> Result<RigParts> {
         let seed = self.seed;
         let motion = self.motion.build(seed.stream(Stream::Motion))?;
         let board = BoardTime::new(self.board_clock, seed.stream(Stream::BoardClock));
@@ -119,8 +108,9 @@ impl RigConfig {
         let depth_camera = match self.depth_camera {
             None => None,
             Some(config) => {
-                let camera =
-                    DepthCamera::new(config, board.clone(), seed)?.with_flash_log(flashes.clone());
+                let camera = DepthCamera::new(config, board.clone(), seed)
+                    .map_err(|error| anyhow!("depth camera: {error}"))?;
+                let camera = camera.with_flash_log(flashes.clone());
                 Some(Arc::new(std::sync::Mutex::new(camera)))
             }
         };

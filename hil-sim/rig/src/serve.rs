@@ -266,7 +266,7 @@ fn start_phone(args: &Args, parts: &RigParts, clock: &TrueClock, port: u16) -> R
         motion: Arc::clone(&parts.motion),
         light: Arc::new(parts.flashes.clone()),
     };
-    Ok(SimPhone::start(config, surroundings, port)?)
+    SimPhone::start(config, surroundings, port)
 }
 
 /// Runs the board and moves bytes; calls `note` every now and then.

@@ -9,6 +9,7 @@
 
 use std::io::{BufRead, Write};
 
+use anyhow::{Context as _, Result, bail};
 use serde::{Deserialize, Serialize};
 
 use crate::depth_camera::{DepthCameraConfig, FrameRecord, TIMESTAMP_HZ};
@@ -137,28 +138,6 @@ impl From<SampleRecord> for TruthRecord {
     }
 }
 
-/// Why a truth file cannot be written or read.
-#[derive(Debug, thiserror::Error)]
-pub enum TruthError {
-    /// The file.
-    #[error("truth file: {0}")]
-    Io(#[from] std::io::Error),
-    /// A line is none of the known records.
-    #[error("truth file, line {line}: not a truth record of version {VERSION}: {source}")]
-    Line {
-        /// Counted from one.
-        line: usize,
-        /// What the parser says.
-        source: serde_json::Error,
-    },
-    /// It was written by another version.
-    #[error("the truth file has version {found}, this program reads version {VERSION}")]
-    Version {
-        /// Its version.
-        found: u32,
-    },
-}
-
 /// Writes a truth file.
 #[derive(Debug)]
 pub struct TruthWriter<W: Write> {
@@ -170,7 +149,7 @@ impl<W: Write> TruthWriter<W> {
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn new(to: W, run: Run) -> Result<Self, TruthError> {
+    pub fn new(to: W, run: Run) -> Result<Self> {
         let mut writer = Self { to };
         writer.write(&TruthRecord::Run(Box::new(run)))?;
         Ok(writer)
@@ -180,8 +159,8 @@ impl<W: Write> TruthWriter<W> {
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn write(&mut self, record: &TruthRecord) -> Result<(), TruthError> {
-        serde_json::to_writer(&mut self.to, record).map_err(std::io::Error::from)?;
+    pub fn write(&mut self, record: &TruthRecord) -> Result<()> {
+        serde_json::to_writer(&mut self.to, record)?;
         self.to.write_all(b"\n")?;
         Ok(())
     }
@@ -190,7 +169,7 @@ impl<W: Write> TruthWriter<W> {
     ///
     /// # Errors
     /// It cannot be written.
-    pub fn flush(&mut self) -> Result<(), TruthError> {
+    pub fn flush(&mut self) -> Result<()> {
         Ok(self.to.flush()?)
     }
 }
@@ -199,7 +178,7 @@ impl<W: Write> TruthWriter<W> {
 ///
 /// # Errors
 /// The file cannot be read, a line is not a record, or it has another version.
-pub fn read(from: impl BufRead) -> Result<Vec<TruthRecord>, TruthError> {
+pub fn read(from: impl BufRead) -> Result<Vec<TruthRecord>> {
     let mut records = Vec::new();
     for (i, line) in from.lines().enumerate() {
         let line = line?;
@@ -208,14 +187,15 @@ pub fn read(from: impl BufRead) -> Result<Vec<TruthRecord>, TruthError> {
         // take numbers straight from the text.
         let record = serde_json::from_str::<serde_json::Value>(&line)
             .and_then(serde_json::from_value)
-            .map_err(|source| TruthError::Line {
-                line: i + 1,
-                source,
+            .with_context(|| {
+                let line = i + 1;
+                format!("truth file, line {line}: not a truth record of version {VERSION}")
             })?;
         if let TruthRecord::Run(run) = &record
             && run.version != VERSION
         {
-            return Err(TruthError::Version { found: run.version });
+            let found = run.version;
+            bail!("the truth file has version {found}, this program reads version {VERSION}");
         }
         records.push(record);
     }

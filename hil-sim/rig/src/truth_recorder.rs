@@ -6,9 +6,11 @@
 
 use std::io::Write;
 
+use anyhow::Result;
+
 use crate::rig_config::RigParts;
 use crate::running_rig::zero_of;
-use crate::truth::{TruthError, TruthRecord, TruthWriter};
+use crate::truth::{TruthRecord, TruthWriter};
 use crate::wiring;
 use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Level;
@@ -35,7 +37,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub(crate) fn new(to: W, rig: &mut Sim, parts: &RigParts) -> Result<Self, TruthError> {
+    pub(crate) fn new(to: W, rig: &mut Sim, parts: &RigParts) -> Result<Self> {
         rig.log_pin(wiring::TRIGGER);
         Ok(Self {
             writer: TruthWriter::new(to, parts.run_record())?,
@@ -50,7 +52,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub(crate) fn poll(&mut self, rig: &mut Sim) -> Result<(), TruthError> {
+    pub(crate) fn poll(&mut self, rig: &mut Sim) -> Result<()> {
         self.timebase(rig)?;
         for (pin, level, at) in rig.take_edges() {
             if pin == wiring::TRIGGER {
@@ -73,7 +75,7 @@ impl<W: Write> TruthRecorder<W> {
 
     /// Notes where the board's tick count is zero: after power-on, and anew
     /// after a reset.
-    fn timebase(&mut self, rig: &Sim) -> Result<(), TruthError> {
+    fn timebase(&mut self, rig: &Sim) -> Result<()> {
         let Some(zero) = zero_of(rig) else {
             return Ok(());
         };
@@ -91,7 +93,7 @@ impl<W: Write> TruthRecorder<W> {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub(crate) fn flush(&mut self) -> Result<(), TruthError> {
+    pub(crate) fn flush(&mut self) -> Result<()> {
         self.writer.flush()
     }
 }

@@ -9,48 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::thread::JoinHandle;
 
-use crate::rolling_shutter::GreyImage;
+use anyhow::{Error, Result, anyhow, bail, ensure};
 
-/// What went wrong while writing a video.
-#[derive(Debug, thiserror::Error)]
-pub enum VideoError {
-    /// There is no `ffmpeg` to run.
-    #[error(
-        "ffmpeg was not found: videos are encoded by the `ffmpeg` program; install it (Debian, Ubuntu: `apt install ffmpeg`) and see that it is on the PATH"
-    )]
-    NoFfmpeg,
-    /// `ffmpeg` could not be started.
-    #[error("ffmpeg could not be started: {0}")]
-    Start(#[source] std::io::Error),
-    /// The frame does not have the video's size.
-    #[error("frame of {got_width}x{got_height} pixels for a video of {width}x{height}")]
-    FrameSize {
-        /// Width of the frame.
-        got_width: usize,
-        /// Height of the frame.
-        got_height: usize,
-        /// Width of the video.
-        width: usize,
-        /// Height of the video.
-        height: usize,
-    },
-    /// H.264 with 4:2:0 colour needs even sizes.
-    #[error("H.264 needs an even width and height, not {width}x{height}")]
-    OddSize {
-        /// Width asked for.
-        width: usize,
-        /// Height asked for.
-        height: usize,
-    },
-    /// `ffmpeg` ended with an error.
-    #[error("ffmpeg failed to write {path}: {message}")]
-    Encoder {
-        /// The video.
-        path: PathBuf,
-        /// What `ffmpeg` printed.
-        message: String,
-    },
-}
+use crate::rolling_shutter::GreyImage;
 
 /// How strongly the video is compressed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,10 +47,10 @@ pub struct Mp4Writer {
 
 impl Mp4Writer {
     /// Starts the encoder; an existing file is replaced.
-    pub fn create(path: &Path, settings: VideoSettings) -> Result<Self, VideoError> {
+    pub fn create(path: &Path, settings: VideoSettings) -> Result<Self> {
         let VideoSettings { width, height, .. } = settings;
         if width % 2 != 0 || height % 2 != 0 || width == 0 || height == 0 {
-            return Err(VideoError::OddSize { width, height });
+            bail!("H.264 needs an even width and height, not {width}x{height}");
         }
         let mut command = Command::new("ffmpeg");
         command
@@ -114,8 +75,11 @@ impl Mp4Writer {
             .stderr(Stdio::piped())
             .spawn()
             .map_err(|e| match e.kind() {
-                std::io::ErrorKind::NotFound => VideoError::NoFfmpeg,
-                _ => VideoError::Start(e),
+                std::io::ErrorKind::NotFound => anyhow!(
+                    "ffmpeg was not found: videos are encoded by the `ffmpeg` program; install it \
+                     (Debian, Ubuntu: `apt install ffmpeg`) and see that it is on the PATH"
+                ),
+                _ => anyhow!("ffmpeg could not be started: {e}"),
             })?;
         let messages = child.stderr.take().map(collect);
         Ok(Self {
@@ -127,16 +91,14 @@ impl Mp4Writer {
     }
 
     /// Appends one frame.
-    pub fn write(&mut self, frame: &GreyImage) -> Result<(), VideoError> {
+    pub fn write(&mut self, frame: &GreyImage) -> Result<()> {
         let VideoSettings { width, height, .. } = self.settings;
-        if (frame.width, frame.height) != (width, height) || frame.pixels.len() != width * height {
-            return Err(VideoError::FrameSize {
-                got_width: frame.width,
-                got_height: frame.height,
-                width,
-                height,
-            });
-        }
+        ensure!(
+            (frame.width, frame.height) == (width, height) && frame.pixels.len() == width * height,
+            "frame of {}x{} pixels for a video of {width}x{height}",
+            frame.width,
+            frame.height
+        );
         let written = match self.child.stdin.as_mut() {
             Some(pipe) => pipe.write_all(&frame.pixels),
             None => Err(std::io::ErrorKind::BrokenPipe.into()),
@@ -149,7 +111,7 @@ impl Mp4Writer {
     }
 
     /// Ends the video and waits for the encoder.
-    pub fn finish(mut self) -> Result<(), VideoError> {
+    pub fn finish(mut self) -> Result<()> {
         drop(self.child.stdin.take());
         match self.child.wait() {
             Ok(status) if status.success() => Ok(()),
@@ -158,7 +120,7 @@ impl Mp4Writer {
         }
     }
 
-    fn encoder_error(&mut self, fallback: &str) -> VideoError {
+    fn encoder_error(&mut self, fallback: &str) -> Error {
         drop(self.child.stdin.take());
         let said = self
             .messages
@@ -166,10 +128,8 @@ impl Mp4Writer {
             .and_then(|m| m.join().ok())
             .unwrap_or_default();
         let said = said.trim();
-        VideoError::Encoder {
-            path: self.path.clone(),
-            message: if said.is_empty() { fallback } else { said }.to_owned(),
-        }
+        let message = if said.is_empty() { fallback } else { said };
+        anyhow!("ffmpeg failed to write {}: {message}", self.path.display())
     }
 }
 

@@ -154,7 +154,7 @@ fn start(config: PhoneConfig, clock: &TrueClock, seed: u64) -> Result<SimPhone> 
         motion: rest.build(Seed(seed).stream(Stream::Motion))?,
         light: Arc::new(Dark),
     };
-    Ok(SimPhone::start(config, surroundings, 0)?)
+    SimPhone::start(config, surroundings, 0)
 }
 
 fn pick(random: &mut Random, count: usize) -> usize {

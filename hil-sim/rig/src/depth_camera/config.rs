@@ -1,5 +1,6 @@
 //! What a depth camera is like: plain data.
 
+use anyhow::{Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 
 use crate::oscillator::OscillatorConfig;
@@ -110,11 +111,6 @@ impl Default for DepthCameraConfig {
     }
 }
 
-/// A setting that no such camera has.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct DepthCameraError(String);
-
 impl DepthCameraConfig {
     /// From a pulse's rising edge to the centre of exposure, in the camera's time, ns.
     #[must_use]
@@ -127,46 +123,44 @@ impl DepthCameraConfig {
         self.tolerance + self.shortest_pulse + SimDuration::from_micros(1)
     }
 
-    pub(super) fn check(&self) -> Result<(), DepthCameraError> {
-        let fail = |text: String| Err(DepthCameraError(text));
+    pub(super) fn check(&self) -> Result<()> {
         match (self.fps, self.mode) {
             (5 | 15, _) | (30, DepthMode::NfovUnbinned | DepthMode::Shutter { .. }) => {}
             (30, DepthMode::WfovUnbinned) => {
-                return fail("WFOV unbinned runs at 15 or 5 fps, not at 30".to_owned());
+                bail!("WFOV unbinned runs at 15 or 5 fps, not at 30")
             }
-            (other, _) => {
-                return fail(format!("{other} fps: the camera has 30, 15 and 5"));
-            }
+            (other, _) => bail!("{other} fps: the camera has 30, 15 and 5"),
         }
-        if self.first_frame == 0 {
-            return fail("the first frame cannot come on pulse 0: pulses count from 1".to_owned());
-        }
+        ensure!(
+            self.first_frame > 0,
+            "the first frame cannot come on pulse 0: pulses count from 1"
+        );
         let period = UNITS_PER_SECOND / u64::from(self.fps);
         if self.tolerance.units() >= period / 4 {
-            return fail(format!(
+            bail!(
                 "a tolerance of {} ns is a quarter of a frame or more",
                 self.tolerance.as_nanos()
-            ));
+            );
         }
         let known_after = self.earliest_flash();
         if self.free_runs && self.flash_delay < known_after {
-            return fail(format!(
+            bail!(
                 "a flash delay of {} ns: with a tolerance of {} ns it must be at least {} ns, \
                  as the camera must know that no pulse comes before it flashes on its own",
                 self.flash_delay.as_nanos(),
                 self.tolerance.as_nanos(),
                 known_after.as_nanos()
-            ));
+            );
         }
         let train = self.mode.flashes();
         let length = i64::from(train.count - 1) * train.pitch_ns + train.duration_ns;
         if self.flash_delay.as_nanos() + length.unsigned_abs()
             >= 1_000_000_000 / u64::from(self.fps)
         {
-            return fail(format!(
+            bail!(
                 "a flash delay of {} ns leaves no time for {length} ns of flashes within a frame",
                 self.flash_delay.as_nanos()
-            ));
+            );
         }
         Ok(())
     }

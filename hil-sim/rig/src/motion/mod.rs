@@ -27,7 +27,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::random::Random;
 use gesture::{Gesture, Performance};
-use recorded::{Recording, RecordingError};
+use recorded::Recording;
 pub use view::MotionView;
 
 /// Standard gravity, m/s².
@@ -65,7 +65,7 @@ impl MotionSpec {
     ///
     /// # Errors
     /// The file cannot be read or is not a motion.
-    pub fn build(&self, random: Random) -> Result<Arc<Motion>, RecordingError> {
+    pub fn build(&self, random: Random) -> anyhow::Result<Arc<Motion>> {
         Ok(Arc::new(match self {
             Self::Script(steps) => Motion::Synthetic(Performance::new(steps, random)),
             Self::File(path) => Motion::Recorded(Recording::load(path)?),

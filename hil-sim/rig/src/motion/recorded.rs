@@ -11,7 +11,9 @@
 //! derivatives, so the motion is as smooth as an IMU can tell. Before the first
 //! and after the last row the rates fade to zero within [`FADE`] seconds.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+use anyhow::{Context as _, Result, anyhow, ensure};
 
 use super::STANDARD_GRAVITY;
 
@@ -30,37 +32,6 @@ pub const NAMES: [&str; 7] = [
     "accel_y_m_s2",
     "accel_z_m_s2",
 ];
-
-/// Why a file is not a motion.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordingError {
-    /// It cannot be opened.
-    #[error("cannot read the motion file {path}: {source}")]
-    Open {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// A row is not what it should be.
-    #[error("motion file {path}, line {line}: {problem}")]
-    Row {
-        /// Which.
-        path: PathBuf,
-        /// Counted from one.
-        line: u64,
-        /// What was expected and what was found.
-        problem: String,
-    },
-    /// Fewer than four rows.
-    #[error("motion file {path} has {rows} rows of data: a motion needs at least 4")]
-    TooShort {
-        /// Which.
-        path: PathBuf,
-        /// How many.
-        rows: usize,
-    },
-}
 
 /// A recorded motion.
 #[derive(Clone, Debug)]
@@ -82,11 +53,9 @@ impl Recording {
     ///
     /// # Errors
     /// It cannot be read, or is not as the module describes it.
-    pub fn load(path: &Path) -> Result<Self, RecordingError> {
-        let file = std::fs::File::open(path).map_err(|source| RecordingError::Open {
-            path: path.to_owned(),
-            source,
-        })?;
+    pub fn load(path: &Path) -> Result<Self> {
+        let file = std::fs::File::open(path)
+            .with_context(|| format!("cannot read the motion file {}", path.display()))?;
         Self::read(file, path)
     }
 
@@ -94,11 +63,9 @@ impl Recording {
     ///
     /// # Errors
     /// The table is not as the module describes it.
-    pub fn read(from: impl std::io::Read, path: &Path) -> Result<Self, RecordingError> {
-        let bad = |line: u64, problem: String| RecordingError::Row {
-            path: path.to_owned(),
-            line,
-            problem,
+    pub fn read(from: impl std::io::Read, path: &Path) -> Result<Self> {
+        let bad = |line: u64, problem: String| {
+            anyhow!("motion file {}, line {line}: {problem}", path.display())
         };
         let mut reader = csv::ReaderBuilder::new()
             .has_headers(false)
@@ -162,12 +129,12 @@ impl Recording {
                 column.push(*value);
             }
         }
-        if times.len() < 4 {
-            return Err(RecordingError::TooShort {
-                path: path.to_owned(),
-                rows: times.len(),
-            });
-        }
+        ensure!(
+            times.len() >= 4,
+            "motion file {} has {} rows of data: a motion needs at least 4",
+            path.display(),
+            times.len()
+        );
         let columns = columns
             .into_iter()
             .map(|values| Column {
@@ -286,7 +253,7 @@ fn natural_spline(x: &[f64], y: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Recording, RecordingError> {
+    fn read(text: &str) -> Result<Recording> {
         Recording::read(text.as_bytes(), Path::new("m.csv"))
     }
 

@@ -11,7 +11,7 @@ use crate::flash_log::FlashSource;
 use crate::oscillator::{Oscillator, TrueTime};
 use crate::random::{Random, Stream};
 use crate::rolling_shutter::{Flash, GreyImage, RollingShutter};
-use crate::video_writer::{Mp4Writer, Quality, VideoError, VideoSettings};
+use crate::video_writer::{Mp4Writer, Quality, VideoSettings};
 
 /// Number of the frame (from 0), of those that the app gets, whose timestamp is the phase.
 const PHASE_FRAME: usize = 60;
@@ -174,7 +174,7 @@ pub(super) fn write_video(
     count: usize,
     oscillator: &Oscillator,
     light: &dyn FlashSource,
-) -> Result<(), VideoError> {
+) -> anyhow::Result<()> {
     let camera = &config.camera;
     let shutter = RollingShutter {
         columns: camera.columns,

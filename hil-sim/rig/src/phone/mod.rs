@@ -34,6 +34,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
+use anyhow::{Context as _, Result};
+
 use crate::flash_log::FlashSource;
 use crate::link_delay::LinkBeliefs;
 use crate::motion::Motion;
@@ -64,27 +66,6 @@ pub struct Surroundings {
     pub light: Arc<dyn FlashSource>,
 }
 
-/// Why a phone could not be started.
-#[derive(Debug, thiserror::Error)]
-pub enum PhoneStartError {
-    /// The port cannot be had.
-    #[error("the simulated phone cannot listen on 127.0.0.1:{port}: {source}")]
-    Listen {
-        /// The port asked for.
-        port: u16,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
-    /// No folder for its files.
-    #[error("the simulated phone has no folder for its files at {}: {source}", path.display())]
-    Storage {
-        /// The folder.
-        path: PathBuf,
-        /// The operating system's reason.
-        source: std::io::Error,
-    },
-}
-
 /// A running phone. It is switched off when dropped.
 pub struct SimPhone {
     app: Arc<App>,
@@ -103,32 +84,28 @@ impl SimPhone {
     /// # Errors
     ///
     /// The port is taken, or there is no folder for the phone's files.
-    pub fn start(
-        config: PhoneConfig,
-        surroundings: Surroundings,
-        port: u16,
-    ) -> Result<Self, PhoneStartError> {
+    pub fn start(config: PhoneConfig, surroundings: Surroundings, port: u16) -> Result<Self> {
         let oscillator = Oscillator::new(config.clock, config.seed.stream(Stream::PhoneClock));
-        let temporary = std::env::temp_dir();
-        let path = config.storage.clone().unwrap_or(temporary);
-        let no_folder = |source| PhoneStartError::Storage {
-            path: path.clone(),
-            source,
-        };
-        let folder = match config.storage {
-            Some(_) => {
-                std::fs::create_dir_all(&path).map_err(no_folder)?;
-                None
+        let (storage, folder) = match &config.storage {
+            Some(path) => {
+                std::fs::create_dir_all(path).with_context(|| {
+                    format!(
+                        "the simulated phone has no folder for its files at {}",
+                        path.display()
+                    )
+                })?;
+                (path.clone(), None)
             }
-            None => Some(
-                tempfile::Builder::new()
+            None => {
+                let folder = tempfile::Builder::new()
                     .prefix("simulated-phone-")
                     .tempdir()
-                    .map_err(no_folder)?,
-            ),
+                    .context("the simulated phone has no folder for its files")?;
+                (folder.path().to_owned(), Some(folder))
+            }
         };
-        let storage = folder.as_ref().map_or(path, |f| f.path().to_owned());
-        let link = Link::open(port).map_err(|source| PhoneStartError::Listen { port, source })?;
+        let link = Link::open(port)
+            .with_context(|| format!("the simulated phone cannot listen on 127.0.0.1:{port}"))?;
         let link = Arc::new(link);
         let sensors = Sensors::new(&config, oscillator.clone(), surroundings.motion);
         let app = Arc::new(App::new(

@@ -205,7 +205,7 @@ impl App {
             &self.oscillator,
             &*self.light,
         )
-        .map_err(|e| e.to_string())?;
+        .map_err(|e| format!("{e:#}"))?;
         std::fs::rename(&part, &path).map_err(|e| format!("cannot save {}: {e}", path.display()))
     }
 }
