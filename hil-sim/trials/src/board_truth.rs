@@ -12,7 +12,9 @@
 
 use std::collections::VecDeque;
 
-use protocol::{Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, Ticks};
+use protocol::{
+    Capture, DeviceToHost, Edge, ImuFlags, ImuSample, Period, Pulse, TICK_HZ, Ticks, TriggerStart,
+};
 
 use rig::imu::{SampleRecord, SimImu};
 use rig::wiring::{self, UNITS_PER_TICK};
@@ -33,6 +35,29 @@ pub(crate) struct Train {
     pub period: Period,
     /// Length of a pulse, in ticks.
     pub width: u32,
+}
+
+/// A train as sessions start it, at once: pulses of 12 µs, and the period that a phone reports
+/// for 30 frames a second, which is no whole number of ticks.
+pub(crate) const TRAIN: TriggerStart = TriggerStart {
+    period: match Period::from_picos(33_330_652_540) {
+        Some(period) => period,
+        None => Period::MAX,
+    },
+    width: 12 * (TICK_HZ / 1_000_000),
+    first_edge: None,
+    first_fraction: 0,
+};
+
+impl Train {
+    /// A train that was started, and its first edge.
+    pub(crate) fn of(start: &TriggerStart, first: Ticks) -> Self {
+        Self {
+            first,
+            period: start.period,
+            width: start.width,
+        }
+    }
 }
 
 /// What was compared, and what was not delivered.

@@ -41,7 +41,7 @@ use board::Board;
 use board::StreamCounts;
 use board::imu::Scale;
 use phone::task::PhoneTask;
-use protocol::{Output, Period, TICK_HZ, TriggerStart};
+use protocol::{Output, TICK_HZ};
 use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
@@ -60,7 +60,7 @@ use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, clo
 use smartdepthsync::rig_profile::{Place, Source};
 use verify::watch::{Grid, Watch};
 
-use crate::board_truth::Train;
+use crate::board_truth::{TRAIN, Train};
 use crate::programs::Programs;
 use crate::workers;
 use plan::Plan;
@@ -71,10 +71,6 @@ use stage::Stage;
 
 /// How long the session waits for a lost link: its default.
 const LINK_PATIENCE: Duration = Duration::from_secs(60);
-/// Width of a pulse: 12 µs.
-const WIDTH: u32 = 12 * (TICK_HZ / 1_000_000);
-/// The period that a phone reports for 30 frames a second, in picoseconds.
-const PERIOD_PICOS: u64 = 33_330_652_540;
 /// The host's time of day, which stands still but for being set: s since 1970.
 const TIME_OF_DAY: u64 = 1_800_000_000;
 /// How often the host asks for the state of the train while recording.
@@ -295,22 +291,9 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
     // The IMU is up.
     let up = host.now().0 + 2 * u64::from(TICK_HZ);
     host.pump_until(|host| (host.now().0 >= up).then_some(()))?;
-    let Some(period) = Period::from_picos(PERIOD_PICOS) else {
-        return Ok(());
-    };
     host.trigger_started = true;
-    let start = TriggerStart {
-        period,
-        width: WIDTH,
-        first_edge: None,
-        first_fraction: 0,
-    };
-    let status = host.call(|board| board.start_trigger(Output::Camera, start))?;
-    let train = Train {
-        first: status.next_edge,
-        period,
-        width: WIDTH,
-    };
+    let status = host.call(|board| board.start_trigger(Output::Camera, TRAIN))?;
+    let train = Train::of(&TRAIN, status.next_edge);
     stage
         .begin(train)
         .map_err(board::BoardError::from)
@@ -322,7 +305,7 @@ fn record(host: &mut HostRig<'_>, stage: &Stage, plan: &Plan) -> Result<(), Stop
         Grid {
             anchor: train.first,
             fraction: 0,
-            period,
+            period: train.period,
         },
         train.first,
     ));

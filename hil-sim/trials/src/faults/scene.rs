@@ -5,13 +5,13 @@ use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use board::transport::serial::OpenError;
 use protocol::{
     Command, Decoder, DeviceToHost, Hello, HostToDevice, ImuState, StartTrigger, Status, Ticks,
 };
 
 use super::happenings::{Flood, Turn};
 use super::plan::Plan;
-use super::stage::{Reply, Request};
 use crate::board_truth::{BoardTruth, Compared, Train};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::imu::{SimImu, SimImuConfig};
@@ -24,6 +24,8 @@ use stm32f4_sim::sim::{FailureKind, ResetCause, Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
+/// The name under which the port is told.
+const PORT: &str = "the simulated board";
 /// Virtual time between two looks.
 const STEP: SimDuration = SimDuration::from_millis(1);
 /// Virtual time that a try to open a port that is not there takes: the host
@@ -154,41 +156,29 @@ impl Scene {
         })
     }
 
-    pub(super) fn reply(&self) -> Reply {
-        Reply {
-            now: Duration::from_nanos(self.rig.now().as_nanos()),
-            connection: self.open.then_some(self.connection),
-            ..Reply::default()
+    /// Virtual time.
+    pub(super) fn now(&self) -> Duration {
+        Duration::from_nanos(self.rig.now().as_nanos())
+    }
+
+    /// Whether the host has this connection.
+    pub(super) fn has(&self, connection: u64) -> bool {
+        self.open && self.connection == connection
+    }
+
+    pub(super) fn close(&mut self, connection: u64) {
+        if self.has(connection) {
+            self.open = false;
+            self.rig.usb_open(false);
+            self.step();
         }
     }
 
-    pub(super) fn answer(&mut self, request: Request) -> Reply {
-        match request {
-            Request::Connect => return self.connect(),
-            Request::Close(connection) => {
-                if connection == self.connection && self.open {
-                    self.open = false;
-                    self.rig.usb_open(false);
-                    self.step();
-                }
-            }
-            Request::Send(connection, bytes) => {
-                if connection == self.connection && self.open {
-                    self.listen(&bytes);
-                    self.rig.usb_write(&bytes);
-                }
-            }
-            Request::Receive(connection, wait) => return self.receive(connection, wait),
-            Request::Begin(train) => self.begin(train),
-            Request::End => {
-                let report = self.end();
-                return Reply {
-                    report: Some(Box::new(report)),
-                    ..self.reply()
-                };
-            }
+    pub(super) fn send(&mut self, connection: u64, bytes: &[u8]) {
+        if self.has(connection) {
+            self.listen(bytes);
+            self.rig.usb_write(bytes);
         }
-        self.reply()
     }
 
     /// After a reset the host starts the train itself, on an edge that it names.
@@ -202,26 +192,20 @@ impl Scene {
                 && output.is_camera()
                 && self.recording
             {
-                let train = Train {
-                    first,
-                    period: start.period,
-                    width: start.width,
-                };
+                let train = Train::of(&start, first);
                 self.truth.started(train);
                 self.report.train = Some(train);
             }
         }
     }
 
-    fn connect(&mut self) -> Reply {
+    /// Opens the port; gives the number of the connection.
+    pub(super) fn connect(&mut self) -> Result<u64, OpenError> {
+        let path = PORT.to_owned();
         if self.open {
             // The port has somebody: a second opener is turned away.
             self.run(TRY);
-            return Reply {
-                busy: true,
-                connection: None,
-                ..self.reply()
-            };
+            return Err(OpenError::Busy { path });
         }
         let tries = TRY.units() / STEP.units();
         for _ in 0..tries {
@@ -231,7 +215,7 @@ impl Scene {
             self.step();
         }
         if self.rig.usb_state() != UsbState::Ready {
-            return self.reply();
+            return Err(OpenError::NotFound { path });
         }
         self.connection += 1;
         self.open = true;
@@ -240,26 +224,26 @@ impl Scene {
         self.pending.clear();
         self.decoder = Decoder::new();
         self.rig.usb_open(true);
-        self.reply()
+        Ok(self.connection)
     }
 
-    fn receive(&mut self, connection: u64, wait: Duration) -> Reply {
-        let mine = |scene: &Self| scene.open && scene.connection == connection;
+    /// What has come for a connection; waits at most so long for it.
+    pub(super) fn receive(&mut self, connection: u64, wait: Duration) -> Vec<u8> {
         let end = self.rig.now()
             + SimDuration::from_nanos(u64::try_from(wait.as_nanos()).unwrap_or(u64::MAX));
-        while self.pending.is_empty() && mine(self) && self.rig.now() < end {
+        while self.pending.is_empty() && self.has(connection) && self.rig.now() < end {
             self.step();
         }
-        let mut reply = self.reply();
-        if self.connection == connection {
-            self.judge();
-            reply.bytes = std::mem::take(&mut self.pending);
-            self.digest.update(&reply.bytes);
+        if self.connection != connection {
+            return Vec::new();
         }
-        reply
+        self.judge();
+        let bytes = std::mem::take(&mut self.pending);
+        self.digest.update(&bytes);
+        bytes
     }
 
-    fn begin(&mut self, train: Train) {
+    pub(super) fn begin(&mut self, train: Train) {
         self.truth.started(train);
         self.report.first_train = Some(train);
         self.recording = true;
@@ -422,7 +406,7 @@ impl Scene {
         self.report.status = Some(status.clone());
     }
 
-    fn end(&mut self) -> Report {
+    pub(super) fn end(&mut self) -> Report {
         let mut report = std::mem::take(&mut self.report);
         report.compared = self.truth.compared();
         report.ended = self.rig.now();

@@ -3,57 +3,26 @@
 //! Virtual time passes only while the host waits for bytes or for the port, so a
 //! run does not depend on how fast the machine is.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicI64;
-use std::sync::mpsc::{Receiver, RecvError, SendError, Sender, channel};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::sync::mpsc::{Sender, channel};
 use std::time::Duration;
 
-use board::transport::serial::OpenError;
+use board::BoardError;
 use board::transport::{Link, LinkError};
-use board::{self, BoardError};
 use smartdepthsync::record::Connector;
 
 use super::plan::Plan;
 use super::scene::{Report, Scene};
 use crate::board_truth::Train;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::sim::SimBuilder;
 
-/// The name under which the port is told.
-const PORT: &str = "the simulated board";
+/// What is to be done on the scene's thread.
+type Work = Box<dyn FnOnce(&mut Scene) + Send>;
 
-/// What the host asks of the scene.
-pub(super) enum Request {
-    Connect,
-    Close(u64),
-    Send(u64, Vec<u8>),
-    Receive(u64, Duration),
-    /// The recording begins, with this train.
-    Begin(Train),
-    End,
-}
-
-/// What the scene answers.
-#[derive(Default)]
-pub(super) struct Reply {
-    pub now: Duration,
-    pub bytes: Vec<u8>,
-    /// The connection, or none if there is none (any more).
-    pub connection: Option<u64>,
-    pub busy: bool,
-    pub report: Option<Box<Report>>,
-}
-
-/// The host's end of the scene; clones are the same.
+/// The host's end of the scene, which ends with its last clone.
 #[derive(Clone)]
-pub(super) struct Stage(Arc<Mutex<Mail>>);
-
-struct Mail {
-    requests: Sender<Request>,
-    replies: Receiver<Reply>,
-    thread: Option<JoinHandle<()>>,
-}
+pub(super) struct Stage(Sender<Work>);
 
 impl Stage {
     /// Boots a board with everything around it.
@@ -63,87 +32,58 @@ impl Stage {
         clock_step: Arc<AtomicI64>,
         on_kill: impl FnMut() + Send + 'static,
     ) -> Result<Self, String> {
-        let (requests, inbox) = channel();
-        let (outbox, replies) = channel();
+        let (stage, inbox) = channel::<Work>();
+        let (ready, started) = channel();
         let plan = plan.clone();
-        let thread = std::thread::Builder::new()
+        std::thread::Builder::new()
             .name("scene".to_owned())
             .spawn(
                 move || match Scene::new(plan, builder, clock_step, Box::new(on_kill)) {
                     Ok(mut scene) => {
-                        let _ = outbox.send(scene.reply());
-                        while let Ok(request) = inbox.recv() {
-                            if outbox.send(scene.answer(request)).is_err() {
-                                return;
-                            }
-                        }
+                        let _ = ready.send(Ok(()));
+                        inbox.into_iter().for_each(|work| work(&mut scene));
                     }
-                    Err(error) => {
-                        let report = Report {
-                            wrong: Some(error),
-                            ..Report::default()
-                        };
-                        let reply = Reply {
-                            report: Some(Box::new(report)),
-                            ..Reply::default()
-                        };
-                        let _ = outbox.send(reply);
-                    }
+                    Err(error) => drop(ready.send(Err(error))),
                 },
             )
             .map_err(|error| error.to_string())?;
-        let begun = replies.recv().map_err(|error| error.to_string())?;
-        if let Some(report) = begun.report {
-            return Err(report.wrong.unwrap_or_default());
-        }
-        Ok(Self(Arc::new(Mutex::new(Mail {
-            requests,
-            replies,
-            thread: Some(thread),
-        }))))
+        started.recv().map_err(|error| error.to_string())??;
+        Ok(Self(stage))
     }
 
-    fn ask(&self, request: Request) -> Result<Reply, LinkError> {
-        let mail = lock(&self.0);
+    /// Has something done on the scene's thread.
+    fn ask<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut Scene) -> T + Send + 'static,
+    ) -> Result<T, LinkError> {
+        let (reply, answer) = channel();
+        let work = move |scene: &mut Scene| drop(reply.send(work(scene)));
         let gone = |reason: String| LinkError::Gone { reason };
-        mail.requests
-            .send(request)
-            .map_err(|error: SendError<_>| gone(error.to_string()))?;
-        mail.replies
-            .recv()
-            .map_err(|error: RecvError| gone(error.to_string()))
+        self.0
+            .send(Box::new(work))
+            .map_err(|error| gone(error.to_string()))?;
+        answer.recv().map_err(|error| gone(error.to_string()))
     }
 
     /// The recording begins: faults count from here.
     pub(super) fn begin(&self, train: Train) -> Result<(), LinkError> {
-        self.ask(Request::Begin(train)).map(|_| ())
+        self.ask(move |scene| scene.begin(train))
     }
 
-    /// Switches the rig off.
+    /// What was seen by the end.
     pub(super) fn end(&self) -> Result<Report, LinkError> {
-        let reply = self.ask(Request::End)?;
-        let thread = lock(&self.0).thread.take();
-        drop(thread);
-        reply.report.map(|report| *report).ok_or(LinkError::Stuck)
+        self.ask(Scene::end)
     }
 }
 
 impl Connector for Stage {
     fn connect(&mut self, _: Option<&str>) -> board::Result<Box<dyn Link>> {
-        let reply = self.ask(Request::Connect)?;
-        match reply.connection {
-            Some(connection) => Ok(Box::new(Cable {
-                stage: self.clone(),
-                connection,
-                now: reply.now,
-            })),
-            None if reply.busy => Err(BoardError::Open(OpenError::Busy {
-                path: PORT.to_owned(),
-            })),
-            None => Err(BoardError::Open(OpenError::NotFound {
-                path: PORT.to_owned(),
-            })),
-        }
+        let (opened, now) = self.ask(|scene| (scene.connect(), scene.now()))?;
+        Ok(Box::new(Cable {
+            stage: self.clone(),
+            connection: opened.map_err(BoardError::Open)?,
+            now,
+        }))
     }
 }
 
@@ -155,16 +95,26 @@ struct Cable {
 }
 
 impl Cable {
-    fn taken(&mut self, reply: &Reply) -> Result<(), LinkError> {
-        self.now = reply.now;
-        if reply.connection == Some(self.connection) {
-            Ok(())
-        } else {
-            Err(LinkError::Gone {
-                reason: "unplugged".to_owned(),
-            })
-        }
+    /// Has something done, and says whether the connection is still there.
+    fn ask<T: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut Scene, u64) -> T + Send + 'static,
+    ) -> Result<(T, bool), LinkError> {
+        let connection = self.connection;
+        let (done, now, is_there) = self.stage.ask(move |scene| {
+            let done = work(scene, connection);
+            (done, scene.now(), scene.has(connection))
+        })?;
+        self.now = now;
+        Ok((done, is_there))
     }
+}
+
+fn still_there(is_there: bool) -> Result<(), LinkError> {
+    let unplugged = || LinkError::Gone {
+        reason: String::from("unplugged"),
+    };
+    is_there.then_some(()).ok_or_else(unplugged)
 }
 
 impl Link for Cable {
@@ -173,27 +123,22 @@ impl Link for Cable {
     }
 
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let reply = self
-            .stage
-            .ask(Request::Send(self.connection, bytes.to_vec()))?;
-        self.taken(&reply)
+        let bytes = bytes.to_vec();
+        let ((), is_there) = self.ask(move |scene, connection| scene.send(connection, &bytes))?;
+        still_there(is_there)
     }
 
     fn receive(&mut self, into: &mut Vec<u8>, wait: Duration) -> Result<(), LinkError> {
-        let reply = self.stage.ask(Request::Receive(self.connection, wait))?;
-        if reply.bytes.is_empty() {
-            self.taken(&reply)
-        } else {
-            self.now = reply.now;
-            into.extend_from_slice(&reply.bytes);
-            Ok(())
-        }
+        let (bytes, is_there) =
+            self.ask(move |scene, connection| scene.receive(connection, wait))?;
+        into.extend_from_slice(&bytes);
+        still_there(is_there || !bytes.is_empty())
     }
 }
 
 impl Drop for Cable {
     fn drop(&mut self) {
         // The scene may have ended.
-        let _ = self.stage.ask(Request::Close(self.connection));
+        let _ = self.ask(|scene, connection| scene.close(connection));
     }
 }

@@ -6,12 +6,11 @@ use std::time::Duration;
 use anyhow::{Error, Result, anyhow};
 use board::{Conversation, Event, Stream as HostStream};
 use protocol::{
-    Command, DeviceToHost, Output, Period, Request, SendFiller, StartTrigger, Status, StopTrigger,
-    TICK_HZ, TriggerStart,
+    Command, DeviceToHost, Output, Request, SendFiller, StartTrigger, Status, StopTrigger, TICK_HZ,
 };
 
 use super::{Growth, Interrupt, Options, Report};
-use crate::board_truth::{BoardTruth, Compared, Train};
+use crate::board_truth::{BoardTruth, Compared, TRAIN, Train};
 use rig::depth_camera::{DepthCamera, DepthCameraConfig};
 use rig::imu::{SimImu, SimImuConfig};
 use rig::motion::MotionSpec;
@@ -27,11 +26,6 @@ use stm32f4_sim::time::{SimDuration, SimTime};
 const STEP: SimDuration = SimDuration::from_millis(50);
 /// Steps in a virtual second.
 pub(super) const STEPS_A_SECOND: u64 = 20;
-/// Width of a pulse: 12 µs.
-const WIDTH: u32 = 12 * (TICK_HZ / 1_000_000);
-/// The period that a phone reports for 30 frames a second: no whole number of
-/// ticks, in picoseconds.
-const PERIOD_PICOS: u64 = 33_330_652_540;
 
 /// Interrupts of the chip that the firmware uses (RM0090 table 62), by position.
 const INTERRUPTS: [(usize, &str); 9] = [
@@ -156,22 +150,9 @@ impl Bench {
         for _ in 0..2 * STEPS_A_SECOND {
             self.step()?;
         }
-        let Some(period) = Period::from_picos(PERIOD_PICOS) else {
-            return Err(self.wrong("the period is out of range"));
-        };
-        let start = TriggerStart {
-            period,
-            width: WIDTH,
-            first_edge: None,
-            first_fraction: 0,
-        };
-        let output = Output::Camera;
+        let (output, start) = (Output::Camera, TRAIN);
         let status = self.ask(StartTrigger { output, start })?;
-        self.truth.started(Train {
-            first: status.next_edge,
-            period,
-            width: WIDTH,
-        });
+        self.truth.started(Train::of(&start, status.next_edge));
         // From here on nothing may be lost.
         self.conversation.start_counting();
         self.first_status = None;
