@@ -16,9 +16,7 @@ pub(crate) fn run(elf: &Path, seconds: u32, seeds: u32) -> Result<()> {
         &["evaluate", "--seeds", &seeds],
         &["calibrate"],
     ] {
-        let mut args = vec!["chain".to_owned()];
-        args.extend(what.iter().map(|&arg| arg.to_owned()));
-        args.extend(["--out".to_owned(), out.clone()]);
+        let args = [&["chain"], what, &["--out", &out]].concat();
         process::run_hil_sim(&args, elf)?;
         println!();
     }

@@ -46,24 +46,22 @@ impl Args {
 pub(crate) fn run(args: &Args, elf: &Path) -> Result<()> {
     // The simulator runs at the root; the paths are those of whoever calls.
     let here = std::env::current_dir()?;
-    let mut all = vec!["demo".to_owned()];
-    let mut option = |name: &str, value: Option<String>| {
-        if let Some(value) = value {
-            all.extend([name.to_owned(), value]);
-        }
-    };
     let path = |path: &Path| here.join(path).display().to_string();
-    option("--seed", args.seed.map(|seed| seed.to_string()));
-    option("--rig", args.rig.clone());
-    option("--seconds", args.seconds.map(|seconds| seconds.to_string()));
-    option("--json", args.json.as_deref().map(path));
-    let out = args
-        .out
-        .clone()
-        .unwrap_or_else(|| process::target_dir().join("demo"));
-    option("--out", Some(path(&out)));
+    let default_out = process::target_dir().join("demo");
+    let out = args.out.as_deref().unwrap_or(&default_out);
+    let options = [
+        ("--seed", args.seed.map(|seed| seed.to_string())),
+        ("--rig", args.rig.clone()),
+        ("--seconds", args.seconds.map(|seconds| seconds.to_string())),
+        ("--json", args.json.as_deref().map(path)),
+        ("--out", Some(path(out))),
+    ];
+    let mut all = vec!["demo"];
+    for (name, value) in &options {
+        all.extend(value.iter().flat_map(|value| [name, value.as_str()]));
+    }
     if args.fresh {
-        all.push("--fresh".to_owned());
+        all.push("--fresh");
     }
     process::run_hil_sim(&all, elf)
 }

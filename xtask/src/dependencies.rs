@@ -5,7 +5,6 @@
 //! it is installed.
 
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
@@ -86,9 +85,14 @@ fn is_allowed(expression: &str) -> bool {
 fn unsafe_code(wrong: &mut Vec<String>) -> Result<()> {
     let mut files = Vec::new();
     for folder in ["host", "protocol", "firmware", "hil-sim", "xtask"] {
-        sources(&process::root().join(folder), &mut files)?;
+        files.append(&mut process::files_below(&process::root().join(folder))?);
     }
     for path in files {
+        if path.extension().is_none_or(|ending| ending != "rs")
+            || path.ends_with("xtask/src/dependencies.rs")
+        {
+            continue;
+        }
         let text = fs::read_to_string(&path)?;
         for (number, line) in text.lines().enumerate() {
             let code = line.split("//").next().unwrap_or_default();
@@ -108,24 +112,6 @@ fn unsafe_code(wrong: &mut Vec<String>) -> Result<()> {
                     number + 1
                 ));
             }
-        }
-    }
-    Ok(())
-}
-
-fn sources(folder: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        if path.is_dir() {
-            if path.file_name().is_some_and(|name| name != "target") {
-                sources(&path, found)?;
-            }
-        } else if path.extension().is_some_and(|ending| ending == "rs")
-            && path
-                .file_name()
-                .is_some_and(|name| name != "dependencies.rs")
-        {
-            found.push(path);
         }
     }
     Ok(())

@@ -60,7 +60,10 @@ struct Page {
 
 fn check_links(docs: &Path, root: &Path) -> Result<()> {
     let mut pages = BTreeMap::new();
-    for path in markdown_files(docs)? {
+    for path in process::files_below(docs)? {
+        if path.extension().is_none_or(|extension| extension != "md") {
+            continue;
+        }
         let text =
             fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
         pages.insert(path, parse(&text));
@@ -129,21 +132,6 @@ fn normalise(path: &Path) -> PathBuf {
         }
     }
     out
-}
-
-fn markdown_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut files = Vec::new();
-    for entry in
-        fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?
-    {
-        let path = entry?.path();
-        if path.is_dir() {
-            files.append(&mut markdown_files(&path)?);
-        } else if path.extension().is_some_and(|extension| extension == "md") {
-            files.push(path);
-        }
-    }
-    Ok(files)
 }
 
 fn parse(text: &str) -> Page {

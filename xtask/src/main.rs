@@ -328,40 +328,28 @@ fn demo(args: &demo::Args) -> Result<()> {
 fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<()> {
     let elf = firmware::build()?;
     process::cargo(["build", "--release", "-p", "hil-sim"])?;
-    let mut args = vec![
-        "long-run".to_owned(),
-        format!("--for={length}"),
-        format!("--full-link={full_link}"),
-        format!("--seed={seed}"),
-    ];
+    let (full_link, seed) = (full_link.to_string(), seed.to_string());
+    let mut args = vec!["long-run", "--for", length, "--seed", &seed];
+    args.extend(["--full-link", &full_link]);
     if no_strobe {
-        args.push("--no-strobe".to_owned());
+        args.push("--no-strobe");
     }
     process::run_hil_sim(&args, &elf)
 }
 
 fn campaign(name: &str, Seeds { seed, count }: &Seeds) -> Result<()> {
     let elf = firmware::build_rig()?;
-    let args = [
-        name.to_owned(),
-        format!("--seed={seed}"),
-        format!("--count={count}"),
-    ];
-    process::run_hil_sim(&args, &elf)
+    let (seed, count) = (seed.to_string(), count.to_string());
+    process::run_hil_sim(&[name, "--seed", &seed, "--count", &count], &elf)
 }
 
 fn frame_sync(launches: u32, beliefs: bool) -> Result<()> {
     let elf = firmware::build_rig()?;
     let out = process::target_dir().join("frame-sync");
-    let mut args = vec![
-        "frame-sync".to_owned(),
-        "--launches".to_owned(),
-        launches.to_string(),
-        "--out".to_owned(),
-        out.display().to_string(),
-    ];
+    let (out, launches) = (out.display().to_string(), launches.to_string());
+    let mut args = vec!["frame-sync", "--launches", &launches, "--out", &out];
     if beliefs {
-        args.push("--beliefs".to_owned());
+        args.push("--beliefs");
     }
     process::run_hil_sim(&args, &elf)
 }
@@ -389,7 +377,7 @@ fn chain(seconds: u32, seeds: u32) -> Result<()> {
 fn bench() -> Result<()> {
     let elf = firmware::build()?;
     process::cargo(["build", "--release", "-p", "hil-sim"])?;
-    process::run_hil_sim(&["bench".to_owned()], &elf)
+    process::run_hil_sim(&["bench"], &elf)
 }
 
 fn main() -> ExitCode {

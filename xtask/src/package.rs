@@ -151,7 +151,9 @@ fn image(elf: &[u8]) -> Result<Vec<u8>> {
 
 fn control(tree: &Path, version: &str, arch: &str) -> Result<()> {
     let mut size = 0;
-    sizes(tree, &mut size)?;
+    for file in process::files_below(tree)? {
+        size += file.metadata()?.len();
+    }
     let text = format!(
         "Package: {NAME}\n\
          Version: {version}\n\
@@ -256,18 +258,6 @@ fn write(to: &Path, bytes: &[u8]) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     fs::write(to, bytes).with_context(|| format!("cannot write {}", to.display()))
-}
-
-fn sizes(folder: &Path, sum: &mut u64) -> Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let path: PathBuf = entry?.path();
-        if path.is_dir() {
-            sizes(&path, sum)?;
-        } else {
-            *sum += path.metadata()?.len();
-        }
-    }
-    Ok(())
 }
 
 /// What a program prints, without the end of its last line.

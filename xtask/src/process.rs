@@ -54,6 +54,22 @@ pub(crate) fn fresh_folder(name: &str) -> Result<PathBuf> {
     Ok(place)
 }
 
+/// All files below a folder, but for what cargo makes.
+pub(crate) fn files_below(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    for entry in
+        fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?
+    {
+        let path = entry?.path();
+        if !path.is_dir() {
+            files.push(path);
+        } else if path.file_name().is_some_and(|name| name != "target") {
+            files.append(&mut files_below(&path)?);
+        }
+    }
+    Ok(files)
+}
+
 /// A command at the root of the workspace, without the variables that the
 /// cargo that started us has set for us alone.
 pub(crate) fn command(program: impl AsRef<OsStr>) -> Command {
@@ -136,7 +152,7 @@ pub(crate) fn build_programs() -> Result<()> {
 }
 
 /// Runs the simulator that cargo has built in the release profile.
-pub(crate) fn run_hil_sim(args: &[String], elf: &Path) -> Result<()> {
+pub(crate) fn run_hil_sim(args: &[&str], elf: &Path) -> Result<()> {
     run(command(program("hil-sim"))
         .args(args)
         .env(ELF_VARIABLE, elf)
