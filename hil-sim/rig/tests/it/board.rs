@@ -429,7 +429,7 @@ fn a_missing_or_foreign_elf_is_a_clear_error() {
     let text = missing.unwrap_err().to_string();
     assert!(text.contains("cargo xtask build"), "{text}");
     // This test itself is an ELF, but not one for the board.
-    let foreign = Firmware::load(&std::env::current_exe().unwrap());
+    let foreign = Firmware::load(&std::env::current_exe().unwrap(), "");
     let text = foreign.unwrap_err().to_string();
     assert!(text.contains("not a firmware of this board"), "{text}");
 }
