@@ -12,6 +12,7 @@ pub mod lies;
 pub mod long_run;
 pub mod phone_faults;
 pub mod programs;
+pub mod session;
 pub mod tracking;
 pub mod whole_chain;
 mod workers;

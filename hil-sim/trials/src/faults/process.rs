@@ -9,12 +9,9 @@
 //! tick; every pulse against the grid; a killed or broken-off recording lacks at
 //! most its last second; the phone is left as it should be.
 
-use std::io::Read as _;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus as ProcessStatus, Stdio};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::process::{Command, ExitStatus as ProcessStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use board::imu::Scale;
@@ -22,7 +19,7 @@ use protocol::{ImuFlags, ImuSample, TICK_HZ, Ticks};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
-use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
+use rustix::process::{Resource, Rlimit, Signal, prlimit};
 use smartdepthsync::outcome::ExitStatus;
 use verify::{Verdict as Checked, verify};
 
@@ -30,6 +27,7 @@ use super::Verdict;
 use super::plan::{Event, Fault, Plan};
 use crate::board_truth::captured;
 use crate::programs::Programs;
+use crate::session::Session;
 use rig::imu::SampleRecord;
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
@@ -38,7 +36,6 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunTruth, RunningRig};
 use rig::wiring::{self, UNITS_PER_TICK};
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// The longest that anything is waited for, in real time.
@@ -55,84 +52,6 @@ const SIGMAS: f64 = 5.0;
 const TRIES: usize = 3;
 /// What it says when it records.
 const RECORDS: &str = "recording for";
-
-/// A process with what it says.
-pub(crate) struct Session {
-    child: Child,
-    said: Arc<Mutex<String>>,
-    readers: Vec<JoinHandle<()>>,
-}
-
-impl Session {
-    pub(crate) fn start(command: &mut Command) -> Result<Self, String> {
-        let mut child = command
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(|error| format!("cannot start {command:?}: {error}"))?;
-        let said = Arc::new(Mutex::new(String::new()));
-        let mut pipes: Vec<Box<dyn std::io::Read + Send>> = Vec::new();
-        if let Some(out) = child.stdout.take() {
-            pipes.push(Box::new(out));
-        }
-        if let Some(err) = child.stderr.take() {
-            pipes.push(Box::new(err));
-        }
-        let readers = pipes
-            .into_iter()
-            .map(|mut pipe| {
-                let heard = Arc::clone(&said);
-                std::thread::spawn(move || {
-                    let mut buffer = [0; 1024];
-                    while let Ok(count @ 1..) = pipe.read(&mut buffer) {
-                        let text = String::from_utf8_lossy(buffer.get(..count).unwrap_or_default());
-                        lock(&heard).push_str(&text);
-                    }
-                })
-            })
-            .collect();
-        Ok(Self {
-            child,
-            said,
-            readers,
-        })
-    }
-
-    pub(crate) fn said(&self) -> String {
-        lock(&self.said).clone()
-    }
-
-    /// The same of one that has ended: what it said last may still be on its way.
-    pub(crate) fn all_said(&mut self) -> String {
-        for reader in self.readers.drain(..) {
-            let _ = reader.join();
-        }
-        self.said()
-    }
-
-    fn pid(&self) -> Result<Pid, String> {
-        i32::try_from(self.child.id())
-            .ok()
-            .and_then(Pid::from_raw)
-            .ok_or_else(|| "a process without a number".to_owned())
-    }
-
-    pub(crate) fn ended(&mut self) -> Result<Option<ProcessStatus>, String> {
-        self.child.try_wait().map_err(|error| error.to_string())
-    }
-}
-
-impl Drop for Session {
-    fn drop(&mut self) {
-        // It has ended, or nobody wants it any more.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        for reader in self.readers.drain(..) {
-            let _ = reader.join();
-        }
-    }
-}
 
 /// What was done and seen.
 struct Seen {
@@ -239,6 +158,7 @@ impl Record<'_> {
         // Whoever runs this may have switched the signal off that a full disk is here.
         let mut command = Command::new("env");
         command
+            .stdin(Stdio::null())
             .arg("--default-signal=XFSZ")
             .arg(&programs.smartdepthsync)
             .arg("record")
@@ -331,7 +251,7 @@ fn happen(
             }
             Fault::ProcessKilled => {
                 killed = Some(now);
-                kill_process(session.pid()?, Signal::KILL).map_err(|error| error.to_string())?;
+                session.signal(Signal::KILL)?;
             }
             Fault::UsbUnplugged if begins => rig.unplug(),
             Fault::UsbUnplugged => rig.plug(),

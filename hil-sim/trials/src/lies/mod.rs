@@ -24,8 +24,9 @@ use recording::session_file::SessionFile;
 use smartdepthsync::outcome::ExitStatus;
 use verify::verify;
 
-use crate::faults::process::{Record, Session, start_rig, stop_phone};
+use crate::faults::process::{Record, start_rig, stop_phone};
 use crate::programs::Programs;
+use crate::session::Session;
 use crate::workers;
 use rig::random::{Random, Seed, Stream};
 use rig::running_rig::RunningRig;

@@ -1,10 +1,7 @@
 //! Sessions of `smartdepthsync record`, as processes, on the whole rig.
 
-use std::io::Read as _;
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::support;
@@ -13,7 +10,7 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use stm32f4_sim::time::SimDuration;
 
 /// The longest that anything is waited for, in real time: it only ends what hangs.
@@ -144,11 +141,7 @@ impl WholeRig {
 }
 
 /// A session that runs, with what it says as it says it.
-pub(crate) struct Session {
-    child: Child,
-    said: Arc<Mutex<String>>,
-    readers: Vec<JoinHandle<()>>,
-}
+pub(crate) struct Session(trials::session::Session);
 
 impl Session {
     pub(crate) fn start(command: &mut Command) -> Self {
@@ -158,63 +151,32 @@ impl Session {
     /// With somebody there, whose lines are written to the second one.
     pub(crate) fn at_keys(command: &mut Command) -> (Self, ChildStdin) {
         let mut session = Self::spawn(command.stdin(Stdio::piped()));
-        let keys = session.child.stdin.take().unwrap();
+        let keys = session.0.child.stdin.take().unwrap();
         (session, keys)
     }
 
     fn spawn(command: &mut Command) -> Self {
-        let mut child = command
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let said = Arc::new(Mutex::new(String::new()));
-        let mut readers = Vec::new();
-        for mut pipe in [
-            Box::new(child.stdout.take().unwrap()) as Box<dyn std::io::Read + Send>,
-            Box::new(child.stderr.take().unwrap()),
-        ] {
-            let heard = Arc::clone(&said);
-            readers.push(std::thread::spawn(move || {
-                let mut buffer = [0; 1024];
-                while let Ok(count) = pipe.read(&mut buffer) {
-                    if count == 0 {
-                        return;
-                    }
-                    let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
-                    heard.lock().unwrap().push_str(&text);
-                }
-            }));
-        }
-        Self {
-            child,
-            said,
-            readers,
-        }
+        Self(trials::session::Session::start(command).unwrap())
     }
 
     /// The process's number.
     pub(crate) fn id(&self) -> u32 {
-        self.child.id()
+        self.0.child.id()
     }
 
     pub(crate) fn said(&self) -> String {
-        self.said.lock().unwrap().clone()
+        self.0.said()
     }
 
     /// Waits until it says something; fails when it ends before.
     pub(crate) fn wait_for(&mut self, words: &str) {
         let begun = Instant::now();
         while !self.said().contains(words) {
-            if let Some(status) = self.child.try_wait().unwrap() {
-                // What it said last may still be on its way.
-                for reader in self.readers.drain(..) {
-                    reader.join().unwrap();
-                }
+            if let Some(status) = self.0.ended().unwrap() {
+                let said = self.0.all_said();
                 assert!(
-                    self.said().contains(words),
-                    "ended ({status}) before {words:?}: {}",
-                    self.said()
+                    said.contains(words),
+                    "ended ({status}) before {words:?}: {said}"
                 );
                 return;
             }
@@ -228,27 +190,24 @@ impl Session {
     }
 
     pub(crate) fn signal(&self, signal: Signal) {
-        let pid = Pid::from_raw(self.child.id().try_into().unwrap()).unwrap();
-        kill_process(pid, signal).unwrap();
+        self.0.signal(signal).unwrap();
     }
 
     /// Waits for its end: status, and all that it said.
     pub(crate) fn end(mut self) -> (ExitStatus, String) {
         let begun = Instant::now();
         let status = loop {
-            if let Some(status) = self.child.try_wait().unwrap() {
+            if let Some(status) = self.0.ended().unwrap() {
                 break status;
             }
-            if begun.elapsed() > PATIENCE {
-                let _ = self.child.kill();
-                panic!("it does not end: {}", self.said());
-            }
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "it does not end: {}",
+                self.said()
+            );
             std::thread::sleep(Duration::from_millis(2));
         };
-        for reader in self.readers.drain(..) {
-            reader.join().unwrap();
-        }
-        (status, self.said())
+        (status, self.0.all_said())
     }
 
     /// Waits for its end, which must be this exit code.
@@ -256,14 +215,6 @@ impl Session {
         let (status, said) = self.end();
         assert_eq!(status.code(), Some(code), "{said}");
         said
-    }
-}
-
-impl Drop for Session {
-    /// A test that fails leaves no process behind.
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
     }
 }
 
