@@ -6,7 +6,7 @@
 
 use std::fs;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 
 use crate::process;
 
@@ -29,15 +29,11 @@ const LICENCES: &[&str] = &[
 /// Fails on a dependency with another licence or from another place than the
 /// registry, and on `unsafe` outside of the modules that argue for theirs.
 pub(crate) fn check() -> Result<()> {
-    let output = process::command(process::cargo_program())
-        .args(["tree", "--workspace", "--locked", "--prefix", "none"])
-        .args(["-e", "normal,build", "-f", "{p}|{l}"])
-        .output()
-        .context("cannot start cargo tree")?;
-    if !output.status.success() {
-        bail!("{}", String::from_utf8_lossy(&output.stderr));
-    }
-    let tree = String::from_utf8(output.stdout)?;
+    let tree = process::text(
+        process::command(process::cargo_program())
+            .args(["tree", "--workspace", "--locked", "--prefix", "none"])
+            .args(["-e", "normal,build", "-f", "{p}|{l}"]),
+    )?;
     let mut wrong = Vec::new();
     let mut count = 0;
     let mut lines: Vec<&str> = tree.lines().collect();

@@ -285,19 +285,15 @@ fn debian_ready() -> bool {
 
 /// The `x` of `rustc 1.x.y`.
 fn minor_version(rustc: &str) -> Option<u32> {
-    let output = Command::new(rustc).arg("--version").output().ok()?;
-    let text = String::from_utf8(output.stdout).ok()?;
+    let text = process::text(Command::new(rustc).arg("--version")).ok()?;
     let version = text.split_whitespace().nth(1)?;
     version.split('.').nth(1)?.parse().ok()
 }
 
 fn sysroot() -> Result<PathBuf> {
-    let output = process::command("rustc")
-        .args(["--print", "sysroot"])
-        .output()
-        .context("cannot start rustc; install Rust through rustup")?;
-    let text = String::from_utf8(output.stdout).context("rustc's sysroot is not UTF-8")?;
-    Ok(PathBuf::from(text.trim()))
+    process::text(process::command("rustc").args(["--print", "sysroot"]))
+        .map(PathBuf::from)
+        .context("rustc does not tell its sysroot; install Rust through rustup")
 }
 
 fn has_target(sysroot: &Path, target: &str) -> bool {

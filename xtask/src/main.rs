@@ -5,7 +5,6 @@
 //! cargo and other programs as processes and depends on no other crate of this
 //! workspace, so it builds in seconds.
 
-mod chain_bench;
 mod demo;
 mod dependencies;
 mod docs;
@@ -368,10 +367,22 @@ fn track_study(rigs: u32) -> Result<()> {
     ])
 }
 
+/// Extraction, evaluation and calibration on recordings of the whole simulated rig, by the truth.
 fn chain(seconds: u32, seeds: u32) -> Result<()> {
     tools::ensure_program("ffmpeg", "ffmpeg")?;
     let elf = firmware::build_rig()?;
-    chain_bench::run(&elf, seconds, seeds)
+    let out = process::target_dir().join("chain").display().to_string();
+    let (seconds, seeds) = (seconds.to_string(), seeds.to_string());
+    for what in [
+        &["extract", "--seconds", &seconds][..],
+        &["evaluate", "--seeds", &seeds],
+        &["calibrate"],
+    ] {
+        let args = [&["chain"], what, &["--out", &out]].concat();
+        process::run_hil_sim(&args, &elf)?;
+        println!();
+    }
+    Ok(())
 }
 
 fn bench() -> Result<()> {

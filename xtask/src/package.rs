@@ -24,7 +24,7 @@ pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
     let base = process::fresh_folder("package")?;
     let tree = base.join("tree");
     let version = env!("CARGO_PKG_VERSION");
-    let arch = text(Command::new("dpkg").arg("--print-architecture"))
+    let arch = process::text(Command::new("dpkg").arg("--print-architecture"))
         .context("dpkg is missing: packages are built on Debian")?;
 
     install(&program, &tree.join("usr/bin").join(NAME), 0o755)?;
@@ -53,7 +53,7 @@ pub(crate) fn build(elves: &[PathBuf]) -> Result<()> {
             "usr/share/fish/vendor_completions.d/smartdepthsync.fish",
         ),
     ] {
-        let script = text(Command::new(&program).args(["completions", shell]))?;
+        let script = process::text(Command::new(&program).args(["completions", shell]))?;
         write(&tree.join(place), format!("{script}\n").as_bytes())?;
     }
     let man = tree.join("usr/share/man/man1");
@@ -102,7 +102,7 @@ fn firmware(elves: &[PathBuf], folder: &Path) -> Result<()> {
         write(&folder.join(&image_name), &image(&bytes)?)?;
         names.extend([elf_name, image_name]);
     }
-    let sums = text(Command::new("sha256sum").args(names).current_dir(folder))?;
+    let sums = process::text(Command::new("sha256sum").args(names).current_dir(folder))?;
     write(&folder.join("SHA256SUMS"), format!("{sums}\n").as_bytes())
 }
 
@@ -190,7 +190,7 @@ fn try_it(package: &Path, root: &Path, elves: &[PathBuf]) -> Result<()> {
     };
     dpkg(&["--install".as_ref(), package.as_os_str()])?;
     let program = root.join("usr/bin").join(NAME);
-    let said = text(Command::new(&program).arg("--version"))?;
+    let said = process::text(Command::new(&program).arg("--version"))?;
     if said != format!("{NAME} {}", env!("CARGO_PKG_VERSION")) {
         bail!("the installed program says {said:?}");
     }
@@ -258,15 +258,4 @@ fn write(to: &Path, bytes: &[u8]) -> Result<()> {
     let folder = to.parent().context("a file without a folder")?;
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     fs::write(to, bytes).with_context(|| format!("cannot write {}", to.display()))
-}
-
-/// What a program prints, without the end of its last line.
-fn text(command: &mut Command) -> Result<String> {
-    let output = command
-        .output()
-        .with_context(|| format!("cannot start {command:?}"))?;
-    if !output.status.success() {
-        bail!("{} from {command:?}", output.status);
-    }
-    Ok(String::from_utf8(output.stdout)?.trim_end().to_owned())
 }

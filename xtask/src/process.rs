@@ -103,6 +103,18 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
+/// What a program prints, without the end of its last line.
+pub(crate) fn text(command: &mut Command) -> Result<String> {
+    let output = command
+        .output()
+        .with_context(|| format!("cannot start {command:?}"))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        bail!("{} from {command:?}: {}", output.status, said.trim());
+    }
+    Ok(String::from_utf8(output.stdout)?.trim_end().to_owned())
+}
+
 /// Whether a program runs and answers with success.
 pub(crate) fn answers(program: impl AsRef<OsStr>, args: &[&str]) -> bool {
     Command::new(program)

@@ -60,10 +60,7 @@ pub(crate) fn ensure_program(program: &str, package: &str) -> Result<()> {
 
 /// Installs Debian packages, if we are root and there is apt.
 pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
-    let root = Command::new("id")
-        .arg("-u")
-        .output()
-        .is_ok_and(|output| output.stdout.trim_ascii() == b"0");
+    let root = process::text(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
     if !root || !process::answers("apt-get", &["--version"]) {
         bail!("not root on a Debian system, so nothing was installed");
     }
