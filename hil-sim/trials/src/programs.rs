@@ -1,10 +1,11 @@
 //! The programs of a trial: the host tool under test and the firmware, and how they run.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use anyhow::{Context, Result};
 use rig::running_rig::Pace;
+use smartdepthsync::outcome::ExitStatus;
 
 /// What all sessions need.
 #[derive(Clone, Debug)]
@@ -33,6 +34,22 @@ impl Programs {
         command
     }
 
+    /// `smartdepthsync record` on a board's port, into the folder `name` below `out`, with
+    /// nobody there.
+    pub(crate) fn record(&self, port: &Path, profile: &Path, out: &Path, name: &str) -> Command {
+        let mut command = self.tool();
+        command
+            .arg("record")
+            .arg("--port")
+            .arg(port)
+            .arg("--profile")
+            .arg(profile)
+            .arg("--out")
+            .arg(out)
+            .args(["--name", name, "--yes"]);
+        command
+    }
+
     /// Says why the program cannot be started.
     pub(crate) fn cannot_start(&self) -> String {
         format!(
@@ -45,6 +62,13 @@ impl Programs {
     pub(crate) fn output(&self, command: &mut Command) -> Result<Output> {
         command.output().with_context(|| self.cannot_start())
     }
+}
+
+/// Whether a program's exit code is one of those that the documents have.
+pub(crate) fn is_documented(code: i32) -> bool {
+    ExitStatus::ALL
+        .iter()
+        .any(|status| i32::from(status.code()) == code)
 }
 
 /// How a program ended, and what it said.

@@ -4,6 +4,7 @@ use std::io::Read;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 use stm32f4_sim::i2c::lock;
@@ -68,6 +69,28 @@ impl Session {
     /// It has ended.
     pub fn signal(&self, signal: Signal) -> Result<(), String> {
         kill_process(self.pid()?, signal).map_err(|error| error.to_string())
+    }
+
+    /// Waits for its end as long as `patience` and whoever is asked now and then allow it.
+    ///
+    /// # Errors
+    ///
+    /// It does not end.
+    pub fn wait(
+        &mut self,
+        patience: Duration,
+        go_on: impl Fn() -> bool,
+    ) -> Result<ExitStatus, String> {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.ended()? {
+                return Ok(status);
+            }
+            if began.elapsed() > patience || !go_on() {
+                return Err(format!("it does not end: {}", self.said()));
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
     }
 
     /// How it ended, if it has.

@@ -31,7 +31,7 @@ impl BoardLink {
             DeviceToHost::Hello(_) => Some(()),
             _ => None,
         })
-        .context("hello")?;
+        .context("the board never said hello")?;
         Ok(link)
     }
 
@@ -87,7 +87,7 @@ impl BoardLink {
             _ => None,
         });
         let reply = answered
-            .with_context(|| format!("the answer to {}", R::NAME))?
+            .with_context(|| format!("no answer to {}", R::NAME))?
             .map_err(|refusal| anyhow!("the board refused {}: {refusal:?}", R::NAME))?;
         R::unwrap(reply).with_context(|| format!("the board answered {} with another's", R::NAME))
     }

@@ -113,16 +113,10 @@ impl Stage {
     /// The session fails, or finishes with loss.
     pub fn session(&self, name: &str, seconds: u32, arguments: &[&str]) -> Result<PathBuf> {
         let name = free_name(&self.options.out, name);
-        let mut command = self.options.programs.tool();
+        let (port, out) = (self.rig.port(), &self.options.out);
+        let programs = &self.options.programs;
+        let mut command = programs.record(port, &self.profile, out, &name);
         command
-            .arg("record")
-            .arg("--port")
-            .arg(self.rig.port())
-            .arg("--profile")
-            .arg(&self.profile)
-            .arg("--out")
-            .arg(&self.options.out)
-            .args(["--name", &name, "--yes"])
             .args(["--duration", &format!("{seconds}s")])
             .args(arguments);
         if let Some(table) = &self.table {

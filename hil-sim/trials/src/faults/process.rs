@@ -155,21 +155,15 @@ impl Record<'_> {
         let file = self.place.join("rig.toml");
         std::fs::write(&file, profile + "\n[align]\nslew_us = 1000\n")
             .map_err(|error| error.to_string())?;
+        let record = programs.record(self.port, &file, self.place, self.name);
         // Whoever runs this may have switched the signal off that a full disk is here.
         let mut command = Command::new("env");
         command
             .stdin(Stdio::null())
             .arg("--default-signal=XFSZ")
-            .arg(&programs.smartdepthsync)
-            .arg("record")
-            .arg("--port")
-            .arg(self.port)
-            .arg("--profile")
-            .arg(file)
-            .arg("--out")
-            .arg(self.place)
-            .args(["--name", self.name, "--yes", "--duration"])
-            .arg(format!("{}s", self.seconds));
+            .arg(record.get_program())
+            .args(record.get_args())
+            .args(["--duration", &format!("{}s", self.seconds)]);
         Ok(command)
     }
 }

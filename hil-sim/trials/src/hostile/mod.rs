@@ -25,8 +25,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context as _, Result};
-use smartdepthsync::outcome::ExitStatus;
 
+use crate::programs::is_documented;
 use crate::workers;
 use material::Material;
 use mutate::Draw;
@@ -219,10 +219,7 @@ fn run(
             ended.peak / 1_000_000
         ));
     };
-    let is_documented = ExitStatus::ALL
-        .iter()
-        .any(|status| i32::from(status.code()) == code);
-    if !is_documented || said.contains("panicked") {
+    if !is_documented(code) || said.contains("panicked") {
         return finding(format!("exit code {code}: {said}"));
     }
     Ok(Ok(Verdict {

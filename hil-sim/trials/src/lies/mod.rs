@@ -15,17 +15,16 @@ mod phone;
 
 use std::fmt;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ::board::Board;
 use protocol::TrainState;
 use recording::reader::{Item, Reader};
 use recording::session_file::SessionFile;
-use smartdepthsync::outcome::ExitStatus;
 use verify::verify;
 
 use crate::faults::process::{Record, start_rig, stop_phone};
-use crate::programs::Programs;
+use crate::programs::{Programs, is_documented};
 use crate::session::Session;
 use crate::workers;
 use rig::random::{Random, Seed, Stream};
@@ -148,27 +147,13 @@ fn session(
     let mut command = record.command(programs)?;
     command.args(["--link-patience", "5s"]);
     let mut session = Session::start(&mut command)?;
-    let began = Instant::now();
-    let status = loop {
-        if let Some(status) = session.ended()? {
-            break status;
-        }
-        if began.elapsed() > PATIENCE || !rig.is_running() {
-            return Err(format!("it does not end: {}", session.said()));
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    };
+    let status = session.wait(PATIENCE, || rig.is_running())?;
     let said = session.all_said();
     let told = board.told() + phone.told();
     let sent = board.end();
     drop(phone);
     let bad = |what: String| Err(format!("{what}; it said: {}", said.trim()));
-    let documented = |code: &i32| {
-        let all = ExitStatus::ALL.iter();
-        all.map(|status| i32::from(status.code()))
-            .any(|known| known == *code)
-    };
-    let Some(code) = status.code().filter(documented) else {
+    let Some(code) = status.code().filter(|code| is_documented(*code)) else {
         return bad(format!("it ended with {status}"));
     };
     if said.contains("panicked") {

@@ -258,16 +258,9 @@ fn session(
 ) -> Result<Recorded> {
     let path = out.join("rig.toml");
     std::fs::write(&path, profile).with_context(|| format!("cannot write {}", path.display()))?;
-    let mut command = programs.tool();
+    let mut command = programs.record(rig.port(), &path, out, "recording");
     command
-        .arg("record")
-        .arg("--port")
-        .arg(rig.port())
-        .arg("--profile")
-        .arg(&path)
-        .arg("--out")
-        .arg(out)
-        .args(["--name", "recording", "--yes", "--fetch-video"])
+        .arg("--fetch-video")
         .args(["--duration", &format!("{}s", length.seconds)])
         .args(["--twists", &length.twists.to_string()])
         .args(["--twist-gap", &format!("{GAP_S}s")]);

@@ -195,18 +195,7 @@ impl Session {
 
     /// Waits for its end: status, and all that it said.
     pub(crate) fn end(mut self) -> (ExitStatus, String) {
-        let begun = Instant::now();
-        let status = loop {
-            if let Some(status) = self.0.ended().unwrap() {
-                break status;
-            }
-            assert!(
-                begun.elapsed() < PATIENCE,
-                "it does not end: {}",
-                self.said()
-            );
-            std::thread::sleep(Duration::from_millis(2));
-        };
+        let status = self.0.wait(PATIENCE, || true).unwrap();
         (status, self.0.all_said())
     }
 
