@@ -8,6 +8,7 @@ use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
 use extract::learn::LearnError;
+use extract::mkv::k4a::K4aError;
 use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
 use phone::adb::AdbError;
@@ -343,7 +344,9 @@ pub(crate) fn imu_scale(setup: &ImuSetup) -> Result<Scale, Failure> {
 /// A file that was given as a gyroscope's recording.
 pub(crate) fn gyro_file(path: &Path, error: GyroFileError) -> Failure {
     let (status, next) = match &error {
-        GyroFileError::Io(error) => return Failure::file("read", path, error),
+        GyroFileError::Io(error) | GyroFileError::Kinect(K4aError::Read(error)) => {
+            return Failure::file("read", path, error);
+        }
         GyroFileError::Csv(_) => (
             ExitStatus::Usage,
             "give CSV with a header (time; x, y, z in rad/s or degrees a second), or the phone \

@@ -103,6 +103,7 @@ pub fn into_profile(
     let lines: DocumentMut = lines
         .parse()
         .map_err(|error: TomlError| unwritable(error.to_string()))?;
+    // A new table, which has no place in a document yet.
     let table: Table = lines
         .iter()
         .map(|(key, item)| (key, item.clone()))

@@ -78,8 +78,8 @@ pub(crate) fn chosen(
     let best = tried.first()?;
     let lags: Vec<f64> = tried.iter().map(|t| t.fit.link.lag_s()).collect();
     let whole = rigid::is_whole(&best.fit, settings.fit.noise_variance);
-    // Where the best explains most, it is the lag; otherwise the largest part that any
-    // lag explains decides.
+    // No part is looked for where the best explains all, or faults are not handled. Where it
+    // explains most, it is the lag; otherwise the largest part that any lag explains decides.
     let parts_of = if whole || !options.handle_faults {
         &[]
     } else if best.unexplained.sqrt() < Gate::MOSTLY_EXPLAINED {

@@ -1,9 +1,9 @@
 //! `smartdepthsync man`: the manual pages.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::CommandFactory as _;
-use serde_json::json;
 
 use crate::cli::{Cli, Context};
 use crate::outcome::{ExitStatus, Failure};
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
     }
     pages.sort();
-    context.print(&json!({ "pages": pages }), || {
+    context.print(&BTreeMap::from([("pages", &pages)]), || {
         format!("{} pages written to {}", pages.len(), args.folder.display())
     })?;
     Ok(ExitStatus::Good)

@@ -1,6 +1,7 @@
 //! `smartdepthsync phone imu|start|stop|get-video|get-files`: the app's four requests, one
 //! at a time, and the files that it does not send.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -403,7 +404,7 @@ fn get_files(args: &GetFilesArgs, context: &Context) -> Result<ExitStatus, Failu
         context.say(format!("by MTP: {}", adb::copy_command(phase, &args.out)));
         PhoneError::from(error)
     })?;
-    context.print(&json!({ "files": files }), || {
+    context.print(&BTreeMap::from([("files", &files)]), || {
         let lines = files.iter().map(|path| path.display().to_string());
         lines.collect::<Vec<_>>().join("\n")
     })?;

@@ -1,12 +1,12 @@
 //! `smartdepthsync profile`: make, check and teach a rig profile.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use serde::Serialize;
-use serde_json::json;
 
 use super::setup::CameraArg;
 use crate::cli::Context;
@@ -175,7 +175,7 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
     File::create_new(file)
         .and_then(|mut created| created.write_all(text.as_bytes()))
         .map_err(|error| Failure::file("write", file, &error))?;
-    context.print(&json!({ "profile": file }), || {
+    context.print(&BTreeMap::from([("profile", file)]), || {
         format!("wrote {}; set the phone's address in it", file.display())
     })?;
     Ok(ExitStatus::Good)

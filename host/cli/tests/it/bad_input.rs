@@ -1,7 +1,10 @@
 //! Bad input of every command: the exit code, a message that names what is wrong, and
 //! a next step that fits.
 
+use std::ffi::OsStr;
+use std::fmt::Debug;
 use std::fs;
+use std::os::unix::ffi::OsStrExt as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -406,7 +409,7 @@ fn files(folder: &Path) {
     write("folder/text/notes", b"notes");
 }
 
-fn run(folder: &Path, arguments: &[&str]) -> Output {
+fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Output {
     let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
         .args(arguments)
         .current_dir(folder)
@@ -449,6 +452,21 @@ fn bad_input_of_every_command_has_a_next_step_that_fits() {
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_path_that_is_no_text_is_written_to_all_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = OsStr::from_bytes(b"\xff");
+    for command in [["profile", "init"].as_slice(), &["man"]] {
+        let command = command.iter().map(OsStr::new);
+        let command: Vec<&OsStr> = command.chain([path]).collect();
+        let output = run(folder.path(), &command);
+        assert!(output.status.success(), "{output:?}");
+        let path = folder.path().join(path);
+        let removed = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+        assert!(removed.is_ok(), "{command:?} wrote nothing");
+    }
 }
 
 /// Options in an advice, outside of commands that are quoted, which the command of this

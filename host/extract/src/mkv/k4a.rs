@@ -32,6 +32,9 @@ pub enum K4aError {
     /// It cannot be opened.
     #[error("opening it: {0}")]
     Open(std::io::Error),
+    /// Reading failed on the way.
+    #[error("reading it: {0}")]
+    Read(std::io::Error),
     /// It is no readable Matroska file.
     #[error(transparent)]
     Mkv(#[from] MkvError),
@@ -304,7 +307,7 @@ impl<R: Read + Seek> Recording<R> {
             // All of it, whatever the track: the checksum is over the whole cluster.
             Content::Pixels => true,
         };
-        let cluster = self.mkv.next_cluster(&wanted).map_err(MkvError::from)?;
+        let cluster = self.mkv.next_cluster(&wanted).map_err(K4aError::Read)?;
         Ok(cluster.map(|cluster| self.sort_out(cluster)))
     }
 

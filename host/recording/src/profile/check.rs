@@ -4,7 +4,8 @@
 
 use std::ops::RangeInclusive;
 
-use protocol::{AccelRange, GyroRange, ImuConfig, LowPass};
+use board::imu::{ACCEL_RANGES, GYRO_RANGES, LOW_PASSES};
+use protocol::ImuConfig;
 
 use crate::camera::Model;
 
@@ -220,45 +221,19 @@ impl Profile {
                 let expected = "1000 divided by a whole number up to 256";
                 wrong("imu.rate_hz", imu.rate_hz.to_string(), expected)
             })?;
-        let low_passes = [
-            (188, LowPass::Hz188),
-            (98, LowPass::Hz98),
-            (42, LowPass::Hz42),
-            (20, LowPass::Hz20),
-            (10, LowPass::Hz10),
-            (5, LowPass::Hz5),
-        ];
-        let gyro_ranges = [
-            (250, GyroRange::Dps250),
-            (500, GyroRange::Dps500),
-            (1_000, GyroRange::Dps1000),
-            (2_000, GyroRange::Dps2000),
-        ];
-        let accel_ranges = [
-            (2, AccelRange::G2),
-            (4, AccelRange::G4),
-            (8, AccelRange::G8),
-            (16, AccelRange::G16),
-        ];
         Ok(ImuConfig {
             divider,
-            low_pass: setting("imu.low_pass_hz", imu.low_pass_hz, &low_passes)?,
-            gyro_range: setting("imu.gyro_range_dps", imu.gyro_range_dps, &gyro_ranges)?,
-            accel_range: setting("imu.accel_range_g", imu.accel_range_g, &accel_ranges)?,
+            low_pass: setting("imu.low_pass_hz", imu.low_pass_hz, &LOW_PASSES)?,
+            gyro_range: setting("imu.gyro_range_dps", imu.gyro_range_dps, &GYRO_RANGES)?,
+            accel_range: setting("imu.accel_range_g", imu.accel_range_g, &ACCEL_RANGES)?,
         })
     }
 }
 
 /// The sensor's setting that a number in a profile stands for.
 fn setting<T: Copy>(key: &str, number: u32, settings: &[(u32, T)]) -> Result<T, ProfileError> {
-    let known = settings.iter().find(|(known, _)| *known == number);
-    known.map(|(_, setting)| *setting).ok_or_else(|| {
-        let numbers = settings.iter().map(|(known, _)| known.to_string());
-        let mut numbers: Vec<String> = numbers.collect();
-        let last = numbers.pop().unwrap_or_default();
-        let expected = format!("{} or {last}", numbers.join(", "));
-        wrong(key, number.to_string(), expected)
-    })
+    let setting = board::imu::setting(number, settings);
+    setting.map_err(|expected| wrong(key, number.to_string(), expected))
 }
 
 /// Refuses the first value of a table that is out of its bounds.

@@ -220,7 +220,7 @@ fn what_is_no_exchange_is_left() {
             ..good
         },
     ] {
-        tracker.take(Asked::B, bad);
+        assert!(!tracker.take(Asked::B, bad));
         assert_eq!(format!("{tracker:?}"), nothing);
     }
     assert!(!tracker.take(Asked::B, good));

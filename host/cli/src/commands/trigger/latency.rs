@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use protocol::{DeviceToHost, TICK_HZ, TrainState};
+use protocol::{DeviceToHost, TICK_HZ, Ticks, TrainState};
 
 use crate::cli::Context;
 use crate::outcome::{ExitStatus, Failure};
@@ -37,6 +37,8 @@ pub(super) fn measure(
                 last_sign = pulse.at;
             }
             Some(Event::Message(DeviceToHost::Capture(capture))) => captures.push(capture),
+            // The board's time begins again.
+            Some(Event::Restarted { .. }) => last_sign = Ticks::ZERO,
             _ => {}
         }
         let is_quiet = (board.conversation().latest() - last_sign).0 > PATIENCE_TICKS;

@@ -56,7 +56,8 @@ impl Column {
             Self::Float(values) => {
                 Some(("float32", values.iter().copied().map(f64::from).collect()))
             }
-            Self::Double(_) | Self::Text(_) | Self::TextList(_) | Self::Image(_) => None,
+            Self::Double(values) => Some(("float64", values.clone())),
+            Self::Text(_) | Self::TextList(_) | Self::Image(_) => None,
         }
     }
 
