@@ -206,7 +206,7 @@ pub fn run(args: &Args) -> Result<()> {
 
     let result = pump(args, &mut rig, &mut port, &stopped, |rig| {
         match &mut truth {
-            Some(truth) => truth.poll(rig)?,
+            Some(truth) => truth.poll(rig).context("the truth could not be written")?,
             // Nobody wants it.
             None => drop(parts.take_records()),
         }
@@ -301,5 +301,7 @@ fn pump(
             next_note = rig.now() + NOTE_STEP;
         }
     }
+    // What came of the last step.
+    port.move_bytes(rig)?;
     Ok(())
 }

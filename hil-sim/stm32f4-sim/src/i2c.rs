@@ -97,6 +97,9 @@ impl<T: crate::model::PinModel> crate::model::PinModel for Shared<T> {
     fn watched_pins(&self) -> Vec<crate::pin::Pin> {
         lock(self).watched_pins()
     }
+    fn inputs(&self) -> Vec<(crate::pin::Pin, f64)> {
+        lock(self).inputs()
+    }
     fn power_on(&mut self, io: &mut crate::model::PinIo<'_>) {
         lock(self).power_on(io);
     }

@@ -233,7 +233,9 @@ pub(crate) const fn file_step(reason: ErrorKind) -> &'static str {
     match reason {
         ErrorKind::NotFound => "check the path: there is no such file or folder",
         ErrorKind::PermissionDenied => "check its owner and permissions: access was denied",
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "free some space and run it again",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::FileTooLarge => {
+            "free some space and run it again"
+        }
         ErrorKind::ReadOnlyFilesystem => "choose another place: this disk cannot be written",
         ErrorKind::IsADirectory => "give a file: this is a folder",
         ErrorKind::NotADirectory => "give a folder, and check the path: a part of it is a file",

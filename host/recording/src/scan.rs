@@ -136,7 +136,8 @@ impl Scan {
         if self.ended {
             return Ok(None);
         }
-        if self.position == 0 {
+        // Once the magic was missed, a chunk may begin at byte 0.
+        if self.position == 0 && self.hasher.is_some() {
             let magic = self.take(mcap::MAGIC.len() as u64)?;
             if let Some(hasher) = &mut self.hasher {
                 hasher.update(&magic);
@@ -250,8 +251,12 @@ impl Scan {
 
     /// Goes to the next chunk behind `from`; to the end if there is none.
     fn search(&mut self, from: u64) -> io::Result<Piece> {
-        // The record that led here is no chunk.
-        let behind = if from == 0 { 0 } else { from + 1 };
+        // The record that led here is no chunk; what is no magic may be one.
+        let behind = if from == 0 && self.hasher.is_some() {
+            0
+        } else {
+            from + 1
+        };
         let found = self.next_head(behind, self.length)?;
         // The checksum over all is meaningless from here on.
         self.hasher = None;
@@ -337,5 +342,23 @@ fn piece_of(at: u64, header: &ChunkHeader, chunk: Result<Chunk, BadChunk>) -> Pi
             what: bad.to_string(),
             times: (header.message_start_time, header.message_end_time),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_begins_with_a_chunk_has_an_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("headless.mcap");
+        let mut bytes = vec![op::CHUNK];
+        bytes.extend(40_u64.to_le_bytes());
+        bytes.resize(69, 0);
+        std::fs::write(&path, bytes).unwrap();
+        let mut scan = Scan::open(&path).unwrap();
+        let pieces = std::iter::from_fn(|| scan.next_piece().unwrap());
+        assert!(pieces.take(9).count() < 9);
     }
 }

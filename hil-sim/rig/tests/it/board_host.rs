@@ -4,10 +4,9 @@
 use protocol::*;
 use stm32f4_sim::pin::{Level, Pin};
 use stm32f4_sim::sim::{Sim, SimBuilder};
-use stm32f4_sim::time::{SimDuration, SimTime, UNITS_PER_SECOND};
+use stm32f4_sim::time::{SimDuration, SimTime};
 
-/// Virtual time in one tick of the board.
-pub(crate) const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
+pub(crate) use rig::wiring::UNITS_PER_TICK;
 
 /// The board, and the messages that have come from it, each stream in order.
 pub(crate) struct Board {

@@ -66,8 +66,9 @@ fn a_camera_without_a_gate_is_refused() {
         input_high: 3.0,
         ..LidarConfig::default()
     });
+    // One that is shared is asked too.
     let refused = wiring::board()
-        .model(lidar)
+        .model(Arc::new(Mutex::new(lidar)))
         .build()
         .unwrap_err()
         .to_string();

@@ -23,12 +23,11 @@ use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings, device_us};
 use rig::motion::{Motion, MotionSpec, MotionView};
 use rig::oscillator::{BoardTime, Oscillator, OscillatorConfig, TrueTime};
 use rig::random::{Random, Seed, Stream, rotation};
+use rig::wiring::UNITS_PER_TICK;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 use timebase::BoardSeconds;
 use timebase::{ClockModel, Wander};
 
-/// Units of simulated time in a tick of the board.
-const UNITS_PER_TICK: u64 = UNITS_PER_SECOND / TICK_HZ as u64;
 /// Low-pass of the board's gyroscope (MPU-9150, DLPF 188 Hz).
 const BOARD_PASS: LowPass = LowPass {
     bandwidth_hz: 188.0,

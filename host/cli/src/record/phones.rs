@@ -55,13 +55,14 @@ fn connect_one(
     let asked = task.probe();
     let version = loop {
         match asked.answer() {
-            Some(Ok(version)) => break Some(version.to_string()),
+            Some(Ok(version)) => break version.to_string(),
             Some(Err(error)) => return Err(named(profile, phone, error).into()),
             None if context.interrupt.requested() => return Err(Stop::Interrupted),
             None => std::thread::sleep(Duration::from_millis(10)),
         }
     };
     let address = phone.address.clone();
+    let version = Some(version);
     Ok((task, PhoneInfo { address, version }))
 }
 
