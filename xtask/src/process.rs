@@ -153,12 +153,14 @@ pub(crate) fn program(name: &str) -> PathBuf {
 /// Builds the host tool and the simulator, always in one call of cargo: what both depend on
 /// has the same features each time, and is not compiled twice.
 pub(crate) fn build_programs() -> Result<()> {
+    // Of the workspace, whose features they then have: the tests build no crate again.
     cargo([
         "build",
         "--release",
-        "-p",
+        "--workspace",
+        "--bin",
         "smartdepthsync",
-        "-p",
+        "--bin",
         "hil-sim",
     ])
 }
