@@ -21,7 +21,7 @@ use anyhow::{Context, Result};
 use crate::ball;
 use crate::depth_camera::{DepthCamera, FrameRecord};
 use crate::k4a_mkv::{K4aMkvWriter, K4aSettings, device_us};
-use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::shared::{Shared, lock};
 
 /// How long either side waits before it looks whether it should end.
 const POLL: Duration = Duration::from_millis(50);

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use crate::oscillator::TrueTime;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 /// One flash of infrared light, in true time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::random::Random;
 use stm32f4_sim::clock::Rate;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::{SimTime, UNITS_PER_NANO, UNITS_PER_SECOND};
 
 /// True time since power-on of the rig, in units of [`UNITS_PER_SECOND`].

@@ -16,7 +16,7 @@ use crate::oscillator::{BoardTime, OscillatorConfig, TrueTime};
 use crate::random::{Seed, Stream};
 use crate::truth::{Clocks, Run};
 use crate::wiring::BoardKind;
-use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::SimBuilder;
 
 /// What is around the board.

@@ -54,7 +54,7 @@ use crate::pty::Pty;
 use crate::rig_config::{RigConfig, RigParts};
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::wiring;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
@@ -64,7 +64,7 @@ pub(crate) const STEP: SimDuration = SimDuration::from_millis(1);
 
 /// Bytes that wait for the program at the other end before the host's driver
 /// stops asking the board for more, as an operating system does.
-pub(crate) const BUFFER: usize = 64 * 1024;
+const BUFFER: usize = 64 * 1024;
 
 /// Board time from power-on within which the serial port must be there.
 pub(crate) const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
@@ -442,7 +442,6 @@ impl Runner {
     /// on a table before anybody starts a session.
     fn boot(&self, board: SimBuilder) -> Result<(Sim, Option<Port>)> {
         let mut rig = board.build()?;
-        rig.usb_set_buffer_limit(BUFFER);
         let port = if rig.usb_state() == UsbState::Unplugged {
             None
         } else if rig.run_until_usb_ready(BOOT_LIMIT)? {
@@ -532,6 +531,7 @@ impl Runner {
 impl Port {
     /// A new one, that no program has opened.
     pub(crate) fn new(rig: &mut Sim) -> Result<Self> {
+        rig.usb_set_buffer_limit(BUFFER);
         rig.usb_open(false);
         Ok(Self {
             pty: Pty::new().context("cannot make a pseudo-terminal")?,

@@ -16,15 +16,15 @@ use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
-use crate::running_rig::{BOOT_LIMIT, BUFFER, Pacer, Port, STEP};
+use crate::running_rig::{BOOT_LIMIT, Pacer, Port, STEP};
 use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
 use crate::wiring;
 use anyhow::{Context, Result};
-use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::rtt::LogLine;
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::vcd_trace::VcdTrace;
@@ -277,7 +277,6 @@ fn pump(
     stopped: &AtomicBool,
     mut note: impl FnMut(&mut Sim) -> Result<()>,
 ) -> Result<()> {
-    rig.usb_set_buffer_limit(BUFFER);
     let end = args
         .length
         .map(|d| SimTime::from_nanos(u64::try_from(d.as_nanos()).unwrap_or(u64::MAX)));

@@ -14,9 +14,9 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::oscillator::{BoardTime, TrueTime};
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// The most real time that [`TrueClock::run_at`] lets pass at once.

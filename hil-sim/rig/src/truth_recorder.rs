@@ -12,8 +12,8 @@ use crate::rig_config::RigParts;
 use crate::running_rig::zero_of;
 use crate::truth::{TruthRecord, TruthWriter};
 use crate::wiring;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Level;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 

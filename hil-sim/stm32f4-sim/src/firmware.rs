@@ -141,7 +141,7 @@ impl Firmware {
 
     /// The first symbol whose demangled path ends with `path`.
     #[must_use]
-    pub fn find_symbol(&self, path: &str) -> Option<Symbol> {
+    pub(crate) fn find_symbol(&self, path: &str) -> Option<Symbol> {
         self.symbols
             .iter()
             .find(|(name, _)| {

@@ -4,8 +4,6 @@
 //! which the event ends on the wire (the ninth clock of a byte). Addresses are
 //! 7 bit. Targets do not stretch the clock.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-
 use crate::time::SimTime;
 
 /// Whether the receiver of a byte pulled SDA low in the ninth clock.
@@ -60,75 +58,4 @@ pub trait I2cTarget: Send {
     fn bus_clear_pulse(&mut self, at: SimTime) {
         let _ = at;
     }
-}
-
-/// A target that is shared between the I2C bus, the board's event loop
-/// ([`crate::model::PinModel`]) and a test that looks at its state.
-pub type Shared<T> = Arc<Mutex<T>>;
-
-impl<T: I2cTarget> I2cTarget for Shared<T> {
-    fn start(&mut self, address: u8, direction: Direction, at: SimTime) -> Ack {
-        lock(self).start(address, direction, at)
-    }
-    fn write(&mut self, byte: u8, at: SimTime) -> Ack {
-        lock(self).write(byte, at)
-    }
-    fn read(&mut self, at: SimTime) -> u8 {
-        lock(self).read(at)
-    }
-    fn read_acknowledged(&mut self, ack: Ack, at: SimTime) {
-        lock(self).read_acknowledged(ack, at);
-    }
-    fn stop(&mut self, at: SimTime) {
-        lock(self).stop(at);
-    }
-    fn holds_sda_low(&self) -> bool {
-        lock(self).holds_sda_low()
-    }
-    fn bus_clear_pulse(&mut self, at: SimTime) {
-        lock(self).bus_clear_pulse(at);
-    }
-}
-
-impl<T: crate::model::PinModel> crate::model::PinModel for Shared<T> {
-    fn name(&self) -> String {
-        lock(self).name()
-    }
-    fn watched_pins(&self) -> Vec<crate::pin::Pin> {
-        lock(self).watched_pins()
-    }
-    fn inputs(&self) -> Vec<(crate::pin::Pin, f64)> {
-        lock(self).inputs()
-    }
-    fn power_on(&mut self, io: &mut crate::model::PinIo<'_>) {
-        lock(self).power_on(io);
-    }
-    fn on_pin_edge(
-        &mut self,
-        pin: crate::pin::Pin,
-        level: crate::pin::Level,
-        io: &mut crate::model::PinIo<'_>,
-    ) {
-        lock(self).on_pin_edge(pin, level, io);
-    }
-    fn on_clock(
-        &mut self,
-        pin: crate::pin::Pin,
-        rate: Option<crate::clock::Rate>,
-        io: &mut crate::model::PinIo<'_>,
-    ) {
-        lock(self).on_clock(pin, rate, io);
-    }
-    fn next_event(&self) -> Option<SimTime> {
-        lock(self).next_event()
-    }
-    fn advance(&mut self, io: &mut crate::model::PinIo<'_>) {
-        lock(self).advance(io);
-    }
-}
-
-/// Locks what is shared. A panic elsewhere while it was locked is not hidden
-/// (the test that panicked has failed already), but does not cascade.
-pub fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
-    shared.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -54,6 +54,7 @@ pub mod model_bench;
 pub mod pin;
 pub mod random;
 pub mod rtt;
+pub mod shared;
 pub mod sim;
 pub mod time;
 pub mod usb;

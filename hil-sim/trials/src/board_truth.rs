@@ -18,8 +18,8 @@ use protocol::{
 
 use rig::imu::{SampleRecord, SimImu};
 use rig::wiring::{self, UNITS_PER_TICK};
-use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Level;
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, Sim};
 use stm32f4_sim::time::{SimDuration, SimTime};
 

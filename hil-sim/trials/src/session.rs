@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 /// A process with what it says. It is ended when dropped.
 #[derive(Debug)]

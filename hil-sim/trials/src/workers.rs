@@ -2,7 +2,7 @@
 
 use std::sync::Mutex;
 
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 /// Does `work` on each item, `jobs` at a time; gives the results in the order of the items.
 ///

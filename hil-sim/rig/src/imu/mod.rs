@@ -3,7 +3,7 @@
 //! [`SimImu`] is one state machine with two sides: an [`I2cTarget`](stm32f4_sim::i2c::I2cTarget)
 //! at address 0x68 and a [`PinModel`] that drives the data-ready pin (PA1) and listens to
 //! the reference clocks (PA8, PB0). It is shared by both through
-//! [`stm32f4_sim::i2c::Shared`]. Which sensor it is, is its register map's business
+//! [`stm32f4_sim::shared::Shared`]. Which sensor it is, is its register map's business
 //! ([`mpu`] for four of them, `icm42688p`).
 //!
 //! # What is modelled
@@ -54,9 +54,9 @@ use crate::oscillator::BoardTime;
 use crate::random::Seed;
 use crate::wiring;
 use stm32f4_sim::clock::Rate;
-use stm32f4_sim::i2c::Shared;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Level, Pin};
+use stm32f4_sim::shared::Shared;
 use stm32f4_sim::time::SimTime;
 
 pub use config::{DataReady, SensorModel, SimImuConfig};

@@ -16,7 +16,7 @@ use super::sensors::{Kind, Sensors};
 use crate::flash_log::FlashSource;
 use crate::oscillator::{Oscillator, TrueTime};
 use crate::true_clock::{RigStopped, TrueClock};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
 /// How long the app waits for the phase of a video, in milliseconds (RRH:34).

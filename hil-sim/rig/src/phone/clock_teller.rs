@@ -16,7 +16,7 @@ use super::app::App;
 use crate::link_delay::{Link, LinkBeliefs};
 use crate::oscillator::TrueTime;
 use crate::random::Stream;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::SimDuration;
 
 /// Tells the clocks until it is dropped.

@@ -9,7 +9,7 @@ use super::camera::{FrameTimes, write_video};
 use super::config::VideoMode;
 use super::sensors::Kind;
 use crate::oscillator::TrueTime;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::UNITS_PER_SECOND;
 
 /// A press of the record button so soon after a start is ignored, in milliseconds

@@ -20,7 +20,7 @@ use crate::inertial_channel::{Channel, ChannelConfig};
 use crate::motion::Motion;
 use crate::oscillator::Oscillator;
 use crate::random::{Random, Seed, Stream};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 /// Samples that share one stream of random numbers.
 const BLOCK: u64 = 2048;

@@ -32,7 +32,7 @@ use std::time::Duration;
 
 use super::app::{App, Reply};
 use crate::oscillator::TrueTime;
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 /// Bytes of an answer that wait for the next one: less than a segment.
 const TAIL: usize = 1_024;

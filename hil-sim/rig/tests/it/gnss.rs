@@ -7,8 +7,8 @@ use crate::board_host::{Board, UNITS_PER_TICK};
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults, LidarSecond};
 use rig::wiring;
-use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// A Velodyne's.

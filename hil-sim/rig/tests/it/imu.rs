@@ -9,8 +9,8 @@ use rig::motion::gesture::Gesture;
 use rig::motion::{Motion, MotionSpec};
 use rig::random::{Seed, Stream};
 use rig::wiring;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::SimDuration;
 
 /// One byte in ten with a bus error that is none: each sample comes, and is right.

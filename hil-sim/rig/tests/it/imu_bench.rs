@@ -10,7 +10,7 @@ use rig::motion::Motion;
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
 use rig::wiring;
-use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::{INPUT_SYNCHRONISER, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 

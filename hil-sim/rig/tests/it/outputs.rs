@@ -10,8 +10,8 @@ use crate::trigger_rig::Strobe;
 use protocol::*;
 use rig::lidar::{Lidar, LidarConfig, LidarFaults};
 use rig::wiring;
-use stm32f4_sim::i2c::{Shared, lock};
 use stm32f4_sim::pin::{Level, Pin};
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::SimBuilder;
 use stm32f4_sim::time::{SimDuration, SimTime};
 

@@ -60,7 +60,7 @@ mod tests {
     use super::super::rules::tests::{chip, write};
     use super::*;
     use crate::cpu::{Cpu, Event};
-    use crate::i2c::lock;
+    use crate::shared::lock;
 
     const RCC_CFGR: u32 = 0x4002_3808;
     const RCC_AHB1ENR: u32 = 0x4002_3830;

@@ -36,7 +36,7 @@ use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Region};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, sys, xpsr};
 
 use crate::chip::Soc;
-use crate::i2c::lock;
+use crate::shared::lock;
 use access::Bus;
 use code::Code;
 use exec::Stop;

@@ -3,8 +3,8 @@
 use super::{ResetCause, Sim};
 use crate::backtrace;
 use crate::chip::rules::End;
-use crate::i2c::lock;
 use crate::rtt::LogLine;
+use crate::shared::lock;
 use crate::time::{SimDuration, SimTime};
 
 /// Time given to a firmware that panicked, to log its message and reset.

@@ -25,9 +25,9 @@ use crate::chip::{self, Soc};
 use crate::clock::Rate;
 use crate::cpu::{Cpu, CpuStats, Event};
 use crate::firmware::Firmware;
-use crate::i2c::lock;
 use crate::random::Random;
 use crate::rtt::{LogLine, Rtt, Words};
+use crate::shared::lock;
 use crate::time::{SimDuration, SimTime};
 
 /// Longest stretch of cycles between two looks at the log.

@@ -10,9 +10,9 @@ use super::plan::Fault;
 use super::scene::Scene;
 use rig::imu::Fault as ImuFault;
 use rig::wiring;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::model::{PinIo, PinModel};
 use stm32f4_sim::pin::{Drive, Pin};
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
 /// Half a period of 100 kHz.

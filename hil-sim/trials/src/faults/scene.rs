@@ -19,7 +19,7 @@ use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::{Seed, Stream};
-use stm32f4_sim::i2c::{Shared, lock};
+use stm32f4_sim::shared::{Shared, lock};
 use stm32f4_sim::sim::{FailureKind, ResetCause, Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;

@@ -14,7 +14,7 @@ use rig::pty::Pty;
 use rig::random::Random;
 use rustix::fs::OFlags;
 use serde_json::{Value, json};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 
 use super::Turn;
 

@@ -18,7 +18,7 @@ use rig::motion::gesture::Gesture;
 use rig::oscillator::{BoardTime, OscillatorConfig};
 use rig::random::Stream;
 use rig::wiring::{self, BoardKind};
-use stm32f4_sim::i2c::lock;
+use stm32f4_sim::shared::lock;
 use stm32f4_sim::sim::Sim;
 use stm32f4_sim::time::{SimDuration, SimTime};
 
@@ -80,8 +80,8 @@ struct Fields {
 pub(super) struct Bench {
     rig: Sim,
     conversation: Conversation,
-    sensor: stm32f4_sim::i2c::Shared<SimImu>,
-    camera: stm32f4_sim::i2c::Shared<DepthCamera>,
+    sensor: stm32f4_sim::shared::Shared<SimImu>,
+    camera: stm32f4_sim::shared::Shared<DepthCamera>,
     truth: BoardTruth,
     fields: Fields,
     /// The status before, and the latest.

@@ -26,8 +26,8 @@ use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::RunningRig;
 use rig::wiring;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::lock;
 
 /// Names of the phones; the trigger is aligned to the first.
 pub(crate) const PHONES: [&str; 2] = ["left phone", "right phone"];

@@ -17,8 +17,8 @@ use rig::rig_config::RigConfig;
 use rig::running_rig::{Pace, RunningRig};
 use rig::wiring;
 use serde_json::Value;
-use stm32f4_sim::i2c::lock;
 use stm32f4_sim::pin::Pin;
+use stm32f4_sim::shared::lock;
 
 struct Bench {
     rig: RunningRig,

@@ -1,6 +1,7 @@
 use super::*;
-use crate::i2c::{I2cTarget, Shared};
+use crate::i2c::I2cTarget;
 use crate::random::Seed;
+use crate::shared::Shared;
 use std::sync::{Arc, Mutex};
 
 #[derive(Default)]
@@ -115,7 +116,7 @@ fn reads_a_register_by_polling() {
     b.go();
     assert_eq!(b.sr2(), 0);
     assert_eq!(
-        crate::i2c::lock(&b.target).log,
+        crate::shared::lock(&b.target).log,
         [
             "start 68 Write",
             "write 3b",
