@@ -3,7 +3,7 @@
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::process;
 
@@ -44,16 +44,12 @@ pub(crate) fn run() -> Result<()> {
     println!("  ffmpeg alone          {decoding:.2} s");
     let mut slowest = f64::INFINITY;
     for what in ["precision", "drift"] {
-        let output = Command::new(&program)
-            .args(["--json", "evaluate", what])
-            .arg(&video)
-            .stderr(Stdio::inherit())
-            .output()
-            .context("cannot start smartdepthsync")?;
-        if !output.status.success() {
-            bail!("evaluate {what} failed: {}", output.status);
-        }
-        let json = String::from_utf8_lossy(&output.stdout);
+        let json = process::text(
+            Command::new(&program)
+                .args(["--json", "evaluate", what])
+                .arg(&video)
+                .stderr(Stdio::inherit()),
+        )?;
         let total = number(&json, "total_s")?;
         let own = total - number(&json, "waiting_for_input_s")?;
         let speed = SECONDS / own;

@@ -326,7 +326,7 @@ fn demo(args: &demo::Args) -> Result<()> {
 
 fn long_run(length: &str, full_link: u8, no_strobe: bool, seed: u64) -> Result<()> {
     let elf = firmware::build()?;
-    process::cargo(["build", "--release", "-p", "hil-sim"])?;
+    process::build_programs()?;
     let (full_link, seed) = (full_link.to_string(), seed.to_string());
     let mut args = vec!["long-run", "--for", length, "--seed", &seed];
     args.extend(["--full-link", &full_link]);
@@ -355,16 +355,8 @@ fn frame_sync(launches: u32, beliefs: bool) -> Result<()> {
 
 fn track_study(rigs: u32) -> Result<()> {
     let rigs = format!("--rigs={rigs}");
-    process::cargo([
-        "run",
-        "--release",
-        "-q",
-        "-p",
-        "hil-sim",
-        "--",
-        "track-study",
-        &rigs,
-    ])
+    process::build_programs()?;
+    process::run(process::command(process::program("hil-sim")).args(["track-study", &rigs]))
 }
 
 /// Extraction, evaluation and calibration on recordings of the whole simulated rig, by the truth.
@@ -387,7 +379,7 @@ fn chain(seconds: u32, seeds: u32) -> Result<()> {
 
 fn bench() -> Result<()> {
     let elf = firmware::build()?;
-    process::cargo(["build", "--release", "-p", "hil-sim"])?;
+    process::build_programs()?;
     process::run_hil_sim(&["bench"], &elf)
 }
 

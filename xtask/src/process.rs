@@ -150,10 +150,9 @@ pub(crate) fn program(name: &str) -> PathBuf {
         .join(format!("{name}{}", env::consts::EXE_SUFFIX))
 }
 
-/// Builds the host tool and the simulator, always in one call of cargo: what both depend on
-/// has the same features each time, and is not compiled twice.
+/// Builds the host tool and the simulator, with the features of the whole workspace: so have
+/// the tests, and no crate of the host is compiled twice.
 pub(crate) fn build_programs() -> Result<()> {
-    // Of the workspace, whose features they then have: the tests build no crate again.
     cargo([
         "build",
         "--release",
