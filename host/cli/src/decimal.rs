@@ -8,14 +8,12 @@ use std::time::Duration;
 
 use protocol::{Period, TICK_HZ, Ticks};
 
-use crate::record;
-
 /// The most digits of a number, before and behind the point together.
 const MAX_DIGITS: usize = 18;
 
 /// A non-negative decimal number, exact: `digits · 10^-places`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Decimal {
+struct Decimal {
     digits: u64,
     places: u32,
 }
@@ -69,7 +67,7 @@ impl Decimal {
     }
 
     /// The number times a whole one, less any fraction.
-    pub(crate) fn times(self, factor: u64) -> u128 {
+    fn times(self, factor: u64) -> u128 {
         u128::from(self.digits) * u128::from(factor) / self.scale()
     }
 
@@ -156,8 +154,8 @@ pub(crate) fn parse_duration(text: &str) -> Result<u64, &'static str> {
         .unwrap_or((text, 1));
     let number = number.parse::<Decimal>().ok();
     number
-        .and_then(|number| u64::try_from(number.times(record::seconds(unit))).ok())
-        .filter(|&ticks| ticks <= record::seconds(7 * 24 * 3_600))
+        .and_then(|number| u64::try_from(number.times(unit * u64::from(TICK_HZ))).ok())
+        .filter(|&ticks| ticks <= 7 * 24 * 3_600 * u64::from(TICK_HZ))
         .ok_or("expected a duration such as 90s, 5m or 1h, at most a week")
 }
 

@@ -213,8 +213,7 @@ pub(crate) fn write_phone(
 fn write_color(path: &Path, frames: &[ColorFrame], shutter: Option<Shutter>) -> io::Result<()> {
     let header = "#frame,phone_timestamp [ns],start_of_exposure [ns],timestamp [ns],video_frame,\
                   row_time [ns],readout\n";
-    let readout = shutter.map(|(_, direction)| direction.name());
-    let row_time = shutter.map(|(row_time, _)| row_time);
+    let (row_time, readout) = shutter.unzip();
     let row = |(index, frame): (usize, &ColorFrame)| {
         let times = (frame.phone, frame.start, frame.at);
         (index, times, frame.image, row_time, readout)

@@ -143,7 +143,8 @@ impl Scan {
                 hasher.update(&magic);
             }
             if magic != *mcap::MAGIC {
-                return self.search(0).map(Some);
+                // What is no magic may be a chunk.
+                return self.search(0, 0).map(Some);
             }
         }
         if self.closed {
@@ -175,7 +176,7 @@ impl Scan {
             // A record that was being written when the writer was killed looks
             // like this too; only then is nothing behind it.
             let plausible = (op::HEADER..=op::DATA_END).contains(&opcode) && length <= MAX_RECORD;
-            return match self.search(at)? {
+            return match self.search(at, at + 1)? {
                 Piece::Skipped { to, .. } if to == self.length && plausible => {
                     Ok(Some(Piece::CutOff { at }))
                 }
@@ -200,7 +201,7 @@ impl Scan {
         match opcode {
             op::CHUNK => {
                 let Some((header, packed)) = chunk_of(body) else {
-                    return self.search(at).map(Some);
+                    return self.search(at, at + 1).map(Some);
                 };
                 let fits = self.budget.takes_chunk(&header, self.position);
                 let chunk = fits.and_then(|()| chunks::unpack(&header, packed.into(), Vec::new()));
@@ -249,15 +250,10 @@ impl Scan {
         Ok(bytes)
     }
 
-    /// Goes to the next chunk behind `from`; to the end if there is none.
-    fn search(&mut self, from: u64) -> io::Result<Piece> {
-        // The record that led here is no chunk; what is no magic may be one.
-        let behind = if from == 0 && self.hasher.is_some() {
-            0
-        } else {
-            from + 1
-        };
-        let found = self.next_head(behind, self.length)?;
+    /// Goes from `from` to the first chunk at or behind `first`; to the end if there is
+    /// none.
+    fn search(&mut self, from: u64, first: u64) -> io::Result<Piece> {
+        let found = self.next_head(first, self.length)?;
         // The checksum over all is meaningless from here on.
         self.hasher = None;
         self.ended = found.is_none();

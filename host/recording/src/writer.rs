@@ -147,7 +147,7 @@ impl Writer {
         let summary = self.0.bag.mcap.finish();
         let summary = summary.map_err(RecordingError::mcap(&self.0.path))?;
         self.0.sync()?;
-        rosbag2::save(self.0.path.parent().unwrap_or(Path::new("")), &summary)
+        rosbag2::save(files::folder_of(&self.0.path), &summary)
     }
 }
 

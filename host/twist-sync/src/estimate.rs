@@ -366,7 +366,7 @@ fn clock_of(pair: &Pair<'_>, fit: &Fit, options: &Options) -> ClockRelation {
 
     let model_to_data = ClockRelation {
         reference: pair.model.epoch_s + link.at_model,
-        offset: (pair.data.epoch_s - pair.model.epoch_s) + (link.at_data - link.at_model),
+        offset: (pair.data.epoch_s - pair.model.epoch_s) + link.lag_s(),
         skew: 1.0 / link.rate - 1.0,
         covariance: covariance.into(),
         wander: options.wander,

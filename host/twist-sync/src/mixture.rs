@@ -21,11 +21,9 @@ pub fn mixed<const N: usize>(all: &[Supposed<N>]) -> (SVector<f64, N>, SMatrix<f
     let best = all.iter().map(|supposed| supposed.likelihood_ln);
     let best = best.fold(f64::NEG_INFINITY, f64::max);
     let weight = |supposed: &Supposed<N>| supposed.prior * (supposed.likelihood_ln - best).exp();
-    let sum: f64 = all.iter().map(weight).sum();
-    let weighed = || {
-        all.iter()
-            .map(|supposed| (supposed, weight(supposed) / sum))
-    };
+    let weights: Vec<f64> = all.iter().map(weight).collect();
+    let sum: f64 = weights.iter().sum();
+    let weighed = || all.iter().zip(weights.iter().map(|weight| weight / sum));
     let mean: SVector<f64, N> = weighed().map(|(own, weight)| own.mean * weight).sum();
     let covariance = weighed()
         .map(|(own, weight)| {

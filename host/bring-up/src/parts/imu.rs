@@ -54,10 +54,8 @@ impl Session<'_> {
         let nominal = f64::from(before.interval);
         let mean = report.interval_mean_ticks.unwrap_or(f64::NAN);
         let off_ppm = (mean / nominal - 1.0) * 1e6;
-        let mut extent = Extent::default();
-        for &interval in &intervals {
-            extent.add(interval as i64);
-        }
+        let extent = report.interval_min_ticks.zip(report.interval_max_ticks);
+        let extent = Extent(extent.map(|(least, most)| (least as i64, most as i64)));
         let external = after.status.clock == ImuClock::External;
         // On the board's clock the sensor divides the board's own crystal.
         let most_ppm = match after.sensor.model {

@@ -342,10 +342,8 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
     })?;
     Ok(if context.interrupt.requested() {
         ExitStatus::Interrupted
-    } else if result.left_out.is_empty() {
-        ExitStatus::Good
     } else {
-        ExitStatus::Loss
+        ExitStatus::of_loss(!result.left_out.is_empty())
     })
 }
 

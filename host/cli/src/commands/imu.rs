@@ -85,8 +85,12 @@ fn parse_rate(text: &str) -> Result<u8, String> {
 }
 
 fn parse_setting<T: Copy>(text: &str, settings: &[(u32, T)]) -> Result<T, String> {
-    let number = text.parse().unwrap_or(0);
-    setting(number, settings).map_err(|expected| format!("expected {expected}"))
+    // As people write it: no `+250`.
+    let number = text
+        .parse()
+        .ok()
+        .filter(|number: &u32| number.to_string() == text);
+    setting(number.unwrap_or(0), settings).map_err(|expected| format!("expected {expected}"))
 }
 
 /// What `--json` prints.

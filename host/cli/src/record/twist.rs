@@ -22,7 +22,6 @@ use recording::session_file::{Span, Twist};
 use recording::writer::Severity;
 use timebase::ClockModel;
 use timebase::{board_track, phone_track};
-use twist_sync::coach::Coach;
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 /// How often a twist is tried when nobody is there to decide.
@@ -306,9 +305,7 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
     let answers = rig.ask_phones(places, record, |rig| {
         if shown.elapsed() > Duration::from_millis(300) {
             shown = Instant::now();
-            bar.set_message(motion_hint(
-                rig.observers.gyro.as_deref().unwrap_or_default(),
-            ));
+            bar.set_message(motion_hint(rig.journal.live.gauge.twist_rms()));
         }
     });
     bar.finish_and_clear();
@@ -321,14 +318,10 @@ fn twist_samples(rig: &mut Rig<'_>, length: u32) -> Result<Vec<Vec<PhoneSample>>
     Ok(samples)
 }
 
-/// Whether the motion suffices, from the board's samples so far.
-fn motion_hint(samples: &[(Ticks, [f64; 3])]) -> String {
-    let mut coach = Coach::default();
-    for (at, rate) in samples {
-        coach.add(at.as_secs_f64(), *rate);
-    }
-    let [x, y, z] = coach.rms();
-    let hint = lacking_motion([x, y, z]).unwrap_or("good");
+/// Whether the motion so far suffices, from the root mean square of each axis.
+fn motion_hint(rms: [f64; 3]) -> String {
+    let hint = lacking_motion(rms).unwrap_or("good");
+    let [x, y, z] = rms;
     format!("x {x:.1}  y {y:.1}  z {z:.1} rad/s rms: {hint}")
 }
 

@@ -300,6 +300,12 @@ impl Gauge {
         self.coach = None;
     }
 
+    /// Root mean square of each axis in the twist so far, rad/s.
+    pub(crate) fn twist_rms(&self) -> [f64; 3] {
+        let coach = self.coach.as_ref();
+        coach.map_or([0.0; 3], |(coach, ..)| coach.rms())
+    }
+
     /// How well the phase is known by a time: its 1-sigma, µs, and whether that is less
     /// well than a twist must know it.
     pub(crate) fn phase_known(&self, alignment: &Alignment, now: BoardSeconds) -> (f64, bool) {

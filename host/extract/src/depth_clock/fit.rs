@@ -9,6 +9,7 @@
 //! beyond 4 robust sigmas).
 
 use crate::time::{BoardNanos, DeviceNanos, PiecewiseMap};
+use twist_sync::robust::Line;
 
 /// Distance of knots, in ns.
 pub(crate) const KNOT_SPACING: f64 = 30e9;
@@ -87,18 +88,10 @@ pub(crate) fn smooth(points: &[(f64, f64)], sigma: f64) -> Option<Smooth> {
     Some(fit)
 }
 
-/// Least squares line.
+/// Least squares line: its value at x = 0, and its slope.
 fn line(points: &[(f64, f64)]) -> (f64, f64) {
-    let count = points.len() as f64;
-    let mean_x = points.iter().map(|point| point.0).sum::<f64>() / count;
-    let mean_y = points.iter().map(|point| point.1).sum::<f64>() / count;
-    let (mut xx, mut xy) = (0.0, 0.0);
-    for &(x, y) in points {
-        xx += (x - mean_x) * (x - mean_x);
-        xy += (x - mean_x) * (y - mean_y);
-    }
-    let b = if xx > 0.0 { xy / xx } else { 0.0 };
-    (mean_y - b * mean_x, b)
+    let line = Line::through(points);
+    (line.at(0.0), line.slope)
 }
 
 /// The least squares line `a + b·x` through at least three points.

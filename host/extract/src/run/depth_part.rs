@@ -286,22 +286,21 @@ impl Extraction<'_> {
             DepthView::Other(registration) => Some(&**registration),
         };
         let layout = self.layout();
+        let path = |kind, at| {
+            let folder = self.place.out.join(sequences.folder(sequences.at(at)));
+            Some(folder.join(layout.image_path(kind, at)?))
+        };
         let place_of = |frame: &DepthFrame| match frame.at.filter(|_| frame.is_used()) {
             None => DepthPlace::default(),
-            Some(at) => {
-                let folder = self.place.out.join(sequences.folder(sequences.at(at)));
-                let path = |kind| Some(folder.join(layout.image_path(kind, at)?));
-                DepthPlace {
-                    depth: path(ImageKind::Depth),
-                    infrared: path(ImageKind::Infrared).filter(|_| self.job.options.infrared),
-                }
-            }
+            Some(at) => DepthPlace {
+                depth: path(ImageKind::Depth, at),
+                infrared: path(ImageKind::Infrared, at).filter(|_| self.job.options.infrared),
+            },
         };
         let is_jpeg = depth.index.color.as_ref().is_some_and(ColorTrack::is_jpeg);
         let color_place = |frame: &CameraFrame| {
             let at = frame.at.filter(|_| is_jpeg)?;
-            let folder = self.place.out.join(sequences.folder(sequences.at(at)));
-            Some(folder.join(layout.image_path(ImageKind::Camera, at)?))
+            path(ImageKind::Camera, at)
         };
         let places = CameraPlaces {
             depth: frames.iter().map(place_of).collect(),
