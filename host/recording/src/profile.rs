@@ -314,6 +314,15 @@ impl Profile {
         Self::parse(DEFAULT, None)
     }
 
+    /// The profile as the text of a file.
+    ///
+    /// # Errors
+    ///
+    /// A value has no TOML form.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string_pretty(self)
+    }
+
     /// Reads a profile; what it leaves out has its default.
     ///
     /// # Errors

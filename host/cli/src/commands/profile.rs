@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         Action::Init { file, camera } => init(file, camera, context),
         Action::Check { file } => {
             let profile = Profile::load(file)?;
-            let text = toml::to_string_pretty(&profile).map_err(|error| {
+            let text = profile.to_toml().map_err(|error| {
                 let message = format!("the profile has no TOML form: {error}");
                 Failure::new(ExitStatus::Error, message)
             })?;
