@@ -37,23 +37,27 @@ pub(crate) const QOS: &str = "- history: 1\n  depth: 1000\n  reliability: 1\n  d
     avoid_ros_namespace_conventions: false\n";
 
 /// A bag of any messages that is being written, packed by LZ4.
-pub struct Bag<W: io::Write> {
-    pub(crate) mcap: mcap::Writer<NoSeek<W>>,
+pub struct Bag<'a> {
+    pub(crate) mcap: mcap::Writer<NoSeek<Box<dyn io::Write + Send + 'a>>>,
     /// Of each topic its channel, and the running number of its next message.
     topics: Vec<(u16, u32)>,
 }
 
-impl<W: io::Write> Bag<W> {
+impl<'a> Bag<'a> {
     /// Begins the MCAP file of a bag.
     ///
     /// # Errors
     ///
     /// Writing fails.
-    pub fn create(to: W) -> Result<Self, McapError> {
+    pub fn create(to: impl io::Write + Send + 'a) -> Result<Self, McapError> {
         Self::with_options(writer::options().chunk_size(Some(CHUNK_BYTES)), to)
     }
 
-    pub(crate) fn with_options(options: WriteOptions, to: W) -> Result<Self, McapError> {
+    pub(crate) fn with_options(
+        options: WriteOptions,
+        to: impl io::Write + Send + 'a,
+    ) -> Result<Self, McapError> {
+        let to: Box<dyn io::Write + Send + 'a> = Box::new(to);
         Ok(Self {
             mcap: options.create(NoSeek::new(to))?,
             topics: Vec::new(),

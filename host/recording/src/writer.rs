@@ -44,7 +44,7 @@ pub type Writer = Publisher<McapFile>;
 /// The file that is being written.
 pub struct McapFile {
     /// With a topic for each of ours, in their order.
-    bag: Bag<BufWriter<File>>,
+    bag: Bag<'static>,
     file: File,
     path: PathBuf,
     last: Ticks,
@@ -161,6 +161,10 @@ pub fn attach<W: Write + Seek>(
     at: Ticks,
     session: &SessionFile,
 ) -> Result<(), mcap::McapError> {
+    attachments(at.as_nanos(), session).try_for_each(|attachment| mcap.attach(&attachment))
+}
+
+fn attachments(nanos: u64, session: &SessionFile) -> impl Iterator<Item = Attachment<'static>> {
     // Neither fails: both are written to files of their own in the same way.
     let texts = [
         (
@@ -171,20 +175,20 @@ pub fn attach<W: Write + Seek>(
         (
             PROFILE_FILE,
             "application/toml",
-            toml::to_string_pretty(&session.profile).ok(),
+            session.profile.to_toml().ok(),
         ),
     ];
-    for (name, media_type, text) in texts {
-        let Some(text) = text else { continue };
-        mcap.attach(&Attachment {
-            log_time: at.as_nanos(),
-            create_time: at.as_nanos(),
-            name: name.to_owned(),
-            media_type: media_type.to_owned(),
-            data: Cow::Owned(text.into_bytes()),
-        })?;
-    }
-    Ok(())
+    texts
+        .into_iter()
+        .filter_map(move |(name, media_type, text)| {
+            Some(Attachment {
+                log_time: nanos,
+                create_time: nanos,
+                name: name.to_owned(),
+                media_type: media_type.to_owned(),
+                data: Cow::Owned(text?.into_bytes()),
+            })
+        })
 }
 
 impl McapFile {
@@ -251,7 +255,7 @@ pub fn known_topics() -> Result<Chunk, mcap::McapError> {
     Ok(Chunk(bytes.split_off(mcap::MAGIC.len())))
 }
 
-pub(crate) fn bag_of_topics<W: Write>(to: W) -> Result<Bag<W>, mcap::McapError> {
+pub(crate) fn bag_of_topics<'a>(to: impl Write + Send + 'a) -> Result<Bag<'a>, mcap::McapError> {
     let mut bag = Bag::with_options(options(), to)?;
     for topic in Topic::ALL {
         bag.add(topic.name(), topic.message_type(), &topic.schema())?;

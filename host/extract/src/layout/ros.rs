@@ -110,7 +110,7 @@ trait Bag {
     fn put(&mut self, topic: usize, nanos: u64, bytes: &[u8]) -> io::Result<()>;
 }
 
-impl<W: io::Write> Bag for rosbag2::Bag<W> {
+impl Bag for rosbag2::Bag<'_> {
     fn add<M: Ros1Message>(&mut self, name: &str) -> io::Result<()> {
         self.add_topic::<M>(name).map_err(io::Error::other)
     }
