@@ -147,7 +147,7 @@ impl Footage {
             picture.offer(frame, index, contrast(&profile.rows));
             store.push(index, time_s, &profile);
         }
-        let mut notes = source.closing_notes();
+        let mut notes = source.info().notes.clone();
         notes.extend(remarks(stopped, untimed, store.one_in(), saturated));
         if read == 0 {
             return Err(EvaluateError::NoFrames {

@@ -161,6 +161,8 @@ fn natural_key(path: &Path) -> Vec<(u8, u128, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Settings;
+    use crate::footage::Footage;
 
     fn write(path: &Path, width: u32, height: u32, value: u8) {
         image::GrayImage::from_pixel(width, height, image::Luma([value]))
@@ -182,6 +184,18 @@ mod tests {
             seen.push(frame.pixels[0]);
         }
         assert_eq!(seen, [9, 10, 100]);
+    }
+
+    #[test]
+    fn a_rate_that_was_assumed_is_said() {
+        let dir = tempfile::tempdir().unwrap();
+        for number in 0..2 {
+            write(&dir.path().join(format!("{number}.png")), 64, 240, 9);
+        }
+        let notes = Footage::read(dir.path(), &Settings::default(), None, &|| false)
+            .unwrap()
+            .notes;
+        assert!(notes[0].contains("say no time"), "{notes:?}");
     }
 
     #[test]

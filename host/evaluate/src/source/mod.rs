@@ -28,7 +28,7 @@ pub struct SourceInfo {
     pub times: FrameTimes,
     /// Whether the frames went through a video encoder.
     pub encoded: bool,
-    /// Remarks for the user about the input.
+    /// Remarks for the user about the input; after the last frame also about how it ended.
     pub notes: Vec<String>,
 }
 
@@ -39,11 +39,6 @@ pub trait FrameSource {
 
     /// The next frame, or `None` at the end.
     fn next_frame(&mut self) -> Result<Option<GreyView<'_>>, EvaluateError>;
-
-    /// After the last frame: remarks about how the input ended.
-    fn closing_notes(&mut self) -> Vec<String> {
-        Vec::new()
-    }
 }
 
 /// Opens a video, a folder of images or a single image.

@@ -18,7 +18,6 @@ pub(super) struct Video {
     decoder: video::Video,
     frame: Vec<u8>,
     read: u64,
-    ended: bool,
 }
 
 impl Video {
@@ -60,7 +59,6 @@ impl Video {
             decoder,
             frame: Vec::new(),
             read: 0,
-            ended: false,
         })
     }
 }
@@ -93,19 +91,12 @@ impl FrameSource for Video {
                 VideoError::Decode("nothing".to_owned()),
             ));
         }
-        self.ended = true;
-        Ok(None)
-    }
-
-    fn closing_notes(&mut self) -> Vec<String> {
-        let mut notes = std::mem::take(&mut self.info.notes);
-        // Not if it was stopped on purpose before the end.
-        if let Some(n) = self.info.frames.filter(|&n| self.ended && self.read < n) {
-            notes.push(format!(
+        if let Some(n) = self.info.frames.filter(|&n| self.read < n) {
+            self.info.notes.push(format!(
                 "truncated: {} of {n} frames could be read",
                 self.read
             ));
         }
-        notes
+        Ok(None)
     }
 }
