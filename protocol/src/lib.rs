@@ -22,7 +22,7 @@
 //! - [`usb`]: how the board shows itself on USB.
 //!
 //! The order of an enum's variants and of a struct's fields *is* the format.
-//! `tests/golden.rs` pins the bytes of every message; any change there needs a
+//! `tests/it/golden` pins the bytes of every message; any change there needs a
 //! new [`PROTOCOL_VERSION`].
 
 #![no_std]

@@ -1,7 +1,5 @@
 //! Properties of the decoder: any split, any damage, any bytes.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use proptest::collection::vec;
 use proptest::prelude::*;
 use protocol::*;

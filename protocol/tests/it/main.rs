@@ -1,0 +1,7 @@
+//! Tests of the wire format from outside.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod decoder;
+mod golden;
+mod phase_error;
