@@ -255,34 +255,7 @@ impl I2c {
                     self.start_or_stop(now);
                 }
             },
-            Phase::RxByte(byte) => {
-                let behind = u32::from(self.sr1 & SR1_RXNE != 0);
-                let last = self.cr2 & (CR2_LAST | CR2_DMAEN) == CR2_LAST | CR2_DMAEN
-                    && remaining.saturating_sub(behind) <= 1;
-                let ack = self.cr1 & CR1_ACK != 0 && !last && self.cr1 & CR1_STOP == 0;
-                let ack = if ack { Ack::Ack } else { Ack::Nack };
-                bus.read_acknowledged(ack, now);
-                if self.sr1 & SR1_RXNE != 0 {
-                    self.shift = byte;
-                    self.sr1 |= SR1_BTF;
-                    self.wait(if ack == Ack::Ack {
-                        Phase::RxFull
-                    } else {
-                        Phase::RxEnded
-                    });
-                } else {
-                    self.dr = byte;
-                    self.sr1 |= SR1_RXNE;
-                    if ack == Ack::Ack {
-                        self.receive(bus, now);
-                    } else {
-                        self.wait(Phase::RxEnded);
-                    }
-                }
-                if self.phase == Phase::RxEnded {
-                    self.start_or_stop(now);
-                }
-            }
+            Phase::RxByte(byte) => self.received(byte, bus, now, remaining),
             Phase::Stopping => {
                 bus.stop(now);
                 self.cr1 &= !CR1_STOP;
@@ -298,6 +271,36 @@ impl I2c {
             | Phase::TxIdle
             | Phase::RxFull
             | Phase::RxEnded => self.phase_end = SimTime::NEVER,
+        }
+    }
+
+    /// A byte is in: it is acknowledged or not, and goes on to the data register if that is free.
+    fn received(&mut self, byte: u8, bus: &mut I2cBus, now: SimTime, remaining: u32) {
+        let behind = u32::from(self.sr1 & SR1_RXNE != 0);
+        let last = self.cr2 & (CR2_LAST | CR2_DMAEN) == CR2_LAST | CR2_DMAEN
+            && remaining.saturating_sub(behind) <= 1;
+        let ack = self.cr1 & CR1_ACK != 0 && !last && self.cr1 & CR1_STOP == 0;
+        let ack = if ack { Ack::Ack } else { Ack::Nack };
+        bus.read_acknowledged(ack, now);
+        if self.sr1 & SR1_RXNE != 0 {
+            self.shift = byte;
+            self.sr1 |= SR1_BTF;
+            self.wait(if ack == Ack::Ack {
+                Phase::RxFull
+            } else {
+                Phase::RxEnded
+            });
+        } else {
+            self.dr = byte;
+            self.sr1 |= SR1_RXNE;
+            if ack == Ack::Ack {
+                self.receive(bus, now);
+            } else {
+                self.wait(Phase::RxEnded);
+            }
+        }
+        if self.phase == Phase::RxEnded {
+            self.start_or_stop(now);
         }
     }
 
