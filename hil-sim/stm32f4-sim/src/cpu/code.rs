@@ -4,6 +4,12 @@ use super::decode::decode_at;
 use super::op::{Op, Slot};
 use crate::chip::memory::{FLASH_BASE, Memory};
 
+/// Left to rsemu.
+const OUTSIDE: Slot = Slot {
+    op: Op::Slow,
+    len: 2,
+};
+
 /// Predecoded flash, filled as it is executed. Instructions inside IT blocks
 /// decode differently and have a cache of their own.
 pub(crate) struct Code {
@@ -32,31 +38,29 @@ impl Code {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         for table in [&mut self.plain, &mut self.in_it] {
             if let Some(slot) = table.get_mut(index) {
-                *slot = Slot {
-                    op: Op::Slow,
-                    len: 2,
-                };
+                *slot = OUTSIDE;
             }
         }
     }
 
+    /// The operation at `pc`. By reference: a copy would be stored before its kind is read.
     #[inline(always)]
-    pub(super) fn get(&mut self, pc: u32, in_it: bool, mem: &Memory) -> Slot {
+    pub(super) fn get(&mut self, pc: u32, in_it: bool, mem: &Memory) -> &Slot {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         let table = if in_it { &self.in_it } else { &self.plain };
-        match table.get(index) {
-            Some(slot) if !matches!(slot.op, Op::Unknown) => *slot,
-            Some(_) => self.fill(index, pc, in_it, mem),
-            None => Slot {
-                op: Op::Slow,
-                len: 2,
-            },
+        if table
+            .get(index)
+            .is_some_and(|slot| matches!(slot.op, Op::Unknown))
+        {
+            self.fill(index, pc, in_it, mem);
         }
+        let table = if in_it { &self.in_it } else { &self.plain };
+        table.get(index).unwrap_or(&OUTSIDE)
     }
 
     #[cold]
     #[inline(never)]
-    fn fill(&mut self, index: usize, pc: u32, in_it: bool, mem: &Memory) -> Slot {
+    fn fill(&mut self, index: usize, pc: u32, in_it: bool, mem: &Memory) {
         let slot = decode_at(
             pc,
             in_it,
@@ -81,6 +85,5 @@ impl Code {
         if let Some(to) = table.get_mut(index) {
             *to = slot;
         }
-        slot
     }
 }
