@@ -63,12 +63,19 @@ fn the_firmware_writes_no_other_plain_register() {
     assert_eq!(written, expected);
 }
 
-/// Ten minutes of hand-held walking with the trigger at 30 fps: 300,000 samples,
-/// each at its data-ready's tick and with its registers' values, 96,000 ticks
+/// Ten minutes of hand-held walking on two boards with the trigger at 30 fps: 300,000
+/// samples, each at its data-ready's tick and with its registers' values, 96,000 ticks
 /// apart every time.
 #[test]
 fn ten_minutes_of_samples_are_exact() {
-    let seed = Seed(7);
+    std::thread::scope(|scope| {
+        for seed in [7, 8] {
+            scope.spawn(move || five_minutes_are_exact(Seed(seed)));
+        }
+    });
+}
+
+fn five_minutes_are_exact(seed: Seed) {
     let walk = MotionSpec::always(Gesture::Walk);
     let motion = walk.build(seed.stream(Stream::Motion)).unwrap();
     let mut bench = Bench::new(motion, &[]);
@@ -78,9 +85,9 @@ fn ten_minutes_of_samples_are_exact() {
     let mut last: Option<ImuSample> = None;
     let mut samples = 0;
     let mut pulses = bench.board.pulses.len();
-    // Ten minutes, and a little for the samples under way at both ends.
-    for piece in 0..61 {
-        bench.board.run(if piece < 60 { 10_000 } else { 100 });
+    // Five minutes, and a little for the samples under way at both ends.
+    for piece in 0..31 {
+        bench.board.run(if piece < 30 { 10_000 } else { 100 });
         for sample in bench.check_samples() {
             if let Some(last) = last {
                 assert_eq!(sample.seq, last.seq + 1);
@@ -94,8 +101,8 @@ fn ten_minutes_of_samples_are_exact() {
         bench.board.pulses.clear();
         bench.board.rig.take_edges();
     }
-    assert!(samples >= 300_000, "{samples}");
-    assert!(pulses > 17_990, "{pulses}");
+    assert!(samples >= 150_000, "{samples}");
+    assert!(pulses > 8_990, "{pulses}");
     let status = bench.board.next_status();
     let imu = status.imu;
     assert_eq!((imu.late, imu.overcaptures, imu.recoveries), (0, 0, 0));
@@ -105,7 +112,7 @@ fn ten_minutes_of_samples_are_exact() {
     assert_eq!(status.dropped, dropped);
     // Bus errors that were none have disturbed nothing (ES0182 2.10.1).
     let bus_errors = bench.board.rig.spurious_bus_errors();
-    assert!(bus_errors > 1_000, "{bus_errors}");
+    assert!(bus_errors > 500, "{bus_errors}");
     // With all waits that the manuals allow.
     assert!(status.cpu_permille < 150, "{} of 1000", status.cpu_permille);
     println!(
