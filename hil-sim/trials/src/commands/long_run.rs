@@ -32,9 +32,6 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Virtual seconds of a stretch with or without a full link.
-const SLICE_S: u64 = 10;
-
 pub(crate) fn run(args: &Args) -> Result<()> {
     if args.length.as_secs() < 10 {
         bail!(
@@ -48,7 +45,6 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         seconds: args.length.as_secs(),
         full_link_percent: args.full_link,
         strobe: !args.no_strobe,
-        slice_s: SLICE_S,
     };
     let mut shown = 0;
     let report = run_long(&options, |progress| {

@@ -27,6 +27,9 @@ use stm32f4_sim::time::SimTime;
 /// has not given back.
 const GROWTH_ALLOWED: i64 = 2 << 20;
 
+/// Virtual seconds of a slice with or without a full link.
+const SLICE_S: u64 = 10;
+
 /// What to run.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -37,12 +40,10 @@ pub struct Options {
     /// Virtual seconds.
     pub seconds: u64,
     /// Share of the time in which the link is filled up, in percent: so many of
-    /// every hundred slices of [`Options::slice_s`].
+    /// every hundred slices of 10 s.
     pub full_link_percent: u64,
     /// Whether the camera's photodiode is on the strobe input: 540 edges a second.
     pub strobe: bool,
-    /// Virtual seconds of a slice with or without a full link.
-    pub slice_s: u64,
 }
 
 /// Waits and runs of one interrupt, in microseconds.
@@ -166,7 +167,7 @@ pub fn run(options: &Options, mut progress: impl FnMut(&Progress)) -> Result<Rep
     let mut full = false;
     let mut stack_used_early = 0;
     for second in 0..options.seconds {
-        let slice = second / options.slice_s.max(1) % 100;
+        let slice = second / SLICE_S % 100;
         // Spread evenly: every n-th slice.
         let before = slice * options.full_link_percent / 100;
         let wanted = (slice + 1) * options.full_link_percent / 100 > before;

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use crate::support;
 use crate::turn;
-use crate::whole_rig::WholeRig;
+use crate::whole_rig::{SPEED, WholeRig};
 use recording::camera::MODELS;
 use serde_json::Value;
 
@@ -62,8 +62,8 @@ fn check(checks: &Value, name: &str) -> (String, String, String) {
 
 #[test]
 fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
-    let _turn = turn::alone();
-    let rig = WholeRig::with(21, 10.0, |config, _| {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::with(21, SPEED, |config, _| {
         config.motion = "rest".parse().unwrap();
     });
     let (code, checks) = Doctor::new(&rig).run();
@@ -136,7 +136,7 @@ fn a_rig_in_order_passes_and_each_thing_that_is_not_says_what_to_do() {
 #[test]
 fn the_profile_that_is_written_for_each_camera_passes() {
     let _turn = turn::beside_others();
-    let rig = WholeRig::with(22, 10.0, |config, _| {
+    let rig = WholeRig::with(22, SPEED, |config, _| {
         config.motion = "rest".parse().unwrap();
     });
     for model in MODELS {

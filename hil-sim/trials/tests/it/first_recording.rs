@@ -24,7 +24,7 @@ impl Served {
     fn start(folder: &Path) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
             .args([
-                "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
+                "serve", "--speed", "6", "--motion", "twist", "--seed", "3", "--quiet",
             ])
             .args(["--wait-for-host", "--tolerate-failures"])
             .args(["--phone", "0", "--profile", "owner.toml"])
@@ -107,7 +107,7 @@ fn on_this_rig(command: &str, rig: &Served, recorder: &str) -> Vec<String> {
 
 #[test]
 fn the_page_is_followed_to_a_data_set() {
-    let _turn = turn::alone();
+    let _turn = turn::beside_others();
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path();
     // Built if need be.

@@ -5,7 +5,7 @@ use std::process::Command;
 use crate::record_faults::{all_is_stopped, problems, readable};
 use crate::support;
 use crate::turn;
-use crate::whole_rig::{OVERSHOOT_S, Session, WholeRig};
+use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig};
 use protocol::{DeviceToHost, ImuSample, TICK_HZ, TickDelta};
 use recording::session_file::SessionOutcome;
 use trials::lies::board::{Change, Liar};
@@ -13,7 +13,6 @@ use trials::lies::campaign;
 use trials::programs::Programs;
 
 /// Virtual time against real time.
-const SPEED: f64 = 10.0;
 
 // Exit codes, as docs/exit-codes.md has them.
 const REFUSED: i32 = 3;

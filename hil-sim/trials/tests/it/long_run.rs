@@ -1,32 +1,33 @@
 //! A short piece of the long run, over a wrap of the counter.
 
-use crate::turn;
-use rig::random::Seed;
-use trials::long_run::{Options, run};
+use std::process::Command;
 
-/// `cargo xtask longrun` is this for hours.
+use crate::turn;
+use serde_json::Value;
+
+/// `cargo xtask longrun` is this for hours. A process, since it looks at its own memory.
 #[test]
 fn two_minutes_are_exact_on_all_pins_with_flat_memory() {
-    // It looks at the memory of all of this program.
-    let _turn = turn::alone();
-    let options = Options {
-        elf: None,
-        seed: Seed(3),
-        seconds: 120,
-        full_link_percent: 10,
-        strobe: true,
-        slice_s: 2,
-    };
-    let report = run(&options, |_| {}).unwrap();
-    assert_eq!(report.full_link_s, 12);
-    assert_eq!(report.lost, 0);
-    assert!(report.pulses >= 3_600, "{report:?}");
-    assert_eq!(report.pulses_reported, report.pulses);
-    assert!(report.samples >= 60_000, "{report:?}");
-    assert!(report.captures >= 18 * 3_590, "{report:?}");
-    assert!(report.wraps >= 1, "{report:?}");
-    assert!(report.link_bytes > 12 * 400_000, "{report:?}");
-    assert!(report.stack_used < report.stack_size / 2, "{report:?}");
-    let at = &report.growth[0];
-    assert!(at.to_bytes > at.from_bytes, "{at:?}");
+    let _turn = turn::beside_others();
+    let output = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
+        .args(["long-run", "--for", "2min", "--seed", "3", "--json"])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{output:?}");
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let count = |name: &str| report[name].as_u64().unwrap();
+    assert_eq!(count("full_link_s"), 10);
+    assert_eq!(count("lost"), 0);
+    assert!(count("pulses") >= 3_600, "{report}");
+    assert_eq!(count("pulses_reported"), count("pulses"));
+    assert!(count("samples") >= 60_000, "{report}");
+    assert!(count("captures") >= 18 * 3_590, "{report}");
+    assert!(count("wraps") >= 1, "{report}");
+    assert!(count("link_bytes") > 10 * 400_000, "{report}");
+    assert!(count("stack_used") < count("stack_size") / 2, "{report}");
+    let at = &report["growth"][0];
+    assert!(
+        at["to_bytes"].as_u64() > at["from_bytes"].as_u64(),
+        "{at:?}"
+    );
 }

@@ -13,7 +13,7 @@ use timebase::PhoneNanos;
 use crate::phone_bench::Bench;
 use crate::support::smartdepthsync;
 use crate::turn;
-use crate::whole_rig::{Session, WholeRig};
+use crate::whole_rig::{SPEED, Session, WholeRig};
 
 const LOSS: i32 = 4;
 const PHONE: i32 = 12;
@@ -387,23 +387,29 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
 #[test]
 fn a_session_ends_well_whatever_time_a_stop_takes() {
     let _turn = turn::beside_others();
-    for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
-        // In step with real time: the program's patience is real, and so is the stop.
-        let rig = WholeRig::with(seed, 1.0, |_, phone| phone.app.stop_ms = stop_ms);
-        let tools = tempfile::tempdir().unwrap();
-        let path = stand_in_adb(tools.path(), rig.phone().storage(), PULL);
-        let arguments = ["--duration", "3s", "--second-twist", "--fetch-video"];
-        let mut command = rig.record("whole", &arguments);
-        let said = Session::start(command.env("PATH", path)).ends_with(0);
-        assert!(said.contains("files of the phone were copied"), "{said}");
-        let folder = rig.recording("whole");
-        let file = SessionFile::load(&folder).unwrap();
-        assert_eq!(file.outcome, Some(SessionOutcome::Good), "{said}");
-        assert_eq!(file.twists.len(), 2, "{said}");
-        let found = phone::video_files::find(&folder, None).unwrap().unwrap();
-        assert_eq!(found.missing(), Vec::<&str>::new(), "{said}");
-        assert!(!rig.phone().is_recording());
-    }
+    std::thread::scope(|scope| {
+        for (seed, stop_ms) in [(84, 0.0), (85, 700.0), (86, 1_400.0), (87, 2_000.0)] {
+            scope.spawn(move || session_with_stop(seed, stop_ms));
+        }
+    });
+}
+
+fn session_with_stop(seed: u64, stop_ms: f64) {
+    // In step with real time: the program's patience is real, and so is the stop.
+    let rig = WholeRig::with(seed, 1.0, |_, phone| phone.app.stop_ms = stop_ms);
+    let tools = tempfile::tempdir().unwrap();
+    let path = stand_in_adb(tools.path(), rig.phone().storage(), PULL);
+    let arguments = ["--duration", "3s", "--second-twist", "--fetch-video"];
+    let mut command = rig.record("whole", &arguments);
+    let said = Session::start(command.env("PATH", path)).ends_with(0);
+    assert!(said.contains("files of the phone were copied"), "{said}");
+    let folder = rig.recording("whole");
+    let file = SessionFile::load(&folder).unwrap();
+    assert_eq!(file.outcome, Some(SessionOutcome::Good), "{said}");
+    assert_eq!(file.twists.len(), 2, "{said}");
+    let found = phone::video_files::find(&folder, None).unwrap().unwrap();
+    assert_eq!(found.missing(), Vec::<&str>::new(), "{said}");
+    assert!(!rig.phone().is_recording());
 }
 
 #[test]
@@ -429,7 +435,7 @@ fn a_session_notices_that_the_video_has_ended() {
 fn a_session_whose_video_does_not_start_stops_what_it_began() {
     let _turn = turn::beside_others();
     // The phase comes after the app's own timeout, and the video runs.
-    let rig = WholeRig::with(89, 10.0, |_, phone| phone.camera.frame_period_ns = 200e6);
+    let rig = WholeRig::with(89, SPEED, |_, phone| phone.camera.frame_period_ns = 200e6);
     let said = Session::start(&mut rig.record("slow", &["--duration", "5s"])).ends_with(PHONE);
     assert!(said.contains("the phone was told to stop"), "{said}");
     assert_eq!(rig.phone().videos().len(), 1);

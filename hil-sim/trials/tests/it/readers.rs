@@ -31,6 +31,10 @@ fn check_with(python: &Path, script: &str, arguments: &[&Path]) {
     assert_eq!(printed.trim(), "ok");
 }
 
+/// Depth frames of full size, and how many of them are registered: each takes its time.
+const FRAMES: usize = 120;
+const REGISTERED: usize = 40;
+
 /// A recording of the whole chain, and what a depth recording of full size for it has.
 struct Chain {
     case: Case,
@@ -53,7 +57,8 @@ fn record() -> Chain {
     let rows = case.table("times/depth_frames.csv", &[1, 2, 3]);
     // The video's part is enough to read. It may not have the pattern of the pulses.
     let rows: Vec<_> = rows.iter().filter(|row| row[1] >= begin).collect();
-    let device: Vec<i64> = rows.iter().map(|row| row[0].unwrap() / 1000).collect();
+    let times = rows.iter().map(|row| row[0].unwrap() / 1000);
+    let device: Vec<i64> = times.take(FRAMES).collect();
     let options = Options {
         first_pulse: rows[0][2].map(|pulse| pulse as usize),
         ..Options::default()
@@ -166,9 +171,9 @@ fn bags_and_tables(chain: &Chain) {
     assert!(error.contains("--overwrite"), "{error}");
 }
 
-/// A depth recording of the first frames: an image in colour's size takes its time.
+/// A depth recording of the first frames, to be registered.
 fn part(chain: &Chain) -> PathBuf {
-    full_size(&chain.case, "part", &chain.device[..120])
+    full_size(&chain.case, "part", &chain.device[..REGISTERED])
 }
 
 fn registered_to(chain: &Chain, view: View) -> Options {
@@ -183,7 +188,12 @@ fn in_color(chain: &Chain, depth: &Path) -> (PathBuf, PathBuf) {
     let case = &chain.case;
     let options = registered_to(chain, View::Color);
     let report = case.extract_as(Format::Tum, Some(depth), "color", options);
-    assert_eq!(report.depth.unwrap().images, 120, "{:#?}", report.losses);
+    assert_eq!(
+        report.depth.unwrap().images,
+        REGISTERED as u64,
+        "{:#?}",
+        report.losses
+    );
     let path = case.path("calibration.json");
     std::fs::write(&path, calibration().to_string()).unwrap();
     (path, case.path("color"))
@@ -226,7 +236,7 @@ fn registered(chain: &Chain) {
     session.profile.depth.color_from_imu = Some(pose);
     session.save(&case.path("recording")).unwrap();
     let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to_phone);
-    assert_eq!(report.depth.unwrap().images, 120);
+    assert_eq!(report.depth.unwrap().images, REGISTERED as u64);
     check(
         "check_registered.py",
         &[&path, &color, &case.path("phone/mav0")],

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::turn;
-use crate::whole_rig::{OVERSHOOT_S, Session, WholeRig, run_python};
+use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig, run_python};
 use recording::MCAP_FILE;
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
@@ -15,8 +15,8 @@ use trials::demo::judge::Truth;
 
 #[test]
 fn a_session_ends_aligned_and_everything_is_in_its_folder() {
-    let _turn = turn::alone();
-    let rig = WholeRig::new(1, 20.0);
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(1, SPEED);
     let arguments = [
         "--duration",
         "20s",
@@ -26,7 +26,8 @@ fn a_session_ends_aligned_and_everything_is_in_its_folder() {
         "5s",
         "--fetch-video",
     ];
-    let said = Session::start(&mut rig.record("good", &arguments)).ends_with(0);
+    let said = Session::start(&mut rig.record_with("good", &rig.full_rate_profile(), &arguments))
+        .ends_with(0);
     println!("{said}");
 
     let folder = rig.recording("good");

@@ -2,7 +2,7 @@
 //! are in the sessions of the whole chain.
 
 use crate::turn;
-use crate::whole_rig::{Session, WholeRig};
+use crate::whole_rig::{SPEED, Session, WholeRig};
 use protocol::{ImuClock, ImuModel};
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::imu::SensorModel;
@@ -10,11 +10,12 @@ use trials::demo::judge::Truth;
 
 #[test]
 fn a_session_is_aligned_with_an_imu_on_its_own_clock() {
-    let _turn = turn::alone();
-    let rig = WholeRig::with(34, 20.0, |config, _| {
+    let _turn = turn::beside_others();
+    let rig = WholeRig::with(34, SPEED, |config, _| {
         *config = config.clone().with_imu(SensorModel::Mpu9250);
     });
-    let said = Session::start(&mut rig.record("session", &["--duration", "5s"])).ends_with(0);
+    let mut command = rig.record_with("session", &rig.full_rate_profile(), &["--duration", "5s"]);
+    let said = Session::start(&mut command).ends_with(0);
     println!("{said}");
     let folder = rig.recording("session");
     let session = SessionFile::load(&folder).unwrap();

@@ -9,17 +9,13 @@ use std::process::Command;
 use crate::interrupts;
 use crate::support::smartdepthsync;
 use crate::turn;
-use crate::whole_rig::{OVERSHOOT_S, Session, WholeRig};
+use crate::whole_rig::{OVERSHOOT_S, SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::Verdict;
 use recording::session_file::{SessionFile, SessionOutcome};
 use rig::phone::LinkFault;
 use rustix::process::Signal;
 use serde_json::Value;
-
-/// Virtual time against real time: fast enough for many sessions. What a test acts within
-/// lasts at least 10 s of it, a second for a busy machine.
-const SPEED: f64 = 10.0;
 
 // Exit codes, as docs/exit-codes.md has them.
 const REFUSED: i32 = 3;

@@ -2,7 +2,7 @@
 //! join the aligned trigger, and the recording has them by name.
 
 use crate::turn;
-use crate::whole_rig::{Session, WholeRig};
+use crate::whole_rig::{SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 
@@ -24,8 +24,8 @@ name = "VLP-16"
 
 #[test]
 fn further_sensors_are_recorded_by_name_on_pulses_of_the_trigger() {
-    let _turn = turn::alone();
-    let rig = WholeRig::new(5, 20.0);
+    let _turn = turn::beside_others();
+    let rig = WholeRig::new(5, SPEED);
     let profile = rig.profile() + FURTHER;
     let mut command = rig.record_with("further", &profile, &["--duration", "12s"]);
     let said = Session::start(&mut command).ends_with(0);

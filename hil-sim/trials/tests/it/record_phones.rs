@@ -2,15 +2,15 @@
 //! clocks, both record, and what is said of each is true.
 
 use crate::turn;
-use crate::whole_rig::{Session, WholeRig};
+use crate::whole_rig::{SPEED, Session, WholeRig};
 use recording::reader::{Item, Reader};
 use recording::session_file::{SessionFile, SessionOutcome};
 use trials::demo::judge::Truth;
 
 #[test]
 fn two_phones_are_related_by_one_twist_and_placed_against_the_grid() {
-    let _turn = turn::alone();
-    let rig = WholeRig::with_phones(31, 20.0, 2, |_, _| {});
+    let _turn = turn::beside_others();
+    let rig = WholeRig::with_phones(31, SPEED, 2, |_, _| {});
     let profile = rig.profile_of(&["left", "right"]);
     let arguments = ["--duration", "10s", "--second-twist", "--fetch-video"];
     let mut command = rig.record_with("two", &profile, &arguments);

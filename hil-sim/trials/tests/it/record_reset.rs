@@ -111,7 +111,9 @@ fn over_a_reset(seed: u64) {
     let arguments = ["--duration", "48s", "--fetch-video"];
     // A camera that is led faster than its tolerance leaves the pulses and comes a pulse
     // late, which looks like frames that are one pulse off.
-    let profile = rig.profile().replace("slew_us = 1000", "slew_us = 150");
+    let profile = rig
+        .full_rate_profile()
+        .replace("slew_us = 1000", "slew_us = 150");
     let mut session = Session::start(&mut rig.record_with("reset", &profile, &arguments));
     session.wait_for("recording for");
     rig.wait_ms(16_000);

@@ -23,7 +23,7 @@ const INTERRUPTED: i32 = 130;
 
 #[test]
 fn the_period_follows_the_phones_clock_and_every_pulse_stays_on_its_grid() {
-    let _turn = turn::alone();
+    let _turn = turn::beside_others();
     let rig = WholeRig::new(17, SPEED);
     let program = env!("CARGO_BIN_EXE_hil-sim");
     let table = Table::new(rig.rig.parts(), rig.phone(), program.as_ref()).unwrap();
@@ -83,7 +83,7 @@ fn boot_ns() -> i64 {
 /// which the simulated phone then has.
 #[test]
 fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left() {
-    let turn = turn::alone();
+    let _turn = turn::beside_others();
     let begun = boot_ns();
     let rig = WholeRig::with(18, SPEED, |_, phone| {
         phone.clock.offset_ns = begun;
@@ -103,7 +103,6 @@ fn a_phone_behind_adb_is_followed_again_when_it_comes_back_and_nothing_is_left()
     session.wait_for("the phone's clock is followed again");
     session.signal(Signal::INT);
     let (_, said) = session.end();
-    drop(turn);
 
     let folder = rig.recording("pulled");
     let recorded = SessionFile::load(&folder).unwrap();

@@ -9,7 +9,7 @@ use trials::whole_chain::several::{self, SeveralPlan};
 
 #[test]
 fn every_sensor_of_a_large_rig_is_extracted_in_board_time() {
-    let _turn = turn::alone();
+    let _turn = turn::beside_others();
     let out = tempfile::tempdir().unwrap();
     let programs = Programs {
         smartdepthsync: support::smartdepthsync().to_owned(),

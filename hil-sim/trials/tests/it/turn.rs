@@ -1,7 +1,7 @@
 //! Who may run beside whom.
 //!
 //! Sessions keep pace with the wall clock. Most of them, and what only computes, may
-//! run beside each other; a few want the whole machine.
+//! run beside each other; what is compared with that clock wants the whole machine.
 
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 

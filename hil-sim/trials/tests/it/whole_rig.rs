@@ -16,9 +16,13 @@ use stm32f4_sim::time::SimDuration;
 /// The longest that anything is waited for, in real time: it only ends what hangs.
 const PATIENCE: Duration = Duration::from_secs(300);
 
+/// Virtual time against real time: fast enough for many sessions. What a test acts within
+/// lasts at least 10 s of it, a second for a busy machine.
+pub(crate) const SPEED: f64 = 10.0;
+
 /// By how much a recording may be longer than it was asked to be, s of board time: a session
-/// looks at the time at least every 2,000 messages, and 500 a second are samples.
-pub(crate) const OVERSHOOT_S: f64 = 4.0;
+/// looks at the time at least every 2,000 messages, and 200 a second are samples.
+pub(crate) const OVERSHOOT_S: f64 = 10.0;
 
 /// A rig whose operator twists it all the time, with a folder for recordings.
 pub(crate) struct WholeRig {
@@ -76,8 +80,14 @@ impl WholeRig {
         self.rig.phone().unwrap()
     }
 
-    /// The owner's profile, with a shorter twist and a faster way to the grid.
+    /// The owner's profile, with a shorter twist and a faster way to the grid, and samples
+    /// that the simulated board makes in half the time.
     pub(crate) fn profile(&self) -> String {
+        self.full_rate_profile() + "\n[imu]\nrate_hz = 200\nlow_pass_hz = 98\n"
+    }
+
+    /// The same with as many samples as is usual.
+    pub(crate) fn full_rate_profile(&self) -> String {
         Self::hasty(&self.rig.profile().unwrap())
     }
 
