@@ -12,8 +12,6 @@ use trials::lies::board::{Change, Liar};
 use trials::lies::campaign;
 use trials::programs::Programs;
 
-/// Virtual time against real time.
-
 // Exit codes, as docs/exit-codes.md has them.
 const REFUSED: i32 = 3;
 const LOSS: i32 = 4;
