@@ -5,7 +5,7 @@ use super::op::{Op, Slot};
 use crate::chip::memory::{FLASH_BASE, Memory};
 
 /// Left to rsemu.
-const OUTSIDE: Slot = Slot {
+const LEFT: Slot = Slot {
     op: Op::Slow,
     len: 2,
 };
@@ -38,7 +38,7 @@ impl Code {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         for table in [&mut self.plain, &mut self.in_it] {
             if let Some(slot) = table.get_mut(index) {
-                *slot = OUTSIDE;
+                *slot = LEFT;
             }
         }
     }
@@ -47,43 +47,38 @@ impl Code {
     #[inline(always)]
     pub(super) fn get(&mut self, pc: u32, in_it: bool, mem: &Memory) -> &Slot {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
-        let table = if in_it { &self.in_it } else { &self.plain };
-        if table
-            .get(index)
-            .is_some_and(|slot| matches!(slot.op, Op::Unknown))
-        {
-            self.fill(index, pc, in_it, mem);
-        }
-        let table = if in_it { &self.in_it } else { &self.plain };
-        table.get(index).unwrap_or(&OUTSIDE)
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn fill(&mut self, index: usize, pc: u32, in_it: bool, mem: &Memory) {
-        let slot = decode_at(
-            pc,
-            in_it,
-            |at| mem.read16(at).map(|h| h as u16),
-            |at, bytes| {
-                // Only flash is constant.
-                if at >> 24 != FLASH_BASE >> 24 {
-                    return None;
-                }
-                match bytes {
-                    4 => mem.read32(at),
-                    2 => mem.read16(at),
-                    _ => mem.read8(at),
-                }
-            },
-        );
         let table = if in_it {
             &mut self.in_it
         } else {
             &mut self.plain
         };
-        if let Some(to) = table.get_mut(index) {
-            *to = slot;
+        let Some(slot) = table.get_mut(index) else {
+            return &LEFT;
+        };
+        if matches!(slot.op, Op::Unknown) {
+            *slot = decode(pc, in_it, mem);
         }
+        slot
     }
+}
+
+#[cold]
+#[inline(never)]
+fn decode(pc: u32, in_it: bool, mem: &Memory) -> Slot {
+    decode_at(
+        pc,
+        in_it,
+        |at| mem.read16(at).map(|h| h as u16),
+        |at, bytes| {
+            // Only flash is constant.
+            if at >> 24 != FLASH_BASE >> 24 {
+                return None;
+            }
+            match bytes {
+                4 => mem.read32(at),
+                2 => mem.read16(at),
+                _ => mem.read8(at),
+            }
+        },
+    )
 }
