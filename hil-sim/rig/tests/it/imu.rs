@@ -68,14 +68,20 @@ fn the_firmware_writes_no_other_plain_register() {
 /// apart every time.
 #[test]
 fn ten_minutes_of_samples_are_exact() {
-    std::thread::scope(|scope| {
-        for seed in [7, 8] {
-            scope.spawn(move || five_minutes_are_exact(Seed(seed)));
-        }
+    let [first, second] = std::thread::scope(|scope| {
+        [7, 8]
+            .map(|seed| scope.spawn(move || five_minutes_are_exact(Seed(seed))))
+            .map(|board| board.join().unwrap())
     });
+    let [samples, pulses, bus_errors] = [0, 1, 2].map(|n| first[n] + second[n]);
+    assert!(samples >= 300_000, "{samples}");
+    assert!(pulses > 17_990, "{pulses}");
+    // Bus errors that were none have disturbed nothing (ES0182 2.10.1).
+    assert!(bus_errors > 1_000, "{bus_errors}");
 }
 
-fn five_minutes_are_exact(seed: Seed) {
+/// How many samples, pulses and bus errors that were none there were.
+fn five_minutes_are_exact(seed: Seed) -> [u64; 3] {
     let walk = MotionSpec::always(Gesture::Walk);
     let motion = walk.build(seed.stream(Stream::Motion)).unwrap();
     let mut bench = Bench::new(motion, &[]);
@@ -101,8 +107,6 @@ fn five_minutes_are_exact(seed: Seed) {
         bench.board.pulses.clear();
         bench.board.rig.take_edges();
     }
-    assert!(samples >= 150_000, "{samples}");
-    assert!(pulses > 8_990, "{pulses}");
     let status = bench.board.next_status();
     let imu = status.imu;
     assert_eq!((imu.late, imu.overcaptures, imu.recoveries), (0, 0, 0));
@@ -110,15 +114,17 @@ fn five_minutes_are_exact(seed: Seed) {
     assert_eq!(imu.state, ImuState::Running);
     assert_eq!(imu.last_fault, None);
     assert_eq!(status.dropped, dropped);
-    // Bus errors that were none have disturbed nothing (ES0182 2.10.1).
-    let bus_errors = bench.board.rig.spurious_bus_errors();
-    assert!(bus_errors > 500, "{bus_errors}");
     // With all waits that the manuals allow.
     assert!(status.cpu_permille < 150, "{} of 1000", status.cpu_permille);
     println!(
         "load with IMU, trigger and USB: {} / 1000 (simulated)",
         status.cpu_permille
     );
+    [
+        samples,
+        pulses as u64,
+        bench.board.rig.spurious_bus_errors(),
+    ]
 }
 
 /// A transfer that is not acknowledged, at each of its bytes, costs that sample
