@@ -92,7 +92,7 @@ fn one_sample_an_hour_ahead_ends_nothing() {
 
 /// A recording on another port, long enough for a lie on a busy machine: 2.4 s of real time.
 fn behind(rig: &WholeRig, liar: &Liar, name: &str) -> Command {
-    let honest = rig.record(name, &["--duration", "24s"]);
+    let honest = rig.record_with(name, &rig.full_rate_profile(), &["--duration", "24s"]);
     let mut command = Command::new(honest.get_program());
     command.args(honest.get_args().map(|argument| {
         if argument == rig.rig.port() {

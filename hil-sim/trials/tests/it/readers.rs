@@ -31,15 +31,13 @@ fn check_with(python: &Path, script: &str, arguments: &[&Path]) {
     assert_eq!(printed.trim(), "ok");
 }
 
-/// Depth frames of full size, and how many of them are registered: each takes its time.
+/// Depth frames of full size: each takes its time.
 const FRAMES: usize = 120;
-const REGISTERED: usize = 40;
 
-/// A recording of the whole chain, and what a depth recording of full size for it has.
+/// A recording of the whole chain, and a depth recording of full size for it.
 struct Chain {
     case: Case,
-    /// Device times of the depth frames, µs.
-    device: Vec<i64>,
+    depth: PathBuf,
     /// Number of frames of the video.
     video: usize,
     options: Options,
@@ -59,6 +57,7 @@ fn record() -> Chain {
     let rows: Vec<_> = rows.iter().filter(|row| row[1] >= begin).collect();
     let times = rows.iter().map(|row| row[0].unwrap() / 1000);
     let device: Vec<i64> = times.take(FRAMES).collect();
+    let depth = full_size(&case, &device);
     let options = Options {
         first_pulse: rows[0][2].map(|pulse| pulse as usize),
         ..Options::default()
@@ -66,7 +65,7 @@ fn record() -> Chain {
     let video = case.table("times/phone_frames.csv", &[0]).len();
     Chain {
         case,
-        device,
+        depth,
         video,
         options,
     }
@@ -85,9 +84,8 @@ fn a_recording_of_the_whole_chain_is_what_its_readers_find() {
 fn large_readers_find_the_same() {
     let _turn = turn::beside_others();
     let chain = record();
-    let [euroc, two, one, lerobot] =
-        extracted(&chain, &full_size(&chain.case, "depth", &chain.device));
-    let (calibration, color) = in_color(&chain, &part(&chain));
+    let [euroc, two, one, lerobot] = extracted(&chain);
+    let (calibration, color) = in_color(&chain);
     let check_large = |reader: &str, script, arguments: &[&Path]| {
         let python = python::target().join(format!("readers/{reader}/bin/python3"));
         check_with(&python, script, arguments);
@@ -102,18 +100,18 @@ fn large_readers_find_the_same() {
 }
 
 /// A depth recording of full size with these device times, beside colour.
-fn full_size(case: &Case, name: &str, device: &[i64]) -> PathBuf {
-    let jpeg = case.test_picture(&format!("{name}.jpg"), "1280x720", 1);
+fn full_size(case: &Case, device: &[i64]) -> PathBuf {
+    let jpeg = case.test_picture("depth.jpg", "1280x720", 1);
     let more = json!({
         "depth_mode": NFOV_UNBINNED, "size": [640, 576], "color": jpeg,
         "calibration": calibration().to_string(),
     });
-    case.vendor(name, device, more)
+    case.vendor("depth", device, more)
 }
 
 /// The extraction as EuRoC, ROS 2, ROS 1 and LeRobot, with what Kalibr found of the phone.
-fn extracted(chain: &Chain, depth: &Path) -> [PathBuf; 4] {
-    let case = &chain.case;
+fn extracted(chain: &Chain) -> [PathBuf; 4] {
+    let Chain { case, depth, .. } = chain;
     let mut session = SessionFile::load(&case.path("recording")).unwrap();
     let (_, found) = into_profile(DEFAULT, Path::new("rig.toml"), None, CHAIN).unwrap();
     session.profile.phone.cameras = vec![found.camera];
@@ -132,16 +130,20 @@ fn extracted(chain: &Chain, depth: &Path) -> [PathBuf; 4] {
         assert_eq!(phone.images, chain.video as u64, "{:#?}", report.losses);
         let colored = report.depth.unwrap().color;
         let has_place = format != Format::Lerobot;
-        let all = chain.device.len() as u64;
+        let all = FRAMES as u64;
         assert_eq!(colored, if has_place { all } else { 0 });
         case.path(out)
     })
 }
 
 fn bags_and_tables(chain: &Chain) {
-    let Chain { case, options, .. } = chain;
-    let depth = full_size(case, "depth", &chain.device);
-    let [euroc, two, one, lerobot] = &extracted(chain, &depth);
+    let Chain {
+        case,
+        depth,
+        options,
+        ..
+    } = chain;
+    let [euroc, two, one, lerobot] = &extracted(chain);
     check("check_ros.py", &[euroc, two, one]);
     check("check_lerobot.py", &[euroc, lerobot]);
     // The camera in the frame of the board's IMU: the inverse of Kalibr's T_cam_imu.
@@ -152,7 +154,7 @@ fn bags_and_tables(chain: &Chain) {
     let bag = case.path("one/data.bag");
     let written = || bag.metadata().unwrap().modified().unwrap();
     let before = written();
-    case.extract_as(Format::Ros1, Some(&depth), "one", options.clone());
+    case.extract_as(Format::Ros1, Some(depth), "one", options.clone());
     assert_eq!(written(), before);
     for out in [one, two, lerobot] {
         assert!(!out.join(".parts").exists());
@@ -165,15 +167,10 @@ fn bags_and_tables(chain: &Chain) {
     browser::check(&page, "sample_pairs", &["Some pairs from the middle"]);
     std::fs::remove_file(&bag).unwrap();
     let error = case
-        .try_extract(Format::Ros1, Some(&depth), "one", options.clone())
+        .try_extract(Format::Ros1, Some(depth), "one", options.clone())
         .unwrap_err()
         .to_string();
     assert!(error.contains("--overwrite"), "{error}");
-}
-
-/// A depth recording of the first frames, to be registered.
-fn part(chain: &Chain) -> PathBuf {
-    full_size(&chain.case, "part", &chain.device[..REGISTERED])
 }
 
 fn registered_to(chain: &Chain, view: View) -> Options {
@@ -184,13 +181,13 @@ fn registered_to(chain: &Chain, view: View) -> Options {
 }
 
 /// The camera's calibration, and the extraction as TUM with depth registered to colour.
-fn in_color(chain: &Chain, depth: &Path) -> (PathBuf, PathBuf) {
-    let case = &chain.case;
+fn in_color(chain: &Chain) -> (PathBuf, PathBuf) {
+    let Chain { case, depth, .. } = chain;
     let options = registered_to(chain, View::Color);
     let report = case.extract_as(Format::Tum, Some(depth), "color", options);
     assert_eq!(
         report.depth.unwrap().images,
-        REGISTERED as u64,
+        FRAMES as u64,
         "{:#?}",
         report.losses
     );
@@ -201,13 +198,12 @@ fn in_color(chain: &Chain, depth: &Path) -> (PathBuf, PathBuf) {
 
 /// Depth registered to colour and to the phone, as the maker's library has it.
 fn registered(chain: &Chain) {
-    let case = &chain.case;
+    let Chain { case, depth, .. } = chain;
     // Without registration the two images do not lie over one another: no associations.
     let plain = case.extract_as(Format::Tum, None, "plain", Options::default());
     said(&plain, "no associations.txt");
     assert!(!case.path("plain/associations.txt").exists());
-    let depth = part(chain);
-    let (path, color) = in_color(chain, &depth);
+    let (path, color) = in_color(chain);
     check("check_registered.py", &[&path, &color]);
 
     // To the phone it takes the profile, for the size of its images.
@@ -217,7 +213,7 @@ fn registered(chain: &Chain) {
     std::fs::remove_file(case.path(&of_phone)).unwrap();
     case.test_picture(&of_phone, "1280x720", chain.video);
     let to_phone = registered_to(chain, View::Phone);
-    let refused = case.extract_as(Format::Euroc, Some(&depth), "refused", to_phone.clone());
+    let refused = case.extract_as(Format::Euroc, Some(depth), "refused", to_phone.clone());
     said(&refused, "phone.cameras");
     assert_eq!(refused.depth.unwrap().images, 0);
     // A phone that sees what the colour camera sees, from the same place.
@@ -235,8 +231,8 @@ fn registered(chain: &Chain) {
     session.profile.phone.from_imu = Some(pose);
     session.profile.depth.color_from_imu = Some(pose);
     session.save(&case.path("recording")).unwrap();
-    let report = case.extract_as(Format::Euroc, Some(&depth), "phone", to_phone);
-    assert_eq!(report.depth.unwrap().images, REGISTERED as u64);
+    let report = case.extract_as(Format::Euroc, Some(depth), "phone", to_phone);
+    assert_eq!(report.depth.unwrap().images, FRAMES as u64);
     check(
         "check_registered.py",
         &[&path, &color, &case.path("phone/mav0")],

@@ -216,7 +216,8 @@ fn a_board_that_is_unplugged_and_comes_back_keeps_its_time() {
     let rig = WholeRig::new(5, SPEED);
     for (number, state) in STATES.into_iter().enumerate() {
         let name = format!("state_{number}");
-        let mut session = Session::start(&mut rig.record(&name, &["--duration", "25s"]));
+        let mut command = rig.record_with(&name, &rig.full_rate_profile(), &["--duration", "25s"]);
+        let mut session = Session::start(&mut command);
         session.wait_for(state);
         rig.wait_ms(100);
         rig.rig.unplug();

@@ -21,8 +21,8 @@ const PATIENCE: Duration = Duration::from_secs(300);
 pub(crate) const SPEED: f64 = 10.0;
 
 /// By how much a recording may be longer than it was asked to be, s of board time: a session
-/// looks at the time at least every 2,000 messages, and 200 a second are samples.
-pub(crate) const OVERSHOOT_S: f64 = 10.0;
+/// looks at the time at least every 2,000 messages, and 500 a second are samples.
+pub(crate) const OVERSHOOT_S: f64 = 4.0;
 
 /// A rig whose operator twists it all the time, with a folder for recordings.
 pub(crate) struct WholeRig {
