@@ -59,8 +59,12 @@ use stm32f4_sim::sim::{Sim, SimBuilder};
 use stm32f4_sim::time::{SimDuration, SimTime};
 use stm32f4_sim::usb::UsbState;
 
-/// Board time between two looks at the pseudo-terminal.
-pub(crate) const STEP: SimDuration = SimDuration::from_millis(1);
+/// Board time between two looks at the pseudo-terminal at the speed of real time. A faster
+/// rig looks as often by the computer's clock: a look costs what it costs.
+const STEP: SimDuration = SimDuration::from_millis(1);
+
+/// The most of [`STEP`] between two looks, as the buses and drivers of a computer take.
+const MOST_STEPS: f64 = 10.0;
 
 /// Bytes that wait for the program at the other end before the host's driver
 /// stops asking the board for more, as an operating system does.
@@ -71,7 +75,7 @@ pub(crate) const BOOT_LIMIT: SimDuration = SimDuration::from_secs(5);
 
 /// Wall time for which the board stands still while the program reads slowly,
 /// or has not yet opened the port.
-const PATIENCE: Duration = Duration::from_micros(200);
+pub(crate) const PATIENCE: Duration = Duration::from_micros(200);
 
 /// The most true time that is caught up with behind a computer that stood still: as a real
 /// board, one at the speed of time has gone on meanwhile. A faster one would race.
@@ -402,6 +406,12 @@ impl Pacer {
         }
     }
 
+    /// Board time between two looks at the pseudo-terminal.
+    pub(crate) fn step(&self) -> SimDuration {
+        let steps = self.speed.unwrap_or(MOST_STEPS).clamp(1.0, MOST_STEPS);
+        SimDuration::from_nanos((STEP.as_nanos() as f64 * steps) as u64)
+    }
+
     /// Waits until it is time for `now`.
     pub(crate) fn wait(&mut self, now: SimTime) {
         let Some(speed) = self.speed else { return };
@@ -506,7 +516,7 @@ impl Runner {
                 continue;
             }
             pacer.wait(rig.now());
-            rig.run_for(STEP)?;
+            rig.run_for(pacer.step())?;
             self.note(&rig);
         }
     }

@@ -16,7 +16,7 @@ use crate::owner_profile::owner_profile;
 use crate::phone::{PhoneConfig, SimPhone, Surroundings, VideoMode};
 use crate::random::Seed;
 use crate::rig_config::{RigConfig, RigParts};
-use crate::running_rig::{BOOT_LIMIT, Pacer, Port, STEP};
+use crate::running_rig::{BOOT_LIMIT, PATIENCE, Pacer, Port};
 use crate::table::Table;
 use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
@@ -31,8 +31,6 @@ use stm32f4_sim::vcd_trace::VcdTrace;
 
 /// Virtual time between two looks at what the models have noted.
 const NOTE_STEP: SimDuration = SimDuration::from_millis(100);
-/// Wall time between two looks for a program that opens the port.
-const WAIT_STEP: Duration = Duration::from_millis(2);
 
 /// Options of `serve`.
 #[derive(clap::Args)]
@@ -40,7 +38,9 @@ pub struct Args {
     /// The firmware's ELF; without this, what `cargo xtask build` made.
     #[arg(long, value_name = "FILE")]
     elf: Option<PathBuf>,
-    /// Pace virtual time by the wall clock; otherwise it runs as fast as it can.
+    /// Pace virtual time by the wall clock, whether or not a program takes what the board
+    /// sends. Otherwise the board runs as fast as it can, and stands still for a program
+    /// that has not taken it.
     #[arg(long, conflicts_with = "speed")]
     realtime: bool,
     /// Virtual time passes at most so many times as fast as real time.
@@ -285,16 +285,18 @@ fn pump(
         rig.run_until_usb_ready(BOOT_LIMIT)?;
     }
     while args.wait_for_host && !port.pty.is_open()? && !stopped() {
-        std::thread::sleep(WAIT_STEP);
+        std::thread::sleep(PATIENCE);
     }
     let speed = args.speed.or(args.realtime.then_some(1.0));
     let mut pacer = Pacer::new(speed, rig.now());
     let mut next_note = rig.now();
     while end.is_none_or(|end| rig.now() < end) && !stopped() {
-        // This board goes on while the program does not take its bytes.
-        port.move_bytes(rig)?;
+        if !port.move_bytes(rig)? && !args.realtime {
+            std::thread::sleep(PATIENCE);
+            continue;
+        }
         pacer.wait(rig.now());
-        rig.run_for(STEP)?;
+        rig.run_for(pacer.step())?;
         if rig.now() >= next_note {
             note(rig)?;
             next_note = rig.now() + NOTE_STEP;
