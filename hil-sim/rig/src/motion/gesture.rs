@@ -118,18 +118,30 @@ impl Drawn {
         let target = [0; 3].map(|_| random.uniform(3.3, 3.8));
         // Scale each axis until its peak over two minutes is the one drawn. The
         // axes mix a little, so this takes a few rounds.
+        let mut scale = [1.0; 3];
+        let unscaled: Vec<Pose> = (0..12_000)
+            .map(|k| drawn.pose(f64::from(k) * 0.01))
+            .collect();
         for _ in 0..6 {
             let mut peak = [0.0f64; 3];
-            for k in 0..12_000 {
-                let rate = drawn.pose(f64::from(k) * 0.01).body_rate();
+            for pose in &unscaled {
+                let mut pose = *pose;
+                for axis in 0..3 {
+                    pose.angle[axis] *= scale[axis];
+                    pose.rate[axis] *= scale[axis];
+                }
+                let rate = pose.body_rate();
                 for axis in 0..3 {
                     peak[axis] = peak[axis].max(rate[axis].abs());
                 }
             }
             for axis in 0..3 {
-                for term in &mut drawn.free[axis].0 {
-                    term.amplitude *= target[axis] / peak[axis];
-                }
+                scale[axis] *= target[axis] / peak[axis];
+            }
+        }
+        for (axis, scale) in drawn.free.iter_mut().zip(scale) {
+            for term in &mut axis.0 {
+                term.amplitude *= scale;
             }
         }
         drawn.add_tremor(random);
