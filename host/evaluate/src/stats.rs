@@ -81,13 +81,18 @@ pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
 /// What the correlation of each term with up to `lag` following ones adds to the
 /// variance of their sum, with Bartlett's weights.
 fn neighbours(terms: &[f64], lag: usize) -> f64 {
-    let product = |l: usize| -> f64 {
-        let later = terms.iter().skip(l);
-        terms.iter().zip(later).map(|(a, b)| a * b).sum()
-    };
-    (1..=lag.min(terms.len().saturating_sub(1)))
-        .map(|l| 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0)) * product(l))
-        .sum()
+    // All lags at once: sums that do not wait for one another.
+    let mut products = vec![0.0; lag];
+    let mut later = terms;
+    while let Some((first, rest)) = later.split_first() {
+        for (product, term) in products.iter_mut().zip(rest) {
+            *product += first * term;
+        }
+        later = rest;
+    }
+    let weight = |l: usize| 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0));
+    let weighted = products.iter().enumerate();
+    weighted.map(|(i, product)| weight(i + 1) * product).sum()
 }
 
 /// A straight line through points.
