@@ -211,7 +211,7 @@ fn registered(chain: &Chain) {
     let of_phone = session.files.iter().find(|file| file.ends_with(".mp4"));
     let of_phone = format!("recording/{}", of_phone.unwrap());
     std::fs::remove_file(case.path(&of_phone)).unwrap();
-    case.test_picture(&of_phone, "1280x720", chain.video);
+    case.test_picture(&of_phone, "1280x720", FRAMES);
     let to_phone = registered_to(chain, View::Phone);
     let refused = case.extract_as(Format::Euroc, Some(depth), "refused", to_phone.clone());
     said(&refused, "phone.cameras");
