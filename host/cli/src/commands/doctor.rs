@@ -108,17 +108,19 @@ fn listen_for(
 }
 
 fn check_imu(board: &mut Board, checks: &mut Checks, context: &Context) -> Result<(), Failure> {
-    let mut look = ImuLook::default();
-    let scale = Scale::of(&board.imu()?);
     board.start_counting();
-    listen_for(board, context, IMU_TIME, |event| match (event, &scale) {
-        (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
-            look.add(&scale.apply(sample));
-        }
-        (Event::Lost { .. }, _) => look.gap(),
-        _ => {}
+    checks.look_at_imu(|| {
+        let mut look = ImuLook::default();
+        let scale = Scale::of(&board.imu()?);
+        listen_for(board, context, IMU_TIME, |event| match (event, &scale) {
+            (Event::Message(DeviceToHost::Imu(sample)), Some(scale)) => {
+                look.add(&scale.apply(sample));
+            }
+            (Event::Lost { .. }, _) => look.gap(),
+            _ => {}
+        })?;
+        Ok::<_, Failure>((look, board.imu()?))
     })?;
-    checks.imu(&look, &board.imu()?);
     let link = board.conversation();
     checks.link(link.counts().lost(), link.damaged_frames());
     Ok(())

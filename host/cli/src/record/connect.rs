@@ -183,17 +183,18 @@ pub(super) fn preflight(
         checks.phone(version.as_deref().unwrap_or("of unknown version"), address);
     }
     rig.link.board.start_counting();
-    rig.observers.look = Some(ImuLook::default());
-    let looked = rig.pump_for(IMU_TIME);
-    let look = rig.observers.look.take().unwrap_or_default();
-    looked?;
+    let setup = checks.look_at_imu(|| {
+        rig.observers.look = Some(ImuLook::default());
+        let looked = rig.pump_for(IMU_TIME);
+        let look = rig.observers.look.take().unwrap_or_default();
+        looked?;
+        Ok::<_, Stop>((look, rig.call(Board::imu)?))
+    })?;
     // The sensor is known now, also if it was still being looked for before.
-    let setup = rig.call(Board::imu)?;
     if let Some(scale) = Scale::of(&setup) {
         rig.link.set_scale(Some(scale));
         rig.journal.file.imu = Some(ImuInfo { setup, scale });
     }
-    checks.imu(&look, &setup);
     let session = rig.link.board.conversation();
     checks.link(session.counts().lost(), session.damaged_frames());
     rig.journal.file.preflight.clear();

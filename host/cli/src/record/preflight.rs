@@ -26,6 +26,10 @@ use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, V
 /// How long the IMU is looked at, ticks.
 pub(crate) const IMU_TIME: u64 = TICK_HZ as u64;
 
+/// How often it is looked at while the board still sets it up: once more, and again, after
+/// power-on and after a setting that has changed.
+const IMU_LOOKS: usize = 3;
+
 /// For how long the trigger's read-back is looked at, ticks.
 pub(crate) const TRIGGER_TIME: u64 = TICK_HZ as u64 / 2;
 
@@ -295,8 +299,28 @@ impl Checks {
         );
     }
 
+    /// Looks at the IMU's samples for [`IMU_TIME`] by `look`, which returns what the board
+    /// says of it then; again while that sets it up.
+    ///
+    /// # Errors
+    ///
+    /// That of `look`.
+    pub(crate) fn look_at_imu<E>(
+        &mut self,
+        mut look: impl FnMut() -> Result<(ImuLook, ImuSetup), E>,
+    ) -> Result<ImuSetup, E> {
+        let (mut seen, mut setup) = look()?;
+        for _ in 1..IMU_LOOKS {
+            if setup.status.state == ImuState::Starting {
+                (seen, setup) = look()?;
+            }
+        }
+        self.imu(&seen, &setup);
+        Ok(setup)
+    }
+
     /// The IMU, after a look at its samples. `setup` is what the board says then.
-    pub(crate) fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
+    fn imu(&mut self, look: &ImuLook, setup: &ImuSetup) {
         let report = look.report();
         if setup.status.state != ImuState::Running || report.samples == 0 {
             self.bad(

@@ -7,8 +7,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use crate::support::{Behaviour, StandIn, code, frame, imu_setup, polite, run, text};
 use protocol::{
     AlignPlan, AlignTrigger, Answer, Arrived, Command, ConfigureImu, DeviceToHost, HostToDevice,
-    ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuStatus, Output, Period, QueryImu, QueryTrigger,
-    Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks, TrainState, TriggerStatus,
+    ImuFlags, ImuSample, ImuSensor, ImuSetup, ImuState, ImuStatus, Output, Period, Ping, Pong,
+    QueryImu, QueryTrigger, Readback, Refusal, Reply, Request, StartTrigger, TickDelta, Ticks,
+    TrainState, TriggerStatus,
 };
 use serde_json::Value;
 
@@ -220,13 +221,21 @@ fn wrong_units_are_usage_errors_before_any_port_is_opened() {
     }
 }
 
-/// Streams IMU samples at 500 Hz, a hundred at a time, with one missing.
+/// Streams IMU samples at 500 Hz, a hundred at a time, with one missing; says that it sets
+/// the sensor up until so many were sent.
+#[derive(Default)]
 struct ImuStandIn {
     next: u32,
-    missing: u32,
+    missing: Option<u32>,
+    starting: u32,
 }
 
 impl ImuStandIn {
+    /// Board time of the next sample.
+    fn now(&self) -> Ticks {
+        Ticks(48_000_000 * 91 + u64::from(self.next) * 96_000)
+    }
+
     fn setup(&self) -> ImuSetup {
         let setup = imu_setup();
         ImuSetup {
@@ -234,6 +243,10 @@ impl ImuStandIn {
             accel_delay_us: 2_000,
             status: ImuStatus {
                 samples: self.next,
+                state: match self.next < self.starting {
+                    true => ImuState::Starting,
+                    false => ImuState::Running,
+                },
                 ..setup.status
             },
             sensor: ImuSensor::default(),
@@ -247,6 +260,14 @@ impl Behaviour for ImuStandIn {
         match command.command {
             Command::QueryImu(_) => answer(command.id, Ok(QueryImu::wrap(self.setup()))),
             Command::ConfigureImu(_) => answer(command.id, Ok(ConfigureImu::wrap(self.setup()))),
+            Command::Ping(ping) => {
+                let pong = Pong {
+                    host_time: ping.host_time,
+                    received: self.now(),
+                    sent: self.now(),
+                };
+                answer(command.id, Ok(Ping::wrap(pong)))
+            }
             _ => polite(command),
         }
     }
@@ -254,14 +275,14 @@ impl Behaviour for ImuStandIn {
     fn tick(&mut self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for _ in 0..20 {
-            let seq = self.next;
+            let (seq, at) = (self.next, self.now());
             self.next += 1;
-            if seq == self.missing {
+            if self.missing == Some(seq) {
                 continue;
             }
             bytes.extend(frame(&DeviceToHost::Imu(ImuSample {
                 seq,
-                at: Ticks(48_000_000 * 91 + u64::from(seq) * 96_000),
+                at,
                 flags: ImuFlags(0),
                 accel: [0, 0, 8_192],
                 temperature: -3_400,
@@ -274,10 +295,7 @@ impl Behaviour for ImuStandIn {
 
 #[test]
 fn imu_reports_and_writes_si_units_and_tells_a_loss() {
-    let board = StandIn::new(ImuStandIn {
-        next: 0,
-        missing: u32::MAX,
-    });
+    let board = StandIn::new(ImuStandIn::default());
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("imu.csv");
     let output = run(&[
@@ -313,14 +331,38 @@ fn imu_reports_and_writes_si_units_and_tells_a_loss() {
     assert!(told.contains("\naccelerometer mean "), "{told}");
 
     let board = StandIn::new(ImuStandIn {
-        next: 0,
-        missing: 4_000,
+        missing: Some(4_000),
+        ..ImuStandIn::default()
     });
     let output = run(&["imu", "--port", &board.path, "--seconds", "9", "--json"]);
     assert_eq!(code(&output), 4, "{output:?}");
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["missed"], 1);
     assert_eq!(report["interval_max_ticks"], 96_000);
+}
+
+/// As after power-on, or after another setting.
+#[test]
+fn doctor_looks_again_at_a_sensor_that_is_set_up() {
+    for (starting, verdict) in [(600, "good"), (u32::MAX, "bad")] {
+        let board = StandIn::new(ImuStandIn {
+            starting,
+            ..ImuStandIn::default()
+        });
+        let port = &board.path;
+        let output = run(&[
+            "doctor",
+            "--port",
+            port,
+            "--no-phone",
+            "--no-trigger",
+            "--json",
+        ]);
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let mut checks = report["checks"].as_array().unwrap().iter();
+        let imu = checks.find(|check| check["name"] == "IMU").unwrap();
+        assert_eq!(imu["verdict"], verdict, "{imu}");
+    }
 }
 
 #[test]
