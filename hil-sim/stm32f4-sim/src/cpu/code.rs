@@ -1,34 +1,44 @@
 //! Code that was decoded before it is run.
 
 use super::decode::decode_at;
-use super::op::{Op, Slot};
+use super::op::Op;
 use crate::chip::memory::{FLASH_BASE, Memory};
-
-/// Left to rsemu.
-const LEFT: Slot = Slot {
-    op: Op::Slow,
-    len: 2,
-};
 
 /// Predecoded flash, filled as it is executed. Instructions inside IT blocks
 /// decode differently and have a cache of their own.
 pub(crate) struct Code {
-    plain: Vec<Slot>,
-    in_it: Vec<Slot>,
+    plain: Decoded,
+    in_it: Decoded,
+}
+
+/// Operations and their lengths in bytes, of each half-word.
+struct Decoded {
+    ops: Vec<Op>,
+    lens: Vec<u8>,
+}
+
+impl Decoded {
+    fn new(half_words: usize) -> Self {
+        Self {
+            ops: vec![Op::Unknown; half_words],
+            lens: vec![2; half_words],
+        }
+    }
 }
 
 impl core::fmt::Debug for Code {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "Code({} half-words)", self.plain.len())
+        write!(f, "Code({} half-words)", self.plain.ops.len())
     }
 }
 
 impl Code {
     /// A cache for `bytes` of code from the start of the flash.
     pub(crate) fn new(bytes: usize) -> Self {
+        let half_words = bytes / 2 + 2;
         Self {
-            plain: vec![Slot::UNKNOWN; bytes / 2 + 2],
-            in_it: vec![Slot::UNKNOWN; bytes / 2 + 2],
+            plain: Decoded::new(half_words),
+            in_it: Decoded::new(half_words),
         }
     }
 
@@ -37,34 +47,35 @@ impl Code {
     pub(crate) fn plant(&mut self, pc: u32) {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         for table in [&mut self.plain, &mut self.in_it] {
-            if let Some(slot) = table.get_mut(index) {
-                *slot = LEFT;
+            if let Some(op) = table.ops.get_mut(index) {
+                *op = Op::Slow;
             }
         }
     }
 
-    /// The operation at `pc`. By reference: a copy would be stored before its kind is read.
+    /// The operation at `pc`, and its length. By reference: a copy would be stored before
+    /// its kind is read.
     #[inline(always)]
-    pub(super) fn get(&mut self, pc: u32, in_it: bool, mem: &Memory) -> &Slot {
+    pub(super) fn get(&mut self, pc: u32, in_it: bool, mem: &Memory) -> (&Op, u32) {
         let index = (pc.wrapping_sub(FLASH_BASE) >> 1) as usize;
         let table = if in_it {
             &mut self.in_it
         } else {
             &mut self.plain
         };
-        let Some(slot) = table.get_mut(index) else {
-            return &LEFT;
+        let (Some(op), Some(len)) = (table.ops.get_mut(index), table.lens.get_mut(index)) else {
+            return (&Op::Slow, 2);
         };
-        if matches!(slot.op, Op::Unknown) {
-            *slot = decode(pc, in_it, mem);
+        if matches!(op, Op::Unknown) {
+            (*op, *len) = decode(pc, in_it, mem);
         }
-        slot
+        (op, u32::from(*len))
     }
 }
 
 #[cold]
 #[inline(never)]
-fn decode(pc: u32, in_it: bool, mem: &Memory) -> Slot {
+fn decode(pc: u32, in_it: bool, mem: &Memory) -> (Op, u8) {
     decode_at(
         pc,
         in_it,

@@ -5,7 +5,7 @@ use rsemu::cpu::arm::v7m::isa::{
     decode, is_32bit,
 };
 
-use super::op::{Kind, Op, Slot};
+use super::op::{Kind, Op};
 
 /// Decodes the instruction at `pc`. `half(addr)` and `word(addr)` read code
 /// memory; `in_it` says whether the instruction stands in an IT block (where
@@ -15,12 +15,9 @@ pub(crate) fn decode_at(
     in_it: bool,
     half: impl Fn(u32) -> Option<u16>,
     word: impl Fn(u32, u32) -> Option<u32>,
-) -> Slot {
+) -> (Op, u8) {
     let Some(first) = half(pc) else {
-        return Slot {
-            op: Op::Slow,
-            len: 2,
-        };
+        return (Op::Slow, 2);
     };
     let wide = is_32bit(first);
     let second = if wide {
@@ -29,17 +26,12 @@ pub(crate) fn decode_at(
         Some(0)
     };
     let Some(second) = second else {
-        return Slot {
-            op: Op::Slow,
-            len: 4,
-        };
+        return (Op::Slow, 4);
     };
     let insn = decode(first, second);
     let keep_flags = in_it && !wide;
-    Slot {
-        op: compact(insn, pc, keep_flags, word),
-        len: if wide { 4 } else { 2 },
-    }
+    let len = if wide { 4 } else { 2 };
+    (compact(insn, pc, keep_flags, word), len)
 }
 
 fn kind_of(size: Size, signed: bool) -> Kind {
@@ -173,7 +165,9 @@ fn compact(insn: Insn, pc: u32, keep_flags: bool, word: impl Fn(u32, u32) -> Opt
             add,
             wback,
         } if rn != 15 && rt != 15 && rt2 != 15 && (index || wback) => {
-            let imm = signed_offset(imm, add);
+            let Ok(imm) = i16::try_from(signed_offset(imm, add)) else {
+                return Op::Slow;
+            };
             if load {
                 Op::LoadDual {
                     rt,
@@ -380,10 +374,11 @@ fn data_proc(op: DpOp, s: bool, rd: u8, rn: u8, operand: Operand) -> Op {
             (DpOp::Cmp, _, _) => Op::CmpImm { rn, imm },
             _ => Op::DpImm {
                 op,
-                s,
-                rd,
-                rn,
-                carry: carry.map_or(2, u8::from),
+                carry: match s {
+                    true => carry.map_or(2, u8::from),
+                    false => 3,
+                },
+                rd_rn: rd | rn << 4,
                 imm,
             },
         },
@@ -437,19 +432,22 @@ fn load_store(
             match (wback, index, load) {
                 (false, true, true) => Op::LoadImm { kind, rt, rn, imm },
                 (false, true, false) => Op::StoreImm { kind, rt, rn, imm },
-                (true, pre, true) => Op::LoadWb {
-                    kind,
-                    rt,
-                    rn,
-                    pre,
-                    imm,
-                },
-                (true, pre, false) => Op::StoreWb {
-                    kind,
-                    rt,
-                    rn,
-                    pre,
-                    imm,
+                (true, pre, load) => match i16::try_from(imm) {
+                    Ok(imm) if load => Op::LoadWb {
+                        kind,
+                        rt,
+                        rn,
+                        pre,
+                        imm,
+                    },
+                    Ok(imm) => Op::StoreWb {
+                        kind,
+                        rt,
+                        rn,
+                        pre,
+                        imm,
+                    },
+                    Err(_) => Op::Slow,
                 },
                 (false, false, _) => Op::Slow,
             }

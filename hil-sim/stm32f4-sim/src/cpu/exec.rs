@@ -55,12 +55,12 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             st.line = pc >> 4;
             now += flash_waits;
         }
-        let slot = code.get(pc, it != 0, bus.memory());
+        let (op, len) = code.get(pc, it != 0, bus.memory());
         if it != 0 {
             st.it = Fast::it_next(it);
             if !st.passes(it >> 4) {
                 now += 1;
-                pc = pc.wrapping_add(u32::from(slot.len));
+                pc = pc.wrapping_add(len);
                 continue;
             }
         }
@@ -84,8 +84,8 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 }
             };
         }
-        let mut next = pc.wrapping_add(u32::from(slot.len));
-        match slot.op {
+        let mut next = pc.wrapping_add(len);
+        match *op {
             Op::Unknown | Op::Slow => slow!(),
             Op::Nop => now += 1,
             Op::MovImm { rd, imm } => {
@@ -147,14 +147,12 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
             }
             Op::DpImm {
                 op,
-                s,
-                rd,
-                rn,
                 carry,
+                rd_rn,
                 imm,
             } => {
-                let carry = if carry == 2 { st.c } else { carry != 0 };
-                data_proc(st, op, s, rd, rn, imm, carry);
+                let (s, carry) = (carry != 3, if carry == 2 { st.c } else { carry == 1 });
+                data_proc(st, op, s, rd_rn & 15, rd_rn >> 4, imm, carry);
                 now += 1;
             }
             Op::DpReg {
@@ -284,7 +282,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 imm,
             } => {
                 let base = st.reg(rn);
-                let moved = base.wrapping_add(imm as u32);
+                let moved = base.wrapping_add_signed(i32::from(imm));
                 let value = load!(kind, if pre { moved } else { base });
                 st.set(rn, moved);
                 st.set(rt, value);
@@ -298,7 +296,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 imm,
             } => {
                 let base = st.reg(rn);
-                let moved = base.wrapping_add(imm as u32);
+                let moved = base.wrapping_add_signed(i32::from(imm));
                 store!(kind, if pre { moved } else { base }, st.reg(rt));
                 st.set(rn, moved);
                 now += 2;
@@ -316,7 +314,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 wback,
             } => {
                 let base = st.reg(rn);
-                let moved = base.wrapping_add(imm as u32);
+                let moved = base.wrapping_add_signed(i32::from(imm));
                 let addr = if pre { moved } else { base };
                 let mem = bus.memory();
                 if addr & 3 != 0 || !mem.holds(addr, 8, false) {
@@ -341,7 +339,7 @@ pub(crate) fn run<B: Bus>(st: &mut Fast, code: &mut Code, bus: &mut B, cycle: &m
                 wback,
             } => {
                 let base = st.reg(rn);
-                let moved = base.wrapping_add(imm as u32);
+                let moved = base.wrapping_add_signed(i32::from(imm));
                 let addr = if pre { moved } else { base };
                 let mem = bus.memory();
                 if addr & 3 != 0 || !mem.holds(addr, 8, true) {

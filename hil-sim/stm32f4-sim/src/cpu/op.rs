@@ -19,6 +19,7 @@ pub(crate) enum Kind {
 
 /// One operation of the fast interpreter. Register numbers are 0 to 14: every
 /// use of the program counter as an operand is resolved when decoding or is [`Op::Slow`].
+/// Eight bytes: the code of a firmware shall stay in the computer's cache.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Op {
     /// Not decoded yet.
@@ -86,13 +87,12 @@ pub(crate) enum Op {
         rn: u8,
         rm: u8,
     },
-    /// Any data-processing operation with an immediate; `carry` is 0, 1 or 2 for unchanged.
+    /// Any data-processing operation with an immediate, whose carry is 0, 1 or 2 for
+    /// unchanged; 3 leaves all flags alone. `rd` and `rn` share a byte, `rn` the upper half.
     DpImm {
         op: DpOp,
-        s: bool,
-        rd: u8,
-        rn: u8,
         carry: u8,
+        rd_rn: u8,
         imm: u32,
     },
     /// Any data-processing operation with a register shifted by a constant.
@@ -177,14 +177,14 @@ pub(crate) enum Op {
         rt: u8,
         rn: u8,
         pre: bool,
-        imm: i32,
+        imm: i16,
     },
     StoreWb {
         kind: Kind,
         rt: u8,
         rn: u8,
         pre: bool,
-        imm: i32,
+        imm: i16,
     },
     /// A PC-relative load from flash, which never changes.
     LoadConst {
@@ -195,7 +195,7 @@ pub(crate) enum Op {
         rt: u8,
         rt2: u8,
         rn: u8,
-        imm: i32,
+        imm: i16,
         pre: bool,
         wback: bool,
     },
@@ -203,7 +203,7 @@ pub(crate) enum Op {
         rt: u8,
         rt2: u8,
         rn: u8,
-        imm: i32,
+        imm: i16,
         pre: bool,
         wback: bool,
     },
@@ -312,16 +312,4 @@ pub(crate) enum Op {
     },
 }
 
-/// An operation and its length in bytes.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Slot {
-    pub(crate) op: Op,
-    pub(crate) len: u8,
-}
-
-impl Slot {
-    pub(crate) const UNKNOWN: Slot = Slot {
-        op: Op::Unknown,
-        len: 0,
-    };
-}
+const _: () = assert!(size_of::<Op>() == 8);
