@@ -247,11 +247,18 @@ fn flash(board: firmware::Board) -> Result<()> {
 
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
-    firmware::build_with_wrong_pll()?;
-    firmware::build_black_pill()?;
-    let elf = firmware::build()?;
-    firmware::build_foreign()?;
-    firmware::build_agent()?;
+    let elf = std::thread::scope(|scope| {
+        // Beside the firmware, most of whose time the compiler has one thread.
+        let python = scope.spawn(tools::ensure_python);
+        firmware::build_with_wrong_pll()?;
+        firmware::build_black_pill()?;
+        let elf = firmware::build()?;
+        firmware::build_foreign()?;
+        firmware::build_agent()?;
+        let made = python.join();
+        made.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        anyhow::Ok(elf)
+    })?;
     if cargo_args.is_empty() {
         return testing::all(&elf);
     }

@@ -9,9 +9,9 @@ use anyhow::{Context, Result, bail};
 
 use crate::process;
 
-/// What the tests need beyond Rust: ffmpeg, mkvmerge, a browser for the reports, a
-/// terminal emulator for the live view, another Cortex-M4 to compare ours with, processors of
-/// phones and the way to them, and Python with public readers of the formats that we write.
+/// What the tests need beyond Rust and [`ensure_python`]: ffmpeg, mkvmerge, a browser for the
+/// reports, a terminal emulator for the live view, another Cortex-M4 to compare ours with,
+/// processors of phones and the way to them.
 pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("ffmpeg", "ffmpeg")?;
     ensure_program("mkvmerge", "mkvtoolnix")?;
@@ -20,9 +20,7 @@ pub(crate) fn ensure_for_tests() -> Result<()> {
     ensure_program("strace", "strace")?;
     ensure_program("qemu-system-arm", "qemu-system-arm")?;
     ensure_program("qemu-aarch64", "qemu-user")?;
-    ensure_program("adb", "adb")?;
-    ensure_python()?;
-    Ok(())
+    ensure_program("adb", "adb")
 }
 
 /// Makes sure that cargo has a subcommand that is a component of the toolchain.
@@ -81,7 +79,7 @@ pub(crate) fn apt_install(packages: &[&str]) -> Result<()> {
 }
 
 /// The Python environment in `target/venv` with the packages of
-/// `xtask/python-requirements.txt`.
+/// `xtask/python-requirements.txt`: public readers of the formats that we write.
 pub(crate) fn ensure_python() -> Result<PathBuf> {
     ensure_environment("venv", "python-requirements.txt")
 }
@@ -135,6 +133,8 @@ pub(crate) fn pip_install(python: &Path, options: &[&str], file: &Path) -> Resul
         process::command(python)
             .args(["-m", "pip", "install", "--quiet"])
             .arg("--disable-pip-version-check")
+            // What is imported is compiled then.
+            .arg("--no-compile")
             .args(options)
             .arg(file),
     )
