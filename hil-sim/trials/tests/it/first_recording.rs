@@ -24,7 +24,7 @@ impl Served {
     fn start(folder: &Path) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_hil-sim"))
             .args([
-                "serve", "--speed", "6", "--motion", "twist", "--seed", "3", "--quiet",
+                "serve", "--speed", "12", "--motion", "twist", "--seed", "3", "--quiet",
             ])
             .args(["--wait-for-host", "--tolerate-failures"])
             .args(["--phone", "0", "--profile", "owner.toml"])
