@@ -126,17 +126,16 @@ impl Drawn {
             let mut peak = [0.0f64; 3];
             for pose in &unscaled {
                 let mut pose = *pose;
-                for axis in 0..3 {
-                    pose.angle[axis] *= scale[axis];
-                    pose.rate[axis] *= scale[axis];
+                for (axis, scale) in scale.into_iter().enumerate() {
+                    pose.angle[axis] *= scale;
+                    pose.rate[axis] *= scale;
                 }
-                let rate = pose.body_rate();
-                for axis in 0..3 {
-                    peak[axis] = peak[axis].max(rate[axis].abs());
+                for (peak, rate) in peak.iter_mut().zip(pose.body_rate()) {
+                    *peak = peak.max(rate.abs());
                 }
             }
-            for axis in 0..3 {
-                scale[axis] *= target[axis] / peak[axis];
+            for ((scale, target), peak) in scale.iter_mut().zip(target).zip(peak) {
+                *scale *= target / peak;
             }
         }
         for (axis, scale) in drawn.free.iter_mut().zip(scale) {
