@@ -248,7 +248,7 @@ fn flash(board: firmware::Board) -> Result<()> {
 fn test(cargo_args: &[String]) -> Result<()> {
     tools::ensure_for_tests()?;
     let elf = std::thread::scope(|scope| {
-        // Beside the firmware, most of whose time the compiler has one thread.
+        // Each build of the firmware ends on one core: the packages come on another.
         let python = scope.spawn(tools::ensure_python);
         firmware::build_with_wrong_pll()?;
         firmware::build_black_pill()?;

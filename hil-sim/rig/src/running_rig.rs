@@ -63,7 +63,7 @@ use stm32f4_sim::usb::UsbState;
 /// rig looks as often by the computer's clock: a look costs what it costs.
 const STEP: SimDuration = SimDuration::from_millis(1);
 
-/// The most of [`STEP`] between two looks, as the buses and drivers of a computer take.
+/// The most [`STEP`]s between two looks: USB and its drivers delay what passes as long.
 const MOST_STEPS: f64 = 10.0;
 
 /// Bytes that wait for the program at the other end before the host's driver

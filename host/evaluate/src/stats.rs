@@ -82,7 +82,7 @@ pub(crate) fn correlation_inflation(residuals: &[f64], lag: usize) -> f64 {
 /// variance of their sum, with Bartlett's weights.
 fn neighbours(terms: &[f64], lag: usize) -> f64 {
     // All lags at once: sums that do not wait for one another.
-    let mut products = vec![0.0; lag];
+    let mut products = vec![0.0; lag.min(terms.len())];
     let mut later = terms;
     while let Some((first, rest)) = later.split_first() {
         for (product, term) in products.iter_mut().zip(rest) {

@@ -26,8 +26,7 @@ use recording::session_file::{CHECK_BIAS, CHECK_LEARNT, CHECK_READBACK, Check, V
 /// How long the IMU is looked at, ticks.
 pub(crate) const IMU_TIME: u64 = TICK_HZ as u64;
 
-/// How often it is looked at while the board still sets it up: once more, and again, after
-/// power-on and after a setting that has changed.
+/// How often it is looked at, at most, while the board still sets it up, as after power-on.
 const IMU_LOOKS: usize = 3;
 
 /// For how long the trigger's read-back is looked at, ticks.
