@@ -8,6 +8,7 @@
 //! already for its first pulse gets none that is not recorded.
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use protocol::{BoardModel, Hello, ImuClock, ImuSetup, ImuState, Refusal, TICK_HZ, TriggerStatus};
 use serde::Serialize;
@@ -217,9 +218,19 @@ impl Checks {
     }
 
     fn ffmpeg(&mut self) {
-        match files::program("ffmpeg") {
-            Some(path) => self.good("ffmpeg", path.display().to_string()),
-            None => self.warn(
+        let version = Command::new("ffmpeg")
+            .arg("-version")
+            .stdin(Stdio::null())
+            .stderr(Stdio::null())
+            .output();
+        match version {
+            Ok(output) if output.status.success() => {
+                let text = String::from_utf8_lossy(&output.stdout);
+                let first = text.lines().next().unwrap_or_default();
+                let short: Vec<&str> = first.split_whitespace().take(3).collect();
+                self.good("ffmpeg", short.join(" "));
+            }
+            _ => self.warn(
                 "ffmpeg",
                 "not found",
                 "extract and evaluate need it: install ffmpeg",
