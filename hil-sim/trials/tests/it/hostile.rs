@@ -30,12 +30,12 @@ fn a_small_bag_that_unpacks_to_much_costs_little() {
     // The same bytes both times.
     let packed = OnceCell::new();
     let pack = |bytes: &[u8]| {
-        let pack = || {
+        let packed = packed.get_or_init(|| {
             let mut packer = bzip2::write::BzEncoder::new(Vec::new(), bzip2::Compression::best());
             packer.write_all(bytes).unwrap();
             packer.finish().unwrap()
-        };
-        packed.get_or_init(pack).clone()
+        });
+        packed.clone()
     };
     for times in [1, 1_000] {
         let file = bag::bag(&messages, ("bz2", &pack), times);
