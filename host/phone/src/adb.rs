@@ -23,6 +23,9 @@ use super::video_files::{Part, classify};
 /// Where the app saves, on the phone (`StorageUtils.java`:323).
 const FOLDER: &str = "/sdcard/DCIM/OpenCamera";
 
+/// The files of frame timestamps below it, also the numbered ones, as a shell's pattern.
+const FRAMES: &str = "*/*_timestamps*.csv";
+
 /// How long `adb` may take to answer; a copy may take longer.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -110,7 +113,7 @@ fn others(states: &[String]) -> String {
 #[must_use]
 pub fn copy_command(phase: PhoneNanos, folder: &Path) -> String {
     format!(
-        "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/*/*_timestamps.csv)\")\" {}",
+        "cp -r \"$(dirname \"$(grep -lx {} \"$XDG_RUNTIME_DIR\"/gvfs/mtp*/*/DCIM/OpenCamera/{FRAMES})\")\" {}",
         phase.0,
         files::shell_word(folder)
     )
@@ -279,10 +282,7 @@ impl Adb {
         phase: PhoneNanos,
         with_video: bool,
     ) -> Result<Vec<Remote>, AdbError> {
-        let find = format!(
-            "grep -lx {} {FOLDER}/*/*_timestamps.csv 2>/dev/null || true",
-            phase.0
-        );
+        let find = format!("grep -lx {} {FOLDER}/{FRAMES} 2>/dev/null || true", phase.0);
         let found = self.shell(device, &find)?;
         let Some(frames) = found.lines().map(str::trim).find(|line| is_plain(line)) else {
             return Ok(Vec::new());

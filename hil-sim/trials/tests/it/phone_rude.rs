@@ -374,14 +374,43 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     let mounted = folder.path().join("gvfs/mtp:host=Phone/Internal/DCIM");
     std::fs::create_dir_all(&mounted).unwrap();
     std::os::unix::fs::symlink(storage, mounted.join("OpenCamera")).unwrap();
-    let copied = Command::new("sh")
-        .args(["-c", &line])
-        .env("XDG_RUNTIME_DIR", folder.path())
-        .status()
-        .unwrap();
-    assert!(copied.success());
-    let found = phone::video_files::find(&out, None).unwrap().unwrap();
-    assert_eq!(found.missing(), ["video (.mp4)"]);
+    // Also the files of a second video of a name.
+    for number in ["", "_1", " (1)"] {
+        number_files(storage, number);
+        let copied = Command::new("sh")
+            .args(["-c", &line])
+            .env("XDG_RUNTIME_DIR", folder.path())
+            .status()
+            .unwrap();
+        assert!(copied.success());
+        let come = || {
+            let found = phone::video_files::find(&out, None).unwrap().unwrap();
+            assert_eq!(found.missing(), ["video (.mp4)"]);
+            assert!(found.name.ends_with(number), "{found:?}");
+            std::fs::remove_dir_all(&out).unwrap();
+        };
+        come();
+        let path = stand_in_adb(&tools, storage, PULL);
+        says(&get(&path, phase), 0, &["_imu_timestamps"]);
+        come();
+        std::fs::create_dir(&out).unwrap();
+    }
+}
+
+/// Puts a number at the end of the names of all of the app's files, in the place of `_1`.
+fn number_files(storage: &Path, number: &str) {
+    for entry in std::fs::read_dir(storage).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            number_files(&path, number);
+            continue;
+        }
+        let stem = path.file_stem().unwrap().to_str().unwrap();
+        let stem = stem.trim_end_matches("_1");
+        let extension = path.extension().unwrap().to_str().unwrap();
+        let to = path.with_file_name(format!("{stem}{number}.{extension}"));
+        std::fs::rename(&path, to).unwrap();
+    }
 }
 
 #[test]
