@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, anyhow, bail};
+use recording::folder;
 
 use super::judge::Truth;
 use crate::programs::{Programs, said};
@@ -48,6 +49,7 @@ pub struct Stage {
     rig: RunningRig,
     table: Option<Table>,
     profile: PathBuf,
+    phone_files: PathBuf,
 }
 
 impl Stage {
@@ -58,11 +60,12 @@ impl Stage {
     /// A part of it cannot be started, or a file cannot be written.
     pub fn start(options: StageOptions) -> Result<Self> {
         let out = &options.out;
-        std::fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
         let seed = Seed(options.seed);
         let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
-        phone.storage = Some(out.join("phone"));
+        // A phone knows nothing of the rigs before it, whose dates were the same.
+        let phone_files = folder::create(out, "phone")?;
+        phone.storage = Some(phone_files.clone());
         if options.recorder.is_some() {
             phone.camera.show_ball();
         }
@@ -84,6 +87,7 @@ impl Stage {
             rig,
             table,
             profile,
+            phone_files,
         })
     }
 
@@ -95,8 +99,8 @@ impl Stage {
 
     /// Folder of the phone's files.
     #[must_use]
-    pub fn phone_files(&self) -> PathBuf {
-        self.options.out.join("phone")
+    pub fn phone_files(&self) -> &Path {
+        &self.phone_files
     }
 
     /// Board time now.
