@@ -167,7 +167,7 @@ pub struct QueryTrigger(
     pub Output,
 );
 
-/// Set up the IMU; sampling restarts.
+/// Set up the IMU; sampling restarts, unless it is set up so already and has not failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ConfigureImu(
     /// The settings.

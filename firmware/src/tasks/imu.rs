@@ -68,16 +68,19 @@ pub(crate) fn setup() -> ImuSetup {
     imu::describe(MODEL.lock(Cell::get), CONFIG.lock(Cell::get), status())
 }
 
-/// Sets the IMU up anew.
+/// Sets the IMU up anew, unless it is, or is about to be: a command that comes twice
+/// changes nothing.
 ///
 /// # Errors
 ///
 /// A setting that the sensor does not have.
 pub(crate) fn configure(config: ImuConfig) -> Result<ImuSetup, Refusal> {
     imu::check(MODEL.lock(Cell::get), &config)?;
-    CONFIG.lock(|cell| cell.set(config));
-    update(|status| status.state = ImuState::Starting);
-    RECONFIGURED.signal(());
+    let before = CONFIG.lock(|cell| cell.replace(config));
+    if before != config || status().state == ImuState::Failed {
+        update(|status| status.state = ImuState::Starting);
+        RECONFIGURED.signal(());
+    }
     Ok(setup())
 }
 

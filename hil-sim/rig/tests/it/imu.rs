@@ -439,6 +439,20 @@ fn settings_reach_the_sensor_and_are_reported() {
         assert_eq!(sensor.peek(mpu9150::CONFIG), 3);
         assert_eq!(sensor.peek(mpu9150::GYRO_CONFIG), 0x10);
         assert_eq!(sensor.peek(mpu9150::ACCEL_CONFIG), 0x10);
+        drop(sensor);
+
+        // Once more, as after an answer that came late: nothing is set up anew.
+        let again = bench.board.ask(ConfigureImu(config));
+        assert_eq!(again.unwrap().status.state, ImuState::Running);
+        bench.board.run(500);
+        let later = bench.check_samples();
+        assert!(
+            later
+                .iter()
+                .all(|sample| sample.flags == ImuFlags::default())
+        );
+        let seqs = samples.iter().chain(&later).map(|sample| sample.seq);
+        assert!(seqs.is_sorted_by(|a, b| *b == a + 1));
     }
     let config = ImuConfig {
         divider: 200,
