@@ -37,8 +37,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     let revision = git(&root, &["rev-parse", "--short=12", "HEAD"]).unwrap_or_default();
-    let dirty = git(&root, &["status", "--porcelain", "--untracked-files=no"])
-        .is_some_and(|status| !status.is_empty());
+    // Without locks git leaves the index as it is, which would have this run again.
+    let status = [
+        "--no-optional-locks",
+        "status",
+        "--porcelain",
+        "--untracked-files=no",
+    ];
+    let dirty = git(&root, &status).is_some_and(|status| !status.is_empty());
     println!("cargo:rustc-env=GIT_REVISION={revision}");
     println!("cargo:rustc-env=GIT_DIRTY={}", u8::from(dirty));
     Ok(())
