@@ -229,13 +229,17 @@ fn the_crystal_is_compared_with_the_computers_clock() {
         assert!(measured.contains("the chip at 36."), "{measured}");
         (found, status.code(), said)
     };
-    let (verdict, code, said) = compare(1.01, 4);
-    assert_eq!((verdict.as_str(), code), ("fail", Some(3)), "{said}");
-    let mut said = String::new();
-    let passes = [8, 16, 32].into_iter().any(|seconds| {
-        let (verdict, code, last) = compare(1.0, seconds);
-        said = last;
-        (verdict.as_str(), code) == ("pass", Some(0))
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            let (verdict, code, said) = compare(1.01, 4);
+            assert_eq!((verdict.as_str(), code), ("fail", Some(3)), "{said}");
+        });
+        let mut said = String::new();
+        let passes = [8, 16, 32].into_iter().any(|seconds| {
+            let (verdict, code, last) = compare(1.0, seconds);
+            said = last;
+            (verdict.as_str(), code) == ("pass", Some(0))
+        });
+        assert!(passes, "{said}");
     });
-    assert!(passes, "{said}");
 }
