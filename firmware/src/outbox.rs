@@ -20,6 +20,8 @@ use crate::config;
 #[derive(Debug, Default)]
 pub struct Outbox {
     linked: bool,
+    /// In all queues: the sender looks at this several times a message.
+    waiting: usize,
     answers: Deque<DeviceToHost, { config::ANSWERS }>,
     pulses: Deque<Pulse, { config::PULSES }>,
     /// Pulses of the further outputs and pulses per second, in their order.
@@ -37,9 +39,17 @@ enum OutputMessage {
     Pps(Pps),
 }
 
-/// Queues `item`, or counts it.
-fn push<T, const N: usize>(queue: &mut Deque<T, N>, linked: bool, item: T, dropped: &mut u32) {
-    if !linked || queue.push_back(item).is_err() {
+/// Queues `item` if there is a host, or counts it as dropped.
+fn push<T, const N: usize>(
+    queue: &mut Deque<T, N>,
+    linked: bool,
+    waiting: &mut usize,
+    item: T,
+    dropped: &mut u32,
+) {
+    if linked && queue.push_back(item).is_ok() {
+        *waiting = waiting.saturating_add(1);
+    } else {
         *dropped = dropped.saturating_add(1);
     }
 }
@@ -56,6 +66,7 @@ impl Outbox {
     pub const fn new() -> Self {
         Self {
             linked: false,
+            waiting: 0,
             answers: Deque::new(),
             pulses: Deque::new(),
             outputs: Deque::new(),
@@ -76,6 +87,7 @@ impl Outbox {
     /// A host has come or gone. What was waiting is dropped and counted.
     pub fn set_linked(&mut self, linked: bool) {
         self.linked = linked;
+        self.waiting = 0;
         clear(&mut self.answers, &mut self.dropped.answers);
         clear(&mut self.pulses, &mut self.dropped.pulses);
         clear(&mut self.outputs, &mut self.dropped.outputs);
@@ -116,6 +128,7 @@ impl Outbox {
         push(
             &mut self.answers,
             self.linked,
+            &mut self.waiting,
             message,
             &mut self.dropped.answers,
         );
@@ -130,6 +143,7 @@ impl Outbox {
         push(
             &mut self.outputs,
             self.linked,
+            &mut self.waiting,
             message,
             &mut self.dropped.outputs,
         );
@@ -143,6 +157,7 @@ impl Outbox {
         push(
             &mut self.pulses,
             self.linked,
+            &mut self.waiting,
             pulse,
             &mut self.dropped.pulses,
         );
@@ -153,6 +168,7 @@ impl Outbox {
         push(
             &mut self.captures,
             self.linked,
+            &mut self.waiting,
             capture,
             &mut self.dropped.captures,
         );
@@ -160,7 +176,13 @@ impl Outbox {
 
     /// Queues a sample.
     pub fn imu(&mut self, sample: ImuSample) {
-        push(&mut self.imu, self.linked, sample, &mut self.dropped.imu);
+        push(
+            &mut self.imu,
+            self.linked,
+            &mut self.waiting,
+            sample,
+            &mut self.dropped.imu,
+        );
     }
 
     /// Queues a status.
@@ -168,6 +190,7 @@ impl Outbox {
         push(
             &mut self.status,
             self.linked,
+            &mut self.waiting,
             status,
             &mut self.dropped.status,
         );
@@ -181,17 +204,13 @@ impl Outbox {
 
     /// Whether nothing waits.
     #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.answers.is_empty()
-            && self.pulses.is_empty()
-            && self.outputs.is_empty()
-            && self.captures.is_empty()
-            && self.imu.is_empty()
-            && self.status.is_empty()
+    pub const fn is_empty(&self) -> bool {
+        self.waiting == 0
     }
 
     /// The message that is to be sent next.
     pub fn pop(&mut self) -> Option<DeviceToHost> {
+        self.waiting = self.waiting.checked_sub(1)?;
         if let Some(message) = self.answers.pop_front() {
             return Some(message);
         }

@@ -68,10 +68,12 @@ impl Transmit {
         }
         let mut taken = false;
         while self.has_room() {
-            let Some(message) = with_outbox(|outbox| outbox.pop()) else {
+            let next = with_outbox(|outbox| outbox.pop());
+            // Taken out of the option, a message would be copied, with room for the largest.
+            let Some(message) = &next else {
                 break;
             };
-            self.put(&message);
+            self.put(message);
             taken = true;
         }
         if taken {
