@@ -77,7 +77,7 @@ pub fn run(options: &DemoOptions) -> Result<Demo> {
     let arguments = ["--second-twist", "--fetch-video"];
     let recording = stage.session("recording", options.seconds, &arguments)?;
     let virtual_s = stage.now().as_secs_f64();
-    let phone = stage.phone_files().to_owned();
+    let phone = stage.phone()?.storage().to_owned();
     let truth = stage.end()?;
     let verdict = truth.judge(&recording)?;
     let before = taught

@@ -19,7 +19,7 @@ use super::judge::Truth;
 use crate::programs::{Programs, said};
 use rig::motion::MotionSpec;
 use rig::motion::gesture::Gesture;
-use rig::phone::PhoneConfig;
+use rig::phone::{PhoneConfig, SimPhone};
 use rig::random::Seed;
 use rig::rig_config::RigConfig;
 use rig::running_rig::RunningRig;
@@ -49,7 +49,6 @@ pub struct Stage {
     rig: RunningRig,
     table: Option<Table>,
     profile: PathBuf,
-    phone_files: PathBuf,
 }
 
 impl Stage {
@@ -64,8 +63,7 @@ impl Stage {
         let config = RigConfig::published(seed).with_motion(MotionSpec::always(Gesture::Twist));
         let mut phone = PhoneConfig::draw(seed);
         // A phone knows nothing of the rigs before it, whose dates were the same.
-        let phone_files = folder::create(out, "phone")?;
-        phone.storage = Some(phone_files.clone());
+        phone.storage = Some(folder::create(out, "phone")?);
         if options.recorder.is_some() {
             phone.camera.show_ball();
         }
@@ -87,7 +85,6 @@ impl Stage {
             rig,
             table,
             profile,
-            phone_files,
         })
     }
 
@@ -97,10 +94,13 @@ impl Stage {
         &self.profile
     }
 
-    /// Folder of the phone's files.
-    #[must_use]
-    pub fn phone_files(&self) -> &Path {
-        &self.phone_files
+    /// The phone, whose storage no other rig has used.
+    ///
+    /// # Errors
+    ///
+    /// The rig has none.
+    pub fn phone(&self) -> Result<&SimPhone> {
+        self.rig.phone().context("the rig has no phone")
     }
 
     /// Board time now.
@@ -141,7 +141,7 @@ impl Stage {
     ///
     /// The phone has no files of it, or nothing can be learnt.
     pub fn learn(&self, recording: &Path) -> Result<()> {
-        let phone = self.rig.phone().context("the rig has no phone")?;
+        let phone = self.phone()?;
         phone
             .wait_saved()
             .map_err(|e| anyhow!("the simulated phone: {e}"))?;

@@ -375,6 +375,7 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
     std::fs::create_dir_all(&mounted).unwrap();
     std::os::unix::fs::symlink(storage, mounted.join("OpenCamera")).unwrap();
     // Also the files of a second video of a name.
+    let path = stand_in_adb(&tools, storage, PULL);
     for number in ["", "_1", " (1)"] {
         number_files(storage, number);
         let copied = Command::new("sh")
@@ -390,7 +391,6 @@ fn files_come_by_adb_or_there_is_a_line_that_copies_them() {
             std::fs::remove_dir_all(&out).unwrap();
         };
         come();
-        let path = stand_in_adb(&tools, storage, PULL);
         says(&get(&path, phase), 0, &["_imu_timestamps"]);
         come();
         std::fs::create_dir(&out).unwrap();
