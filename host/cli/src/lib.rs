@@ -1,9 +1,10 @@
 //! The program `smartdepthsync`, as a library that tests can drive in their own process.
 //!
 //! - [`cli`], `commands`: the command line, one subcommand a file.
+//! - [`context`], `options`: what every command is given, and options of several.
 //! - [`outcome`]: exit codes; `advice`: what to do about the libraries' errors.
 //! - [`record`]: a session from the twist to the aligned recording.
-//! - `view`: what the operator sees while a session runs.
+//! - `view`, `tracked`: what the operator sees while a session runs.
 //! - [`live_data`]: what is recorded, live for Foxglove.
 //! - `sync_report`: what the program says of an estimate of the clocks.
 //! - `terminal`: what is printed does nothing to a terminal but to be read.
@@ -19,14 +20,17 @@ mod arrival;
 mod checks;
 pub mod cli;
 mod commands;
+pub mod context;
 mod decimal;
 pub mod live_data;
 mod log;
 mod new_profile;
+mod options;
 pub mod outcome;
 pub mod record;
 mod recordings;
 pub mod rig_profile;
 mod sync_report;
 mod terminal;
+mod tracked;
 mod view;

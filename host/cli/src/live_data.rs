@@ -21,7 +21,7 @@ pub use serve::LiveData;
 #[cfg(not(feature = "foxglove"))]
 pub use absent::LiveData;
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::Failure;
 
 /// The port that Foxglove tries first.

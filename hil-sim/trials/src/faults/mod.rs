@@ -46,7 +46,7 @@ use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
 use serde::Serialize;
-use smartdepthsync::cli::{Context, Global, Interrupt, LogFormat, Said};
+use smartdepthsync::context::{Context, Global, Interrupt, LogFormat, Said};
 use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
 use smartdepthsync::record::journal::Journal;

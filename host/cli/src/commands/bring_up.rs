@@ -8,9 +8,9 @@ use std::time::Duration;
 use bring_up::{Operator, Part, Report, Verdict};
 use clap::ValueEnum;
 
-use super::PortArg;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::parse_real_time;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, write_file};
 
 /// Measure a board: edges, captures, IMU, USB, crystal; pass or fail with reasons.

@@ -1,9 +1,9 @@
 //! `smartdepthsync completions`: for the shell.
 
-use clap::CommandFactory as _;
+use clap::Command;
 use clap_complete::Shell;
 
-use crate::cli::{Cli, Context};
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 
 /// Print the completions for a shell, for example
@@ -26,14 +26,13 @@ struct Script {
 /// # Errors
 ///
 /// Standard output cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(
+    args: &Args,
+    mut program: Command,
+    context: &Context,
+) -> Result<ExitStatus, Failure> {
     let mut script = Vec::new();
-    clap_complete::generate(
-        args.shell,
-        &mut Cli::command(),
-        "smartdepthsync",
-        &mut script,
-    );
+    clap_complete::generate(args.shell, &mut program, "smartdepthsync", &mut script);
     let script = Script {
         shell: args.shell.to_string(),
         script: String::from_utf8_lossy(&script).into_owned(),

@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use protocol::{DeviceToHost, Output, Period, TICK_HZ, TrainState, TriggerStart};
 
-use super::PortArg;
 use crate::advice::at_phone;
 use crate::checks;
-use crate::cli::Context;
+use crate::context::Context;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::phones::has_address;
 use crate::record::preflight::{Checks, IMU_TIME, TRIGGER_TIME};

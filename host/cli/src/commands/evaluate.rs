@@ -8,7 +8,7 @@ use clap::{Subcommand, ValueEnum};
 use jiff::civil::Date;
 use serde::Serialize;
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure, file_step, refuse_to_overwrite, write_file};
 use evaluate::calibrate::{read_bias, write_bias};
 use evaluate::drift::{self, Drift};

@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use indicatif::ProgressBar;
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::parse_us_nanos;
 use crate::outcome::{ExitStatus, Failure, file_step};
 use crate::recordings::{self, RecordingArg};

@@ -6,9 +6,9 @@ use clap::Subcommand;
 use protocol::{Baud, GnssReport, GnssSettings, GnssStatus, Sentences, TICK_HZ, TrainState};
 use serde::Serialize;
 
-use super::PortArg;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::parse_us_ticks;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use board::gnss::{NMEA_DELAY_MS, parse_baud, utc_at_zero};
 

@@ -11,10 +11,10 @@ use protocol::{
 };
 use serde::Serialize;
 
-use super::PortArg;
 use crate::advice::imu_scale;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::seconds;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite};
 use crate::record::preflight::IMU_WIRING;
 use board::imu::{

@@ -8,8 +8,8 @@ use protocol::{
 };
 use serde::Serialize;
 
-use super::PortArg;
-use crate::cli::Context;
+use crate::context::Context;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::preflight::firmware_version;
 use crate::rig_profile::{Place, ProfileArg};

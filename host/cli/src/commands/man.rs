@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use clap::CommandFactory as _;
+use clap::Command;
 
-use crate::cli::{Cli, Context};
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 
 /// Write the manual pages, one a command, into a folder, for example
@@ -22,10 +22,10 @@ pub(crate) struct Args {
 /// # Errors
 ///
 /// The folder cannot be written.
-pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure> {
+pub(crate) fn run(args: &Args, program: Command, context: &Context) -> Result<ExitStatus, Failure> {
     let failed = |error: std::io::Error| Failure::file("write", &args.folder, &error);
     std::fs::create_dir_all(&args.folder).map_err(failed)?;
-    clap_mangen::generate_to(Cli::command(), &args.folder).map_err(failed)?;
+    clap_mangen::generate_to(program, &args.folder).map_err(failed)?;
     let mut pages = Vec::new();
     for entry in std::fs::read_dir(&args.folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();

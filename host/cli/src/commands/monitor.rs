@@ -5,11 +5,11 @@ use std::time::{Duration, Instant};
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
-use super::PortArg;
 use crate::advice::imu_scale;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::parse_duration;
 use crate::live_data::{FoxgloveArg, LiveData};
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::{Connector as _, SerialConnector};
 use crate::view::gauge::Gauge;

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::number_in;
 use crate::advice;
-use crate::cli::Context;
+use crate::context::Context;
+use crate::options::number_in;
 use crate::outcome::{ExitStatus, Failure};
 use crate::sync_report::{Device, SyncReport, report_of};
 use phone::gyro_csv::{self, GyroFile};

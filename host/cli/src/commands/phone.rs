@@ -9,9 +9,9 @@ use clap::Subcommand;
 use serde::Serialize;
 use serde_json::json;
 
-use super::number_in;
 use crate::advice::{TICK_SENSORS, at_phone};
-use crate::cli::Context;
+use crate::context::Context;
+use crate::options::number_in;
 use crate::outcome::{ExitStatus, Failure};
 use phone::adb;
 use phone::requests::MAX_IMU_DURATION;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::BoardError;
 use board::transport::ports::{self, Port};

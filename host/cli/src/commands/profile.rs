@@ -9,7 +9,7 @@ use clap::Subcommand;
 use serde::Serialize;
 
 use super::setup::CameraArg;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, write_file};
 use frame_sync::learn;

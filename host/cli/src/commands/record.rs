@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::PortArg;
 use super::profile::{Lesson, teach};
 use crate::checks::{self, text_of_judgement};
-use crate::cli::Context;
+use crate::context::Context;
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::track::Track;
 use crate::record::{self, Ended, Options, SerialConnector};

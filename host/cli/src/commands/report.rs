@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::checks::text_of_judgement;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::{self, RecordingArg};
 use recording::session_file::SessionFile;

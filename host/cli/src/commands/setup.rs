@@ -10,9 +10,10 @@ use std::path::PathBuf;
 use serde::Serialize;
 use toml_edit::{Array, value};
 
-use super::{PortArg, doctor, number_in};
-use crate::cli::Context;
+use super::doctor;
+use crate::context::Context;
 use crate::new_profile::{Camera, recorder_command, text, usual_recorder};
+use crate::options::{PortArg, number_in};
 use crate::outcome::{ExitStatus, Failure, refuse_to_overwrite, write_file};
 use crate::record::preflight::Checks;
 use crate::rig_profile::{FILE, ProfileArg};
@@ -352,7 +353,7 @@ mod tests {
     use clap::Parser as _;
 
     use super::*;
-    use crate::cli::Interrupt;
+    use crate::context::Interrupt;
     use recording::profile::Profile;
 
     #[derive(clap::Parser)]

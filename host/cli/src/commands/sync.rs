@@ -14,7 +14,7 @@ use twist_sync::{GyroTrack, WithSigma};
 
 use super::offset::{delay, in_one_unit, plot as twist_plot};
 use crate::advice;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::seconds;
 use crate::outcome::{ExitStatus, Failure};
 use related::{Related, Whole};

@@ -9,10 +9,10 @@ use protocol::{
 };
 
 use self::printed::{PrintedArrival, PrintedMove, PrintedTrain};
-use super::PortArg;
 use crate::arrival::PlannedArrival;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::{parse_fps, parse_period_us, parse_us_ticks};
+use crate::options::PortArg;
 use crate::outcome::{ExitStatus, Failure};
 use board::{Board, BoardError, Event};
 use evaluate::train::TrainGeometry;

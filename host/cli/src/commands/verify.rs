@@ -1,6 +1,6 @@
 //! `smartdepthsync verify`: is a recording whole.
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use crate::recordings::RecordingArg;
 use verify::{Verdict, verify};

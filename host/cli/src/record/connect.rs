@@ -15,7 +15,7 @@ use super::rig::Rig;
 use super::track;
 use super::{Connector, Options, Stop};
 use crate::advice::imu_scale;
-use crate::cli::Context;
+use crate::context::Context;
 use board::Board;
 use board::imu::{ImuLook, Scale};
 use recording::folder;

@@ -7,7 +7,7 @@ use protocol::{TICK_HZ, Ticks};
 
 use super::Stop;
 use super::live::Live;
-use crate::cli::Context;
+use crate::context::Context;
 use recording::RecordingError;
 use recording::session_file::{OtherPhone, Problem, SessionFile, SessionOutcome, Twist, Video};
 use recording::writer::{Severity, Writer};

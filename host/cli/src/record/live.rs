@@ -9,7 +9,7 @@ use std::time::Instant;
 use protocol::{DeviceToHost, TICK_HZ, Ticks};
 
 use super::rounds::free_space;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::live_data::LiveData;
 use crate::view::gauge::Gauge;
 use crate::view::lines::line;

@@ -42,7 +42,7 @@ use std::time::Duration;
 
 use protocol::TICK_HZ;
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::decimal::{parse_duration, parse_real_time};
 use crate::live_data::FoxgloveArg;
 use crate::outcome::{ExitStatus, Failure};

@@ -14,7 +14,7 @@ use super::journal::Journal;
 use super::rig::Rig;
 use super::video_watch::VideoCheck;
 use crate::advice::at_phone;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use frame_sync::alignment::placement;
 use frame_sync::rates::Course;

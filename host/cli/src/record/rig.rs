@@ -21,7 +21,7 @@ use super::phones::Phones;
 use super::resume::restart::{Pending, reset_ends_session};
 use super::rounds::Rounds;
 use super::track::{self, Tracking};
-use crate::cli::Context;
+use crate::context::Context;
 use board::Event;
 use board::transport::LinkError;
 use board::{Board, BoardError};

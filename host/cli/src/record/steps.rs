@@ -14,7 +14,7 @@ use super::track;
 use super::twist::first_twists;
 use super::{Options, Stop, seconds};
 use crate::arrival::PlannedArrival;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
 use frame_sync::alignment::{plan, stated_sigma_us_at};

@@ -12,15 +12,15 @@ use std::time::Duration;
 
 use phone::agent::Agent;
 use protocol::{Output, Period, Ticks};
-use serde::Serialize;
 use twist_sync::tracker::{Asked, Exchange, Tracker};
 
 use super::Stop;
 use super::journal::Journal;
 use super::link::BoardLink;
 use super::rig::Rig;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::Failure;
+use crate::tracked::Tracked;
 use board::BoardError;
 use board::transport::serial::program_time;
 use frame_sync::steering::{Link, STEP_EVERY_S, Steering, has_lock};
@@ -44,30 +44,6 @@ pub enum Track {
     Always,
     /// Never.
     Never,
-}
-
-/// What the live view shows of it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(crate) struct Tracked {
-    /// By how much the trigger is late on the phone's frames, µs.
-    pub(crate) phase_us: f64,
-    /// 1-sigma of it, µs.
-    pub(crate) sigma_us: f64,
-    /// Temperature of the phone's battery, °C.
-    pub(crate) temperature: Option<f64>,
-    /// Whether both clocks are heard.
-    pub(crate) holds: bool,
-}
-
-impl Tracked {
-    /// Whether the lock holds, and the phone's temperature.
-    pub(crate) fn text(&self) -> String {
-        let lock = if self.holds { "locked" } else { "LOCK LOST" };
-        let celsius = self.temperature;
-        celsius.map_or(lock.to_owned(), |celsius| {
-            format!("{lock}, phone {celsius:.1} °C")
-        })
-    }
 }
 
 /// The clocks as they are followed.

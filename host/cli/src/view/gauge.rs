@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainState};
 
 use super::{Clock, Losses, OtherPhone, Sensor, Snapshot, Twist, Warning, todo_for};
-use crate::record::track::Tracked;
+use crate::tracked::Tracked;
 use board::imu::{Sample, Scale};
 use recording::profile::Profile;
 use recording::session_file::{self, Alignment};

@@ -18,7 +18,7 @@ pub(crate) mod screen;
 
 use std::time::Duration;
 
-use crate::record::track::Tracked;
+use crate::tracked::Tracked;
 use protocol::Ticks;
 use serde::Serialize;
 

@@ -16,7 +16,7 @@ use ratatui::crossterm::terminal::{
 
 use super::draw::draw;
 use super::{PERIOD, Snapshot};
-use crate::cli::Interrupt;
+use crate::context::Interrupt;
 use crate::log;
 
 /// How long the terminal is waited for at the end; one that takes nothing must not

@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::path::Path;
 
 use super::fault_found;
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::Failure;
 use crate::sync_report::report_of;
 use page::chart::{COLOURS, Chart, Data, SIZE, stack};

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use protocol::{DeviceToHost, TICK_HZ, Ticks, TrainState};
 
-use crate::cli::Context;
+use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::{Board, Event};
 use evaluate::latency::{Latency, latency};

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::restart::reset_ends_session;
-use crate::cli::Interrupt;
+use crate::context::Interrupt;
 use crate::outcome::{ExitStatus, Failure};
 use crate::record::Stop;
 use crate::record::journal::Journal;

@@ -1,0 +1,269 @@
+//! What every command is given: the options of all, Ctrl-C, and the way out for all that
+//! is printed.
+//!
+//! Results go to standard output (text, or one JSON document with `--json`);
+//! progress and errors go to standard error.
+
+use std::collections::VecDeque;
+use std::io::{self, IsTerminal, Write};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use phone::StopSignal;
+use serde::Serialize;
+
+use crate::outcome::{ExitStatus, Failure};
+use crate::terminal::{Shown, harmless};
+
+/// Where the options of every subcommand stand in a help: below its own.
+const GLOBAL: &str = "Options of every command";
+
+/// Options of every subcommand.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Global {
+    /// Print the result as JSON
+    #[arg(long, global = true, help_heading = GLOBAL)]
+    pub json: bool,
+    /// Log more on standard error: -v info, -vv debug, -vvv trace
+    #[arg(short, long, global = true, help_heading = GLOBAL, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// Form of the log
+    #[arg(long, global = true, help_heading = GLOBAL, value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
+}
+
+/// Form of the log on standard error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// Lines for people.
+    Text,
+    /// One JSON object a line.
+    Json,
+}
+
+/// What every subcommand is given.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// Options of every subcommand.
+    pub global: Global,
+    /// Set by Ctrl-C and by termination signals.
+    pub interrupt: Interrupt,
+    /// Where things are said while a live view has the terminal.
+    pub said: Said,
+}
+
+/// What is said while a live view has the terminal, the latest last; standard
+/// error is not written to meanwhile.
+#[derive(Clone, Debug, Default)]
+pub struct Said(Arc<Mutex<Option<VecDeque<String>>>>);
+
+impl Said {
+    /// How many lines are kept.
+    const KEPT: usize = 20;
+
+    fn slot(&self) -> MutexGuard<'_, Option<VecDeque<String>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A live view takes the terminal, or gives it back.
+    pub(crate) fn divert(&self, to_view: bool) {
+        *self.slot() = to_view.then(VecDeque::new);
+    }
+
+    /// Whether a live view has the terminal.
+    pub(crate) fn is_diverted(&self) -> bool {
+        self.slot().is_some()
+    }
+
+    /// The last lines.
+    pub(crate) fn lines(&self) -> Vec<String> {
+        self.slot().iter().flatten().cloned().collect()
+    }
+
+    /// Takes a line, if a live view has the terminal.
+    fn take(&self, text: &str) -> bool {
+        let mut slot = self.slot();
+        let Some(lines) = slot.as_mut() else {
+            return false;
+        };
+        lines.push_back(text.to_owned());
+        if lines.len() > Self::KEPT {
+            lines.pop_front();
+        }
+        true
+    }
+}
+
+impl Context {
+    /// One that says nothing but results.
+    #[cfg(test)]
+    pub(crate) fn quiet(interrupt: Interrupt) -> Self {
+        Self {
+            global: Global {
+                json: true,
+                verbose: 0,
+                log_format: LogFormat::Text,
+            },
+            interrupt,
+            said: Said::default(),
+        }
+    }
+
+    /// Prints a result: `json` as one document with `--json`, else `text`.
+    /// A reader that has gone away (`| head`) is no error, nor is a terminal that
+    /// was closed.
+    ///
+    /// # Errors
+    ///
+    /// Standard output cannot be written, or the value has no JSON form.
+    pub(crate) fn print<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
+        self.print_json(value)?;
+        self.print_text(text)
+    }
+
+    /// Prints a result with `--json`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_json<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
+        if self.global.json {
+            write_stdout(&serde_json::to_string_pretty(value)?, Shown::Json)?;
+        }
+        Ok(())
+    }
+
+    /// Prints a result without `--json`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_text(&self, text: impl FnOnce() -> String) -> Result<(), Failure> {
+        if !self.global.json {
+            write_stdout(&text(), Shown::ForPeople)?;
+        }
+        Ok(())
+    }
+
+    /// As [`Context::print`], for a text with lines of checks: their marks are coloured on
+    /// a terminal.
+    ///
+    /// # Errors
+    ///
+    /// As [`Context::print`].
+    pub(crate) fn print_checks<T: Serialize>(
+        &self,
+        value: &T,
+        text: impl FnOnce() -> String,
+    ) -> Result<(), Failure> {
+        let is_plain = self.global.json || !is_coloured();
+        if is_plain {
+            return self.print(value, text);
+        }
+        Ok(write_stdout(&text(), Shown::WithMarks)?)
+    }
+
+    /// Says something to the person who waits, on standard error; silent with
+    /// `--json`.
+    pub(crate) fn say(&self, text: impl AsRef<str>) {
+        if !self.global.json && !self.said.take(text.as_ref()) {
+            // Nobody to tell it to if standard error is gone.
+            let text = harmless(text.as_ref(), Shown::ForPeople);
+            let _ = writeln!(io::stderr().lock(), "{text}");
+        }
+    }
+
+    /// A progress bar of this length on standard error; hidden where nobody would see it.
+    pub(crate) fn progress(&self, length: Option<u64>, template: &str) -> ProgressBar {
+        let is_seen = !self.global.json && !self.said.is_diverted() && io::stderr().is_terminal();
+        let target = if is_seen {
+            ProgressDrawTarget::stderr()
+        } else {
+            ProgressDrawTarget::hidden()
+        };
+        let style =
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        ProgressBar::with_draw_target(length, target).with_style(style)
+    }
+
+    /// A spinner with a message.
+    pub(crate) fn spinner(&self) -> ProgressBar {
+        self.progress(None, "{spinner} {msg}")
+    }
+}
+
+/// Whether and how often the user wanted to stop.
+///
+/// The first Ctrl-C (or SIGTERM, SIGHUP) asks the command to stop cleanly; the
+/// third ends the process at once.
+#[derive(Clone, Debug, Default)]
+pub struct Interrupt(Arc<AtomicU32>);
+
+impl Interrupt {
+    /// Whether to stop.
+    pub(crate) fn requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed) > 0
+    }
+
+    /// Asks to stop, as Ctrl-C does.
+    pub(crate) fn request(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Whether to stop, for those who ask it again and again.
+    pub(crate) fn question(&self) -> impl Fn() -> bool {
+        || self.requested()
+    }
+
+    /// The same for those who talk to a phone.
+    pub(crate) fn stop_signal(&self) -> StopSignal {
+        let interrupt = self.clone();
+        StopSignal::new(move || interrupt.requested())
+    }
+
+    /// Takes Ctrl-C, SIGTERM and SIGHUP.
+    ///
+    /// # Errors
+    ///
+    /// The system does not let them be taken.
+    pub(crate) fn install(&self) -> Result<(), ctrlc::Error> {
+        let interrupt = self.clone();
+        ctrlc::set_handler(move || {
+            if interrupt.0.fetch_add(1, Ordering::Relaxed) >= 2 {
+                std::process::exit(ExitStatus::Interrupted.code().into());
+            }
+        })
+    }
+}
+
+/// Whether standard output shows colours, and its user wants them (no-color.org).
+fn is_coloured() -> bool {
+    io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
+}
+
+/// Whether the terminal was closed: there is nobody to tell it to.
+fn is_closed_terminal(error: &io::Error) -> bool {
+    rustix::io::Errno::from_io_error(error) == Some(rustix::io::Errno::IO)
+}
+
+/// Writes lines to standard output. A reader that has gone away is no error.
+///
+/// # Errors
+///
+/// They cannot be written.
+pub(crate) fn write_stdout(text: &str, shown: Shown) -> io::Result<()> {
+    let text = harmless(text.strip_suffix('\n').unwrap_or(text), shown);
+    let mut out = io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe || is_closed_terminal(&error) => {
+            Ok(())
+        }
+        result => result,
+    }
+}
