@@ -7,7 +7,6 @@ use board::BoardError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
-use extract::learn::LearnError;
 use extract::mkv::k4a::K4aError;
 use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
@@ -19,10 +18,6 @@ use recording::profile::ProfileError;
 use std::path::Path;
 
 use crate::outcome::{ExitStatus, Failure, file_step};
-
-/// How to put the firmware of this version on the board.
-const HOW_TO_FLASH: &str = "flash the firmware that belongs to this program: connect a debug \
-                            probe and run `cargo run --release` in `firmware/`";
 
 impl From<BoardError> for Failure {
     fn from(error: BoardError) -> Self {
@@ -42,15 +37,18 @@ impl From<BoardError> for Failure {
             ),
             BoardError::Silent => (
                 ExitStatus::NoAnswer,
-                "press the board's reset button; if it stays silent, flash the firmware: connect a \
-                 debug probe and run `cargo run --release` in `firmware/`",
+                "press the board's reset button; if it stays silent, flash the firmware \
+                 (docs/flash.md)",
             ),
             BoardError::NotThisBoard { .. } => (
                 ExitStatus::NotThisBoard,
-                "choose another port (`smartdepthsync ports` marks boards), or flash the firmware: \
-                 connect a debug probe and run `cargo run --release` in `firmware/`",
+                "choose another port (`smartdepthsync ports` marks boards), or flash the firmware \
+                 (docs/flash.md)",
             ),
-            BoardError::OtherVersion { .. } => (ExitStatus::OtherVersion, HOW_TO_FLASH),
+            BoardError::OtherVersion { .. } => (
+                ExitStatus::OtherVersion,
+                ExitStatus::OtherVersion.next_step(),
+            ),
             BoardError::NoAnswer { .. } | BoardError::OddReply { .. } => (
                 ExitStatus::NoAnswer,
                 "press the board's reset button and try again",
@@ -307,28 +305,6 @@ impl From<RecordingError> for Failure {
             _ => "check the folder and its rights",
         };
         Self::new(ExitStatus::Storage, error.to_string()).next_step(step)
-    }
-}
-
-impl From<LearnError> for Failure {
-    fn from(error: LearnError) -> Self {
-        let (status, step) = match &error {
-            LearnError::NoFrames => (
-                ExitStatus::Refused,
-                "extract the recording with the phone's files beside it, or name them with --phone",
-            ),
-            LearnError::TooLittle { .. } => (
-                ExitStatus::Refused,
-                "learn from a recording in which the rig was moved for a minute or more, with the \
-                 phone's gyroscope file",
-            ),
-            LearnError::Profile(_) => (
-                ExitStatus::Usage,
-                "correct the profile; `smartdepthsync profile check` says what is wrong in it",
-            ),
-            LearnError::Io { error, .. } => (ExitStatus::Storage, file_step(error.kind())),
-        };
-        Self::new(status, error.to_string()).next_step(step)
     }
 }
 

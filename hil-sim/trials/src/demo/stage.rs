@@ -150,9 +150,9 @@ impl Stage {
         let mut command = self.options.programs.tool();
         command
             .args(["profile", "learn"])
-            .arg(&self.profile)
-            .arg("--recording")
             .arg(recording)
+            .arg("--profile")
+            .arg(&self.profile)
             .arg("--timestamps")
             .arg(&video.timestamps);
         self.run(&mut command)

@@ -276,9 +276,9 @@ fn arguments(draw: &mut Draw<'_>, command: Command, files: &material::Files) -> 
         Command::Learn => words(&[
             &"profile",
             &"learn",
-            &files.profile,
-            &"--recording",
             recording,
+            &"--profile",
+            &files.profile,
             &"--timestamps",
             &files.timestamps,
         ]),

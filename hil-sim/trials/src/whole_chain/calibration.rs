@@ -20,8 +20,10 @@ const LIMIT_SIGMAS: f64 = 3.0;
 /// Twists before the recording that is measured, and before the next one.
 const TWISTS: u32 = 3;
 
-/// Seconds of the recording from which skew and frame period are learnt.
+/// Seconds of the recording from which the frame period is learnt, and the twists before it,
+/// more than a minute from the first to the last, from which the skew is.
 const LEARNT_S: u32 = 60;
+const LEARNT_TWISTS: u32 = 4;
 
 /// What came out.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -79,7 +81,7 @@ impl CalibrationFigures {
 ///
 /// One twist knows the skew of the clocks to 1 to 3 ppm, which is 10 to 30 µs
 /// within a recording of ten seconds: as on a real rig, a longer recording comes
-/// first, from which `extract --learn` takes skew and frame period, and the recordings to
+/// first, from which `profile learn` takes skew and frame period, and the recordings to
 /// be compared have three twists each.
 ///
 /// # Errors
@@ -102,19 +104,20 @@ pub fn check(
         };
         record(&plan, programs, out)
     };
-    let long = session("long", LEARNT_S, 1, None)?;
+    let long = session("long", LEARNT_S, LEARNT_TWISTS, None)?;
     let text = |path: &Path| path.to_string_lossy().into_owned();
-    let data = long.folder.with_file_name("data");
+    let files = phone::video_files::find(&long.phone, None)?;
+    let timestamps = files.and_then(|files| files.frames);
+    let timestamps = timestamps.context("the phone saved no frame timestamps")?;
     ask(
         programs,
         &[
-            "extract",
-            "--phone",
-            &text(&long.phone),
-            "--out",
-            &text(&data),
-            "--learn",
+            "profile",
+            "learn",
+            "--profile",
             &text(&long.profile),
+            "--timestamps",
+            &text(&timestamps),
         ],
         &[&long.folder],
     )?;

@@ -125,9 +125,9 @@ fn objects_of_commands_that_talk_to_board_and_phone() {
     let learn = [
         "profile",
         "learn",
-        "rig.toml",
-        "--recording",
         recording,
+        "--profile",
+        "rig.toml",
         "--timestamps",
         timestamps.to_str().unwrap(),
     ];

@@ -12,12 +12,10 @@ use crate::recordings::{self, RecordingArg};
 use extract::geometry::View;
 use extract::inputs::{InputsError, Options};
 use extract::layout::Format;
-use extract::learn;
 use extract::progress::Progress;
 use extract::run::{ExtractError, Job, run as extract};
 use extract::workplace::WorkplaceError;
 use phone::video_files::FilesError;
-use recording::session_file::SessionFile;
 
 /// The formats as the command line names them.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -125,9 +123,6 @@ pub(crate) struct Args {
     /// The pulse of the first depth frame (its row in pulses.csv), if nothing else shows it
     #[arg(long, value_name = "N")]
     depth_first_pulse: Option<usize>,
-    /// Write the learnt frame period and clock skew into this rig profile
-    #[arg(long, value_name = "PROFILE")]
-    learn: Option<PathBuf>,
 }
 
 /// Runs the command.
@@ -193,11 +188,6 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
         Err(error) => return Err(error.into()),
     };
-    if let Some(profile) = &args.learn {
-        let session = SessionFile::load(recordings::folder_of(&job.recording)).ok();
-        let text = learn::into_profile(&report, profile, session.as_ref())?;
-        context.say(text);
-    }
     context.print(&report, || {
         format!("{}written to {}", report.text(), job.out.display())
     })?;

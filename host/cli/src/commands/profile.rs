@@ -12,10 +12,12 @@ use super::setup::CameraArg;
 use crate::context::Context;
 use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, write_file};
+use crate::recordings::{self, RecordingArg};
+use crate::rig_profile::ProfileArg;
 use frame_sync::learn;
 use frame_sync::train::frame_period;
-use phone::frame_timestamps;
 use phone::rows::RowError;
+use phone::{frame_timestamps, video_files};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
@@ -42,20 +44,19 @@ enum Action {
         /// The profile
         file: PathBuf,
     },
-    /// Learn the phone's frame period, and from two twists its clock's rate
+    /// Learn the phones' frame periods, and from two twists the rates of their clocks
     Learn {
-        /// The profile to write into; its comments stay
-        file: PathBuf,
-        /// The recording's folder
-        #[arg(long, value_name = "FOLDER")]
-        recording: PathBuf,
-        /// Of several phones, the one that learns; unless given, the one that the trigger
-        /// was aligned to
+        #[command(flatten)]
+        recording: RecordingArg,
+        #[command(flatten)]
+        profile: ProfileArg,
+        /// Of several phones, the one to learn about; all of them unless given
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
-        /// The app's file of frame timestamps of that recording
+        /// The app's file of frame timestamps, if it is not in the recording's folder; of
+        /// several phones it is the reference's, or that of --phone
         #[arg(long, value_name = "FILE")]
-        timestamps: PathBuf,
+        timestamps: Option<PathBuf>,
     },
     /// Take over intrinsics and poses of the cameras from Kalibr's camchain-imucam.yaml
     ImportKalibr {
@@ -69,15 +70,6 @@ enum Action {
         #[arg(long, value_name = "NAME")]
         phone: Option<String>,
     },
-}
-
-/// What `profile learn --json` prints.
-#[derive(Debug, Serialize)]
-struct PrintedLesson {
-    learnt: Learnt,
-    frames: usize,
-    missing_frames: u64,
-    timestamp_jitter_ns: f64,
 }
 
 /// Runs `profile`.
@@ -98,17 +90,28 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
             Ok(ExitStatus::Good)
         }
         Action::Learn {
-            file,
             recording,
+            profile,
             phone,
             timestamps,
         } => {
-            // A profile that cannot be read is told first.
+            let place = profile.place();
+            let file = place.file()?;
+            // A profile that cannot be read is reported first.
             read(file)?;
-            let session = SessionFile::load(recording)?;
-            let phone = phone.as_deref().unwrap_or(&session.profile.phone.name);
-            let taught = teach(file, &session, phone, timestamps)?;
-            context.print(&taught.lesson, || taught.lesson.text(file))?;
+            let recording = recording.find(context)?;
+            let folder = recordings::folder_of(&recording);
+            let session = SessionFile::load(folder)?;
+            let learnt = learn(
+                file,
+                folder,
+                &session,
+                phone.as_deref(),
+                timestamps.as_deref(),
+            )?;
+            context.print(&BTreeMap::from([("learnt", &learnt)]), || {
+                learnt.iter().map(Lesson::text).collect()
+            })?;
             Ok(ExitStatus::Good)
         }
         Action::ImportKalibr { file, chain, phone } => {
@@ -181,31 +184,62 @@ fn init(file: &Path, given: &CameraArg, context: &Context) -> Result<ExitStatus,
     Ok(ExitStatus::Good)
 }
 
-/// What a profile was taught of a phone.
+/// What a profile learnt about a phone, as `--json` prints it.
 #[derive(Debug, Serialize)]
 pub(crate) struct Lesson {
     /// The phone's name.
     phone: String,
     /// Where it was written to.
     profile: PathBuf,
-    #[serde(flatten)]
-    lesson: PrintedLesson,
+    learnt: Learnt,
+    frames: usize,
+    missing_frames: u64,
+    timestamp_jitter_ns: f64,
 }
 
-impl Lesson {
-    pub(crate) fn text(&self) -> String {
-        let text = self.lesson.text(&self.profile);
-        format!("phone         {}\n{text}\n", self.phone)
-    }
-}
-
-/// Writes what a recording teaches about the clocks of a phone into a profile.
+/// Writes what a recording teaches about the clocks of one phone, or of all, into a profile.
+/// Frame timestamps are those in the recording's folder unless they are given.
 ///
 /// # Errors
 ///
-/// The session knows no such phone, its timestamps teach nothing, or the profile cannot be
-/// read or written.
-pub(crate) fn teach(
+/// The session knows no such phone, its timestamps are missing or teach nothing, or the
+/// profile cannot be read or written.
+pub(crate) fn learn(
+    file: &Path,
+    folder: &Path,
+    session: &SessionFile,
+    phone: Option<&str>,
+    timestamps: Option<&Path>,
+) -> Result<Vec<Lesson>, Failure> {
+    let reference = session.profile.phone.name.as_str();
+    if let Some(timestamps) = timestamps {
+        let name = phone.unwrap_or(reference);
+        return Ok(vec![learn_from(file, session, name, timestamps)?]);
+    }
+    let names: Vec<&str> = match phone {
+        Some(name) => vec![name],
+        None => session
+            .profile
+            .all_phones()
+            .map(|phone| phone.name.as_str())
+            .collect(),
+    };
+    names
+        .into_iter()
+        .map(|name| {
+            let place = folder.join(session.phone_folder(name));
+            let files = video_files::find(&place, None).ok().flatten();
+            let timestamps = files.and_then(|files| files.frames).ok_or_else(|| {
+                let message = format!("no frame timestamps of {name} in {}", place.display());
+                Failure::new(ExitStatus::Phone, message)
+                    .next_step("fetch the phone's files into that folder, or give --timestamps")
+            })?;
+            learn_from(file, session, name, &timestamps)
+        })
+        .collect()
+}
+
+fn learn_from(
     file: &Path,
     session: &SessionFile,
     phone: &str,
@@ -231,13 +265,11 @@ pub(crate) fn teach(
         )
         .next_step("give --phone as the phone is called in the recording's session.json")
     })?;
-    let resets = session.runs.len();
-    let board_id = session.board.as_ref().map(|board| board.id.as_str());
-    let skew = learn::skew_of_twists(clocks, resets);
+    let skew = learn::skew_of_twists(clocks, session.runs.len());
     let twists = clocks.0.iter().filter(|twist| twist.accepted);
     let origin = learn::Origin {
-        board_id,
-        // A session file tells its begin; one that does not is taken for today's.
+        board_id: session.board.as_ref().map(|board| board.id.as_str()),
+        // A session file has the time when it began; one that has not is taken for today's.
         time: session.began().unwrap_or_else(jiff::Timestamp::now),
         board_temperature_c: twists
             .filter_map(|twist| twist.board_temperature_c)
@@ -250,22 +282,20 @@ pub(crate) fn teach(
         exposure_us: session.exposure_us_of(phone),
     };
     let learnt = learn::learnt(&frames, skew, &origin);
-    let taught = learn::into_profile(&text, file, Some(phone), &learnt)?;
-    write_file(file, &taught)?;
+    let text = learn::into_profile(&text, file, Some(phone), &learnt)?;
+    write_file(file, &text)?;
     Ok(Lesson {
         phone: phone.to_owned(),
         profile: file.to_owned(),
-        lesson: PrintedLesson {
-            frames: period.frames,
-            missing_frames: period.missing,
-            timestamp_jitter_ns: period.jitter_ns,
-            learnt,
-        },
+        frames: period.frames,
+        missing_frames: period.missing,
+        timestamp_jitter_ns: period.jitter_ns,
+        learnt,
     })
 }
 
-impl PrintedLesson {
-    fn text(&self, file: &Path) -> String {
+impl Lesson {
+    pub(crate) fn text(&self) -> String {
         let learnt = &self.learnt;
         let skew = match (learnt.skew, learnt.skew_sigma) {
             (Some(skew), Some(sigma)) => {
@@ -277,13 +307,15 @@ impl PrintedLesson {
             ),
         };
         format!(
-            "frame period  {:.4} ± {:.4} ns, from {} frames ({} missing), jitter {:.0} ns\n{skew}\nwritten to    {}",
+            "phone         {}\nframe period  {:.4} ± {:.4} ns, from {} frames ({} missing), \
+             jitter {:.0} ns\n{skew}\nwritten to    {}\n",
+            self.phone,
             learnt.frame_period_ns,
             learnt.frame_period_sigma_ns,
             self.frames,
             self.missing_frames,
             self.timestamp_jitter_ns,
-            file.display()
+            self.profile.display()
         )
     }
 }

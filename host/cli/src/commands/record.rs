@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::profile::{Lesson, teach};
+use super::profile::{Lesson, learn};
 use crate::checks::{self, text_of_judgement};
 use crate::context::Context;
 use crate::options::PortArg;
@@ -14,7 +14,6 @@ use crate::record::track::Track;
 use crate::record::{self, Ended, Options, SerialConnector};
 use crate::rig_profile::{Place, ProfileArg};
 use phone::adb::get_files_command;
-use phone::video_files;
 use recording::session_file::{OtherPhone, SessionFile};
 use session_report::{Judgement, files_to_fetch, findings, has_recorded, sigmas};
 use timebase::PhoneNanos;
@@ -119,7 +118,7 @@ pub(crate) fn run(args: &Args, context: &Context) -> Result<ExitStatus, Failure>
         }
     };
     let (learnt, not_learnt) = match to_teach.filter(|_| has_recorded(&file)) {
-        Some(profile) => match learn(profile, &folder, &file) {
+        Some(profile) => match learn(profile, &folder, &file, None, None) {
             Ok(learnt) => (learnt, None),
             Err(failure) => (Vec::new(), Some(failure)),
         },
@@ -155,27 +154,6 @@ fn calibrates<'a>(args: &Args, place: &'a Place) -> Result<&'a Path, Failure> {
     }
 }
 
-/// Teaches the profile what a recording says of each phone whose timestamps are there.
-fn learn(profile: &Path, folder: &Path, session: &SessionFile) -> Result<Vec<Lesson>, Failure> {
-    let phones = session.profile.all_phones();
-    phones
-        .map(|phone| {
-            let place = folder.join(session.phone_folder(&phone.name));
-            let files = video_files::find(&place, None).ok().flatten();
-            let timestamps = files.and_then(|files| files.frames).ok_or_else(|| {
-                let message = format!(
-                    "no frame timestamps of {} in {}",
-                    phone.name,
-                    place.display()
-                );
-                Failure::new(ExitStatus::Phone, message)
-                    .next_step("run the commands that `next` names")
-            })?;
-            teach(profile, session, &phone.name, &timestamps)
-        })
-        .collect()
-}
-
 /// What to type next, ready to be pasted. `to_teach` is a profile that could not be taught
 /// yet.
 fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) -> Vec<String> {
@@ -187,11 +165,14 @@ fn next_commands(folder: &Path, session: &SessionFile, to_teach: Option<&Path>) 
         .iter()
         .map(|(phase, place)| get_files_command(PhoneNanos(*phase), place, true))
         .collect();
-    let mut extract = format!("smartdepthsync extract {}", files::shell_word(folder));
+    let recording = files::shell_word(folder);
     if let Some(profile) = to_teach {
-        extract += &format!(" --learn {}", files::shell_word(profile));
+        let profile = files::shell_word(profile);
+        commands.push(format!(
+            "smartdepthsync profile learn {recording} --profile {profile}"
+        ));
     }
-    commands.push(extract);
+    commands.push(format!("smartdepthsync extract {recording}"));
     commands
 }
 

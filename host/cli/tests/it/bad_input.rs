@@ -284,13 +284,13 @@ const CASES: &[Case] = &[
         "profile check",
     ),
     (
-        "profile learn nothing.toml --recording folder --timestamps gyro.csv",
+        "profile learn folder --profile nothing.toml --timestamps gyro.csv",
         13,
         "nothing.toml",
         "check the path",
     ),
     (
-        "profile learn wrong.toml --recording nothing --timestamps gyro.csv",
+        "profile learn nothing --profile wrong.toml --timestamps gyro.csv",
         13,
         "nothing",
         "check the",

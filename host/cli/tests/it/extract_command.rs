@@ -217,16 +217,3 @@ fn what_is_no_recording_is_said() {
     let output = extract(&[], &parent.path().join("nothing"), None);
     assert_eq!(output.status.code(), Some(13), "{output:?}");
 }
-
-#[test]
-fn learning_needs_more_than_a_twist() {
-    let parent = tempfile::tempdir().unwrap();
-    let folder = recording(parent.path());
-    phone(&folder, 30, 30);
-    let profile = parent.path().join("rig.toml");
-    fs::write(&profile, DEFAULT).unwrap();
-    let output = extract(&["--learn", profile.to_str().unwrap()], &folder, None);
-    assert_eq!(output.status.code(), Some(3), "{output:?}");
-    assert!(String::from_utf8_lossy(&output.stderr).contains("from session"));
-    assert_eq!(fs::read_to_string(&profile).unwrap(), DEFAULT);
-}
