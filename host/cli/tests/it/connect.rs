@@ -8,12 +8,12 @@ use std::process::Command;
 use std::sync::mpsc::channel;
 
 use crate::support::interrupts::PATIENCE;
-use crate::support::{self, StandIn, code, frame, hello, polite, run, text};
+use crate::support::{self, StandIn, code, frame, hello, polite, run};
 use protocol::{Answer, DeviceToHost, HostToDevice, Refusal, usb};
 use serde_json::Value;
 
 #[test]
-fn info_tells_who_the_board_is() {
+fn info_says_who_the_board_is() {
     let board = StandIn::new(polite);
     let output = run(&["info", "--port", &board.path, "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
@@ -29,20 +29,12 @@ fn info_tells_who_the_board_is() {
     assert_eq!(info["has_outputs"], false);
     assert_eq!(info["imu"]["sensor"]["model"], "Icm42688P");
 
-    let output = run(&["info", "--port", &board.path]);
-    let printed = text(&output.stdout);
-    assert!(printed.contains("90.000000 s since reset"), "{printed}");
-    assert!(printed.contains("trigger.rs:12: odd"), "{printed}");
-    assert!(printed.contains("no outputs 2 to 4"), "{printed}");
-    assert!(
-        printed.contains("ICM-42688-P, ±500 °/s, ±4 g, low-pass 246.7 Hz with a delay of 1.3 ms"),
-        "{printed}"
-    );
+    assert_eq!(info["imu"]["sensor"]["gyro_bandwidth_hz_times_10"], 2_467);
 }
 
 /// The board refuses as its firmware does (`black_pill.rs` of the rig's tests).
 #[test]
-fn what_a_board_lacks_is_refused_with_the_reason() {
+fn what_a_board_lacks_is_refused() {
     let board = StandIn::new(|command: HostToDevice| {
         let refused = DeviceToHost::Answer(Answer {
             id: command.id,
@@ -61,9 +53,6 @@ fn what_a_board_lacks_is_refused_with_the_reason() {
     ] {
         let output = run(&[arguments, &["--port", &board.path]].concat());
         assert_eq!(code(&output), 3, "{output:?}");
-        let said = text(&output.stderr);
-        assert!(said.contains("no outputs 2 to 4"), "{said}");
-        assert!(said.contains("STM32F4DISCOVERY"), "{said}");
     }
 }
 
@@ -71,7 +60,6 @@ fn what_a_board_lacks_is_refused_with_the_reason() {
 fn a_path_that_is_no_port_says_so() {
     let missing = run(&["info", "--port", "/dev/ttyACM-not-there"]);
     assert_eq!(code(&missing), 5);
-    assert!(text(&missing.stderr).contains("smartdepthsync ports"));
 
     let file = tempfile::NamedTempFile::new().unwrap();
     let no_port = run(&["info", "--port", &file.path().to_string_lossy()]);
@@ -83,7 +71,6 @@ fn a_silent_port_gives_no_answer() {
     let silent = StandIn::new(|_: HostToDevice| Vec::new());
     let output = run(&["info", "--port", &silent.path]);
     assert_eq!(code(&output), 10);
-    assert!(text(&output.stderr).contains("reset button"));
 }
 
 #[test]
@@ -91,11 +78,10 @@ fn another_device_is_not_this_board() {
     let modem = StandIn::new(|_: HostToDevice| b"\r\nERROR\r\n\0".to_vec());
     let output = run(&["info", "--port", &modem.path]);
     assert_eq!(code(&output), 8);
-    assert!(text(&output.stderr).contains("not a SmartDepthSync board"));
 }
 
 #[test]
-fn another_protocol_version_says_how_to_flash() {
+fn another_protocol_version_has_its_own_code_and_nothing_is_recorded() {
     let newer = StandIn::new(|_: HostToDevice| {
         let mut hello = hello();
         hello.protocol_version = 900;
@@ -107,9 +93,6 @@ fn another_protocol_version_says_how_to_flash() {
     for arguments in [&["info"][..], &["record", "--yes", "--out", out]] {
         let output = run(&[arguments, &["--port", &newer.path]].concat());
         assert_eq!(code(&output), 9);
-        let told = text(&output.stderr);
-        assert!(told.contains("version 900"), "{told}");
-        assert!(told.contains("cargo run --release"), "{told}");
     }
     assert!(!folder.path().join("recordings").exists());
 }
@@ -127,7 +110,7 @@ fn a_port_in_use_is_busy() {
 }
 
 #[test]
-fn a_port_without_permission_names_the_udev_rule() {
+fn a_port_without_permission_has_its_own_code() {
     let board = StandIn::new(polite);
     std::fs::set_permissions(&board.path, Permissions::from_mode(0o000)).unwrap();
     // Root may open anything, so root runs a copy of the program as nobody.
@@ -148,7 +131,6 @@ fn a_port_without_permission_names_the_udev_rule() {
         .output()
         .unwrap();
     assert_eq!(code(&output), 6, "{output:?}");
-    assert!(text(&output.stderr).contains("60-smartdepthsync.rules"));
 }
 
 #[test]
@@ -173,7 +155,6 @@ fn a_board_that_goes_away_while_watched_is_a_lost_link() {
     drop(board);
     let output = child.wait_with_output().unwrap();
     assert_eq!(code(&output), 11, "{output:?}");
-    assert!(text(&output.stderr).contains("USB cable"));
 }
 
 #[test]

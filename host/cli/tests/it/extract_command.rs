@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use board::imu::Sample;
 use protocol::{ImuFlags, Pulse, Ticks};
-use recording::profile::{DEFAULT, Profile};
+use recording::profile::Profile;
 use recording::session_file::SessionFile;
 use recording::writer::Writer;
 use serde_json::Value;

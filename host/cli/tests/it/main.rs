@@ -2,7 +2,6 @@
 //! `cargo test -p smartdepthsync --test it verify_command` runs one module.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod bad_input;
 mod connect;
 mod documented_commands;
 mod evaluate_command;
@@ -12,8 +11,9 @@ mod hostile_costs;
 mod hostile_files;
 mod offset_command;
 mod other_makers;
-mod phone_faults;
+mod phone_command;
 mod report_browser;
+mod sentences;
 #[path = "../support/mod.rs"]
 mod support;
 mod sync_command;

@@ -1,0 +1,326 @@
+//! The sentences of the program: bad input of every command ends with its exit code, a
+//! message that names what is wrong, and a next step that fits. No other test compares
+//! sentences.
+
+use std::ffi::OsStr;
+use std::fmt::Debug;
+use std::fs;
+use std::os::unix::ffi::OsStrExt as _;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use clap::CommandFactory as _;
+use serde_json::Value;
+use smartdepthsync::cli::Cli;
+
+/// Command lines, in a folder with the files that [`files`] makes: exit code, command line,
+/// a word of the message, a word of the next step.
+const CASES: &str = "\
+# Boards that are not there, and ports that are none.
+5 | info --port /no/such/port | /no/such/port | smartdepthsync ports
+8 | info --port text.txt | text.txt | serial port
+5 | bring-up --port /no/such/port | /no/such/port | smartdepthsync ports
+2 | bring-up --clock-time soon | 90s, 5m or 1h | help COMMAND
+5 | imu --port /no/such/port | /no/such/port | smartdepthsync ports
+5 | monitor --port /no/such/port | /no/such/port | smartdepthsync ports
+1 | monitor --foxglove 192.0.2.1:1 | 192.0.2.1 | an address of this computer
+5 | trigger start --port /no/such/port | /no/such/port | smartdepthsync ports
+2 | trigger start --first-edge 9 --first-fraction 5 | outputs 2 to 4 | --output
+5 | trigger align --anchor 5 --port /no/such/port | /no/such/port | ports
+2 | trigger period | --fps | trigger period --fps 30
+2 | trigger latency --output 2 | output 1 | leave --output out
+5 | trigger stop --port /no/such/port | /no/such/port | ports
+5 | trigger status --port /no/such/port | /no/such/port | ports
+5 | gnss start --port /no/such/port | /no/such/port | ports
+5 | gnss stop --port /no/such/port | /no/such/port | ports
+5 | gnss status --port /no/such/port | /no/such/port | ports
+# Phones.
+12 | phone imu --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
+2 | phone imu --phone 127.0.0.1:1 --no-gyro | sensor | help phone
+12 | phone start --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
+2 | phone stop --phone 127.0.0.1:port | 127.0.0.1:port | <host>:<port>
+2 | phone get-video --phone 127.0.0.1:1 | --recorded | help phone
+12 | phone get-video --recorded --phone 127.0.0.1:1 | 127.0.0.1:1 | remote control
+2 | phone get-files --phase word | --phase | help COMMAND
+# Sessions.
+5 | record --port /no/such/port | /no/such/port | ports
+2 | record --track --no-track | --no-track | help COMMAND
+13 | record --profile nothing.toml | nothing.toml | profile init
+2 | record --profile text.txt | text.txt | profile check
+2 | record --profile wrong.toml | line 2: unknown field `no_such_key` | profile check wrong.toml
+2 | record --twists 9 | 1..=5 | help COMMAND
+2 | record --twist-gap soon | 90s, 5m or 1h | help COMMAND
+# Files of two gyroscopes.
+13 | offset --mcu nothing.csv --phone gyro.csv | nothing.csv | check the path
+13 | offset --mcu gyro.csv --phone folder | folder | this is a folder
+2 | offset --mcu gyro.csv --phone text.txt | text.txt | x,y,z,nanoseconds
+2 | offset --mcu gyro.csv --phone binary.bin | no text | x,y,z,nanoseconds
+2 | offset --mcu empty.csv --phone gyro.csv | empty.csv | CSV
+13 | sync gyro.csv nothing.csv | nothing.csv | check the path
+2 | sync gyro.csv text.txt | text.txt | x,y,z,nanoseconds
+2 | sync gyro.csv | 2 values required | help COMMAND
+2 | sync gyro.csv gyro.csv --delay-us 1,2,3 | 3 values for 2 recordings | one for each
+2 | imu --rate 4 | from 5 to 1000 | help COMMAND
+2 | profile init new.toml --camera azure-kinect-dk --depth-exposure-us 5000 | cannot be set | option out
+# Videos.
+13 | evaluate precision nothing.mp4 | nothing.mp4 | check the path
+2 | evaluate precision text.txt | text.txt | give a video
+2 | evaluate precision folder --region 1,2 | X,Y,WIDTH,HEIGHT | help COMMAND
+2 | evaluate precision text.txt --calibrate nothing.toml | nothing.toml | profile check
+13 | evaluate drift nothing.mp4 | nothing.mp4 | check the path
+2 | evaluate drift text.txt | text.txt | give a video
+2 | evaluate drift folder | no images | png
+# Profiles.
+13 | profile init text.txt | text.txt | not taken
+13 | profile init no/such/folder/rig.toml | no/such | check the path
+2 | profile init new.toml --camera kinect | expected azure-kinect-dk, femto-bolt | help
+2 | profile init new.toml --camera oak --depth-mode NFOV_UNBINNED | 800P | another --camera
+13 | profile check nothing.toml | nothing.toml | profile init
+2 | profile check wrong.toml | no_such_key | profile check
+13 | profile learn folder --profile nothing.toml --timestamps gyro.csv | nothing.toml | the path
+13 | profile learn nothing --profile wrong.toml --timestamps gyro.csv | nothing | check the
+13 | profile import-kalibr nothing.toml wrong.toml | nothing.toml | the path
+# Recordings.
+13 | extract nothing | nothing | a bag
+2 | extract folder | recording.mcap | `record` made
+13 | extract broken.mcap | broken.mcap | copied in full
+2 | extract broken.mcap --out folder/text | not empty | --out
+13 | verify nothing | nothing | check the
+2 | verify folder | recording.mcap | `record` made
+13 | verify broken.mcap | broken.mcap | repair
+13 | report nothing | nothing | check the
+2 | report folder | recording.mcap | `record` made
+13 | repair nothing new | nothing | check the
+13 | repair broken.mcap text.txt | text.txt | not taken
+13 | repair broken.mcap new.mcap | broken.mcap | verify
+# Which recording.
+2 | verify | which recording | smartdepthsync record
+2 | verify many | 2 recordings | many/
+2 | extract many | 2 recordings | many/
+2 | verify wrong.toml | another kind of file | `record` made
+2 | extract wrong.toml | another kind of file | `record` made
+2 | report wrong.toml | another kind of file | `record` made
+# What is there is not overwritten.
+13 | imu --csv text.txt | not overwritten | --overwrite
+13 | evaluate precision folder --report text.txt | not overwritten | --overwrite
+13 | evaluate drift folder --plot text.txt | not overwritten | --overwrite
+# Profiles that are made and taught.
+2 | setup --yes | address | help setup
+13 | setup --yes --phone x --profile text.txt | text.txt | --overwrite
+2 | setup --yes --phone x --depth-mode WFOV_UNBINNED --fps 30 | 15, 5 | --depth-mode
+2 | record --calibrate | no rig profile | smartdepthsync setup
+2 | record --calibrate --profile plain.toml --duration 30s | a minute | 60s or more
+# The rest.
+13 | man text.txt/man1 | text.txt | give a folder
+";
+
+/// A line of [`CASES`].
+struct Case {
+    code: i32,
+    line: &'static str,
+    message: &'static str,
+    step: &'static str,
+}
+
+fn cases() -> impl Iterator<Item = Case> {
+    let lines = CASES.lines().filter(|line| !line.starts_with('#'));
+    lines.map(|row| match *row.split(" | ").collect::<Vec<_>>() {
+        [code, line, message, step] => Case {
+            code: code.parse().unwrap(),
+            line,
+            message,
+            step,
+        },
+        _ => panic!("no case: {row}"),
+    })
+}
+
+/// Commands that cannot fail by what they are given, beyond the command line.
+const HARMLESS: [&str; 3] = ["ports", "completions", "doctor"];
+
+fn files(folder: &Path) {
+    let write = |name: &str, text: &[u8]| fs::write(folder.join(name), text).unwrap();
+    write("text.txt", b"This is a text.\nIt has two lines.\n");
+    write("binary.bin", &[0xFF, 0xFE, 0, 1, 2, 3, 0x80]);
+    write("empty.csv", b"");
+    write("broken.mcap", b"this is no recording at all");
+    write("wrong.toml", b"[phone]\nno_such_key = 1\n");
+    write("plain.toml", b"[phone]\naddress = \"127.0.0.1:1\"\n");
+    for name in ["many/one", "many/two"] {
+        fs::create_dir_all(folder.join(name)).unwrap();
+        write(&format!("{name}/recording.mcap"), b"");
+    }
+    let mut gyro = String::from("t,x,y,z\n");
+    for k in 0..400 {
+        gyro.push_str(&format!("{},0.1,0.2,0.3\n", f64::from(k) * 0.002));
+    }
+    write("gyro.csv", gyro.as_bytes());
+    fs::create_dir_all(folder.join("folder/text")).unwrap();
+    write("folder/text/notes", b"notes");
+}
+
+fn run<A: AsRef<OsStr> + Debug>(folder: &Path, arguments: &[A]) -> Output {
+    let output = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"))
+        .args(arguments)
+        .current_dir(folder)
+        // No profile of whoever runs the tests.
+        .env("HOME", folder)
+        .env_remove("XDG_CONFIG_HOME")
+        .env_remove("SMARTDEPTHSYNC_PROFILE")
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+    output
+}
+
+#[test]
+fn bad_input_of_every_command_has_a_next_step_that_fits() {
+    let folder = tempfile::tempdir().unwrap();
+    files(folder.path());
+    let mut wrong = Vec::new();
+    for Case {
+        code,
+        line,
+        message,
+        step,
+    } in cases()
+    {
+        let mut arguments = vec!["--json"];
+        arguments.extend(line.split(' '));
+        let output = run(folder.path(), &arguments);
+        let error = serde_json::from_slice::<Value>(&output.stdout).unwrap_or_default();
+        let error = &error["error"];
+        let text = |key: &str| error[key].as_str().unwrap_or_default().to_owned();
+        let unknown = unknown_options(&text("next_step"), line);
+        if !unknown.is_empty() {
+            wrong.push(format!("{line} has no {unknown:?}, which it advises"));
+        }
+        if output.status.code() != Some(code)
+            || !text("message").contains(message)
+            || !text("next_step").contains(step)
+            || error["exit_code"] != code
+        {
+            wrong.push(format!(
+                "{line}\n  expected {code}: …{message}… / …{step}…\n  found {:?}: {error}",
+                output.status.code()
+            ));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_path_that_is_no_text_is_written_to_all_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = OsStr::from_bytes(b"\xff");
+    for command in [["profile", "init"].as_slice(), &["man"]] {
+        let command = command.iter().map(OsStr::new);
+        let command: Vec<&OsStr> = command.chain([path]).collect();
+        let output = run(folder.path(), &command);
+        assert!(output.status.success(), "{output:?}");
+        let path = folder.path().join(path);
+        let removed = fs::remove_file(&path).or_else(|_| fs::remove_dir_all(&path));
+        assert!(removed.is_ok(), "{command:?} wrote nothing");
+    }
+}
+
+/// Options in an advice, outside of commands that are quoted, which the command of this
+/// line does not have.
+fn unknown_options(advice: &str, line: &str) -> Vec<String> {
+    let mut command = Cli::command();
+    command.build();
+    for word in line.split(' ') {
+        match command.find_subcommand(word) {
+            Some(below) => command = below.clone(),
+            None => break,
+        }
+    }
+    let known: Vec<&str> = command
+        .get_arguments()
+        .filter_map(|a| a.get_long())
+        .collect();
+    let outside = advice.split('`').step_by(2);
+    let is_part = |c: char| c.is_ascii_lowercase() || c == '-';
+    outside
+        .flat_map(|text| text.split(|c| !is_part(c)))
+        .filter_map(|word| word.strip_prefix("--"))
+        .filter(|option| !option.is_empty() && !known.contains(option))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn no_command_is_left_out_and_a_wrong_option_names_the_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut cli = Cli::command();
+    cli.build();
+    let mut leaves = Vec::new();
+    leaf_commands(&cli, &mut Vec::new(), &mut leaves);
+    assert!(leaves.len() > 20, "{leaves:?}");
+    for leaf in &leaves {
+        let tried = cases().any(|case| {
+            case.line
+                .strip_prefix(leaf.as_str())
+                .is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
+        });
+        assert!(
+            tried || HARMLESS.contains(&leaf.as_str()),
+            "no bad input of `{leaf}`"
+        );
+        let mut arguments: Vec<&str> = leaf.split(' ').collect();
+        arguments.push("--no-such-option");
+        let output = run(folder.path(), &arguments);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{leaf}: {said}");
+        assert!(
+            said.contains("--no-such-option") && said.contains("--help"),
+            "{said}"
+        );
+    }
+}
+
+fn leaf_commands(command: &clap::Command, path: &mut Vec<String>, found: &mut Vec<String>) {
+    let below: Vec<_> = command
+        .get_subcommands()
+        .filter(|below| below.get_name() != "help")
+        .collect();
+    if below.is_empty() {
+        found.push(path.join(" "));
+    }
+    for command in below {
+        path.push(command.get_name().to_owned());
+        leaf_commands(command, path, found);
+        path.pop();
+    }
+}
+
+#[test]
+fn doctor_says_what_to_do_about_each_check_that_is_not_good() {
+    let folder = tempfile::tempdir().unwrap();
+    files(folder.path());
+    let output = run(
+        folder.path(),
+        &[
+            "--json",
+            "doctor",
+            "--port",
+            "/no/such/port",
+            "--phone",
+            "127.0.0.1:1",
+        ],
+    );
+    assert_eq!(output.status.code(), Some(5), "{output:?}");
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let checks = found["checks"].as_array().unwrap();
+    let bad: Vec<_> = checks
+        .iter()
+        .filter(|check| check["verdict"] != "good")
+        .collect();
+    assert!(bad.len() >= 2, "{found:#}");
+    for check in bad {
+        let step = check["next_step"].as_str().unwrap_or_default();
+        assert!(step.len() > 10, "{check}");
+        assert!(unknown_options(step, "doctor").is_empty(), "{check}");
+    }
+}
