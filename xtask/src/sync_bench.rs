@@ -8,14 +8,14 @@ use crate::{process, wheel};
 /// Trials that the Python package is given: it is measured, not studied.
 const MOST_FILES: u32 = 100;
 
-/// Runs an example of the estimator.
+/// Runs an example of the estimator's scenarios.
 pub(crate) fn example(name: &str, args: &[&str]) -> Result<()> {
     let mut all = vec![
         "run",
         "--release",
         "-q",
         "-p",
-        "twist-sync",
+        "twist-scenarios",
         "--example",
         name,
         "--",

@@ -12,7 +12,7 @@ import tempfile
 import unittest
 
 ROOT = pathlib.Path(__file__).resolve().parents[3]
-REAL = ROOT / "host/twist-sync/tests/data/twist"
+REAL = ROOT / "host/twist-scenarios/data/twist"
 MAKE_BAG = ROOT / "hil-sim/trials/tests/python/make_published_bag.py"
 
 

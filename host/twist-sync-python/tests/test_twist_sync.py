@@ -23,7 +23,7 @@ import twist_sync
 import twist_sync.plot
 
 HOST = pathlib.Path(__file__).resolve().parents[2]
-REAL = HOST / "twist-sync/tests/data/twist"
+REAL = HOST / "twist-scenarios/data/twist"
 BOOT_S = 1000.25
 SKEW = 12e-6
 

@@ -7,7 +7,7 @@
 //! 10 Hz to better than one part in 10⁷.
 
 /// Three angular rates, x, y, z.
-pub(crate) type Vec3 = [f64; 3];
+pub type Vec3 = [f64; 3];
 
 /// Most samples of a polynomial: degree 7.
 const MOST: usize = 8;
@@ -24,7 +24,7 @@ fn window(left: usize, samples: usize, degree: usize) -> usize {
 
 /// Samples at uneven times.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Uneven<'a> {
+pub struct Uneven<'a> {
     t: &'a [f64],
     y: &'a [Vec3],
     degree: usize,
@@ -33,19 +33,19 @@ pub(crate) struct Uneven<'a> {
 impl<'a> Uneven<'a> {
     /// `None` if the times do not increase strictly, there are fewer than `degree + 1`
     /// samples, or the degree is not 1, 3, 5 or 7.
-    pub(crate) fn new(t: &'a [f64], y: &'a [Vec3], degree: usize) -> Option<Self> {
+    pub fn new(t: &'a [f64], y: &'a [Vec3], degree: usize) -> Option<Self> {
         let increases = |w: &[f64]| w[1].partial_cmp(&w[0]) == Some(std::cmp::Ordering::Greater);
         let sound = t.len() == y.len() && t.windows(2).all(increases);
         (sound && is_offered(degree, t.len())).then_some(Self { t, y, degree })
     }
 
     /// First and last time.
-    pub(crate) fn domain(&self) -> (f64, f64) {
+    pub fn domain(&self) -> (f64, f64) {
         (self.t[0], self.t[self.t.len() - 1])
     }
 
     /// Value at `t`.
-    pub(crate) fn value(&self, t: f64) -> Vec3 {
+    pub fn value(&self, t: f64) -> Vec3 {
         let after = self.t.partition_point(|&x| x <= t);
         let mut value = [0.0; 3];
         self.swept(after.saturating_sub(1), std::iter::once(t), |v| value = v);
@@ -53,7 +53,7 @@ impl<'a> Uneven<'a> {
     }
 
     /// Values at `count` times from the first on, `step` apart.
-    pub(crate) fn on_grid(&self, step: f64, count: usize) -> Vec<Vec3> {
+    pub fn on_grid(&self, step: f64, count: usize) -> Vec<Vec3> {
         let mut values = Vec::with_capacity(count);
         let times = (0..count).map(|k| self.t[0] + k as f64 * step);
         self.swept(0, times, |v| values.push(v));
@@ -138,7 +138,7 @@ impl<const N: usize> Newton<N> {
 
 /// A piecewise polynomial through equidistant samples.
 #[derive(Debug, Clone)]
-pub(crate) struct Uniform {
+pub struct Uniform {
     degree: usize,
     start: f64,
     step: f64,
@@ -154,7 +154,7 @@ type Basis = [[f64; MOST]; MOST];
 impl Uniform {
     /// Through the samples `start + k · step`; `None` if they are fewer than
     /// `degree + 1`, or the degree is not 1, 3, 5 or 7.
-    pub(crate) fn new(start: f64, step: f64, y: Vec<Vec3>, degree: usize) -> Option<Self> {
+    pub fn new(start: f64, step: f64, y: Vec<Vec3>, degree: usize) -> Option<Self> {
         is_offered(degree, y.len()).then(|| Self {
             degree,
             start,
@@ -165,7 +165,7 @@ impl Uniform {
     }
 
     /// First and last time.
-    pub(crate) fn domain(&self) -> (f64, f64) {
+    pub fn domain(&self) -> (f64, f64) {
         (
             self.start,
             self.start + (self.y.len() - 1) as f64 * self.step,
@@ -173,7 +173,7 @@ impl Uniform {
     }
 
     /// Value at `t`; outside of the samples the end polynomial is continued.
-    pub(crate) fn value(&self, t: f64) -> Vec3 {
+    pub fn value(&self, t: f64) -> Vec3 {
         match self.degree {
             1 => self.near::<2>(t).value(),
             3 => self.near::<4>(t).value(),
@@ -183,7 +183,7 @@ impl Uniform {
     }
 
     /// Value and first derivative at `t`.
-    pub(crate) fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
+    pub fn value_and_rate(&self, t: f64) -> (Vec3, Vec3) {
         let (value, rate) = match self.degree {
             1 => self.near::<2>(t).value_and_rate(),
             3 => self.near::<4>(t).value_and_rate(),

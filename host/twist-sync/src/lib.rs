@@ -19,7 +19,8 @@ mod faults;
 mod fit;
 mod flexing;
 mod gates;
-mod interpolant;
+#[doc(hidden)] // of the workspace: no part of the interface
+pub mod interpolant;
 mod lag;
 #[doc(hidden)] // of the workspace: no part of the interface
 pub mod mixture;
@@ -33,8 +34,6 @@ pub mod robust;
 mod samples;
 mod search;
 mod signal;
-#[cfg(feature = "simulate")]
-pub mod simulate;
 mod stream;
 mod swing;
 mod timestamps;

@@ -14,7 +14,7 @@ use recording::messages::{Imu, RosMessage as _};
 use recording::profile::{DEFAULT, Profile};
 use recording::writer::Writer;
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
-use twist_sync::simulate::{self, TwistSpec};
+use twist_scenarios::TwistSpec;
 
 use super::bag::{self, Message};
 
@@ -98,7 +98,7 @@ impl Material {
         fs::create_dir_all(&files.bait)?;
         fs::write(files.bait.join("precious"), "precious")?;
         let spec = TwistSpec::default();
-        let twist = simulate::twist(&spec, 1);
+        let twist = twist_scenarios::twist(&spec, 1);
         let csv = |track: &twist_sync::GyroTrack, clock: f64| {
             let mut text = String::new();
             for (t, w) in track.t.iter().zip(&track.w) {

@@ -19,7 +19,7 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn twist() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/twist-sync/tests/data/twist")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../host/twist-scenarios/data/twist")
 }
 
 fn make_bag(folder: &Path, compression: &str) {

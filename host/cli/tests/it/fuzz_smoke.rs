@@ -16,7 +16,7 @@ use protocol::{
 };
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
-use twist_sync::simulate::{self, TwistSpec};
+use twist_scenarios::TwistSpec;
 
 use crate::support::documents::root;
 use crate::support::gopro::{self, Stamps};
@@ -109,7 +109,7 @@ fn bags() {
 
 #[test]
 fn recordings_of_gyroscopes() {
-    let twist = simulate::twist(&TwistSpec::default(), 1);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 1);
     let track = twist.b.between(0.0, twist.b.epoch_s + 3.0);
     let mut seeds: Vec<_> = [Stamps::Microseconds, Stamps::Milliseconds, Stamps::None]
         .map(|stamps| gopro::mp4(&track, stamps))

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use twist_scenarios::{Twist, TwistSpec};
 use twist_sync::GyroTrack;
-use twist_sync::simulate::{self, Twist, TwistSpec};
 
 use crate::support::{objects, phone_app};
 
@@ -57,7 +57,7 @@ fn json(output: &Output) -> Value {
 
 #[test]
 fn a_twist_is_accepted_in_both_forms() {
-    let twist = simulate::twist(&TwistSpec::default(), 5000);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 5000);
     let files = files(&twist);
     let plot = files.mcu.with_file_name("plot.svg");
     let output = offset(
@@ -94,7 +94,7 @@ fn a_twist_is_accepted_in_both_forms() {
 
 #[test]
 fn a_refusal_has_its_exit_code_and_reasons() {
-    let twist = simulate::twist(
+    let twist = twist_scenarios::twist(
         &TwistSpec {
             unrelated: true,
             ..TwistSpec::default()
@@ -125,7 +125,7 @@ fn a_refusal_has_its_exit_code_and_reasons() {
 
 #[test]
 fn damaged_files_are_named_with_their_line() {
-    let twist = simulate::twist(&TwistSpec::default(), 7000);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 7000);
     let files = files(&twist);
     let good = std::fs::read_to_string(&files.mcu).unwrap();
     let mut lines: Vec<&str> = good.lines().collect();
@@ -153,7 +153,7 @@ fn damaged_files_are_named_with_their_line() {
 fn short_and_odd_recordings_are_refused_not_crashed_on() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("odd.csv");
-    let twist = simulate::twist(&TwistSpec::default(), 8000);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 8000);
     let files = files(&twist);
     for text in [
         "time,x,y,z\n1,2,3,4\n".to_owned(),
@@ -196,7 +196,7 @@ fn offset_within(kilobytes: u32, mcu: &Path, phone: &Path) -> Output {
 #[cfg(target_os = "linux")]
 #[test]
 fn timestamps_far_from_the_rest_are_named_and_take_no_memory() {
-    let twist = simulate::twist(&TwistSpec::default(), 9000);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 9000);
     let files = files(&twist);
     let good = std::fs::read_to_string(&files.phone).unwrap();
     let last = good.lines().last().unwrap().rsplit_once(',').unwrap().1;
@@ -264,7 +264,7 @@ fn timestamps_far_from_the_rest_are_named_and_take_no_memory() {
 
 #[test]
 fn degrees_a_second_are_found_by_their_size_and_said() {
-    let mut twist = simulate::twist(&TwistSpec::default(), 10_000);
+    let mut twist = twist_scenarios::twist(&TwistSpec::default(), 10_000);
     let plain = json(&offset(
         &files(&twist).mcu,
         &files(&twist).phone,
@@ -293,10 +293,10 @@ fn degrees_a_second_are_found_by_their_size_and_said() {
 #[test]
 fn an_export_gives_the_same_result_without_names_and_times() {
     let spec = TwistSpec {
-        grip: simulate::Grip::Slip(5.0, 10.0),
+        grip: twist_scenarios::Grip::Slip(5.0, 10.0),
         ..TwistSpec::default()
     };
-    let twist = simulate::twist(&spec, 11_000);
+    let twist = twist_scenarios::twist(&spec, 11_000);
     let files = files(&twist);
     let folder = files.mcu.with_file_name("export");
     let first = offset(

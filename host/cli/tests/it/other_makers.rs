@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use twist_scenarios::TwistSpec;
 use twist_sync::GyroTrack;
-use twist_sync::simulate::{self, TwistSpec};
 
 use crate::support::gopro::{self, Stamps};
 use crate::support::phone_app;
@@ -67,7 +67,7 @@ fn a_video_of_insta360_is_read() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let twist = simulate::twist(&TwistSpec::default(), 9_700);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 9_700);
     std::fs::write(folder.path().join("a.csv"), phone_app(&twist.a)).unwrap();
     std::fs::write(folder.path().join("VID.insv"), insta360(&twist.b)).unwrap();
     // What lies beside a recording is not run.
@@ -96,7 +96,7 @@ fn a_video_of_insta360_is_read() {
 #[test]
 fn without_python_a_video_says_whose_it_is_and_what_to_install() {
     let folder = tempfile::tempdir().unwrap();
-    let twist = simulate::twist(&TwistSpec::default(), 9_800);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 9_800);
     std::fs::write(folder.path().join("a.csv"), phone_app(&twist.a)).unwrap();
     let video = gopro::mp4(&twist.b, Stamps::None);
     let track_at = video.windows(4).position(|word| word == b"gpmd").unwrap();

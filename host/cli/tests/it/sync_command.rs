@@ -7,8 +7,8 @@ use std::process::{Command, Output};
 use recording::messages::Imu;
 use recording::rosbag2::Bag;
 use serde_json::Value;
+use twist_scenarios::{Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 use twist_sync::GyroTrack;
-use twist_sync::simulate::{self, Motion, SENSOR_B, Sensor, Twist, TwistSpec};
 
 use crate::support::gopro::{self, Stamps};
 use crate::support::{nanos, objects, phone_app, ros2_imu};
@@ -79,8 +79,8 @@ fn three_devices_in_three_forms_have_one_solution() {
         rate_hz: 416.0,
         ..SENSOR_B
     };
-    let second = simulate::twist(&spec, seed);
-    let third = simulate::third(&second, &spec, seed, &sensor);
+    let second = twist_scenarios::twist(&spec, seed);
+    let third = twist_scenarios::third(&second, &spec, seed, &sensor);
     euroc(folder.path().join("imu.csv"), &second.a);
     app(folder.path().join("phone.csv"), &second.b);
     ros2(folder.path().join("bag.mcap"), &third.b);
@@ -155,7 +155,7 @@ fn three_devices_in_three_forms_have_one_solution() {
 #[test]
 fn videos_of_gopro_have_times_of_gyroscope_and_rows() {
     let folder = tempfile::tempdir().unwrap();
-    let twist = simulate::twist(&TwistSpec::default(), 9_500);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 9_500);
     app(folder.path().join("a.csv"), &twist.a);
     let file = folder.path().join("GX010001.MP4");
     for (stamps, within_us) in [
@@ -212,7 +212,7 @@ fn videos_of_gopro_have_times_of_gyroscope_and_rows() {
 #[test]
 fn all_parts_of_a_bag_are_read() {
     let folder = tempfile::tempdir().unwrap();
-    let twist = simulate::twist(&TwistSpec::default(), 9_600);
+    let twist = twist_scenarios::twist(&TwistSpec::default(), 9_600);
     app(folder.path().join("a.csv"), &twist.a);
     let bag = folder.path().join("bag");
     std::fs::create_dir(&bag).unwrap();
@@ -236,8 +236,8 @@ fn all_parts_of_a_bag_are_read() {
 #[test]
 fn a_device_on_another_body_is_refused_and_the_rest_is_told() {
     let folder = tempfile::tempdir().unwrap();
-    let good = simulate::twist(&TwistSpec::default(), 9_100);
-    let other = simulate::twist(&TwistSpec::default(), 9_200);
+    let good = twist_scenarios::twist(&TwistSpec::default(), 9_100);
+    let other = twist_scenarios::twist(&TwistSpec::default(), 9_200);
     app(folder.path().join("a.csv"), &good.a);
     app(folder.path().join("b.csv"), &good.b);
     app(folder.path().join("c.csv"), &other.b);
@@ -258,7 +258,7 @@ fn minutes_of_walking_need_no_twist() {
         duration_s: 120.0,
         ..TwistSpec::default()
     };
-    let walk = simulate::twist(&spec, 9_300);
+    let walk = twist_scenarios::twist(&spec, 9_300);
     app(folder.path().join("a.csv"), &walk.a);
     euroc(folder.path().join("b.csv"), &walk.b);
     let output = sync(
@@ -299,7 +299,7 @@ fn what_is_wrong_with_a_file_is_said() {
         duration_s: 20.0,
         ..TwistSpec::default()
     };
-    let twist = simulate::twist(&spec, 9_400);
+    let twist = twist_scenarios::twist(&spec, 9_400);
     app(folder.path().join("a.csv"), &twist.a);
     ros2(folder.path().join("b.mcap"), &twist.b);
     std::fs::write(folder.path().join("c.db3"), b"SQLite format 3\0 and so on").unwrap();

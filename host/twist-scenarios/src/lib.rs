@@ -3,19 +3,19 @@
 //! **Everything made here is simulated.** One motion (a sum of random sines per
 //! axis under an envelope, at rest before and after) is seen by two gyroscopes,
 //! each through its own rotation, scale, bias, low-pass filter, noise,
-//! quantisation and clock. The truth is returned beside the recordings, and the
+//! quantisation and clock. The ground truth is returned beside the recordings, and the
 //! same [`TwistSpec`] and seed give the same recordings on every machine.
 //!
 //! Noise and quantisation are those of the recordings at rest in
-//! `tests/data/twist`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
+//! `data/twist`: 1.4 mrad/s (an MPU-9150) and 1.15 mrad/s (a phone's gyroscope).
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
+use twist_sync::GyroTrack;
+use twist_sync::interpolant::{Uneven, Uniform, Vec3};
 
-use crate::GyroTrack;
-use crate::interpolant::{Uneven, Uniform, Vec3};
 use grip::{Held, rise};
 
 mod devices;
@@ -204,7 +204,7 @@ pub struct ClockPath {
 
 impl ClockPath {
     /// A skew of `skew` at the start that walks by `wander` rms in a minute
-    /// (dimensionless, see [`crate::Wander`]), for `length_s`; the difference is
+    /// (dimensionless, see [`twist_sync::Wander`]), for `length_s`; the difference is
     /// zero at `zero_s`.
     #[must_use]
     pub fn new(seed: u64, skew: f64, wander: f64, length_s: f64, zero_s: f64) -> Self {
@@ -248,7 +248,7 @@ impl ClockPath {
     }
 }
 
-/// A simulated pair of recordings with its truth.
+/// A simulated pair of recordings with its ground truth.
 #[derive(Debug, Clone)]
 pub struct Twist {
     /// Recording a.

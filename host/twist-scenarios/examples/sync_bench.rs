@@ -10,9 +10,9 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use rayon::prelude::*;
+use twist_scenarios::{ClockPath, Scenario, Sensor, Twist, TwistSpec};
 use twist_sync::network::Network;
 use twist_sync::robust;
-use twist_sync::simulate::{self, ClockPath, Scenario, Sensor, Twist, TwistSpec};
 use twist_sync::{
     ClockRelation, Estimate, GyroTrack, Options, Refusal, WithSigma, estimate_offset,
 };
@@ -48,8 +48,8 @@ struct Args {
 
 fn options(scenario: &Scenario) -> Options {
     Options {
-        a_delay_s: simulate::filter_delay_s(&scenario.spec.a),
-        b_delay_s: simulate::filter_delay_s(&scenario.spec.b),
+        a_delay_s: twist_scenarios::filter_delay_s(&scenario.spec.a),
+        b_delay_s: twist_scenarios::filter_delay_s(&scenario.spec.b),
         ..Options::default()
     }
 }
@@ -93,7 +93,7 @@ fn main() {
         );
         println!("|---|---|---|---|---|---|---|---|---|");
     }
-    let scenarios = simulate::scenarios();
+    let scenarios = twist_scenarios::scenarios();
     if args.hour {
         println!("\nFive estimates of one pair of clocks over an hour, about a straight line:\n");
         println!("| recordings | accepted | error/sigma rms |\n|---|---|---|");
@@ -128,7 +128,7 @@ fn main() {
 }
 
 fn twist(args: &Args, scenario: &Scenario, trial: u64) -> Twist {
-    simulate::twist(&scenario.spec, args.seed + 1000 * trial)
+    twist_scenarios::twist(&scenario.spec, args.seed + 1000 * trial)
 }
 
 fn row(args: &Args, scenario: &Scenario) {
@@ -274,7 +274,7 @@ fn hour(args: &Args, name: &str, spec: &TwistSpec) {
             let clocks: Vec<ClockRelation> = (0..5_u32)
                 .filter_map(|k| {
                     let at = 900.0 * f64::from(k);
-                    let twist = simulate::twist_on(spec, seed + u64::from(k), &path, at);
+                    let twist = twist_scenarios::twist_on(spec, seed + u64::from(k), &path, at);
                     estimate_offset(&twist.a, &twist.b, &Options::default()).ok()
                 })
                 .map(|estimate| estimate.clock)
@@ -302,15 +302,15 @@ fn loops(args: &Args) {
     let spec = TwistSpec::default();
     let sensor = Sensor {
         rate_hz: 416.0,
-        ..simulate::SENSOR_B
+        ..twist_scenarios::SENSOR_B
     };
     let found: Vec<Option<Loop>> = (0..args.trials)
         .into_par_iter()
         .map(|trial| {
             let seed = args.seed + 1000 * trial;
-            let of_b = simulate::twist(&spec, seed);
-            let of_c = simulate::third(&of_b, &spec, seed, &sensor);
-            let pairs = simulate::related(&[&of_b.a, &of_b.b, &of_c.b])?;
+            let of_b = twist_scenarios::twist(&spec, seed);
+            let of_c = twist_scenarios::third(&of_b, &spec, seed, &sensor);
+            let pairs = twist_scenarios::related(&[&of_b.a, &of_b.b, &of_c.b])?;
             // Where offset and skew do not trade against each other.
             let at = pairs[0].course.span().0;
             let network = Network::new(3, pairs).ok()?;

@@ -1,8 +1,8 @@
-//! The evidence about the phone's stream in `tests/data/twist`, as Markdown:
+//! The evidence about the phone's stream in `data/twist`, as Markdown:
 //! displacement of each class of samples modulo ten against the board's
 //! gyroscope, copies apart, and the offset under variants of the estimate.
 //!
-//! `cargo run --release -p twist-sync --example twist_evidence`
+//! `cargo run --release -p twist-scenarios --example twist_evidence`
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::Path;
@@ -41,7 +41,7 @@ fn displacement(
 }
 
 fn main() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/twist");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/twist");
     let read = |name: &str| gyro_csv::read_file(&folder.join(name)).unwrap().track;
     let (mcu, phone) = (read("mcu_gyro_data.csv"), read("smartphone_gyro_data.csv"));
     let options = Options::default();

@@ -1,6 +1,6 @@
 //! Stretches in which the two are not one body: left out, and named for what they are.
 
-use twist_sync::simulate::{self, Grip, Twist, TwistSpec};
+use twist_scenarios::{Grip, Twist, TwistSpec};
 use twist_sync::{Estimate, LeftOut, Options, Why, estimate_offset};
 
 fn twist(grip: Grip, seed: u64) -> Twist {
@@ -8,7 +8,7 @@ fn twist(grip: Grip, seed: u64) -> Twist {
         grip,
         ..TwistSpec::default()
     };
-    simulate::twist(&spec, seed)
+    twist_scenarios::twist(&spec, seed)
 }
 
 /// The estimate, right within five sigmas.

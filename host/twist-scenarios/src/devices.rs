@@ -3,12 +3,12 @@
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use twist_sync::network::Pair;
+use twist_sync::{ClockCourse, GyroTrack, Options, estimate_offset};
 
 use super::{
     ClockPath, Rates, Seen, Sensor, Twist, TwistSpec, moving_until, on_path, record, rotation,
 };
-use crate::network::Pair;
-use crate::{ClockCourse, GyroTrack, Options, estimate_offset};
 
 /// Recording a of a `pair` that [`super::twist`] made of this spec and seed, beside that of a
 /// third gyroscope, which is firmly held to it: with a mounting, a clock and noise of its own.
@@ -35,7 +35,7 @@ pub fn third(pair: &Twist, spec: &TwistSpec, seed: u64, sensor: &Sensor) -> Twis
     }
 }
 
-/// The relation of each pair of recordings, in the order of a [`crate::network::Network`];
+/// The relation of each pair of recordings, in the order of a [`twist_sync::network::Network`];
 /// `None` if one is refused.
 #[must_use]
 pub fn related(tracks: &[&GyroTrack]) -> Option<Vec<Pair>> {

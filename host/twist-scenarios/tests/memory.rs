@@ -5,7 +5,7 @@
 use peak_alloc::PeakAlloc;
 use std::process::Command;
 
-use twist_sync::simulate::{self, Twist, TwistSpec};
+use twist_scenarios::{Twist, TwistSpec};
 use twist_sync::{GyroTrack, Options, estimate_offset};
 
 #[global_allocator]
@@ -60,9 +60,9 @@ fn measured() {
         "slip of 2° to 15°",
         "two phones with faults",
     ];
-    for scenario in simulate::scenarios() {
+    for scenario in twist_scenarios::scenarios() {
         if names.contains(&scenario.name) {
-            let twist = simulate::twist(&scenario.spec, 52_000);
+            let twist = twist_scenarios::twist(&scenario.spec, 52_000);
             check(scenario.name, (twist.a, twist.b), MULTIPLE);
         }
     }
@@ -70,7 +70,7 @@ fn measured() {
         duration_s: 40.0,
         ..TwistSpec::default()
     };
-    let long = simulate::twist(&long, 53_000);
+    let long = twist_scenarios::twist(&long, 53_000);
     let n = long.a.len();
     let regular = |k: usize| 0.002 * k as f64;
     let scattered = |k: usize| (k * 7919 % n) as f64 * 1e3;

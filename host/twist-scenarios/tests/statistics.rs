@@ -4,8 +4,8 @@
 //! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
 
 use rayon::prelude::*;
+use twist_scenarios::{SENSOR_B, Scenario, Sensor, Twist, TwistSpec};
 use twist_sync::network::Network;
-use twist_sync::simulate::{self, SENSOR_B, Scenario, Sensor, Twist, TwistSpec};
 use twist_sync::{Estimate, FaultKind, GyroTrack, Options, Refusal, estimate_offset};
 
 fn trials() -> u64 {
@@ -17,8 +17,8 @@ fn trials() -> u64 {
 
 fn options(spec: &TwistSpec) -> Options {
     Options {
-        a_delay_s: simulate::filter_delay_s(&spec.a),
-        b_delay_s: simulate::filter_delay_s(&spec.b),
+        a_delay_s: twist_scenarios::filter_delay_s(&spec.a),
+        b_delay_s: twist_scenarios::filter_delay_s(&spec.b),
         ..Options::default()
     }
 }
@@ -33,7 +33,7 @@ fn run(scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
     (0..trials())
         .into_par_iter()
         .map(|trial| {
-            let twist = simulate::twist(&scenario.spec, 1000 * trial + 7);
+            let twist = twist_scenarios::twist(&scenario.spec, 1000 * trial + 7);
             let result = estimate_offset(&twist.a, &twist.b, &options);
             (twist, result)
         })
@@ -43,7 +43,7 @@ fn run(scenario: &Scenario) -> Vec<(Twist, Result<Estimate, Refusal>)> {
 #[test]
 fn every_scenario_meets_its_figures() {
     let mut failures = Vec::new();
-    for scenario in simulate::scenarios() {
+    for scenario in twist_scenarios::scenarios() {
         let results = run(&scenario);
         let mut accepted = 0;
         let (mut squares, mut normalised, mut skews) = (0.0, 0.0, 0.0);
@@ -119,8 +119,11 @@ fn every_scenario_meets_its_figures() {
 #[test]
 fn exchanging_the_inputs_negates_the_offset() {
     (0..8_u64).into_par_iter().for_each(|trial| {
-        for scenario in simulate::scenarios().iter().filter(|s| s.rmse_us.is_some()) {
-            let twist = simulate::twist(&scenario.spec, 1000 * trial + 11);
+        for scenario in twist_scenarios::scenarios()
+            .iter()
+            .filter(|s| s.rmse_us.is_some())
+        {
+            let twist = twist_scenarios::twist(&scenario.spec, 1000 * trial + 11);
             let there = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
             let back = estimate_offset(&twist.b, &twist.a, &Options::default()).unwrap();
             let at_same_instant = there.clock.a_to_b(there.clock.reference);
@@ -144,7 +147,7 @@ fn exchanging_the_inputs_negates_the_offset() {
 #[test]
 fn the_roles_of_the_streams_do_not_matter() {
     for trial in 0..20 {
-        let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 13);
+        let twist = twist_scenarios::twist(&TwistSpec::default(), 1000 * trial + 13);
         let there = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
         // The stream with more samples is the model: cut the one, then the other.
         let cut = |track: &GyroTrack| track.between(track.epoch_s + 0.02, f64::INFINITY);
@@ -160,7 +163,7 @@ fn the_roles_of_the_streams_do_not_matter() {
 #[test]
 fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
     for trial in 0..12 {
-        let twist = simulate::twist(&TwistSpec::default(), 1000 * trial + 17);
+        let twist = twist_scenarios::twist(&TwistSpec::default(), 1000 * trial + 17);
         let base = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
         let moved = |a: &GyroTrack, options: &Options| {
             let other = estimate_offset(a, &twist.b, options).unwrap();
@@ -199,13 +202,13 @@ fn what_should_not_matter_moves_it_by_less_than_a_sigma() {
 
 #[test]
 fn the_faults_of_a_stream_are_named() {
-    let scenarios = simulate::scenarios();
+    let scenarios = twist_scenarios::scenarios();
     let scenario = scenarios
         .iter()
         .find(|s| s.name == "faulty stream b")
         .unwrap();
     for trial in 0..10 {
-        let twist = simulate::twist(&scenario.spec, 1000 * trial + 19);
+        let twist = twist_scenarios::twist(&scenario.spec, 1000 * trial + 19);
         let estimate = estimate_offset(&twist.a, &twist.b, &Options::default()).unwrap();
         let find = |kind| {
             estimate
@@ -228,7 +231,7 @@ fn the_faults_of_a_stream_are_named() {
 fn the_real_twist_is_stable_and_its_faults_are_found() {
     let read = |name: &str| {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("tests/data/twist")
+            .join("data/twist")
             .join(name);
         phone::gyro_csv::read_file(&path).unwrap().track
     };
@@ -270,9 +273,9 @@ fn loops_of_three_devices_close_and_their_clocks_are_right() {
     let sum: f64 = (0..trials)
         .into_par_iter()
         .map(|trial| {
-            let second = simulate::twist(&spec, 1000 * trial + 3);
-            let third = simulate::third(&second, &spec, 1000 * trial + 3, &sensor);
-            let pairs = simulate::related(&[&second.a, &second.b, &third.b]).unwrap();
+            let second = twist_scenarios::twist(&spec, 1000 * trial + 3);
+            let third = twist_scenarios::third(&second, &spec, 1000 * trial + 3, &sensor);
+            let pairs = twist_scenarios::related(&[&second.a, &second.b, &third.b]).unwrap();
             let at = pairs[0].course.span().0;
             let network = Network::new(3, pairs).unwrap();
             let closure = network.closures(at)[0].error;

@@ -10,7 +10,7 @@
 
 use clap::Parser;
 use rayon::prelude::*;
-use twist_sync::simulate::{self, ClockPath, Motion, Twist, TwistSpec};
+use twist_scenarios::{ClockPath, Motion, Twist, TwistSpec};
 use twist_sync::{ClockCourse, ClockRelation, Options, Wander, course_of_tracks, estimate_offset};
 
 /// Drift of the published system, µs in a minute.
@@ -61,7 +61,7 @@ fn twist_at(path: &ClockPath, seed: u64, start_s: f64, motion: Motion, duration_
         duration_s,
         ..TwistSpec::default()
     };
-    simulate::twist_on(&spec, seed, path, start_s)
+    twist_scenarios::twist_on(&spec, seed, path, start_s)
 }
 
 const AHEAD_S: [f64; 4] = [0.0, 60.0, 300.0, 600.0];

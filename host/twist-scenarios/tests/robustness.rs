@@ -6,7 +6,7 @@
 //! of its own sigmas, and those marked so must be accepted every time.
 
 use rayon::prelude::*;
-use twist_sync::simulate::{self, Motion, SENSOR_A, SENSOR_B, Sensor, Twist, TwistSpec, displace};
+use twist_scenarios::{Motion, SENSOR_A, SENSOR_B, Sensor, Twist, TwistSpec, displace};
 use twist_sync::{Options, estimate_offset};
 
 /// Twists per case.
@@ -343,7 +343,7 @@ fn motions() -> Vec<Case> {
                 motion: Motion::Still,
                 ..TwistSpec::default()
             };
-            twist.b = simulate::twist(&still, seed).b;
+            twist.b = twist_scenarios::twist(&still, seed).b;
         }),
         damaged("one period again and again", Refused, |twist, seed| {
             let frequency = 1.0 + random(seed);
@@ -371,14 +371,14 @@ fn motions() -> Vec<Case> {
 /// Runs a case; what is wrong with its results.
 fn judge(case: &Case) -> Vec<String> {
     let options = Options {
-        a_delay_s: simulate::filter_delay_s(&case.spec.a),
-        b_delay_s: simulate::filter_delay_s(&case.spec.b),
+        a_delay_s: twist_scenarios::filter_delay_s(&case.spec.a),
+        b_delay_s: twist_scenarios::filter_delay_s(&case.spec.b),
         ..Options::default()
     };
     let mut wrong = Vec::new();
     let (mut accepted, mut squares, mut largest) = (0, 0.0, 0.0_f64);
     for seed in 0..TRIALS {
-        let mut twist = simulate::twist(&case.spec, seed * 1000 + 3);
+        let mut twist = twist_scenarios::twist(&case.spec, seed * 1000 + 3);
         (case.damage)(&mut twist, seed);
         match estimate_offset(&twist.a, &twist.b, &options) {
             Ok(estimate) => {

@@ -9,9 +9,9 @@
 use nalgebra::{Rotation3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+use twist_sync::interpolant::Uniform;
 
 use super::{Rates, direction, rotation, second_order};
-use crate::interpolant::Uniform;
 
 /// How firmly the two are held to each other. Ranges are drawn from.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
