@@ -1,4 +1,4 @@
-//! Errors of the evaluation on rendered frames, beside the published pipeline.
+//! Errors of the evaluation on rendered frames.
 //!
 //! `cargo run --release -p hil-sim --example strobe_study -- [SEEDS]`
 //!
@@ -57,7 +57,7 @@ fn run(case: &Case, seed: u64) -> Option<(RecordingResult, f64)> {
             let path = dir.path().join("scene.mp4");
             scene.write_mp4(&path, quality);
             Footage::read(&path, &settings, None, &|| false)
-                .and_then(|r| evaluate_recording(r, &settings, 16, true))
+                .and_then(|r| evaluate_recording(r, &settings, 16))
                 .map(|e| e.result)
         }
     };
@@ -76,7 +76,7 @@ fn main() {
         .and_then(|s| s.parse().ok())
         .unwrap_or(10);
     println!(
-        "{:>8} {:>8} {:>5} {:>9} {:>8} | {:>9} {:>9} {:>7} {:>9} | {:>9} {:>9}",
+        "{:>8} {:>8} {:>5} {:>9} {:>8} | {:>9} {:>9} {:>7} {:>9}",
         "exposure",
         "row time",
         "grey",
@@ -85,8 +85,6 @@ fn main() {
         "fit rms",
         "fit max",
         "z rms",
-        "row ppm",
-        "paper rms",
         "row ppm"
     );
     for (quality, references) in [(None, &[4, 0][..]), (Some(Quality::RateFactor(23)), &[4])] {
@@ -117,8 +115,7 @@ fn main() {
 }
 
 fn report(case: &Case, seeds: u64) {
-    let (mut fit, mut z, mut row, mut paper, mut paper_row) =
-        (vec![], vec![], vec![], vec![], vec![]);
+    let (mut fit, mut z, mut row) = (vec![], vec![], vec![]);
     for seed in 1..=seeds {
         let Some((r, truth)) = run(case, seed) else {
             continue;
@@ -126,9 +123,6 @@ fn report(case: &Case, seeds: u64) {
         fit.push(r.bias_us - truth);
         z.push((r.bias_us - truth) / r.sigma_us);
         row.push((r.row_time_us / case.row_time_us - 1.0) * 1e6);
-        let p = r.paper.unwrap();
-        paper.extend(p.bias_us.map(|b| b - truth));
-        paper_row.extend(p.row_time_us.map(|t| (t / case.row_time_us - 1.0) * 1e6));
     }
     let codec = match case.quality {
         None => "none".to_owned(),
@@ -136,7 +130,7 @@ fn report(case: &Case, seeds: u64) {
         Some(Quality::BitRate(b)) => format!("{} M", b / 1_000_000),
     };
     println!(
-        "{:>8} {:>8} {:>5} {:>9} {:>8} | {:>9.3} {:>9.3} {:>7.2} {:>9.1} | {:>9.2} {:>9.0}",
+        "{:>8} {:>8} {:>5} {:>9} {:>8} | {:>9.3} {:>9.3} {:>7.2} {:>9.1}",
         case.exposure_us,
         case.row_time_us,
         case.amplitude,
@@ -145,8 +139,6 @@ fn report(case: &Case, seeds: u64) {
         rms(&fit),
         fit.iter().fold(0.0f64, |m, e| m.max(e.abs())),
         rms(&z),
-        rms(&row),
-        rms(&paper),
-        rms(&paper_row)
+        rms(&row)
     );
 }

@@ -98,10 +98,7 @@ pub fn write_bias(
         }
         table.insert(key, new);
     }
-    files::replace(path, document.to_string().as_bytes()).map_err(|source| EvaluateError::Io {
-        path: path.to_owned(),
-        source,
-    })
+    files::replace(path, document.to_string().as_bytes()).map_err(EvaluateError::io(path))
 }
 
 #[cfg(test)]

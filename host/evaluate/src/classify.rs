@@ -150,7 +150,7 @@ pub(crate) fn frames_of<'a>(
 /// Doubts frames that were taken for dark, but have light in rows that are dark in
 /// the frames with flashes: the train's end has only entered the picture. One such
 /// frame would put its flash into the scene of all.
-pub(crate) fn doubt_dark(
+pub(crate) fn recheck_dark(
     footage: &Footage,
     seen: &mut [Seen],
     shape: &Shape,

@@ -7,8 +7,6 @@ use serde::Serialize;
 use super::classify::{FrameCounts, Reference};
 use super::footage::Footage;
 use super::identity::Identity;
-use super::paper;
-use super::precision::middle_row;
 use super::stats::{COVERAGE_99, Line, robust_deviation};
 use super::track::{Choice, FramePoint, Track, track};
 use super::window::still;
@@ -22,26 +20,11 @@ const FRAME_LAG: usize = 64;
 const OUTLIER: f64 = 6.0;
 /// How often such frames are taken out.
 const OUTLIER_ROUNDS: usize = 4;
-/// The published pipeline looks at every n-th frame.
-const PAPER_EVERY: usize = 6;
 
 /// By how much the stated uncertainty of an encoded video is larger than its
 /// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds,
 /// `cargo xtask bench --chain`). See [`super::precision`].
 const ENCODED: f64 = 1.5;
-
-/// Drift by the published pipeline.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PaperDrift {
-    /// Frames with a peak.
-    pub frames: usize,
-    /// Row time from the peaks, µs.
-    pub row_time_us: f64,
-    /// Drift, µs/min.
-    pub drift_us_per_min: f64,
-    /// Standard uncertainty of the regression, µs/min.
-    pub drift_sigma_us_per_min: f64,
-}
 
 /// What a long recording says.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -81,8 +64,6 @@ pub struct Drift {
     pub frames: FrameCounts,
     /// What the smooth part was taken from.
     pub reference: Reference,
-    /// The published pipeline on the same frames.
-    pub paper: Option<PaperDrift>,
     /// Remarks.
     pub notes: Vec<String>,
 }
@@ -103,11 +84,7 @@ pub struct EvaluatedDrift {
 }
 
 /// Evaluates the drift over all frames of a recording.
-pub fn evaluate(
-    footage: Footage,
-    settings: &Settings,
-    with_paper: bool,
-) -> Result<EvaluatedDrift, EvaluateError> {
+pub fn evaluate(footage: Footage, settings: &Settings) -> Result<EvaluatedDrift, EvaluateError> {
     let settings = &settings.with_session(&footage);
     let track = track(&footage, settings, Choice::All)?;
     let chosen = settings.from_s.is_some() || settings.to_s.is_some();
@@ -143,9 +120,6 @@ pub fn evaluate(
             "{outliers} of {all} frames lie far off the line and were left out of it"
         ));
     }
-    let paper = with_paper
-        .then(|| paper_drift(&footage, &points, settings))
-        .flatten();
     let per_minute = |v: f64| 60.0 * v;
     let allowance = if footage.encoded { ENCODED } else { 1.0 };
     let slope_sigma = allowance * line.slope_sigma;
@@ -167,7 +141,6 @@ pub fn evaluate(
         identity: track.identity.clone(),
         frames: track.counts,
         reference: track.reference,
-        paper,
         notes,
     };
     Ok(EvaluatedDrift {
@@ -197,48 +170,4 @@ fn regression(mut points: Vec<FramePoint>) -> Result<(Line, Vec<FramePoint>), us
         points.retain(|p| off(p).abs() <= limit);
     }
     Err(points.len())
-}
-
-/// One flash's row in every 6th frame and a straight line through it.
-fn paper_drift(
-    footage: &Footage,
-    points: &[FramePoint],
-    settings: &Settings,
-) -> Option<PaperDrift> {
-    let middle = middle_row(footage);
-    let mut row_times = Vec::new();
-    let mut rows: Vec<(f64, f64)> = Vec::new();
-    let mut followed: Option<f64> = None;
-    let is_used = |frame: usize| points.binary_search_by_key(&frame, |p| p.index).is_ok();
-    for frame in &footage.frames {
-        if frame.index % PAPER_EVERY != 0 || !is_used(frame.index) {
-            continue;
-        }
-        let profile: Vec<f64> = frame.rows.iter().map(|&v| f64::from(v)).collect();
-        let found = paper::evaluate(&profile, footage.rows, middle, &settings.train, 0.0, None);
-        row_times.extend(found.row_time_us);
-        let aim = followed.unwrap_or(middle);
-        let nearest = found
-            .peak_rows
-            .iter()
-            .copied()
-            .min_by(|a, b| (a - aim).abs().total_cmp(&(b - aim).abs()));
-        if let Some(row) = nearest {
-            followed = Some(row);
-            rows.push((frame.time_s, row));
-        }
-    }
-    if row_times.is_empty() {
-        return None;
-    }
-    let row_time_us = super::stats::mean(&row_times);
-    let (times, rows): (Vec<f64>, Vec<f64>) = rows.into_iter().unzip();
-    // The published regression knows no correlation.
-    let line = Line::fit(&times, &rows, 0)?;
-    Some(PaperDrift {
-        frames: rows.len(),
-        row_time_us,
-        drift_us_per_min: 60.0 * row_time_us * line.slope,
-        drift_sigma_us_per_min: 60.0 * row_time_us * line.slope_sigma,
-    })
 }

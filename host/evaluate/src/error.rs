@@ -179,6 +179,14 @@ pub enum EvaluateError {
 }
 
 impl EvaluateError {
+    /// A file that cannot be read or written.
+    pub(crate) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self + Copy {
+        move |source| Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
     pub(crate) fn of_video(path: &Path, error: VideoError) -> Self {
         let not_a_video = |message| Self::NotAVideo {
             path: path.to_owned(),

@@ -14,8 +14,7 @@ use serde::Serialize;
 
 use super::Settings;
 use super::fit::{FrameFit, Model};
-use super::stats::mean;
-use super::track::spread;
+use super::stats::{mean, spread};
 use super::train::Shape;
 
 /// Frames asked which flash is which.

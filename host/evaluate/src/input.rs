@@ -58,10 +58,7 @@ pub(crate) fn resolve(path: &Path) -> Result<Input, EvaluateError> {
 }
 
 fn read(file: &Path) -> Result<Option<Applied>, EvaluateError> {
-    let text = files::read_text(file, MAX_LENGTH).map_err(|source| EvaluateError::Io {
-        path: file.to_owned(),
-        source,
-    })?;
+    let text = files::read_text(file, MAX_LENGTH).map_err(EvaluateError::io(file))?;
     let part: SessionPart = serde_json::from_str(&text).map_err(|e| EvaluateError::Profile {
         path: file.to_owned(),
         message: format!("the recording's session was not understood: {e}"),
@@ -72,10 +69,7 @@ fn read(file: &Path) -> Result<Option<Applied>, EvaluateError> {
 }
 
 fn video_in(folder: &Path) -> Result<PathBuf, EvaluateError> {
-    let io = |source| EvaluateError::Io {
-        path: folder.to_owned(),
-        source,
-    };
+    let io = EvaluateError::io(folder);
     let mut videos = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let file = entry.map_err(io)?.path();

@@ -23,8 +23,7 @@
 //! memory does not depend on size or length of a video ([`footage`]). Everything
 //! after that is pure computation: a coarse matched filter (`search`), a fit of
 //! the whole train (`fit`), of several frames together (`joint`), and the steps from
-//! there to a recording's result (`track`). `paper` is the published pipeline for
-//! comparison.
+//! there to a recording's result (`track`).
 //!
 //! ## Limits
 //!
@@ -50,7 +49,6 @@ mod input;
 mod joint;
 pub mod latency;
 mod linear;
-mod paper;
 mod picture;
 pub mod plot;
 pub mod precision;

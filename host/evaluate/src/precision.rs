@@ -8,7 +8,6 @@ use serde::Serialize;
 use super::classify::{FrameCounts, Reference};
 use super::footage::Footage;
 use super::identity::Identity;
-use super::paper::{self, PaperResult};
 use super::stats::{COVERAGE_99, Line, mean, quantile, standard_deviation};
 use super::track::{Choice, Track, track};
 use super::{EvaluateError, Settings};
@@ -62,8 +61,6 @@ pub struct RecordingResult {
     pub frames: FrameCounts,
     /// What the smooth part was taken from.
     pub reference: Reference,
-    /// The published pipeline on the same frames.
-    pub paper: Option<PaperResult>,
     /// Remarks.
     pub notes: Vec<String>,
 }
@@ -137,10 +134,6 @@ pub struct Precision {
     pub row_time_us: f64,
     /// Its standard uncertainty, µs.
     pub row_time_sigma_us: f64,
-    /// Bias over recordings by the published pipeline.
-    pub paper_bias: Option<Spread>,
-    /// Row time by the published pipeline, mean over recordings, µs.
-    pub paper_row_time_us: Option<f64>,
 }
 
 /// Told after each input: its path, its result or why there is none, and the time
@@ -163,7 +156,6 @@ pub fn evaluate_recording(
     footage: Footage,
     settings: &Settings,
     frames: usize,
-    with_paper: bool,
 ) -> Result<Evaluated, EvaluateError> {
     let settings = &settings.with_session(&footage);
     let (footage, track) = settled(footage, settings, frames.max(1))?;
@@ -185,16 +177,6 @@ pub fn evaluate_recording(
         ));
     }
     let middle = middle_row(&footage);
-    let paper = with_paper.then(|| {
-        paper::evaluate(
-            &track.mean_profile,
-            footage.rows,
-            middle,
-            &settings.train,
-            settings.near_us,
-            settings.row_time_us,
-        )
-    });
     let amplitudes: Vec<f64> = track.points.iter().map(|p| p.amplitude).collect();
     let joint = &track.joint;
     let result = RecordingResult {
@@ -215,7 +197,6 @@ pub fn evaluate_recording(
         identity: track.identity.clone(),
         frames: track.counts,
         reference: track.reference,
-        paper,
         notes,
     };
     Ok(Evaluated {
@@ -279,7 +260,6 @@ pub fn evaluate(
     inputs: &[PathBuf],
     settings: &Settings,
     frames: usize,
-    with_paper: bool,
     stop: &dyn Fn() -> bool,
     each: &mut Progress<'_>,
 ) -> Result<(Precision, Option<Evaluated>), EvaluateError> {
@@ -298,7 +278,7 @@ pub fn evaluate(
             ..settings.clone()
         };
         let evaluated = Footage::read(path, settings, expected, stop)
-            .and_then(|r| evaluate_recording(r, settings, frames, with_paper));
+            .and_then(|r| evaluate_recording(r, settings, frames));
         match evaluated {
             Ok(evaluated) => {
                 each(
@@ -349,15 +329,10 @@ fn summarise(recordings: Vec<RecordingResult>, left_out: Vec<LeftOut>) -> Precis
         .map(|(r, w)| r.row_time_us * w)
         .sum::<f64>()
         / total;
-    let papers = || recordings.iter().filter_map(|r| r.paper.as_ref());
-    let paper_values: Vec<f64> = papers().filter_map(|p| p.bias_us).collect();
-    let paper_rows: Vec<f64> = papers().filter_map(|p| p.row_time_us).collect();
     Precision {
         bias: Spread::of(&values, &sigmas),
         row_time_us,
         row_time_sigma_us: total.powf(-0.5),
-        paper_bias: Spread::of(&paper_values, &[]),
-        paper_row_time_us: (!paper_rows.is_empty()).then(|| mean(&paper_rows)),
         recordings,
         left_out,
     }

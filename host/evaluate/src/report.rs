@@ -89,12 +89,6 @@ pub fn precision_facts(result: &Precision) -> Vec<(&'static str, String)> {
     }
     let (row_time_us, sigma_us) = (result.row_time_us, result.row_time_sigma_us);
     facts.push(("row time", format!("{row_time_us:.4} ± {sigma_us:.4} µs")));
-    if let Some(paper) = &result.paper_bias {
-        spread_rows(&mut facts, "published pipeline: bias", paper);
-        if let Some(t) = result.paper_row_time_us {
-            facts.push(("published pipeline: row time", format!("{t:.4} µs")));
-        }
-    }
     facts
 }
 
@@ -212,15 +206,6 @@ pub fn drift_facts(r: &Drift) -> Vec<(&'static str, String)> {
     }
     fact("frames", counts_text(&r.frames));
     fact("scene taken from", reference_text(r.reference).to_owned());
-    if let Some(p) = &r.paper {
-        fact(
-            "published pipeline",
-            format!(
-                "{:+.4} ± {:.4} µs/min from {} frames, row time {:.4} µs",
-                p.drift_us_per_min, p.drift_sigma_us_per_min, p.frames, p.row_time_us
-            ),
-        );
-    }
     facts
 }
 
@@ -295,17 +280,14 @@ fn short(path: &Path) -> String {
 }
 
 fn spread_rows(facts: &mut Vec<(&str, String)>, name: &'static str, s: &Spread) {
-    // The published pipeline says nothing about the uncertainty of one recording.
-    let sigma = if s.mean_sigma_us > 0.0 {
-        format!(" ± {:.3}", s.mean_sigma_us)
-    } else {
-        String::new()
-    };
     let rest = match s.count {
         1 => String::from("one recording"),
         count => format!("median {:+.3} µs, {count} recordings", s.median_us),
     };
-    facts.push((name, format!("mean {:+.3}{sigma} µs, {rest}", s.mean_us)));
+    facts.push((
+        name,
+        format!("mean {:+.3} ± {:.3} µs, {rest}", s.mean_us, s.mean_sigma_us),
+    ));
     if let (Some(sd), Some(sd_sigma), Some(iqr), Some(iqr_sigma)) =
         (s.sd_us, s.sd_sigma_us, s.iqr_us, s.iqr_sigma_us)
     {

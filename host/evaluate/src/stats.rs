@@ -1,4 +1,4 @@
-//! Spread, regression, and the uncertainty of sums whose errors are correlated.
+//! Spread, regression, even choices, and the uncertainty of sums whose errors are correlated.
 
 /// Factor from one standard deviation to the 99 % interval of a normal distribution.
 pub(crate) const COVERAGE_99: f64 = 2.576;
@@ -93,6 +93,16 @@ fn neighbours(terms: &[f64], lag: usize) -> f64 {
     let weight = |l: usize| 2.0 * (1.0 - l as f64 / (lag as f64 + 1.0));
     let weighted = products.iter().enumerate();
     weighted.map(|(i, product)| weight(i + 1) * product).sum()
+}
+
+/// At most `count` indices spread evenly over `0..len`.
+pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
+    if len <= count {
+        return (0..len).collect();
+    }
+    (0..count)
+        .map(|k| k * (len - 1) / (count - 1).max(1))
+        .collect()
 }
 
 /// A straight line through points.

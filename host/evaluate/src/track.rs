@@ -24,8 +24,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::classify::{
-    FrameClass, FrameCounts, Reference, Seen, classify, dark_scene, doubt_dark, frames_of,
-    mark_flicker, mean_of, with_reference,
+    FrameClass, FrameCounts, Reference, Seen, classify, dark_scene, frames_of, mark_flicker,
+    mean_of, recheck_dark, with_reference,
 };
 use super::fit::{FrameFit, Model};
 use super::footage::Footage;
@@ -33,7 +33,7 @@ use super::identity::{Identity, identify, unwrap_track};
 use super::joint::{JointFit, Prior, Priors};
 use super::linear::{Basis, polynomial_columns, side_by_side};
 use super::search::{CombSearch, Found, WideSearch};
-use super::stats::{mean, quantile};
+use super::stats::{mean, quantile, spread};
 use super::store::StoredFrame;
 use super::train::Shape;
 use super::{EvaluateError, Settings};
@@ -52,7 +52,7 @@ const SHARPER: f64 = 0.2;
 /// Flashes that a train without any frame to compare with must show. Fewer bands at one
 /// distance are found in pictures of anything: the row time is free.
 const ENOUGH_FLASHES: usize = 4;
-/// Frames averaged for the report and for the published method.
+/// Frames averaged for the report.
 const SHOWN_FRAMES: usize = 16;
 /// Frames fitted together for row time and exposure.
 const JOINT_FRAMES: usize = 48;
@@ -156,7 +156,7 @@ pub(crate) fn track(
     // centre once more.
     let together = spread(used.len(), JOINT_FRAMES.max(choice.limit()));
     let mut joint = fit_some(&sighting.model, &used, &together, &sighting.shape, settings);
-    beyond_chance(&joint, sighting.reference, footage, settings)?;
+    refuse_chance(&joint, sighting.reference, footage, settings)?;
     let shown = choice.shown(used.len());
     let mut fits = fit_each(&sighting.model, &used, &joint.shape());
     let (mean_profile, fitted_profile) = mean_profiles(
@@ -244,7 +244,7 @@ impl Sighting {
             Reference::DarkFrames(_) | Reference::DarkRows => REFERENCE_SHARE,
         };
         classify(&mut seen, share);
-        doubt_dark(footage, &mut seen, &shape, &settings.train);
+        recheck_dark(footage, &mut seen, &shape, &settings.train);
         Self {
             model,
             shape,
@@ -386,7 +386,7 @@ fn priors(settings: &Settings) -> Priors {
 
 /// Refuses a train that may be the picture itself: without a frame that shows the scene
 /// alone, and with few flashes in view or a row time that the fit does not know.
-fn beyond_chance(
+fn refuse_chance(
     joint: &JointFit,
     reference: Reference,
     footage: &Footage,
@@ -425,16 +425,6 @@ fn blind(joint: &JointFit, settings: &Settings) -> Option<String> {
             joint.exposure_us, settings.train.pitch_us
         )
     })
-}
-
-/// At most `count` indices spread evenly over `0..len`.
-pub(crate) fn spread(len: usize, count: usize) -> Vec<usize> {
-    if len <= count {
-        return (0..len).collect();
-    }
-    (0..count)
-        .map(|k| k * (len - 1) / (count - 1).max(1))
-        .collect()
 }
 
 /// Finds the train somewhere in the recording, with the scene taken for a smooth curve

@@ -116,7 +116,7 @@ impl Scene {
 
     pub(crate) fn evaluate(&self, settings: &Settings) -> Result<RecordingResult, EvaluateError> {
         let recording = self.recording(settings)?;
-        Ok(evaluate_recording(recording, settings, 16, true)?.result)
+        Ok(evaluate_recording(recording, settings, 16)?.result)
     }
 
     pub(crate) fn write_mp4(&self, path: &Path, quality: Quality) {

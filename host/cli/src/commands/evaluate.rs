@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
 use jiff::civil::Date;
 use serde::Serialize;
 
@@ -33,15 +33,6 @@ enum What {
     Precision(PrecisionArgs),
     /// Drift over one long recording
     Drift(DriftArgs),
-}
-
-/// Which pipeline.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Method {
-    /// Fit of the whole train
-    Fit,
-    /// Also the published pipeline (peak picking), beside the fit
-    Paper,
 }
 
 #[derive(Debug, clap::Args)]
@@ -84,9 +75,6 @@ struct CommonArgs {
     /// Stop at this second of the recording
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// Pipeline
-    #[arg(long, value_enum, default_value_t = Method::Fit)]
-    method: Method,
     /// Write the plots to this SVG file
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -287,7 +275,6 @@ fn run_precision(args: &PrecisionArgs, context: &Context) -> Result<ExitStatus, 
         &args.inputs,
         &settings,
         usize::from(args.frames),
-        args.common.method == Method::Paper,
         &context.interrupt.question(),
         &mut |path, result, waited_here| {
             done += 1;
@@ -419,16 +406,6 @@ fn precision_text(
             identity_text(&r.identity),
             counts_text(&r.frames),
         );
-        if let Some(p) = &r.paper {
-            let _ = writeln!(
-                text,
-                "  published  bias {}, row time {}",
-                p.bias_us
-                    .map_or("none".to_owned(), |b| format!("{b:+.1} µs")),
-                p.row_time_us
-                    .map_or("none".to_owned(), |t| format!("{t:.3} µs")),
-            );
-        }
         for note in &r.notes {
             let _ = writeln!(text, "  note       {note}");
         }
@@ -467,7 +444,7 @@ fn run_drift(args: &DriftArgs, context: &Context) -> Result<ExitStatus, Failure>
     let settings = args.common.settings(args.timestamps.clone())?;
     let recording = Footage::read(&args.input, &settings, None, &context.interrupt.question())?;
     let waiting_for_input_s = recording.waited.as_secs_f64();
-    let evaluated = drift::evaluate(recording, &settings, args.common.method == Method::Paper)?;
+    let evaluated = drift::evaluate(recording, &settings)?;
     if let Some(path) = &args.common.plot {
         let svg = plot::drift(&evaluated, &settings);
         write_file(path, &svg)?;

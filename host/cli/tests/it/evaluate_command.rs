@@ -72,7 +72,7 @@ fn precision_of_image_folders_with_all_outputs() {
         })
         .collect();
     let (plot, html) = (path("plot.svg"), path("report.html"));
-    let mut args = vec!["--json", "evaluate", "precision", "--method", "paper"];
+    let mut args = vec!["--json", "evaluate", "precision"];
     args.extend(["--plot", &plot, "--report", &html]);
     args.extend(inputs.iter().map(String::as_str));
     let ran = run(&args);
@@ -89,7 +89,6 @@ fn precision_of_image_folders_with_all_outputs() {
         assert!((bias - truth).abs() < 0.3, "{recording}");
         assert_eq!(recording["frames"]["without_flashes"], 3);
         assert_eq!(recording["frames"]["used"], 9);
-        assert!(recording["paper"]["bias_us"].is_number());
     }
     let mean = json["bias"]["mean_us"].as_f64().unwrap();
     assert!((mean - 302.0 / 3.0).abs() < 0.2, "{mean}");

@@ -4,6 +4,8 @@
 //! numbers (`frame9` before `frame10`). When all names are integers of
 //! nanoseconds, as an extracted recording has them, they are the frames' times.
 
+use std::fs::File;
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use image::ImageReader;
@@ -32,10 +34,7 @@ impl ImageFolder {
     pub(super) fn open(path: &Path, timestamps: Option<&Path>) -> Result<Self, EvaluateError> {
         let mut files = Vec::new();
         if path.is_dir() {
-            let io = |source| EvaluateError::Io {
-                path: path.to_owned(),
-                source,
-            };
+            let io = EvaluateError::io(path);
             for entry in std::fs::read_dir(path).map_err(io)? {
                 let file = entry.map_err(io)?.path();
                 if file.is_file() && is_image(&file) {
@@ -49,9 +48,7 @@ impl ImageFolder {
         let first = files
             .first()
             .ok_or_else(|| EvaluateError::NoImages(path.to_owned()))?;
-        let (width, height) = ImageReader::open(first)
-            .and_then(|r| r.with_guessed_format())
-            .map_err(|e| not_an_image(first, &e))?
+        let (width, height) = opened(first)?
             .into_dimensions()
             .map_err(|e| not_an_image(first, &e))?;
         let (width, height) = check_size(first, width.into(), height.into())?;
@@ -96,10 +93,7 @@ impl FrameSource for ImageFolder {
         let Some(file) = self.files.next() else {
             return Ok(None);
         };
-        let reader = ImageReader::open(&file)
-            .and_then(|r| r.with_guessed_format())
-            .map_err(|e| not_an_image(&file, &e))?;
-        let image = reader
+        let image = opened(&file)?
             .decode()
             .map_err(|e| not_an_image(&file, &e))?
             .into_luma8();
@@ -120,6 +114,12 @@ impl FrameSource for ImageFolder {
             pixels: &self.pixels,
         }))
     }
+}
+
+fn opened(path: &Path) -> Result<ImageReader<BufReader<File>>, EvaluateError> {
+    ImageReader::open(path)
+        .and_then(ImageReader::with_guessed_format)
+        .map_err(|e| not_an_image(path, &e))
 }
 
 fn not_an_image(path: &Path, error: &dyn std::fmt::Display) -> EvaluateError {

@@ -46,10 +46,7 @@ pub(crate) fn open(
     path: &Path,
     timestamps: Option<&Path>,
 ) -> Result<Box<dyn FrameSource>, EvaluateError> {
-    let metadata = std::fs::metadata(path).map_err(|source| EvaluateError::Io {
-        path: path.to_owned(),
-        source,
-    })?;
+    let metadata = std::fs::metadata(path).map_err(EvaluateError::io(path))?;
     if metadata.is_dir() || images::is_image(path) {
         Ok(Box::new(images::ImageFolder::open(path, timestamps)?))
     } else {

@@ -36,10 +36,7 @@ impl FrameTimes {
 /// Reads the times of the frames: see [`phone::frame_timestamps`].
 pub fn read_timestamps(path: &Path) -> Result<Vec<i64>, EvaluateError> {
     let times = frame_timestamps::read(path).map_err(|error| match error {
-        RowError::Io(source) => EvaluateError::Io {
-            path: path.to_owned(),
-            source,
-        },
+        RowError::Io(source) => EvaluateError::io(path)(source),
         RowError::Bad(row) => EvaluateError::Timestamps {
             path: path.to_owned(),
             line: usize::try_from(row.line).unwrap_or(usize::MAX),
