@@ -10,7 +10,7 @@ use board::Conversation;
 use evaluate::source::read_timestamps;
 use extract::bag::messages::{Image, Imu, Temperature, TimeReference};
 use extract::bag::reader::{Bag, BagError};
-use extract::mkv::k4a::{Content, Recording};
+use formats::k4a::{Content, Recording};
 use phone::ImuRequest;
 use phone::answer::{AnswerDecoder, AnswerEvent};
 use phone::file_name::safe_file_name;

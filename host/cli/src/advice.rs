@@ -7,7 +7,7 @@ use board::BoardError;
 use board::imu::Scale;
 use board::transport::serial::OpenError;
 use bring_up::BringUpError;
-use extract::mkv::k4a::K4aError;
+use formats::k4a::K4aError;
 use gyro_files::{GyroFileError, TelemetryError};
 use phone::PhoneError;
 use phone::adb::AdbError;

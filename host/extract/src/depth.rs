@@ -11,9 +11,9 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use super::board_data::{BagImage, BoardError, BoardEvent, BoardInput, Images};
-use super::mkv::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
 use super::ros2_depth::{Ros2Bag, Ros2Error};
 use super::time::{DeviceNanos, SECOND};
+use formats::k4a::{Batch, ColorTrack, Content, K4aError, Recording};
 use recording::foreign;
 use twist_sync::GyroSample;
 

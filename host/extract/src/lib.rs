@@ -3,7 +3,7 @@
 //!
 //! - [`run`]: the whole of it, step by step. [`report`]: what it says at the end.
 //! - Inputs: [`inputs`] finds them; `board_data` (our MCAP, [`bag`]s of the published
-//!   system), `phone_rows` (the phone's CSV files), `depth` ([`mkv`], ROS 2 bags).
+//!   system), `phone_rows` (the phone's CSV files), `depth` (Matroska, ROS 2 bags).
 //! - Time: `time` (integers only), `gyro_clock` and `phone_clock` (the phone's clock
 //!   over the whole recording), `depth_clock` and `depth_match` (depth frames and
 //!   pulses), `later_runs` (going on after a reset of the board), `frames` (timestamps
@@ -22,7 +22,6 @@ mod board_data;
 mod depth;
 mod depth_clock;
 mod depth_match;
-pub mod faults;
 mod frames;
 pub mod geometry;
 mod grid;
@@ -34,7 +33,6 @@ pub mod inputs;
 mod later_runs;
 pub mod layout;
 pub mod learn;
-pub mod mkv;
 mod pairs;
 mod phone_clock;
 mod phone_rows;

@@ -15,7 +15,7 @@ use recording::messages::{RosMessage as _, from_cdr};
 
 use crate::bag::messages::{Header, Image};
 use crate::board_data::{BagImage, Images};
-use crate::faults::Faults;
+use formats::faults::Faults;
 
 const KIND: &str = RosImage::TYPE;
 

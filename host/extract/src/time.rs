@@ -13,6 +13,7 @@
 
 use protocol::units::Ticks;
 
+pub(crate) use formats::DeviceNanos;
 pub(crate) use timebase::PhoneNanos;
 
 /// Nanoseconds in a second.
@@ -28,10 +29,6 @@ const FRACTION_BITS: u32 = 62;
 /// A tick is 125/6 ns, so this is rounded by at most half a nanosecond.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 pub(crate) struct BoardNanos(pub i64);
-
-/// An instant of the depth camera's own clock, in nanoseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
-pub struct DeviceNanos(pub i64);
 
 /// An instant of some clock in whole nanoseconds.
 pub(crate) trait ClockNanos: Copy {

@@ -21,7 +21,7 @@ mod telemetry;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use extract::mkv::k4a::{Content, K4aError, Recording as Kinect};
+use formats::k4a::{Content, K4aError, Recording as Kinect};
 use phone::gyro_csv::{self, CsvError};
 use recording::foreign;
 use twist_sync::GyroTrack;

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use extract::bag::messages::Imu as BagImu;
 use extract::bag::reader::{Bag, BagError};
-use extract::faults::Faults;
+use formats::faults::Faults;
 use recording::foreign::{Messages, Next};
 use recording::messages::{Imu, RosMessage, from_cdr};
 

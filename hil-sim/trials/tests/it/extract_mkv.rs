@@ -5,7 +5,7 @@ use std::io::Cursor;
 use std::path::Path;
 
 use crate::turn;
-use extract::mkv::k4a::{Content, RawImage, Recording, StartOffset};
+use formats::k4a::{Content, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 
 const START_US: u64 = 5_123_457;

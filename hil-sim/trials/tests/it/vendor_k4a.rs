@@ -9,7 +9,7 @@ use std::path::Path;
 
 use crate::python::run_script;
 use crate::turn;
-use extract::mkv::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
+use formats::k4a::{Batch, CameraImu, Content, K4aError, RawImage, Recording, StartOffset};
 use rig::k4a_mkv::{K4aImu, K4aMkvWriter, K4aSettings};
 use serde_json::Value;
 

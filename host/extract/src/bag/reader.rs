@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use recording::chunks::{Budget, FOREIGN_RATIO};
 
-use crate::faults::Faults;
+use formats::faults::Faults;
 
 /// The first line of a bag.
 pub(super) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";

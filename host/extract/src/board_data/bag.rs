@@ -21,8 +21,8 @@ use super::{BagImage, BoardError, BoardEvent, BoardStream, Images, ImuRow, TimeP
 use crate::bag::messages::{Image, Imu, Short, Temperature, TimeReference};
 use crate::bag::reader::{Bag, BagError, Message};
 use crate::depth_clock::PulseTime;
-use crate::faults::Faults;
 use crate::time::BoardNanos;
+use formats::faults::Faults;
 
 /// How many samples wait for their temperature.
 const WAITING: usize = 64;

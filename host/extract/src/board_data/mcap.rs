@@ -28,9 +28,9 @@ use twist_sync::tracker::{Asked, Exchange};
 
 use super::{BoardError, BoardEvent, BoardStream, ImuRow, LIDAR_TOPIC, OUTPUT_TOPICS, TimePair};
 use crate::depth_clock::PulseTime;
-use crate::faults::Faults;
 use crate::later_runs::{Moves, Placing, RunMark};
 use crate::time::{BoardNanos, SECOND};
+use formats::faults::Faults;
 
 /// Chunks that are decoded at a time, and from how many bytes on no further one is
 /// taken. A chunk of ours is some 100 kB when unpacked: so many stay in the processor's

@@ -8,11 +8,11 @@ use crate::depth_clock::{DepthMatch, FrameState, MatchError};
 use crate::depth_match::{Matched, Matching};
 use crate::image_tables::{CameraPlaces, DepthOutcome, DepthPlace, ImagesError, write_depth};
 use crate::layout::{Facts, ImageKind, calibration_path, number};
-use crate::mkv::k4a::ColorTrack;
 use crate::report::{Constants, DepthReport};
 use crate::sequence::Sequences;
 use crate::survey::Survey;
 use crate::tables::{self, CameraFrame, DepthFrame};
+use formats::k4a::ColorTrack;
 use recording::camera::Center;
 
 /// The depth camera's part after reading.

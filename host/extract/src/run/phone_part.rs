@@ -7,7 +7,6 @@ use phone::video_files::VideoFiles;
 use video::{Pixels, Video, VideoError, presentation_times};
 
 use super::{ExtractError, Extraction};
-use crate::faults::Faults;
 use crate::frames::{Alignment, align};
 use crate::image_tables::{VideoOutcome, write_video};
 use crate::imu_tables::{Joiner, TableWriter, in_board_time};
@@ -20,6 +19,7 @@ use crate::sequence::Sequences;
 use crate::survey::{ImuSpan, Survey};
 use crate::tables::{self, ColorFrame};
 use crate::time::PhoneNanos;
+use formats::faults::Faults;
 
 /// The phone's part after reading.
 pub(super) struct Phone {

@@ -15,9 +15,10 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use super::header::{Header, Track};
-use super::reader::{Cluster, Frame, Mkv, MkvError};
-use crate::time::DeviceNanos;
+pub use crate::mkv::MkvError;
+
+use crate::DeviceNanos;
+use crate::mkv::{Cluster, Frame, Header, Mkv, Track};
 
 /// The recorder's unit of time.
 const RECORDER_SCALE: u64 = 1_000;

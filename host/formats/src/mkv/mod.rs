@@ -1,6 +1,6 @@
 //! Matroska files as the Azure Kinect recorder writes them.
 //!
-//! Own reader, and a small one, because what a crash of the recorder leaves
+//! An own reader, and a small one, because what a crash of the recorder leaves
 //! must be read: the segment's size unknown, *no* segment information (the
 //! recorder writes it at the end, into a void that it reserved), tags without
 //! the start offset, no cues, and a last cluster that stops anywhere. The
@@ -9,8 +9,7 @@
 //!
 //! - `ebml`: elements, sizes, values.
 //! - `header`: tracks, tags, attachments.
-//! - `reader`: the segment and its clusters. Knows nothing of the camera.
-//! - [`k4a`]: depth, infrared and IMU of the camera in its own time.
+//! - `reader`: the segment and its clusters.
 //!
 //! Limits: one segment a file (what follows is ignored), no encryption, no
 //! compressed tracks. Memory is bounded by one cluster (`reader::MAX_CLUSTER`).
@@ -19,5 +18,8 @@ mod block;
 mod ebml;
 mod header;
 mod id;
-pub mod k4a;
 mod reader;
+
+pub(crate) use header::{Header, Track};
+pub use reader::MkvError;
+pub(crate) use reader::{Cluster, Frame, Mkv};

@@ -27,11 +27,15 @@ impl Faults {
         }
     }
 
-    pub(crate) fn count(&self) -> u64 {
+    /// How many there are.
+    #[must_use]
+    pub fn count(&self) -> u64 {
         self.count
     }
 
-    pub(crate) fn first(&self) -> &[String] {
+    /// The words of the first.
+    #[must_use]
+    pub fn first(&self) -> &[String] {
         &self.first
     }
 
