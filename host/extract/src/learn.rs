@@ -10,10 +10,10 @@
 use std::path::{Path, PathBuf};
 
 use super::report::{ClockReport, ExtractReport};
-use frame_sync::learn::{Frames, Origin, into_profile as edited, learnt as taught};
 use jiff::Timestamp;
 use recording::profile::{Learnt, ProfileError};
 use recording::session_file::SessionFile;
+use session::learn::{Frames, Origin, into_profile as edited, learnt as taught};
 
 /// Windows of motion that a skew is learnt from: a minute of them.
 const MIN_WINDOWS: usize = 6;

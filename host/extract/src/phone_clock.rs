@@ -17,7 +17,7 @@ use super::streams::{self, Stopped};
 use super::survey::Survey;
 use super::tables::ColorFrame;
 use super::time::{BoardNanos, PhoneNanos, PiecewiseMap, SECOND};
-use frame_sync::train::frame_period;
+use session::train::frame_period;
 use timebase::ClockModel;
 use twist_sync::tracker::{Asked, Exchange, followed};
 use twist_sync::{ClockCourse, Options, Prior, RecordingClock};

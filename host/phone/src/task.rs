@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::mpsc::{Sender, TryRecvError, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -46,24 +46,32 @@ impl Phone {
 
 /// An answer of the phone that is on its way.
 pub struct Pending<T> {
-    answer: Receiver<Result<T, PhoneError>>,
-    cancel: Arc<AtomicBool>,
+    poll: Box<dyn Fn() -> Option<Result<T, PhoneError>>>,
+    cancel: Box<dyn Fn()>,
 }
 
 impl<T> Pending<T> {
+    /// An answer that `poll` gives, once, when it is there; `cancel` asks whoever works on
+    /// it to answer with [`PhoneError::Cancelled`] soon.
+    pub fn new(
+        poll: impl Fn() -> Option<Result<T, PhoneError>> + 'static,
+        cancel: impl Fn() + 'static,
+    ) -> Self {
+        Self {
+            poll: Box::new(poll),
+            cancel: Box::new(cancel),
+        }
+    }
+
     /// The answer, once it is there; it is given once.
     #[must_use]
     pub fn answer(&self) -> Option<Result<T, PhoneError>> {
-        match self.answer.try_recv() {
-            Ok(answer) => Some(answer),
-            Err(TryRecvError::Empty) => None,
-            Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
-        }
+        (self.poll)()
     }
 
     /// Ends the request with [`PhoneError::Cancelled`], within about 100 ms.
     pub fn cancel(&self) {
-        self.cancel.store(true, Ordering::Relaxed);
+        (self.cancel)();
     }
 }
 
@@ -180,10 +188,15 @@ impl PhoneTask {
                 let _ = sender.send(request(phone));
             }));
         }
-        Pending {
-            answer,
-            cancel: Arc::clone(&self.phone.cancel),
-        }
+        let cancel = Arc::clone(&self.phone.cancel);
+        Pending::new(
+            move || match answer.try_recv() {
+                Ok(answer) => Some(answer),
+                Err(TryRecvError::Empty) => None,
+                Err(TryRecvError::Disconnected) => Some(Err(PhoneError::NotConnected)),
+            },
+            move || cancel.store(true, Ordering::Relaxed),
+        )
     }
 }
 

@@ -21,7 +21,8 @@ use timebase::PhoneNanos;
 use timebase::runs::Joint;
 
 /// How bad something is that is said, with the level that ROS has for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Severity {
     /// As it should be.
     Info = 20,

@@ -4,10 +4,10 @@ use protocol::Ticks;
 
 use super::curves::Curves;
 use super::{MAX_LISTED, seconds, sigmas};
-use frame_sync::alignment::phase_sigma_us_at;
 use page::chart::{self, Data, Envelope, Series};
 use page::{Level, Page};
 use recording::session_file::{FramePeriodSource, SessionFile, Span};
+use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
 pub(super) fn clocks(page: &mut Page, session: &SessionFile) {

@@ -7,7 +7,6 @@
 //!   followed and held against the board's own counters; pulses must be on their
 //!   grid, times must go on.
 //! - [`repair`]: what can be read, as a new recording.
-//! - [`watch`]: the board's messages while a recording is made.
 //!
 //! A finding says what kind it is (a stable word), how often, and when first. An
 //! error is a contradiction or damage; a warning is something that is missing and
@@ -19,7 +18,6 @@
 mod content;
 mod file;
 pub mod repair;
-pub mod watch;
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

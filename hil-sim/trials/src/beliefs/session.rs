@@ -4,11 +4,6 @@
 //! that of the grid.
 
 use anyhow::{Context, Result, bail};
-use frame_sync::alignment::{phase_sigma_us_at, plan, skew_prior};
-use frame_sync::learn::{Frames, Origin, learnt};
-use frame_sync::rates::Course;
-use frame_sync::train::frame_period;
-use frame_sync::twists::Twists;
 use jiff::Timestamp;
 use protocol::mpu9150::ADDRESS;
 use protocol::{GyroRange, LowPass, TICK_HZ, Ticks};
@@ -25,6 +20,11 @@ use rig::random::{Seed, Stream};
 use rig::rig_config::{RigConfig, RigParts};
 use rig::wiring::{self, UNITS_PER_TICK};
 use serde::Serialize;
+use session::alignment::{phase_sigma_us_at, plan, skew_prior};
+use session::learn::{Frames, Origin, learnt};
+use session::rates::Course;
+use session::train::frame_period;
+use session::twists::Twists;
 use stm32f4_sim::clock::Rate;
 use stm32f4_sim::model_bench::Bench;
 use stm32f4_sim::shared::lock;

@@ -46,6 +46,7 @@ use recording::profile::Profile;
 use recording::session_file::{SessionFile, Span};
 use recording::writer::Writer;
 use serde::Serialize;
+use session::watch::{Grid, Watch};
 use smartdepthsync::context::{Context, Global, Interrupt, LogFormat, Said};
 use smartdepthsync::live_data::FoxgloveArg;
 use smartdepthsync::outcome::ExitStatus;
@@ -58,7 +59,6 @@ use smartdepthsync::record::rig::Rig as HostRig;
 use smartdepthsync::record::track::Track;
 use smartdepthsync::record::{Connector as _, Options as RecordOptions, Stop, close};
 use smartdepthsync::rig_profile::{Place, Source};
-use verify::watch::{Grid, Watch};
 
 use crate::board_truth::{TRAIN, Train};
 use crate::programs::Programs;

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use frame_sync::alignment::phase_sigma_us_at;
+use session::alignment::phase_sigma_us_at;
 use timebase::BoardSeconds;
 
 use super::{Plan, evaluation, extraction, record};

@@ -4,9 +4,9 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use frame_sync::alignment::phase_sigma_us_at;
 use protocol::Ticks;
 use serde::Serialize;
+use session::alignment::phase_sigma_us_at;
 
 use super::{Plan, Recorded, ask, number, record};
 use crate::programs::Programs;

@@ -14,14 +14,14 @@ use crate::new_profile::{self, Camera};
 use crate::outcome::{ExitStatus, Failure, write_file};
 use crate::recordings::{self, RecordingArg};
 use crate::rig_profile::ProfileArg;
-use frame_sync::learn;
-use frame_sync::train::frame_period;
 use phone::rows::RowError;
 use phone::{frame_timestamps, video_files};
 use recording::camera::{DEFAULT_CAMERA, Model};
 use recording::kalibr::{self, KalibrError};
 use recording::profile::{DEFAULT, Learnt, MAX_LENGTH, Profile};
 use recording::session_file::SessionFile;
+use session::learn;
+use session::train::frame_period;
 
 /// Options of `profile`.
 #[derive(Debug, clap::Args)]

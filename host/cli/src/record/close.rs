@@ -15,7 +15,7 @@ use board::Conversation;
 use phone::adb::{copy_command, get_files_command};
 use phone::task::PhoneTask;
 use protocol::Output;
-use verify::watch::Finding;
+use session::watch::Finding;
 
 /// How long after its first failure a phone is asked again to stop its video.
 const STOP_PATIENCE: Duration = Duration::from_secs(5);

@@ -11,8 +11,8 @@ use crate::context::Context;
 use recording::RecordingError;
 use recording::session_file::{OtherPhone, Problem, SessionFile, SessionOutcome, Twist, Video};
 use recording::writer::{Severity, Writer};
+use session::watch::Finding;
 use timebase::ClockModel;
-use verify::watch::Finding;
 
 /// The most problems that are kept one by one.
 const MAX_PROBLEMS: usize = 1_000;

@@ -13,7 +13,7 @@
 //! - [`track`]: the phone's clock, followed while it records.
 //! - [`link`], `resume`: the link to the board, and going on after it was lost or the
 //!   board was reset.
-//! - [`observers`]: who looks at its messages, such as the [watch](verify::watch).
+//! - [`observers`]: who looks at its messages, such as the [watch](session::watch).
 //! - [`journal`]: what is kept and told; [`live`]: what is shown; [`operator`]: the person.
 //! - [`phones`], `video_watch`, `depth_recorder`: phones, their videos, depth recorder.
 //! - `preflight`: what is looked at before.

@@ -10,7 +10,7 @@ use board::Stream;
 use board::imu::{ImuLook, Sample};
 use recording::session_file::SessionFile;
 use recording::writer::Severity;
-use verify::watch::{Finding, Watch};
+use session::watch::{Finding, Watch};
 
 /// Who looks on.
 #[derive(Default)]

@@ -5,7 +5,7 @@
 //! clock, and videos begin and end together. The trigger follows the first alone;
 //! of the others it is stated where their frames lie ([`placement`]).
 //!
-//! [`placement`]: frame_sync::alignment::placement
+//! [`placement`]: session::alignment::placement
 
 use std::time::Duration;
 
@@ -16,14 +16,14 @@ use super::video_watch::VideoCheck;
 use crate::advice::at_phone;
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
-use frame_sync::alignment::placement;
-use frame_sync::rates::Course;
 use phone::task::{Pending, PhoneTask};
 use phone::{PhoneError, VideoStart};
 use recording::profile::{Phone, Profile};
 use recording::session_file::{PhoneInfo, RateChange, Video};
+use session::alignment::placement;
+use session::rates::Course;
+use session::watch::Finding;
 use timebase::ClockModel;
-use verify::watch::Finding;
 
 /// The phones, each on its own thread.
 pub struct Phones<'a> {

@@ -8,7 +8,7 @@ use super::journal::Journal;
 use crate::outcome::{ExitStatus, Failure};
 use recording::MCAP_FILE;
 use recording::writer::Severity;
-use verify::watch::Finding;
+use session::watch::Finding;
 
 /// How often they are looked at.
 const EVERY: Duration = Duration::from_secs(1);

@@ -17,10 +17,10 @@ use crate::arrival::PlannedArrival;
 use crate::context::Context;
 use crate::outcome::{ExitStatus, Failure};
 use board::Board;
-use frame_sync::alignment::{plan, stated_sigma_us_at};
 use recording::session_file::{Alignment, Marker, Span, Twist, Video};
+use session::alignment::{plan, stated_sigma_us_at};
+use session::watch::{Finding, Grid, Watch};
 use timebase::ClockModel;
-use verify::watch::{Finding, Grid, Watch};
 
 /// The session from the twist to the end of the recording.
 pub(super) fn session(rig: &mut Rig<'_>, options: &Options, checked: Checks) -> Result<(), Stop> {

@@ -3,7 +3,7 @@
 //! A program of ours on the phone ([`phone::agent`]) and the board are asked for their time
 //! many times a second. What they answer goes into the recording and to the tracker
 //! ([`twist_sync::tracker`]), which knows the clocks' offset from the twist and follows its
-//! change. While the recording runs, the trigger's period follows ([`frame_sync::steering`]).
+//! change. While the recording runs, the trigger's period follows ([`session::steering`]).
 //!
 //! Where the phone is not heard any more, or the board is reset, the period stays as it is:
 //! what a session without all this does. That is told, and stands in the recording's log.
@@ -23,11 +23,11 @@ use crate::outcome::Failure;
 use crate::tracked::Tracked;
 use board::BoardError;
 use board::transport::serial::program_time;
-use frame_sync::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use recording::messages::{ClockExchange, Header};
 use recording::profile::Profile;
 use recording::session_file::TrackInfo;
 use recording::writer::Severity;
+use session::steering::{Link, STEP_EVERY_S, Steering, has_lock};
 use timebase::ClockModel;
 use timebase::runs::Asking;
 
@@ -360,9 +360,9 @@ pub(super) fn give_up(rig: &mut Rig<'_>) -> Result<(), Stop> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use frame_sync::alignment::plan;
-    use frame_sync::twists::Twists;
     use recording::session_file::Video;
+    use session::alignment::plan;
+    use session::twists::Twists;
     use timebase::{BoardSeconds, PhoneNanos, Wander};
 
     #[test]

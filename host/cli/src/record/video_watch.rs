@@ -8,7 +8,7 @@ use phone::PhoneError;
 use phone::task::{Pending, PhoneTask};
 use protocol::Ticks;
 use recording::writer::Severity;
-use verify::watch::Finding;
+use session::watch::Finding;
 
 use super::rig::Rig;
 use super::steps::mark;

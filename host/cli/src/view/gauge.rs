@@ -1,6 +1,6 @@
 //! Messages in, the latest state out.
 
-use frame_sync::alignment::phase_sigma_us_now;
+use session::alignment::phase_sigma_us_now;
 use std::collections::VecDeque;
 
 use protocol::{DeviceToHost, ImuState, Output, Period, TICK_HZ, Ticks, TrainState};

@@ -12,7 +12,7 @@ use crate::record::rig::Rig;
 use board::BoardError;
 use board::transport::LinkError;
 use protocol::TICK_HZ;
-use verify::watch::Finding;
+use session::watch::Finding;
 
 /// How long a lost link is waited for at most while a session is being closed.
 const TIME_CLOSING: Duration = Duration::from_secs(3);

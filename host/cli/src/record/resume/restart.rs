@@ -13,8 +13,8 @@ use board::imu::Scale;
 use board::{BoardError, reset_cause};
 use recording::profile::Profile;
 use recording::session_file::BoardRun;
+use session::watch::{Finding, Grid, Watch};
 use timebase::runs::{Joint, Pair};
-use verify::watch::{Finding, Grid, Watch};
 
 /// How often the clocks are read beside each other once the board is back.
 const PINGS: usize = 5;

@@ -14,7 +14,7 @@ use recording::writer::Severity;
 const IMU_PATIENCE: u64 = TICK_HZ as u64 / 10;
 
 /// Something that was noticed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
     /// A stable word.
     pub kind: &'static str,
