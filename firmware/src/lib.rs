@@ -12,10 +12,10 @@
 //! - [`imu`]: the IMUs, a file a family.
 //! - [`nmea`]: the sentences of a GNSS receiver.
 //! - [`outbox`]: what waits to be sent, in which order, and what was dropped.
-//! - [`die`]: the chip's temperature.
+//! - [`die_temperature`]: the chip's temperature.
 //! - [`filler`]: load for tests of the link.
 //! - [`alive`]: which tasks have checked in.
-//! - [`keep`]: what survives a reset.
+//! - [`retained`]: what survives a reset.
 //! - [`load`]: time awake, and the deepest stack.
 
 #![cfg_attr(not(test), no_std)]
@@ -25,13 +25,13 @@ pub mod alive;
 pub mod boards;
 pub mod capture;
 pub mod config;
-pub mod die;
+pub mod die_temperature;
 pub mod filler;
 pub mod imu;
-pub mod keep;
 pub mod load;
 pub mod nmea;
 pub mod outbox;
 pub mod pulser;
+pub mod retained;
 pub mod timebase;
 pub mod trigger;

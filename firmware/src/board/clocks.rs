@@ -16,7 +16,7 @@ use embassy_stm32::time::Hertz;
 use firmware::boards::BOARD;
 use protocol::ResetCause;
 
-use crate::board::{falls, leds, urgent};
+use crate::board::{falling_edges, irq_priority, leds};
 
 /// Looks at the crystal, 1 µs and more apart, until it is given up: 50 times the 2 ms in
 /// which it typically starts (data sheet, table 39).
@@ -149,7 +149,7 @@ pub(crate) fn set_priorities() {
     unsafe {
         core.NVIC.set_priority(pac::Interrupt::TIM2, 0);
         for interrupt in [pac::Interrupt::TIM1_CC, pac::Interrupt::TIM5] {
-            core.NVIC.set_priority(interrupt, urgent::PRIORITY);
+            core.NVIC.set_priority(interrupt, irq_priority::PRIORITY);
         }
     }
 }
@@ -160,6 +160,6 @@ pub(crate) fn raise_trigger() {
     // critical sections protect.
     unsafe {
         let mut core = cortex_m::Peripherals::steal();
-        core.NVIC.set_priority(falls::INTERRUPT, 0);
+        core.NVIC.set_priority(falling_edges::INTERRUPT, 0);
     }
 }

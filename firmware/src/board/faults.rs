@@ -13,7 +13,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 use cortex_m::peripheral::{DCB, SCB};
 use cortex_m_rt::{ExceptionFrame, exception};
-use firmware::keep::Kept;
+use firmware::retained::Kept;
 use heapless::String;
 use protocol::MAX_PANIC;
 

@@ -19,19 +19,20 @@
 //! The modules form layers, and imports go down: [`events`] and the locks; the drivers;
 //! [`handover`]. Of the rest of the binary they see `state` alone.
 
-#[cfg(not(feature = "discovery"))]
-mod absent;
 pub(crate) mod clocks;
 pub(crate) mod critical_section;
 pub(crate) mod cycles;
 pub(crate) mod events;
-mod falls;
+mod falling_edges;
 pub(crate) mod faults;
 pub(crate) mod handover;
 pub(crate) mod idle;
 pub(crate) mod imu_bus;
 pub(crate) mod imu_clock;
+pub(crate) mod irq_priority;
 pub(crate) mod leds;
+#[cfg(not(feature = "discovery"))]
+mod missing_outputs;
 #[cfg(feature = "discovery")]
 pub(crate) mod nmea_port;
 pub(crate) mod outputs;
@@ -42,7 +43,6 @@ pub(crate) mod thermometer;
 mod tim1;
 pub(crate) mod tim2;
 pub(crate) mod triggers;
-pub(crate) mod urgent;
 
 #[cfg(not(feature = "discovery"))]
-pub(crate) use absent::{nmea_port, rng};
+pub(crate) use missing_outputs::{nmea_port, rng};

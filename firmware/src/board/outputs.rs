@@ -17,9 +17,9 @@ use protocol::Output;
 
 use crate::board::cycles::OUTPUTS_TIME;
 use crate::board::events::{self, OutputEvent};
+use crate::board::irq_priority::IrqPriorityMutex;
 use crate::board::tim1::{self, Channel, Match};
 use crate::board::tim2::{self, TIMEBASE};
-use crate::board::urgent::UrgentMutex;
 
 /// A line, in the order of the channels.
 #[derive(Clone, Copy)]
@@ -68,7 +68,7 @@ struct Shared {
     latency: u32,
 }
 
-static SHARED: UrgentMutex<RefCell<Shared>> = UrgentMutex::new(RefCell::new(Shared {
+static SHARED: IrqPriorityMutex<RefCell<Shared>> = IrqPriorityMutex::new(RefCell::new(Shared {
     lines: [
         Driven::new(Line::Pps),
         Driven::new(Line::Two),

@@ -5,7 +5,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::SampleTime;
 use embassy_stm32::pac::adccommon::vals::Adcpre;
 use firmware::boards::BOARD;
-use firmware::die::{self, Calibration};
+use firmware::die_temperature::{self, Calibration};
 
 const ADC: pac::adc::Adc = pac::ADC1;
 
@@ -57,7 +57,7 @@ impl Thermometer {
         if self.converting == SENSOR {
             self.sensor = done;
         } else if let (Some(sensor), Some(reference)) = (self.sensor, done) {
-            self.decidegrees = die::decidegrees(&self.calibration, sensor, reference);
+            self.decidegrees = die_temperature::decidegrees(&self.calibration, sensor, reference);
         }
         self.converting = if self.converting == SENSOR {
             REFERENCE

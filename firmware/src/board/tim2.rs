@@ -7,7 +7,7 @@
 //!
 //! | channel | pin | direction |
 //! |---|---|---|
-//! | 1 | PA5 | trigger: output compare, turns over at each match; [`falls`] loads the second |
+//! | 1 | PA5 | trigger: output compare, turns over at each match; [`falling_edges`] loads the second |
 //! | 2 | PA1 | data-ready of the IMU: capture of rising edges |
 //! | 3 | PA2 | strobe: capture of both edges |
 //! | 4 | PA3 | read-back of the trigger: capture of rising edges, no interrupt |
@@ -35,7 +35,7 @@ use protocol::{Capture, CaptureChannel, Ticks};
 
 use crate::board::cycles::TRIGGER_TIME;
 use crate::board::events::{self, DataReady, Event, Input};
-use crate::board::falls;
+use crate::board::falling_edges;
 
 const TIM: pac::timer::TimGp32 = pac::TIM2;
 
@@ -169,7 +169,7 @@ pub(crate) fn init(events: Producer<'static, Event>) {
         w.set_ccie(DATA_READY, true);
         w.set_ccie(STROBE, true);
     });
-    falls::init(TIM.ccr(TRIGGER).as_ptr().cast());
+    falling_edges::init(TIM.ccr(TRIGGER).as_ptr().cast());
     with_all_masked(|token| SHARED.borrow(token).borrow_mut().events = Some(events));
     TIM.cr1().write(|w| w.set_cen(true));
     enable_handlers();
@@ -180,7 +180,7 @@ fn enable_handlers() {
     // SAFETY: what the handlers touch is set up.
     unsafe {
         NVIC::unmask(pac::Interrupt::TIM2);
-        NVIC::unmask(falls::INTERRUPT);
+        NVIC::unmask(falling_edges::INTERRUPT);
     }
 }
 
@@ -247,7 +247,7 @@ fn DMA1_STREAM5() {
         with_all_masked(|token| {
             TIMEBASE.refresh(counter());
             // The stream also calls when it is switched off.
-            if let Some(fell) = falls::take_end() {
+            if let Some(fell) = falling_edges::take_end() {
                 SHARED.borrow(token).borrow_mut().trigger(fell);
             }
         });
@@ -455,7 +455,7 @@ impl CompareOutput for Channel {
         if let Action::Pulse { fall } = action {
             TIM.ccmr_output(0)
                 .modify(|w| w.set_ocm(TRIGGER, Ocm::TOGGLE));
-            falls::arm(at, fall);
+            falling_edges::arm(at, fall);
             TIM.dier().modify(|w| w.set_ccde(TRIGGER, true));
             TIM.ccr(TRIGGER).write_value(at);
         } else {
@@ -473,7 +473,7 @@ impl CompareOutput for Channel {
             w.set_ccie(TRIGGER, false);
             w.set_ccde(TRIGGER, false);
         });
-        falls::disarm();
+        falling_edges::disarm();
         TIM.ccmr_output(0)
             .modify(|w| w.set_ocm(TRIGGER, Ocm::FORCE_INACTIVE));
         clear(flag(TRIGGER));

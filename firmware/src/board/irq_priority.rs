@@ -20,15 +20,15 @@ const CEILING: u8 = 1 << 4;
 /// Of the handlers at priority 1.
 pub(crate) const PRIORITY: u8 = CEILING;
 
-pub(crate) struct UrgentRawMutex;
+pub(crate) struct RawIrqPriorityMutex;
 
 /// A mutex for tasks and handlers at priority 1 and below.
-pub(crate) type UrgentMutex<T> = Mutex<UrgentRawMutex, T>;
+pub(crate) type IrqPriorityMutex<T> = Mutex<RawIrqPriorityMutex, T>;
 
 // SAFETY: on this single core nothing of priority 1 or below runs while BASEPRI
 // is at the ceiling, and nothing above uses this mutex. BASEPRI_MAX never lowers
 // the ceiling, and what was there before is restored, so locks nest.
-unsafe impl RawMutex for UrgentRawMutex {
+unsafe impl RawMutex for RawIrqPriorityMutex {
     const INIT: Self = Self;
 
     fn lock<R>(&self, work: impl FnOnce() -> R) -> R {
