@@ -12,7 +12,7 @@ use std::io::{BufRead as _, BufReader, BufWriter, Write as _};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
@@ -21,6 +21,7 @@ use anyhow::{Context, Result};
 use crate::ball;
 use crate::depth_camera::{DepthCamera, FrameRecord};
 use crate::k4a_mkv::{K4aMkvWriter, K4aSettings, device_us};
+use crate::serve;
 use stm32f4_sim::shared::{Shared, lock};
 
 /// How long either side waits before it looks whether it should end.
@@ -100,10 +101,7 @@ pub struct Args {
 ///
 /// There is no camera, or the file cannot be written.
 pub fn record(args: &Args) -> Result<()> {
-    let stopped = Arc::new(AtomicBool::new(false));
-    let stop = Arc::clone(&stopped);
-    ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed))
-        .context("cannot watch for Ctrl-C")?;
+    let stopped = serve::stopped_by_signal()?;
     let camera = UnixStream::connect(&args.camera)
         .with_context(|| format!("no camera at {}", args.camera.display()))?;
     let file =

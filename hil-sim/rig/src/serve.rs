@@ -22,6 +22,8 @@ use crate::true_clock::{BoardClockwork, TrueClock};
 use crate::truth_recorder::TruthRecorder;
 use crate::wiring;
 use anyhow::{Context, Result};
+use jiff::SignedDuration;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use stm32f4_sim::pin::Pin;
 use stm32f4_sim::rtt::LogLine;
 use stm32f4_sim::shared::{Shared, lock};
@@ -50,7 +52,7 @@ pub struct Args {
     #[arg(long)]
     wait_for_host: bool,
     /// Stop after so much virtual time, for example 10s or 5min.
-    #[arg(long = "for", value_name = "DURATION", value_parser = humantime::parse_duration)]
+    #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
     length: Option<Duration>,
     /// The one seed of all randomness.
     #[arg(long, default_value_t = 1)]
@@ -124,6 +126,25 @@ pub fn speed(text: &str) -> Result<f64, String> {
         .ok_or_else(|| "expected a number from 0.1 to 1000".to_owned())
 }
 
+/// A time span on a command line, such as 10s or 5min.
+///
+/// # Errors
+///
+/// If it is none, or negative.
+pub fn duration(text: &str) -> Result<Duration, jiff::Error> {
+    text.parse::<SignedDuration>()?.try_into()
+}
+
+/// Becomes true at Ctrl-C and at termination signals.
+pub(crate) fn stopped_by_signal() -> Result<Arc<AtomicBool>> {
+    let stopped = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&stopped))
+            .context("cannot watch for Ctrl-C")?;
+    }
+    Ok(stopped)
+}
+
 /// Runs the rig until its time is over or Ctrl-C is pressed.
 ///
 /// # Errors
@@ -190,10 +211,7 @@ pub fn run(args: &Args) -> Result<()> {
     };
     std::io::stdout().flush()?;
 
-    let stopped = Arc::new(AtomicBool::new(false));
-    let stop = Arc::clone(&stopped);
-    ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed))
-        .context("cannot watch for Ctrl-C")?;
+    let stopped = stopped_by_signal()?;
 
     let mut truth = match &args.truth {
         None => None,

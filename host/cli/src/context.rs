@@ -13,6 +13,8 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use phone::StopSignal;
 use serde::Serialize;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 
 use crate::outcome::{ExitStatus, Failure};
 use crate::terminal::{Shown, harmless};
@@ -232,13 +234,17 @@ impl Interrupt {
     /// # Errors
     ///
     /// The system does not let them be taken.
-    pub(crate) fn install(&self) -> Result<(), ctrlc::Error> {
+    pub(crate) fn install(&self) -> io::Result<()> {
+        let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
         let interrupt = self.clone();
-        ctrlc::set_handler(move || {
-            if interrupt.0.fetch_add(1, Ordering::Relaxed) >= 2 {
-                std::process::exit(ExitStatus::Interrupted.code().into());
+        std::thread::spawn(move || {
+            for _ in signals.forever() {
+                if interrupt.0.fetch_add(1, Ordering::Relaxed) >= 2 {
+                    std::process::exit(ExitStatus::Interrupted.code().into());
+                }
             }
-        })
+        });
+        Ok(())
     }
 }
 

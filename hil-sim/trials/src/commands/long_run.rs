@@ -15,7 +15,7 @@ pub(crate) struct Args {
     elf: Option<PathBuf>,
     /// How much virtual time, for example 6h or 3min.
     #[arg(long = "for", value_name = "DURATION", default_value = "6h",
-          value_parser = humantime::parse_duration)]
+          value_parser = rig::serve::duration)]
     length: Duration,
     /// Share of the time in which the link is filled up with as much as USB takes.
     #[arg(long, value_name = "PERCENT", default_value_t = 10,

@@ -117,7 +117,7 @@ fn a_port_without_permission_has_its_own_code() {
     let place = tempfile::tempdir().unwrap();
     std::fs::set_permissions(place.path(), Permissions::from_mode(0o755)).unwrap();
     let copy = place.path().join("smartdepthsync");
-    std::fs::copy(assert_cmd::cargo::cargo_bin!("smartdepthsync"), &copy).unwrap();
+    std::fs::copy(env!("CARGO_BIN_EXE_smartdepthsync"), &copy).unwrap();
     let mut command = if rustix::process::geteuid().is_root() {
         let mut command = Command::new("setpriv");
         command.args(["--reuid", "65534", "--regid", "65534", "--clear-groups"]);

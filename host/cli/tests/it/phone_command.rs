@@ -4,12 +4,12 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
+use std::process::Command;
 use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use assert_cmd::Command;
-
+use crate::support;
 use crate::support::interrupts::PATIENCE;
 
 /// A phone that answers requests on one connection with a script. As the app does, it
@@ -70,13 +70,12 @@ struct Run {
 }
 
 fn run(fake: Fake, arguments: &[&str], folder: &Path) -> Run {
-    let output = Command::cargo_bin("smartdepthsync")
-        .unwrap()
-        .arg("phone")
+    // A program that hangs is ended, with exit code 124.
+    let output = Command::new("timeout")
+        .args(["30", env!("CARGO_BIN_EXE_smartdepthsync"), "phone"])
         .args(arguments)
         .args(["--phone", &fake.address, "--timeout", "20"])
         .current_dir(folder)
-        .timeout(Duration::from_secs(30))
         .output()
         .unwrap();
     Run {
@@ -182,12 +181,11 @@ fn interrupt_ends_a_request() {
     let fake = Fake::new(move |_| {
         let _ = asks.send(());
     });
-    let child = std::process::Command::new(assert_cmd::cargo::cargo_bin("smartdepthsync"))
-        .args(["phone", "imu", "--seconds", "60", "--phone", &fake.address])
+    let child = support::program(&["phone", "imu", "--seconds", "60", "--phone", &fake.address])
         .spawn()
         .unwrap();
     asked.recv_timeout(PATIENCE).unwrap();
-    let killed = std::process::Command::new("kill")
+    let killed = Command::new("kill")
         .args(["-INT", &child.id().to_string()])
         .status()
         .unwrap();

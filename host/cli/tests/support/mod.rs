@@ -210,7 +210,7 @@ pub(crate) fn run(args: &[&str]) -> Output {
 }
 
 pub(crate) fn program(args: &[&str]) -> Command {
-    let mut command = Command::new(assert_cmd::cargo::cargo_bin!("smartdepthsync"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_smartdepthsync"));
     command.args(args);
     command
 }
