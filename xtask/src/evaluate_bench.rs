@@ -4,6 +4,7 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
+use serde_json::Value;
 
 use crate::process;
 
@@ -50,8 +51,10 @@ pub(crate) fn run() -> Result<()> {
                 .arg(&video)
                 .stderr(Stdio::inherit()),
         )?;
-        let total = number(&json, "total_s")?;
-        let own = total - number(&json, "waiting_for_input_s")?;
+        let json: Value = serde_json::from_str(&json)?;
+        let seconds = |key| json.pointer(key).and_then(Value::as_f64).context(key);
+        let total = seconds("/timing/total_s")?;
+        let own = total - seconds("/timing/waiting_for_input_s")?;
         let speed = SECONDS / own;
         slowest = slowest.min(speed);
         println!(
@@ -63,33 +66,4 @@ pub(crate) fn run() -> Result<()> {
         "evaluate is only {slowest:.1} times as fast as real time, at least {REQUIRED} are required"
     );
     Ok(())
-}
-
-/// The number behind a key that occurs once in a JSON document.
-fn number(json: &str, key: &str) -> Result<f64> {
-    let quoted = format!("\"{key}\":");
-    let (_, rest) = json
-        .split_once(&quoted)
-        .with_context(|| format!("no {key} in the answer"))?;
-    let digits: String = rest
-        .trim_start()
-        .chars()
-        .take_while(|c| c.is_ascii_digit() || "+-.eE".contains(*c))
-        .collect();
-    digits
-        .parse()
-        .with_context(|| format!("{key} is not a number"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::number;
-
-    #[test]
-    fn numbers_are_found_in_json() {
-        let json = "{\n \"timing\": { \"total_s\": 1.5e0, \"x\": 2 } }";
-        assert_eq!(number(json, "total_s").unwrap(), 1.5);
-        assert_eq!(number(json, "x").unwrap(), 2.0);
-        assert!(number(json, "y").is_err());
-    }
 }

@@ -25,7 +25,7 @@ struct Measured {
     memory: Option<f64>,
 }
 
-/// `cargo xtask bench --extract`.
+/// `cargo xtask bench extract`.
 pub(crate) fn run(depth_minutes: u32) -> Result<()> {
     let python = tools::ensure_python()?;
     process::cargo([

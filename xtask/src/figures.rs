@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 
-use crate::{demo, firmware, process, tools};
+use crate::{firmware, process, tools};
 
 /// Size of the terminal of the live view.
 const TERMINAL: (u16, u16) = (80, 24);
@@ -100,7 +100,7 @@ fn live_view(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
 /// The report of the demo's data set, as a browser shows its beginning.
 fn report(elf: &Path, python: &Path, figure: &Path) -> Result<()> {
     let place = process::fresh_folder("figures-demo")?;
-    demo::run(&demo::Args::into_folder(place.clone()), elf)?;
+    process::hil_sim(&["demo".as_ref(), "--out".as_ref(), place.as_os_str()], elf)?;
     let shot = place.join("report.png");
     let mut browser = process::command("chromium");
     browser

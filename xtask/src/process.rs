@@ -131,16 +131,15 @@ pub(crate) fn cargo<I: IntoIterator<Item = S>, S: AsRef<OsStr>>(args: I) -> Resu
     run(command(cargo_program()).args(args))
 }
 
-/// Cargo with the firmware's ELF named in the environment. Of tests, two run on a
+/// Runs cargo with the firmware's ELF named in the environment. Of tests, two run on a
 /// core unless the environment says otherwise: most sessions wait for the clock.
-pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Command {
+pub(crate) fn cargo_with_elf<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
     let mut cargo = command(cargo_program());
     if env::var_os(TEST_THREADS).is_none() {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         cargo.env(TEST_THREADS, (2 * cores).to_string());
     }
-    cargo.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB);
-    cargo
+    run(cargo.args(args).env(ELF_VARIABLE, elf).envs(NO_ADB))
 }
 
 /// A program that cargo has built in the release profile.
@@ -165,7 +164,7 @@ pub(crate) fn build_programs() -> Result<()> {
 }
 
 /// Runs the simulator that cargo has built in the release profile.
-pub(crate) fn run_hil_sim(args: &[&str], elf: &Path) -> Result<()> {
+pub(crate) fn hil_sim<S: AsRef<OsStr>>(args: &[S], elf: &Path) -> Result<()> {
     run(command(program("hil-sim"))
         .args(args)
         .env(ELF_VARIABLE, elf)

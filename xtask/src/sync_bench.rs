@@ -1,5 +1,4 @@
-//! The clock estimate: measured on simulated twists, beside the published Python
-//! package, and the study of drift.
+//! The clock estimate: measured on simulated twists, beside the published Python package.
 
 use anyhow::Result;
 
@@ -8,8 +7,8 @@ use crate::{process, wheel};
 /// Trials that the Python package is given: it is measured, not studied.
 const MOST_FILES: u32 = 100;
 
-/// Runs an example of the estimator's scenarios.
-pub(crate) fn example(name: &str, args: &[&str]) -> Result<()> {
+/// Runs the example `sync_bench` of the estimator's scenarios.
+pub(crate) fn example(args: &[&str]) -> Result<()> {
     let mut all = vec![
         "run",
         "--release",
@@ -17,20 +16,20 @@ pub(crate) fn example(name: &str, args: &[&str]) -> Result<()> {
         "-p",
         "twist-scenarios",
         "--example",
-        name,
+        "sync_bench",
         "--",
     ];
     all.extend_from_slice(args);
     process::cargo(all)
 }
 
-/// `cargo xtask bench --sync`: all scenarios, twists over an hour, then the package
+/// `cargo xtask bench sync`: all scenarios, twists over an hour, then the package
 /// beside ours.
 pub(crate) fn run(trials: u32) -> Result<()> {
     let trials_text = trials.to_string();
-    example("sync_bench", &["--trials", &trials_text])?;
-    example("sync_bench", &["--hour", "--trials", &trials_text])?;
-    example("sync_bench", &["--loops", "--trials", &trials_text])?;
+    example(&["--trials", &trials_text])?;
+    example(&["--hour", "--trials", &trials_text])?;
+    example(&["--loops", "--trials", &trials_text])?;
     let python = wheel::installed()?;
     let files = trials.min(MOST_FILES).to_string();
     for (scenario, label) in [
@@ -42,18 +41,15 @@ pub(crate) fn run(trials: u32) -> Result<()> {
             .join(scenario.replace(' ', "-"));
         let folder_text = folder.display().to_string();
         println!("\n{label} (no skew: the package has none):");
-        example(
-            "sync_bench",
-            &[
-                "--trials",
-                &files,
-                "--scenario",
-                scenario,
-                "--no-skew",
-                "--export",
-                &folder_text,
-            ],
-        )?;
+        example(&[
+            "--trials",
+            &files,
+            "--scenario",
+            scenario,
+            "--no-skew",
+            "--export",
+            &folder_text,
+        ])?;
         process::run(
             process::command(&python)
                 .arg("xtask/sync_bench.py")
@@ -61,9 +57,4 @@ pub(crate) fn run(trials: u32) -> Result<()> {
         )?;
     }
     Ok(())
-}
-
-/// `cargo xtask study`: drift after twists and natural motion, as Markdown.
-pub(crate) fn study(trials: u32) -> Result<()> {
-    example("sync_study", &["--trials", &trials.to_string()])
 }

@@ -45,10 +45,7 @@ pub(crate) fn build_and_test() -> Result<()> {
     process::build_programs()?;
     let twists = process::target_dir().join("wheel-twists");
     let twists_text = twists.display().to_string();
-    sync_bench::example(
-        "sync_bench",
-        &["--export", &twists_text, "--trials", TRIALS],
-    )?;
+    sync_bench::example(&["--export", &twists_text, "--trials", TRIALS])?;
     process::run(
         process::command(&python)
             .args([

@@ -23,7 +23,7 @@ const OUTLIER_ROUNDS: usize = 4;
 
 /// By how much the stated uncertainty of an encoded video is larger than its
 /// residuals say: 1.4 times on simulated videos of the whole rig (29 seeds,
-/// `cargo xtask bench --chain`). See [`super::precision`].
+/// `cargo xtask hil-sim chain evaluate`). See [`super::precision`].
 const ENCODED: f64 = 1.5;
 
 /// What a long recording says.

@@ -21,7 +21,7 @@ const NOTABLE_MOTION_US: f64 = 20.0;
 /// An encoder's errors follow the picture: a part of them looks like a shift of the
 /// flashes' edges, which the fit takes for one and which leaves no residual.
 /// Simulated videos (x264 at constant quality 18) scatter by 1.7 times what the
-/// residuals say, over 29 seeds of the whole rig (`cargo xtask bench --chain`).
+/// residuals say, over 29 seeds of the whole rig (`cargo xtask hil-sim chain evaluate`).
 const ENCODED: f64 = 2.0;
 
 /// What one recording says.

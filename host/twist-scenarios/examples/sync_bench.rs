@@ -2,7 +2,7 @@
 //! scenario; and the recordings as files, for other programs.
 //!
 //! `sync_bench [--trials N] [--hour | --loops | --export DIR --scenario NAME]`. All figures are of
-//! simulated recordings. Run by `cargo xtask bench --sync`.
+//! simulated recordings. Run by `cargo xtask bench sync`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fmt::Write as _;

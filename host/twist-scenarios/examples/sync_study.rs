@@ -5,7 +5,7 @@
 //! skew walks at random by the stated wander (rms change in one minute). Each
 //! session runs the whole estimate on simulated recordings.
 //!
-//! `sync_study [--trials N]`, run by `cargo xtask study`.
+//! `sync_study [--trials N]`
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use clap::Parser;

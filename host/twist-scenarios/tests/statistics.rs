@@ -1,7 +1,7 @@
 //! Statistics of the clock estimate on simulated twists, scenario by scenario.
 //!
 //! All figures are of simulated recordings. The number of trials per scenario is
-//! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench --sync`.
+//! 40, or `SYNC_TRIALS`; the full study of 300 is `cargo xtask bench sync`.
 
 use rayon::prelude::*;
 use twist_scenarios::{SENSOR_B, Scenario, Sensor, Twist, TwistSpec};

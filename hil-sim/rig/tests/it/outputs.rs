@@ -339,9 +339,9 @@ fn a_flood_on_the_strobe_input_starves_no_output() {
     println!("worst edge to end of handling under a flood: {latency:.2} us, simulated");
 }
 
-/// `cargo xtask hour`.
+/// `cargo xtask test -p smartdepthsync-rig outputs:: -- --ignored --nocapture`.
 #[test]
-#[ignore = "an hour of virtual time: cargo xtask hour"]
+#[ignore = "an hour of virtual time"]
 fn an_hour_of_all_trains_is_exact() {
     run_all(3_600);
 }

@@ -99,7 +99,7 @@ impl Seeds {
             return Ok(());
         }
         bail!(
-            "{} of {} seeds failed: {}; `cargo xtask {name} --seed N --count 1` repeats one",
+            "{} of {} seeds failed: {}; `cargo xtask hil-sim {name} --seed N --count 1` repeats one",
             failed.len(),
             self.count,
             failed.join(", ")

@@ -97,7 +97,12 @@ fn hil_sim() -> Help {
 #[test]
 fn commands_of_the_other_programs_are_in_their_help() {
     let mut wrong = Vec::new();
-    for (name, help, least) in [("cargo xtask", xtask(), 30), ("hil-sim", hil_sim(), 3)] {
+    // What `cargo xtask` passes on.
+    let mut xtask = xtask();
+    xtask.below.insert("hil-sim".to_owned(), hil_sim());
+    let demo = hil_sim().below.remove("demo").unwrap();
+    xtask.below.insert("demo".to_owned(), demo);
+    for (name, help, least) in [("cargo xtask", xtask, 30), ("hil-sim", hil_sim(), 3)] {
         assert!(help.below.len() > 5, "{help:?}");
         let mut checked = 0;
         for (page, text) in pages() {

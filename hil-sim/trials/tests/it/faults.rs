@@ -1,4 +1,4 @@
-//! The fault campaign, a few seeds of it. `cargo xtask faults` runs them all.
+//! The fault campaign, a few seeds of it. `cargo xtask hil-sim faults` runs them all.
 
 use crate::support;
 use crate::turn;

@@ -1,4 +1,4 @@
-//! The hostile campaign, a few seeds of it. `cargo xtask hostile` runs more.
+//! The hostile campaign, a few seeds of it. `cargo xtask hil-sim hostile` runs more.
 
 use std::cell::OnceCell;
 use std::io::Write as _;

@@ -1,4 +1,4 @@
-//! Sessions with a board or a phone that lies, a few of them. `cargo xtask lies` runs more.
+//! Sessions with a board or a phone that lies, a few of them. `cargo xtask hil-sim lies` runs more.
 
 use std::process::Command;
 

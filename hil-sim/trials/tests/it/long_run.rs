@@ -5,7 +5,7 @@ use std::process::Command;
 use crate::turn;
 use serde_json::Value;
 
-/// `cargo xtask longrun` is this for hours. A process, since it looks at its own memory.
+/// `cargo xtask hil-sim long-run` is this for hours. A process, since it looks at its own memory.
 #[test]
 fn two_minutes_are_exact_on_all_pins_with_flat_memory() {
     let _turn = turn::beside_others();
